@@ -26,7 +26,7 @@ from spikedeploy.runtime.convention import State
 from spikedeploy.runtime.design_rules.mapping import CoreMapping
 from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.program_record import program_record
+from spikedeploy.runtime.families.programs import program_record
 from spikedeploy.runtime.traces.verify import QUANTITIES
 
 MARK = "spikedeploy export --to program"

@@ -20,9 +20,9 @@ from spikedeploy.exporters.c.plan import Plan
 from spikedeploy.exporters.c.templates import filled, template
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
-from spikedeploy.runtime.families.integrate_and_fire.rules import IntegrateAndFireRules
+from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
 
 Integers = NDArray[np.int64]
 

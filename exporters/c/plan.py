@@ -17,10 +17,10 @@ from spikedeploy.runtime.codec.population import MAX_TABLE_TIMESTEPS, Population
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.compiler.program import Program, ReadoutTerm
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
-from spikedeploy.runtime.families.integrate_and_fire.rules import IntegrateAndFireRules
+from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
 
 _INT32 = 2**31 - 1
 # room for a product with a decay factor, and for one more addition

@@ -29,9 +29,8 @@ from lab.bench.peers import peers
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import MachinePool
-from spikedeploy.runtime.families.cuba.bounds import bounds
-from spikedeploy.runtime.families.cuba_numpy.raster import Scratch
-from spikedeploy.runtime.families.cuba_numpy.sums import gathering
+from spikedeploy.runtime.families.cuba.numpy_kernels import Scratch, gathering
+from spikedeploy.runtime.families.cuba.quantise import bounds
 
 INPUTS = 20  # rasters of a round at batch 1
 Act = Callable[[], Any]

@@ -13,20 +13,20 @@ damage           what is broken on it, and what goes wrong by chance while it ru
 """
 
 CHIPS: dict[str, str] = {
-    "ideal": "spikedeploy.runtime.families.cuba.floating_point:IDEAL",
+    "ideal": "spikedeploy.runtime.families.cuba.arithmetic:IDEAL",
     "loihi1": "spikedeploy.runtime.families.cuba.loihi:LOIHI1",
     "loihi1-brian2": "spikedeploy.runtime.families.cuba.loihi:LOIHI1_BRIAN2",
     "loihi1-nengo": "spikedeploy.runtime.families.cuba.loihi:LOIHI1_NENGO",
     "loihi2": "spikedeploy.runtime.families.cuba.loihi:LOIHI2",
-    "xylo-a2": "spikedeploy.runtime.families.xylo.datasheets:XYLO_A2",
-    "xylo-a3": "spikedeploy.runtime.families.xylo.datasheets:XYLO_A3",
-    "xylo-imu": "spikedeploy.runtime.families.xylo.datasheets:XYLO_IMU",
-    "spinnaker2": "spikedeploy.runtime.families.cuba.floating_point:SPINNAKER2",
-    "spinnaker2-lif": "spikedeploy.runtime.families.cuba.floating_point:SPINNAKER2_LIF",
+    "xylo-a2": "spikedeploy.runtime.families.xylo_datasheets:XYLO_A2",
+    "xylo-a3": "spikedeploy.runtime.families.xylo_datasheets:XYLO_A3",
+    "xylo-imu": "spikedeploy.runtime.families.xylo_datasheets:XYLO_IMU",
+    "spinnaker2": "spikedeploy.runtime.families.cuba.arithmetic:SPINNAKER2",
+    "spinnaker2-lif": "spikedeploy.runtime.families.cuba.arithmetic:SPINNAKER2_LIF",
     "speck2f": "spikedeploy.runtime.families.integrate_and_fire.layer_accelerators:SPECK2F",
     "truenorth": "spikedeploy.runtime.families.integrate_and_fire.crossbars:TRUENORTH",
     "odin": "spikedeploy.runtime.families.integrate_and_fire.crossbars:ODIN",
     "tinyodin": "spikedeploy.runtime.families.integrate_and_fire.crossbars:TINYODIN",
     "spiker": "spikedeploy.runtime.families.integrate_and_fire.layer_accelerators:SPIKER",
-    "int": "spikedeploy.runtime.families.cuba.free_width:INT",
+    "int": "spikedeploy.runtime.families.cuba.arithmetic:INT",
 }

@@ -46,21 +46,21 @@ _MAKERS = (
     (r"lava", "loihi1"),
 )
 _READERS = {
-    "loihi1": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
-    "loihi1-brian2": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
-    "loihi1-nengo": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
-    "loihi2": "spikedeploy.runtime.families.cuba.loihi_traces:loihi_trace",
-    "xylo-a2": "spikedeploy.runtime.families.xylo.xylosim_traces:xylo_trace",
-    "xylo-a3": "spikedeploy.runtime.families.xylo.xylosim_traces:xylo_trace",
-    "xylo-imu": "spikedeploy.runtime.families.xylo.xylosim_traces:xylo_trace",
+    "loihi1": "spikedeploy.runtime.families.cuba.traces:loihi_trace",
+    "loihi1-brian2": "spikedeploy.runtime.families.cuba.traces:loihi_trace",
+    "loihi1-nengo": "spikedeploy.runtime.families.cuba.traces:loihi_trace",
+    "loihi2": "spikedeploy.runtime.families.cuba.traces:loihi_trace",
+    "xylo-a2": "spikedeploy.runtime.families.xylo_traces:xylo_trace",
+    "xylo-a3": "spikedeploy.runtime.families.xylo_traces:xylo_trace",
+    "xylo-imu": "spikedeploy.runtime.families.xylo_traces:xylo_trace",
 }
 # of an exported program, on any of the chips that it can be exported for
-_OF_PROGRAMS = "spikedeploy.runtime.families.program_traces:program_trace"
+_OF_PROGRAMS = "spikedeploy.runtime.families.programs:program_trace"
 # those that are replayed in a way of their own: event by event, or with an earlier reset
 _VERDICTS = {
-    "odin": "spikedeploy.runtime.families.integrate_and_fire.crossbar_traces:crossbar_verdict",
-    "tinyodin": "spikedeploy.runtime.families.integrate_and_fire.crossbar_traces:crossbar_verdict",
-    "spiker": "spikedeploy.runtime.families.integrate_and_fire.spiker_traces:spiker_verdict",
+    "odin": "spikedeploy.runtime.families.integrate_and_fire.traces:crossbar_verdict",
+    "tinyodin": "spikedeploy.runtime.families.integrate_and_fire.traces:crossbar_verdict",
+    "spiker": "spikedeploy.runtime.families.integrate_and_fire.traces:spiker_verdict",
 }
 # letters of a text in which makers are looked for
 _MOST_PROSE = 1000

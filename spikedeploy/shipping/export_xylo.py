@@ -16,7 +16,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.xylo.xylosim_traces import xylo_trace
+from spikedeploy.runtime.families.xylo_traces import xylo_trace
 from spikedeploy.runtime.traces.fields import Fields
 from spikedeploy.shipping.export_c import nir_file
 

@@ -30,7 +30,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.interpreter import LayerTrace
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.xylo.neurons import XyloRegisters
+from spikedeploy.runtime.families.xylo import XyloRegisters
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies.chip_graph import (
     DT,

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.interpreter import LayerTrace, trace
-from spikedeploy.runtime.families.cuba_numba.jit import jit
-from spikedeploy.runtime.families.integrate_and_fire.rules import IntegrateAndFireRules
+from spikedeploy.runtime.families.cuba.numba_kernels import jit
+from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
 
 Integers = NDArray[np.integer[Any]]
 

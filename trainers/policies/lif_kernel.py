@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from spikedeploy.runtime.families.cuba_numba.jit import jit
+from spikedeploy.runtime.families.cuba.numba_kernels import jit
 
 Array = NDArray[np.floating[Any]]
 

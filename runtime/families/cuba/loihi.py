@@ -22,7 +22,7 @@ from spikedeploy.runtime.chips.limits import (
     SynapticMemory,
 )
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint, CubaGradedSpikes
+from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint, CubaGradedSpikes
 
 LAVA = "lava-nc 0.10.0, bit-accurate LIF and Dense models (source read, traces equal)"
 NENGO = "nengo-loihi 1.1.0, emulator and discretisation (source read)"

@@ -7,23 +7,166 @@ threshold, bias and membrane follow the scale.
 
 A neuron that has a scale of its own has a threshold of its own, and a core stores only so many.
 Scales may shrink a little, so that neurons share thresholds; nothing else has to follow.
+
+Nothing bounds the current of a readout that hardly leaks: it is the sum of all that ever arrived.
+So a scale is chosen at which half of each register holds NET_EVENTS more spikes of one sign than of
+the other over a neuron's heaviest synapse, or all that can arrive where leaks bound that. A decay
+rounds toward zero, by up to 1 state unit in a timestep, which matters least beside large states:
+the weights count 2**exponent times, with the largest exponent that leaves this room.
+
+Bounds on the numbers of a layer, whatever the spikes, prove that fast arithmetic is exact. Headroom
+is the largest scale at which no register of the chip can overflow; widths count even where a model
+of the chip does not say what happens beyond them.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.layer import NEVER, Layer, Synapses
+from spikedeploy.runtime.chips.layer import NEVER, Layer, Network, Synapses
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
-from spikedeploy.runtime.chips.registers import Rounding, magnitude, rounded
+from spikedeploy.runtime.chips.registers import Register, Rounding, magnitude, rounded
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
-from spikedeploy.runtime.families.cuba.readouts import exponent_and_share
 
 Floats = NDArray[np.float64]
+
+# spikes of one sign more than of the other, on the heaviest synapse; a channel of a delta code with
+# steps of 0.3 standard deviations stays below 10, and several channels add up
+NET_EVENTS = 64
+# part of a register that they may fill
+_SHARE = 0.5
+# [timesteps] what a bias adds up to without a leak is taken over so many
+_LONG_BIAS = 4096
+# a current that loses no more than this part of itself in a timestep adds up for long
+_SLOW = 1 / 256
+# net spikes that are not counted further
+_MANY = 10**9
+# timesteps at which responses are looked at: each at first, then a few of each octave
+_TIMES = np.unique(np.concatenate([np.arange(64), np.geomspace(64, 1e6, 200).astype(int)]))
+# what weights with their exponent are stored in
+_WIDEST = (1 << 15) - 1
+
+
+def exponent_and_share(
+    layer: Layer, registers: CubaRegisters, scale: float | Floats
+) -> tuple[int, float]:
+    """The exponent of a float readout layer, and the part of the scale to use, 1 but for overflow.
+
+    scale: mantissas per float unit, (N,) or one for all.
+    """
+    unit = scale * (1 << registers.mantissa_shift)
+    states = min(registers.current.limit, registers.push.limit, registers.membrane.limit)
+    widest_bias = registers.bias_mantissa_max << registers.bias_exponent_max
+    filled = max(
+        magnitude(_reach(layer) * unit) / (_SHARE * states),
+        magnitude(layer.voltage_bias * unit) / max(widest_bias, 1),
+    )
+    if filled > 1:
+        return 0, 1 / filled
+    # whatever arrives at once is to fit the accumulator, or kernels would be slow
+    filled = max(filled, magnitude(_arriving(layer) * unit) / registers.accumulator.limit)
+    widest = int(np.log2(_WIDEST // registers.weight_max))
+    most = min(registers.weight_exponent_max, widest)
+    return (int(np.clip(np.floor(np.log2(1 / filled)), 0, most)) if filled else 0), 1.0
+
+
+def range_of(
+    layer: Layer, registers: CubaRegisters, timesteps: int | None, drifts: bool = True
+) -> str:
+    """What registers hold of a quantised layer, in a sentence; "" where that is all, or it leaks.
+
+    Of layers that spike the current is looked at, where it hardly leaks: thresholds bound the rest.
+    Nothing bounds what sigma-delta neurons add up. A graded spike counts as one, so that net spikes
+    are those of the level that a source has sent.
+
+    timesteps: T of an inference; None is a state that is never reset.
+    drifts: whether `spikedeploy drift` takes the network.
+    """
+    one = float(registers.decay_one)
+    current, membrane = layer.current_decay / one, layer.membrane_decay / one
+    states = [registers.current.limit, registers.push.limit, registers.membrane.limit]
+    if layer.spiking and not layer.graded:
+        if current.max() < 1 - _SLOW:
+            return ""
+        membrane, states = 0 * membrane, states[:2]
+    unit, held = 1 << registers.mantissa_shift, min(states)
+    positive, negative, heaviest = _weighed(layer)
+    each, bias = (
+        heaviest * unit * _peak_response(current, membrane),
+        _biased(layer, current, membrane, unit),
+    )
+    largest, steady = np.maximum(positive, negative) * unit, _steady(current, membrane)
+    if timesteps is not None:
+        steady = np.minimum(steady, timesteps * _peak_response(current, membrane))
+    proven = np.multiply(largest, steady, out=np.zeros(layer.size), where=largest > 0) + bias
+    if magnitude(proven) <= held:
+        return ""
+    room = np.divide(held - bias, each, out=np.full(layer.size, np.inf), where=each > 0)
+    look = "; `spikedeploy drift` shows what recorded inputs fill" if drifts else ""
+    kind = "sigma-delta layer" if layer.graded else "layer" if layer.spiking else "readout"
+    return (
+        f"{kind} {layer.name!r}: its leaks do not bound what it adds up; its registers hold "
+        f"{max(int(min(room.min(), _MANY)), 0)} net spikes over a heaviest synapse (the ledger "
+        f"counts saturations{look})"
+    )
+
+
+def _biased(layer: Layer, current: Floats, membrane: Floats, unit: int) -> Floats:
+    """What the biases (N,) add up to; without a leak over _LONG_BIAS timesteps."""
+    # sigma-delta neurons add it once, when they read sigma
+    kept = 1 - membrane if not layer.graded else np.ones(layer.size)
+    pushed = np.abs(layer.voltage_bias) / np.maximum(kept, 1 / _LONG_BIAS)
+    return np.asarray(
+        np.abs(layer.bias) * unit * np.minimum(_steady(current, membrane), _LONG_BIAS) + pushed
+    )
+
+
+def _weighed(layer: Layer) -> tuple[Floats, Floats, Floats]:
+    """Sums of the positive and of the negative weights of each neuron, and its heaviest (N,)."""
+    weights = np.concatenate([s.weight.astype(np.float64) for s in layer.synapses])
+    heaviest = np.abs(weights).max(axis=0, initial=0.0)
+    return weights.clip(min=0).sum(axis=0), -weights.clip(max=0).sum(axis=0), heaviest
+
+
+def _arriving(layer: Layer) -> Floats:
+    """The most that arrives in a timestep (N,)."""
+    positive, negative, _ = _weighed(layer)
+    return np.asarray(np.maximum(positive, negative) + np.abs(layer.bias))
+
+
+def _reach(layer: Layer) -> Floats:
+    """Estimate of the largest current or membrane (N,) of a float layer [float units]."""
+    positive, negative, heaviest = _weighed(layer)
+    current, membrane = layer.current_decay, layer.membrane_decay
+    steady, largest = _steady(current, membrane), np.maximum(positive, negative)
+    events = NET_EVENTS * heaviest * _peak_response(current, membrane)
+    bounded = np.isfinite(steady)
+    proven = np.multiply(largest, steady, out=events.copy(), where=bounded)
+    return np.asarray(np.minimum(events, proven) + _biased(layer, current, membrane, 1))
+
+
+def _steady(current: Floats, membrane: Floats) -> Floats:
+    """What 1 that arrives in every timestep adds up to; infinite without a leak."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(1 / ((1 - current) * (1 - membrane)))
+
+
+def _peak_response(current: Floats, membrane: Floats) -> Floats:
+    """Largest membrane after a single arrival of 1.
+
+    v[t] = sum over k <= t of a^k b^(t - k) = (a^(t + 1) - b^(t + 1)) / (a - b)
+    """
+    t = _TIMES[:, None] + 1.0
+    apart = np.abs(current - membrane) > 1e-6
+    nearly = t * np.maximum(current, membrane) ** (t - 1)
+    rest = current**t - membrane**t
+    response = np.divide(rest, current - membrane, out=nearly, where=apart)
+    return np.asarray(response.max(axis=0))
+
 
 # (), one for a layer, or (N,), one for each of its neurons
 Scale: TypeAlias = float | Floats
@@ -255,3 +398,211 @@ def _check_alive(layer: Layer, quantised: Layer, registers: CubaRegisters) -> No
             f"at most {registers.threshold_max} mantissas) or bias. Scale the weights up, or the "
             "others down."
         )
+
+
+# largest magnitude for which float64 decays exactly: 2**53 less 12 decay bits, with one to spare
+_EXACT_STATE = 1 << 40
+
+# every whole number up to this is held by float32
+_SINGLE = 1 << 24
+
+# [timesteps] longer windows are treated as unbounded
+_LONG = 100
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Largest magnitudes over the neurons of a layer, whatever the spikes.
+
+    partial: of any partial sum of weights, in any order.
+    drive: of what arrives in a timestep [state units].
+    current: [state units].
+    above: of a membrane before its reset, where it is positive [state units].
+    below: of a membrane where it is negative [state units].
+    """
+
+    partial: int
+    drive: float
+    current: float
+    above: float
+    below: float
+
+
+def register_limit(register: Register) -> int:
+    """Largest magnitude that a register holds, and that float64 decays exactly."""
+    limitless = register.overflow == "none" and register.between is None
+    return _EXACT_STATE if limitless else register.limit
+
+
+def bounds(
+    network: Network, layer: Layer, registers: CubaRegisters, timesteps: int | None
+) -> Bounds:
+    """Bounds of a layer that starts from 0; timesteps None is a state that is never reset."""
+    one = float(1 << registers.mantissa_shift)
+    weights = [s.weight.astype(np.int64) for s in layer.synapses]
+    positive = sum((w.clip(min=0).sum(axis=0) for w in weights), layer.bias.clip(min=0))
+    negative = sum((-w.clip(max=0).sum(axis=0) for w in weights), -layer.bias.clip(max=0))
+    raised, above = _leaky(layer, registers, positive * one, layer.voltage_bias, timesteps)
+    lowered, below = _leaky(layer, registers, negative * one, -layer.voltage_bias, timesteps)
+    if network.convention.reset == "zero":
+        # no membrane stays above its threshold
+        above = np.minimum(above, layer.threshold + raised + layer.voltage_bias.clip(min=0))
+    partial = np.maximum(positive, negative).max()
+    return Bounds(
+        partial=int(partial),
+        drive=float(partial * one),
+        current=float(np.maximum(raised, lowered).max()),
+        above=float(above.max()),
+        below=float(below.max()),
+    )
+
+
+def spikes_without_overflow(
+    layer: Layer, registers: CubaRegisters, timesteps: int, most: int
+) -> int:
+    """Spikes in a window of T timesteps from zero that can take no state beyond `most`.
+
+    Each adds at most the largest weight to the sum of the magnitudes that arrive, and no state
+    exceeds that sum times the peak that follows a single arrival.
+    """
+    one = 1 << registers.mantissa_shift
+    steady = _largest_integer(layer.bias) * one + _largest_integer(layer.voltage_bias)
+    left = most / _peak(layer, registers, timesteps) - timesteps * steady
+    largest = max(_largest_integer(synapses.weight) for synapses in layer.synapses) * one
+    return max(-1, int(left // largest)) if largest else -1
+
+
+def single(layer: Layer, registers: CubaRegisters) -> int:
+    """Largest state that float32 decays exactly, and holds even if another is added to it."""
+    thresholds = layer.threshold.astype(np.int64)
+    if _largest_integer(thresholds) >= _SINGLE or _largest_integer(layer.voltage_bias) >= _SINGLE:
+        return 0
+    factors = np.concatenate([layer.current_decay, layer.membrane_decay]).astype(np.int64)
+    # the odd part of a decay is what makes a product longer
+    odd = factors // np.maximum(factors & -factors, 1)
+    return _SINGLE // int(odd.max(initial=2))
+
+
+def exact_ticks(layer: Layer, registers: CubaRegisters) -> int:
+    """Decays after a reset that leave nothing to round, whatever the spikes.
+
+    All that is added to the states is a multiple of 2**shift, and each decay divides it by as many
+    powers of two as its factor has fractional bits. PopSAN's decay factors of 1/2 and 3/4 have up
+    to two, and Loihi's states are multiples of 2**6: three decays round nothing.
+    """
+    added = [1 << registers.mantissa_shift, *layer.voltage_bias.tolist(), *layer.threshold.tolist()]
+    shift = min(_trailing(int(value)) for value in added)
+    factors = [*layer.current_decay.tolist(), *layer.membrane_decay.tolist()]
+    bits = max(max(registers.decay_bits - _trailing(int(factor)), 0) for factor in factors)
+    return shift // bits if bits else _LONG
+
+
+def _trailing(value: int) -> int:
+    """Zeros at the end of a binary number; for 0, _LONG."""
+    return (value & -value).bit_length() - 1 if value else _LONG
+
+
+def _peak(layer: Layer, registers: CubaRegisters, timesteps: int) -> float:
+    """Largest current or membrane in a window after a single arrival of 1, without rounding."""
+    current_factor = layer.current_decay / float(registers.decay_one)
+    membrane_factor = layer.membrane_decay / float(registers.decay_one)
+    current, membrane = np.ones(layer.size), np.ones(layer.size)
+    peak = 1.0
+    for _ in range(timesteps):
+        current = current_factor * current
+        membrane = membrane_factor * membrane + current
+        peak = max(peak, float(membrane.max()))
+    return peak
+
+
+def _largest_integer(values: NDArray[Any]) -> int:
+    return int(magnitude(values.astype(np.int64)))
+
+
+def _leaky(
+    layer: Layer, registers: CubaRegisters, drive: Floats, bias: NDArray[Any], timesteps: int | None
+) -> tuple[Floats, Floats]:
+    """Largest current and membrane (N,) when so much arrives in every timestep."""
+    current_factor = layer.current_decay / float(registers.decay_one)
+    membrane_factor = layer.membrane_decay / float(registers.decay_one)
+    push = bias.clip(min=0).astype(np.float64)
+    if timesteps is None or timesteps > _LONG:
+        current = _unbounded(drive, current_factor)
+        return current, _unbounded(current + push, membrane_factor)
+    current = membrane = np.zeros(layer.size)
+    for _ in range(timesteps):
+        current = current_factor * current + drive
+        membrane = membrane_factor * membrane + current + push
+    return current, membrane
+
+
+def _unbounded(drive: Floats, factor: Floats) -> Floats:
+    """Limit of x = factor x + drive: drive / (1 - factor), and infinite without a leak."""
+    unbounded = np.where(drive > 0, np.inf, 0.0)
+    return np.divide(drive, 1 - factor, out=unbounded, where=factor < 1)
+
+
+# rounding may lift a bound a little over its register again; each round takes away the excess
+_HEADROOM_ROUNDS = 50
+_SLACK = 1e-3
+
+
+def with_headroom(
+    registers: CubaRegisters, network: Network, quantisation: Quantisation, timesteps: int | None
+) -> list[Layer]:
+    """The float layers of a network, quantised so that nothing can overflow.
+
+    timesteps: T of an inference; None is a state that is never reset.
+    """
+    return [_proven(network, a, registers, quantisation, timesteps) for a in network.layers]
+
+
+def _overflow_ratio(
+    network: Network, layer: Layer, registers: CubaRegisters, timesteps: int | None
+) -> float:
+    """How many times the largest that fits its register a number of the layer can become."""
+    worst = bounds(network, layer, registers, timesteps)
+    push = worst.current + magnitude(layer.voltage_bias)
+    return max(
+        worst.drive / registers.accumulator.limit,
+        worst.current / registers.current.limit,
+        push / registers.push.limit,
+        worst.above / registers.membrane.limit,
+        worst.below / registers.membrane.limit,
+    )
+
+
+def _proven(
+    network: Network,
+    layer: Layer,
+    registers: CubaRegisters,
+    quantisation: Quantisation,
+    timesteps: int | None,
+) -> Layer:
+    each = quantisation.granularity == "channel"
+    share = np.ones(layer.size if each else 1)
+    for _ in range(_HEADROOM_ROUNDS):
+        quantised = quantise(layer, registers, quantisation, share if each else float(share[0]))
+        parts = [_alone(quantised, n) for n in range(layer.size)] if each else [quantised]
+        over = np.array([_overflow_ratio(network, part, registers, timesteps) for part in parts])
+        if (over <= 1).all():
+            return quantised
+        if not np.isfinite(over).all():
+            break
+        share = np.where(over > 1, share / over * (1 - _SLACK), share)
+    raise RuleError(
+        f"rule headroom: layer {layer.name!r}: no scale keeps its membranes from overflowing for "
+        "ever, since they do not leak. Choose headroom 'none', or calibrate it on recorded inputs."
+    )
+
+
+def _alone(layer: Layer, n: int) -> Layer:
+    """The layer with one of its neurons."""
+    return replace(
+        layer,
+        synapses=tuple(replace(s, weight=s.weight[:, n : n + 1]) for s in layer.synapses),
+        **{
+            name: getattr(layer, name)[n : n + 1]
+            for name in ("bias", "voltage_bias", "threshold", "current_decay", "membrane_decay")
+        },
+    )

@@ -2,15 +2,11 @@
 
 `neurons` is the specification; each datasheet says which of its rules the chip follows.
 
-rules            what chips differ in
-neurons          one timestep
+neurons          what chips differ in, and one timestep
 spike_queue      one timestep of all layers, whose spikes go through a queue on the chip
-arithmetic       the arithmetic of these chips
-quantise         a layer in floats becomes integers; what weights and neurons must keep to
+arithmetic       the arithmetic of these chips: a layer in floats becomes integers
 crossbars        TrueNorth (IBM, 2014), ODIN and tinyODIN (Frenkel et al. 2019)
 layer_accelerators
                  Speck 2f (SynSense), Spiker+ (Politecnico di Torino)
-crossbar_traces  recorded runs of ODIN and tinyODIN, event by event
-recorded_events  the events of such a run, read and compared
-spiker_traces    recorded runs of Spiker+
+traces           recorded runs of ODIN and tinyODIN, event by event, and of Spiker+
 """

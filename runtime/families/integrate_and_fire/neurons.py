@@ -1,4 +1,4 @@
-"""Integrate-and-fire neurons without a synaptic current: one timestep of them.
+"""Integrate-and-fire neurons without a synaptic current: what chips differ in, and one timestep.
 
 The specification of a timestep:
 
@@ -14,13 +14,169 @@ of leaking.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Numbers, StepResult
+from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.families.integrate_and_fire.rules import IntegrateAndFireRules
+from spikedeploy.runtime.errors import ChipError
+
+Signs = Literal["weight", "axon"]
+Leak = Literal["none", "linear", "crossing", "shift"]
+LeakOrder = Literal["first", "last"]
+Moment = Literal["step", "event"]
+Fires = Literal["above", "reached"]
+Scaling = Literal["full", "binary"]
+StepRounding = Literal["nearest", "truncate"]
+ResetAt = Literal["spike", "leak"]
+Queue = Literal["off", "on"]
+QueueHost = Literal["wait", "step"]
+_CHOICES = {
+    "signs": get_args(Signs),
+    "leak": get_args(Leak),
+    "leak_order": get_args(LeakOrder),
+    "adds": get_args(Moment),
+    "checks": get_args(Moment),
+    "fires": get_args(Fires),
+    "scaling": get_args(Scaling),
+    "rounding": get_args(StepRounding),
+    "reset_at": get_args(ResetAt),
+    "queue": get_args(Queue),
+    "host": get_args(QueueHost),
+}
+
+
+@dataclass(frozen=True)
+class IntegrateAndFireRules:
+    """What integrate-and-fire neurons without a synaptic current do, and their registers.
+
+    weight_bits: of a weight; with the sign, or of the magnitude where axons have the sign.
+    signs: what has a sign of its own: each "weight", or each "axon" for all its weights.
+    axon_types: an axon is of one of so many types, and a neuron has one weight for each; 0 where
+        every synapse has a weight of its own.
+    bias_bits: with the sign, of what a neuron adds in each timestep; 0 where a bias has to be the
+        weight of an axon that spikes in every timestep.
+    leak: what a membrane loses in each timestep: nothing ("none"), the same amount toward 0 at
+        which it stops ("linear") or which it may step over ("crossing"), or itself shifted right,
+        rounded down ("shift").
+    leak_bits: of that amount, or of that shift.
+    leak_order: whether a timestep begins with the leak ("first"), or spikes come before it.
+    membrane: the state.
+    floor: below which no membrane falls; None leaves it to its register.
+    floors: what a convention may want as floor instead, as in Convention.
+    adds: whether the membrane takes in all spikes of a "step" as one sum, or each "event" by
+        itself, saturating every time.
+    checks: when the threshold is looked at: at the end of the "step", or after each "event", of
+        which a leak that comes first is one.
+    fires: whether a neuron fires where its membrane is "above" the threshold, or at it too
+        ("reached").
+    threshold_bits: of a threshold, unsigned.
+    spikes_max: spikes of a neuron in a timestep.
+    scaling: what floats are multiplied with to become whole: as much as fits ("full"), or the
+        largest power of two that fits ("binary").
+    rounding: how the chip's own tools round, where nothing else is wanted.
+    reset_at: whether a neuron is reset with its "spike", or in the next timestep in place of the
+        "leak", and then its spikes leave one timestep later.
+    queue: whether neurons' spikes go through the queue on the chip and reach others in the same
+        timestep ("on"), or the host relays them, layer by layer ("off").
+    queue_entries: of that queue, the event that is being worked on included; 0 is no queue.
+    host: with the queue on, whether the host sends an event when the chip is idle ("wait"), or the
+        events of a timestep as fast as the chip takes them ("step").
+    """
+
+    weight_bits: int
+    signs: Signs
+    axon_types: int
+    bias_bits: int
+    leak: Leak
+    leak_bits: int
+    leak_order: LeakOrder
+    membrane: Register
+    floor: int | None
+    floors: tuple[str, ...]
+    adds: Moment
+    checks: Moment
+    fires: Fires
+    threshold_bits: int
+    spikes_max: int
+    scaling: Scaling
+    rounding: StepRounding
+    reset_at: ResetAt = "spike"
+    queue: Queue = "off"
+    queue_entries: int = 0
+    host: QueueHost = "wait"
+
+    def __post_init__(self) -> None:
+        for option, allowed in _CHOICES.items():
+            if (found := getattr(self, option)) not in allowed:
+                choices = " or ".join(map(repr, allowed))
+                raise ChipError(f"{option} {found!r} is unknown. Choose {choices}.")
+        least = 2 if self.signs == "weight" else 1
+        if not least <= self.weight_bits <= 16:
+            raise ChipError(f"weight_bits is {self.weight_bits}; choose {least} to 16.")
+        if not 1 <= self.spikes_max <= 255:
+            raise ChipError(f"spikes_max is {self.spikes_max}; choose 1 to 255.")
+        if self.floor is not None and self.floor > 0:
+            raise ChipError(f"floor is {self.floor}; membranes start from 0. Choose 0 or less.")
+        if self.checks == "event" and self.adds == "step":
+            raise ChipError(
+                "checks is 'event' and adds 'step': where all spikes are one sum, there is no "
+                "event to look after. Choose adds 'event', or checks 'step'."
+            )
+        self._check_order()
+
+    def _check_order(self) -> None:
+        """Refuse a late reset, or a queue, that the other rules leave no place for."""
+        rules = self.leak_order, self.checks, self.spikes_max
+        if self.reset_at == "leak" and rules != ("first", "step", 1):
+            raise ChipError(
+                "reset_at is 'leak': a reset in place of the leak needs leak_order 'first', checks "
+                "'step' and spikes_max 1. Choose those, or reset_at 'spike'."
+            )
+        if not 0 <= self.queue_entries <= 1 << 16:
+            raise ChipError(f"queue_entries is {self.queue_entries}; choose 0 to {1 << 16}.")
+        if self.queue == "off":
+            return
+        if not self.queue_entries:
+            raise ChipError("queue is 'on', and the chip's queue has no entries. Choose odin.")
+        if (self.leak_order, self.checks) != ("first", "event"):
+            raise ChipError(
+                "queue is 'on': it holds single events, and needs leak_order 'first' and checks "
+                "'event'. Choose those, or queue 'off'."
+            )
+
+    @property
+    def weight_range(self) -> tuple[int, int]:
+        """Least and largest weight."""
+        if self.signs == "axon":
+            most = (1 << self.weight_bits) - 1
+            return -most, most
+        return _signed(self.weight_bits)
+
+    @property
+    def bias_range(self) -> tuple[int, int]:
+        """Least and largest bias, in whichever way neurons get one."""
+        return _signed(self.bias_bits) if self.bias_bits else self.weight_range
+
+    @property
+    def threshold_max(self) -> int:
+        """Largest threshold that a membrane can reach, or be above."""
+        reach = self.membrane.limit - (self.fires == "above")
+        return min((1 << self.threshold_bits) - 1, reach)
+
+    @property
+    def leak_max(self) -> int:
+        """Largest amount or shift."""
+        return min((1 << self.leak_bits) - 1, self.membrane.limit)
+
+
+def _signed(bits: int) -> tuple[int, int]:
+    half = 1 << (bits - 1)
+    return -half, half - 1
+
 
 Integers = NDArray[np.int64]
 

@@ -20,11 +20,11 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.integrate_and_fire.neurons import (
     Integers,
+    IntegrateAndFireRules,
     PartialStep,
     add,
     begin,
 )
-from spikedeploy.runtime.families.integrate_and_fire.rules import IntegrateAndFireRules
 
 # the time reference, an event from the host, one on the axon of all biases, a neuron's own spike
 EventKind = Literal["tref", "axon", "bias", "neuron"]

@@ -13,15 +13,14 @@ from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import Interpreter
-from spikedeploy.runtime.families.cuba.bounds import (
+from spikedeploy.runtime.families.cuba.numpy_kernels import Raster, _OverflowCheck
+from spikedeploy.runtime.families.cuba.quantise import (
     Bounds,
     bounds,
     exact_ticks,
     single,
     spikes_without_overflow,
 )
-from spikedeploy.runtime.families.cuba_numpy.layer_kernel import _OverflowCheck
-from spikedeploy.runtime.families.cuba_numpy.raster import Raster
 from tests.programs import layer, random_programs, rasters
 
 WIDE = chip("loihi1", current=Register(60, "none"), membrane=Register(60, "none"))

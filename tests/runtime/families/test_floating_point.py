@@ -14,7 +14,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ChipError, RuleError
-from spikedeploy.runtime.families.cuba.floating_point import CubaFloat32
+from spikedeploy.runtime.families.cuba.arithmetic import CubaFloat32
 from spikedeploy.runtime.families.cuba.neurons import arriving
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, lif, popsan

@@ -14,7 +14,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.families.cuba.bounds import bounds, with_headroom
+from spikedeploy.runtime.families.cuba.quantise import bounds, with_headroom
 from tests.float_layers import float_layer
 from tests.networks import chain, cuba, lif, popsan
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError, RuleError
-from spikedeploy.runtime.families.integrate_and_fire.quantise import (
+from spikedeploy.runtime.families.integrate_and_fire.arithmetic import (
     axon_types,
     check_axons,
     quantise,

@@ -25,9 +25,11 @@ from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import CHUNK, MachinePool
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
-from spikedeploy.runtime.families.cuba_numba import arrays, kernels, layout, pipeline
-from spikedeploy.runtime.families.cuba_numpy.pipeline import NumpyPipeline
+from spikedeploy.runtime.families.cuba import numba_backend as pipeline
+from spikedeploy.runtime.families.cuba import numba_kernels as kernels
+from spikedeploy.runtime.families.cuba import numba_program as layout
+from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.numpy_backend import NumpyPipeline
 from tests.equality import check_equal, check_like_the_interpreter, runs
 from tests.networks import popsan
 from tests.paths import ROOT
@@ -241,7 +243,8 @@ def test_a_step_into_memory_of_the_caller_allocates_nothing(rows):
 def test_machine_code_is_kept_on_disk_under_a_name_that_tells_all_its_sources():
     # an index that an older version left may name classes that are gone, and is never opened
     folder = Path(kernels.__file__).parent
-    digest = sha256(b"".join(path.read_bytes() for path in sorted(folder.glob("*.py")))).hexdigest()
+    sources = sorted(folder.glob("numba_*.py"))
+    digest = sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
     assert kernels.run.__qualname__ == f"run_{digest[:12]}"
     assert type(kernels.run._cache).__name__ == "FunctionCache"
     assert digest[:12] in kernels.run._cache._cache_file._index_name
@@ -279,7 +282,7 @@ def test_the_kernels_know_every_field_of_the_arithmetic():
     refused = {"push"}  # unless it lets everything through
     assert {f.name for f in fields(CubaFixedPoint)} == at_compile_time | in_the_kernels | refused
     assert {f.name for f in fields(Register)} == {"bits", "overflow", "between"}
-    assert set(arrays.OVERFLOWS) == {"none", "wrap", "wrap-once", "clip"}
+    assert set(layout.OVERFLOWS) == {"none", "wrap", "wrap-once", "clip"}
 
 
 @pytest.mark.parametrize(
@@ -334,7 +337,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from tests.equality import check_equal, check_like_the_interpreter, runs
 from tests.networks import popsan
 Machine(compile_program(popsan(), chip("loihi1")))
-import spikedeploy.runtime.families.cuba_numba.pipeline
+import spikedeploy.runtime.families.cuba.numba_backend
 assert "numba" not in sys.modules
 """
     done = subprocess.run(

@@ -16,7 +16,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ChipError, RuleError
-from spikedeploy.runtime.families.cuba.readouts import NET_EVENTS, exponent_and_share, range_of
+from spikedeploy.runtime.families.cuba.quantise import NET_EVENTS, exponent_and_share, range_of
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.float_layers import float_layer
 from tests.networks import chain

@@ -7,8 +7,13 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.families.cuba_numpy.layer_kernel import LayerKernel
-from spikedeploy.runtime.families.cuba_numpy.raster import LINE, Scratch, aligned, as_aligned
+from spikedeploy.runtime.families.cuba.numpy_kernels import (
+    LINE,
+    LayerKernel,
+    Scratch,
+    aligned,
+    as_aligned,
+)
 from tests.programs import layer
 
 

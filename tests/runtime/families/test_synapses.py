@@ -5,17 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spikedeploy.runtime.families.cuba_numpy.raster import (
-    Raster,
-    Scratch,
-)
-from spikedeploy.runtime.families.cuba_numpy.sums import (
+from spikedeploy.runtime.families.cuba.numpy_kernels import (
     FEW,
     LARGE,
     SMALL,
     ActiveRows,
     AutoSum,
     Matmul,
+    Raster,
+    Scratch,
     SparseSum,
     summing,
 )

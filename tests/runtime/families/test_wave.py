@@ -16,7 +16,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.ledger import count
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.families.cuba_numpy.wave import CHUNK, LARGEST, SHORTEST, suits
+from spikedeploy.runtime.families.cuba.numpy_kernels import CHUNK, LARGEST, SHORTEST, suits
 from tests.programs import chains, layer, rasters
 
 windows = st.integers(SHORTEST, SHORTEST + 2 * CHUNK)

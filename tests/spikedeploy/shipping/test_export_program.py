@@ -26,7 +26,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.families.program_record import program_in
+from spikedeploy.runtime.families.programs import program_in
 from spikedeploy.runtime.traces import fields
 from spikedeploy.runtime.traces.fields import Work, read_json
 from spikedeploy.runtime.traces.verify import verify

@@ -14,7 +14,7 @@ from spikedeploy.runtime.chips.layer import LayerState
 from spikedeploy.runtime.compiler.compile import check, compile_program
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.integrate_and_fire.quantise import axon_types
+from spikedeploy.runtime.families.integrate_and_fire.arithmetic import axon_types
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import ChipSnnConfig
 from spikedeploy.trainers.policies import ChipSnnPolicy, build, from_config

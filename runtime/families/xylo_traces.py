@@ -9,8 +9,7 @@ from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
-from spikedeploy.runtime.families.xylo.neurons import XyloRegisters
+from spikedeploy.runtime.families.xylo import XyloArithmetic, XyloRegisters
 from spikedeploy.runtime.traces.fields import Fields, Integers, Work
 from spikedeploy.runtime.traces.verify import PROSE, TraceFile, nothing_to_compare, table_of
 

@@ -11,7 +11,7 @@ from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.quantise import stored
 from spikedeploy.runtime.traces.fields import Fields, Integers, Work
 from spikedeploy.runtime.traces.verify import PROSE, TraceFile, nothing_to_compare, table_of

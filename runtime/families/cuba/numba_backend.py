@@ -10,9 +10,9 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import Recording, SavedState, Schedule, not_spikes
 from spikedeploy.runtime.emulator.ledger import EVENTS, LedgerBuilder
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.cuba.fixed_point import CubaFixedPoint
-from spikedeploy.runtime.families.cuba_numba.arrays import OVERFLOWS, WindowMemory, constants
-from spikedeploy.runtime.families.cuba_numpy.pipeline import unsupported_synapses
+from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
+from spikedeploy.runtime.families.cuba.numba_program import OVERFLOWS, WindowMemory, constants
+from spikedeploy.runtime.families.cuba.numpy_backend import unsupported_synapses
 
 
 class NumbaPipeline:
@@ -20,7 +20,7 @@ class NumbaPipeline:
 
     def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
         # loads the compiler, which takes longer than everything else
-        from spikedeploy.runtime.families.cuba_numba.kernels import run
+        from spikedeploy.runtime.families.cuba.numba_kernels import run
 
         self.schedule = schedule
         self._program, self._kernel = program, run

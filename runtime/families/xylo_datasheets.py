@@ -14,7 +14,7 @@ from dataclasses import replace
 from spikedeploy.runtime.chips.chip import ALL_AT_ONCE, Chip
 from spikedeploy.runtime.chips.limits import ENDS, WEIGHTS, Limits
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.families.xylo.arithmetic import XyloArithmetic
+from spikedeploy.runtime.families.xylo import XyloArithmetic
 
 _XYLOSIM = "xylosim 0.1.3, core v2 (run, traces equal)"
 _ROCKPOOL = "rockpool's table of Xylo's cores"

@@ -1,0 +1,620 @@
+"""The arithmetics of CuBa-LIF chips: Loihi's integers, free widths, and floats.
+
+CubaFixedPoint computes as Loihi, CubaGradedSpikes as Loihi 2 with sigma-delta neurons.
+
+CubaFreeWidth is Loihi's arithmetic with free bit widths: no chip that exists, to find out what one
+would need. Its neurons lack what is peculiar to Loihi: registers end at the largest magnitude,
+decays are stored without offsets, weights use all their bits.
+
+CubaFloat64 computes without any rounding: the compiled path, to tell compiling from rounding.
+CubaFloat32 has whole weights and float32 states, as programs on SpiNNaker2's cores. Approximate:
+in which order the firmware multiplies and adds, and rounds, is not published.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
+from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
+from spikedeploy.runtime.chips.limits import ENDS, READOUTS, WEIGHTS, Limits, SynapticMemory
+from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.chips.registers import Register, Rounding, decay, magnitude, rounded
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import ChipError, RuleError
+from spikedeploy.runtime.families.cuba.neurons import (
+    CubaRegisters,
+    arriving,
+    float_sigma_delta,
+    float_update,
+    sigma_delta,
+    update,
+)
+from spikedeploy.runtime.families.cuba.quantise import quantise, range_of, with_headroom
+
+# from rounded weights to the chip, each with those before it
+_ROUNDING_STEPS = ("weights", "thresholds", "decays", "states")
+# of lava's neurons
+_GRADED_BITS = 24
+
+
+@dataclass(frozen=True)
+class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
+    """The integer CuBa-LIF arithmetic of a chip; its fields are those of CubaRegisters."""
+
+    backends: ClassVar[Mapping[str, str]] = {
+        "numpy": "spikedeploy.runtime.families.cuba.numpy_backend:NumpyPipeline",
+        "numba": "spikedeploy.runtime.families.cuba.numba_backend:NumbaPipeline",
+    }
+    spikes_max: ClassVar[int] = 1
+    choices: ClassVar[tuple[str, ...]] = (
+        "granularity",
+        "rounding",
+        "headroom",
+        "thresholds",
+        "tuned",
+    )
+    spikes_and_floor: ClassVar[tuple[str, str] | None] = ("above", "none")
+    ablation_steps: ClassVar[tuple[str, ...]] = _ROUNDING_STEPS
+
+    @property
+    def state_bits(self) -> tuple[int, ...]:
+        """Width of each state of a neuron [bits]: its current and its membrane."""
+        return self.current.bits, self.membrane.bits
+
+    @property
+    def weights_have_signs(self) -> bool:
+        """Whether one of a weight's bits is its sign; else its list has it."""
+        return self.sign_mode == "mixed"
+
+    def input_delay(self, delay: int) -> int:
+        """Delay of the network's input [timesteps], that of spikes or none."""
+        return delay if self.input_acts == "next" else 0
+
+    @property
+    def threshold_range(self) -> tuple[int, int]:
+        """Step and largest threshold [state units]."""
+        return 1 << self.mantissa_shift, self.threshold_max << self.mantissa_shift
+
+    @property
+    def weight_lists(self) -> int:
+        """Lists that hold the weights of an axon: 2 where each sign has its own."""
+        return 2 if self.sign_mode == "split" else 1
+
+    def with_one_list(self) -> "CubaFixedPoint | None":
+        """The same with weights of both signs in one list; None where that is no choice."""
+        if self.sign_mode != "split" or self.weight_bits < 2:
+            return None
+        return replace(self, sign_mode="mixed")
+
+    def quantise(
+        self,
+        network: Network,
+        quantisation: Quantisation,
+        chip_name: str,
+        timesteps: int | None,
+        limits: bool,
+    ) -> Sequence[Layer]:
+        """The float layers as integers, with as much headroom as is asked for."""
+        if quantisation.headroom == "proven":
+            _refuse_graded(network)
+            return with_headroom(self, network, quantisation, timesteps)
+        return [quantise(layer, self, quantisation) for layer in network.layers]
+
+    def ranges(self, layers: Sequence[Layer], timesteps: int | None) -> list[str]:
+        """Of quantised layers that their leaks do not bound what registers hold, a sentence each.
+
+        timesteps: T of an inference; None where it is not known, or states are kept.
+        """
+        drifts = not any(layer.graded for layer in layers)
+        found = [range_of(layer, self, timesteps, drifts) for layer in layers]
+        return [sentence for sentence in found if sentence]
+
+    def update(
+        self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
+    ) -> StepResult:
+        """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
+        return update(self, network.convention, layer, arriving(layer, presynaptic), state)
+
+    def partly_rounded(self, before: Layer, after: Layer, step: str) -> Layer:
+        """The layer in float64 and state units, rounded up to one of the ablation steps."""
+        units, one = 1.0 / after.scale, float(1 << self.mantissa_shift)
+        thresholds, decays = step != "weights", step == "decays"
+        return replace(
+            after,
+            synapses=tuple(
+                replace(s, weight=s.weight.astype(np.float64) * one) for s in after.synapses
+            ),
+            bias=after.bias * one,
+            threshold=after.threshold.astype(np.float64)
+            if thresholds
+            else before.threshold * units,
+            voltage_bias=after.voltage_bias * 1.0 if thresholds else before.voltage_bias * units,
+            current_decay=after.current_decay / self.decay_one if decays else before.current_decay,
+            membrane_decay=after.membrane_decay / self.decay_one
+            if decays
+            else before.membrane_decay,
+        )
+
+    def before_reset(
+        self,
+        layer: Layer,
+        convention: Convention,
+        current: Numbers,
+        membrane: Numbers,
+        spikes: Numbers,
+    ) -> Numbers:
+        """Membranes (B, T, N) before a spike reset them, computed once more [state units]."""
+        # v = b v + (u + bias)      each as its register holds it
+        push = self.push.fit(current + layer.voltage_bias)
+        factor = layer.membrane_decay.astype(np.int64)
+        return self.membrane.fit(decay(_one_step_later(membrane), factor, self.decay_bits) + push)
+
+    def describe(self) -> Description:
+        """Neurons, weights and membrane in a few words each."""
+        signs = "with the sign" if self.sign_mode == "mixed" else "and sign"
+        return Description("CuBa-LIF", f"{self.weight_bits} bits {signs}", self.membrane.describe())
+
+
+@dataclass(frozen=True)
+class CubaGradedSpikes(CubaFixedPoint):
+    """The same where neurons can also be sigma-delta neurons, which send graded spikes.
+
+    Of 24 bits with the sign, as lava keeps them (lava-nc 0.10.0, proc.sdn, source read); 32 by
+    public statements on Loihi 2 (Orchard et al. 2021, IEEE SiPS). That the chip's microcode counts
+    thresholds is derived, and measured on no board.
+    """
+
+    graded_bits: ClassVar[int | None] = _GRADED_BITS
+
+    def update(
+        self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
+    ) -> StepResult:
+        """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
+        if layer.graded:
+            weights = arriving(layer, presynaptic)
+            return sigma_delta(self, _GRADED_BITS, layer, weights, state)
+        return super().update(network, layer, presynaptic, state)
+
+
+def _refuse_graded(network: Network) -> None:
+    for layer in network.layers:
+        if layer.graded:
+            raise RuleError(
+                f"rule headroom: layer {layer.name!r}: nothing bounds its graded spikes, so no "
+                "scale is proven to hold their sums. Choose headroom 'none'."
+            )
+
+
+def _one_step_later(states: NDArray[Any]) -> NDArray[Any]:
+    """States (B, T, N) of the timestep before, from zero."""
+    return np.concatenate([np.zeros_like(states[:, :1]), states[:, :-1]], axis=1)
+
+
+# float64, which the kernels compute in, holds every product of such a state and such a decay
+_WIDEST_STATE = 36
+_WIDEST_DECAY = 16
+# what a synapse is stored in
+_WIDEST_WEIGHT = 16
+
+
+@dataclass(frozen=True)
+class CubaFreeWidth(CubaFixedPoint):
+    """The integer CuBa-LIF neurons of CubaFixedPoint; fields that follow from others are not given.
+
+    weight_bits: where sign_mode is "mixed", with the sign: -(2**(n - 1) - 1) to 2**(n - 1) - 1;
+        where it is "split", of the magnitude. Weights have no bits that are dropped: a narrow
+        weight is a small number, and the threshold follows it.
+    threshold_bits: of a threshold's mantissa, unsigned; fewer where a membrane could not be above.
+    """
+
+    weight_bits_allowed: tuple[int, ...] = field(init=False)
+    threshold_max: int = field(init=False)
+    decay_max: int = field(init=False)
+    threshold_bits: int
+
+    def __post_init__(self) -> None:
+        mixed = self.sign_mode == "mixed"
+        widths = range(2, _WIDEST_WEIGHT + 1) if mixed else range(1, _WIDEST_WEIGHT)
+        largest = (self.membrane.limit - 1) >> self.mantissa_shift
+        # a frozen dataclass is written on in no other way
+        object.__setattr__(self, "weight_bits_allowed", tuple(widths))
+        object.__setattr__(self, "threshold_max", min((1 << self.threshold_bits) - 1, largest))
+        object.__setattr__(self, "decay_max", self.decay_one)
+        super().__post_init__()
+        self._check_widths()
+
+    @property
+    def weight_exponent_max(self) -> int:
+        """None: fraction bits of the states are free."""
+        return 0
+
+    @property
+    def weight_step(self) -> int:
+        """Distance between two neighbouring weights."""
+        return 1
+
+    @property
+    def weight_max(self) -> int:
+        """Largest weight of either sign."""
+        return (1 << (self.weight_bits - (self.sign_mode == "mixed"))) - 1
+
+    def describe(self) -> Description:
+        """Neurons, weights and membrane in a few words each."""
+        _, weights, membrane = super().describe()
+        return Description("CuBa-LIF, free widths", f"{weights}, free", f"{membrane}, free")
+
+    def _check_widths(self) -> None:
+        if not 1 <= self.decay_bits <= _WIDEST_DECAY:
+            raise ChipError(f"decay_bits is {self.decay_bits}; choose 1 to {_WIDEST_DECAY}.")
+        if not 0 <= self.mantissa_shift <= _WIDEST_DECAY:
+            raise ChipError(
+                f"mantissa_shift is {self.mantissa_shift}; choose 0 to {_WIDEST_DECAY}."
+            )
+        for name in ("accumulator", "current", "push", "membrane"):
+            register = getattr(self, name)
+            if register.bits > _WIDEST_STATE:
+                raise ChipError(f"{name} has {register.bits} bits; choose at most {_WIDEST_STATE}.")
+            if register.overflow == "none" and name in ("current", "membrane"):
+                raise ChipError(f"{name} must end somewhere. Choose what an overflow does.")
+        if self.threshold_max < 1:
+            raise ChipError(
+                f"threshold_bits is {self.threshold_bits}, membrane has {self.membrane.bits} bits "
+                f"and mantissa_shift is {self.mantissa_shift}: no threshold above 0 is left. "
+                "Choose a wider membrane, or a smaller mantissa_shift."
+            )
+
+
+_DEFINED = "by definition"
+_FREE = f"{_DEFINED}; free"
+_FOLLOWS = f"{_DEFINED}; follows from the others"
+
+INT = Chip(
+    name="int",
+    summary="no chip: free bit widths for weights, decays, thresholds and states",
+    arithmetic=CubaFreeWidth(
+        weight_bits=8,
+        sign_mode="mixed",
+        step_rounding="zero",
+        exponents="exact",
+        mantissa_shift=6,
+        bias_mantissa_max=(1 << 15) - 1,
+        bias_exponent_max=0,
+        decay_bits=12,
+        current_decay_offset=0,
+        membrane_decay_offset=0,
+        accumulator=Register(24, "clip"),
+        current=Register(24, "clip"),
+        push=Register(24, "none"),
+        membrane=Register(24, "clip"),
+        refractory=1,
+        input_acts="next",
+        threshold_bits=17,
+    ),
+    resets=("zero", "subtract"),
+    delay=0,
+    delay_max=63,
+    energy_tables=(),
+    membrane_output="probe",
+    sources={
+        "clocks": "by definition",
+        "membrane_output": _DEFINED,
+        "weight_bits": f"{_FREE}, 1 to 16",
+        "weight_bits_allowed": _DEFINED,
+        "sign_mode": _FREE,
+        "step_rounding": f"{_DEFINED}: weights have a step of 1, so nothing is rounded",
+        "exponents": f"{_DEFINED}: there are none",
+        "mantissa_shift": f"{_FREE}, 0 to 16: fraction bits of the states",
+        "threshold_max": _FOLLOWS,
+        "threshold_bits": _FREE,
+        "bias_mantissa_max": _FREE,
+        "input_acts": f"{_DEFINED}: an input waits as a spike does",
+        "bias_exponent_max": _FREE,
+        "decay_bits": f"{_FREE}, 1 to 16",
+        "decay_max": _FOLLOWS,
+        "current_decay_offset": _FREE,
+        "membrane_decay_offset": _FREE,
+        "accumulator": f"{_FREE}, 2 to 36 bits",
+        "current": f"{_FREE}, 2 to 36 bits",
+        "push": f"{_FREE}; {_DEFINED} it is no register: the membrane takes it in at once",
+        "membrane": f"{_FREE}, 2 to 36 bits",
+        "refractory": _FREE,
+        "resets": f"{_DEFINED}: both that a convention can name",
+        "delay": f"{_FREE}; 0 leaves it to the convention",
+        "delay_max": _FREE,
+    },
+    evidence="nothing to compare with: a definition",
+)
+
+
+_LARGEST = float(np.finfo(np.float32).max)
+
+
+@dataclass(frozen=True)
+class CubaFloat64(ArithmeticDefaults):
+    """CuBa-LIF neurons in float64: the network as it was trained, compiled as for a chip.
+
+    Measures count its weights and states as float32, which is what hardware would hold.
+    """
+
+    backends: ClassVar[Mapping[str, str]] = {
+        "numpy": "spikedeploy.runtime.families.cuba.numpy_backend:NumpyPipeline",
+        # refuses, and says why
+        "numba": "spikedeploy.runtime.families.cuba.numba_backend:NumbaPipeline",
+    }
+    rounds: ClassVar[bool] = False
+    spikes_max: ClassVar[int] = 1
+    weight_bits: ClassVar[int] = 32
+    state_bits: ClassVar[tuple[int, ...]] = (32, 32)
+    # whole numbers that float64 holds
+    graded_bits: ClassVar[int] = 53
+
+    def check_quantisation(self, quantisation: Quantisation, chip_name: str) -> None:
+        """Take any choice, since nothing is rounded."""
+
+    def prepare(
+        self,
+        layers: Sequence[Layer],
+        network_input: str,
+        convention: Convention,
+        delay: int,
+        stagger: bool,
+    ) -> tuple[list[Layer], list[str]]:
+        """As other chips; V >= threshold is V > the next number below it, which is exact."""
+        if convention.spikes != "reached" or convention.reset != "zero":
+            return super().prepare(layers, network_input, convention, delay, stagger)
+        below = [replace(each, threshold=np.nextafter(each.threshold, -np.inf)) for each in layers]
+        convention = replace(convention, spikes="above")
+        return super().prepare(below, network_input, convention, delay, stagger)
+
+    def quantise(
+        self,
+        network: Network,
+        quantisation: Quantisation,
+        chip_name: str,
+        timesteps: int | None,
+        limits: bool,
+    ) -> Sequence[Layer]:
+        """The layers as they are."""
+        return network.layers
+
+    def update(
+        self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
+    ) -> StepResult:
+        """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
+        weights = arriving(layer, presynaptic)
+        if layer.graded:
+            return float_sigma_delta(self.graded_bits, layer, weights, state)
+        return float_update(network.convention, layer, weights, state)
+
+    def before_reset(
+        self,
+        layer: Layer,
+        convention: Convention,
+        current: Numbers,
+        membrane: Numbers,
+        spikes: Numbers,
+    ) -> Numbers:
+        """Membranes (B, T, N) before a spike reset them, computed once more [state units]."""
+        # V = b V + I + bias
+        before = np.concatenate([np.zeros_like(membrane[:, :1]), membrane[:, :-1]], axis=1)
+        return np.asarray(layer.membrane_decay * before + current + layer.voltage_bias)
+
+    def describe(self) -> Description:
+        """Neurons, weights and membrane in a few words each."""
+        return Description("CuBa-LIF", "float64", "float64")
+
+
+@dataclass(frozen=True)
+class CubaFloat32(ArithmeticDefaults):
+    """CuBa-LIF neurons in float32, whose synapses hold small integers.
+
+    weight_bits: of a weight, with the sign; the lowest number is not used.
+    """
+
+    weight_bits: int
+    spikes_max: ClassVar[int] = 1
+    state_bits: ClassVar[tuple[int, ...]] = (32, 32)
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.weight_bits <= 16:
+            raise ChipError(f"weight_bits is {self.weight_bits}; choose 2 to 16.")
+
+    @property
+    def weight_max(self) -> int:
+        """Largest weight of either sign."""
+        return (1 << (self.weight_bits - 1)) - 1
+
+    def quantise(
+        self,
+        network: Network,
+        quantisation: Quantisation,
+        chip_name: str,
+        timesteps: int | None,
+        limits: bool,
+    ) -> Sequence[Layer]:
+        """The float layers with whole weights, and everything else in float32."""
+        rounding = quantisation.rounding or "nearest"
+        return [_quantised(layer, self.weight_max, rounding) for layer in network.layers]
+
+    def update(
+        self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
+    ) -> StepResult:
+        """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
+        return float_update(network.convention, layer, arriving(layer, presynaptic), state)
+
+    def describe(self) -> Description:
+        """Neurons, weights and membrane in a few words each."""
+        return Description("CuBa-LIF", f"{self.weight_bits} bits with the sign", "float32")
+
+
+def _quantised(layer: Layer, weight_max: int, rounding: Rounding) -> Layer:
+    """The layer with whole weights; its states and thresholds grow as the weights do."""
+    scale = _scale(layer, weight_max)
+    return replace(
+        layer,
+        synapses=tuple(
+            replace(s, weight=rounded(s.weight * scale, rounding).astype(np.int16))
+            for s in layer.synapses
+        ),
+        bias=_single(layer, "bias", scale),
+        voltage_bias=_single(layer, "voltage_bias", scale),
+        threshold=_single(layer, "threshold", scale),
+        current_decay=layer.current_decay.astype(np.float32),
+        membrane_decay=layer.membrane_decay.astype(np.float32),
+        scale=layer.scale / scale,
+    )
+
+
+def _scale(layer: Layer, weight_max: int) -> float:
+    """w_scale = weight_max / max|w| over all synapses into the population."""
+    largest = max(magnitude(s.weight) for s in layer.synapses)
+    scale = weight_max / largest if largest > 0 else 1.0
+    if not np.isfinite(scale):
+        raise RuleError(
+            f"rule weight-bits: layer {layer.name!r}: the largest weight is {largest:g}; nothing "
+            f"that small can be scaled to {weight_max}. Scale the weights up, or leave the "
+            "layer out."
+        )
+    return scale
+
+
+def _single(layer: Layer, name: str, scale: float) -> NDArray[np.float32]:
+    """(N,) the layer's numbers of that name, scaled, in float32."""
+    if name == "threshold" and not layer.spiking:
+        return layer.threshold.astype(np.float32)
+    values = np.asarray(getattr(layer, name), np.float64)
+    largest = magnitude(values)
+    if largest * scale > _LARGEST:
+        rule = "threshold-range" if name == "threshold" else "bias"
+        raise RuleError(
+            f"rule {rule}: layer {layer.name!r}: {name} {largest:g} is {largest * scale:g} beside "
+            f"weights that are whole; float32 holds {_LARGEST:.3g}. Rescale the layer."
+        )
+    return (values * scale).astype(np.float32)
+
+
+IDEAL = Chip(
+    name="ideal",
+    summary="float64 through the compiled path: no rounding, no limits",
+    arithmetic=CubaFloat64(),
+    resets=("zero", "subtract"),
+    delay=0,
+    delay_max=4096,
+    energy_tables=(),
+    membrane_output="software",
+    sources={
+        "clocks": "by definition",
+        "arithmetic": "by definition",
+        "membrane_output": "by definition",
+        "resets": "by definition: both that a convention can name",
+        "delay": "by definition: the convention decides",
+        "delay_max": "by choice: so many timesteps of spikes fit any memory",
+    },
+    evidence="equal to the float graph in every spike",
+)
+
+
+_S2_NIR = "py-spinnaker2, s2_nir (source read)"
+_PY = "py-spinnaker2's import of NIR, s2_nir (source read)"
+_API = "py-spinnaker2, page 'SNN API' of its documentation"
+_BOARDS = "public scripts that run lif_curr_exp on SpiNNaker2 boards (read)"
+_SURVEY = "secondary: surveys of the chip"
+_FIRMWARE = "assumed: the firmware was not read"
+
+_LIMITS = Limits(
+    primitives=(
+        *ENDS,
+        *WEIGHTS,
+        "Conv2d",
+        "Flatten",
+        "SumPool2d",
+        "Scale",
+        "IF",
+        "LIF",
+        "CubaLIF",
+        *READOUTS,
+    ),
+    cores=152,
+    memory=SynapticMemory(size=128 * 1024 * 8, cost="bits", weight_bits=8),
+    recurrence=True,
+    alone=False,
+    sources={
+        "primitives": f"{_PY}: models lif_no_delay, lif_curr_exp_no_delay and lif_conv2d; IF is a "
+        "lif without a leak, LI, CubaLI and I the same without a threshold (derived)",
+        "cores": _SURVEY,
+        "memory": f"{_SURVEY}: 128 KB of SRAM; program and states lie there too, so the number of "
+        "cores is the least that it can be (derived)",
+        "recurrence": f"{_PY}: a population can hear itself",
+        "alone": f"{_SURVEY}: chips are joined on boards",
+    },
+)
+
+SPINNAKER2 = Chip(
+    name="spinnaker2",
+    summary="SpiNNaker2, models *_no_delay: 8-bit weights, float32 states; approximate",
+    arithmetic=CubaFloat32(weight_bits=8),
+    resets=("subtract", "zero"),
+    delay=1,
+    delay_max=1,
+    energy_tables=("spinnaker2",),  # two secondary sources that disagree: an interval
+    limits=_LIMITS,
+    membrane_output="software",
+    sources={
+        "clocks": "neurons are programs on ARM cores, so software can update a layer when it is "
+        "told to; py-spinnaker2's own programs update every neuron in each timer tick",
+        "membrane_output": f"{_PY}: neurons are programs, and its recordings hold their voltages",
+        "weight_bits": f"{_S2_NIR}: 127 / max|w| into a population; rounding to nearest is assumed",
+        "resets": f"{_S2_NIR}: subtraction is its default",
+        "delay": f"{_S2_NIR}: conn_delay is 1 unless given; that a spike of a model without delays "
+        f"is heard in the next timestep is {_FIRMWARE}",
+        "delay_max": f"{_S2_NIR}: the models lif_no_delay, lif_curr_exp_no_delay and lif_conv2d, "
+        "which its import takes, hold no delay of a synapse, as their names say",
+    },
+    evidence="approximate: the firmware's order of operations is not published; compared with "
+    "nothing",
+)
+
+_LIF_LIMITS = Limits(
+    primitives=(*ENDS, *WEIGHTS, "Scale", "Delay", "IF", "LIF", "CubaLIF", *READOUTS),
+    cores=152,
+    neurons_per_core=250,
+    memory=SynapticMemory(size=128 * 1024 * 8, cost="bits", weight_bits=16),
+    recurrence=True,
+    alone=False,
+    sources={
+        "primitives": f"{_API}: models lif and lif_curr_exp, whose synapses have a delay; "
+        "convolutions have a model of their own, without (spinnaker2); IF, LI, CubaLI and I as on "
+        "spinnaker2 (derived)",
+        "cores": _SURVEY,
+        "neurons_per_core": "max_atoms_per_core of a class that NESTML writes for py-spinnaker2, "
+        "made from its LIFApplication (read)",
+        "memory": f"{_SURVEY}: 128 KB of SRAM; 16 bits a synapse: 4 of weight, 3 of delay, its "
+        "sign and the index of one of 250 neurons (derived)",
+        "recurrence": f"{_API}: a projection joins any two populations",
+        "alone": f"{_SURVEY}: chips are joined on boards",
+    },
+)
+
+SPINNAKER2_LIF = replace(
+    SPINNAKER2,
+    name="spinnaker2-lif",
+    summary="SpiNNaker2, models lif and lif_curr_exp: weights -15 to 15, delays; approximate",
+    arithmetic=CubaFloat32(weight_bits=5),
+    delay_max=7,
+    limits=_LIF_LIMITS,
+    sources={
+        "clocks": SPINNAKER2.sources["clocks"],
+        "membrane_output": f"{_API}: recordings hold the voltages of a population",
+        "weight_bits": f"{_API}: lif takes whole weights of -15 to 15 (secondary); {_BOARDS} scale "
+        "theirs to +-15; rounding to nearest is assumed",
+        "resets": f"{_API}: reset_by_subtraction, reset_to_v_reset",
+        "delay": f"{_API}: a delay of 1 is one timestep; what 0 means is {_FIRMWARE}, so 1 is the "
+        "least here",
+        "delay_max": f"{_API}: delays of 0 to 7 (secondary)",
+    },
+)
