@@ -124,7 +124,11 @@ PATH = rf"(?<![\w/.])((?:{FOLDERS})/[\w./-]*\w/?)(?![\w*<])"
 ENVIRONMENT = r"spikedeploy/\w+-v\d"
 
 
-@pytest.mark.parametrize("page", [*PAGES, *TUTORIALS], ids=name)
+# its tables name files as they were at the commit that was measured
+OF_A_COMMIT = ROOT / "docs" / "mutation-testing.md"
+
+
+@pytest.mark.parametrize("page", [p for p in (*PAGES, *TUTORIALS) if p != OF_A_COMMIT], ids=name)
 def test_the_paths_that_a_page_names_exist(page):
     named = set(re.findall(PATH, re.sub(ENVIRONMENT, "", page.read_text("utf-8"))))
     assert sorted(path for path in named if not (ROOT / path).exists()) == []
