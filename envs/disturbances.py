@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.foreign import AdaptedEnv, make_foreign
+from spikedeploy.requests import Request, Scale, parse_requests
 
 Options = dict[str, Any]
 Defaults = Callable[[str], Any]  # name of an option of the environment -> its default
@@ -551,9 +552,6 @@ DISTURBANCES: dict[str, Kind] = {
 }
 
 
-LEVELS = (1, 2, 3)
-
-
 def kinds_of(world: str) -> dict[str, Kind]:
     """The kinds that a world has, by name."""
     return {name: kind for name, kind in DISTURBANCES.items() if row(world) in kind.levels}
@@ -564,18 +562,8 @@ def row(world: str) -> str:
     return world if world in (HEXAPOD, KART) else FOREIGN
 
 
-@dataclass(frozen=True)
-class Disturbance:
-    """A disturbance as it was asked for.
-
-    name    key of DISTURBANCES
-    number  of its unit
-    text    as the command line takes it
-    """
-
-    name: str
-    number: float
-    text: str
+class Disturbance(Request):
+    """A disturbance as it was asked for; its name is a key of DISTURBANCES."""
 
     @property
     def kind(self) -> Kind:
@@ -590,52 +578,15 @@ def disturbances(texts: Sequence[str], world: str) -> list[Disturbance]:
     """
     if isinstance(texts, str):
         raise EnvError(f"disturb: {texts!r} is no list; write ['{texts}']")
-    found = [_read(text, world) for text in texts]
-    names = [each.name for each in found]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise EnvError(f"--disturb {twice[0]} is given twice: give each once")
-    return [each for each in found if each.text.partition(":")[2] != "0"]
-
-
-def _read(text: str, world: str) -> Disturbance:
-    name, level, given = _parts(text)
-    found = kinds_of(world)
-    if name not in found:
-        raise EnvError(f"--disturb {text}: {world} has no {name!r}; it has {', '.join(found)}")
-    if level:
-        numbers = (0.0, *found[name].levels[row(world)])
-        if given not in map(str, range(len(numbers))):
-            raise EnvError(
-                f"--disturb {text}: {given!r} is no level from 0 to {LEVELS[-1]}; "
-                f"a number is written {name}={given}"
-            )
-        return Disturbance(name, numbers[int(given)], text)
-    return Disturbance(name, _number(text, given, found[name]), text)
-
-
-def _parts(text: str) -> tuple[str, bool, str]:
-    """Name, whether a level follows, and what follows."""
-    name, colon, level = text.partition(":")
-    if colon:
-        return name, True, level
-    name, equals, number = text.partition("=")
-    if not equals:
-        raise EnvError(f"--disturb takes name:level or name=number, as in noise:2; got {text!r}")
-    return name, False, number
-
-
-def _number(text: str, given: str, of: Kind) -> float:
-    lowest, highest = of.bounds
+    scales = {
+        name: Scale(kind.levels[row(world)], kind.bounds, kind.unit)
+        for name, kind in kinds_of(world).items()
+    }
     try:
-        number = float(given)
-    except ValueError:
-        number = float("nan")
-    if not lowest <= number <= highest:
-        raise EnvError(
-            f"--disturb {text}: {given!r} is not a number from {lowest:g} to {highest:g} "
-            f"[{of.unit}]"
-        )
-    return number
+        found = parse_requests(texts, "--disturb", world, scales)
+    except ValueError as error:
+        raise EnvError(str(error)) from None
+    return [Disturbance(each.name, each.number, each.text) for each in found]
 
 
 class Disturbed(gymnasium.Wrapper[Any, Any, Any, Any]):

@@ -16,7 +16,7 @@ from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.machine import SerialCalls
 from spikedeploy.runtime.emulator.network import MachinePool, running
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
-from spikedeploy.runtime.faults.request import NONE, Faults
+from spikedeploy.runtime.faults import NONE, Faults
 
 _STREAM = 2  # keeps the draws apart from those of an environment with the same seed
 

@@ -17,8 +17,7 @@ from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows
 from spikedeploy.runtime.emulator.machine import Machine, SerialCalls, snapshot
 from spikedeploy.runtime.errors import ConfigError, ObservationError
-from spikedeploy.runtime.faults.injection import injected
-from spikedeploy.runtime.faults.request import NONE, Faults
+from spikedeploy.runtime.faults import NONE, Faults, inject
 from spikedeploy.runtime.graph.ports import Port, check_unmasked
 
 _FLOAT = "float"
@@ -213,7 +212,7 @@ def running(
     options: for compile_program.
     """
     if chip is not None:
-        program = injected(compile_program(artifact, chip, **options), faults)
+        program = inject(compile_program(artifact, chip, **options), faults)
         return MachinePool(program, ledger, backend or "numpy", trace)
     if backend is not None:
         raise ConfigError(

@@ -121,7 +121,7 @@ def run(
     from spikedeploy.pages import report
     from spikedeploy.policies.adopted import adopted, fits_on
     from spikedeploy.reports.terminal import print_run
-    from spikedeploy.runtime.faults.request import faults
+    from spikedeploy.runtime.faults import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable, trained_in
 
@@ -262,7 +262,7 @@ def compare(
     from spikedeploy.policies.teacher import teacher_candidate
     from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.chips.chip import listed
-    from spikedeploy.runtime.faults.request import faults
+    from spikedeploy.runtime.faults import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable
 

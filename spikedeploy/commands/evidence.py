@@ -70,7 +70,7 @@ def settings(command: str) -> "Settings":
     """The settings that a report's command gives, read as `compare` reads it today."""
     from spikedeploy.make_env import parse_options
     from spikedeploy.runtime.errors import ConfigError
-    from spikedeploy.runtime.faults.request import faults
+    from spikedeploy.runtime.faults import faults
     from spikedeploy.shipping.recorded_evaluation import Settings
 
     _, verb, *words = [*shlex.split(command), "", ""]

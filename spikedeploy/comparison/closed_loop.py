@@ -21,7 +21,7 @@ from spikedeploy.realtime.paced_loop import PacedLoop
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.faults.request import NONE, Faults
+from spikedeploy.runtime.faults import NONE, Faults
 from spikedeploy.video import Frame, Pace, captioned, mp4
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.faults.request import NONE, Faults
+from spikedeploy.runtime.faults import NONE, Faults
 
 if TYPE_CHECKING:
     import gymnasium

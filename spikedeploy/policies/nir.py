@@ -29,7 +29,7 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.errors import ArtifactError
-from spikedeploy.runtime.faults.request import NONE, Faults
+from spikedeploy.runtime.faults import NONE, Faults
 from spikedeploy.runtime.metrics.energy import TABLES
 from spikedeploy.runtime.metrics.memory import packed_bytes
 from spikedeploy.runtime.metrics.neurobench import connection_sparsity, dense_products, footprint

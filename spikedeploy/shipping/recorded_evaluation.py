@@ -12,7 +12,7 @@ from spikedeploy.policies.interface import FLOAT
 from spikedeploy.policies.registry import BUILT_IN, find
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.faults.request import NONE, Faults
+from spikedeploy.runtime.faults import NONE, Faults
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.record_fields import check_card, check_report
 

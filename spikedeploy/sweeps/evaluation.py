@@ -17,7 +17,7 @@ from spikedeploy.policies.interface import Candidate
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.faults.request import faults
+from spikedeploy.runtime.faults import faults
 from spikedeploy.sweeps.specification import JobSpecification, versions_for
 
 

@@ -13,7 +13,7 @@ from spikedeploy.policies.interface import FLOAT, Candidate, check_fit
 from spikedeploy.policies.registry import BUILT_IN, find
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.faults.request import faults
+from spikedeploy.runtime.faults import faults
 from spikedeploy.sweeps.grid import SweepGrid
 from spikedeploy.sweeps.specification import JobSpecification, versions_for
 

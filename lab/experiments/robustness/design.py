@@ -9,12 +9,12 @@ from typing import Any
 
 from lab.experiments.robustness.lineup import Tested, files_of, named, shipped
 from spikedeploy import envs
-from spikedeploy.envs.disturbances import LEVELS, Kind, kinds_of, row
+from spikedeploy.envs.disturbances import Kind, kinds_of, row
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.make_env import make_env, parse_options
+from spikedeploy.requests import LEVELS
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import FAULTS
-from spikedeploy.runtime.faults.request import fault
 
 ENVS = ("hexapod", "hexapod-command", "kart-grid", "kart-gazebo", "kart-steer")
 _OF_NUMBERS = ("noise", "bias")
@@ -91,7 +91,7 @@ class RobustnessDesign:
         if name == UNDISTURBED:
             return [Condition()]
         if name in FAULTS:
-            kind, part = fault(name), FAULT
+            kind, part = FAULTS[name], FAULT
             numbers: Sequence[float] = kind.levels
             unit = kind.unit
         else:

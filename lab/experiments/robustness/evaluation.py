@@ -24,7 +24,7 @@ from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.damage import Damage, summed
 from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.runtime.faults.request import NONE, Faults, faults
+from spikedeploy.runtime.faults import NONE, Faults, faults
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.sparse.collect import BatchController, Episodes, Stateless

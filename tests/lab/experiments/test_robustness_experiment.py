@@ -20,8 +20,7 @@ from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.envs.disturbances import kinds_of
 from spikedeploy.jobs import resumable
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.faults import FAULTS
-from spikedeploy.runtime.faults.request import faults
+from spikedeploy.runtime.faults import FAULTS, faults
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.train import train
 from tests.job_functions import in_this_process

@@ -15,7 +15,7 @@ from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import running
 from spikedeploy.runtime.errors import ConfigError, RuleError
-from spikedeploy.runtime.faults.request import faults
+from spikedeploy.runtime.faults import faults
 from tests.networks import chain, graph
 from tests.rtl_reference import ODIN, odin_trace
 

@@ -97,7 +97,7 @@ def test_what_is_wrong_is_named(text, words, tmp_path):
     [
         ({"chip": ("loihi9",)}, "no chip 'loihi9'"),
         ({"bits": (99,)}, "99"),
-        ({"fault": (("rust:1",),)}, "no fault 'rust'"),
+        ({"fault": (("rust:1",),)}, "a chip has no 'rust'"),
         ({"disturb": (("rain:1",),)}, "no 'rain'"),
         ({"policy": ("hexapod/popsan",)}, "none is for kart-grid"),
         ({"policy": ("gap", "hexapod/popsan")}, "popsan is for"),

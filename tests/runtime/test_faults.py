@@ -18,16 +18,14 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import MachinePool
 from spikedeploy.runtime.emulator.upset_backend import UpsetBackend
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.faults import FAULTS
-from spikedeploy.runtime.faults.injection import injected
-from spikedeploy.runtime.faults.request import fault, faults
+from spikedeploy.runtime.faults import FAULTS, faults, inject
 from tests import graded
 from tests.networks import chain, event_driven, lif, popsan
 
 FLOATS = ("ideal", "spinnaker2", "spinnaker2-lif")
 INTEGERS = [name for name in CHIPS if name not in FLOATS]
-BROKEN = [name for name in FAULTS if fault(name).hurt is not None]
-OVER_TIME = [name for name in FAULTS if fault(name).hurt is None]
+BROKEN = [name for name in FAULTS if FAULTS[name].hurt is not None]
+OVER_TIME = [name for name in FAULTS if FAULTS[name].hurt is None]
 OF_WEIGHTS = ("stuck-zero", "stuck-max", "weight-flips")
 
 
@@ -71,7 +69,7 @@ def same_layers(left, right):
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_has_three_rising_levels_within_its_bounds(name):
-    found = fault(name)
+    found = FAULTS[name]
     lowest, highest = found.bounds
     assert lowest < found.levels[0] < found.levels[1] < found.levels[2] <= highest
     assert found.meaning
@@ -90,10 +88,10 @@ def test_every_chip_of_integers_runs_every_fault_and_counts_it(name, kind):
     program = program_on(name)
     if kind in OF_WEIGHTS and not program.chip.arithmetic.own_weights:
         with pytest.raises(ConfigError, match="one weight for all axons of a type"):
-            injected(program, faults([f"{kind}:3"]))
+            inject(program, faults([f"{kind}:3"]))
         return
     number = 0.2  # of anything, so that small networks are hit
-    pool = MachinePool(injected(program, faults([f"{kind}={number}"])))
+    pool = MachinePool(inject(program, faults([f"{kind}={number}"])))
     whole = MachinePool(program).infer(spikes())
     assert not np.array_equal(pool.infer(spikes()), whole)
     (damage,) = pool.damage
@@ -104,7 +102,7 @@ def test_every_chip_of_integers_runs_every_fault_and_counts_it(name, kind):
 @pytest.mark.parametrize("kind", FAULTS)
 def test_the_same_specimen_is_the_same_chip_and_another_is_another(kind):
     def output(specimen):
-        pool = MachinePool(injected(program_on("loihi1"), faults([f"{kind}=0.3"], specimen)))
+        pool = MachinePool(inject(program_on("loihi1"), faults([f"{kind}=0.3"], specimen)))
         return pool.infer(spikes())
 
     assert np.array_equal(output(0), output(0))
@@ -113,13 +111,13 @@ def test_the_same_specimen_is_the_same_chip_and_another_is_another(kind):
 
 def test_level_0_is_the_program_itself():
     program = program_on("loihi1")
-    assert injected(program, faults([f"{name}:0" for name in FAULTS])) is program
+    assert inject(program, faults([f"{name}:0" for name in FAULTS])) is program
 
 
 @pytest.mark.parametrize("name", FLOATS)
 def test_chips_that_compute_in_floats_have_no_faults(name):
     with pytest.raises(ConfigError, match=f"chip '{name}' computes in floats"):
-        injected(program_on(name), faults(["dead-neurons:1"]))
+        inject(program_on(name), faults(["dead-neurons:1"]))
 
 
 def test_the_float_twin_has_no_faults():
@@ -135,7 +133,7 @@ def test_the_float_twin_has_no_faults():
 
 @pytest.mark.parametrize("name", INTEGERS)
 def test_dead_neurons_are_as_many_as_asked_for_and_never_spike(name):
-    program = injected(program_on(name), faults(["dead-neurons=0.5"]))
+    program = inject(program_on(name), faults(["dead-neurons=0.5"]))
     (damage,) = program.damage
     assert (damage.hit, damage.of) == (23, 46)
     machine = Machine(program, 3, trace=True)
@@ -151,7 +149,7 @@ def test_dead_neurons_are_as_many_as_asked_for_and_never_spike(name):
 
 def test_more_dead_neurons_include_fewer():
     def dead(share):
-        program = injected(program_on("loihi1"), faults([f"dead-neurons={share}"]))
+        program = inject(program_on("loihi1"), faults([f"dead-neurons={share}"]))
         return np.concatenate([~a.synapses[0].weight.any(axis=0) for a in program.layers])
 
     assert (dead(0.5) | ~dead(0.2)).all()
@@ -159,7 +157,7 @@ def test_more_dead_neurons_include_fewer():
 
 def test_readouts_are_spared_by_dead_neurons_and_mismatch():
     program = compile_program(graded.delta_network(), chip("loihi2"))
-    broken = injected(program, faults(["dead-neurons=1", "threshold-mismatch=0.3"]))
+    broken = inject(program, faults(["dead-neurons=1", "threshold-mismatch=0.3"]))
     for name in ("readout",):
         before, after = program.layer(name), broken.layer(name)
         assert np.array_equal(before.threshold, after.threshold)
@@ -176,7 +174,7 @@ def test_only_stored_weights_are_hit_and_stay_in_their_range(name):
     largest = 1 << (arithmetic.weight_bits - arithmetic.weights_have_signs)
     step = int(np.gcd.reduce(weight[weight != 0].astype(int)))
     for kind in OF_WEIGHTS:
-        broken = injected(program, faults([f"{kind}=0.5"]))
+        broken = inject(program, faults([f"{kind}=0.5"]))
         for before, after in zip(program.layers, broken.layers, strict=True):
             old, new = before.synapses[0].weight, after.synapses[0].weight
             assert new.dtype == old.dtype
@@ -187,8 +185,8 @@ def test_only_stored_weights_are_hit_and_stay_in_their_range(name):
 def test_stuck_weights_are_0_or_the_largest_with_their_sign():
     program = program_on("loihi1")
     old = program.layers[0].synapses[0].weight
-    zero = injected(program, faults(["stuck-zero=0.3"])).layers[0].synapses[0].weight
-    most = injected(program, faults(["stuck-max=0.3"])).layers[0].synapses[0].weight
+    zero = inject(program, faults(["stuck-zero=0.3"])).layers[0].synapses[0].weight
+    most = inject(program, faults(["stuck-max=0.3"])).layers[0].synapses[0].weight
     assert set(np.unique(zero[zero != old])) == {0}
     assert np.array_equal(most[most != old], 255 * np.sign(old[most != old]))
 
@@ -197,7 +195,7 @@ def test_stuck_weights_are_0_or_the_largest_with_their_sign():
 def test_a_flipped_weight_differs_in_one_bit_of_what_the_chip_stores(sign_mode, signed):
     artifact = popsan()
     program = compile_program(artifact, chip("loihi1", sign_mode=sign_mode))
-    broken = injected(program, faults(["weight-flips=0.5"]))
+    broken = inject(program, faults(["weight-flips=0.5"]))
     step = program.chip.arithmetic.weight_step
     for before, after in zip(program.layers, broken.layers, strict=True):
         old = before.synapses[0].weight.astype(int) // step
@@ -212,7 +210,7 @@ def test_a_flipped_weight_differs_in_one_bit_of_what_the_chip_stores(sign_mode, 
 
 def test_mismatched_thresholds_are_multiples_of_the_chips_step_and_in_range():
     program = program_on("loihi1")
-    broken = injected(program, faults(["threshold-mismatch=1"]))
+    broken = inject(program, faults(["threshold-mismatch=1"]))
     step, largest = program.chip.arithmetic.threshold_range
     for layer in broken.layers:
         assert (layer.threshold % step == 0).all()
@@ -225,7 +223,7 @@ def test_mismatched_thresholds_are_multiples_of_the_chips_step_and_in_range():
 
 
 def test_upsets_run_on_the_interpreter_whatever_is_asked_for_and_numba_refuses():
-    program = injected(program_on("loihi1"), faults(["lost-spikes:1"]))
+    program = inject(program_on("loihi1"), faults(["lost-spikes:1"]))
     for name in ("numpy", "auto", "interpreter"):
         assert backend_class(program, name) is UpsetBackend
     with pytest.raises(ConfigError, match="drawn by the interpreter alone"):
@@ -245,7 +243,7 @@ def test_a_chip_with_upsets_of_probability_nearly_0_does_what_a_whole_one_does(a
 
 
 def test_all_spikes_lost_is_silence_behind_them():
-    pool = MachinePool(injected(program_on("loihi1"), faults(["lost-spikes=1"])), trace=True)
+    pool = MachinePool(inject(program_on("loihi1"), faults(["lost-spikes=1"])), trace=True)
     pool.infer(spikes())
     (damage,) = pool.damage
     assert damage.hit == damage.of == spikes().sum()
@@ -253,14 +251,14 @@ def test_all_spikes_lost_is_silence_behind_them():
 
 
 def test_spurious_spikes_come_where_there_are_none_at_about_their_probability():
-    pool = MachinePool(injected(program_on("loihi1"), faults(["spurious-spikes=0.1"])))
+    pool = MachinePool(inject(program_on("loihi1"), faults(["spurious-spikes=0.1"])))
     pool.infer(np.zeros((20, 50, 8), np.uint8))
     (damage,) = pool.damage
     assert damage.hit / damage.of == pytest.approx(0.1, rel=0.05)
 
 
 def test_flipped_states_stay_in_the_register_of_the_membrane():
-    pool = MachinePool(injected(program_on("int"), faults(["state-flips=0.3"])), trace=True)
+    pool = MachinePool(inject(program_on("int"), faults(["state-flips=0.3"])), trace=True)
     pool.infer(spikes())
     limit = 1 << (program_on("int").chip.arithmetic.membrane.bits - 1)
     seen = [np.abs(each.membrane).max() for each in pool.recordings.values()]
@@ -314,7 +312,7 @@ def test_copies_go_on_with_the_same_upsets(copied):
 
 def test_graded_spikes_are_lost_too():
     program = compile_program(graded.delta_network(), chip("loihi2"))
-    broken = injected(program, faults(["lost-spikes=0.5"]))
+    broken = inject(program, faults(["lost-spikes=0.5"]))
     rows = graded.rasters()
     assert not np.array_equal(Machine(program, 3).infer(rows), Machine(broken, 3).infer(rows))
 
@@ -333,7 +331,7 @@ def test_draws_are_uniform_and_differ_by_place_and_seed():
 @pytest.mark.parametrize(
     ("texts", "said"),
     [
-        (["burnt:1"], "no fault 'burnt'; known: dead-neurons"),
+        (["burnt:1"], "a chip has no 'burnt'; it has dead-neurons"),
         (["dead-neurons"], "takes name:level or name=number"),
         (["dead-neurons:7"], "no level from 0 to 3; a number is written dead-neurons=7"),
         (["dead-neurons=7"], "'7' is not a number from 0 to 1"),
