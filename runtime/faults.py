@@ -8,6 +8,7 @@ FAULTS, and a function where it breaks parts.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -100,9 +101,7 @@ def _draw_hits(size: int, share: float, rng: np.random.Generator) -> Mask:
 # neurons: those of all spiking layers are drawn together
 
 
-def _split_by_layer(
-    program: Program, values: NDArray[np.generic]
-) -> dict[str, NDArray[np.generic]]:
+def _split_by_layer(program: Program, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
     ends = np.cumsum([layer.size for layer in program.spiking])[:-1]
     parts = np.split(values, ends)
     return {layer.name: part for layer, part in zip(program.spiking, parts, strict=True)}
