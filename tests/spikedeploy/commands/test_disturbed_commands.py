@@ -98,7 +98,7 @@ def test_a_report_says_so_too(command, tmp_path):
     [
         (("--disturb", "slope:1"), "kart has no 'slope'; it has noise, bias"),
         (("--disturb", "noise:5"), "no level from 0 to 3"),
-        (("--fault", "burnt:1"), "no fault 'burnt'; known: dead-neurons"),
+        (("--fault", "burnt:1"), "a chip has no 'burnt'; it has dead-neurons"),
         (("--fault", "stuck-max:1", "--chip", "float"), "--fault is of chips"),
         (("--fault", "stuck-max:1", "--chip", "ideal"), "computes in floats"),
     ],
