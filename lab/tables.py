@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTHING = "–"
-_BLOCK = re.compile(r"(<!-- table: ([^>]*?) -->\n\n)(.*?)(\n<!-- end of table -->)", re.DOTALL)
+_BLOCK = re.compile(r"(<!-- table: ([^>]*?) -->\n\n)((?:\|.*\n)*)(\n?<!-- end of table -->)")
 
 
 class TableError(Exception):

@@ -91,3 +91,15 @@ def test_check_names_pages_that_differ_and_writes_nothing(tmp_path, monkeypatch,
     assert tables.main() == 0
     assert "| a | b |\n| --- | --- |\n| x | 1 |\n\n<!--" in page.read_text()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["README.md", "docs", "table.md"]
+
+
+def test_what_stands_between_two_tables_stays(tmp_path, monkeypatch):
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "table.md").write_text("| a |\n| - |\n| x |\n")
+    block = "<!-- table: table.md -->\n\n<!-- end of table -->\n"
+    (tmp_path / "README.md").write_text(f"{block}\nA sentence.\n\n{block}")
+    monkeypatch.setattr(tables, "ROOT", tmp_path)
+    monkeypatch.setattr("sys.argv", ["tables"])
+    assert tables.main() == 0
+    assert (tmp_path / "README.md").read_text().count("| x |") == 2
+    assert "\nA sentence.\n" in (tmp_path / "README.md").read_text()
