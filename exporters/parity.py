@@ -46,8 +46,8 @@ from spikedeploy.trainers.policies import (
     PopsanPolicy,
     SpikingMlpPolicy,
 )
-from spikedeploy.trainers.policies.delta_graph import event_channels, hidden_node, live_neurons
-from spikedeploy.trainers.policies.encoders import TorchRateEncoder
+from spikedeploy.trainers.policies.delta import event_channels, hidden_node, live_neurons
+from spikedeploy.trainers.policies.spiking import TorchRateEncoder
 
 # (B, T) -> random bytes (B, T, M), as the methods of Xorshift
 RandomBytes = Callable[[int, int], NDArray[np.uint8]]

@@ -29,8 +29,8 @@ from spikedeploy.trainers.policies import (
     PopsanPolicy,
     SpikingMlpPolicy,
 )
-from spikedeploy.trainers.policies.chip_graph import codec_of
-from spikedeploy.trainers.policies.delta_graph import delta_artifact
+from spikedeploy.trainers.policies.chip_snn import codec_of
+from spikedeploy.trainers.policies.delta import delta_artifact
 
 SpikingPolicy: TypeAlias = PopsanPolicy | SpikingMlpPolicy
 

@@ -24,7 +24,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.atomic import replacing
 from spikedeploy.trainers.policies import MlpPolicy, Policy, PrunedMlpPolicy
-from spikedeploy.trainers.policies.features import Features
+from spikedeploy.trainers.policies.mlp import Features
 
 _KINDS = ("ann", "control")
 

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from spikedeploy.trainers import ALGORITHMS
-from spikedeploy.trainers.interrupt import Interrupt
+from spikedeploy.trainers.progress import Interrupt
 from spikedeploy.trainers.train import train
 
 FINISHED, FAILED, STOPPED = 0, 1, 3

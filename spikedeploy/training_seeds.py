@@ -104,7 +104,7 @@ def _job(seed: int, folder: Path, logs: Path, arguments: Mapping[str, Any]) -> J
 def perform(place: str, films: int = 0, **arguments: Any) -> bool:  # noqa: ANN401
     """Train (a job of `resumable`), and write into the file `place` where; False if interrupted."""
     from spikedeploy.shipping.training_films import TrainingFilms
-    from spikedeploy.trainers.interrupt import Interrupt
+    from spikedeploy.trainers.progress import Interrupt
     from spikedeploy.trainers.train import train
 
     interrupt = Interrupt()

@@ -1,8 +1,426 @@
 """The table of recipes: those of SAC, distillation and PPO, and what other folders add."""
 
-from spikedeploy.trainers.any_env_recipes import ANY_ENV_RECIPES
-from spikedeploy.trainers.recipe import KART_ENVS, Recipe, Settings, merged
-from spikedeploy.trainers.sparse_recipes import SPARSE_RECIPES
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+# -- A recipe: what to train, as differences from the defaults of an algorithm's configuration.
+
+Settings = dict[str, Any]
+
+KART_ENVS = ("kart-grid", "kart-gazebo", "kart-steer")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What to train, and how.
+
+    algorithm: key of `trainers.ALGORITHMS`
+    summary: one line
+    settings: nested settings that differ from the algorithm's defaults
+    any_env: whether the command line names the environment
+    """
+
+    algorithm: str
+    summary: str
+    settings: Mapping[str, Any]
+    any_env: bool = False
+
+
+def merged(settings: Mapping[str, Any], *changes: Mapping[str, Any]) -> Settings:
+    """Return `settings` with nested changes applied in order."""
+    result = dict(settings)
+    for change in changes:
+        for key, value in change.items():
+            old = result.get(key)
+            nested = isinstance(old, Mapping) and isinstance(value, Mapping)
+            result[key] = merged(old, value) if nested else value  # type: ignore[arg-type]
+    return result
+
+
+def budget(recipe: Recipe) -> str:
+    """Operations of a control step that a recipe ends with: `50 SOPs`; empty where it has none."""
+    count = recipe.settings.get("budget")
+    unit = "MACs" if recipe.settings.get("policy", {}).get("kind") == "pruned-mlp" else "SOPs"
+    return "" if count is None else f"{count:,g} {unit}"
+
+
+# -- Recipes for any environment: the command line names it, `train CartPole-v1 --recipe ppo-
+#    snn`.
+#
+# They learn gymnasium's CartPole and Pendulum within minutes on one core; harder tasks need more
+# steps, with which the schedules are stretched, and wider layers.
+
+# for a vector whose scale and meaning nobody knows: the normaliser sees the first quarter of the
+# steps, and populations cover two standard deviations of it on either side
+_SPIKING_MLP: Settings = {
+    "kind": "spiking-mlp",
+    "hidden": [64, 64],
+    "coding": "population",
+    "populations": 8,
+    "reach": 2.0,
+    "timesteps": 8,
+}
+
+_PPO: Settings = {
+    "env": {"name": "", "count": 8},
+    "steps": 100_000,
+    "horizon": 128,
+    "normaliser": {"finish": 25_000},
+    "actor_rate": {"start": 1e-3, "end": 0.0, "finish": 100_000},
+    "entropy": {"start": 0.01, "end": 0.0, "finish": 70_000},
+    "temperature": {"start": 1.0, "end": 0.1, "begin": 40_000, "finish": 70_000},
+    "critic_hidden": [64, 64],
+    "validation": {"every": 10_000, "episodes": 10},
+    "ghosts": False,
+}
+
+# rewards of any size: the temperature is learned
+_SAC: Settings = {
+    "env": {"name": "", "count": 1},
+    "steps": 20_000,
+    "warm_up": 1_000,
+    "update_every": 1,
+    "batch": 128,
+    "critic_hidden": [128, 128],
+    "learning_rate": 1e-3,
+    "temperature": {"start": 0.2, "end": 0.02, "begin": 5_000, "finish": 15_000},
+    "learn_temperature": True,
+    "mean_penalty": 0.0,
+    "averaging": 1e-3,
+    "normaliser": {"finish": 5_000},
+    "support_force": {"start": 0.0, "end": 0.0, "finish": 0},
+    "precision": "float32",
+    "validation": {"every": 2_000, "episodes": 10},
+    "checkpoint_every": 10_000,
+}
+
+_DISTILL: Settings = {
+    "env": {"name": "", "count": 4},
+    "iterations": 4,
+    "states": 4_000,
+    "updates": 4_000,
+    "normaliser": {"finish": 4_000},
+    "precision": "float32",
+    "validation": {"every": 500, "episodes": 10},
+}
+
+# a chip's integers are computed by the interpreter, so batches are small and updates few
+_FOR_CHIP: Settings = {
+    "env": {"name": "", "count": 8},
+    "iterations": 4,
+    "states": 2_000,
+    "updates": 1_200,
+    "batch": 64,
+    "learning_rate": 5e-3,
+    "noise": 0.3,
+    "rate_penalty": 0.0,
+    "input_penalty": 0.0,
+    "sharpness": 3.0,
+    "normaliser": {"finish": 8_000, "clip": 2.0},
+    "precision": "float32",
+    "validation": {"every": 300, "episodes": 20},
+}
+
+_FLOAT: Settings = {"kind": "mlp", "hidden": [64, 64]}
+
+# episodes that end early are short: windows before their ends show what keeps the robot up
+_SPARSE: Settings = {
+    "env": {"name": ""},
+    "budget": 300,
+    "teacher_walks": 40,
+    "noisy_walks": 20,
+    "walks": 25,
+    "crash_windows": 0.2,
+    "validation": {"episodes": 20},
+}
+
+# as far-sighted as the teachers are
+_TUNED: Settings = {"env": {"name": ""}, "gamma": 0.99, "validation": {"episodes": 20}}
+
+_EVENTS: Settings = {"kind": "delta-snn", "hidden": 64}
+
+ANY_ENV_RECIPES: dict[str, Recipe] = {
+    name: Recipe(algorithm, summary, merged(settings, {"policy": policy}), any_env=True)
+    for name, algorithm, summary, settings, policy in (
+        ("ppo-mlp", "ppo", "any ENV: a float MLP with 64-64", _PPO, _FLOAT),
+        ("ppo-snn", "ppo", "any ENV: 64-64 LIF neurons, population code", _PPO, _SPIKING_MLP),
+        ("sac-mlp", "sac", "any ENV with continuous actions: a float MLP with 64-64", _SAC, _FLOAT),
+        (
+            "sac-popsan",
+            "sac",
+            "any ENV with continuous actions: a PopSAN with 64-64",
+            _SAC,
+            {"kind": "popsan", "hidden": [64, 64]},
+        ),
+        (
+            "distill-snn",
+            "distill",
+            "any ENV: 64-64 LIF neurons, from a teacher; see `distill`",
+            merged(_DISTILL, {"noise": 0.1}),
+            _SPIKING_MLP,
+        ),
+        (
+            "for-chip",
+            "distill",
+            "any ENV: trained in the integers of a chip, from a teacher; see `train --for`",
+            _FOR_CHIP,
+            {"kind": "chip-snn"},
+        ),
+        (
+            "distill-popsan",
+            "distill",
+            "any ENV with continuous actions: a PopSAN with 256-256, --set teacher=RUN",
+            _DISTILL,
+            {"kind": "popsan", "hidden": [256, 256]},
+        ),
+        (
+            "distill-sparse",
+            "sparse",
+            "any ENV: events into 64 LIF neurons, pruned to --budget sops=N, --set teacher=RUN",
+            _SPARSE,
+            _EVENTS,
+        ),
+        (
+            "distill-sparse-tuned",
+            "sparse-ppo",
+            "any ENV: reward after a run of distill-sparse, --set start=RUN",
+            _TUNED,
+            _EVENTS,
+        ),
+        (
+            "distill-small-mlp",
+            "sparse",
+            "any ENV: control, a float MLP, pruned to --budget macs=N, --set teacher=RUN",
+            _SPARSE,
+            {"kind": "pruned-mlp", "hidden": [64]},
+        ),
+        (
+            "distill-small-linear",
+            "sparse",
+            "any ENV: control, a float linear policy, pruned to --budget macs=N",
+            _SPARSE,
+            {"kind": "pruned-mlp", "hidden": []},
+        ),
+    )
+}
+
+
+# -- Recipes of sparse policies, of the small float networks beside them, and of PPO after.
+#
+# The teachers are the shipped ones; another is given with --set teacher=PATH.
+
+_SPARSE_STUDENTS: dict[str, tuple[str, Settings]] = {
+    "sparse": ("events into LIF neurons", {"kind": "delta-snn"}),
+    "sparse-linear": (
+        "control: events straight into the readout",
+        {"kind": "delta-snn", "hidden": 0},
+    ),
+    "small-mlp": ("control: float MLP, pruned", {"kind": "pruned-mlp"}),
+    "small-linear": ("control: float linear policy, pruned", {"kind": "pruned-mlp", "hidden": []}),
+    "delta-mlp": ("control: events into sigma-delta ReLU neurons", {"kind": "delta-mlp"}),
+}
+
+_SPARSE_TASKS: dict[str, tuple[str, Settings]] = {
+    "hexapod": (
+        "walks",
+        {"env": {"name": "hexapod"}, "teacher": "hexapod/sac", "step": 0.8},
+    ),
+    "hexapod-command": (
+        "follows commands",
+        {"env": {"name": "hexapod-command"}, "teacher": "hexapod-command/smooth", "step": 0.8},
+    ),
+    # episodes are short, and whether a kart crashes changes between rounds: more of everything
+    **{
+        env: (
+            f"races {env}",
+            {
+                "env": {"name": env},
+                "teacher": f"{env}/ann",
+                "crash_windows": 0.3,
+                # a high price keeps hidden spikes rare beside the skip connection
+                "penalty": 0.5,
+                "penalty_floor": 50,
+                "step": 0.3,
+                "dense_updates": 2_000,
+                "dense_rounds": 4,
+                "level_updates": 1_000,
+                "polish": 8,
+                "polish_updates": 600,
+                "polish_rate": 3e-4,
+                "retune": "before-polish",
+                "walks": 60,
+                "validation": {"every": 600, "episodes": 200},
+            },
+        )
+        for env in KART_ENVS
+    },
+}
+
+# operations of each student at the end, and on the way there; and sizes. The students of a task
+# have as many levels, so that all learn from as many walks for as many updates
+_SPARSE_BUDGETS: dict[tuple[str, str], Settings] = {
+    ("hexapod", "sparse"): {"budget": 56, "levels": [210, 140, 105, 84, 68], "polish": 3},
+    ("hexapod", "sparse-linear"): {"budget": 50, "levels": [200, 150, 110, 85, 65], "polish": 3},
+    ("hexapod", "small-mlp"): {"budget": 70, "levels": [400, 250, 180, 130, 95], "polish": 3},
+    ("hexapod", "small-linear"): {"budget": 100, "levels": [600, 400, 280, 200, 140], "polish": 3},
+    ("hexapod-command", "sparse"): {
+        "budget": 300,
+        "levels": [1_600, 1_000, 700, 480, 360],
+        "rate_cost": 4_000,
+        "policy": {"hidden": 128},
+    },
+    ("hexapod-command", "sparse-linear"): {"budget": 300, "levels": [1_200, 900, 700, 500, 400]},
+    ("hexapod-command", "small-mlp"): {
+        "budget": 240,
+        "levels": [1_500, 800, 550, 400, 300],
+        "policy": {"hidden": [48, 32]},
+    },
+    ("hexapod-command", "small-linear"): {"budget": 400, "levels": [1_200, 900, 700, 600, 500]},
+    **{
+        (env, student): settings
+        for env in KART_ENVS
+        for student, settings in {
+            "sparse": {
+                "budget": 33,
+                "levels": [60, 48, 40, 36],
+                "policy": {"integrated": True},
+            },
+            "sparse-linear": {"budget": 10, "levels": [28, 20, 16, 13]},
+            "small-mlp": {
+                "budget": 30,
+                "levels": [60, 48, 40, 35],
+                "policy": {"hidden": [8]},
+            },
+            "small-linear": {"budget": 30, "levels": [60, 48, 40, 35]},
+            "delta-mlp": {
+                "budget": 25,
+                "levels": [60, 48, 40, 32],
+                "policy": {"hidden": 8},
+                "chip": "loihi2",
+            },
+        }.items()
+    },
+    # graded spikes run on no other chip
+    ("hexapod", "delta-mlp"): {
+        "budget": 70,
+        "levels": [250, 180, 140, 110, 85],
+        "polish": 3,
+        "policy": {"hidden": 8},
+        "chip": "loihi2",
+    },
+    ("hexapod-command", "delta-mlp"): {
+        "budget": 480,
+        "levels": [1_600, 1_100, 800, 650, 550],
+        "rate_cost": 4_000,
+        "policy": {"hidden": 64},
+        "chip": "loihi2",
+    },
+}
+
+_SMOKE_SPARSE: Settings = {
+    "env": {"name": "hexapod", "count": 2},
+    "teacher": "hexapod/sac",
+    "budget": 60,
+    "teacher_walks": 2,
+    "noisy_walks": 1,
+    "walks": 1,
+    "dense_updates": 20,
+    "dense_rounds": 1,
+    "level_updates": 20,
+    "levels": [200],
+    "polish": 1,
+    "polish_updates": 10,
+    "prune_every": 5,
+    "batch": 8,
+    "log_every": 5,
+    "validation": {"every": 10, "episodes": 1, "limit": 40},
+}
+
+
+def _sparse() -> dict[str, Recipe]:
+    """Return the sparse recipes of every task and student."""
+    found = {}
+    for task, (verb, settings) in _SPARSE_TASKS.items():
+        for student, (network, policy) in _SPARSE_STUDENTS.items():
+            changes = merged(settings, {"policy": policy}, _SPARSE_BUDGETS[task, student])
+            found[f"{task}-{student}"] = Recipe("sparse", f"{network}, that {verb}", changes)
+    return found
+
+
+# -- reward after imitation: the best policy of a sparse run, given with --set start=RUN
+
+_SMOKE_TUNED: Settings = {
+    "env": {"name": "hexapod"},
+    "policy": {"kind": "delta-snn"},
+    "iterations": 3,
+    "warm_up": 1,
+    "episodes": 2,
+    "window": 16,
+    "burn_in": 4,
+    "batch": 4,
+    "epochs": 2,
+    "critic_hidden": [16],
+    "checkpoint_every": 1,
+    "validation": {"every": 1, "episodes": 1, "limit": 40},
+}
+
+
+# on the command task returns still rise behind the 60 iterations of the default
+_TUNED_LENGTHS: dict[str, Settings] = {
+    "hexapod-command": {"iterations": 150},
+    # episodes of the karts are short, and each says little more than whether it finished; what the
+    # teacher does where a student is about to crash does not save a student that acts later
+    **{
+        env: {
+            "episodes": 48,
+            "iterations": 80,
+            "learns": "all",
+            "imitation": 0.1,
+            "budget": 34.5,
+            "validation": {"every": 5, "episodes": 200},
+        }
+        for env in KART_ENVS
+    },
+}
+
+
+def _tuned() -> dict[str, Recipe]:
+    """Return the recipes that go on where the spiking ones of `_sparse` end."""
+    found = {}
+    for task, (verb, settings) in _SPARSE_TASKS.items():
+        network, policy = _SPARSE_STUDENTS["sparse"]
+        size = _SPARSE_BUDGETS[task, "sparse"].get("policy", {})
+        length = _TUNED_LENGTHS.get(task, {})
+        changes = {"env": settings["env"], "policy": {**policy, **size}, **length}
+        summary = f"{network}, that {verb}: reward after a sparse run, start=RUN"
+        found[f"{task}-sparse-tuned"] = Recipe("sparse-ppo", summary, changes)
+    return found
+
+
+SPARSE_RECIPES: dict[str, Recipe] = {
+    **_sparse(),
+    "smoke-sparse": Recipe(
+        "sparse",
+        "a tiny sparse policy, seconds",
+        merged(_SMOKE_SPARSE, {"policy": {"kind": "delta-snn"}}),
+    ),
+    "smoke-sparse-mlp": Recipe(
+        "sparse",
+        "a tiny pruned float policy, seconds",
+        merged(_SMOKE_SPARSE, {"policy": {"kind": "pruned-mlp", "hidden": [8]}}),
+    ),
+    **_tuned(),
+    "smoke-sparse-tuned": Recipe("sparse-ppo", "PPO after smoke-sparse, seconds", _SMOKE_TUNED),
+    "smoke-sparse-delta-mlp": Recipe(
+        "sparse",
+        "a tiny delta network, seconds",
+        merged(_SMOKE_SPARSE, {"policy": {"kind": "delta-mlp", "hidden": 8}, "chip": "loihi2"}),
+    ),
+}
+
+
+# -- The table of recipes: those of SAC, distillation and PPO, and what other folders add.
 
 # -- soft actor-critic: the hexapod; the defaults of SacConfig are tuned for walking straight
 
@@ -47,7 +465,7 @@ _SMOKE_SAC: Settings = {
     "validation": {"every": 120, "episodes": 1, "limit": 20},
 }
 
-# -- distillation: for each task the float teacher is distilled into PopSANs of two widths and into
+# -- for each task the float teacher is distilled into PopSANs of two widths and into
 # controls from the gait's phase alone to an MLP with 64-64, all with the same states and updates,
 # so that comparisons name the smallest float policy of equal return. The teacher is given with
 # --set teacher=PATH

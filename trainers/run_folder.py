@@ -18,29 +18,288 @@ the files that belong to it, so that at any moment one that is whole can be resu
 import errno
 import hashlib
 import json
+import os
 import re
-from collections.abc import Mapping
-from contextlib import suppress
+import socket
+import stat
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Any
-
-import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
-from torch import Tensor
+from typing import TYPE_CHECKING, Any
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.atomic import replacing
-from spikedeploy.trainers.checksums import check_summed, write_summed
-from spikedeploy.trainers.config import C, RunConfig
-from spikedeploy.trainers.policies import Policy, build
 from spikedeploy.trainers.recipes import RECIPES
-from spikedeploy.trainers.resolve import validated
-from spikedeploy.trainers.run_names import existing_run
 from spikedeploy.trainers.versions import versions
-from spikedeploy.trainers.write_errors import said
 
+if TYPE_CHECKING:  # reports look at runs where torch and pydantic are not installed
+    from torch import Tensor
+
+    from spikedeploy.trainers.config import C, RunConfig
+    from spikedeploy.trainers.policies import Policy
+
+# -- Checksums of a run's files, so that what is read is what training wrote.
+#
+# A checkpoint holds its own, and those of the files that belong to it. That of config.json stands
+# in
+# SHA256SUMS beside it, as `sha256sum -c` reads it.
+
+SUMS = "SHA256SUMS"
+_CHUNK = 1 << 20
+
+
+def of_bytes(content: bytes) -> str:
+    """Return the SHA-256 of some bytes, in hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def of_file(path: Path) -> str:
+    """Return the SHA-256 of a file, in hexadecimal digits."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while chunk := file.read(_CHUNK):
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+def write_summed(path: Path, content: bytes) -> None:
+    """Write a file with its checksum beside it; killed in between, both contents are accepted."""
+    new = of_bytes(content)
+    before = _accepted(path) or ([of_file(path)] if path.is_file() else [])
+    _write_sums(path, [*before, new])
+    with replacing(path) as part:
+        part.write_bytes(content)
+    _write_sums(path, [new])
+
+
+def check_summed(path: Path) -> None:
+    """Refuse a file that is not what `write_summed` wrote; one without a checksum passes."""
+    accepted = _accepted(path)
+    if accepted and path.is_file() and of_file(path) not in accepted:
+        raise ConfigError(
+            f"{path} is damaged, or was changed by hand: put it back, or change settings with "
+            f"--set. The checkpoints beside it are not affected; without {SUMS} the file is taken "
+            "as it is."
+        )
+
+
+def _accepted(path: Path) -> list[str]:
+    sums = path.parent / SUMS
+    if not sums.is_file():
+        return []
+    lines = (
+        line.split() for line in sums.read_text(encoding="utf-8", errors="replace").split("\n")
+    )
+    return [words[0] for words in lines if words[1:] == [path.name]]
+
+
+def _write_sums(path: Path, sums: list[str]) -> None:
+    with replacing(path.parent / SUMS) as part:
+        part.write_text("".join(f"{each}  {path.name}\n" for each in dict.fromkeys(sums)))
+
+
+# -- The lock of a run folder: one process trains in it at a time; reading needs no lock.
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+_NAME = ".lock"
+_DIGITS = 9  # of the number of a process
+# of file systems without flock, as some of networks are
+_WITHOUT = (errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK, errno.ENOSYS, errno.EINVAL)
+
+
+@contextmanager
+def locked(run: Path) -> Iterator[None]:
+    """Hold the run folder's lock within the block, or raise ConfigError that names its holder.
+
+    The lock is flock's, which the kernel releases when its process ends, however it does: a lock is
+    never stale. Where the file system has no flock, the process that the file names is looked up.
+    """
+    file = run / _NAME
+    handle = _taken(file, run)
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            file.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def in_use(run: Path) -> bool:
+    """Return whether another process trains in a run folder; without taking its lock."""
+    try:
+        # a FIFO would wait for a writer
+        handle = os.open(run / _NAME, os.O_RDONLY | os.O_NONBLOCK)
+    except OSError:
+        return False
+    try:
+        return stat.S_ISREG(os.fstat(handle).st_mode) and _alive(_holder(handle))
+    finally:
+        os.close(handle)
+
+
+def _taken(file: Path, run: Path) -> int:
+    """Return the open and locked file."""
+    while True:
+        try:
+            handle = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as error:
+            raise ConfigError(
+                f"cannot train in {run}: {error.strerror}. Copy it to a folder that can be written."
+            ) from error
+        if not _free(handle):
+            holder = _holder(handle)
+            os.close(handle)
+            raise ConfigError(_busy(run, holder))
+        if _same(file, handle):
+            os.ftruncate(handle, 0)
+            os.pwrite(handle, f"{os.getpid()} {socket.gethostname()}\n".encode(), 0)
+            return handle
+        os.close(handle)  # the holder before has just taken the file away
+
+
+def _free(handle: int) -> bool:
+    """Whether the lock could be taken."""
+    if fcntl is None:
+        return not _alive(_holder(handle))
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        if error.errno not in _WITHOUT:
+            raise
+        return not _alive(_holder(handle))
+    return True
+
+
+def _same(file: Path, handle: int) -> bool:
+    """Whether the name still leads to the open file."""
+    try:
+        return os.path.samestat(os.stat(file), os.fstat(handle))
+    except FileNotFoundError:
+        return False
+
+
+def _holder(handle: int) -> tuple[int, str]:
+    """Return the process that the file names, and its machine; 0 where it names none."""
+    words = os.pread(handle, 300, 0).decode("utf-8", "replace").split()
+    if len(words) != 2 or not words[0].isdecimal() or len(words[0]) > _DIGITS:
+        return 0, ""
+    return int(words[0]), words[1]
+
+
+def _alive(holder: tuple[int, str]) -> bool:
+    """Whether a process runs; one of another machine may."""
+    number, machine = holder
+    if machine != socket.gethostname():
+        return bool(number)
+    if number in (0, os.getpid()):  # its number from before: containers begin to count anew
+        return False
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+def _busy(run: Path, holder: tuple[int, str]) -> str:
+    number, machine = holder
+    if not number:
+        return f"{run} is being trained by another process: wait for its end."
+    there = "" if machine == socket.gethostname() else f" on {machine}"
+    gone = f" If it has ended, delete {run / _NAME}." if there else ""
+    return f"{run} is being trained by process {number}{there}: wait for its end, or stop it.{gone}"
+
+
+# -- A file of a training that could not be written: a full disk, no right to; in a sentence.
+
+
+@contextmanager
+def write_errors(path: Path) -> Iterator[None]:
+    """Say in a sentence why a file of a training could not be written: a full disk, no right to."""
+    try:
+        yield
+    except _errors() as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(
+            f"{path} could not be written: {why}. The last checkpoint is whole: make room, or copy "
+            "the run where files can be written, and go on with --resume."
+        ) from error
+
+
+def _errors() -> tuple[type[Exception], ...]:
+    """What writing raises; reports read metrics with this module where safetensors is missing."""
+    module = sys.modules.get("safetensors")
+    return (OSError,) if module is None else (OSError, module.SafetensorError)
+
+
+# -- What names of runs mean: a path, a name in a folder of runs, or the beginning of one.
+
+_LISTED = 8
+
+
+def run_named(name: str | Path, runs: str | Path = "runs") -> Path | None:
+    """Return the run folder of a path, of a name in `runs`, or of one that begins so; else None.
+
+    ConfigError lists the runs where several begin so.
+    """
+    places = (Path(name), Path(runs) / name)
+    for place in places:
+        if is_run(place):
+            return place
+    # a folder or file that is there is meant itself
+    if not Path(name).name or any(place.exists() for place in places):
+        return None
+    found = {run.resolve(): run for place in places for run in _beginning(place)}
+    if len(found) > 1:
+        raise ConfigError(_ambiguous(str(name), sorted(map(str, found.values()))))
+    return next(iter(found.values()), None)
+
+
+def existing_run(name: str | Path, runs: str | Path = "runs") -> Path:
+    """Return the run folder that a name means; ConfigError where there is none."""
+    if (path := run_named(name, runs)) is not None:
+        return path
+    beside = "" if Path(name).is_absolute() else f", nor in {Path(runs) / name}"
+    raise ConfigError(f"'{name}' is no run folder: no config.json in it{beside}")
+
+
+def is_beginning(name: str, runs: str | Path = "runs") -> bool:
+    """Return whether a name is the beginning of a run's, and not all of it."""
+    return run_named(name, runs) not in (None, Path(name), Path(runs) / name)
+
+
+def is_run(path: Path) -> bool:
+    """Return whether a path is a run folder."""
+    return (path / "config.json").is_file()
+
+
+def runs_in(folder: Path) -> list[Path]:
+    """Return the run folders in a folder, by name."""
+    return sorted(path for path in folder.iterdir() if is_run(path)) if folder.is_dir() else []
+
+
+def _beginning(place: Path) -> list[Path]:
+    """Return the runs beside a path whose names begin with its last part."""
+    return [run for run in runs_in(place.parent) if run.name.startswith(place.name)]
+
+
+def _ambiguous(name: str, found: list[str]) -> str:
+    more = f" and {len(found) - _LISTED} more" if len(found) > _LISTED else ""
+    return f"{name!r} is the beginning of {len(found)} runs: {', '.join(found[:_LISTED])}{more}"
+
+
+# -- Run folder: all files of one training run.
+
+LEVEL = "ops-"  # and operations: names of the best checkpoints of the levels of pruning
 _POLICY = "policy."  # prefix of the policy's tensors
 _FOLDERS = ("checkpoints", "pool", "ghosts", "films")  # of training, in a run folder
 # what `replacing` leaves of a file of training when it is killed; exports have other endings
@@ -59,7 +318,7 @@ class RunFolder:
         self.path = Path(path)
 
     @classmethod
-    def create(cls, runs: str | Path, config: RunConfig) -> "RunFolder":
+    def create(cls, runs: str | Path, config: "RunConfig") -> "RunFolder":
         """Return a new folder with configuration and versions."""
         stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
         name = f"{_title(config)}-s{config.seed}-{stamp}"
@@ -70,7 +329,7 @@ class RunFolder:
             raise ConfigError(
                 f"cannot make a run folder in {runs}: {error.strerror}. Name another with --runs."
             ) from error
-        with said(run.path / "versions.json"):
+        with write_errors(run.path / "versions.json"):
             _write_json(run.path / "versions.json", versions())
         run.write_config(config)  # last: it makes the folder a run
         return run
@@ -90,14 +349,16 @@ class RunFolder:
         check_summed(self.path / "config.json")
         return _read_json(self.path / "config.json")
 
-    def config(self, model: type[C]) -> C:
+    def config(self, model: "type[C]") -> "C":
         """Return the configuration."""
+        from spikedeploy.trainers.config import validated
+
         return validated(model, self.settings(), str(self.path))
 
-    def write_config(self, config: RunConfig) -> None:
+    def write_config(self, config: "RunConfig") -> None:
         """Write the configuration."""
         file = self.path / "config.json"
-        with said(file):
+        with write_errors(file):
             write_summed(file, _json(config.model_dump(mode="json")).encode())
 
     def checkpoint(self, name: str) -> Path:
@@ -122,11 +383,13 @@ class RunFolder:
     def save(
         self,
         name: str,
-        policy: Policy,
+        policy: "Policy",
         state: Mapping[str, Any],
-        tensors: Mapping[str, Tensor] | None = None,
+        tensors: "Mapping[str, Tensor] | None" = None,
     ) -> None:
         """Write a checkpoint: the policy, its state as JSON, and more tensors."""
+        from safetensors.torch import save_file
+
         record = {"policy": policy.spec(), **state}
         weights = {_POLICY + key: value for key, value in policy.state_dict().items()}
         everything = {
@@ -134,7 +397,7 @@ class RunFolder:
         }
         record["sha256"] = _digest(record, everything)
         path = self.checkpoint(name)
-        with said(path):
+        with write_errors(path):
             with replacing(path) as temporary:
                 # the state is part of the same file, so that the two always belong together
                 save_file(everything, temporary, metadata={"state": json.dumps(record)})
@@ -144,11 +407,13 @@ class RunFolder:
         """Write the numbers to read of a checkpoint where a kill came before them."""
         path = self.checkpoint(name).with_suffix(".json")
         if not path.is_file() or path.read_text(encoding="utf-8") != _json(state):
-            with said(path):
+            with write_errors(path):
                 _write_json(path, state)
 
-    def load(self, name: str) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    def load(self, name: str) -> "tuple[dict[str, Any], dict[str, Tensor]]":
         """Return state and tensors of a checkpoint."""
+        from safetensors import SafetensorError, safe_open
+
         path = self.checkpoint(name)
         if not path.is_file():
             self.check_weights(name)
@@ -213,8 +478,10 @@ class RunFolder:
                 if _UNFINISHED.fullmatch(path.name):
                     path.unlink(missing_ok=True)
 
-    def policy(self, name: str = "best") -> Policy:
+    def policy(self, name: str = "best") -> "Policy":
         """Return the policy of a checkpoint, ready to act."""
+        from spikedeploy.trainers.policies import build
+
         state, tensors = self.load(name)
         policy = build(state["policy"])
         policy.load_state_dict(
@@ -223,7 +490,7 @@ class RunFolder:
         return policy.eval().requires_grad_(False)
 
 
-def load_policy(run: str | Path, name: str | None = None, runs: str | Path = "runs") -> Policy:
+def load_policy(run: str | Path, name: str | None = None, runs: str | Path = "runs") -> "Policy":
     """Return a run's policy: of the named checkpoint, else of the best, else of the last."""
     folder = RunFolder.find(run, runs)
     if name is None:
@@ -231,7 +498,7 @@ def load_policy(run: str | Path, name: str | None = None, runs: str | Path = "ru
     return folder.policy(name)
 
 
-def _title(config: RunConfig) -> str:
+def _title(config: "RunConfig") -> str:
     """Return the recipe; of one for any environment with that, in letters that a path may have."""
     entry = RECIPES.get(config.recipe)
     if entry is None or not entry.any_env:
@@ -283,8 +550,10 @@ def _write_json(path: Path, data: Mapping[str, Any]) -> None:
         temporary.write_text(_json(data), encoding="utf-8")
 
 
-def _digest(state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
+def _digest(state: Mapping[str, Any], tensors: "Mapping[str, Tensor]") -> str:
     """Return the SHA-256 of everything that a checkpoint holds."""
+    import torch
+
     numbers = {key: value for key, value in state.items() if key != "sha256"}
     digest = hashlib.sha256(json.dumps(numbers).encode())
     for name, tensor in sorted(tensors.items()):

@@ -18,19 +18,18 @@ from spikedeploy import envs
 from spikedeploy.envs.foreign import is_target
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, metrics
-from spikedeploy.trainers.checksums import write_summed
-from spikedeploy.trainers.config import RunConfig
-from spikedeploy.trainers.interrupt import Interrupt
-from spikedeploy.trainers.journal import Journal
-from spikedeploy.trainers.progress import ProgressBar
+from spikedeploy.trainers.config import RunConfig, amended, known, resolve
+from spikedeploy.trainers.progress import Interrupt, Journal, ProgressBar
 from spikedeploy.trainers.recipes import RECIPES
-from spikedeploy.trainers.resolve import amended, known, resolve
-from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.run_lock import locked
-from spikedeploy.trainers.run_names import is_beginning
+from spikedeploy.trainers.run_folder import (
+    RunFolder,
+    is_beginning,
+    locked,
+    write_errors,
+    write_summed,
+)
 from spikedeploy.trainers.runner import Runner
-from spikedeploy.trainers.sparse.budget import with_budget
-from spikedeploy.trainers.write_errors import said
+from spikedeploy.trainers.sparse.config import with_budget
 
 
 def algorithm(name: str) -> Any:  # noqa: ANN401 - a subclass of Runner; what it takes is its Config
@@ -209,5 +208,5 @@ def _learn(
         finally:
             journal.close()
     stopped.share = None if runner.finished else runner.share
-    with said(run.path / "curve.png"):
+    with write_errors(run.path / "curve.png"):
         metrics.draw_curve(run.metrics, run.path / "curve.png", run.path.name)

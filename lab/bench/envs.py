@@ -65,10 +65,8 @@ def rollouts(recipe: str, options: dict[str, Any], steps: int) -> Measure:
     """What collects experience as PPO does, untrained, and gives its steps per second."""
     import torch
 
-    from spikedeploy.trainers.ppo.config import PpoConfig
-    from spikedeploy.trainers.ppo.episodes import EpisodeLog
-    from spikedeploy.trainers.ppo.ppo import Ppo
-    from spikedeploy.trainers.resolve import resolve
+    from spikedeploy.trainers.config import resolve
+    from spikedeploy.trainers.ppo import EpisodeLog, Ppo, PpoConfig
     from spikedeploy.trainers.run_folder import RunFolder
 
     torch.set_num_threads(1)

@@ -112,7 +112,7 @@ def _teacher(task: str, runs: Path) -> str:
 
 def _trained(recipe: str, task: str, runs: Path, settings: Sequence[str] = ()) -> Path:
     """The run folder of a training that came to its end."""
-    from spikedeploy.trainers.interrupt import Interrupt
+    from spikedeploy.trainers.progress import Interrupt
     from spikedeploy.trainers.train import train
 
     stopped = Interrupt()

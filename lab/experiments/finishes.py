@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.trainers.metrics import read
-from spikedeploy.trainers.ppo.config import HOLDS
+from spikedeploy.trainers.ppo import HOLDS
 
 Steps = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ from lab.experiments.finishes import Steps, finishes, steps_to_greedy
 from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.policies.run_record import whole
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
-from spikedeploy.trainers.ppo.config import PpoConfig
-from spikedeploy.trainers.resolve import amended, differences, resolve
+from spikedeploy.trainers.config import amended, differences, resolve
+from spikedeploy.trainers.ppo import PpoConfig
 from spikedeploy.trainers.run_folder import RunFolder
 
 try:

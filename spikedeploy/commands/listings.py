@@ -187,8 +187,7 @@ def recipes(json: Json = False) -> None:
     """List the training recipes, by algorithm."""
     from spikedeploy.console import print_json, print_table
     from spikedeploy.trainers import ALGORITHMS
-    from spikedeploy.trainers.recipe import budget
-    from spikedeploy.trainers.recipes import RECIPES
+    from spikedeploy.trainers.recipes import RECIPES, budget
 
     rows = [(name, recipe.algorithm, recipe.summary) for name, recipe in RECIPES.items()]
     if json:

@@ -169,7 +169,7 @@ def run_training(
     from spikedeploy.pages.training import LivePage
     from spikedeploy.shipping.exported_run import trained_in
     from spikedeploy.shipping.training_films import TrainingFilms
-    from spikedeploy.trainers.interrupt import Interrupt
+    from spikedeploy.trainers.progress import Interrupt
     from spikedeploy.trainers.train import train as learn
 
     interrupt, more = Interrupt(), {"seed": seed or 0, "resume": resume, "runs": runs, **settings}
@@ -220,7 +220,7 @@ def visualize(
     from spikedeploy.outputs import check_output, mark, marked
     from spikedeploy.reports.curves import curve
     from spikedeploy.reports.plots import draw_curves
-    from spikedeploy.trainers.run_names import existing_run
+    from spikedeploy.trainers.run_folder import existing_run
 
     own = mark("visualize")
     folders = [Path(run) if Path(run).is_dir() else existing_run(run) for run in runs]

@@ -19,8 +19,8 @@ def run_seeds(
     from spikedeploy.console import print_json, print_table, print_text, say
     from spikedeploy.parallel import cores
     from spikedeploy.seeds import training_seeds
+    from spikedeploy.trainers.config import known
     from spikedeploy.trainers.recipes import RECIPES
-    from spikedeploy.trainers.resolve import known
     from spikedeploy.training_seeds import train_seeds
 
     known(str(recipe), RECIPES, "recipe")  # refuses an unknown one before processes are started

@@ -10,7 +10,7 @@ from spikedeploy.files import read_json
 from spikedeploy.policies.interface import env_id
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.checksums import check_summed
+from spikedeploy.trainers.run_folder import check_summed
 from spikedeploy.trainers.versions import own
 
 # kinds of policies that are exported as NIR

@@ -20,8 +20,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.onnx_session import says_how_it_acts, session
 
 if TYPE_CHECKING:
-    from spikedeploy.trainers.distill.own_spaces import Units
-    from spikedeploy.trainers.distill.teacher import Teacher
+    from spikedeploy.trainers.distill.teacher import Teacher, Units
 
 
 class TeacherController:
@@ -78,7 +77,7 @@ def controller(
     """The teacher, opened; functions are imported now."""
     import torch
 
-    from spikedeploy.trainers.distill.own_spaces import OwnSpaces
+    from spikedeploy.trainers.distill.teacher import OwnSpaces
     from spikedeploy.trainers.distill.teachers import opened
 
     torch.set_num_threads(1)

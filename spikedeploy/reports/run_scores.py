@@ -8,7 +8,7 @@ from typing import Any
 from spikedeploy.policies import run_record
 from spikedeploy.reports.curves import counted_by
 from spikedeploy.trainers.metrics import read, spike_rate
-from spikedeploy.trainers.run_lock import in_use
+from spikedeploy.trainers.run_folder import in_use
 
 
 @dataclass(frozen=True)

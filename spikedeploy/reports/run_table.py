@@ -9,7 +9,7 @@ from spikedeploy.envs import spec
 from spikedeploy.reports.cells import ABSENT
 from spikedeploy.reports.run_scores import RunScores, scores
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.run_names import is_run, runs_in
+from spikedeploy.trainers.run_folder import is_run, runs_in
 
 HEADS = ("run", "return", "success", "operations", "done", "age")
 _DEEP = 2  # folders in folders: experiments have their runs there

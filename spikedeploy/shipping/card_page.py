@@ -12,7 +12,7 @@ from spikedeploy.reports.columns import markdown as tables_of
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.record_fields import check_page
 from spikedeploy.trainers.recipes import RECIPES
-from spikedeploy.trainers.sparse.phases import LEVEL
+from spikedeploy.trainers.run_folder import LEVEL
 from spikedeploy.trainers.versions import versions
 
 KINDS = {

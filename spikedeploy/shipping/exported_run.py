@@ -8,7 +8,7 @@ from spikedeploy.outputs import no_link
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import BUILT_IN
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.run_names import run_named
+from spikedeploy.trainers.run_folder import run_named
 
 # What reads run folders needs torch, and is imported where one is named: files are run without.
 

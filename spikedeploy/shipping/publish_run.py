@@ -24,9 +24,9 @@ from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.card_page import evaluated, markdown
 from spikedeploy.shipping.export_run import ExportedPolicy, export_run
-from spikedeploy.trainers.resolve import differences
+from spikedeploy.trainers.config import differences
 from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.sparse_ppo.start import find_start
+from spikedeploy.trainers.sparse.ppo import find_start
 from spikedeploy.trainers.train import algorithm
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")

@@ -8,9 +8,8 @@ from functools import cached_property
 from typing import Any, Literal, get_args
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import RunConfig
+from spikedeploy.trainers.config import RunConfig, known, resolve
 from spikedeploy.trainers.recipes import RECIPES
-from spikedeploy.trainers.resolve import known, resolve
 from spikedeploy.tuning.search import Search
 from spikedeploy.tuning.spaces import space
 

@@ -4,8 +4,7 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import RunConfig
-from spikedeploy.trainers.resolve import amended
+from spikedeploy.trainers.config import RunConfig, amended
 from spikedeploy.tuning.search import Search, parsed
 
 _RL = ("gamma=0.95..0.999", "critic_hidden=[64,64]|[128,128]|[256,256]")

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from spikedeploy.trainers import metrics
-from spikedeploy.trainers.interrupt import Interrupt
+from spikedeploy.trainers.progress import Interrupt
 
 if TYPE_CHECKING:
     import optuna

@@ -12,7 +12,7 @@ from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, SpikingMlpPolicy
-from spikedeploy.trainers.policies.features import Features
+from spikedeploy.trainers.policies.mlp import Features
 from tests.delta_policies import pruned_mlp, walk
 
 CONTROLS = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text(encoding="utf-8")

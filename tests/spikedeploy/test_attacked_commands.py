@@ -16,9 +16,9 @@ from spikedeploy.policies import run_record
 from spikedeploy.policies.adopted import read_codec
 from spikedeploy.policies.run import policy_of
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
+from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.policies import MlpPolicy
-from spikedeploy.trainers.ppo.config import PpoConfig
-from spikedeploy.trainers.resolve import resolve
+from spikedeploy.trainers.ppo import PpoConfig
 from spikedeploy.trainers.run_folder import RunFolder
 from tests.paths import ROOT
 

@@ -28,8 +28,8 @@ from spikedeploy.runtime.errors import ConventionError, SpikedeployError
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.runtime.traces.verify import verify
 from spikedeploy.shipping.recorded_evaluation import recorded
-from spikedeploy.trainers.ppo.config import PpoConfig
-from spikedeploy.trainers.resolve import resolve
+from spikedeploy.trainers.config import resolve
+from spikedeploy.trainers.ppo import PpoConfig
 from spikedeploy.trainers.run_folder import RunFolder
 from tests.paths import GOLDEN, ROOT
 

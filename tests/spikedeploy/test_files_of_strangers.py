@@ -24,9 +24,9 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import MachinePool
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.float_model import FloatGraph
-from spikedeploy.trainers.distill.config import DistillConfig
-from spikedeploy.trainers.ppo.config import PpoConfig
-from spikedeploy.trainers.resolve import resolve
+from spikedeploy.trainers.config import resolve
+from spikedeploy.trainers.distill.distill import DistillConfig
+from spikedeploy.trainers.ppo import PpoConfig
 from tests.networks import popsan
 
 

@@ -2,13 +2,11 @@ import pytest
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, RECIPES
-from spikedeploy.trainers.config import Ramp
-from spikedeploy.trainers.ppo.config import PpoConfig
-from spikedeploy.trainers.resolve import differences, parse_override, resolve, validated
-from spikedeploy.trainers.sac.config import SacConfig
-from spikedeploy.trainers.sparse.budget import with_budget
-from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
+from spikedeploy.trainers.config import Ramp, differences, parse_override, resolve, validated
+from spikedeploy.trainers.ppo import PpoConfig
+from spikedeploy.trainers.sac.learner import SacConfig
+from spikedeploy.trainers.sparse.config import SparseConfig, with_budget
+from spikedeploy.trainers.sparse.ppo import SparsePpoConfig
 from spikedeploy.trainers.train import algorithm
 
 

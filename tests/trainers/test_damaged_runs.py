@@ -12,8 +12,7 @@ from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import run_folder
 from spikedeploy.trainers.metrics import read
-from spikedeploy.trainers.run_folder import RunFolder, load_policy
-from spikedeploy.trainers.run_lock import locked
+from spikedeploy.trainers.run_folder import RunFolder, load_policy, locked
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import PointingEnv
 from tests.trainers.test_resume import KART, SAC, After, resumed

@@ -11,7 +11,7 @@ import pytest
 from lab.kill import differences
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.interrupt import Interrupt
+from spikedeploy.trainers.progress import Interrupt
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Runner
 from spikedeploy.trainers.sac.sac import Sac

@@ -10,13 +10,12 @@ from safetensors.torch import load_file
 
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.journal import Journal
+from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.metrics import Metrics, read
 from spikedeploy.trainers.policies import MlpPolicy
-from spikedeploy.trainers.progress import ProgressBar
-from spikedeploy.trainers.resolve import resolve
+from spikedeploy.trainers.progress import Journal, ProgressBar
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
-from spikedeploy.trainers.sac.config import SacConfig
+from spikedeploy.trainers.sac.learner import SacConfig
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import PointingEnv
 

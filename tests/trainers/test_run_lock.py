@@ -8,13 +8,12 @@ import sys
 import pytest
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers import run_lock
-from spikedeploy.trainers.run_lock import locked
+from spikedeploy.trainers.run_folder import fcntl, locked, socket
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from spikedeploy.trainers.run_lock import locked
+from spikedeploy.trainers.run_folder import locked
 with locked(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)
@@ -34,7 +33,7 @@ def without_flock(monkeypatch):
     def refused(handle, operation):
         raise OSError(errno.ENOTSUP, "Operation not supported")
 
-    monkeypatch.setattr(run_lock.fcntl, "flock", refused)
+    monkeypatch.setattr(fcntl, "flock", refused)
 
 
 def test_a_run_is_trained_by_one_process_which_is_named_until_it_dies(tmp_path):
@@ -61,7 +60,7 @@ def test_the_lock_is_held_against_the_own_process_too(tmp_path):
 
 def test_without_flock_the_process_is_looked_up(tmp_path, without_flock):
     lock = tmp_path / ".lock"
-    lock.write_text(f"{os.getppid()} {run_lock.socket.gethostname()}\n")
+    lock.write_text(f"{os.getppid()} {socket.gethostname()}\n")
     with pytest.raises(ConfigError, match=f"process {os.getppid()}"):
         locked(tmp_path).__enter__()
     lock.write_text(f"{os.getppid()} elsewhere\n")
@@ -69,7 +68,7 @@ def test_without_flock_the_process_is_looked_up(tmp_path, without_flock):
         locked(tmp_path).__enter__()
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
-    for stale in (f"{dead.pid} {run_lock.socket.gethostname()}\n", "", "what is this"):
+    for stale in (f"{dead.pid} {socket.gethostname()}\n", "", "what is this"):
         lock.write_text(stale)
         with locked(tmp_path):
             pass
@@ -79,6 +78,6 @@ def test_a_folder_that_takes_no_files_is_named(tmp_path, monkeypatch):
     def refused(*_):
         raise OSError(errno.EROFS, "Read-only file system")
 
-    monkeypatch.setattr(run_lock.os, "open", refused)
+    monkeypatch.setattr(os, "open", refused)
     with pytest.raises(ConfigError, match=r"cannot train in .*: Read-only file system\. Copy it"):
         locked(tmp_path).__enter__()

@@ -7,23 +7,176 @@ learns from all that were collected so far (Ross et al. 2011).
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
+from pydantic import Field
 from torch import Tensor
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers import adam
-from spikedeploy.trainers.distill.config import DistillConfig
-from spikedeploy.trainers.distill.dagger import DaggerDataset, collect, iteration_envs
-from spikedeploy.trainers.distill.teacher import surprise
+from spikedeploy.trainers.config import (
+    Batch,
+    Kept,
+    NormaliserConfig,
+    Positive,
+    Rate,
+    RunConfig,
+    Share,
+    ValidationConfig,
+)
+from spikedeploy.trainers.distill.teacher import FloatArray, Teacher, surprise
 from spikedeploy.trainers.distill.teachers import of_policy, score, teacher
+from spikedeploy.trainers.env_batch import EnvBatch
+from spikedeploy.trainers.learner import adam, adam_tensors, load_adam, under
 from spikedeploy.trainers.policies import Policy, PopsanPolicy, from_config
 from spikedeploy.trainers.policies.neurons import excess_rate, firing_rates, mean_rate
-from spikedeploy.trainers.policies.normaliser import Moments
+from spikedeploy.trainers.policies.policy import Moments
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Runner
+
+# -- Configuration of distillation.
+
+
+class DistillConfig(RunConfig):
+    """Imitation of a teacher by DAgger (Ross et al. 2011).
+
+    teacher: policy to imitate: a run folder, an .onnx, .nir or Stable-Baselines3 .zip file, or
+        my_module:function (docs/own-teacher.md)
+    teacher_units: of the actions of functions and of other people's .onnx files: "own" units of
+        the environment, which is the default, or "scaled" to [-1, 1]
+    iterations: number of times that states are collected, first with the teacher's own actions
+    states: environment steps of each iteration, of all copies together
+    updates: gradient updates in total, spread evenly over the iterations; `validation.every`,
+        `log_every` and `checkpoint_every` count them
+    mixing: share of the teacher's actions in collection, mixing ** k in iteration k
+    noise: standard deviation of Gaussian noise on the executed actions, so that states cover more
+        than one trajectory; labels are without it. Of discrete actions the share drawn at random
+    sharpness: factor of the teacher's logits in the targets of discrete actions
+    learning_rate: initial value, annealed to zero by a half cosine
+    rate_penalty, rate_target: weight and threshold of the hinge on the mean firing rate of every
+        spiking layer [spikes per neuron and timestep]; no effect on an MLP
+    input_penalty, input_target: the same for the encoder's neurons, whose spikes cause the most
+        synaptic operations
+    """
+
+    normaliser: NormaliserConfig = NormaliserConfig(finish=8_000)
+    validation: ValidationConfig = ValidationConfig(every=500, episodes=8)
+    teacher: str = ""
+    teacher_units: Literal["own", "scaled"] | None = None
+    iterations: Positive = 6
+    states: Kept = 8_000
+    updates: Positive = 6_000
+    mixing: Share = 0.0
+    noise: float = Field(default=0.0, ge=0)
+    sharpness: Rate = 1.0
+    batch: Batch = 256
+    learning_rate: Rate = 1e-3
+    rate_penalty: float = Field(default=0.1, ge=0)
+    rate_target: Share = 0.13
+    input_penalty: float = Field(default=0.1, ge=0)
+    input_target: Share = 0.13
+    precision: Literal["float32", "bfloat16"] = "bfloat16"
+    log_every: Positive = 100
+    checkpoint_every: Positive = 1_000
+
+
+# -- Data of DAgger: states that teacher and student visit, labelled with the teacher's actions.
+
+
+class DaggerDataset:
+    """A growing set of labelled states, in float32.
+
+    observation: (n, obs) raw
+    action: (n, act) of the teacher, or its logits
+    """
+
+    def __init__(self, observations: int, actions: int) -> None:
+        self.observation = torch.zeros(0, observations)
+        self.action = torch.zeros(0, actions)
+
+    def __len__(self) -> int:
+        return len(self.observation)
+
+    def add(self, observation: NDArray[np.float64], action: NDArray[np.float64]) -> None:
+        """Add states (B, obs) with their labels (B, act)."""
+        self.observation = torch.cat([self.observation, torch.from_numpy(observation).float()])
+        self.action = torch.cat([self.action, torch.from_numpy(action).float()])
+
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+        """Return states and labels drawn uniformly with replacement."""
+        rows = torch.from_numpy(rng.integers(len(self), size=count))
+        return self.observation[rows], self.action[rows]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return everything by name, for a checkpoint."""
+        # "lessons" is the dataset's name in the checkpoints of all versions
+        return {"lessons.observation": self.observation, "lessons.action": self.action}
+
+    def load(self, tensors: Mapping[str, Tensor]) -> None:
+        """Restore the dataset of a checkpoint."""
+        self.observation = tensors["lessons.observation"]
+        self.action = tensors["lessons.action"]
+
+
+@dataclass(frozen=True)
+class _Collected:
+    """Labelled states of one iteration.
+
+    observation: (n, obs) of every state
+    label: (n, act) the teacher's action in it, or its logits
+    returns: of the episodes that ended
+    """
+
+    observation: FloatArray
+    label: FloatArray
+    returns: list[float]
+
+
+def iteration_envs(config: DistillConfig, iteration: int) -> EnvBatch:
+    """Return the environments of an iteration, the same ones for a run resumed there."""
+    return EnvBatch(config.env, np.random.default_rng((config.seed, iteration)))
+
+
+def collect(
+    config: DistillConfig,
+    iteration: int,
+    teacher: Teacher,
+    student: Teacher,
+    stopped: Callable[[], bool],
+) -> _Collected | None:
+    """Collect the labelled states of an iteration; None if stopped before its end."""
+    envs = iteration_envs(config, iteration)
+    visited: list[FloatArray] = []
+    labels: list[FloatArray] = []
+    rng = np.random.default_rng((config.seed, iteration, 1))
+    share = config.mixing**iteration  # of the teacher's actions; 1 in iteration 0
+    while len(visited) * len(envs) < config.states:
+        if stopped():
+            return None
+        visited.append(envs.observation)
+        labels.append(teacher.act_all(envs.observation))
+        taught = rng.random(len(envs)) < share
+        action = labels[-1] if taught.all() else student.act_all(envs.observation)
+        action = np.where(taught[:, None], labels[-1], action)
+        envs.step(_executed(action, envs.head == "discrete", config.noise, rng))
+    return _Collected(np.concatenate(visited), np.concatenate(labels), envs.returns)
+
+
+def _executed(
+    action: FloatArray, discrete: bool, noise: float, rng: np.random.Generator
+) -> NDArray[Any]:
+    """Return actions (B, act) with noise, or the choices (B,) of logits, some of them drawn."""
+    if not discrete:
+        return np.clip(action + noise * rng.standard_normal(action.shape), -1.0, 1.0)
+    drawn = rng.integers(action.shape[1], size=len(action))
+    return np.where(rng.random(len(action)) < noise, drawn, action.argmax(-1))
+
+
+# -- Distillation by DAgger: a student learns what its teacher would do in the student's own
+#    states.
 
 
 class Distill(Runner[DistillConfig]):
@@ -162,7 +315,7 @@ class DistillLearner:
     def __init__(self, config: DistillConfig, student: Policy) -> None:
         self._config = config
         self.student = student
-        self.optimizer = adam.adam(student, config.learning_rate)
+        self.optimizer = adam(student, config.learning_rate)
 
     def update(self, observation: Tensor, label: Tensor, progress: float) -> dict[str, Tensor]:
         """Take one gradient step towards labels (B, act) at a `progress` from 0 to 1.
@@ -205,10 +358,10 @@ class DistillLearner:
 
     def tensors(self) -> dict[str, Tensor]:
         """Return all tensors of a checkpoint except the student's, by name."""
-        state = adam.tensors(self.optimizer)
+        state = adam_tensors(self.optimizer)
         return {f"adam.{name}": value for name, value in state.items()}
 
     def load(self, named: dict[str, Tensor]) -> None:
         """Restore the tensors of a checkpoint, the student's under "policy." included."""
-        self.student.load_state_dict(adam.under("policy", named))
-        adam.load(self.optimizer, adam.under("adam", named))
+        self.student.load_state_dict(under("policy", named))
+        load_adam(self.optimizer, under("adam", named))

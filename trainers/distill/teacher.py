@@ -1,13 +1,26 @@
-"""Teacher: a policy to imitate, whatever it was read from."""
+"""What an environment observes and takes as its author wrote it, for teachers that know it so.
 
-from collections.abc import Callable
+Policies of ours see vectors and act in [-1, 1], or choose from 0; other people's teachers see the
+environment's own observations and give its own actions. This is the way between the two.
+"""
+
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 import torch
+from gymnasium import Env
+from gymnasium.spaces import Box, Discrete, Space
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
+
+from spikedeploy import envs
+from spikedeploy.envs.foreign import AdaptedEnv
+from spikedeploy.runtime.errors import ConfigError
+
+# -- Teacher: a policy to imitate, whatever it was read from.
 
 FloatArray = NDArray[np.float64]
 _CERTAIN = 20.0  # logit of a choice whose alternatives have 0: its softmax is 1 within 1e-8
@@ -50,3 +63,114 @@ def surprise(mean: Tensor, label: Tensor, sharpness: float) -> Tensor:
     # H = -sum_k softmax(sharpness label)_k log softmax(mean)_k
     target = torch.softmax(sharpness * label, -1)
     return -(target * functional.log_softmax(mean, -1)).sum(-1)
+
+
+# -- What an environment observes and takes as its author wrote it, for teachers that know it
+#    so.
+
+Units = Literal["own", "scaled"]
+
+
+@dataclass(frozen=True)
+class OwnSpaces:
+    """Spaces of an environment before it is adapted.
+
+    name: of the environment
+    observation, action: Box or Discrete
+    """
+
+    name: str
+    observation: Space[Any]
+    action: Space[Any]
+
+    @classmethod
+    def of(cls, name: str, options: Mapping[str, Any]) -> "OwnSpaces":
+        """Return the spaces of an environment, which is made for it."""
+        env = envs.make(name, **options)
+        found = cls.within(name, env)
+        env.close()
+        return found
+
+    @classmethod
+    def within(cls, name: str, env: Env[Any, Any]) -> "OwnSpaces":
+        """Return the spaces of an environment that was made."""
+        world = env.unwrapped  # disturbances wrap the adapted one
+        inner = world.inner if isinstance(world, AdaptedEnv) else env
+        return cls(name, inner.observation_space, inner.action_space)
+
+    @property
+    def observations(self) -> int:
+        """Numbers that policies observe."""
+        return _size(self.observation)
+
+    @property
+    def actions(self) -> int:
+        """Numbers that policies put out."""
+        return _size(self.action)
+
+    def observed(self, vector: FloatArray) -> Any:  # noqa: ANN401
+        """Return the observation, in its own shape and type, that policies see as (obs,)."""
+        if isinstance(self.observation, Discrete):
+            return int(vector.argmax()) + int(self.observation.start)
+        return vector.reshape(self.observation.shape).astype(self.observation.dtype)
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Return the lowest and highest action (act,) of a Box."""
+        space = self.action
+        if not isinstance(space, Box):
+            raise ConfigError(f"{self.name} takes one of {self.actions} actions, without bounds")
+        return np.float64(space.low).ravel(), np.float64(space.high).ravel()
+
+    def labels(self, teacher: str, given: Any, robots: int, units: Units) -> FloatArray:  # noqa: ANN401
+        """Return what B robots should do, (B, act) as policies act, from what a teacher gave.
+
+        given: own actions or, with units "scaled", in [-1, 1]; of discrete actions the choice of
+            each robot, or a logit for each choice
+        """
+        found = np.asarray(given)
+        numeric = found.dtype.kind in "fiub" and found.size and found.size % robots == 0
+        if not numeric or not np.isfinite(found).all():
+            raise ConfigError(
+                f"the teacher {teacher} gave no finite numbers for {robots} observations: {found}"
+            )
+        rows = found.reshape(robots, -1).astype(np.float64)
+        if isinstance(self.action, Discrete):
+            return self._logits(teacher, rows, self.action)
+        return self._scaled(teacher, rows, units)
+
+    def _logits(self, teacher: str, rows: FloatArray, space: Discrete) -> FloatArray:
+        """Return logits (B, n) of choices (B, 1), counted as the environment does, or of logits."""
+        count, start = int(space.n), int(space.start)
+        if rows.shape[1] == count > 1:
+            return rows
+        choice = rows[:, 0] - start
+        inside = (choice == np.rint(choice)) & (choice >= 0) & (choice < count)
+        if rows.shape[1] != 1 or not inside.all():
+            raise ConfigError(
+                f"the teacher {teacher} gave {rows[0].tolist()}, and {self.name} takes one of "
+                f"{count} actions: give its number, from {start} to {start + count - 1}, or "
+                f"{count} logits"
+            )
+        return certain(choice.astype(np.int64), count)
+
+    def _scaled(self, teacher: str, rows: FloatArray, units: Units) -> FloatArray:
+        """Return actions in [-1, 1] of own ones (B, act)."""
+        if rows.shape[1] != self.actions:
+            raise ConfigError(
+                f"the teacher {teacher} gives {rows.shape[1]} actions; {self.name} takes "
+                f"{self.actions}"
+            )
+        if units == "own":
+            low, high = self.bounds()
+            # x = 2 (a - low) / (high - low) - 1
+            rows = 2.0 * (rows - low) / np.where(high > low, high - low, 1.0) - 1.0
+        return np.clip(rows, -1.0, 1.0)
+
+
+def _size(space: Space[Any]) -> int:
+    return int(space.n) if isinstance(space, Discrete) else int(np.prod(space.shape or ()))
+
+
+def batched(vectors: NDArray[np.float64], spaces: OwnSpaces) -> NDArray[Any]:
+    """Return own observations (B, ...) of vectors (B, obs)."""
+    return np.stack([np.asarray(spaces.observed(vector)) for vector in vectors])

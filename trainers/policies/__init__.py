@@ -3,40 +3,26 @@
 POLICIES is the table of kinds; `from_config` builds a policy from a configuration, `build` from
 the spec in a checkpoint.
 
-policy.py       Policy, and what it computes before an action is chosen
-mlp.py          float multilayer perceptron, or a linear map
-popsan.py       population-coded spiking actor
-spiking_mlp.py  spiking multilayer perceptron with a linear readout
-chip_snn.py     the same in the integers of a chip, from code to output neurons
-chip_graph.py   its NIR graph, convention and codec
-event_kernel.py chips that look at every event, compiled
-delta_snn.py    event-driven: delta code, a layer of LIF neurons, leaky integrator readout
-delta_mlp.py    delta network: the same with a layer of sigma-delta ReLU neurons
-delta_graph.py  NIR graphs and codecs of both
-pruned_mlp.py   small float network with a skip connection and masks
-pruned.py       weights with masks
-neurons.py      LIF and CuBa-LIF layers with surrogate gradients, firing rates
-lif_kernel.py   their passes forward and back, compiled
-encoders.py     population and rate codes
-features.py     inputs of control policies
-normaliser.py   observation normalisation and running statistics
+policy.py      Policy, what it computes before an action is chosen, observation normalisation
+mlp.py         float multilayer perceptron or a linear map, and its inputs
+spiking.py     several timesteps an inference: encoders, PopSAN, spiking MLP
+chip_snn.py    the same in the integers of a chip, from code to output neurons
+delta.py       one timestep a control step: delta code, LIF or sigma-delta neurons, NIR graphs
+pruned_mlp.py  weights with masks, and a small float network of them with a skip connection
+neurons.py     LIF and CuBa-LIF layers with surrogate gradients, compiled, and firing rates
 """
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import PolicyConfig
+from spikedeploy.trainers.config import PolicyConfig, known
 from spikedeploy.trainers.policies.chip_snn import ChipSnnPolicy
-from spikedeploy.trainers.policies.delta_mlp import DeltaMlpPolicy
-from spikedeploy.trainers.policies.delta_snn import DeltaSnnPolicy
-from spikedeploy.trainers.policies.features import Features, features
-from spikedeploy.trainers.policies.mlp import MlpPolicy
+from spikedeploy.trainers.policies.delta import DeltaMlpPolicy, DeltaSnnPolicy
+from spikedeploy.trainers.policies.mlp import Features, MlpPolicy, features
 from spikedeploy.trainers.policies.policy import Head, Latent, Policy
-from spikedeploy.trainers.policies.popsan import PopsanPolicy
 from spikedeploy.trainers.policies.pruned_mlp import PrunedMlpPolicy
-from spikedeploy.trainers.policies.spiking_mlp import SpikingMlpPolicy
-from spikedeploy.trainers.resolve import known
+from spikedeploy.trainers.policies.spiking import PopsanPolicy, SpikingMlpPolicy
 
 __all__ = [
     "ChipSnnPolicy",

@@ -13,7 +13,9 @@ reached yet, or that waits for the next inference, stays at 0 however often the 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import nir
@@ -26,25 +28,245 @@ from torch.autograd.function import once_differentiable
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.codec.codec import (
+    Codec,
+    Encoder,
+    Normaliser,
+    PopulationEncoder,
+    RateEncoder,
+)
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.interpreter import LayerTrace
+from spikedeploy.runtime.convention import Convention, Floor, Reset, Spikes
+from spikedeploy.runtime.emulator.interpreter import LayerTrace, trace
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.families.cuba.numba_kernels import jit
+from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
 from spikedeploy.runtime.families.xylo import XyloRegisters
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.policies.chip_graph import (
-    DT,
-    THRESHOLD,
-    ChipNeurons,
-    array,
-    chip_artifact,
-    codec_of,
-)
-from spikedeploy.trainers.policies.encoders import TorchPopulationEncoder
-from spikedeploy.trainers.policies.event_kernel import recorded
 from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
 from spikedeploy.trainers.policies.policy import Head
-from spikedeploy.trainers.policies.spiking_mlp import Coding, SpikingMlpPolicy
+from spikedeploy.trainers.policies.spiking import (
+    Coding,
+    PopsanPolicy,
+    SpikingMlpPolicy,
+    TorchPopulationEncoder,
+    TorchRateEncoder,
+)
+
+# -- Neurons that look at their threshold after every event, as loops that Numba compiles.
+#
+# They compute what `runtime.families.integrate_and_fire.neurons.update` computes with NumPy, for
+# chains of layers without biases whose spikes reset to 0 (ODIN, tinyODIN), with the same integers:
+# the interpreter takes a hundred microseconds for each event, too long for training.
+
+Integers = NDArray[np.integer[Any]]
+
+
+def recorded(program: Program, raster: NDArray[np.uint8]) -> Mapping[str, LayerTrace]:
+    """What every layer does with the raster (B, T, M) from zero states, as the interpreter has it.
+
+    Where the compiled loops compute it, overflows and activity are left out.
+    """
+    return (
+        _by_events(program, raster) if _COMPILED and _computes(program) else trace(program, raster)
+    )
+
+
+def _computes(program: Program) -> bool:
+    """Whether the loops compute the program: a chain of layers, event by event, reset to 0."""
+    rules, convention = program.chip.arithmetic, program.convention
+    if not isinstance(rules, IntegrateAndFireRules) or rules.queue == "on":
+        return False
+    ways = rules.checks, rules.leak, rules.leak_order, rules.reset_at, rules.fires
+    return (
+        ways == ("event", "linear", "first", "spike", "reached")
+        and convention.reset == "zero"
+        and convention.floor in ("none", "zero")
+        and all(map(_is_plain, program.layers))
+        and not any(lag for lags in program.lags for lag in lags)
+    )
+
+
+def _is_plain(layer: Layer) -> bool:
+    """Whether a layer has one source, no bias, and a reset to 0."""
+    biased = layer.bias.any() or layer.voltage_bias.any()
+    return layer.spiking and len(layer.synapses) == 1 and not biased and not np.any(layer.v_reset)
+
+
+def _by_events(program: Program, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
+    rules = program.chip.arithmetic
+    assert isinstance(rules, IntegrateAndFireRules)
+    low, high = rules.membrane.fit(np.array([-(1 << 40), 1 << 40])).tolist()
+    if program.convention.floor == "zero":
+        low = 0
+    low = low if rules.floor is None else max(low, rules.floor)
+    spikes: dict[str, Integers] = {program.input: raster}
+    found: dict[str, LayerTrace] = {}
+    for layer in program.layers:
+        (synapses,) = layer.synapses
+        counts = np.ascontiguousarray(spikes[synapses.source], np.int64)
+        membrane = np.zeros((*counts.shape[:2], layer.size), np.int64)
+        fired = np.zeros_like(membrane)
+        weight = np.ascontiguousarray(synapses.weight, np.int64)
+        held = np.array([low, high, rules.spikes_max], np.int64)
+        each = np.stack([layer.threshold, layer.membrane_decay]).astype(np.int64)
+        _integrate_events(counts, weight, each, held, membrane, fired)
+        spikes[layer.name] = fired
+        none = np.zeros_like(membrane)
+        found[layer.name] = LayerTrace(none, membrane, fired, none.astype(np.bool_), none)
+    return found
+
+
+@jit
+def _integrate_events(
+    counts: Integers,
+    weight: Integers,
+    each: Integers,
+    held: Integers,
+    membrane: Integers,
+    spikes: Integers,
+) -> None:
+    """Write membranes and spikes (B, T, N) for counts of events (B, T, M).
+
+    each: (2, N) thresholds, and what a time reference takes away
+    held: least and largest membrane, most spikes of a timestep
+    """
+    neurons = weight.shape[1]
+    for b in range(counts.shape[0]):
+        for t in range(counts.shape[1]):
+            v, s = membrane[b, t], spikes[b, t]
+            for n in range(neurons):
+                x = membrane[b, t - 1, n] if t else 0
+                # V = V - sign(V) min(|V|, leak), an event as well
+                taken = min(abs(x), each[1, n])
+                x = x - taken if x > 0 else x + taken
+                if x >= each[0, n]:
+                    s[n] += 1
+                    x = 0
+                v[n] = x
+            for m in range(counts.shape[2]):
+                for _ in range(counts[b, t, m]):
+                    for n in range(neurons):
+                        x = min(max(v[n] + weight[m, n], held[0]), held[1])
+                        if x >= each[0, n]:
+                            s[n] = min(s[n] + 1, held[2])
+                            x = 0
+                        v[n] = x
+
+
+_COMPILED = hasattr(_integrate_events, "py_func")  # without Numba, the loops stay Python
+
+
+# -- The network of a ChipSnnPolicy as a NIR graph with its codec: exported, and compiled to
+#    learn.
+#
+#     input (M) -> fc1 -> lif1 -> ... -> fcL -> lifL -> readout -> output (act)
+#
+# The neurons are those that the chip computes natively: IF, LIF or CubaLIF, with gains of 1.
+
+THRESHOLD = 1.0  # of every neuron; the compiler scales it with the weights
+DT = 1e-3  # [s] one timestep; the policy has no unit of time, and chips run near this value
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ChipNeurons:
+    """The neurons of a chip, all alike, with a threshold of THRESHOLD and gains of 1.
+
+    target: the chip
+    alpha, beta: decay factors of current and membrane in a timestep; 0 is no current, 1 no leak
+    dt: [s] one timestep
+    """
+
+    target: Chip
+    alpha: float
+    beta: float
+    dt: float = DT
+
+    def node(self, size: int) -> nir.IF | nir.LIF | nir.CubaLIF:
+        """Return so many of them."""
+        dt, zeros, threshold = self.dt, np.zeros(size), np.full(size, THRESHOLD)
+        if self.beta == 1:
+            return nir.IF(r=np.full(size, 1 / dt), v_threshold=threshold, v_reset=zeros)
+        # tau = dt / (1 - decay) ; r = tau_mem / dt ; w_in = tau_syn / dt
+        per_step = 1 / (1 - self.beta)
+        tau, gain = np.full(size, dt * per_step), np.full(size, per_step)
+        if not self.alpha:
+            return nir.LIF(tau=tau, r=gain, v_leak=zeros, v_reset=zeros, v_threshold=threshold)
+        synaptic = 1 / (1 - self.alpha)
+        return nir.CubaLIF(
+            tau_syn=np.full(size, dt * synaptic),
+            w_in=np.full(size, synaptic),
+            tau_mem=tau,
+            r=gain,
+            v_leak=zeros,
+            v_reset=zeros,
+            v_threshold=threshold,
+        )
+
+
+def chip_artifact(
+    neurons: ChipNeurons,
+    weights: Sequence[Array],
+    readout: nir.Affine,
+    codec: Codec,
+    origin: Provenance | None = None,
+) -> Artifact:
+    """Return a chain of layers with these weights (N, M) as an artifact; its states are reset."""
+    width = weights[0].shape[1]
+    nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([width])})}
+    for number, weight in enumerate(weights, start=1):
+        nodes[f"fc{number}"] = nir.Linear(weight)
+        nodes[f"lif{number}"] = neurons.node(len(weight))
+    nodes["readout"] = readout
+    nodes["output"] = nir.Output({"output": np.array([len(readout.weight)])})
+    graph = nir.NIRGraph(nodes, list(pairwise(nodes)))
+    return Artifact(graph, codec, chip_convention(neurons.target, neurons.dt), origin)
+
+
+def chip_convention(target: Chip, dt: float = DT) -> Convention:
+    """Return what the chip's neurons do where they have no choice; else the threshold is taken off.
+
+    Several spikes of a timestep are a convention only where the threshold is taken off for each.
+    """
+    arithmetic = target.arithmetic
+    reset: Reset = "subtract" if "subtract" in target.resets else "zero"
+    spikes: Spikes = "reached" if arithmetic.spikes_at_threshold else "above"
+    if arithmetic.spikes_max > 1 and reset == "subtract":
+        spikes = "many"
+    floor: Floor = "zero" if getattr(arithmetic, "floor", None) == 0 else "none"
+    return Convention(dt=dt, reset=reset, spikes=spikes, floor=floor, source="as trained")
+
+
+def codec_of(policy: SpikingMlpPolicy | PopsanPolicy) -> Codec:
+    """Return normaliser, encoder and decoder, as a file holds them."""
+    normalizer = policy.normalizer
+    return Codec(
+        Normaliser(array(normalizer.mean), array(normalizer.std), normalizer.clip),
+        _encoder(policy.encoder),
+        policy.timesteps,
+        "argmax" if policy.head == "discrete" else "tanh",
+    )
+
+
+def _encoder(encoder: nn.Module) -> Encoder:
+    if isinstance(encoder, TorchRateEncoder):
+        return RateEncoder(array(encoder.low), array(encoder.high), encoder.mode)
+    if isinstance(encoder, TorchPopulationEncoder):
+        return PopulationEncoder(array(encoder.mean), array(encoder.std), encoder.threshold)
+    raise ConfigError(f"{type(encoder).__name__} has no form in a file; add it to {__name__}")
+
+
+def array(tensor: Tensor) -> Array:
+    """Return a tensor in float64."""
+    numbers: Array = tensor.detach().cpu().numpy().astype(np.float64)
+    return numbers
+
+
+# -- Spiking multilayer perceptron in the integers of a chip, whose forward pass is the chip's
+#    own.
 
 _OVERLAP = 0.6  # initial width of a receptive field, over the distance to the next
 _FIELDS = 8  # of an observation, unless the chip has too few inputs

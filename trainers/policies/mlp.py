@@ -1,15 +1,115 @@
 """Float policy: a multilayer perceptron, or a linear map."""
 
-from collections.abc import Sequence
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
+from itertools import combinations_with_replacement, pairwise
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from spikedeploy.trainers.policies.features import Features
-from spikedeploy.trainers.policies.normaliser import TorchNormaliser
-from spikedeploy.trainers.policies.policy import Head, Latent, Policy, full_precision
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import known
+from spikedeploy.trainers.policies.policy import (
+    Head,
+    Latent,
+    Policy,
+    TorchNormaliser,
+    full_precision,
+)
+
+# -- Features: the inputs of a float policy, all observations or those of a control.
+
+_FEATURES = ("all", "phase", "bilinear", "fourier")
+_HARMONICS = {"bilinear": 2, "fourier": 3}
+# what the body should do is this minus what it does, or this: on the course and under commands
+_ERRORS = ("heading", "turn_error", "speed", "speed_error", "lateral", "lateral_velocity")
+
+
+class Features(nn.Module):
+    """Columns or products of the raw observation, before normalisation.
+
+    name: "all" for all observations; "phase" for sine and cosine of the gait's phase only;
+        "bilinear" for {1, sin, cos, sin 2, cos 2} of the phase times {1, commands}, "fourier" for
+        {1, sin k, cos k; k = 1, 2, 3} of the phase times {1, commands, errors, products of two
+        commands, squares of errors}, both without the constant
+    size: number of features F
+    harmonics: of the phase in the products
+    phase: columns of sine and cosine
+    command: columns of the commands; none on a task without commands
+    errors: columns of the errors of heading, turn rate, speed and side that "fourier" multiplies
+    scales: those of commands and errors
+    pairs: columns of the two factors of each product and square
+    """
+
+    def __init__(
+        self,
+        name: str,
+        observations: int,
+        phase: Sequence[int],
+        command: Sequence[int],
+        errors: Sequence[int] = (),
+    ) -> None:
+        super().__init__()
+        self.name = known(name, _FEATURES, "features")
+        self.phase, self.command = list(phase), list(command)
+        self.errors = list(errors) if name == "fourier" else []
+        if name != "all" and len(self.phase) != 2:
+            raise ConfigError(f"features '{name}' need the columns of sine and cosine of the phase")
+        self.harmonics = _HARMONICS.get(name, 1)
+        self.scales = self.command + self.errors
+        squares = [(error, error) for error in self.errors]
+        products = list(combinations_with_replacement(self.command, 2))
+        self.pairs = products + squares if name == "fourier" else []
+        waves, scales = 1 + 2 * self.harmonics, 1 + len(self.scales) + len(self.pairs)
+        self.size = {"all": observations, "phase": 2}.get(name, waves * scales - 1)
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Return (B, F)."""
+        if self.name == "all":
+            return observation
+        phase = observation[:, self.phase]
+        return phase if self.name == "phase" else self._products(phase, observation)
+
+    def _products(self, phase: Tensor, observation: Tensor) -> Tensor:
+        one = torch.ones_like(phase[:, :1])
+        waves = torch.cat([one, *_waves(phase, self.harmonics)], dim=1)
+        scales = torch.cat([one, observation[:, self.scales], *self._pairs(observation)], dim=1)
+        return (scales[:, :, None] * waves[:, None, :]).flatten(1)[:, 1:]
+
+    def _pairs(self, observation: Tensor) -> list[Tensor]:
+        return [observation[:, [one]] * observation[:, [other]] for one, other in self.pairs]
+
+    def spec(self) -> dict[str, Any]:
+        """Return the arguments that rebuild these features, for JSON."""
+        errors = {"errors": self.errors} if self.errors else {}
+        return {"name": self.name, "phase": self.phase, "command": self.command, **errors}
+
+
+def _waves(phase: Tensor, harmonics: int) -> list[Tensor]:
+    """Sine and cosine (B, 1) of the phase, of its double and so on, by angle addition."""
+    sine, cosine = phase[:, :1], phase[:, 1:]
+    # sin 2p = 2 sin p cos p ; cos 2p = cos^2 p - sin^2 p
+    waves = [sine, cosine, 2 * sine * cosine, cosine**2 - sine**2]
+    while len(waves) < 2 * harmonics:
+        # sin (k+1)p = sin kp cos p + cos kp sin p ; cos (k+1)p = cos kp cos p - sin kp sin p
+        last_sine, last_cosine = waves[-2:]
+        waves.append(last_sine * cosine + last_cosine * sine)
+        waves.append(last_cosine * cosine - last_sine * sine)
+    return waves
+
+
+def features(name: str, observations: int, columns: Mapping[str, slice] | None = None) -> Features:
+    """Return features by name; `columns` is the environment's OBSERVATION table."""
+    table = columns or {}
+
+    def of(*groups: str) -> list[int]:
+        found = [range(observations)[table[group]] for group in groups if group in table]
+        return [column for each in found for column in each]
+
+    return Features(name, observations, of("phase"), of("command"), of(*_ERRORS))
+
+
+# -- Float policy: a multilayer perceptron, or a linear map.
 
 
 class MlpPolicy(Policy):

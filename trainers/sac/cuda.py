@@ -17,11 +17,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.policies.normaliser import Moments
-from spikedeploy.trainers.policies.policy import Policy
-from spikedeploy.trainers.sac.config import SacConfig
-from spikedeploy.trainers.sac.learner import GaussianActor, SacLearner
-from spikedeploy.trainers.sac.replay import ReplayBatch, ReplayBuffer
+from spikedeploy.trainers.policies.policy import Moments, Policy
+from spikedeploy.trainers.sac.learner import (
+    GaussianActor,
+    ReplayBatch,
+    ReplayBuffer,
+    SacConfig,
+    SacLearner,
+)
 
 _LATE = 8  # steps of the environments that actions may be behind a transfer
 _EAGER = 3  # updates before the capture, in which PyTorch sets up what cannot be captured

@@ -2,19 +2,233 @@
 
 import copy
 import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
 from torch import Tensor, nn
 
-from spikedeploy.trainers.adam import adam, load, tensors, under
-from spikedeploy.trainers.critic import TwinCritic, move_towards
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.atomic import replacing
+from spikedeploy.trainers.config import (
+    Batch,
+    Kept,
+    MlpConfig,
+    Positive,
+    Ramp,
+    Rate,
+    RunConfig,
+    Share,
+    Width,
+)
+from spikedeploy.trainers.learner import (
+    TwinCritic,
+    adam,
+    adam_tensors,
+    load_adam,
+    move_towards,
+    under,
+)
 from spikedeploy.trainers.policies.neurons import excess_rate
-from spikedeploy.trainers.policies.normaliser import Moments
-from spikedeploy.trainers.policies.policy import Latent, Policy, full_precision
-from spikedeploy.trainers.sac.config import SacConfig
-from spikedeploy.trainers.sac.replay import ReplayBatch
+from spikedeploy.trainers.policies.policy import Latent, Moments, Policy, full_precision
+from spikedeploy.trainers.run_folder import of_file, write_errors
+
+# -- Configuration of soft actor-critic.
+
+
+class SacConfig(RunConfig):
+    """Soft actor-critic with a scheduled or a learned temperature (Haarnoja et al. 2018).
+
+    steps: environment steps in total; 500 episodes of 1,000
+    warm_up: steps with uniform random actions before the first update
+    update_every: environment steps per gradient update
+    temperature: weight of the entropy, along environment steps
+    learn_temperature: begin with `temperature.start` and learn it instead, so that the mean entropy
+        of the actor is minus one nat for each action (Haarnoja et al. 2018, "Algorithms and
+        Applications", section 5): it follows the size of the rewards
+    epsilon: added inside the logarithm of the tanh correction
+    averaging: weight of the newest parameters in the averaged policy, which is validated and
+        saved; 1 saves the actor's own
+    mean_penalty: weight of the squared pre-tanh mean in the actor's loss
+    smoothness: weight of the squared change of the policy's action, summed over actions, from each
+        state to the following one, in the actor's loss (Mysore et al. 2021, temporal term)
+    shaping: extra weights of reward terms by name, in training only: updates see
+        reward + sum of weight x term, so {"power": 2} counts power three times. Validation,
+        metrics and the choice of the best checkpoint stay with the environment's own reward
+    rate_penalty, rate_target: weight and threshold of the hinge on mean firing rates [spikes per
+        neuron and timestep]; no effect on an MLP
+    device: where gradients are computed; environments and validation stay on the CPU. "cuda" is
+        worth it from layers of 256 on, and does not give the same bits twice
+    support_force: fraction of the full upward force on the robot, along environment steps
+    """
+
+    steps: Positive = 500_000
+    warm_up: Positive = 10_000
+    update_every: Positive = 4
+    batch: Batch = 128
+    buffer: Kept = 1_000_000
+    critic_hidden: tuple[Width, ...] = (512, 512)
+    learning_rate: Rate = 3e-4
+    gamma: Share = 0.99
+    tau: Share = 0.005
+    temperature: Ramp = Ramp(start=0.05, end=0.02, begin=50_000, finish=180_000)
+    learn_temperature: bool = False
+    epsilon: Rate = 1e-6
+    averaging: Share = 1e-4
+    mean_penalty: float = Field(default=0.05, ge=0)
+    smoothness: float = Field(default=0.0, ge=0)
+    shaping: dict[str, float] = Field(default_factory=dict)
+    rate_penalty: float = Field(default=0.0, ge=0)
+    rate_target: Share = 0.13
+    support_force: Ramp = Ramp(start=1.0, end=0.0, finish=150_000)
+    precision: Literal["float32", "bfloat16"] = "bfloat16"
+    device: Literal["cpu", "cuda"] = "cpu"
+    log_every: Positive = 1_000
+    checkpoint_every: Positive = 25_000
+
+    @model_validator(mode="after")
+    def _begins_above_zero(self) -> "SacConfig":
+        if self.learn_temperature and self.temperature.start <= 0:
+            raise ValueError(
+                f"temperature.start: {self.temperature.start:g} cannot be learned from, as its "
+                "logarithm is: begin above 0, or set learn_temperature=false"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _computes_in_float32(self) -> "SacConfig":
+        if self.device == "cuda" and self.precision != "float32":
+            raise ValueError("device: cuda computes in float32 here: set precision=float32 as well")
+        return self
+
+    @model_validator(mode="after")
+    def _observes_everything(self) -> "SacConfig":
+        if isinstance(self.policy, MlpConfig) and self.policy.features != "all":
+            raise ValueError("sac learns from all observations: distil policies that observe less")
+        return self
+
+
+# -- Replay buffer: a preallocated ring of transitions, one row of memory for each.
+
+
+@dataclass(frozen=True)
+class ReplayBatch:
+    """Transitions drawn at random.
+
+    observation, following: (B, obs) raw, before and after the action
+    action: (B, act)
+    reward: (B,)
+    terminated: (B,) 1 at terminal states, 0 where the episode continued or was truncated
+    """
+
+    observation: Tensor
+    action: Tensor
+    reward: Tensor
+    terminated: Tensor
+    following: Tensor
+
+
+class ReplayBuffer:
+    """The last `capacity` transitions, in float32.
+
+    size: number of transitions held
+    """
+
+    def __init__(self, capacity: int, observations: int, actions: int) -> None:
+        self.widths = [observations, actions, 1, 1, observations]
+        # np.zeros takes no memory until it is written: memory grows with the transitions held
+        self.rows = np.zeros((capacity, sum(self.widths)), np.float32)
+        self.size = 0
+        self.next = 0
+
+    def add(
+        self,
+        observation: NDArray[np.float64],
+        action: NDArray[np.float64],
+        reward: NDArray[np.float64],
+        terminated: NDArray[np.bool_],
+        following: NDArray[np.float64],
+    ) -> None:
+        """Add transitions, one for each row of the arguments (B, ...)."""
+        parts = (observation, action, reward[:, None], terminated[:, None], following)
+        count, capacity = len(reward), len(self.rows)
+        places = np.arange(self.next, self.next + count) % capacity
+        self._store(places, np.concatenate(parts, axis=1))
+        self.next = (self.next + count) % capacity
+        self.size = min(self.size + count, capacity)
+
+    def _store(self, places: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
+        """Put rows (B, all numbers of a transition) in their places (B,)."""
+        self.rows[places] = rows
+
+    def sample(self, count: int, rng: np.random.Generator) -> ReplayBatch:
+        """Return transitions drawn uniformly with replacement."""
+        return self.split(torch.from_numpy(self.rows[rng.integers(self.size, size=count)]))
+
+    def split(self, rows: Tensor) -> ReplayBatch:
+        """Return the transitions of rows (B, all numbers of a transition)."""
+        observation, action, reward, terminated, following = torch.split(rows, self.widths, dim=1)
+        return ReplayBatch(observation, action, reward[:, 0], terminated[:, 0], following)
+
+    def save(self, path: Path) -> str:
+        """Write the transitions held, oldest first; return the file's checksum."""
+        start = self.next if self.size == len(self.rows) else 0
+        held = np.concatenate([self.rows[start : self.size], self.rows[:start]])
+        with write_errors(path):
+            with replacing(path) as temporary:
+                save_file({"rows": held, "next": np.array([self.next])}, temporary)
+            return of_file(path)
+
+    def load(self, path: Path) -> None:
+        """Load the transitions of a file; if there are too many, the newest."""
+        if not path.is_file():
+            raise ConfigError(
+                f"{path} is missing: resuming a run needs its replay, which a finished run no "
+                "longer has. Start a new run with more steps."
+            )
+        held, place = _read(path)
+        if held.shape[1] != self.rows.shape[1]:
+            raise ConfigError(
+                f"{path} holds transitions of {held.shape[1]} numbers, this task has "
+                f"{self.rows.shape[1]}: was it written for another environment?"
+            )
+        capacity = len(self.rows)
+        held = held[-capacity:]
+        # in a full ring each transition takes its place again, as updates draw places
+        self.next = place % capacity if len(held) == capacity else len(held) % capacity
+        first = self.next if len(held) == capacity else 0
+        self.rows[first : len(held)] = held[: len(held) - first]
+        self.rows[:first] = held[len(held) - first :]
+        self.size = len(held)
+
+
+def _read(path: Path) -> tuple[NDArray[np.float32], int]:
+    """Return the rows of a file, and the place of the next one; 0 in files of before."""
+    try:
+        arrays = load_file(path)
+        rows = arrays["rows"]
+        if rows.ndim != 2 or rows.dtype != np.float32:
+            raise ValueError(f"its rows are {rows.dtype} {rows.shape}")
+        return rows, int(arrays["next"][0]) if "next" in arrays else 0
+    except (SafetensorError, OSError, KeyError, ValueError) as error:
+        raise ConfigError(damaged(path, str(error))) from error
+
+
+def damaged(path: Path, why: str) -> str:
+    """Return what to say of a replay that is damaged."""
+    return (
+        f"{path} is damaged: {why}. The run cannot go on without it: put it back, or train again; "
+        f"its policies are whole: `spikedeploy export {path.parent}`."
+    )
+
+
+# -- The gradient updates of soft actor-critic, and the networks that it learns.
 
 _AVERAGED = 10  # at first the averaged policy spans the last 1/10 of the updates
 _LOG_STD = (-20.0, 2.0)  # limits (Haarnoja et al. 2018)
@@ -198,7 +412,7 @@ class SacLearner:
     def tensors(self) -> dict[str, Tensor]:
         """Return all tensors of a checkpoint except the policy's, by name."""
         groups = {name: module.state_dict() for name, module in self._modules().items()}
-        groups |= {name: tensors(optimizer) for name, optimizer in self._optimizers().items()}
+        groups |= {name: adam_tensors(optimizer) for name, optimizer in self._optimizers().items()}
         return {f"{name}.{key}": t for name, group in groups.items() for key, t in group.items()}
 
     def load(self, named: dict[str, Tensor]) -> None:
@@ -207,7 +421,7 @@ class SacLearner:
         for name, module in self._modules().items():
             module.load_state_dict(under(name, named))
         for name, optimizer in self._optimizers().items():
-            load(optimizer, under(name, named))
+            load_adam(optimizer, under(name, named))
 
     def _modules(self) -> dict[str, nn.Module]:
         found = {"actor": self.actor, "critic": self.critic, "target": self.target}

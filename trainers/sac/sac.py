@@ -1,25 +1,63 @@
 """Soft actor-critic (Haarnoja et al. 2018): a run of it."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.atomic import flush
-from spikedeploy.trainers.checksums import of_file
+from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.env_batch import Steps
 from spikedeploy.trainers.policies import from_config
-from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.run_folder import RunFolder, of_file, write_errors
 from spikedeploy.trainers.runner import EnvRunner
-from spikedeploy.trainers.sac.config import SacConfig
 from spikedeploy.trainers.sac.cuda import CudaLearner, CudaReplay
-from spikedeploy.trainers.sac.learner import SacLearner
-from spikedeploy.trainers.sac.replay import ReplayBuffer, damaged
-from spikedeploy.trainers.sac.shaping import check_shaping, shaped
-from spikedeploy.trainers.write_errors import said
+from spikedeploy.trainers.sac.learner import ReplayBuffer, SacConfig, SacLearner, damaged
+
+# -- Shaping: extra weights of reward terms in training, beside the reward that is reported.
+
+
+def check_shaping(weights: Mapping[str, float], env: EnvConfig) -> None:
+    """Raise ConfigError if the environment's reward lacks one of the terms."""
+    if not weights:
+        return
+    terms = _terms(env)
+    unknown = sorted(set(weights) - set(terms))
+    if unknown:
+        raise ConfigError(
+            f"shaping names {', '.join(unknown)}, which the reward of {env.name} does not have: "
+            + (f"its terms are {', '.join(terms)}" if terms else "it has no named terms")
+        )
+
+
+def shaped(weights: Mapping[str, float], steps: Steps) -> NDArray[np.float64]:
+    """Return the reward of each step (B,) with the extra weights."""
+    # r' = r + sum over terms of weight x term
+    extra = [_weighted(weights, info["reward_terms"]) for info in steps.infos] if weights else 0.0
+    return steps.reward + extra
+
+
+def _weighted(weights: Mapping[str, float], terms: Mapping[str, float]) -> float:
+    return sum(weight * terms[name] for name, weight in weights.items())
+
+
+def _terms(env: EnvConfig) -> Iterable[str]:
+    """Return the names of the reward's terms, which the info of a first step has."""
+    probe = envs.make(env.name, **env.options)
+    probe.reset(seed=0)
+    found: Mapping[str, float] = probe.step(np.zeros(probe.action_space.shape))[4].get(
+        "reward_terms", {}
+    )
+    probe.close()
+    return list(found)
+
+
+# -- Soft actor-critic (Haarnoja et al. 2018): a run of it.
 
 
 class Sac(EnvRunner[SacConfig]):
@@ -146,7 +184,7 @@ class Sac(EnvRunner[SacConfig]):
     def _take_replay(self, checksum: str | None) -> None:
         """Give the replay of the last checkpoint its name; delete it where there is none."""
         run = self._run
-        with said(run.replay):
+        with write_errors(run.replay):
             if checksum is None:
                 run.replay.unlink(missing_ok=True)
             elif run.next_replay.is_file() and of_file(run.next_replay) == checksum:

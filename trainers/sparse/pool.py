@@ -1,9 +1,9 @@
-"""Pool of whole walks, labelled by the teacher: the data of imitation through time."""
+"""Walks of teacher and students: whole episodes, several at once."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -12,11 +12,16 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 from torch import Tensor
 
+from spikedeploy import envs
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.atomic import replacing
-from spikedeploy.trainers.checksums import of_file
-from spikedeploy.trainers.write_errors import said
+from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.distill.teachers import same_teacher
+from spikedeploy.trainers.run_folder import RunFolder, of_file, write_errors
+from spikedeploy.trainers.sparse.config import SparseConfig
+
+# -- Pool of whole walks, labelled by the teacher: the data of imitation through time.
 
 Single = NDArray[np.float32]
 
@@ -206,7 +211,7 @@ def save_walks(walks: list[Walk], path: Path) -> str:
         "length": np.array([len(walk.label) for walk in walks]),
         "crashed": np.array([walk.crashed for walk in walks]),
     }
-    with said(path):
+    with write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as temporary:
             save_file(arrays, temporary)
@@ -238,3 +243,210 @@ def _check_lengths(arrays: dict[str, NDArray[Any]]) -> None:
             raise ValueError(
                 f"{name} is {array.dtype} {array.shape}, expected float32 ({lengths.sum()}, n)"
             )
+
+
+# -- The pool of a run on disk: a file of walks for each collection, checked when it is read.
+
+Sizes = tuple[int, int]  # observations and actions
+
+
+def pool_file(run: Path, number: int) -> Path:
+    """Return the path of a collection's walks, whether or not it exists."""
+    return run / "pool" / f"{number:03d}.safetensors"
+
+
+def pool_files(run: Path, count: int) -> list[Path]:
+    """Return the files of a run's first `count` collections, which it needs to be resumed."""
+    files = [pool_file(run, number) for number in range(count)]
+    if lost := [path for path in files if not path.is_file()]:
+        raise ConfigError(
+            f"{lost[0]} is missing: {run} has learned from its walks and cannot go on without "
+            "them. Put the file back, or train again."
+        )
+    return files
+
+
+def collected(files: list[Path], sums: list[str], sizes: Sizes) -> list[Walk]:
+    """Return the walks of files that have these checksums."""
+    for path, checksum in zip(files, sums, strict=True):
+        if of_file(path) != checksum:
+            raise ConfigError(
+                f"{path} is damaged: its content does not have the checksum in checkpoints/last. "
+                "Put the file back, or train again; the policies of the run are whole: "
+                f"`spikedeploy export {path.parent.parent}`."
+            )
+    return [walk for path in files for walk in _fitting(path, sizes)]
+
+
+def walks_of(config: SparseConfig, sizes: Sizes) -> list[Walk]:
+    """Return the walks of the run that the setting `pool` names."""
+    run = RunFolder.find(config.pool)
+    files = sorted((run.path / "pool").glob("*.safetensors"))
+    if not files:
+        raise ConfigError(f"{config.pool} has no pool of walks. Give a run of a sparse recipe.")
+    _check_task(config, run.settings())
+    return [walk for path in files for walk in _fitting(path, sizes)]
+
+
+def _check_task(config: SparseConfig, source: dict[str, Any]) -> None:
+    """Refuse walks of another environment, or with labels of another teacher."""
+    there, here = str(source["env"]["name"]), config.env.name
+    if envs.spec(there).id != envs.spec(here).id:
+        raise ConfigError(
+            f"pool: {config.pool} has walks in {there}, not in {here}. Give a run of its task."
+        )
+    labelled = str(source["teacher"])
+    if not same_teacher(labelled, config.teacher):
+        raise ConfigError(
+            f"pool: {config.pool} has walks labelled by the teacher {labelled}, and the teacher "
+            f"here is {config.teacher}. Give a run with this teacher, or set teacher={labelled}."
+        )
+
+
+def _fitting(path: Path, sizes: Sizes) -> list[Walk]:
+    """Return the walks of a file, with observations and labels (S, obs), (S, act), all finite."""
+    walks = load_walks(path)
+    for walk in walks:
+        found = walk.observation.shape[1], walk.label.shape[1]
+        if found != sizes:
+            raise ConfigError(
+                f"{path} has walks of {found[0]} observations and {found[1]} actions, expected "
+                f"{sizes[0]} and {sizes[1]}. Give walks of the same environment."
+            )
+        if not (np.isfinite(walk.observation).all() and np.isfinite(walk.label).all()):
+            raise ConfigError(
+                f"{path} has an observation or label that is no finite number. Put a file back "
+                "that is whole, or train again."
+            )
+    return walks
+
+
+# -- Walks of teacher and students: whole episodes, several at once.
+
+FloatArray = NDArray[np.float64]
+Label = Callable[[FloatArray], FloatArray]
+
+
+class BatchController(Protocol):
+    """A controller of B robots at once."""
+
+    def reset(self, robots: int) -> None:
+        """Start an episode of each."""
+
+    def act_batch(self, observation: FloatArray) -> NDArray[Any]:
+        """Return actions (B, act), or (B,) if discrete."""
+
+
+class Stateless:
+    """Actions that depend on the observation alone, as a BatchController."""
+
+    def __init__(self, act: Callable[[FloatArray], NDArray[Any]]) -> None:
+        self.act_batch = act
+
+    def reset(self, robots: int) -> None:
+        """Do nothing."""
+
+
+@dataclass(frozen=True)
+class Earned:
+    """What an episode of S control steps brought.
+
+    reward: (S,) float32
+    final: (obs,) observation after the last step, float32
+    terminated: whether that was a terminal state, and not the time limit
+    """
+
+    reward: Single
+    final: Single
+    terminated: bool
+
+
+class Episodes:
+    """Copies of an environment, for whole episodes of at most `limit` control steps.
+
+    earned: what the episodes of the last call of `play` brought, one for each seed
+    """
+
+    def __init__(self, config: EnvConfig, count: int, limit: int | None = None) -> None:
+        self._envs: list[Any] = [envs.make(config.name, **config.options) for _ in range(count)]
+        self._limit = limit
+        self.earned: list[Earned] = []
+
+    def play(
+        self, seeds: Sequence[int], controller: BatchController, label: Label | None = None
+    ) -> tuple[list[Walk], list[float], list[dict[str, Any]]]:
+        """Return walks (none without `label`), returns and last infos, one for each seed.
+
+        label: what to imitate in observations (B, obs): actions or logits (B, act)
+        """
+        walks: list[Walk] = []
+        returns: list[float] = []
+        infos: list[dict[str, Any]] = []
+        self.earned = []
+        for at in range(0, len(seeds), len(self._envs)):
+            batch = _Batch(self._envs, seeds[at : at + len(self._envs)])
+            walks += self._walks(batch, controller, label)
+            returns += batch.totals.tolist()
+            infos += batch.infos
+            self.earned += batch.earned()
+        return walks, returns, infos
+
+    def _walks(
+        self, batch: "_Batch", controller: BatchController, label: Label | None
+    ) -> list[Walk]:
+        """Play the episodes of a batch to their ends."""
+        seen: list[FloatArray] = []
+        labels: list[FloatArray] = []
+        controller.reset(len(batch.now))
+        while not batch.ended.all() and len(seen) != self._limit:
+            seen.append(batch.now.copy())
+            if label is not None:
+                labels.append(label(seen[-1]))
+            batch.step(controller.act_batch(seen[-1]))
+        return batch.cut(np.stack(seen, 1), np.stack(labels, 1)) if labels else []
+
+
+class _Batch:
+    """Episodes side by side; those that ended keep their places, as states belong to places.
+
+    now: (B, obs) latest observations
+    totals: (B,) returns so far
+    ended: (B,) whether each has ended
+    infos: of the last step of each
+    """
+
+    def __init__(self, copies: Sequence[Any], seeds: Sequence[int]) -> None:
+        self._envs = copies[: len(seeds)]
+        pairs = zip(self._envs, seeds, strict=True)
+        self.now: FloatArray = np.stack([env.reset(seed=int(seed))[0] for env, seed in pairs])
+        self.totals = np.zeros(len(seeds))
+        self.infos: list[dict[str, Any]] = [{} for _ in seeds]
+        self.ended = np.zeros(len(seeds), np.bool_)
+        self._crashed = np.zeros(len(seeds), np.bool_)
+        self._terminal = np.zeros(len(seeds), np.bool_)
+        self._rewards: list[list[float]] = [[] for _ in seeds]
+        self._lengths = np.zeros(len(seeds), np.int64)
+
+    def step(self, actions: NDArray[Any]) -> None:
+        """Take one step of each episode that has not ended."""
+        for k in np.flatnonzero(~self.ended).tolist():
+            self.now[k], reward, terminated, truncated, self.infos[k] = self._envs[k].step(
+                actions[k]
+            )
+            self.totals[k] += reward
+            self._rewards[k].append(reward)
+            self._terminal[k] = terminated
+            self._lengths[k] += 1
+            self.ended[k] = terminated or truncated
+            self._crashed[k] = terminated and not self.infos[k].get("success", False)
+
+    def cut(self, seen: FloatArray, labels: FloatArray) -> list[Walk]:
+        """Return each walk up to its end, from observations and labels (B, S, ...)."""
+        shown, wanted = seen.astype(np.float32), labels.astype(np.float32)
+        ends = zip(self._lengths, self._crashed, strict=True)
+        return [Walk(shown[k, :n], wanted[k, :n], bool(fell)) for k, (n, fell) in enumerate(ends)]
+
+    def earned(self) -> list[Earned]:
+        """Return what each episode brought."""
+        ends = zip(self._rewards, self.now.astype(np.float32), self._terminal, strict=True)
+        return [Earned(np.array(r, np.float32), now, bool(end)) for r, now, end in ends]

@@ -12,28 +12,111 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.checksums import of_file
 from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.env_batch import EnvBatch
+from spikedeploy.trainers.learner import adam, adam_tensors, load_adam, under
 from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, from_config
-from spikedeploy.trainers.policies.normaliser import Moments
-from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.policies.policy import Moments
+from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight
+from spikedeploy.trainers.run_folder import LEVEL, RunFolder, of_file
 from spikedeploy.trainers.runner import Runner
-from spikedeploy.trainers.sparse.collect import Episodes, Stateless
-from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.learner import SparseLearner
-from spikedeploy.trainers.sparse.on_chip import in_float, on_chip
-from spikedeploy.trainers.sparse.phases import LEVEL, phases
-from spikedeploy.trainers.sparse.pool import Walk, WalkPool, save_walks
-from spikedeploy.trainers.sparse.pool_files import collected, pool_file, pool_files, walks_of
-from spikedeploy.trainers.sparse.pruning import operations
-from spikedeploy.trainers.sparse.rounding import check_rounding, deployed, rounding_offsets
-from spikedeploy.trainers.sparse.steps import binary_columns, retuned, tuned_thresholds
-from spikedeploy.trainers.sparse.students import DeltaStudent, student
+from spikedeploy.trainers.sparse.config import SparseConfig, phases
+from spikedeploy.trainers.sparse.pool import (
+    Episodes,
+    Stateless,
+    Walk,
+    WalkPool,
+    collected,
+    pool_file,
+    pool_files,
+    save_walks,
+    walks_of,
+)
+from spikedeploy.trainers.sparse.student import (
+    DeltaStudent,
+    Student,
+    binary_columns,
+    check_rounding,
+    deployed,
+    in_float,
+    on_chip,
+    operations,
+    prune,
+    remove_neurons,
+    retuned,
+    rounding_offsets,
+    student,
+    tuned_thresholds,
+)
+
+# -- A student that learns from a pool of walks, and is pruned.
+
+_DENSE_BUDGET = 4_000.0  # operations for which the penalty is scaled while nothing is pruned
+_REMOVED = 1  # neurons at most in one pruning
+
+
+class SparseLearner:
+    """Gradient updates of a student towards its teacher, and pruning by Adam's second moments.
+
+    student: what learns
+    """
+
+    def __init__(self, config: SparseConfig, student: Student) -> None:
+        self._config = config
+        self.student = student
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin with a new optimiser."""
+        self.optimizer = adam(self.student.policy, self._config.learning_rate)
+
+    def update(self, pool: WalkPool, rng: np.random.Generator, rate: float, dense: bool) -> float:
+        """Take one gradient step, and return the error; `dense` before anything is pruned."""
+        config = self._config
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        error, hidden = self.student.loss(pool, rng)
+        budget = _DENSE_BUDGET if dense else max(config.budget, config.penalty_floor)
+        self.optimizer.zero_grad()
+        (error + config.penalty * hidden / budget).backward()  # type: ignore[no-untyped-call]
+        nn.utils.clip_grad_norm_(self.student.policy.parameters(), 1.0)
+        self.optimizer.step()
+        return float(error.detach())
+
+    def prune(self, goal: float) -> None:
+        """Take out synapses, and neurons that are not worth their updates, down to the goal."""
+        squares = self._squares()
+        if not squares:
+            return
+        for into, out in self.student.hidden_layers():
+            remove_neurons(into, out, squares, self._config.neuron_cost, _REMOVED)
+        prune(self.student.synapses(), squares, goal)
+
+    def _squares(self) -> Mapping[PrunedWeight, Tensor]:
+        """Adam's second moment of each weight; nothing before its first step."""
+        matrices = [m for m in self.student.policy.modules() if isinstance(m, PrunedWeight)]
+        state = self.optimizer.state
+        return {m: state[m.weight]["exp_avg_sq"] for m in matrices if m.weight in state}
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return all tensors of a checkpoint except the policy's, by name."""
+        state = adam_tensors(self.optimizer)
+        own = {f"student.{name}": value for name, value in self.student.tensors().items()}
+        return {**own, **{f"adam.{name}": value for name, value in state.items()}}
+
+    def load(self, named: dict[str, Tensor]) -> None:
+        """Restore the tensors of a checkpoint, the policy's under "policy." included."""
+        self.student.policy.load_state_dict(under("policy", named))
+        self.student.load(under("student", named))
+        load_adam(self.optimizer, under("adam", named))
+
+
+# -- Sparse policies: imitation of a teacher through whole walks, pruned by operations in
+#    rounds.
 
 _TRAINING_SEEDS = 5_000  # validation and evaluation are above
 _TOGETHER = 50  # copies of the environment

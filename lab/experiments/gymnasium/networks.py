@@ -13,9 +13,8 @@ from lab.experiments.pareto.networks import Done, LevelNetwork, network
 from spikedeploy import envs
 from spikedeploy.trainers.policies import Policy
 from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.sparse.collect import Stateless
-from spikedeploy.trainers.sparse.on_chip import in_float
-from spikedeploy.trainers.sparse.pool import Walk
+from spikedeploy.trainers.sparse.pool import Stateless, Walk
+from spikedeploy.trainers.sparse.student import in_float
 
 _BEST = "best"
 

@@ -9,10 +9,8 @@ from typing import Any
 from lab.experiments.pareto.training import changed, preferred
 from spikedeploy.files import read_json
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import RunConfig
-from spikedeploy.trainers.recipe import merged
-from spikedeploy.trainers.recipes import RECIPES
-from spikedeploy.trainers.resolve import parse_override, resolve
+from spikedeploy.trainers.config import RunConfig, parse_override, resolve
+from spikedeploy.trainers.recipes import RECIPES, merged
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.train import algorithm
 

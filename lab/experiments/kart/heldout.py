@@ -23,7 +23,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
-from spikedeploy.trainers.sparse.collect import BatchController, Episodes, Stateless
+from spikedeploy.trainers.sparse.pool import BatchController, Episodes, Stateless
 
 # corridors of the length that is trained on, then longer ones; every start draws another
 TRACKS = (

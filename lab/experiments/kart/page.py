@@ -30,7 +30,7 @@ from lab.experiments.trial import Trial
 from spikedeploy.files import read_json
 from spikedeploy.pages.markdown import write_beside
 from spikedeploy.reports.plots import save
-from spikedeploy.trainers.ppo.config import HOLDS
+from spikedeploy.trainers.ppo import HOLDS
 from spikedeploy.trainers.versions import began_with, own
 
 _PICTURE = "kart/finishes.png"

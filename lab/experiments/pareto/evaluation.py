@@ -18,7 +18,7 @@ from lab.experiments.stored_row import StoredRow
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
-from spikedeploy.trainers.sparse.collect import BatchController, Episodes
+from spikedeploy.trainers.sparse.pool import BatchController, Episodes
 
 Record = dict[str, Any]
 _VERSION = 1  # of what a row holds; a higher one makes all rows again

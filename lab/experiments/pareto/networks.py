@@ -24,10 +24,9 @@ from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.shipping.export_run import kind_of
 from spikedeploy.trainers.policies import Policy, PrunedMlpPolicy
-from spikedeploy.trainers.policies.pruned import PrunedWeight
+from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight
 from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.sparse.collect import BatchController, Stateless
-from spikedeploy.trainers.sparse.pool import Walk
+from spikedeploy.trainers.sparse.pool import BatchController, Stateless, Walk
 
 Done = dict[str, float | None]
 

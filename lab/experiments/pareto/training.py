@@ -10,11 +10,9 @@ from typing import Any, Protocol
 from lab.experiments.trial import exclusive, resumable
 from spikedeploy.files import read_json
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import RunConfig
-from spikedeploy.trainers.resolve import differences, resolve
-from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.phases import LEVEL, phases
+from spikedeploy.trainers.config import RunConfig, differences, resolve
+from spikedeploy.trainers.run_folder import LEVEL, RunFolder
+from spikedeploy.trainers.sparse.config import SparseConfig, phases
 
 # settings that a baseline takes from the experiment
 _OWN = ("pool", "teacher_walks", "noisy_walks")

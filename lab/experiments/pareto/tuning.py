@@ -15,11 +15,10 @@ from lab.experiments.pareto.training import (
 )
 from spikedeploy.files import read_json
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.resolve import resolve
+from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
-from spikedeploy.trainers.sparse_ppo.start import find_start
+from spikedeploy.trainers.sparse.ppo import SparsePpoConfig, find_start
 
 BEST = "best"  # the checkpoint at the budget of a training by imitation
 _OWN = ("start=", "policy.")  # settings that follow from the training before

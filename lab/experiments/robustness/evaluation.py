@@ -27,7 +27,7 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.faults import NONE, Faults, faults
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
-from spikedeploy.trainers.sparse.collect import BatchController, Episodes, Stateless
+from spikedeploy.trainers.sparse.pool import BatchController, Episodes, Stateless
 
 Record = dict[str, Any]
 _VERSION = 1  # of what a row holds; a higher one makes all rows again

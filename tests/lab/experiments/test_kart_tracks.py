@@ -31,8 +31,7 @@ def test_the_gap_follower_finishes_where_it_was_tuned_and_not_everywhere(tmp_pat
 
 
 def test_unseen_tracks_are_those_that_no_recipe_is_trained_on():
-    from spikedeploy.trainers.recipe import KART_ENVS
-    from spikedeploy.trainers.recipes import RECIPES
+    from spikedeploy.trainers.recipes import KART_ENVS, RECIPES
 
     trained = {
         recipe.settings["env"].get("options", {}).get("track", "big_S")

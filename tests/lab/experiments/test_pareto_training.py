@@ -14,7 +14,7 @@ from spikedeploy.jobs import resumable
 from spikedeploy.runtime.errors import ChipError, ConfigError
 from spikedeploy.trainers import train
 from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.sparse.phases import phases
+from spikedeploy.trainers.sparse.config import phases
 
 RECIPE = "kart-grid-sparse"
 

@@ -114,8 +114,7 @@ def test_enough_finishes_end_a_training(tmp_path):
 
 
 def test_a_run_of_an_older_recipe_is_found_out(monkeypatch, tmp_path):
-    from spikedeploy.trainers.recipe import Recipe, merged
-    from spikedeploy.trainers.recipes import RECIPES
+    from spikedeploy.trainers.recipes import RECIPES, Recipe, merged
 
     one = make(tmp_path)
     perform(**one.arguments())

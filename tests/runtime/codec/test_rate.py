@@ -6,7 +6,7 @@ from spikedeploy.runtime.codec.codec import Codec, Normaliser
 from spikedeploy.runtime.codec.rate import RateEncoder, Xorshift
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.metadata import Record
-from spikedeploy.trainers.policies.encoders import TorchRateEncoder as TorchEncoder
+from spikedeploy.trainers.policies.spiking import TorchRateEncoder as TorchEncoder
 
 
 def encoder(mode="regular", observed=1):

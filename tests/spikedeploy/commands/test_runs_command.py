@@ -11,8 +11,7 @@ from spikedeploy.reports.run_table import SORTS
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.exported_run import runnable, trained_in
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig
-from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.run_names import is_beginning, run_named
+from spikedeploy.trainers.run_folder import RunFolder, is_beginning, run_named
 from tests import toy_stroll_env
 
 

@@ -16,7 +16,7 @@ from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import SpikingMlpConfig
 from spikedeploy.trainers.policies import MlpPolicy, from_config
-from spikedeploy.trainers.ppo.config import PpoConfig
+from spikedeploy.trainers.ppo import PpoConfig
 from spikedeploy.trainers.run_folder import RunFolder
 from tests import toy_stroll_env
 from tests.toy_quadrant_env import QuadrantEnv

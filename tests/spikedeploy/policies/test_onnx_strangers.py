@@ -10,8 +10,7 @@ from onnx import TensorProto, helper, numpy_helper
 from spikedeploy import zoo
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.trainers.onnx_operators import operators
-from spikedeploy.trainers.onnx_session import session
+from spikedeploy.trainers.onnx_session import operators, session
 
 FLOAT, INT, STRING = TensorProto.FLOAT, TensorProto.INT64, TensorProto.STRING
 

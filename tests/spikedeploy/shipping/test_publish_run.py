@@ -22,11 +22,11 @@ from spikedeploy.trainers.config import (
     PrunedMlpConfig,
 )
 from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, from_config
-from spikedeploy.trainers.policies.features import Features
+from spikedeploy.trainers.policies.mlp import Features
 from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.sac.config import SacConfig
+from spikedeploy.trainers.sac.learner import SacConfig
 from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
+from spikedeploy.trainers.sparse.ppo import SparsePpoConfig
 from tests import toy_stroll_env
 
 SPIKING = PopsanConfig(hidden=(6,), populations=3)

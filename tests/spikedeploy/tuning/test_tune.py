@@ -11,7 +11,7 @@ import pytest
 from spikedeploy.jobs.resumable import JobEnd
 from spikedeploy.jobs.resumable_process import INTERRUPTED
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.resolve import parse_override
+from spikedeploy.trainers.config import parse_override
 from spikedeploy.tuning import trial, tune
 from spikedeploy.tuning.outcomes import best
 from spikedeploy.tuning.page import write_page

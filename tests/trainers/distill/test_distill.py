@@ -11,17 +11,15 @@ from spikedeploy.exporters.to_onnx import to_onnx
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.config import EnvConfig, ValidationConfig
-from spikedeploy.trainers.distill.config import DistillConfig
-from spikedeploy.trainers.distill.dagger import DaggerDataset, collect
-from spikedeploy.trainers.distill.distill import Distill, DistillLearner
-from spikedeploy.trainers.distill.teachers import (
-    Teacher,
-    of_policy,
-    same_teacher,
-    score,
-    teacher,
+from spikedeploy.trainers.config import EnvConfig, ValidationConfig, resolve
+from spikedeploy.trainers.distill.distill import (
+    DaggerDataset,
+    Distill,
+    DistillConfig,
+    DistillLearner,
+    collect,
 )
+from spikedeploy.trainers.distill.teachers import Teacher, of_policy, same_teacher, score, teacher
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import (
     MlpPolicy,
@@ -30,7 +28,6 @@ from spikedeploy.trainers.policies import (
     from_config,
 )
 from spikedeploy.trainers.recipes import RECIPES
-from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.train import train
 from tests.delta_policies import delta_policy

@@ -15,7 +15,8 @@ import torch
 
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.distill import sb3_file
+from spikedeploy.trainers.distill import sb3
+from spikedeploy.trainers.distill.sb3 import _members
 from spikedeploy.trainers.distill.teachers import teacher
 from tests.paths import ROOT
 
@@ -136,7 +137,7 @@ def test_nothing_in_a_file_is_run(tmp_path, monkeypatch):
 
 
 def test_sizes_are_bounded_before_anything_is_decompressed(tmp_path, monkeypatch):
-    monkeypatch.setattr(sb3_file, "_LARGEST", {"data": 2**20, "policy.pth": 2**20})
+    monkeypatch.setattr(sb3, "_LARGEST", {"data": 2**20, "policy.pth": 2**20})
     bomb = rewritten("ppo", tmp_path / "bomb.zip", data=b" " * 2**23)
     with pytest.raises(ConfigError, match="data has more than 1 MiB"):
         teacher(bomb, CARTPOLE)
@@ -153,10 +154,10 @@ def test_sizes_are_bounded_before_anything_is_decompressed(tmp_path, monkeypatch
 def test_a_bomb_is_refused_by_its_header_alone(tmp_path, monkeypatch):
     bomb = rewritten("ppo", tmp_path / "bomb.zip", policy_pth=bytes(2**24))
     order = dict.fromkeys(("policy.pth", "data"), 2**28)  # the bomb is looked at first
-    monkeypatch.setattr(sb3_file, "_LARGEST", order)
+    monkeypatch.setattr(sb3, "_LARGEST", order)
     monkeypatch.setattr(zipfile.ZipFile, "open", lambda *_: pytest.fail("was decompressed"))
     with pytest.raises(ConfigError, match=r"policy\.pth would unpack from [\d,]+ to 16,777,216"):
-        sb3_file._members(bomb)
+        _members(bomb)
 
 
 def test_a_bomb_among_the_weights_is_refused(tmp_path):

@@ -18,8 +18,7 @@ from spikedeploy.runtime.families.integrate_and_fire.arithmetic import axon_type
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import ChipSnnConfig
 from spikedeploy.trainers.policies import ChipSnnPolicy, build, from_config
-from spikedeploy.trainers.policies.chip_snn import _SpikesOfChip
-from spikedeploy.trainers.policies.event_kernel import _computes, recorded
+from spikedeploy.trainers.policies.chip_snn import _computes, _SpikesOfChip, recorded
 from spikedeploy.trainers.policies.neurons import surrogate
 from spikedeploy.trainers.train import train
 

@@ -5,16 +5,15 @@ import pytest
 import torch
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import DeltaSnnConfig, RunConfig
+from spikedeploy.trainers.config import DeltaSnnConfig, RunConfig, validated
 from spikedeploy.trainers.policies import DeltaSnnPolicy, build, from_config
-from spikedeploy.trainers.policies.delta_graph import (
+from spikedeploy.trainers.policies.delta import (
     channel_weights,
     delta_artifact,
     delta_codec,
     event_channels,
     live_neurons,
 )
-from spikedeploy.trainers.resolve import validated
 from tests.delta_policies import arriving, delta_policy, followed, thinned, walk
 
 SHAPES = [

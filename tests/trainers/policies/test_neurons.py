@@ -4,8 +4,14 @@ import torch
 from snntorch import surrogate as snn_surrogate
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.policies import lif_kernel, neurons
-from spikedeploy.trainers.policies.neurons import cuba_lif, integrate_and_fire, surrogate
+from spikedeploy.trainers.policies import neurons
+from spikedeploy.trainers.policies.neurons import (
+    cuba_lif,
+    gradients,
+    integrate_and_fire,
+    membranes,
+    surrogate,
+)
 
 ALPHA, BETA, THRESHOLD = 0.9, 0.8, 0.5
 
@@ -116,9 +122,9 @@ def test_compiled_loops_have_the_bits_of_the_plain_ones(alpha, dtype, monkeypatc
         return spikes.detach(), leaf.grad
 
     compiled = passes()
-    monkeypatch.setattr(lif_kernel, "_COMPILED", False)
-    monkeypatch.setattr(lif_kernel, "membranes", None)
-    monkeypatch.setattr(lif_kernel, "gradients", None)
+    monkeypatch.setattr(neurons, "_COMPILED", False)
+    monkeypatch.setattr(neurons, "membranes", None)
+    monkeypatch.setattr(neurons, "gradients", None)
     plain = passes()
     assert plain[0].sum() > 1000
     assert torch.equal(compiled[0], plain[0])
@@ -129,7 +135,7 @@ def test_gradients_do_not_depend_on_how_tensors_lie_in_memory():
     membrane, slope, upstream = torch.rand(3, 7, 4, 5, generator=torch.manual_seed(4))
     apart = [each.transpose(1, 2).contiguous().transpose(1, 2) for each in (membrane, slope)]
     expected = neurons._gradients(membrane, slope.clone(), upstream, ALPHA, BETA, THRESHOLD)
-    found = lif_kernel.gradients(*apart, upstream, ALPHA, BETA, THRESHOLD)
+    found = gradients(*apart, upstream, ALPHA, BETA, THRESHOLD)
     assert torch.equal(found, expected)
 
 
@@ -147,7 +153,7 @@ def test_infinite_gradients_are_the_same_in_both_forms(alpha):
     upstream[2:, 0, 0] = torch.inf
     arguments = upstream, alpha, BETA, THRESHOLD
     plain = neurons._gradients(membrane, slope.clone(), *arguments)
-    found = lif_kernel.gradients(membrane, slope, *arguments)
+    found = gradients(membrane, slope, *arguments)
     assert torch.equal(found.nan_to_num(), plain.nan_to_num())
     assert not plain.isfinite().all()
 
@@ -156,7 +162,7 @@ def test_nan_stays_nan_in_both_forms():
     drive = torch.randn(40, 6, 33, generator=torch.manual_seed(2))
     drive[3, 0, 0] = torch.nan
     compiled, plain = (
-        each(drive, ALPHA, BETA, THRESHOLD) for each in (lif_kernel.membranes, neurons._membranes)
+        each(drive, ALPHA, BETA, THRESHOLD) for each in (membranes, neurons._membranes)
     )
     assert torch.equal(compiled.nan_to_num(), plain.nan_to_num())
     assert torch.equal(compiled.isnan(), plain.isnan())

@@ -8,8 +8,8 @@ from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig
 from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, build, from_config
-from spikedeploy.trainers.policies.features import features
-from spikedeploy.trainers.policies.normaliser import Moments, TorchNormaliser
+from spikedeploy.trainers.policies.mlp import features
+from spikedeploy.trainers.policies.policy import Moments, TorchNormaliser
 
 SMALL = {"hidden": (16, 12), "populations": 4, "timesteps": 5}
 

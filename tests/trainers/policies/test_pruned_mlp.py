@@ -6,7 +6,7 @@ import torch
 
 from spikedeploy.trainers.config import PrunedMlpConfig
 from spikedeploy.trainers.policies import PrunedMlpPolicy, build, from_config
-from spikedeploy.trainers.policies.pruned import PrunedWeight, SynapseGroup
+from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight, SynapseGroup
 from tests.delta_policies import pruned_mlp, walk
 
 

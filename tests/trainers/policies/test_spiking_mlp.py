@@ -4,8 +4,8 @@ import torch
 from snntorch import surrogate as snn_surrogate
 
 from spikedeploy.trainers.policies import build
-from spikedeploy.trainers.policies.encoders import TorchRateEncoder
 from spikedeploy.trainers.policies.neurons import lif, surrogate
+from spikedeploy.trainers.policies.spiking import TorchRateEncoder
 
 BETA, THRESHOLD = 0.9, 0.7
 

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from spikedeploy.trainers.ppo.batch import RolloutBatch, Transition, advantages, stacked
+from spikedeploy.trainers.ppo import RolloutBatch, Transition, advantages, stacked
 
 GAMMA, TRACE = 0.9, 0.5
 

@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch.distributions import Categorical, Normal, kl_divergence
 
-from spikedeploy.trainers.ppo.learner import CategoricalHead, GaussianHead
+from spikedeploy.trainers.ppo import CategoricalHead, GaussianHead
 
 MEAN = torch.tensor([[0.3, -1.0, 2.0], [0.0, 0.0, 0.0]])
 

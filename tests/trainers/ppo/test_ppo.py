@@ -7,13 +7,10 @@ import torch
 from spikedeploy import envs
 from spikedeploy.envs.ghosts import Ghosts
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import PopsanConfig
+from spikedeploy.trainers.config import PopsanConfig, resolve
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import build, from_config
-from spikedeploy.trainers.ppo.config import PpoConfig
-from spikedeploy.trainers.ppo.learner import PpoLearner
-from spikedeploy.trainers.ppo.ppo import Ppo
-from spikedeploy.trainers.resolve import resolve
+from spikedeploy.trainers.ppo import Ppo, PpoConfig, PpoLearner
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import PointingEnv

@@ -3,10 +3,10 @@ import pytest
 import torch
 
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.policies import MlpPolicy
-from spikedeploy.trainers.resolve import resolve
-from spikedeploy.trainers.sac.config import SacConfig
 from spikedeploy.trainers.sac.cuda import CudaLearner, CudaReplay
+from spikedeploy.trainers.sac.learner import SacConfig
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 OBSERVATIONS, ACTIONS = 3, 2

@@ -3,7 +3,7 @@ import pytest
 from safetensors.numpy import save_file
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.sac.replay import ReplayBuffer
+from spikedeploy.trainers.sac.learner import ReplayBuffer
 
 
 def fill(buffer, numbers):

@@ -4,17 +4,14 @@ import torch
 
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.config import EnvConfig, resolve
 from spikedeploy.trainers.env_batch import EnvBatch
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import MlpPolicy
-from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.run_folder import load_policy
-from spikedeploy.trainers.sac.config import SacConfig
-from spikedeploy.trainers.sac.learner import GaussianActor, SacLearner
-from spikedeploy.trainers.sac.replay import ReplayBatch
+from spikedeploy.trainers.runner import Validator
+from spikedeploy.trainers.sac.learner import GaussianActor, ReplayBatch, SacConfig, SacLearner
 from spikedeploy.trainers.train import train
-from spikedeploy.trainers.validation import Validator
 from tests.toy_pointing_env import QUICK, PointingEnv
 
 

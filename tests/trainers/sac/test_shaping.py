@@ -3,12 +3,11 @@ import pytest
 
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.config import EnvConfig, differences, resolve
 from spikedeploy.trainers.env_batch import EnvBatch
 from spikedeploy.trainers.metrics import read
-from spikedeploy.trainers.resolve import differences, resolve
-from spikedeploy.trainers.sac.config import SacConfig
-from spikedeploy.trainers.sac.shaping import check_shaping, shaped
+from spikedeploy.trainers.sac.learner import SacConfig
+from spikedeploy.trainers.sac.sac import check_shaping, shaped
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import QUICK, PointingEnv
 

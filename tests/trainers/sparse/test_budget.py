@@ -1,10 +1,9 @@
 import pytest
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.resolve import resolve
-from spikedeploy.trainers.sac.config import SacConfig
-from spikedeploy.trainers.sparse.budget import with_budget
-from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.config import resolve
+from spikedeploy.trainers.sac.learner import SacConfig
+from spikedeploy.trainers.sparse.config import SparseConfig, with_budget
 from spikedeploy.trainers.train import train
 
 

@@ -3,8 +3,8 @@ import pytest
 
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.trainers.config import EnvConfig
-from spikedeploy.trainers.sparse.collect import Episodes, Stateless
-from spikedeploy.trainers.sparse.on_chip import in_float, on_chip
+from spikedeploy.trainers.sparse.pool import Episodes, Stateless
+from spikedeploy.trainers.sparse.student import in_float, on_chip
 from tests import toy_race_env, toy_stroll_env
 from tests.delta_policies import delta_policy, pruned_mlp
 

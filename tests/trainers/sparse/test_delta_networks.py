@@ -8,15 +8,17 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.trainers.policies import DeltaMlpPolicy
-from spikedeploy.trainers.policies.delta_graph import delta_artifact
+from spikedeploy.trainers.policies.delta import delta_artifact
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool
-from spikedeploy.trainers.sparse.pruning import operations
-from spikedeploy.trainers.sparse.rounding import rounding_offsets
 from spikedeploy.trainers.sparse.sparse import Sparse
-from spikedeploy.trainers.sparse.steps import tuned_thresholds
-from spikedeploy.trainers.sparse.students import student
+from spikedeploy.trainers.sparse.student import (
+    operations,
+    rounding_offsets,
+    student,
+    tuned_thresholds,
+)
 from tests import toy_stroll_env
 from tests.delta_policies import delta_mlp, followed, walk
 from tests.trainers.sparse.toy import settings

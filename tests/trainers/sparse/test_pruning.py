@@ -5,10 +5,9 @@ import torch
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.trainers.policies.delta_graph import delta_artifact, live_neurons
-from spikedeploy.trainers.policies.pruned import PrunedWeight, SynapseGroup
-from spikedeploy.trainers.sparse.pruning import operations, prune, remove_neurons
-from spikedeploy.trainers.sparse.students import DeltaStudent
+from spikedeploy.trainers.policies.delta import delta_artifact, live_neurons
+from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight, SynapseGroup
+from spikedeploy.trainers.sparse.student import DeltaStudent, operations, prune, remove_neurons
 from tests.delta_policies import delta_policy, followed, walk
 from tests.trainers.sparse.toy import settings
 

@@ -5,8 +5,8 @@ import torch
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.policies.delta_graph import delta_artifact, live_neurons
-from spikedeploy.trainers.sparse.rounding import check_rounding, deployed, rounding_offsets
+from spikedeploy.trainers.policies.delta import delta_artifact, live_neurons
+from spikedeploy.trainers.sparse.student import check_rounding, deployed, rounding_offsets
 from tests.delta_policies import delta_policy
 
 

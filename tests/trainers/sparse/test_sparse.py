@@ -11,8 +11,7 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import DeltaSnnPolicy, MlpPolicy, PrunedMlpPolicy
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
-from spikedeploy.trainers.sparse.collect import Episodes
-from spikedeploy.trainers.sparse.pool import Walk, load_walks, save_walks
+from spikedeploy.trainers.sparse.pool import Episodes, Walk, load_walks, save_walks
 from spikedeploy.trainers.sparse.sparse import Sparse
 from spikedeploy.trainers.train import train
 from tests import toy_race_env, toy_stroll_env

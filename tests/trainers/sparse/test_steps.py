@@ -2,8 +2,7 @@ import numpy as np
 import torch
 
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool
-from spikedeploy.trainers.sparse.steps import binary_columns, retuned
-from spikedeploy.trainers.sparse.students import DeltaStudent
+from spikedeploy.trainers.sparse.student import DeltaStudent, binary_columns, retuned
 from tests.delta_policies import delta_policy
 from tests.trainers.sparse.toy import settings
 
@@ -89,7 +88,7 @@ def test_a_force_that_is_nearly_always_zero_is_not_binary():
 
 
 def test_values_that_the_sample_lacks_count(monkeypatch):
-    monkeypatch.setattr("spikedeploy.trainers.sparse.steps._SAMPLE", 10)
+    monkeypatch.setattr("spikedeploy.trainers.sparse.student._SAMPLE", 10)
     seen = (np.arange(40.0) % 3 == 0)[:, None].astype(float)  # every fourth is looked at
     assert binary_columns(seen).tolist() == [True]
     seen[1] = 0.5

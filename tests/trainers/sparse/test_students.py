@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 import torch
 
-from spikedeploy.trainers.sparse.learner import SparseLearner
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool
-from spikedeploy.trainers.sparse.pruning import operations
-from spikedeploy.trainers.sparse.students import imitation, student
+from spikedeploy.trainers.sparse.sparse import SparseLearner
+from spikedeploy.trainers.sparse.student import imitation, operations, student
 from tests.delta_policies import delta_policy, followed, pruned_mlp, walk
 from tests.trainers.sparse.toy import settings
 

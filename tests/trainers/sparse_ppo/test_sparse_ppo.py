@@ -7,18 +7,21 @@ import torch
 from spikedeploy import envs
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.distill.teachers import Teacher
 from spikedeploy.trainers.metrics import read
-from spikedeploy.trainers.resolve import resolve
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
-from spikedeploy.trainers.sparse.collect import Episodes
 from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.pool import WalkPool
-from spikedeploy.trainers.sparse.rounding import rounding_offsets
-from spikedeploy.trainers.sparse_ppo.config import SparsePpoConfig
-from spikedeploy.trainers.sparse_ppo.learner import SparsePpoLearner
-from spikedeploy.trainers.sparse_ppo.start import find_start, starting_point, stored_start
-from spikedeploy.trainers.sparse_ppo.trials import tiles
+from spikedeploy.trainers.sparse.pool import Episodes, WalkPool
+from spikedeploy.trainers.sparse.ppo import (
+    SparsePpoConfig,
+    SparsePpoLearner,
+    find_start,
+    starting_point,
+    stored_start,
+    tiles,
+)
+from spikedeploy.trainers.sparse.student import rounding_offsets
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import PointingEnv
 from tests.toy_quadrant_env import QuadrantEnv
@@ -121,7 +124,7 @@ def test_hidden_neurons_can_be_left_as_they_are(start, tmp_path):
 
 
 def test_a_resumed_run_ends_as_one_that_was_not_interrupted(start, tmp_path, monkeypatch):
-    from spikedeploy.trainers.sparse_ppo.sparse_ppo import SparsePpo
+    from spikedeploy.trainers.sparse.ppo import SparsePpo
 
     overrides = [f"start={start}"]
     whole = train("smoke-sparse-tuned", overrides=overrides, runs=tmp_path, quiet=True)
@@ -143,7 +146,7 @@ def test_a_resumed_run_ends_as_one_that_was_not_interrupted(start, tmp_path, mon
 
 
 def test_a_run_is_resumed_where_it_was_moved_with_its_start(start, tmp_path, monkeypatch):
-    from spikedeploy.trainers.sparse_ppo.sparse_ppo import SparsePpo
+    from spikedeploy.trainers.sparse.ppo import SparsePpo
 
     inside = shutil.copytree(start, tmp_path / "runs" / start.name)
     with monkeypatch.context() as patch:
@@ -297,7 +300,7 @@ def test_reward_teaches_what_the_teacher_does_not_know(world, taught, tmp_path, 
     monkeypatch.setattr(envs, "make", lambda name, **options: world())
     actions = 2 if world is PointingEnv else 4
     toy = Teacher(taught, 2, actions)
-    for module in ("sparse.sparse", "sparse_ppo.sparse_ppo"):
+    for module in ("sparse.sparse", "sparse.ppo"):
         monkeypatch.setattr(f"spikedeploy.trainers.{module}.teacher", lambda *_: toy)
     # the goal of a step is drawn anew in the next: a policy that is late cannot know it
     run = train("smoke-sparse", overrides=[*TOY, *GATED], runs=tmp_path, quiet=True)

@@ -1,0 +1,620 @@
+"""The network of an event-driven policy as a NIR graph with its codec: exported, and validated.
+
+    input (M) -> fc1 -> lif1 -> fc2 -> readout -> action -> output (act)
+    input (M) ------> skip ----------> readout, or integral -> action
+
+`lif1` is a CubaLIF whose synaptic current hardly decays, `readout` and `integral` are LI, all with
+gains of 1.
+`action` adds the constant c to each readout. Channels of the encoder carry their own weights, so
+event k of a one-hot code weighs k times as much.
+
+Of a DeltaMlpPolicy the neurons are `sd1`, sigma-delta neurons (runtime.graph.neurons), and the
+readout is an I. fc2 weighs each graded spike with the threshold that it counts.
+"""
+
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import nir
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.codec.codec import Codec, Normaliser
+from spikedeploy.runtime.codec.delta import DeltaEncoder
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.graph.neurons import SigmaDelta
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.policies.neurons import surrogate
+from spikedeploy.trainers.policies.policy import Head, Latent, Policy, TorchNormaliser
+from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight
+
+# -- Event-driven spiking policy: delta code, one layer of LIF neurons, leaky integrator
+#    readout.
+#
+#     n     signed events of the observation              (runtime.codec.delta)
+#     I     = a I + W (step n)                            a just below 1: I is W times the
+# observation
+#     V     = beta V + I + b ;  s = V > 1 ;  V = (1 - s) V
+#     y     = gamma y + Wo s + Ws (step n)                the events also reach the readout directly
+#     action = tanh(y + c)
+#
+# An integrated skip has readouts of its own, which hardly decay, so that they hold what the
+# observation is and not only how it moved lately:
+#
+#     y     = gamma y + Wo s ;  z = a z + Ws (step n) ;  action = tanh(y + z + c)
+#
+# One timestep per control step; currents, membranes and readouts live on from one to the next.
+#
+# The equations are those of a gated clock. Pipelined, as on a chip whose cores all advance in each
+# timestep, everything takes one timestep to arrive: events reach currents and readouts one control
+# step late, and hidden spikes the readout one later still (runtime.convention.Clock):
+#
+#     I[t] = a I[t-1] + W (step n[t-1]) ;  y[t] = gamma y[t-1] + Wo s[t-1] + Ws (step n[t-1])
+
+# Loihi's slowest decay: what lava and nengo-loihi make of a decay register of 0
+CURRENT_DECAY = 4095 / 4096
+_THRESHOLD = 1.0
+_BETA, _GAMMA = 0.6, 0.5  # initial decay factors of membranes and readouts
+
+
+@dataclass
+class DeltaState:
+    """State of a batch of robots between two control steps.
+
+    level: (B, obs) events sent so far, with their signs
+    current: (B, H) of the hidden neurons
+    membrane: (B, H)
+    readout: (B, act)
+    integral: (B, act) of an integrated skip
+    moved: (B, obs) step times events that arrive in the next control step, where pipelined
+    spikes: (B, H) likewise of the hidden neurons
+    """
+
+    level: Tensor
+    current: Tensor
+    membrane: Tensor
+    readout: Tensor
+    integral: Tensor
+    moved: Tensor
+    spikes: Tensor
+
+
+class DeltaSnnPolicy(Policy):
+    """Signed events into a small layer of LIF neurons and, past it, into the readout.
+
+    hidden: neurons H of the layer; 0 leaves the readout alone: a delta-coded linear policy, whose
+        readout decays as slowly as the currents do
+    skip: whether events also reach the readout directly
+    integrated: whether they do so through readouts that hardly decay
+    most, code, events_above: of the encoder, see runtime.codec.delta.DeltaEncoder
+    clock: "pipelined", or "gated" for software and hardware that can update layer after layer
+    step: (obs,) distance that one event stands for [normalised observation]
+    threshold: (H,) membrane above which a neuron spikes: 1, or the chip's nearest to it
+    into, out, past: synapses onto the hidden neurons, from them, and past them
+    """
+
+    kind = "delta-snn"
+    timesteps = 1
+    step: Tensor
+    threshold: Tensor
+
+    def __init__(
+        self,
+        observations: int,
+        actions: int,
+        hidden: int = 8,
+        skip: bool = True,
+        most: int = 3,
+        code: Literal["unary", "one-hot"] = "one-hot",
+        events_above: int = 154,
+        step: float = 0.5,
+        current_decay: float = CURRENT_DECAY,
+        surrogate_width: float = 2.0,
+        clip: float = 4.0,
+        head: Head = "continuous",
+        integrated: bool = False,
+        clock: Literal["gated", "pipelined"] = "pipelined",
+    ) -> None:
+        super().__init__()
+        self.clock = clock
+        self.observations, self.actions, self.hidden = observations, actions, hidden
+        self.integrated = integrated and skip and hidden > 0
+        self.skip, self.most, self.code = skip or not hidden, most, code
+        self.events_above, self.head = events_above, head
+        self.current_decay, self.surrogate_width = current_decay, surrogate_width
+        self.latent_size = hidden
+        self.normalizer = TorchNormaliser(observations, clip)
+        self.register_buffer("step", torch.full((observations,), step))
+        self.register_buffer("threshold", torch.full((hidden,), _THRESHOLD))
+        spread = 0.6 * (2 / observations) ** 0.5
+        self.into = PrunedWeight(torch.randn(hidden, observations) * spread)
+        self.bias = nn.Parameter(torch.full((hidden,), 0.2))
+        self.out = PrunedWeight(torch.randn(actions, hidden) * 0.75 / max(hidden, 1) ** 0.5)
+        past = torch.zeros(actions, observations if self.skip else 0)
+        self.past = PrunedWeight(past)
+        self.action_bias = nn.Parameter(torch.zeros(actions))
+        self._beta = nn.Parameter(torch.full((hidden,), _logit(_BETA)))
+        self._gamma = nn.Parameter(torch.full((actions,), _logit(_GAMMA)))
+        self._gradient = surrogate("atan", surrogate_width)
+
+    @property
+    def beta(self) -> Tensor:
+        """Decay factor of each hidden neuron's membrane (H,)."""
+        return torch.sigmoid(self._beta)
+
+    def set_decays(self, beta: Tensor, gamma: Tensor) -> None:
+        """Set the decay factors (H,) and (act,); those that are not trained stay as they are."""
+        self._beta.data = torch.logit(beta)
+        self._gamma.data = torch.logit(gamma) if self.hidden else self._gamma.data
+
+    @property
+    def gamma(self) -> Tensor:
+        """Decay factor of each readout (act,)."""
+        if not self.hidden:
+            return torch.full_like(self._gamma, self.current_decay)
+        return torch.sigmoid(self._gamma)
+
+    def events(self, observation: Tensor, level: Tensor) -> Tensor:
+        """Return the signed numbers of events (B, obs) of raw observations at these levels."""
+        # X = rint(256 x / step) ; e = X - 256 q ; n = sign(e) min((|e| + 128) >> 8, K)
+        parts = torch.round(256 * (self.normalizer(observation) / self.step))
+        apart = parts.clamp(-(2**30), 2**30) - 256 * level
+        far = apart.abs()
+        events: Tensor = torch.floor((far + 128) / 256).clamp(max=self.most) * apart.sign()
+        return torch.where(far > self.events_above, events, torch.zeros_like(events))
+
+    @property
+    def delay(self) -> int:
+        """Control steps from an event, or a hidden spike, to where it acts."""
+        return int(self.clock == "pipelined")
+
+    def rest(self, robots: int) -> DeltaState:
+        """Return the state at the beginning of an episode."""
+        zeros = self.action_bias.new_zeros
+        seen, hidden = zeros(robots, self.observations), zeros(robots, self.hidden)
+        actions = zeros(robots, self.actions)
+        return DeltaState(seen, hidden, hidden, actions, actions, seen, hidden)
+
+    def advance(self, observation: Tensor, state: DeltaState) -> tuple[Tensor, Tensor, Tensor]:
+        """Take one control step: return mean (B, act), events (B, obs) and hidden spikes (B, H).
+
+        `state` is moved on.
+        """
+        events = self.events(observation, state.level)
+        state.level = state.level + events
+        moved = self._arriving(events * self.step, state)
+        state.current = self.current_decay * state.current + moved @ self.into().T
+        membrane = self.beta * state.membrane + state.current + self.bias
+        spikes = (membrane > self.threshold).to(membrane.dtype)
+        state.membrane = membrane * (1 - spikes)
+        drive: Tensor = self._delivered(spikes, state) @ self.out().T
+        past = moved @ self.past().T if self.skip else 0.0
+        if self.integrated:
+            state.integral = self.current_decay * state.integral + past
+        else:
+            drive = drive + past
+        state.readout = self.gamma * state.readout + drive
+        return state.readout + state.integral + self.action_bias, events, spikes
+
+    def _arriving(self, moved: Tensor, state: DeltaState) -> Tensor:
+        """Return what arrives (B, obs) in a control step that sends `moved`."""
+        if not self.delay:
+            return moved
+        arriving, state.moved = state.moved, moved
+        return arriving
+
+    def _delivered(self, spikes: Tensor, state: DeltaState) -> Tensor:
+        """Return the spikes (B, H) that reach the readout when these are emitted."""
+        if not self.delay:
+            return spikes
+        delivered, state.spikes = state.spikes, spikes
+        return delivered
+
+    def unrolled(
+        self, seen: Tensor, moved: Tensor, weights: "DeltaWeights", burn_in: int, begins: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return means (B, L, act) and spikes (B, L, H) of windows of walks, from rest.
+
+        seen: (B, L, obs) what the currents hold of the observation: the decayed sum of `moved`
+        moved: (B, L, obs) step times the events that arrive, `delay` after they were sent
+        weights: as `weights` returned them
+        burn_in: control steps without gradient at the beginning, which bring the states up
+        begins: (B,) whether an episode begins behind the burn-in: then states are at rest there
+        """
+        if not self.hidden:  # the readouts hold what currents would hold
+            mean = seen @ weights.past.T + self.action_bias
+            return mean, mean.new_zeros(*mean.shape[:2], 0)
+        hidden, actions = (seen.new_zeros(len(seen), n) for n in (self.hidden, self.actions))
+        states: tuple[Tensor, ...] = hidden, actions, hidden
+        before: list[Tensor] = []
+        if burn_in:  # a window without gradient brings the states up
+            runs_on = 1 - begins[:, None].to(seen.dtype)
+            with torch.no_grad():
+                first = seen[:, :burn_in], moved[:, :burn_in]
+                states, *before = self._window(*first, weights, states)
+                states = tuple(state * runs_on for state in states)
+        _, *after = self._window(seen[:, burn_in:], moved[:, burn_in:], weights, states)
+        parts = zip(before, after, strict=True) if burn_in else ([each] for each in after)
+        mean, spikes = (torch.cat(list(part), 1) for part in parts)
+        # the integrals hold what currents would hold
+        return mean + seen @ weights.past.T if self.integrated else mean, spikes
+
+    def _window(
+        self, seen: Tensor, moved: Tensor, weights: "DeltaWeights", states: tuple[Tensor, ...]
+    ) -> tuple[tuple[Tensor, ...], Tensor, Tensor]:
+        """Return states behind a window, and its means (B, L, act) and spikes (B, L, H).
+
+        states: membranes (B, H), readouts (B, act) and spikes (B, H) of the control step before
+        """
+        membrane, readout, emitted = states
+        raster = [emitted]
+        for drive in (seen @ weights.into.T + weights.bias).unbind(1):
+            membrane = weights.beta * membrane + drive
+            spikes = _Spike.apply(membrane - weights.threshold, self._gradient)  # type: ignore[no-untyped-call]
+            # no gradient through the reset
+            membrane = membrane * (1 - spikes.detach())
+            raster.append(spikes)
+        emitted, *spiked = raster
+        arriving = torch.stack(raster[:-1] if self.delay else spiked, 1)
+        onto = arriving @ weights.out.T
+        if self.skip and not self.integrated:
+            onto = onto + moved @ weights.past.T
+        means = []
+        for drive in onto.unbind(1):
+            readout = weights.gamma * readout + drive
+            means.append(readout + self.action_bias)
+        after = membrane, readout, raster[-1]
+        return after, torch.stack(means, 1), torch.stack(spiked, 1)
+
+    def weights(self) -> "DeltaWeights":
+        """Return what `unrolled` computes with, masks and decay factors applied."""
+        matrices = self.into(), self.out(), self.past()
+        return DeltaWeights(*matrices, self.beta, self.gamma, self.bias, self.threshold)
+
+    def latent(self, observation: Tensor) -> Latent:
+        """Return the output of the first control step of an episode."""
+        mean, _, spikes = self.advance(observation, self.rest(len(observation)))
+        return Latent(mean, spikes, (spikes.mean(),))
+
+    def spec(self) -> dict[str, Any]:
+        """Return the arguments from which `build` makes an equal policy, for JSON."""
+        return {
+            "kind": self.kind,
+            "observations": self.observations,
+            "actions": self.actions,
+            "hidden": self.hidden,
+            "skip": self.skip,
+            "integrated": self.integrated,
+            "most": self.most,
+            "code": self.code,
+            "events_above": self.events_above,
+            "current_decay": self.current_decay,
+            "surrogate_width": self.surrogate_width,
+            "clip": self.normalizer.clip,
+            "head": self.head,
+            "clock": self.clock,
+        }
+
+
+@dataclass(frozen=True)
+class DeltaWeights:
+    """Weights, decay factors, biases and thresholds of a DeltaSnnPolicy, masks applied.
+
+    into: (H, obs)
+    out: (act, H)
+    past: (act, obs)
+    beta: (H,)
+    gamma: (act,)
+    bias: (H,)
+    threshold: (H,)
+    """
+
+    into: Tensor
+    out: Tensor
+    past: Tensor
+    beta: Tensor
+    gamma: Tensor
+    bias: Tensor
+    threshold: Tensor
+
+
+class _Spike(torch.autograd.Function):
+    """1 above 0, with a surrogate derivative."""
+
+    @staticmethod
+    def forward(ctx: Any, excess: Tensor, gradient: Any) -> Tensor:  # noqa: ANN401
+        ctx.save_for_backward(excess)
+        ctx.gradient = gradient
+        return (excess > 0).to(excess.dtype)
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:  # noqa: ANN401
+        (excess,) = ctx.saved_tensors
+        return upstream * ctx.gradient(excess), None
+
+
+def _logit(share: float) -> float:
+    return float(torch.logit(torch.tensor(share)))
+
+
+# -- Delta network: delta code, a layer of sigma-delta ReLU neurons, integrating readout.
+#
+#     n     signed events of the observation              (runtime.codec.delta)
+#     sigma = sigma + W (step n)                          W times the levels of the code
+#     a     = max(sigma + b, 0)
+#     e     = a / threshold - q ;  k = sign(e) floor(|e| + 1/2) where |e| >= 1 ;  q = q + k
+#     y     = y + Wo (threshold k) + Ws (step n)          an MLP of rounded numbers
+#     action = tanh(y + c)
+#
+# One timestep per control step. What is sent are changes alone, so that numbers which stay cost
+# nothing (O'Connor and Welling 2017; runtime.graph.neurons). It is a baseline for the spiking
+# policies: the same code, and a float network's activations.
+
+
+class DeltaMlpPolicy(DeltaSnnPolicy):
+    """Signed events into a layer of sigma-delta neurons and, past it, into the readout.
+
+    In its DeltaState `current` is sigma, and `membrane` q. Nothing decays.
+
+    hidden, skip, most, code, events_above: as in DeltaSnnPolicy
+    share: thresholds are to be so many standard deviations of their neuron's activation
+    threshold: (H,) distance that a graded spike of 1 stands for
+    """
+
+    kind = "delta-mlp"
+
+    def __init__(
+        self,
+        observations: int,
+        actions: int,
+        hidden: int = 16,
+        skip: bool = True,
+        most: int = 3,
+        code: Literal["unary", "one-hot"] = "one-hot",
+        events_above: int = 154,
+        threshold: float = 0.5,
+        clip: float = 4.0,
+        head: Head = "continuous",
+        clock: Literal["gated", "pipelined"] = "pipelined",
+    ) -> None:
+        super().__init__(
+            observations, actions, hidden, skip, most, code, events_above,
+            current_decay=1.0, clip=clip, head=head, clock=clock,
+        )  # fmt: skip
+        del self._beta, self._gamma
+        self.share = threshold
+        self.threshold.fill_(threshold)
+
+    @property
+    def beta(self) -> Tensor:
+        """Decay factor of each sigma (H,): 1."""
+        return torch.ones_like(self.bias)
+
+    @property
+    def gamma(self) -> Tensor:
+        """Decay factor of each readout (act,): 1."""
+        return torch.ones_like(self.action_bias)
+
+    def advance(self, observation: Tensor, state: DeltaState) -> tuple[Tensor, Tensor, Tensor]:
+        """Take one control step: return mean (B, act), events (B, obs) and graded spikes (B, H).
+
+        `state` is moved on.
+        """
+        events = self.events(observation, state.level)
+        state.level = state.level + events
+        moved = self._arriving(events * self.step, state)
+        state.current = state.current + moved @ self.into().T
+        graded = self._graded(torch.relu(state.current + self.bias), state.membrane)
+        state.membrane = state.membrane + graded
+        delivered = self._delivered(graded, state)
+        state.readout = state.readout + (delivered * self.threshold) @ self.out().T
+        if self.skip:
+            state.readout = state.readout + moved @ self.past().T
+        return state.readout + self.action_bias, events, graded
+
+    def _graded(self, activation: Tensor, sent: Tensor) -> Tensor:
+        """Return the graded spikes (B, H) of activations when so much was sent [thresholds]."""
+        apart = activation / self.threshold - sent
+        far = apart.abs()
+        graded = torch.floor(far + 0.5) * apart.sign()
+        return torch.where(far >= 1, graded, torch.zeros_like(graded))
+
+    def unrolled(
+        self, seen: Tensor, moved: Tensor, weights: DeltaWeights, burn_in: int, begins: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return means (B, L, act) and messages (B, L, H), 0 or 1, of windows of walks.
+
+        Rounding passes gradients on as they are; those of a message are of |change| / threshold,
+        the number of messages that would be sent without a dead zone. Arguments as in
+        DeltaSnnPolicy; before a window as much was sent as its first activation is, rounded.
+        """
+        mean = seen @ weights.past.T if self.skip else seen.new_zeros(*seen.shape[:2], self.actions)
+        if not self.hidden:
+            return mean + self.action_bias, seen.new_zeros(*seen.shape[:2], 0)
+        activation = torch.relu(seen @ weights.into.T + weights.bias)
+        level, sent = self._sent(activation.detach(), burn_in, begins)
+        held = level * self.threshold + (activation - activation.detach())
+        if self.delay:  # the readout holds what had been sent a control step before
+            first = torch.arange(seen.shape[1]) == burn_in
+            rests = (begins[:, None] & first)[:, :, None]
+            held = torch.cat([held[:, :1], held[:, :-1]], 1).masked_fill(rests, 0.0)
+        change = torch.diff(activation, dim=1, prepend=activation[:, :1]).abs() / self.threshold
+        messages = sent + (change - change.detach())
+        return mean + held @ weights.out.T + self.action_bias, messages
+
+    @torch.no_grad()
+    def _sent(self, activation: Tensor, burn_in: int, begins: Tensor) -> tuple[Tensor, Tensor]:
+        """Return what was sent so far [thresholds], and whether something is, each (B, L, H)."""
+        sent = torch.floor(activation[:, 0] / self.threshold + 0.5)
+        runs_on = 1 - begins[:, None].to(activation.dtype)
+        levels, messages = [], []
+        for t in range(activation.shape[1]):
+            if t == burn_in:
+                sent = sent * runs_on
+            graded = self._graded(activation[:, t], sent)
+            sent = sent + graded
+            levels.append(sent)
+            messages.append((graded != 0).to(activation.dtype))
+        return torch.stack(levels, 1), torch.stack(messages, 1)
+
+    def latent(self, observation: Tensor) -> Latent:
+        """Return the output of the first control step of an episode."""
+        mean, _, graded = self.advance(observation, self.rest(len(observation)))
+        return Latent(mean, graded * self.threshold, ((graded != 0).to(mean.dtype).mean(),))
+
+    def spec(self) -> dict[str, Any]:
+        """Return the arguments from which `build` makes an equal policy, for JSON."""
+        settings = super().spec()
+        del settings["current_decay"], settings["surrogate_width"], settings["integrated"]
+        return {**settings, "threshold": self.share}
+
+
+# -- The network of an event-driven policy as a NIR graph with its codec: exported, and
+#    validated.
+
+_DT = 1e-3  # [s] one timestep; the policy has no unit of time, and chips run near this value
+
+Array = NDArray[np.float64]
+
+
+def delta_artifact(
+    policy: DeltaSnnPolicy, origin: Provenance | None = None, dt: float = _DT
+) -> Artifact:
+    """Return the policy as an artifact, every number in float64; its states are kept.
+
+    Hidden neurons without synapses on one of their sides are left out.
+    """
+    precise = deepcopy(policy).double()
+    convention = Convention(dt=dt, source="as trained", state="kept", clock=policy.clock)
+    graph = _graph(precise, dt)
+    graded = _sigma_delta(precise) if "sd1" in graph.nodes else {}
+    return Artifact(graph, delta_codec(precise), convention, origin, graded)
+
+
+def delta_codec(policy: DeltaSnnPolicy) -> Codec:
+    """Return normaliser, encoder and decoder, as a file holds them."""
+    normalizer = policy.normalizer
+    return Codec(
+        Normaliser(_array(normalizer.mean), _array(normalizer.std), normalizer.clip),
+        delta_encoder(policy),
+        policy.timesteps,
+        "argmax" if policy.head == "discrete" else "tanh",
+    )
+
+
+def delta_encoder(policy: DeltaSnnPolicy) -> DeltaEncoder:
+    """Return the encoder; observations that no synapse reads send nothing."""
+    step = np.where(_used(policy).numpy(), _array(policy.step), np.inf)
+    return DeltaEncoder(step, policy.most, policy.code, policy.events_above)
+
+
+def live_neurons(policy: DeltaSnnPolicy) -> Tensor:
+    """Return which hidden neurons (H,) have synapses on both sides: others change no action."""
+    # a neuron without input may still spike by its bias, as a clock of its own
+    active = policy.into.mask.any(1) | (policy.bias.detach() > 0)
+    return active & policy.out.mask.any(0)
+
+
+def channel_weights(policy: DeltaSnnPolicy, weight: Array) -> Array:
+    """Return weights (N, M) of the encoder's channels, from those of the observation (N, obs)."""
+    k = np.arange(1, policy.most + 1)
+    each = k if policy.code == "one-hot" else np.ones_like(k)
+    signed = np.concatenate([each, -each])  # the K channels of rising values, then of falling ones
+    moved: Array = weight * _array(policy.step)
+    return np.reshape(moved[:, :, None] * signed, (len(weight), -1))
+
+
+def event_channels(policy: DeltaSnnPolicy, events: Array) -> NDArray[np.uint8]:
+    """Return input spikes (S, M) of signed events (S, obs), those that some synapse reads."""
+    k = np.arange(1, policy.most + 1)
+    sign = np.array([[1], [-1]])
+    signed = np.where(_used(policy).numpy(), events, 0)[:, :, None, None] * sign
+    spikes = signed == k if policy.code == "one-hot" else signed >= k
+    return np.reshape(spikes, (len(events), -1)).astype(np.uint8)
+
+
+def _used(policy: DeltaSnnPolicy) -> Tensor:
+    """Return which observations (obs,) some synapse reads."""
+    used = policy.into.mask[live_neurons(policy)].any(0)
+    return used | policy.past.mask.any(0) if policy.skip else used
+
+
+def _graph(policy: DeltaSnnPolicy, dt: float) -> nir.NIRGraph:
+    width = 2 * policy.most * policy.observations
+    nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([width])})}
+    edges: list[tuple[str, str]] = []
+    live = live_neurons(policy)
+    if bool(live.any()):
+        into = channel_weights(policy, _array(policy.into()[live]))
+        name = hidden_node(policy)
+        nodes["fc1"] = nir.Linear(into)
+        nodes[name] = _neurons(policy, live, dt)
+        nodes["fc2"] = nir.Linear(_array((policy.out() * _spike(policy))[:, live]))
+        edges += [("input", "fc1"), ("fc1", name), (name, "fc2"), ("fc2", "readout")]
+    integral = np.full(policy.actions, policy.current_decay)
+    past = policy.past() if policy.skip else policy.step.new_zeros(policy.actions, len(policy.step))
+    if not edges or bool(past.any()):  # the input is read, if only with weights of 0
+        nodes["skip"] = nir.Linear(channel_weights(policy, _array(past)))
+        edges.append(("input", "skip"))
+        if policy.integrated and "lif1" in nodes:
+            nodes["integral"] = _readout(policy, integral, dt)
+            edges += [("skip", "integral"), ("integral", "action")]
+        else:
+            edges.append(("skip", "readout"))
+    alone = policy.integrated and "lif1" not in nodes  # the readout is then the integral
+    nodes["readout"] = _readout(policy, integral if alone else _array(policy.gamma), dt)
+    nodes["action"] = nir.Affine(np.eye(policy.actions), _array(policy.action_bias))
+    nodes["output"] = nir.Output({"output": np.array([policy.actions])})
+    edges += [("readout", "action"), ("action", "output")]
+    return nir.NIRGraph(nodes, edges)
+
+
+def hidden_node(policy: DeltaSnnPolicy) -> str:
+    """Return the name of the hidden neurons' node."""
+    return "sd1" if isinstance(policy, DeltaMlpPolicy) else "lif1"
+
+
+def _spike(policy: DeltaSnnPolicy) -> Tensor:
+    """Return what a spike of each hidden neuron (H,) stands for."""
+    if isinstance(policy, DeltaMlpPolicy):
+        return policy.threshold
+    return torch.ones_like(policy.bias)
+
+
+def _sigma_delta(policy: DeltaSnnPolicy) -> dict[str, SigmaDelta]:
+    live = live_neurons(policy)
+    return {"sd1": SigmaDelta(_array(_spike(policy)[live]), _array(policy.bias[live]))}
+
+
+def _neurons(policy: DeltaSnnPolicy, live: Tensor, dt: float) -> nir.CubaLIF | nir.I:
+    """Return the hidden neurons; the bias of LIF neurons is their resting membrane."""
+    if isinstance(policy, DeltaMlpPolicy):
+        return nir.I(np.full(int(live.sum()), 1 / dt))
+    beta, bias = _array(policy.beta[live]), _array(policy.bias[live])
+    # tau = dt / (1 - decay) ; gains of 1 ; V = beta V + I + (1 - beta) v_leak
+    tau_mem, tau_syn = dt / (1 - beta), np.full(beta.size, dt / (1 - policy.current_decay))
+    return nir.CubaLIF(
+        tau_syn=tau_syn,
+        tau_mem=tau_mem,
+        r=tau_mem / dt,
+        v_leak=bias / (1 - beta),
+        v_reset=np.zeros(beta.size),
+        v_threshold=_array(policy.threshold[live]),
+        w_in=tau_syn / dt,
+    )
+
+
+def _readout(policy: DeltaSnnPolicy, decay: Array, dt: float) -> nir.LI | nir.I:
+    if isinstance(policy, DeltaMlpPolicy):
+        return nir.I(np.full(policy.actions, 1 / dt))
+    tau = dt / (1 - decay)
+    return nir.LI(tau=tau, r=tau / dt, v_leak=np.zeros(tau.size))
+
+
+def _array(tensor: Tensor) -> Array:
+    array: Array = tensor.detach().cpu().numpy().astype(np.float64)
+    return array
