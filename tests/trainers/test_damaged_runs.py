@@ -6,11 +6,11 @@ import os
 import signal
 
 import pytest
+import safetensors.torch
 from safetensors import SafetensorError
 
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers import run_folder
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.run_folder import RunFolder, load_policy, locked
 from spikedeploy.trainers.train import train
@@ -151,7 +151,7 @@ full = OSError(errno.ENOSPC, "No space left on device")
 def test_a_full_disk_is_a_sentence_and_the_checkpoint_before_is_whole(
     error, world, tmp_path, monkeypatch
 ):
-    saved, save = [], run_folder.save_file
+    saved, save = [], safetensors.torch.save_file
 
     def failing(tensors, path, **named):
         save(tensors, path, **named)
@@ -160,7 +160,7 @@ def test_a_full_disk_is_a_sentence_and_the_checkpoint_before_is_whole(
             raise error
 
     with monkeypatch.context() as patch:
-        patch.setattr(run_folder, "save_file", failing)
+        patch.setattr(safetensors.torch, "save_file", failing)
         with pytest.raises(ConfigError, match=r"could not be written: .*No space left on device"):
             train("smoke", overrides=SAC, runs=tmp_path, quiet=True)
     (run,) = tmp_path.iterdir()
