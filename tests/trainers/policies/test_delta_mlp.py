@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from spikedeploy.exporters.from_nir import from_nir
+from lab.bench.from_nir import from_nir
 from spikedeploy.exporters.parity import check
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.runtime.artifact.artifact import load
