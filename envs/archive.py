@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from spikedeploy.envs.errors import EnvError
+from spikedeploy.files import replacing
 
 # bytes that an archive may unpack to for each of its own, and besides those
 _MAX_EXPANSION = 100
@@ -19,19 +20,8 @@ _FREE_BYTES = 64 << 20
 
 def write(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
     """Write the arrays atomically."""
-    target = Path(os.path.realpath(path))
-    if target.exists() and not target.is_file():
-        raise EnvError(f"{path} is no plain file, and is not replaced")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    partial = target.with_name(f".{target.name}.{os.getpid()}")
-    try:
-        with partial.open("wb") as file:
-            np.savez_compressed(file, **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, target)
-    finally:
-        partial.unlink(missing_ok=True)
+    with replacing(Path(path)) as part, part.open("wb") as file:
+        np.savez_compressed(file, **arrays)
 
 
 def _check_size(path: str | os.PathLike[str], what: str) -> None:

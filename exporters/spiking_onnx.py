@@ -23,6 +23,7 @@ from onnx import helper, numpy_helper
 
 from spikedeploy.exporters.c.plan import Plan
 from spikedeploy.exporters.check import LargestDifference, ParityCheck
+from spikedeploy.files import replacing
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Layer
@@ -34,7 +35,6 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.atomic import replacing
 from spikedeploy.trainers.onnx_session import session
 
 _OPSET = 17

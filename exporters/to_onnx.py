@@ -20,9 +20,9 @@ from torch import Tensor
 
 from spikedeploy.exporters.spiking_onnx import OBSERVATION, OUTPUTS, OnnxGraph, spiking_to_onnx
 from spikedeploy.exporters.to_nir import artifact
+from spikedeploy.files import replacing
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.atomic import replacing
 from spikedeploy.trainers.policies import MlpPolicy, Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.mlp import Features
 

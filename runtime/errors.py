@@ -1,11 +1,17 @@
-"""Errors that a user can act on; each message names what, what was found, the limit, the remedy.
+"""Errors of networks, chips and files, beside those of every package in spikedeploy.errors."""
 
-The command line prints them without a traceback and exits with 1. Any other exception is a bug.
-"""
+from spikedeploy.errors import ConfigError, SpikedeployError
 
-
-class SpikedeployError(Exception):
-    """Any error that a user can act on."""
+__all__ = [
+    "ArtifactError",
+    "ChipError",
+    "ConfigError",
+    "ConventionError",
+    "ObservationError",
+    "RuleError",
+    "SpikedeployError",
+    "TraceError",
+]
 
 
 class ArtifactError(SpikedeployError):
@@ -26,10 +32,6 @@ class RuleError(SpikedeployError):
 
 class ObservationError(SpikedeployError):
     """An observation or raster of the wrong shape, or with NaN or infinity in it."""
-
-
-class ConfigError(SpikedeployError):
-    """A configuration, option or name that does not exist."""
 
 
 class TraceError(SpikedeployError):

@@ -1,31 +1,49 @@
-"""Files written atomically: under a temporary name, then renamed."""
+"""Files that are complete or do not exist: atomic writes, JSON, locks; for every package."""
 
+import errno
 import json
 import math
+import os
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers import atomic
-
-
-def check_folder(option: str, path: Path) -> None:
-    """Refuse a folder to write to that is a file, or would be inside one."""
-    for part in (path, *path.parents):
-        if part.exists():
-            if not part.is_dir():
-                raise ConfigError(f"{option} {path}: {part} is a file. Name a folder.")
-            return
+from spikedeploy.errors import ConfigError
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path, renamed to `path` when the block succeeds; its folder is created."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic.replacing(path) as part:
-        yield part
+    """Yield a temporary path beside `path`, which replaces it at the end of the block.
+
+    Its folder is created. A link is followed, and stays. What is no plain file is refused: a device
+    would be replaced.
+    """
+    target = Path(os.path.realpath(path))
+    if target.exists() and not target.is_file():
+        raise FileExistsError(errno.EEXIST, "is no plain file, and is not replaced", str(path))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        yield temporary
+        flush(temporary)
+        os.replace(temporary, target)
+        flush(target.parent)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def flush(path: Path) -> None:
+    """Put a file, or the names in a folder, onto the disk, so that a power cut leaves them."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:  # some file systems have no fsync of folders
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
+    finally:
+        os.close(handle)
 
 
 def write_text(path: Path, text: str) -> Path:
@@ -35,15 +53,9 @@ def write_text(path: Path, text: str) -> Path:
     return path
 
 
-def read_json(path: Path, remedy: str = "put it back, or move it away") -> dict[str, Any]:
-    """The object in a JSON file that a command wrote; ConfigError where it is damaged."""
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{path} is damaged ({error}): {remedy}") from error
-    if not isinstance(found, dict):
-        raise ConfigError(f"{path} is damaged, it holds no JSON object: {remedy}")
-    return found
+def write_json(path: Path, data: object) -> Path:
+    """Write `data` as `as_text` does; return the path."""
+    return write_text(path, as_text(data))
 
 
 def as_text(data: object) -> str:
@@ -59,3 +71,47 @@ def _finite(data: object) -> object:
     if isinstance(data, float) and not math.isfinite(data):
         return None
     return data
+
+
+def read_json(path: Path, remedy: str = "put it back, or move it away") -> dict[str, Any]:
+    """The object in a JSON file that a command wrote; ConfigError where it is damaged."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise ConfigError(f"{path} is damaged ({error}): {remedy}") from error
+    if not isinstance(found, dict):
+        raise ConfigError(f"{path} is damaged, it holds no JSON object: {remedy}")
+    return found
+
+
+@contextmanager
+def locked(path: Path, busy: str = "") -> Iterator[None]:
+    """Hold the lock of a file within the block; the kernel releases it when its process ends.
+
+    busy  message of the ConfigError where another process holds it, which is named; "" waits
+    """
+    from filelock import FileLock, Timeout  # lazily: most commands lock nothing
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        lock = FileLock(path, timeout=0.2 if busy else -1).acquire()
+    except Timeout:
+        holder = path.read_text(encoding="utf-8", errors="replace").strip()
+        raise ConfigError(f"{busy} (process {holder or 'unknown'})") from None
+    with lock:
+        path.write_text(f"{os.getpid()} on {socket.gethostname()}\n", encoding="utf-8")
+        yield
+
+
+def is_locked(path: Path) -> bool:
+    """True where another process holds the lock of this file."""
+    from filelock import FileLock, Timeout
+
+    try:
+        if path.is_file():
+            FileLock(path, timeout=0).acquire().lock.release()
+    except Timeout:
+        return True
+    except OSError:  # a folder that cannot be written is trained in by nobody
+        return False
+    return False

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from tempfile import TemporaryFile
 
-from spikedeploy.files import check_folder
 from spikedeploy.runtime.errors import ConfigError
 
 # what training leaves in a run folder; anything else there is an export or a picture
@@ -41,6 +40,15 @@ def marked(path: Path, *texts: str) -> bool:
 def _takes_marks(head: bytes) -> bool:
     """Whether a file that begins so is npz, png, gif, HDF5 or mp4, which commands mark."""
     return head.startswith((b"PK", b"\x89PNG", b"GIF8", b"\x89HDF")) or head[4:8] == b"ftyp"
+
+
+def check_folder(option: str, path: Path) -> None:
+    """Refuse a folder to write to that is a file, or would be inside one."""
+    for part in (path, *path.parents):
+        if part.exists():
+            if not part.is_dir():
+                raise ConfigError(f"{option} {path}: {part} is a file. Name a folder.")
+            return
 
 
 def check_output(

@@ -16,7 +16,7 @@ EXTRAS = {
     "zmq": "serve",
 }
 _EXPECTED = (
-    ("spikedeploy.runtime.errors", "SpikedeployError"),
+    ("spikedeploy.errors", "SpikedeployError"),
     ("spikedeploy.envs.errors", "EnvError"),
     ("gymnasium.error", "Error"),
 )

@@ -7,7 +7,7 @@ import time
 from importlib import import_module
 from pathlib import Path
 
-from lab.experiments.trial import exclusive
+from spikedeploy.files import locked
 from spikedeploy.jobs.resumable import JobEnd
 from spikedeploy.runtime.errors import ConfigError
 
@@ -47,7 +47,7 @@ def linger(path):
 
 def turn(path):
     """Work alone, and note when."""
-    with exclusive(Path(path).with_name("lock")):
+    with locked(Path(path).with_name("lock")):
         Path(path).write_text(f"{time.time()}")
         time.sleep(0.5)
         Path(path).write_text(f"{Path(path).read_text()} {time.time()}")

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from spikedeploy.files import flush, replacing
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.atomic import flush, replacing
 from spikedeploy.trainers.run_folder import write_errors
 
 # -- Metrics of a run: CSV file, and learning curve drawn from it.

@@ -16,13 +16,13 @@ from spikedeploy.exporters.c.network import NetworkWriter
 from spikedeploy.exporters.c.packaging import Interface, package_files, package_names
 from spikedeploy.exporters.c.plan import Plan, check_codec, check_prefix, check_program
 from spikedeploy.exporters.c.templates import filled, template
+from spikedeploy.files import replacing
 from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.trainers import atomic
 
 # numbers of a self-test, about; at least two inferences are recorded
 _NUMBERS = 60_000
@@ -254,7 +254,7 @@ def write_texts(texts: Mapping[str, str], folder: Path) -> None:
     with ExitStack() as stack:  # which ends in reverse order
         for name in sorted(texts, key=lambda name: (name == RECORD) - (name == MAKEFILE)):
             (folder / name).parent.mkdir(exist_ok=True)
-            part = stack.enter_context(atomic.replacing(folder / name))
+            part = stack.enter_context(replacing(folder / name))
             part.write_text(texts[name], encoding="ascii")
         (folder / MAKEFILE).resolve().unlink(missing_ok=True)
 

@@ -9,36 +9,19 @@ when the process ends.
 import math
 import re
 import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from lab.experiments.evaluation import evaluate
 from lab.experiments.finishes import Steps, finishes, steps_to_greedy
-from spikedeploy.files import as_text, read_json, write_text
+from spikedeploy.files import as_text, locked, read_json, write_text
 from spikedeploy.policies.run_record import whole
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.trainers.config import amended, differences, resolve
 from spikedeploy.trainers.ppo import PpoConfig
 from spikedeploy.trainers.run_folder import RunFolder
-
-try:
-    import fcntl
-except ImportError:  # Windows: two experiments in one folder must be avoided by hand
-    fcntl = None  # type: ignore[assignment]
-
-
-@contextmanager
-def exclusive(path: Path) -> Iterator[None]:
-    """Wait until no other process is inside a block with the same path."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as file:
-        if fcntl is not None:
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
-
 
 _RESULTS = ("evaluation.json", "tracks.json", "policy.*")  # of a training that ended
 _STAMP = r"\d{8}-\d{6}(-\d+)?"
@@ -162,7 +145,7 @@ class Trial:
 def perform(**arguments: Any) -> bool:  # noqa: ANN401
     """Complete the trial with these fields; False if the training was interrupted."""
     trial = Trial(**arguments)
-    with exclusive(Path(trial.folder) / f".{trial.name}.lock"):
+    with locked(Path(trial.folder) / f".{trial.name}.lock"):
         if not trial.trained:
             _train(trial)
         if not trial.trained:

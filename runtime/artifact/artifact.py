@@ -1,7 +1,6 @@
 """The artifact: one `.nir` file that is all a robot needs; the only reader and writer of `.nir`."""
 
 import hashlib
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,6 +9,7 @@ import h5py
 import nir
 import numpy as np
 
+from spikedeploy.files import replacing
 from spikedeploy.runtime.artifact.hdf5 import read_graph, write_graph
 from spikedeploy.runtime.artifact.presets.preset import read_like
 from spikedeploy.runtime.artifact.writers.writer import read_as_written
@@ -76,21 +76,13 @@ def save(artifact: Artifact, path: str | Path, older: str | None = None) -> None
 
     Raises ArtifactError where it cannot be written, for release `older` of `nir` if one is given.
     """
-    path = Path(os.path.realpath(path))
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        if path.exists() and not path.is_file():
-            raise ValueError("it is no plain file")
-        write_graph(part, _stamped(artifact), older)
-        with part.open("rb") as written:
-            os.fsync(written.fileno())
-        part.replace(path)
+        with replacing(Path(path)) as part:
+            write_graph(part, _stamped(artifact), older)
     except (OSError, AttributeError, TypeError, ValueError) as error:
         raise ArtifactError(
             f"cannot write {path}: {error}. Check the folder and the metadata of the graph."
         ) from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def load(

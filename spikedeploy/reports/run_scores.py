@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from spikedeploy.files import is_locked
 from spikedeploy.policies import run_record
 from spikedeploy.reports.curves import counted_by
 from spikedeploy.trainers.metrics import read, spike_rate
-from spikedeploy.trainers.run_folder import in_use
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def scores(run: Path) -> RunScores:
         rate=rate,
         steps=_steps(rows),
         share=share,
-        running=in_use(run),
+        running=is_locked(run / ".lock"),
         changed=max(path.stat().st_mtime for path in (run / "config.json", *_written(run))),
     )
 

@@ -15,17 +15,11 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.files import as_text, check_folder, write_text
+from spikedeploy.files import as_text, locked, write_text
 from spikedeploy.jobs.answer import JobAnswer
-from spikedeploy.outputs import mark, marked
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.outputs import check_folder, mark, marked
 from spikedeploy.sweeps.specification import JobSpecification
 from spikedeploy.user_errors import one_line
-
-try:
-    import fcntl
-except ImportError:  # Windows: two sweeps in one folder must be avoided by hand
-    fcntl = None  # type: ignore[assignment]
 
 Record = dict[str, Any]
 _HEAD = "ended,key,status,seconds,worker\n"
@@ -90,16 +84,8 @@ class SweepFolder:
     def alone(self) -> Iterator[None]:
         """Keep other processes out; the system lets them in when this one ends, however."""
         check_folder("-o", self.path)
-        self.path.mkdir(parents=True, exist_ok=True)
-        with (self.path / ".lock").open("a") as file:
-            if fcntl is not None:
-                try:
-                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError as error:
-                    raise ConfigError(
-                        f"another sweep is running in {self.path}: wait for it, or look at it "
-                        "with --no-run"
-                    ) from error
+        busy = f"another sweep is running in {self.path}: wait for it, or look at it with --no-run"
+        with locked(self.path / ".lock", busy):
             yield
 
 

@@ -1,11 +1,11 @@
 """The trials of a study that are missing, each in a process of its own, some at a time."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from spikedeploy.files import locked
 from spikedeploy.jobs.resumable import Job, JobEnd, run
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.tuning.outcomes import TrialOutcome, best, outcomes
@@ -16,11 +16,6 @@ from spikedeploy.tuning.trial import JOB, PLACE, REASON, RUN, counts, place, rea
 
 if TYPE_CHECKING:
     import optuna
-
-try:
-    import fcntl
-except ImportError:  # Windows: two searches in one folder must be avoided by hand
-    fcntl = None  # type: ignore[assignment]
 
 _HOPELESS = 3  # failed trials without another, after which the rest will fail too
 _AGAIN = "again"  # of a study: numbers of interrupted trials that wait to be made again
@@ -58,7 +53,11 @@ def tune(
     """
     where = storage or journal(folder)
     _ = plan.space  # what cannot be searched is refused before anything is made
-    with _alone(folder):
+    busy = (
+        f"another `spikedeploy tune` is at work in {folder}: wait for it, or name another "
+        "--folder; --jobs takes more processes"
+    )
+    with locked(folder / ".lock", busy):
         study = opened(plan, where)
         _again(study, folder)
         done = sum(counts(study, trial) for trial in study.trials)
@@ -143,19 +142,3 @@ def _again(study: "optuna.Study", folder: Path) -> None:
             study.enqueue_trial(trial.params, user_attrs=kept)
             waiting.append(trial.number)
     study.set_user_attr(_AGAIN, waiting)
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Refuse a folder in which another search is at work."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / ".lock").open("a") as file:
-        if fcntl is not None:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                raise ConfigError(
-                    f"another `spikedeploy tune` is at work in {folder}: wait for it, or name "
-                    "another --folder; --jobs takes more processes"
-                ) from None
-        yield

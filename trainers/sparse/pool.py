@@ -13,9 +13,9 @@ from safetensors.numpy import load_file, save_file
 from torch import Tensor
 
 from spikedeploy import envs
+from spikedeploy.files import replacing
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.atomic import replacing
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.distill.teachers import same_teacher
 from spikedeploy.trainers.run_folder import RunFolder, of_file, write_errors

@@ -10,8 +10,8 @@ from lab.experiments.gymnasium.evaluation import missing
 from lab.experiments.gymnasium.training import TaskTraining
 from lab.experiments.pareto.training import check
 from lab.experiments.parts import parts_to_do, run_parts
-from spikedeploy.files import check_folder
 from spikedeploy.jobs.resumable import Job, Outcome
+from spikedeploy.outputs import check_folder
 
 _EVALUATION = "lab.experiments.gymnasium.evaluation"
 

@@ -15,9 +15,9 @@ from lab.experiments.kart.page import write
 from lab.experiments.kart.records import lost
 from lab.experiments.trial import Trial
 from spikedeploy.console import console
-from spikedeploy.files import check_folder
 from spikedeploy.jobs import resumable
 from spikedeploy.jobs.resumable import Job, JobEnd, Outcome
+from spikedeploy.outputs import check_folder
 from spikedeploy.parallel import cores
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError

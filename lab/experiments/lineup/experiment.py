@@ -9,8 +9,8 @@ from lab.experiments.lineup.design import LineupDesign, Member
 from lab.experiments.lineup.evaluation import result
 from lab.experiments.pareto.training import check
 from lab.experiments.parts import parts_to_do, run_parts
-from spikedeploy.files import check_folder
 from spikedeploy.jobs.resumable import Job, Outcome
+from spikedeploy.outputs import check_folder
 
 _PERFORM = "lab.experiments.lineup.evaluation:perform"
 

@@ -10,8 +10,8 @@ from lab.experiments.pareto.evaluation import reference_rows, rows
 from lab.experiments.pareto.training import Training, check
 from lab.experiments.pareto.tuning import RewardTraining
 from lab.experiments.parts import parts_to_do, run_parts
-from spikedeploy.files import check_folder
 from spikedeploy.jobs.resumable import Job, Outcome
+from spikedeploy.outputs import check_folder
 from spikedeploy.runtime.errors import ConfigError
 
 _EVALUATION = "lab.experiments.pareto.evaluation"

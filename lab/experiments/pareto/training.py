@@ -7,8 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from lab.experiments.trial import exclusive, resumable
-from spikedeploy.files import read_json
+from lab.experiments.trial import resumable
+from spikedeploy.files import locked, read_json
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import RunConfig, differences, resolve
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder
@@ -194,7 +194,7 @@ def perform(**arguments: Any) -> bool:  # noqa: ANN401
 
 def complete(training: Trainable) -> bool:
     """Complete a training; False if it was interrupted."""
-    with exclusive(Path(training.folder) / f".{training.name}.lock"):
+    with locked(Path(training.folder) / f".{training.name}.lock"):
         if not training.trained:
             _train(training)
         return training.trained

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from spikedeploy import files
 from spikedeploy.exporters.c import to_c
 from spikedeploy.exporters.c.plan import check_prefix
 from spikedeploy.exporters.c.to_c import file_names
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping import export_c, exported_run
-from spikedeploy.trainers import atomic
 from tests.c_builds import COMPILERS, needs_c
 from tests.networks import event_driven, popsan
 
@@ -189,7 +189,7 @@ def test_an_export_that_is_killed_leaves_no_makefile_that_builds_a_mixture(
             os.rename(source, target)
 
         with monkeypatch.context() as patch:
-            patch.setattr(atomic.os, "replace", killed)
+            patch.setattr(files.os, "replace", killed)
             with pytest.raises(KeyboardInterrupt):
                 to_c.write_texts(texts_of("new"), folder)
         assert not (folder / "Makefile").exists()
