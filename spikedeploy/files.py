@@ -100,7 +100,10 @@ def locked(path: Path, busy: str = "") -> Iterator[None]:
         raise ConfigError(f"{busy} (process {holder or 'unknown'})") from None
     with lock:
         path.write_text(f"{os.getpid()} on {socket.gethostname()}\n", encoding="utf-8")
-        yield
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)  # before the release: FileLock takes no unlinked file
 
 
 def is_locked(path: Path) -> bool:

@@ -39,3 +39,4 @@ def test_a_lock_is_held_against_the_own_process_too(tmp_path):
         locked(path, "in use").__enter__()
     with locked(path):
         pass
+    assert not path.exists()
