@@ -22,7 +22,7 @@ import numpy as np
 from spikedeploy.emulation.design_report import DesignReport, network_path, report_of
 from spikedeploy.emulation.open_loop import Emulation, emulate_artifact
 from spikedeploy.emulation.rasters import Raster, as_raster, read_rasters
-from spikedeploy.policies.interface import FLOAT
+from spikedeploy.policies.registry import FLOAT
 from spikedeploy.reports.notebook import card, picture, table
 from spikedeploy.runtime.artifact import artifact as files
 from spikedeploy.runtime.artifact.artifact import Artifact
@@ -236,8 +236,8 @@ def compare(
     workers   processes; with several, a script needs `if __name__ == "__main__"`
     options   of the environment
     """
+    from spikedeploy.comparison.evaluation import compare_policies
     from spikedeploy.comparison.lineup import line_up
-    from spikedeploy.comparison.rounds import compare_policies
     from spikedeploy.pages import report
     from spikedeploy.shipping.exported_run import runnable
 

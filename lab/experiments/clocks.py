@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from spikedeploy.comparison.comparison import Row
+from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.comparison.statistics import nested_ratio, stratified
 from spikedeploy.files import write_text
 from spikedeploy.policies import costs

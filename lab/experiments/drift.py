@@ -33,12 +33,11 @@ from lab.experiments.drift_page import (
     summary,
 )
 from lab.experiments.parts import command_line
-from spikedeploy.emulation.drift_inputs import observed_inputs
+from spikedeploy.emulation.drift import observed_inputs
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.files import write_text
 from spikedeploy.make_env import make_env
-from spikedeploy.policies.interface import Candidate
-from spikedeploy.policies.registry import find
+from spikedeploy.policies.registry import Candidate, find
 from spikedeploy.runtime.analysis.activity import chip_activity
 from spikedeploy.runtime.analysis.calibration import tuned
 from spikedeploy.runtime.analysis.drift import drift

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.comparison.statistics import paired_difference
-from spikedeploy.emulation.drift_inputs import DriftInputs
-from spikedeploy.policies.interface import Candidate
+from spikedeploy.emulation.drift import DriftInputs
+from spikedeploy.policies.registry import Candidate
 from spikedeploy.reports import drift_tables
 from spikedeploy.runtime.analysis.drift import Drift
 from spikedeploy.runtime.artifact.artifact import Artifact

@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import alone
-from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.policies.registry import find
 from spikedeploy.seeds import EVALUATION

@@ -116,8 +116,8 @@ def _check_against(
 ) -> NoReturn:
     """Print the comparison with a recording, and exit."""
     from spikedeploy.console import print_json
-    from spikedeploy.emulation.drift_inputs import path_of
-    from spikedeploy.emulation.recorded_spikes import against_recorded
+    from spikedeploy.emulation.drift import path_of
+    from spikedeploy.emulation.recordings import against_recorded
     from spikedeploy.runtime.errors import ConfigError
 
     if chips:

@@ -111,7 +111,7 @@ def run(
     from dataclasses import replace
     from functools import partial
 
-    from spikedeploy.comparison.closed_loop import run_policy
+    from spikedeploy.comparison.evaluation import run_policy
     from spikedeploy.comparison.metrics import checked_metrics
     from spikedeploy.console import print_json
     from spikedeploy.envs import spec
@@ -119,7 +119,7 @@ def run(
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output, check_output_folder, mark, marked
     from spikedeploy.pages import report
-    from spikedeploy.policies.adopted import adopted, fits_on
+    from spikedeploy.policies.nir import adopt, check_fits
     from spikedeploy.reports.terminal import print_run
     from spikedeploy.runtime.faults import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
@@ -152,8 +152,8 @@ def run(
     if from_ is not None:
         if env is not None:
             spec(env)  # refuses an unknown one before a file is written
-        fits = partial(fits_on, chip, limits == "on", rounded)
-        policy = str(adopted(policy, codec, force, fits, written_by=from_, **convention))
+        fits = partial(check_fits, chip, limits == "on", rounded)
+        policy = str(adopt(policy, codec, force, fits, written_by=from_, **convention))
     elif given:
         raise typer.BadParameter(f"--{given[0]} goes with --from: other policies state it")
     options = parse_options(set_ or (), disturb or (), success)
@@ -252,14 +252,14 @@ def compare(
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
     from dataclasses import replace
 
+    from spikedeploy.comparison.evaluation import compare_policies
     from spikedeploy.comparison.lineup import line_up, on_another_chip
     from spikedeploy.comparison.metrics import checked_metrics
-    from spikedeploy.comparison.rounds import compare_policies
     from spikedeploy.console import print_json, say
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output_folder
     from spikedeploy.pages import report
-    from spikedeploy.policies.teacher import teacher_candidate
+    from spikedeploy.policies.scripts import teacher_candidate
     from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.chips.chip import listed
     from spikedeploy.runtime.faults import faults

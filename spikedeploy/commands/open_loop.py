@@ -171,8 +171,7 @@ def drift(
 ) -> None:
     """Compare a chip with the float twin spike by spike, and attribute differences to roundings."""
     from spikedeploy.console import print_json
-    from spikedeploy.emulation.drift_inputs import choose_inputs, path_of
-    from spikedeploy.emulation.drift_report import drift_report
+    from spikedeploy.emulation.drift import choose_inputs, drift_report, path_of
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output_folder
     from spikedeploy.pages.drift import drift_page

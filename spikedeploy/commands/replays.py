@@ -97,7 +97,7 @@ def _verify_activity(
 ) -> NoReturn:
     """Print recorded layers beside emulated ones, and exit."""
     from spikedeploy.console import print_json
-    from spikedeploy.emulation.recorded_activity import against_activity
+    from spikedeploy.emulation.recordings import against_activity
     from spikedeploy.reports.terminal import print_replays
     from spikedeploy.runtime.errors import ConfigError
 

@@ -34,9 +34,8 @@ def serve(
     import threading
 
     from spikedeploy.console import print_json, say
-    from spikedeploy.realtime.pacing import duration
-    from spikedeploy.realtime.served_policy import ServedPolicy
-    from spikedeploy.realtime.server import PolicyServer
+    from spikedeploy.realtime.paced_loop import duration
+    from spikedeploy.realtime.server import PolicyServer, ServedPolicy
     from spikedeploy.shipping.exported_run import runnable
 
     forgotten = duration("--idle", idle)

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from spikedeploy import envs, zoo
-from spikedeploy.policies.interface import DEFAULT_CHIP, FLOAT, Candidate
-from spikedeploy.policies.registry import find
+from spikedeploy.policies.registry import FLOAT, Candidate, find
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import NONE, Faults
@@ -105,8 +104,7 @@ def line_up(
         candidate = replace(candidate, quantisation=quantisation)
         exported = candidate.format == ".nir"  # a run folder is torch, which no chip runs
         bound = replace(candidate, limits=limits, faults=faults)
-        own = (candidate.chip or DEFAULT_CHIP,)
-        on = (own if chips is None else chips) if exported else ()
+        on = ([candidate.default_chip] if chips is None else chips) if exported else ()
         entries += _on_chips(bound, candidate, on, ann)
     built_in = [find(name) for name in spec.controls]
     rest = [c for c in _controls([*chosen, *shipped]) if c not in built_in]

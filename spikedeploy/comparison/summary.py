@@ -8,7 +8,7 @@ import numpy as np
 
 from spikedeploy.comparison.metrics import drives
 from spikedeploy.comparison.statistics import FEWEST, paired_difference
-from spikedeploy.policies.interface import BASELINES
+from spikedeploy.policies.registry import BASELINES
 
 Row = Mapping[str, Any]  # of Comparison.as_json
 

@@ -14,10 +14,9 @@ from spikedeploy.live.steps import WatchedInference, WatchedStep
 from spikedeploy.live.view import LiveView
 from spikedeploy.play.display import has_desktop
 from spikedeploy.policies.costs import FLOAT_TABLES, priced_by
-from spikedeploy.policies.interface import Candidate, Player
 from spikedeploy.policies.nir import NirController
-from spikedeploy.realtime.paced_loop import TIMES, PacedLoop
-from spikedeploy.realtime.pacing import paced, pacing
+from spikedeploy.policies.registry import Candidate, Player
+from spikedeploy.realtime.paced_loop import TIMES, PacedLoop, paced, pacing
 from spikedeploy.recordings.episode import ledger_of, membranes_of, spikes_of, traced
 from spikedeploy.recordings.scenes import scene_of
 from spikedeploy.reports.short_table import quoted_among

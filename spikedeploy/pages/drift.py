@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from spikedeploy.emulation.drift_report import DriftReport
+from spikedeploy.emulation.drift import DriftReport
 from spikedeploy.pages.page import big_numbers, facts, figure, folded, heading, page, said, table
 from spikedeploy.pages.svg import svg
 from spikedeploy.pages.written import made_by

@@ -13,7 +13,7 @@ from spikedeploy.files import as_text, write_text
 from spikedeploy.outputs import marked
 from spikedeploy.pages.comparison import comparison_page
 from spikedeploy.pages.written import command_line
-from spikedeploy.policies.interface import Candidate
+from spikedeploy.policies.registry import Candidate
 from spikedeploy.recordings.recorded import of_comparison
 from spikedeploy.reports.columns import COST, Row, markdown, tables
 from spikedeploy.reports.energy_columns import COMMON_TABLE

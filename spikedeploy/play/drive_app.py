@@ -24,9 +24,8 @@ from spikedeploy.play.session import Session
 from spikedeploy.play.spike_panel import WIDTH as SPIKES_WIDTH
 from spikedeploy.play.spike_panel import draw_inference
 from spikedeploy.play.theme import GREEN, PANEL, RED, banner
-from spikedeploy.policies.interface import DEFAULT_CHIP, Candidate
 from spikedeploy.policies.nir import NirController
-from spikedeploy.policies.registry import find
+from spikedeploy.policies.registry import Candidate, find
 from spikedeploy.recordings.episode import traced
 from spikedeploy.runtime.errors import ConfigError
 
@@ -117,7 +116,7 @@ def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Drive
             raise ConfigError("--chip is for a policy: name one with --policy")
         return _person(world)
     candidate = _shipped(env) if policy is None else find(policy)
-    chip = chip or (candidate.chip or DEFAULT_CHIP if candidate.kind == "snn" else None)
+    chip = chip or candidate.default_chip
     player = traced(candidate, chip, world, "total")
     if isinstance(player, NirController):
         player = DrivingNetwork(player)

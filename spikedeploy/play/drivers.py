@@ -8,7 +8,7 @@ import pygame
 from numpy.typing import NDArray
 
 from spikedeploy.play.driving_network import DrivingNetwork
-from spikedeploy.policies.interface import Player
+from spikedeploy.policies.registry import Player
 
 _ARROWS = {
     "up": (pygame.K_w, pygame.K_UP),

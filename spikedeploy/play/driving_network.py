@@ -12,13 +12,14 @@ from spikedeploy.play.spike_panel import WINDOW
 from spikedeploy.play.spike_recorder import Floats, InferenceTrace
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.policies.nir import NirController
+from spikedeploy.policies.registry import Player
 from spikedeploy.recordings.episode import costs_of_each, ledger_of, spikes_of
 from spikedeploy.reports.short_table import quoted_among
 
 MEAN = 30  # control steps of which costs are the mean
 
 
-class DrivingNetwork:
+class DrivingNetwork(Player):
     """A Player whose network can be looked at.
 
     table    of the energy

@@ -30,8 +30,7 @@ from spikedeploy.play.theme import (
     keycaps,
     write,
 )
-from spikedeploy.policies.interface import check_fit
-from spikedeploy.policies.registry import find
+from spikedeploy.policies.registry import check_fit, find
 from spikedeploy.runtime.errors import ConfigError
 
 _HEIGHT = 800

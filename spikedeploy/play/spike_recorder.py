@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.policies.interface import Candidate
+from spikedeploy.policies.registry import Candidate
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.emulator.network import chip_called, running
 from spikedeploy.runtime.errors import ConfigError

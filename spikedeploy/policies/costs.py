@@ -26,18 +26,26 @@ energy_unknown       by each table, terms that happen and that nothing prices
 energy_zero_skipping_j
                      of a float network that skips inputs of 0: effective_macs alone
 messages_placed      messages on the cores that `check` gives to each layer
+
+Terms of the host are those that it adds to a spiking policy: encoder, readout and resets. A term is
+unknown where nothing prices it: Gaussians of a population encoder, random bytes of a rate encoder,
+readouts that the host integrates, and resets of states on a chip.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.codec.delta import DeltaEncoder
+from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.ledger import Ledger
+from spikedeploy.runtime.emulator.ledger import Ledger, state_count
 from spikedeploy.runtime.metrics.energy import (
     TABLES,
     EnergyEstimate,
@@ -45,11 +53,22 @@ from spikedeploy.runtime.metrics.energy import (
     event_counts,
     latency_estimate,
 )
+from spikedeploy.runtime.metrics.energy_tables import EnergyTable
 from spikedeploy.runtime.metrics.energy_terms import (
+    delta_encoder,
+    host_readout,
     priced_terms,
+    rate_encoder,
+    resets,
     unpriced,
 )
-from spikedeploy.runtime.metrics.neurobench import is_identity
+from spikedeploy.runtime.metrics.memory import packed_bytes
+from spikedeploy.runtime.metrics.neurobench import (
+    connection_sparsity,
+    dense_products,
+    footprint,
+    is_identity,
+)
 
 # of networks without spikes
 FLOAT_TABLES = tuple(name for name, table in TABLES.items() if "mac" in table.joules)
@@ -92,105 +111,91 @@ class Costs:
 NOTHING = Costs(effective_acs=0.0, effective_macs=0.0, dense=0.0)
 # what is no network that we can count, such as a script: its operations are the unknown
 UNCOUNTED = Costs(energy_unknown={name: ("operations",) for name in TABLES})
+# fields that are equal in all episodes of a policy, or are no means
+_NO_MEANS = ("saturations", "clock", "control_steps_late", "energy_unknown")
+_MEANS = tuple(each.name for each in fields(Costs) if each.name not in _NO_MEANS)
 
 
 def mean(costs: Sequence[Costs], weights: Sequence[int]) -> Costs:
     """Mean costs of several episodes, weighted by their inferences; saturations are summed."""
-
-    def average(values: Sequence[float | None]) -> float | None:
-        known = [value for value in values if value is not None]
-        return float(np.average(known, weights=weights)) if len(known) == len(values) else None
-
-    def each(name: str) -> list[Any]:
-        return [getattr(c, name) for c in costs]
-
+    means = {name: _mean([getattr(c, name) for c in costs], weights) for name in _MEANS}
     saturations = [c.saturations for c in costs if c.saturations is not None]
-    means: dict[str, Any] = {
-        **{name: average(each(name)) for name in _MEANS},
-        **{name: _by_table(each(name), weights, _estimate) for name in ("energy_j", "latency_s")},
-        **{name: _by_table(each(name), weights, _number) for name in _NUMBERS},
+    unknown = {
+        table: tuple(dict.fromkeys(term for c in costs for term in c.energy_unknown[table]))
+        for table in costs[0].energy_unknown
     }
-    terms, unknown = (
-        _by_table(each("energy_terms_j"), weights, _by_term),
-        _union(each("energy_unknown")),
-    )
-    return Costs(
+    means["energy_terms_j"] = {
+        table: {term: joules for term, joules in terms.items() if term not in unknown[table]}
+        for table, terms in means["energy_terms_j"].items()
+    }
+    return replace(
+        costs[0],
         **means,
-        saturations=sum(saturations) if saturations else None,
-        clock=costs[0].clock,
-        control_steps_late=costs[0].control_steps_late,
-        energy_terms_j={
-            table: {term: j for term, j in found.items() if term not in unknown[table]}
-            for table, found in terms.items()
-        },
         energy_unknown=unknown,
+        saturations=sum(saturations) if saturations else None,
     )
 
 
-def _by_table(
-    prices: Sequence[Mapping[str, Any]],
-    weights: Sequence[int],
-    combine: Callable[[Sequence[Any], Sequence[int]], Any],
-) -> dict[str, Any]:
-    """Table -> what its entries combine to."""
-    return {table: combine([price[table] for price in prices], weights) for table in prices[0]}
+def _mean(values: Sequence[Any], weights: Sequence[int]) -> Any:  # noqa: ANN401
+    """Weighted mean of numbers, of estimates with their bounds, or of mappings of either.
+
+    None where one is None; an episode in which an entry is missing had none of it.
+    """
+    if any(value is None for value in values):
+        return None
+    if isinstance(values[0], Mapping):
+        names = dict.fromkeys(name for value in values for name in value)
+        return {name: _mean([value.get(name, 0.0) for value in values], weights) for name in names}
+    if isinstance(values[0], EnergyEstimate):
+        bounds = [[each.value, each.low, each.high] for each in values]
+        return EnergyEstimate(*np.average(bounds, axis=0, weights=weights).tolist())
+    return float(np.average(values, weights=weights))
 
 
-def _estimate(found: Sequence[EnergyEstimate], weights: Sequence[int]) -> EnergyEstimate:
-    """Weighted mean of estimates and of their bounds."""
-    bounds = [[each.value, each.low, each.high] for each in found]
-    return EnergyEstimate(*np.average(bounds, axis=0, weights=weights).tolist())
+def policy_costs(
+    artifact: Artifact, ledger: Ledger, program: Program, chip: Chip | None, placed: float | None
+) -> Costs:
+    """Costs of a spiking policy: of its network, of the host beside it, and of its file.
 
-
-def _number(found: Sequence[float], weights: Sequence[int]) -> float:
-    return float(np.average(found, weights=weights))
-
-
-def _by_term(found: Sequence[Mapping[str, float]], weights: Sequence[int]) -> dict[str, float]:
-    """Term -> weighted mean; an episode in which a term is missing had none of it."""
-    terms = dict.fromkeys(term for each in found for term in each)
-    return {term: _number([each.get(term, 0.0) for each in found], weights) for term in terms}
-
-
-def _union(named: Sequence[Mapping[str, Sequence[str]]]) -> dict[str, tuple[str, ...]]:
-    """Table -> terms that some episode names."""
-    return {
-        table: tuple(dict.fromkeys(term for each in named for term in each[table]))
-        for table in named[0]
-    }
-
-
-_NUMBERS = ("energy_zero_skipping_j", "messages_placed_j")
-_MEANS = (
-    "sparsity",
-    "spikes",
-    "input_spikes",
-    "sops",
-    "bias_sops",
-    "effective_acs",
-    "effective_macs",
-    "dense",
-    "footprint",
-    "footprint_packed",
-    "connection_sparsity",
-    "neuron_updates",
-    "neuron_idle",
-    "messages",
-    "messages_placed",
-)
+    placed  messages on the cores of the chip; None where they are not known
+    """
+    graph, codec, found = artifact.graph, artifact.codec, spiking_costs(ledger, program, chip)
+    assert codec is not None
+    encoder = _encoding(codec, found.input_spikes or 0.0)
+    readout = _reading_out(program, *_readout_operations(ledger, program))
+    known, unknown = dict(found.energy_terms_j), dict(found.energy_unknown)
+    for name, table in TABLES.items():
+        terms = {"encoder": encoder, "readout": readout, "resets": _resetting(program, table)}
+        known[name] = {**known[name], **{n: j for n, j in terms.items() if j is not None}}
+        unknown[name] = (*unknown[name], *(n for n, j in terms.items() if j is None))
+    prices = {name: table.joules.get("message") for name, table in TABLES.items()}
+    return replace(
+        found,
+        energy_terms_j=known,
+        energy_unknown=unknown,
+        dense=float(dense_products(graph) * ledger.timesteps / ledger.inferences),
+        footprint=footprint(graph),
+        footprint_packed=packed_bytes(program) if chip else None,
+        connection_sparsity=connection_sparsity(graph),
+        control_steps_late=program.control_steps_late(codec.timesteps),
+        messages_placed=placed,
+        messages_placed_j={}
+        if placed is None
+        else {name: placed * price for name, price in prices.items() if price is not None},
+    )
 
 
 def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
     """Costs of a spiking network from its ledger; `chip` None is the float twin."""
-    counts = event_counts(ledger)
+    counts, (additions, products) = event_counts(ledger), _readout_operations(ledger, program)
     return Costs(
         sparsity=ledger.sparsity,
         spikes=counts["spike_out"],
         input_spikes=_input_spikes(ledger, program) / ledger.inferences,
         sops=counts["sop"],
         bias_sops=counts["bias_sop"],
-        effective_acs=counts["sop"] - counts["graded_sop"] + readout_acs(ledger, program),
-        effective_macs=counts["graded_sop"] + readout_macs(ledger, program),
+        effective_acs=counts["sop"] - counts["graded_sop"] + additions,
+        effective_macs=counts["graded_sop"] + products,
         neuron_updates=counts["neuron_update"],
         neuron_idle=counts["neuron_idle"],
         messages=counts["message"],
@@ -204,23 +209,6 @@ def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
         energy_terms_j={name: priced_terms(counts, table) for name, table in TABLES.items()},
         energy_unknown={name: unpriced(counts, table) for name, table in TABLES.items()},
     )
-
-
-def beside(found: Costs, terms: Mapping[str, Mapping[str, float | None]]) -> Costs:
-    """The costs with further terms of each table, of which None is unknown."""
-    known = {t: {n: j for n, j in each.items() if j is not None} for t, each in terms.items()}
-    unknown = {t: [n for n, j in each.items() if j is None] for t, each in terms.items()}
-    return replace(
-        found,
-        energy_terms_j={t: {**each, **known[t]} for t, each in found.energy_terms_j.items()},
-        energy_unknown={t: (*each, *unknown[t]) for t, each in found.energy_unknown.items()},
-    )
-
-
-def message_energies(messages: float) -> dict[str, float]:
-    """Table -> energy [J] of so many messages; tables without a price have none."""
-    prices = {name: table.joules.get("message") for name, table in TABLES.items()}
-    return {name: messages * price for name, price in prices.items() if price is not None}
 
 
 def priced_by(chip: Chip | None) -> tuple[str, ...]:
@@ -237,25 +225,52 @@ def _input_spikes(ledger: Ledger, program: Program) -> int:
     return ledger.by_layer("spike_in")[first.name] - others
 
 
-def _readouts(program: Program) -> list[tuple[str, NDArray[np.float64]]]:
-    """The layers that the host applies weights to, and those weights (N, act)."""
-    return [(of, weight) for of, weight in program.readouts if not is_identity(weight)]
+def _readout_operations(ledger: Ledger, program: Program) -> tuple[float, float]:
+    """Accumulates and multiply-accumulates of the host's readout in an inference.
 
-
-def readout_acs(ledger: Ledger, program: Program) -> float:
-    """Accumulates of the host's readout; exact where all neurons have the same fan-out."""
-    spikes = {**ledger.by_layer("spike_out"), program.input: _input_spikes(ledger, program)}
-    taken = [(s.source, s.weight) for layer in program.host for s in layer.synapses]
-    fan_outs = [
-        (np.count_nonzero(weight, axis=1).mean(), of)
-        for of, weight in (*_readouts(program), *taken)
-        if of in spikes
+    It multiplies membranes; all other matrices take spikes, of which the accumulates are exact
+    where all neurons have the same fan-out.
+    """
+    # layer that the host applies weights to, and those weights (N, act)
+    readouts: list[tuple[str, NDArray[np.float64]]] = [
+        (of, weight) for of, weight in program.readouts if not is_identity(weight)
     ]
-    return float(sum(fan_out * spikes[of] for fan_out, of in fan_outs) / ledger.inferences)
-
-
-def readout_macs(ledger: Ledger, program: Program) -> float:
-    """Multiply-accumulates of the host with membranes; all other matrices take spikes."""
+    taken = [(s.source, s.weight) for layer in program.host for s in layer.synapses]
+    spikes = {**ledger.by_layer("spike_out"), program.input: _input_spikes(ledger, program)}
+    additions = sum(
+        np.count_nonzero(weight, axis=1).mean() * spikes[of]
+        for of, weight in (*readouts, *taken)
+        if of in spikes
+    )
     graded = {layer.name for layer in (*program.layers, *program.host) if not layer.spiking}
-    products = [np.count_nonzero(weight) for of, weight in _readouts(program) if of in graded]
-    return float(sum(products) * ledger.timesteps / ledger.inferences)
+    products = sum(np.count_nonzero(weight) for of, weight in readouts if of in graded)
+    return float(additions / ledger.inferences), float(
+        products * ledger.timesteps / ledger.inferences
+    )
+
+
+def _encoding(codec: Codec, spikes: float) -> float | None:
+    """Energy [J] of the encoder in an inference in which it sends so many spikes."""
+    encoder = codec.encoder
+    if isinstance(encoder, DeltaEncoder):
+        read = int(np.isfinite(encoder.step).sum())  # a step of infinity never sends
+        return delta_encoder(read, spikes, codec.timesteps)
+    if isinstance(encoder, RateEncoder) and not encoder.random:
+        return rate_encoder(encoder.observed, codec.timesteps)
+    return None
+
+
+def _reading_out(program: Program, additions: float, products: float) -> float | None:
+    """Energy [J] of the host's readout: its weights added or multiplied, and its constants."""
+    if program.host:
+        return None
+    if program.readout is not None:
+        return host_readout(additions, products, program.readout.bias.size)
+    return host_readout(additions, products, sum(each.bias.size for each in program.outlets))
+
+
+def _resetting(program: Program, table: EnergyTable) -> float | None:
+    """Energy [J] of setting all states of the chip to 0 before an inference, if it is done."""
+    if program.convention.state == "kept" or "resets" in table.included:
+        return 0.0
+    return resets(sum(layer.size * state_count(layer, program) for layer in program.layers), table)

@@ -13,9 +13,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.costs import UNCOUNTED, Costs
-from spikedeploy.policies.interface import Candidate
+from spikedeploy.policies.registry import Candidate, Floats, Player
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 
 _NAME = re.compile(r"lib([a-z][a-z0-9_]{0,30})\.so")
@@ -29,7 +27,7 @@ def permit(path: Path) -> None:
     _permitted.add(path.resolve())
 
 
-class NativeController:
+class NativeController(Player):
     """A controller that calls C.
 
     path: of the shared object.
@@ -55,11 +53,38 @@ class NativeController:
         kind = ctypes.c_int32 if self.choices else ctypes.c_double
         self._action: ctypes.Array[Any] = (kind * self.actions)()
 
+    @classmethod
+    def describe(cls, path: Path) -> Candidate:
+        """The candidate of a shared object that the user permits."""
+        if path.resolve() not in _permitted:
+            raise ConfigError(
+                f"{path} is machine code, which would run with all your rights: if you built it "
+                f"yourself, run it with `spikedeploy run {path} --native --env ENV`"
+            )
+        found = cls(path)
+        return Candidate(
+            path=str(path),
+            name=_prefix(path),
+            kind="control",
+            format=".so",
+            observed=found.observed,
+            actions=found.choices or found.actions,
+        )
+
+    @classmethod
+    def open(
+        cls, candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
+    ) -> "NativeController":
+        """The shared object, loaded."""
+        if sampled:
+            raise ConfigError("a policy in C gives its best action: leave --sampled out")
+        return cls(Path(candidate.path))
+
     def reset(self, seed: int) -> None:
         """Forget every state."""
         self._reset()
 
-    def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
+    def act(self, observation: Floats) -> NDArray[Any]:
         """The action (act,), or () int where it is one of several."""
         row = np.ascontiguousarray(observation, np.float64)
         if row.shape != (self.observed,):
@@ -69,43 +94,10 @@ class NativeController:
         found = np.array(self._action[: self.actions])
         return np.asarray(found[0]) if self.choices else found
 
-    def replay(self, observations: NDArray[np.float64]) -> NDArray[Any]:
+    def replay(self, observations: Floats) -> NDArray[Any]:
         """Actions (S, act) or (S,) for the observations (S, obs) of an episode."""
         self.reset(0)
-        return np.stack([self.act(row) for row in observations])
-
-
-def describe(path: Path) -> Candidate:
-    """The candidate of a shared object that the user permits."""
-    if path.resolve() not in _permitted:
-        raise ConfigError(
-            f"{path} is machine code, which would run with all your rights: if you built it "
-            f"yourself, run it with `spikedeploy run {path} --native --env ENV`"
-        )
-    found = NativeController(path)
-    actions = found.choices or found.actions
-    return Candidate(
-        path=str(path),
-        name=_prefix(path),
-        kind="control",
-        format=".so",
-        observed=found.observed,
-        actions=actions,
-    )
-
-
-def controller(
-    candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
-) -> NativeController:
-    """The loaded shared object."""
-    if sampled:
-        raise ConfigError("a policy in C gives its best action: leave --sampled out")
-    return NativeController(Path(candidate.path))
-
-
-def costs(controller: NativeController, played: Rollout) -> Costs:
-    """What C counts: nothing."""
-    return UNCOUNTED
+        return super().replay(observations)
 
 
 def _prefix(path: Path) -> str:

@@ -1,7 +1,18 @@
-"""NIR files: spiking policies, on an emulated chip or as their float twin."""
+"""NIR files: spiking policies, on an emulated chip or as their float twin.
 
+A file of another tool says neither how observations become spikes nor how output becomes actions.
+A codec in JSON beside it does, with the fields of `runtime.codec.codec.Codec`, and makes it a
+policy (`adopt`):
+
+    {"timesteps": 16, "squash": "argmax",
+     "normaliser": {"mean": [0, 0], "std": [1, 2], "clip": 3},
+     "encoder": {"kind": "rate", "mode": "regular", "low": [-1, -1], "high": [1, 1]}}
+"""
+
+import json
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -9,49 +20,66 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.console import say
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.costs import (
-    Costs,
-    beside,
-    message_energies,
-    readout_acs,
-    readout_macs,
-    spiking_costs,
-)
-from spikedeploy.policies.host_terms import encoding, reading_out, resetting
-from spikedeploy.policies.interface import FLOAT, Candidate, env_id
-from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.outputs import check_output
+from spikedeploy.policies.costs import Costs, policy_costs
+from spikedeploy.policies.registry import DEFAULT_CHIP, FLOAT, Candidate, Floats, Player, env_id
+from spikedeploy.runtime.artifact.artifact import Artifact, load, save
+from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.design_rules.rule import design
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.network import chip_called
-from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.errors import ArtifactError, ConfigError, SpikedeployError
 from spikedeploy.runtime.faults import NONE, Faults
-from spikedeploy.runtime.metrics.energy import TABLES
-from spikedeploy.runtime.metrics.memory import packed_bytes
-from spikedeploy.runtime.metrics.neurobench import connection_sparsity, dense_products, footprint
+from spikedeploy.runtime.metadata import Provenance, Record
 from spikedeploy.runtime.metrics.traffic import placed_messages
 
-Floats = NDArray[np.float64]
+_OPENED = 16  # files that are kept, so that a policy which is found and then played is read once
+# which environment it is for is not known, and what marks it as written here
+_ADOPTED = Provenance("", recipe="run --from")
 
 
-class NirController:
+def read_policy(path: str | Path) -> Artifact:
+    """The artifact of a file that can act in a closed loop; read once while the file stays."""
+    try:
+        found = Path(path).stat()
+    except OSError:
+        return load(path)
+    return _read_policy(str(path), found.st_ino, found.st_size, found.st_mtime_ns)
+
+
+@lru_cache(_OPENED)
+def _read_policy(path: str, *identity: int) -> Artifact:
+    artifact = load(path)
+    if artifact.codec is None:
+        raise ArtifactError(
+            f"{path} has no codec (observation to spikes, output to action), so it cannot drive a "
+            "robot; `spikedeploy emulate` plays spikes into it"
+        )
+    return artifact
+
+
+class NirController(Player):
     """A spiking policy with a ledger for each episode.
 
-    chip     datasheet; None for the float twin
-    graph    of the file
-    codec    likewise
-    program  whose operations are counted; for the float twin the one of chip `ideal`
-    remarks  of the compiler, on where the chip departs from the file
+    artifact  the file
+    chip      datasheet; None for the float twin
+    codec     of the file
+    program   whose operations are counted; for the float twin the one of chip `ideal`
+    remarks   of the compiler, on where the chip departs from the file
     controller  what acts; with `trace` its network keeps spikes and membranes of the last step
     """
 
     def __init__(
         self,
-        path: str,
+        path: str | Path,
         chip: str,
         sampled: bool = False,
         limits: bool = True,
@@ -61,13 +89,10 @@ class NirController:
         rows: Rows = "total",
         backend: BackendName = "numpy",
     ) -> None:
-        artifact = load(path)
-        if artifact.codec is None:
-            raise ArtifactError(f"{path} has no codec, so it cannot drive a robot")
-        self._artifact, self.graph, self.codec = artifact, artifact.graph, artifact.codec
+        self.artifact = read_policy(path)
         self.chip = chip_called(chip)
         self.controller = SpikingController(
-            artifact,
+            self.artifact,
             self.chip,
             rows,
             sampled,
@@ -77,14 +102,58 @@ class NirController:
             limits=limits,
             quantisation=quantisation,
         )
-        self.program = self.controller.program
+        self.codec, self.program = self.controller.codec, self.controller.program
         self.remarks = self.program.remarks
-        self._before, self._hit_before = self.controller.ledger, self.controller.damage
+        self._mark_start()
+
+    @classmethod
+    def describe(cls, path: Path) -> Candidate:
+        """The candidate in a NIR file, which must have a codec to act in a closed loop."""
+        artifact = read_policy(path)
+        assert artifact.codec is not None
+        (output,) = artifact.graph.outputs.values()
+        origin = artifact.provenance
+        return Candidate(
+            path=str(path),
+            name=path.stem,
+            kind="snn",
+            format=".nir",
+            env=env_id(origin.env) if origin and origin.env else None,
+            observed=artifact.codec.encoder.observed,
+            actions=int(np.prod(output.output_type["output"])),
+            chip=(origin.chip or None) if origin else None,
+        )
+
+    @classmethod
+    def open(
+        cls,
+        candidate: Candidate,
+        chip: str | None,
+        env: gymnasium.Env[Any, Any],
+        sampled: bool,
+        trace: bool = False,
+        rows: Rows = "total",
+    ) -> "NirController":
+        """The network on the chip, or its float twin."""
+        return cls(
+            candidate.path,
+            chip or FLOAT,
+            sampled,
+            candidate.limits,
+            candidate.quantisation,
+            candidate.faults,
+            trace,
+            rows,
+            candidate.backend,
+        )
 
     def reset(self, seed: int) -> None:
         """Start an episode and its ledger."""
         self.controller.reset(seed)
-        self._before, self._hit_before = self.controller.ledger, self.controller.damage
+        self._mark_start()
+
+    def _mark_start(self) -> None:
+        self._ledger_before, self._damage_before = self.controller.ledger, self.controller.damage
 
     def act(self, observation: Floats) -> NDArray[Any]:
         """The action (act,) or ()."""
@@ -94,21 +163,21 @@ class NirController:
         """Actions (S, act) or (S,) for the observations (S, obs) of an episode, in their order."""
         if not self.controller.remembers:
             return self.controller.act_batch(observations)
-        return np.stack([self.controller.act(observation) for observation in observations])
+        return super().replay(observations)
 
     @cached_property
     def cores(self) -> dict[str, int] | None:
         """Layer -> cores that `check` gives to it; None where nothing is known of the chip's."""
         if self.chip is None or self.chip.limits is None:
             return None
-        found = design(self._artifact, self.chip, self.chip.limits).mapping
+        found = design(self.artifact, self.chip, self.chip.limits).mapping
         placed = {each.name: each.cores for each in found.placements if each.kind == "neurons"}
         return placed if found.cores else None
 
     @property
-    def damage(self) -> tuple[Damage, ...]:
-        """What faults of the chip have hit, those over time since the last reset."""
-        before = {damage.text: damage for damage in self._hit_before}
+    def damage(self) -> tuple[Damage, ...]:  # type: ignore[override]
+        """Damage by faults of the chip; by those over time, since the last reset."""
+        before = {damage.text: damage for damage in self._damage_before}
         return tuple(
             now.since(before[now.text]) if now.over_time and now.text in before else now
             for now in self.controller.damage
@@ -117,70 +186,83 @@ class NirController:
     @property
     def ledger(self) -> Ledger:
         """Counts since the last reset, all inferences in one row."""
-        return self.controller.ledger.since(self._before)
+        return self.controller.ledger.since(self._ledger_before)
+
+    def costs(self, played: Rollout) -> Costs:
+        """Costs of the ledger of the episode, of the host beside it, and of the file."""
+        ledger = self.ledger
+        placed = None if self.cores is None else placed_messages(ledger, self.program, self.cores)
+        return policy_costs(self.artifact, ledger, self.program, self.chip, placed)
 
 
-def describe(path: Path) -> Candidate:
-    """The candidate in a NIR file, which must have a codec to act in a closed loop."""
-    artifact = load(path)
-    if artifact.codec is None:
-        raise ArtifactError(
-            f"{path} has no codec (observation to spikes, output to action), so it cannot drive a "
-            "robot; `spikedeploy emulate` plays spikes into it"
+def adopt(
+    file: str,
+    codec: Path | None,
+    force: bool = False,
+    check: Callable[[Artifact], object] = id,
+    **convention: Any,  # noqa: ANN401
+) -> Path:
+    """Write FILE.policy.nir beside a file of another tool, and return it.
+
+    codec       JSON file
+    force       whether a file that this function did not write is replaced
+    check       is called with the policy before anything is written, and raises where it is no use
+    convention  written_by and options of artifact.load
+    """
+    path = Path(file)
+    artifact = load(path, **convention)
+    if codec is None:
+        raise ConfigError(
+            f"{file} says neither how observations become spikes nor how its output becomes "
+            "actions: give --codec FILE.json; docs/own-network.md has one"
         )
-    (output,) = artifact.graph.outputs.values()
-    origin = artifact.provenance
-    return Candidate(
-        path=str(path),
-        name=path.stem,
-        kind="snn",
-        format=".nir",
-        env=env_id(origin.env) if origin and origin.env else None,
-        observed=artifact.codec.encoder.observed,
-        actions=int(np.prod(output.output_type["output"])),
-        chip=(origin.chip or None) if origin else None,
-    )
+    target = path.with_suffix(".policy.nir")
+    policy = replace(artifact, codec=read_codec(codec), provenance=_ADOPTED)
+    check_output("--from", target, (file, codec), force, _is_adopted)
+    check(policy)
+    save(policy, target)
+    say(f"{file}: {artifact.convention.describe()}")
+    say(f"wrote {target}: a policy as any other")
+    return target
 
 
-def controller(
-    candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
-) -> NirController:
-    """The network on the chip, or its float twin."""
-    return NirController(
-        candidate.path,
-        chip or FLOAT,
-        sampled,
-        candidate.limits,
-        candidate.quantisation,
-        candidate.faults,
-        backend=candidate.backend,
-    )
+def check_fits(
+    chip: str | None, limits: bool, quantisation: Quantisation, policy: Artifact
+) -> None:
+    """Raise the rule that a policy breaks on a chip; "float" has none."""
+    if chip != FLOAT:
+        compile_program(policy, datasheet(chip or DEFAULT_CHIP), quantisation, limits=limits)
 
 
-def costs(controller: NirController, played: Rollout) -> Costs:
-    """Costs of the ledger of the episode, of the host beside it, and of the file and its size."""
-    ledger, program = controller.ledger, controller.program
-    graph, cores = controller.graph, controller.cores
-    found = spiking_costs(ledger, program, controller.chip)
-    placed = None if cores is None else placed_messages(ledger, program, cores)
-    return replace(
-        beside(found, _host_terms(controller, found)),
-        dense=float(dense_products(graph) * ledger.timesteps / ledger.inferences),
-        footprint=footprint(graph),
-        footprint_packed=packed_bytes(program) if controller.chip else None,
-        connection_sparsity=connection_sparsity(graph),
-        messages_placed=placed,
-        control_steps_late=program.control_steps_late(controller.codec.timesteps),
-        messages_placed_j={} if placed is None else message_energies(placed),
-    )
+def _is_adopted(path: Path) -> bool:
+    """Whether a file is an earlier output of `adopt`."""
+    try:
+        found = load(path).provenance
+    except SpikedeployError:
+        return False
+    return found is not None and (found.env, found.recipe) == (_ADOPTED.env, _ADOPTED.recipe)
 
 
-def _host_terms(controller: NirController, found: Costs) -> dict[str, dict[str, float | None]]:
-    """Terms [J] of each table besides those of the chip; None where nothing prices one."""
-    ledger, program = controller.ledger, controller.program
-    encoder = encoding(controller.codec, found.input_spikes or 0.0)
-    readout = reading_out(program, readout_acs(ledger, program), readout_macs(ledger, program))
-    return {
-        name: {"encoder": encoder, "readout": readout, "resets": resetting(program, table)}
-        for name, table in TABLES.items()
-    }
+def read_codec(path: Path) -> Codec:
+    """The codec in a JSON file."""
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise ArtifactError(f"{path} is no JSON that can be read: {error}") from error
+    if not isinstance(record, dict):
+        raise ArtifactError(f"{path} holds no codec, but a {type(record).__name__}")
+    try:
+        arrays = _with_arrays(record)
+    except (ValueError, OverflowError) as error:  # lists of different lengths
+        raise ArtifactError(f"--codec {path} holds lists that are no arrays: {error}") from error
+    try:
+        return Codec.from_record(Record(arrays, str(path)))
+    except ArtifactError as error:
+        raise ArtifactError(f"--codec {error}; docs/own-network.md has a whole one") from error
+
+
+def _with_arrays(value: Any) -> Any:  # noqa: ANN401
+    """JSON with arrays for lists."""
+    if isinstance(value, dict):
+        return {name: _with_arrays(each) for name, each in value.items()}
+    return np.asarray(value) if isinstance(value, list) else value

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.costs import FLOAT_TABLES, UNCOUNTED, Costs
-from spikedeploy.policies.interface import Candidate, env_id
+from spikedeploy.policies.registry import Candidate, Floats, Player, env_id
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
@@ -23,12 +23,11 @@ from spikedeploy.trainers.onnx_session import session
 KINDS = ("ann", "control")
 HEADS = ("continuous", "discrete")
 
-Floats = NDArray[np.float64]
 _STEP = "snn-step"  # what exporters.spiking_onnx writes
 _DTYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
 
-class OnnxController:
+class OnnxController(Player):
     """A float network: observation (obs,) in, action (act,) out, or () where it chooses one.
 
     path        of the file
@@ -57,6 +56,30 @@ class OnnxController:
         self.chooses = _head(path, self.metadata) == "discrete"
         self._sampler = Sampler(self.chooses) if sampled else None
 
+    @classmethod
+    def describe(cls, path: Path) -> Candidate:
+        """The candidate in an ONNX file; files without our metadata count as float networks."""
+        policy = cls(path)
+        kind = policy.metadata.get("kind", "ann")
+        if kind not in KINDS:
+            raise ArtifactError(f"{path} says it is of kind {kind!r}; known are {', '.join(KINDS)}")
+        return Candidate(
+            path=str(path),
+            name=path.stem,
+            kind=kind,
+            format=".onnx",
+            env=env_id(policy.metadata.get("env", "")),
+            observed=policy.observed,
+            actions=policy.actions,
+        )
+
+    @classmethod
+    def open(
+        cls, candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
+    ) -> "OnnxController":
+        """The network, loaded."""
+        return cls(candidate.path, sampled)
+
     def reset(self, seed: int) -> None:
         """Start an episode: only sampling has a state."""
         if self._sampler is not None:
@@ -72,6 +95,44 @@ class OnnxController:
         if self._sampler is not None:
             return self._sampler(output)
         return output.argmax(axis=1) if self.chooses else output
+
+    def costs(self, played: Rollout) -> Costs:
+        """Multiply-accumulates, all of them and the effective ones; the energies of both.
+
+        `energy_j` is that of all.
+        """
+        if "macs" not in self.metadata:
+            return replace(UNCOUNTED, effective_acs=0.0)
+        dense = float(self.metadata["macs"])
+        effective = self.effective_macs(played.observation[:-1])
+        beside, unknown = self._terms_beside()
+        tables = {name: TABLES[name] for name in FLOAT_TABLES}
+        skipping = (
+            {} if effective is None else {n: mac_energy(effective, tables[n]) for n in tables}
+        )
+        return Costs(
+            effective_acs=0.0,
+            effective_macs=effective,
+            dense=dense,
+            energy_j={name: mac_energy_estimate(dense, table) for name, table in tables.items()},
+            energy_terms_j={
+                n: {"operations": mac_energy(dense, t)} | beside for n, t in tables.items()
+            },
+            energy_unknown={
+                n: unknown if n in tables else ("operations", *unknown) for n in TABLES
+            },
+            energy_zero_skipping_j=skipping,
+        )
+
+    def _terms_beside(self) -> tuple[dict[str, float], tuple[str, ...]]:
+        """Terms [J] besides the operations, alike by every table; and the names of unknown ones."""
+        prices = {
+            "bias": None if self.biases is None else added(self.biases),
+            "encoder": None if self.reads is None else reading(self.reads),
+        }
+        known = {name: joules for name, joules in prices.items() if joules is not None}
+        moved = ("activations",) if len(self._presynaptic) != 1 else ()
+        return known, (*(name for name in prices if name not in known), *moved)
 
     def effective_macs(self, observations: Floats) -> float | None:
         """Mean multiply-accumulates with non-zero input; None where the file cannot tell."""
@@ -97,11 +158,6 @@ class OnnxController:
         if not self._presynaptic:
             return None
         return sum(int(np.count_nonzero(each)) for each in self._fan_outs()[1:]) + self.actions
-
-    @property
-    def layers(self) -> int:
-        """Weight matrices."""
-        return len(self._presynaptic)
 
     def _fan_outs(self) -> list[NDArray[np.int64]]:
         """Weights (M,) of each input of each matrix; pruned networks say how many are left."""
@@ -151,66 +207,6 @@ class OnnxController:
                 f"observation {column} is {observations[row, column]}; all must be finite"
             )
         return observations
-
-
-def describe(path: Path) -> Candidate:
-    """The candidate in an ONNX file; files without our metadata count as float networks."""
-    policy = OnnxController(path)
-    kind = policy.metadata.get("kind", "ann")
-    if kind not in KINDS:
-        raise ArtifactError(f"{path} says it is of kind {kind!r}; known are {', '.join(KINDS)}")
-    return Candidate(
-        path=str(path),
-        name=path.stem,
-        kind=kind,
-        format=".onnx",
-        env=env_id(policy.metadata.get("env", "")),
-        observed=policy.observed,
-        actions=policy.actions,
-    )
-
-
-def controller(
-    candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
-) -> OnnxController:
-    """The network, loaded."""
-    return OnnxController(candidate.path, sampled)
-
-
-def costs(controller: OnnxController, played: Rollout) -> Costs:
-    """Multiply-accumulates, all of them and the effective ones; the energies of both, and beside.
-
-    `energy_j` is that of all.
-    """
-    if "macs" not in controller.metadata:
-        return replace(UNCOUNTED, effective_acs=0.0)
-    dense = float(controller.metadata["macs"])
-    effective = controller.effective_macs(played.observation[:-1])
-    beside, unknown = _beside(controller)
-    tables = {name: TABLES[name] for name in FLOAT_TABLES}
-    terms = {n: {"operations": mac_energy(dense, t)} | beside for n, t in tables.items()}
-    return Costs(
-        effective_acs=0.0,
-        effective_macs=effective,
-        dense=dense,
-        energy_j={name: mac_energy_estimate(dense, table) for name, table in tables.items()},
-        energy_terms_j=terms,
-        energy_unknown={n: unknown if n in tables else ("operations", *unknown) for n in TABLES},
-        energy_zero_skipping_j={}
-        if effective is None
-        else {name: mac_energy(effective, table) for name, table in tables.items()},
-    )
-
-
-def _beside(controller: OnnxController) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Terms [J] besides the operations, alike by every table; and the names of unknown ones."""
-    prices = {
-        "bias": None if controller.biases is None else added(controller.biases),
-        "encoder": None if controller.reads is None else reading(controller.reads),
-    }
-    known = {name: joules for name, joules in prices.items() if joules is not None}
-    moved = ("activations",) if controller.layers != 1 else ()
-    return known, (*(name for name in prices if name not in known), *moved)
 
 
 def _metadata(path: str | Path, session: Any) -> dict[str, str]:  # noqa: ANN401

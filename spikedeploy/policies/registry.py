@@ -1,47 +1,158 @@
-"""The registry of policies: files, run folders and built-ins, one table of formats.
+"""Policies of every format: found by name, described, and loaded as players.
 
-A new format is a module with the functions of interface.PolicyFormat, and a line in FORMATS.
+A new format is a class beside these, and a line in FORMATS.
 """
 
 import difflib
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
 
 from spikedeploy import zoo
 from spikedeploy.envs.foreign import is_target
-from spikedeploy.policies.interface import FLOAT, Candidate, Player, PolicyFormat, check_fit
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.faults import NONE, Faults
 
 if TYPE_CHECKING:
     import gymnasium
 
     from spikedeploy.envs.rollout import Rollout
     from spikedeploy.policies.costs import Costs
+    from spikedeploy.runtime.chips.damage import Damage
+
+Floats = NDArray[np.float64]
 
 FORMATS = {
-    ".onnx": "spikedeploy.policies.onnx",
-    ".nir": "spikedeploy.policies.nir",
-    ".so": "spikedeploy.policies.native",
-    "run": "spikedeploy.policies.run",
-    "gait": "spikedeploy.policies.gait",
-    "random": "spikedeploy.policies.random",
-    "gap": "spikedeploy.policies.gap",
-    "teacher": "spikedeploy.policies.teacher",
-    "function": "spikedeploy.policies.teacher",
+    ".onnx": "onnx:OnnxController",
+    ".nir": "nir:NirController",
+    ".so": "native:NativeController",
+    "run": "run:TorchController",
+    "gait": "scripts:ZeroController",
+    "random": "scripts:RandomController",
+    "gap": "scripts:GapController",
+    "teacher": "scripts:TeacherController",
+    "function": "scripts:TeacherController",
 }
-BUILT_IN = ("gait", "random", "gap")
+BASELINES = ("gait", "random")  # kinds without a trained policy: the zero of a normalised score
+DEFAULT_CHIP = "loihi1"  # of spiking policies where none is named
+FLOAT = "float"  # in place of a chip: the float twin of a spiking policy
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A policy that can be run, before it is loaded.
+
+    path      of the file or run folder, or the name of a built-in
+    name      short, for tables
+    kind      "ann", "snn", "control", or one of BASELINES
+    format    key of FORMATS
+    env       id of the environment it was made for; None fits any
+    observed  numbers it observes; None fits any
+    actions   numbers it puts out, or actions that it chooses from; None fits any
+    limits    whether a chip refuses it when it breaks a design rule
+    quantisation  of a spiking policy on a chip
+    faults    of that chip
+    backend   what computes that chip
+    chip      whose integers it was trained in; None where it was trained for none
+    units     of a teacher's actions, "own" or "scaled"; None for those that its kind has
+    """
+
+    path: str
+    name: str
+    kind: str
+    format: str
+    env: str | None = None
+    observed: int | None = None
+    actions: int | None = None
+    limits: bool = True
+    quantisation: Quantisation = PLAIN
+    faults: Faults = NONE
+    backend: BackendName = "numpy"
+    chip: str | None = None
+    units: Literal["own", "scaled"] | None = None
+
+    @property
+    def default_chip(self) -> str | None:
+        """The chip that runs it where none is named; FLOAT for a run folder, which none runs."""
+        if self.kind != "snn":
+            return None
+        return self.chip or DEFAULT_CHIP if self.format == ".nir" else FLOAT
+
+
+BUILT_IN = {
+    "gait": Candidate("gait", "gait", "gait", "gait"),
+    "random": Candidate("random", "random", "random", "random"),
+    "gap": Candidate("gap", "gap", "control", "gap"),
+}
 UNTRAINED = (*BUILT_IN, "function")  # formats of scripts
+
+
+class Player(ABC):
+    """A loaded policy: it acts in an environment, and answers for recorded episodes.
+
+    remarks  of the compiler, on where a chip departs from the file
+    damage   by faults of the chip
+    """
+
+    remarks: Sequence[str] = ()
+    damage: "Sequence[Damage]" = ()
+
+    @classmethod
+    def describe(cls, path: Path) -> Candidate:
+        """The candidate in a file or folder."""
+        raise NotImplementedError
+
+    @classmethod
+    def open(
+        cls, candidate: Candidate, chip: str | None, env: "gymnasium.Env[Any, Any]", sampled: bool
+    ) -> "Player":
+        """The candidate, loaded.
+
+        chip     name of a chip, FLOAT, or None for what does not spike
+        sampled  draw actions where the policy is a distribution over them
+        """
+        raise NotImplementedError
+
+    def reset(self, seed: int) -> None:  # noqa: B027 - not abstract
+        """Start an episode; what has no state has nothing to do."""
+
+    @abstractmethod
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The action (act,), or () where it is one of several, for an observation (obs,)."""
+
+    def replay(self, observations: Floats) -> NDArray[Any]:
+        """The actions (S, act) or (S,) for the observations (S, obs) of an episode, in order."""
+        return np.stack([self.act(observation) for observation in observations])
+
+    def costs(self, played: "Rollout") -> "Costs":
+        """Costs of the inferences of a rollout that it has just played; uncounted by default."""
+        from spikedeploy.policies.costs import UNCOUNTED
+
+        return UNCOUNTED
 
 
 def find(reference: str) -> Candidate:
     """The candidate at a path, in the zoo (`hexapod/popsan`), or built in (`gait`, `gap`)."""
     if reference in BUILT_IN:
-        return _format(reference).describe(Path(reference))
+        return BUILT_IN[reference]
     path = zoo.resolve(reference)
     if path is None:
-        raise ConfigError(_unknown(reference, zoo.names()))
-    return _format(_format_of(path)).describe(path)
+        raise ConfigError(_unknown(reference))
+    if not path.is_dir() and path.suffix not in FORMATS:
+        teacher = f"; a teacher plays in `spikedeploy compare ENV --teacher {path}`"
+        raise ConfigError(
+            f"{path} is neither .onnx, .nir nor a run folder{teacher * (path.suffix == '.zip')}"
+        )
+    return _class_of("run" if path.is_dir() else path.suffix).describe(path)
 
 
 def open_policy(
@@ -56,39 +167,46 @@ def open_policy(
         raise ConfigError(f"{candidate.name} is a spiking policy: name a chip, or '{FLOAT}'")
     if candidate.kind != "snn" and chip is not None:
         raise ConfigError(f"{candidate.name} does not spike, so no chip runs it: leave --chip out")
-    return _format(candidate.format).controller(candidate, chip, env, sampled)
+    return _class_of(candidate.format).open(candidate, chip, env, sampled)
 
 
-def price(candidate: Candidate, player: Player, played: "Rollout") -> "Costs":
-    """What an inference cost the player in the rollout that it has just played."""
-    return _format(candidate.format).costs(player, played)
+def check_fit(candidate: Candidate, env: "gymnasium.Env[Any, Any]") -> None:
+    """Refuse an environment that the candidate was not made for."""
+    made_for, here = candidate.env, env.spec.id if env.spec else None
+    if made_for not in (None, here):
+        raise ConfigError(f"{candidate.path} was made for {made_for}, not for {here}")
+    sizes = {
+        "observes": (candidate.observed, env.observation_space),
+        "puts out": (candidate.actions, env.action_space),
+    }
+    for verb, (found, space) in sizes.items():
+        # numbers of a box, or actions to choose from
+        wanted = int(getattr(space, "n", math.prod(space.shape or ())))
+        if found not in (None, wanted):
+            raise ConfigError(f"{candidate.path} {verb} {found} numbers; {here} has {wanted}")
 
 
-def _format(name: str) -> PolicyFormat:
-    """The module of a format, imported now."""
-    return cast(PolicyFormat, import_module(FORMATS[name]))
+def env_id(name: str) -> str | None:
+    """The id of an environment named in a file, short or long; None where it names none."""
+    from spikedeploy.envs import ENVS
+
+    return ENVS[name].id if name in ENVS else name or None
 
 
-def _format_of(path: Path) -> str:
-    if path.is_dir():
-        return "run"
-    if path.suffix in FORMATS:
-        return path.suffix
-    raise ConfigError(
-        f"{path} is neither .onnx, .nir nor a run folder; a teacher plays in "
-        f"`spikedeploy compare ENV --teacher {path}`"
-        if path.suffix == ".zip"
-        else f"{path} is neither .onnx, .nir nor a run folder"
-    )
+def _class_of(format_: str) -> type[Player]:
+    """The class of a format, imported now."""
+    module, _, name = FORMATS[format_].partition(":")
+    found = getattr(import_module(f"spikedeploy.policies.{module}"), name)
+    return cast("type[Player]", found)
 
 
-def _unknown(reference: str, known: list[str]) -> str:
+def _unknown(reference: str) -> str:
     if is_target(reference):
         return (
             f"no policy at {reference!r}: a function of yours plays as a teacher, in "
             f"`spikedeploy compare ENV --teacher {reference}`"
         )
-    close = difflib.get_close_matches(reference, [*known, *BUILT_IN], n=1)
+    close = difflib.get_close_matches(reference, [*zoo.names(), *BUILT_IN], n=1)
     hint = (
         f"did you mean {close[0]!r}?" if close else "`spikedeploy policies` lists what is shipped"
     )

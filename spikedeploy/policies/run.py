@@ -7,9 +7,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.costs import UNCOUNTED, Costs
-from spikedeploy.policies.interface import FLOAT, Candidate
+from spikedeploy.policies.registry import FLOAT, Candidate, Floats, Player
 from spikedeploy.policies.run_record import env_of
 from spikedeploy.runtime.codec.rate import Xorshift
 from spikedeploy.runtime.emulator.controllers import Sampler
@@ -20,10 +18,8 @@ if TYPE_CHECKING:
 
     from spikedeploy.trainers.policies import Policy
 
-Floats = NDArray[np.float64]
 
-
-class TorchController:
+class TorchController(Player):
     """A policy in torch, float32; a random encoder uses the generator of the chip.
 
     `sampled` draws one of several actions from the softmax of their scores; `checkpoint` is of the
@@ -38,6 +34,36 @@ class TorchController:
         self.policy = policy_of(run, checkpoint)
         self._sampler = Sampler(self.policy.head == "discrete") if sampled else None
         self.reset(0)
+
+    @classmethod
+    def describe(cls, path: Path) -> Candidate:
+        """The candidate in a run folder."""
+        from spikedeploy.exporters.to_nir import SpikingPolicy
+        from spikedeploy.trainers.policies import DeltaSnnPolicy, PrunedMlpPolicy
+
+        policy = policy_of(path)
+        network = "control" if isinstance(policy, PrunedMlpPolicy) else "ann"
+        return Candidate(
+            path=str(path),
+            name=path.resolve().name,
+            kind="snn" if isinstance(policy, SpikingPolicy | DeltaSnnPolicy) else network,
+            format="run",
+            env=env_of(path),
+            observed=policy.observations,
+            actions=policy.actions,
+        )
+
+    @classmethod
+    def open(
+        cls, candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
+    ) -> "TorchController":
+        """The policy; a chip needs the exported file."""
+        if chip not in (None, FLOAT):
+            raise ConfigError(
+                f"{candidate.path} is a run folder, which no chip runs; export it first: "
+                f"spikedeploy export {candidate.path} --to nir"
+            )
+        return cls(candidate.path, sampled)
 
     def reset(self, seed: int) -> None:
         """Seed the encoder's generator, and put states to rest; both run on between inferences."""
@@ -92,38 +118,3 @@ def policy_of(run: str | Path, checkpoint: str | None = None) -> "Policy":
             f"{run}: checkpoint {checkpoint or 'best or last'} holds no whole policy ({what}): "
             "copy it from a backup, or take another with --checkpoint"
         ) from error
-
-
-def describe(path: Path) -> Candidate:
-    """The candidate in a run folder."""
-    from spikedeploy.exporters.to_nir import SpikingPolicy
-    from spikedeploy.trainers.policies import DeltaSnnPolicy, PrunedMlpPolicy
-
-    policy = policy_of(path)
-    network = "control" if isinstance(policy, PrunedMlpPolicy) else "ann"
-    return Candidate(
-        path=str(path),
-        name=path.resolve().name,
-        kind="snn" if isinstance(policy, SpikingPolicy | DeltaSnnPolicy) else network,
-        format="run",
-        env=env_of(path),
-        observed=policy.observations,
-        actions=policy.actions,
-    )
-
-
-def controller(
-    candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
-) -> TorchController:
-    """The policy, loaded; a chip needs the exported file."""
-    if chip not in (None, FLOAT):
-        raise ConfigError(
-            f"{candidate.path} is a run folder, which no chip runs; export it first: "
-            f"spikedeploy export {candidate.path} --to nir"
-        )
-    return TorchController(candidate.path, sampled)
-
-
-def costs(controller: TorchController, played: Rollout) -> Costs:
-    """Not counted: costs are those of the exported file, which would be deployed."""
-    return UNCOUNTED

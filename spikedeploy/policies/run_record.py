@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.files import read_json
-from spikedeploy.policies.interface import env_id
+from spikedeploy.policies.registry import env_id
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.run_folder import check_summed

@@ -1,8 +1,5 @@
-"""Real time: the closed loop at a fixed rate, and a policy that other programs ask for actions.
+"""Real time: the closed loop at a fixed rate, and a policy that answers other programs.
 
-pacing      rate, deadline and duration as they are given; waiting for the next period
-paced_loop  episodes at that rate, and how long each control step took
-protocol    requests and replies of `serve`, as JSON
-served_policy  the clients of `serve`, and the episode of each
-server      its socket
+paced_loop  rate, deadline and duration; episodes at that rate, and the time of each control step
+server      requests of `serve`, its clients, and its socket
 """

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
-from spikedeploy.policies.interface import FLOAT, Candidate, Player, check_fit
 from spikedeploy.policies.nir import NirController
-from spikedeploy.policies.registry import open_policy
+from spikedeploy.policies.registry import Candidate, Player, check_fit, open_policy
 from spikedeploy.recordings.scenes import Floats, scene_of
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger, Rows
 from spikedeploy.runtime.errors import RuleError
@@ -107,17 +106,7 @@ def traced(
     if candidate.format != ".nir":
         return open_policy(candidate, chip, env, sampled)
     check_fit(candidate, env)
-    return NirController(
-        candidate.path,
-        chip or FLOAT,
-        sampled,
-        candidate.limits,
-        candidate.quantisation,
-        candidate.faults,
-        trace=True,
-        rows=rows,
-        backend=candidate.backend,
-    )
+    return NirController.open(candidate, chip, env, sampled, trace=True, rows=rows)
 
 
 def spikes_of(player: NirController) -> dict[str, NDArray[Any]]:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import TypeAlias
 
-from spikedeploy.emulation.drift_report import DriftReport
+from spikedeploy.emulation.drift import DriftReport
 from spikedeploy.emulation.open_loop import SILENT
 from spikedeploy.reports.markdown import markdown_table
 from spikedeploy.runtime.analysis.drift import Drift, OutputDrift

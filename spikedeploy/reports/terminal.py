@@ -4,9 +4,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from spikedeploy.console import print_table, print_text
-from spikedeploy.emulation.drift_report import DriftReport
+from spikedeploy.emulation.drift import DriftReport
 from spikedeploy.emulation.open_loop import Emulation
-from spikedeploy.emulation.recorded_activity import RecordedActivity
+from spikedeploy.emulation.recordings import RecordedActivity
 from spikedeploy.emulation.trace_replay import ReplayedTrace
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.reports import drift_tables

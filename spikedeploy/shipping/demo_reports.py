@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy import zoo
+from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
-from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.comparison.summary import smallest_baseline
 from spikedeploy.console import say
 from spikedeploy.files import write_text
@@ -15,7 +15,7 @@ from spikedeploy.outputs import check_output, check_output_folder, marked
 from spikedeploy.pages import report
 from spikedeploy.pages.comparison import policy_table, replay
 from spikedeploy.pages.page import big_numbers, hint, page, said
-from spikedeploy.policies.interface import DEFAULT_CHIP
+from spikedeploy.policies.registry import DEFAULT_CHIP
 from spikedeploy.reports.cells import Row
 from spikedeploy.reports.headline import ann_row, headline, main_row, verdict
 from spikedeploy.reports.short_table import energy_hint

@@ -23,7 +23,7 @@ from spikedeploy.exporters.c.to_c import (
 )
 from spikedeploy.make_env import make_env
 from spikedeploy.outputs import check_output_folder, marked
-from spikedeploy.policies.interface import DEFAULT_CHIP
+from spikedeploy.policies.registry import DEFAULT_CHIP
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock

@@ -9,14 +9,13 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from spikedeploy import envs, zoo
+from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import alone
-from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.console import say
 from spikedeploy.files import as_text, replacing, write_text
 from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.policies import run_record
-from spikedeploy.policies.interface import DEFAULT_CHIP
-from spikedeploy.policies.registry import find
+from spikedeploy.policies.registry import DEFAULT_CHIP, find
 from spikedeploy.policies.run_record import SPIKING
 from spikedeploy.reports.curves import curve
 from spikedeploy.reports.plots import draw_curves

@@ -8,8 +8,7 @@ from typing import Any
 
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.policies.interface import FLOAT
-from spikedeploy.policies.registry import BUILT_IN, find
+from spikedeploy.policies.registry import BUILT_IN, FLOAT, find
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import NONE, Faults

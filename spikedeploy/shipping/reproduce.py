@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from spikedeploy import zoo
-from spikedeploy.comparison.rounds import compare_policies
+from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.files import as_text
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.card_page import check_rewritable, write_evaluation

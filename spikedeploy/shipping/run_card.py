@@ -74,7 +74,7 @@ def export_card(reference: str, film: bool = False, force: bool = False) -> list
 
 def _filmed(policy: Path, run: Path) -> Path:
     """One episode of the exported policy as MP4."""
-    from spikedeploy.comparison.closed_loop import run_policy
+    from spikedeploy.comparison.evaluation import run_policy
 
     world = run_record.settings(run)["env"]
     seeds = range(EVALUATION, EVALUATION + 1)

@@ -13,8 +13,7 @@ from spikedeploy import envs
 from spikedeploy.comparison.comparison import Comparison, Row
 from spikedeploy.comparison.episodes import EpisodeJob, foreign_period, play
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.policies.interface import Candidate
-from spikedeploy.policies.registry import find
+from spikedeploy.policies.registry import Candidate, find
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import faults

@@ -9,8 +9,7 @@ from typing import Any
 from spikedeploy import envs, zoo
 from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.make_env import make_env
-from spikedeploy.policies.interface import FLOAT, Candidate, check_fit
-from spikedeploy.policies.registry import BUILT_IN, find
+from spikedeploy.policies.registry import BUILT_IN, FLOAT, Candidate, check_fit, find
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import faults

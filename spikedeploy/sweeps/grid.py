@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.comparison.metrics import checked_metrics
-from spikedeploy.policies.interface import DEFAULT_CHIP
+from spikedeploy.policies.registry import DEFAULT_CHIP
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import EVALUATION, listed_numbers

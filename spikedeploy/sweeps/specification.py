@@ -8,7 +8,7 @@ from functools import cache, cached_property
 from typing import Any
 
 from spikedeploy import envs
-from spikedeploy.policies.interface import FLOAT
+from spikedeploy.policies.registry import FLOAT
 from spikedeploy.trainers.versions import installed
 
 _VERSION = 1  # of what a result holds; a higher one makes all results again

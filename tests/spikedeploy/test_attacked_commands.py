@@ -13,7 +13,7 @@ import torch
 from spikedeploy import envs, zoo
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.policies import run_record
-from spikedeploy.policies.adopted import read_codec
+from spikedeploy.policies.nir import read_codec
 from spikedeploy.policies.run import policy_of
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.trainers.config import resolve

@@ -9,7 +9,7 @@ import typer
 from lab.experiments import chip_policies
 from spikedeploy import envs, zoo
 from spikedeploy.commands.training import train
-from spikedeploy.comparison.closed_loop import run_policy
+from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.comparison.lineup import line_up, on_another_chip
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.runtime import SpikingController, load

@@ -4,7 +4,7 @@ import av
 import numpy as np
 import pytest
 
-from spikedeploy.comparison.closed_loop import run_policy
+from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.video import Pace, captioned, mp4
 from tests import toy_stroll_env

@@ -9,7 +9,7 @@ import numpy as np
 from lab.experiments.kart.design import CORRIDOR, COUNT, GREEDY, PEERS, POLICIES, WORLDS
 from lab.experiments.kart.records import FIRST, HELD, NTH, Record
 from spikedeploy.comparison.statistics import Estimate, ratio_of_medians
-from spikedeploy.policies.interface import FLOAT
+from spikedeploy.policies.registry import FLOAT
 from spikedeploy.reports.columns import ABSENT, scaled
 from spikedeploy.reports.markdown import markdown_table
 

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy import zoo
-from spikedeploy.policies.interface import Candidate, check_fit
-from spikedeploy.policies.registry import BUILT_IN, find
+from spikedeploy.policies.registry import BUILT_IN, Candidate, check_fit, find
 from spikedeploy.runtime.errors import ConfigError
 
 # float controls beside the float ANN, as far as they are shipped, from the strongest on

@@ -15,8 +15,8 @@ from lab.experiments.robustness.design import (
 )
 from lab.experiments.robustness.evaluation import missing, perform, stored
 from lab.experiments.robustness.experiment import experiment
+from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.envs.disturbances import kinds_of
 from spikedeploy.jobs import resumable
 from spikedeploy.runtime.errors import ConfigError

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spikedeploy.emulation.measures import measured
+from spikedeploy.emulation.open_loop import measured
 from spikedeploy.runtime.analysis.activity import chip_activity, float_activity
 from spikedeploy.runtime.analysis.calibration import tuned, with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import drift

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from spikedeploy.policies.registry import find
-from spikedeploy.policies.teacher import teacher_candidate
+from spikedeploy.policies.scripts import teacher_candidate
 from spikedeploy.runtime.errors import ConfigError
 from tests.paths import ROOT
 

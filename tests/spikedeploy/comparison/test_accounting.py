@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from spikedeploy.comparison.accounting import control_period, static
+from spikedeploy.comparison.comparison import control_period, static
+from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
-from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.envs import ENVS
 from spikedeploy.pages import report
 from spikedeploy.reports.columns import ABSENT, markdown, tables

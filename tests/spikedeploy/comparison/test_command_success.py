@@ -2,7 +2,7 @@
 
 import pytest
 
-from spikedeploy.comparison.closed_loop import run_policy
+from spikedeploy.comparison.evaluation import run_policy
 
 SEEDS = range(5_002, 5_003)
 

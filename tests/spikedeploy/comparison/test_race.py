@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
-from spikedeploy.comparison.agreement import (
+from spikedeploy.comparison.episodes import (
     Agreement,
     agreement,
     first_divergence,
     pooled_equality,
     pooled_rmse,
 )
-from spikedeploy.comparison.closed_loop import run_policy
+from spikedeploy.comparison.evaluation import compare_policies, run_policy
 from spikedeploy.comparison.lineup import Entry, line_up
 from spikedeploy.comparison.metrics import measure
-from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.agreement import (
+from spikedeploy.comparison.episodes import (
     Agreement,
     first_divergence,
     median_divergence,
     pooled_rmse,
 )
+from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry, line_up
-from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spikedeploy.comparison.closed_loop import run_policy
+from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.live.steps import told
 from spikedeploy.live.view import LiveView

@@ -6,8 +6,8 @@ from io import BytesIO
 import pytest
 from matplotlib.colors import to_hex
 
+from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
-from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.pages import report
 from spikedeploy.pages.page import part
 from spikedeploy.reports.headline import headline, main_row

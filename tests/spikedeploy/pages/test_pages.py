@@ -7,8 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from spikedeploy.emulation.design_report import report_of
-from spikedeploy.emulation.drift_inputs import random_inputs
-from spikedeploy.emulation.drift_report import drift_report
+from spikedeploy.emulation.drift import drift_report, random_inputs
 from spikedeploy.jobs.serial import SerialBackend
 from spikedeploy.pages.cores import core_fills, cores_svg
 from spikedeploy.pages.design import design_page

@@ -7,7 +7,7 @@ import pygame
 import pytest
 
 from spikedeploy import envs
-from spikedeploy.comparison.closed_loop import run_policy
+from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.play import window

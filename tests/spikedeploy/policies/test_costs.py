@@ -9,14 +9,9 @@ import pytest
 from spikedeploy import zoo
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies import costs
-from spikedeploy.policies.costs import Costs, priced_by, spiking_costs
-from spikedeploy.policies.gap import costs as gap_costs
-from spikedeploy.policies.host_terms import resetting
+from spikedeploy.policies.costs import UNCOUNTED, Costs, _resetting, priced_by, spiking_costs
 from spikedeploy.policies.nir import NirController
-from spikedeploy.policies.nir import costs as nir_costs
 from spikedeploy.policies.onnx import OnnxController
-from spikedeploy.policies.onnx import costs as onnx_costs
-from spikedeploy.policies.run import costs as run_costs
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import check as check_on
@@ -68,7 +63,7 @@ def test_spikes_sparsity_and_operations_are_those_of_the_rasters(snn):
     assert found.input_spikes == pytest.approx(inputs)
     assert found.sparsity == pytest.approx(1 - sum(spikes) / (neurons * timesteps))
     assert found.bias_sops == timesteps * (16 + 12 + 20)
-    dense = nir_costs(player, played(OBSERVATIONS)).dense
+    dense = player.costs(played(OBSERVATIONS)).dense
     assert dense == timesteps * (30 * 16 + 16 * 12 + 12 * 20 + 20 * 2)
 
 
@@ -87,7 +82,7 @@ def test_the_ledger_begins_anew_with_each_episode(snn):
 def test_the_size_of_a_network_is_that_of_its_file_and_of_its_weights_on_the_chip(snn):
     player = NirController(str(snn), "loihi1")
     player.act(OBSERVATIONS[0])
-    found = nir_costs(player, played(OBSERVATIONS))
+    found = player.costs(played(OBSERVATIONS))
     weights, biases, readout = 30 * 16 + 16 * 12 + 12 * 20, 16 + 12 + 20, 20 * 2 + 2
     # on the chip one byte each; in the file four, and three constants of a layer, 4 bytes, and 12
     assert found.footprint_packed == weights + biases
@@ -127,14 +122,14 @@ def test_effective_macs_of_a_relu_network_skip_its_zeros(tmp_path):
 
 def test_a_float_network_costs_its_dense_macs_in_energy(tmp_path):
     player = OnnxController(toy_stroll_env.ann(tmp_path / "ann.onnx", hidden=(8,)))
-    found = onnx_costs(player, played(OBSERVATIONS))
+    found = player.costs(played(OBSERVATIONS))
     assert found.dense == 3 * 8 + 8 * 2
     assert found.energy_j["horowitz45"].value == mac_energy(40, TABLES["horowitz45"])
 
 
 def test_a_float_network_has_both_costs_and_names_what_it_does_not_count(tmp_path):
     player = OnnxController(toy_stroll_env.ann(tmp_path / "ann.onnx", hidden=(8,)))
-    found = onnx_costs(player, played(OBSERVATIONS))
+    found = player.costs(played(OBSERVATIONS))
     int8 = found.energy_terms_j["horowitz45-int8"]
     # 40 products; 8 + 2 biases, each fetched and added; three observations read
     assert pytest.approx({k: 1e12 * v for k, v in int8.items()}) == {
@@ -149,7 +144,7 @@ def test_a_float_network_has_both_costs_and_names_what_it_does_not_count(tmp_pat
 
 
 def test_a_script_and_a_run_folder_say_that_they_are_not_counted():
-    found = costs.mean([run_costs(None, None), gap_costs(None, None)], [1, 2])
+    found = costs.mean([UNCOUNTED, UNCOUNTED], [1, 2])
     assert set(found.energy_unknown) == set(TABLES)
     assert set(found.energy_unknown.values()) == {("operations",)}
     assert found.energy_terms_j == {}
@@ -159,7 +154,7 @@ def test_a_script_and_a_run_folder_say_that_they_are_not_counted():
 def test_the_terms_of_a_policy_on_chip_add_up_to_its_energy(name, snn):
     player = NirController(str(snn), "loihi1")
     player.replay(OBSERVATIONS)
-    found = nir_costs(player, played(OBSERVATIONS))
+    found = player.costs(played(OBSERVATIONS))
     terms, unknown = found.energy_terms_j[name], found.energy_unknown[name]
     on_chip = sum(joules for term, joules in terms.items() if term in ON_CHIP)
     assert on_chip == pytest.approx(found.energy_j[name].value, rel=1e-12)
@@ -180,7 +175,7 @@ def test_states_that_are_kept_are_not_reset(snn, tmp_path):
     for path in (snn, tmp_path / "kept.nir"):
         player = NirController(str(path), "loihi1")
         player.replay(OBSERVATIONS)
-        terms = nir_costs(player, played(OBSERVATIONS)).energy_terms_j
+        terms = player.costs(played(OBSERVATIONS)).energy_terms_j
         resets += [terms[f"horowitz45-int8{more}"]["resets"] for more in ("", "-acc16", "-acc32")]
     # a current and a membrane of 16 + 12 + 20 neurons, 5 pJ a write of 32 bits, 2.5 of 16
     assert resets == pytest.approx([2 * 48 * 5e-12, 2 * 48 * 2.5e-12, 2 * 48 * 5e-12, 0, 0, 0])
@@ -194,7 +189,7 @@ def test_neurons_without_a_current_have_one_state_to_reset():
     assert player.ledger.one_state == (readout.name,)
     begins_anew = replace(player.program.convention, state="reset")
     each_time = replace(player.program, convention=begins_anew)
-    found = resetting(each_time, TABLES["horowitz45-int8"])
+    found = _resetting(each_time, TABLES["horowitz45-int8"])
     assert found == pytest.approx((2 * hidden.size + readout.size) * 5e-12)
 
 
@@ -213,9 +208,9 @@ def test_shipped_policies_are_counted_as_neurobench_counts_their_file(path):
         str(path), "loihi1:clock=gated"
     )  # free, layers run on behind the last row
     player.act(np.zeros(player.codec.encoder.observed))
-    found = nir_costs(player, None)
-    action = player.graph.nodes.get("action")  # an identity in all that have one
-    dense = dense_operations(player.graph) - (action.weight.size if action else 0)
+    found = player.costs(None)
+    action = player.artifact.graph.nodes.get("action")  # an identity in all that have one
+    dense = dense_operations(player.artifact.graph) - (action.weight.size if action else 0)
     assert found.dense == dense * player.codec.timesteps
     assert found.effective_macs == 0  # readouts hand membranes on, or add up spikes
     if max(player.cores.values()) > 1:

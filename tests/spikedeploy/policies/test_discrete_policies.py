@@ -11,7 +11,7 @@ from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.spiking_onnx import OUTPUTS
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.exporters.to_onnx import to_onnx
-from spikedeploy.policies.registry import find, open_policy, price
+from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import SpikingMlpConfig
@@ -73,7 +73,7 @@ def test_an_episode_is_a_list_of_choices(kind, tmp_path):
     assert candidate.kind == ("ann" if kind == ".onnx" else "snn")
     played = rollout(QuadrantEnv(), player, 10_000)
     assert (played.action.shape, played.action.dtype) == ((10,), np.int64)
-    price(candidate, player, played)
+    player.costs(played)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -10,9 +10,8 @@ import pytest
 from spikedeploy import envs, zoo
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.play.spike_recorder import SpikeRecorder
-from spikedeploy.policies.interface import Candidate
 from spikedeploy.policies.onnx import OnnxController
-from spikedeploy.policies.registry import FORMATS, find, open_policy
+from spikedeploy.policies.registry import FORMATS, Candidate, find, open_policy
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig

@@ -10,9 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from spikedeploy.cli import app
-from spikedeploy.comparison.closed_loop import run_policy
-from spikedeploy.realtime.paced_loop import PacedLoop
-from spikedeploy.realtime.pacing import Metronome, Pacing, duration, pacing
+from spikedeploy.comparison.evaluation import run_policy
+from spikedeploy.realtime.paced_loop import Metronome, PacedLoop, Pacing, duration, pacing
 from spikedeploy.runtime.errors import ConfigError
 
 

@@ -15,8 +15,14 @@ import numpy as np
 import pytest
 
 from spikedeploy.api import load
-from spikedeploy.realtime.protocol import Request, RequestError, largest_request
-from spikedeploy.realtime.served_policy import SPARED, Clients, ServedPolicy
+from spikedeploy.realtime.server import (
+    SPARED,
+    Clients,
+    Request,
+    RequestError,
+    ServedPolicy,
+    largest_request,
+)
 from spikedeploy.runtime.errors import ConfigError
 from tests.paths import ROOT
 

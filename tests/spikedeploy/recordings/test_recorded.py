@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
+from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
-from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.make_env import make_env
 from spikedeploy.recordings import recorded
 from spikedeploy.recordings.episode import NetworkTrace, RecordedEpisode, record

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
+from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
-from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.comparison.summary import summary
 from spikedeploy.console import print_table
 from spikedeploy.pages import report

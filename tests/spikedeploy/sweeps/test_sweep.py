@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.comparison.rounds import compare_policies
 from spikedeploy.jobs.processes import ProcessBackend
 from spikedeploy.jobs.serial import SerialBackend
 from spikedeploy.policies.registry import find

@@ -1,0 +1,218 @@
+"""Closed loop: one policy in its environment, or every entry of a line-up on the same seeds."""
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import MappingProxyType
+from typing import Any
+
+from spikedeploy import envs
+from spikedeploy.comparison.comparison import Comparison, Row
+from spikedeploy.comparison.episodes import Episode, EpisodeJob, play, summarise
+from spikedeploy.comparison.lineup import Entry, on_another_chip
+from spikedeploy.console import progress, say
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.make_env import confirm, disturbed_by, make_env
+from spikedeploy.outputs import mark
+from spikedeploy.parallel import workers
+from spikedeploy.policies.registry import (
+    FLOAT,
+    Candidate,
+    check_fit,
+    find,
+    open_policy,
+)
+from spikedeploy.realtime.paced_loop import PacedLoop
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.emulator.backend import BackendName
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.faults import NONE, Faults
+from spikedeploy.seeds import EVALUATION
+from spikedeploy.video import Frame, Pace, captioned, mp4
+
+
+def compare_policies(
+    env: str,
+    entries: Sequence[Entry],
+    seeds: Sequence[int],
+    processes: int | None = None,
+    options: Mapping[str, Any] = MappingProxyType({}),
+    metrics: Sequence[str] = (),
+) -> Comparison:
+    """Play every entry on every seed.
+
+    env        short name or id of the environment
+    entries    of lineup.line_up; the reference of an entry is an entry too
+    seeds      (n,) from EVALUATION up, which no training uses
+    processes  one for each core by default
+    options    of the environment
+    metrics    of its step infos, `name:mean|last|max`
+    """
+    period = _check(env, options, entries, seeds)
+    played: dict[Entry, list[Episode]] = {}
+    with (
+        TemporaryDirectory() as folder,
+        workers(processes) as jobs,
+        progress(f"{env}: {len(entries)} policies", len(entries) * len(seeds)) as done,
+    ):
+        plan = _Plan(env, json.dumps(dict(options)), entries, seeds, Path(folder), tuple(metrics))
+        for group in plan.rounds():
+            episodes = jobs.run(play, [job for entry in group for job in plan.jobs(entry)], done)
+            for place, entry in enumerate(group):
+                played[entry] = episodes[place * len(seeds) : (place + 1) * len(seeds)]
+    rows = [Row(entry, played[entry]) for entry in entries]
+    spec, disturb = envs.spec(env), disturbed_by(options)
+    return Comparison(spec.id, seeds, rows, (), disturb, spec.foreign, period)
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """The jobs of a comparison, in rounds.
+
+    env      short name or id
+    options  of the environment, as JSON
+    seeds    (n,)
+    folder   for the rollouts of entries that are references
+    metrics  of the step infos
+    """
+
+    env: str
+    options: str
+    entries: Sequence[Entry]
+    seeds: Sequence[int]
+    folder: Path
+    metrics: tuple[str, ...] = ()
+
+    def rounds(self) -> list[list[Entry]]:
+        """The entries, references before those that refer to them."""
+        ranks = range(1 + max(entry.rank for entry in self.entries))
+        return [[entry for entry in self.entries if entry.rank == rank] for rank in ranks]
+
+    def jobs(self, entry: Entry) -> list[EpisodeJob]:
+        """The jobs of an entry, one for each seed."""
+        referred = any(entry is other.reference for other in self.entries)
+        return [
+            EpisodeJob(
+                env=self.env,
+                options=self.options,
+                candidate=entry.candidate,
+                chip=entry.chip,
+                seed=seed,
+                others={other.label: self._rollout(other, seed) for other in entry.references},
+                record=self._rollout(entry, seed) if referred else None,
+                metrics=self.metrics,
+            )
+            for seed in self.seeds
+        ]
+
+    def _rollout(self, entry: Entry, seed: int) -> Path:
+        return self.folder / f"{self.entries.index(entry)}-{seed}.npz"
+
+
+def _check(
+    env: str, options: Mapping[str, Any], entries: Sequence[Entry], seeds: Sequence[int]
+) -> float | None:
+    """Refuse training seeds, policies of other environments and unknown chips at once.
+
+    Return the time of a control step [s] of an environment that is not ours, where it says so.
+    """
+    if min(seeds) < EVALUATION:
+        raise ConfigError(
+            f"seed {min(seeds)} may have been trained on; evaluation starts at {EVALUATION}"
+        )
+    world: Any = make_env(env, options)
+    for entry in entries:
+        check_fit(entry.candidate, world)
+        if entry.chip not in (None, FLOAT):
+            chip(entry.chip)  # raises on an unknown name
+    period: float | None = world.unwrapped.CONTROL_DT if envs.spec(env).foreign else None
+    world.close()
+    return period
+
+
+def run_policy(
+    reference: str,
+    env: str | None,
+    chip: str | None,
+    seeds: Sequence[int],
+    video: Path | None = None,
+    sampled: bool = False,
+    options: Mapping[str, Any] = MappingProxyType({}),
+    limits: bool = True,
+    quantisation: Quantisation = PLAIN,
+    faults: Faults = NONE,
+    metrics: Sequence[str] = (),
+    loop: PacedLoop | None = None,
+    backend: BackendName = "numpy",
+) -> Comparison:
+    """One row: the policy on every seed.
+
+    reference  as registry.find takes it
+    env        short name or id; None is the one that the policy was made for
+    chip       a chip or "float"; None is that of the training, or DEFAULT_CHIP, for a file
+               that spikes
+    seeds      (n,)
+    video      MP4 of the first episode
+    sampled    draw one of several actions by its probability, instead of taking the likeliest
+    options    of the environment
+    limits     refuse what breaks a design rule of the chip
+    quantisation  of a spiking policy on a chip
+    faults     of that chip
+    metrics    of the step infos, `name:mean|last|max`
+    loop       paces it by the clock, and says which seeds are played; None plays as fast as it can
+    backend    of a spiking policy on a chip
+    """
+    candidate = replace(
+        find(reference), limits=limits, quantisation=quantisation, faults=faults, backend=backend
+    )
+    entry = Entry(candidate, chip or candidate.default_chip)
+    if faults and entry.chip in (None, FLOAT):
+        raise ConfigError(
+            f"--fault is of chips, and {entry.label} runs in float. Leave it out, or run a spiking "
+            "policy on a chip."
+        )
+    if remark := on_another_chip(entry):
+        say(remark)
+    mode = "rgb_array" if video else None
+    name = env or _made_for(candidate)
+    foreign = envs.spec(name).foreign
+    world: Any = make_env(name, options, render_mode=mode)
+    player = (open_policy if loop is None else loop.open)(candidate, entry.chip, world, sampled)
+    period = world.unwrapped.CONTROL_DT
+    pace = Pace.of(period)
+    episodes = []
+    with progress(entry.label, len(seeds)) as done:
+        for seed in seeds if loop is None else loop.seeds(seeds):
+            with _film(video if seed == seeds[0] else None, pace.fps, entry.label) as on_frame:
+                if loop is None:
+                    played = rollout(world, player, seed, on_frame, pace.every)
+                else:
+                    played = loop.rollout(world, player, seed)
+            episodes.append(summarise(candidate, player, played, {}, metrics, foreign))
+            done()
+    world.close()
+    rows, disturb = [Row(entry, episodes)], disturbed_by(options)
+    if loop is not None:  # it may have played more
+        seeds = range(seeds[0], seeds[0] + len(episodes))
+    return Comparison(played.env_id, seeds, rows, (), disturb, foreign, period if foreign else None)
+
+
+def _made_for(candidate: Candidate) -> str:
+    if candidate.env is None:
+        raise ConfigError(f"{candidate.path} does not say for which environment: give --env")
+    confirm(candidate.env, None, candidate.path)
+    return candidate.env
+
+
+@contextmanager
+def _film(path: Path | None, fps: float, caption: str) -> Iterator[Callable[[Frame], None] | None]:
+    """What `rollout` calls with each frame; None without a path."""
+    if path is None:
+        yield None
+        return
+    with mp4(path, fps, mark("run")) as write:
+        yield lambda frame: write(captioned(frame, caption))

@@ -1,0 +1,531 @@
+"""The first difference between a recording and the float twin, and its likeliest cause.
+
+Other conventions are tried, in the order in which they are usually to blame: reset, delay, dt,
+threshold rule, then integrator, the tool that wrote the file, and rounding; then two of them
+together.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, islice
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.emulation.open_loop import emulate_artifact
+from spikedeploy.emulation.rasters import Raster, read_inputs, read_rasters
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.artifact.writers.writer import WRITERS
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.convention import Integrator, Reset, Spikes
+from spikedeploy.runtime.errors import ObservationError, SpikedeployError
+from spikedeploy.runtime.float_model import FloatGraph
+from spikedeploy.runtime.graph.ports import Port, ports
+
+# The first difference between a recording and the float twin, and its likeliest c
+
+Changes = dict[str, Any]
+
+# of membranes, which no spike rounds, beside their largest: float32 against float64
+_TOLERANCE = 1e-4
+# of tools and their defaults; 1e-6 undoes Norse's, 1 is for time constants in timesteps
+_TIMESTEPS = (1e-4, 1e-3, 1e-2, 1.0, 1e-6)
+_CHOICES: dict[str, tuple[Any, ...]] = {
+    "reset": get_args(Reset),
+    "delay": (0, 1),
+    "dt": _TIMESTEPS,
+    "spikes": get_args(Spikes),
+    "integrator": get_args(Integrator),
+    "written_by": tuple(WRITERS),
+}
+_OPTIONS = {"written_by": "from"}
+
+
+@dataclass(frozen=True)
+class RecordedDifference:
+    """The first output that is not the recorded one.
+
+    count: of outputs that differ, of `compared`.
+    """
+
+    inference: int
+    timestep: int
+    neuron: tuple[int, ...]
+    expected: float
+    found: float
+    count: int
+
+    def describe(self) -> str:
+        """Where, and both numbers."""
+        neuron = ", ".join(map(str, self.neuron))
+        return (
+            f"inference {self.inference}, timestep {self.timestep}, neuron {neuron}: your "
+            f"framework {self.expected:g}, our float {self.found:g}"
+        )
+
+
+def difference(
+    artifact: Artifact,
+    inputs: Raster,
+    outputs: Raster,
+    dtype: type[np.floating[Any]] = np.float64,
+) -> RecordedDifference | None:
+    """The first difference in time."""
+    found = FloatGraph(artifact, dtype).run(inputs)["output"]
+    apart = _apart(found, outputs)
+    if not apart.any():
+        return None
+    places = np.argwhere(apart)
+    first = places[np.lexsort((places[:, 0], places[:, 1]))[0]]
+    place = tuple(int(n) for n in first)
+    return RecordedDifference(
+        place[0],
+        place[1],
+        place[2:],
+        float(outputs[place]),
+        float(found[place]),
+        int(apart.sum()),
+    )
+
+
+def _apart(found: NDArray[Any], wanted: NDArray[Any]) -> NDArray[np.bool_]:
+    whole = all(np.array_equal(rows, np.rint(rows)) for rows in (found, wanted))
+    tolerance = 0.0 if whole else _TOLERANCE * float(np.abs(wanted).max())
+    return np.asarray(np.abs(found - wanted.astype(np.float64)) > tolerance)
+
+
+def likeliest_cause(
+    path: Path,
+    given: Changes,
+    artifact: Artifact,
+    inputs: Raster,
+    outputs: Raster,
+    first: RecordedDifference,
+) -> tuple[tuple[str, ...], tuple[str, int] | None]:
+    """The options that make both equal; or else the nearest one, and how many outputs differ."""
+    counts: dict[str, int] = {}
+    singles = list(_singles(given, artifact))
+    for changes in singles:
+        if (other := read_with(path, given, changes)) is None:
+            continue
+        found = difference(other, inputs, outputs)
+        if found is None:
+            return _words(changes), None
+        counts[_words(changes)[0]] = found.count
+    if difference(artifact, inputs, outputs, np.float32) is None:
+        return ("rounding to float32",), None
+    # most pairs fail at the timestep of the first difference already
+    upto = first.timestep + 1
+    for one, two in combinations(singles, 2):
+        if one.keys() & two.keys() or (other := read_with(path, given, one | two)) is None:
+            continue
+        if difference(other, inputs[:, :upto], outputs[:, :upto]) is None and (
+            difference(other, inputs, outputs) is None
+        ):
+            return _words(one | two), None
+    nearest = min(counts, key=lambda words: counts[words], default=None)
+    better = nearest is not None and counts[nearest] < first.count
+    return (), (nearest, counts[nearest]) if nearest is not None and better else None
+
+
+def _singles(given: Changes, artifact: Artifact) -> Iterator[Changes]:
+    """Every other choice of every option, one at a time."""
+    for option, choices in _CHOICES.items():
+        if option == "written_by" and {"like", "written_by"} & given.keys():
+            continue
+        now = given.get(option, getattr(artifact.convention, option, None))
+        yield from ({option: choice} for choice in choices if choice != now)
+
+
+def read_with(path: Path, given: Changes, changes: Changes) -> Artifact | None:
+    """The file read with other options; None where they contradict it, or one another."""
+    try:
+        return load(path, **{**given, **changes})
+    except SpikedeployError:
+        pass
+    # what no option of the tool says can still be to blame; dt and gains go together
+    late = {name: value for name, value in changes.items() if name not in ("dt", "written_by")}
+    early = {name: value for name, value in changes.items() if name not in late}
+    try:
+        read = load(path, **{**given, **early})
+        return replace(read, convention=read.convention.with_options(late)) if late else None
+    except SpikedeployError:
+        return None
+
+
+def _words(changes: Changes) -> tuple[str, ...]:
+    """Options as they are typed."""
+    return tuple(
+        f"--{_OPTIONS.get(name, name)} {value:g}"
+        if isinstance(value, float)
+        else f"--{_OPTIONS.get(name, name)} {value}"
+        for name, value in changes.items()
+    )
+
+
+# Spikes that the author's framework recorded, against the float twin of the expor
+
+
+@dataclass(frozen=True)
+class RecordedAgreement:
+    """A recording and the float twin.
+
+    convention: of the file, as it was read, in one line.
+    compared: outputs; `spikes` of them recorded.
+    difference: the first, or None.
+    cause: the options that make both equal, where some were found.
+    nearest: otherwise the single option with which fewest differ, and how many.
+    unread: other arrays of the file.
+    """
+
+    convention: str
+    compared: int
+    spikes: int
+    difference: RecordedDifference | None = None
+    cause: tuple[str, ...] = ()
+    nearest: tuple[str, int] | None = None
+    unread: tuple[str, ...] = ()
+
+    @property
+    def equal(self) -> bool:
+        """Whether every output is the recorded one."""
+        return self.difference is None
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields as plain data."""
+        found = self.difference
+        return {
+            "equal": self.equal,
+            "convention": self.convention,
+            "compared": self.compared,
+            "spikes": self.spikes,
+            "difference": found and {**vars(found), "neuron": list(found.neuron)},
+            "cause": list(self.cause),
+            "nearest": self.nearest and {"option": self.nearest[0], "differ": self.nearest[1]},
+            "unread": list(self.unread),
+        }
+
+    def lines(self) -> Iterator[str]:
+        """What to print."""
+        yield self.convention
+        if self.unread:
+            yield f"not compared: {', '.join(self.unread)}"
+        if self.difference is None:
+            yield (
+                f"your framework = our float: equal, {self.compared:,} outputs, "
+                f"{self.spikes:,} spikes"
+            )
+            return
+        yield f"your framework ≠ our float: {self.difference.describe()}"
+        yield f"{self.difference.count:,} of {self.compared:,} outputs differ"
+        if self.cause:
+            yield f"likeliest cause: {' and '.join(self.cause)}, with which all are equal"
+        else:
+            near = self.nearest
+            nearest = f"; {near[0]} comes nearest, {near[1]:,} differ" if near else ""
+            yield (
+                f"no option makes both equal{nearest}. Was the input the same, from zero states, "
+                "and the file exported from this network?"
+            )
+
+
+def against_recorded(path: Path, recorded: Path, **options: Any) -> RecordedAgreement:  # noqa: ANN401
+    """The float twin of a file against a recording of the network that it was exported from.
+
+    recorded  .npz with `input` (T, *shape) or (B, T, *shape), and `output` likewise
+    options   of artifact.load
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    try:
+        artifact = load(path, **given)
+    except SpikedeployError as error:
+        hint = _equal_from(path, given, recorded)
+        raise type(error)(f"{error}{hint}") from error
+    inputs, outputs, unread = read_recorded(recorded, artifact)
+    said = artifact.convention.describe()
+    spikes = int(np.count_nonzero(outputs))
+    first = difference(artifact, inputs, outputs)
+    if first is None:
+        return RecordedAgreement(said, outputs.size, spikes, unread=unread)
+    cause, nearest = likeliest_cause(path, given, artifact, inputs, outputs, first)
+    return RecordedAgreement(said, outputs.size, spikes, first, cause, nearest, unread)
+
+
+def _equal_from(path: Path, given: Changes, recorded: Path) -> str:
+    """A sentence on the tool with whose meaning the file equals the recording, if there is one."""
+    for tool in () if {"like", "written_by"} & given.keys() else WRITERS:
+        artifact = read_with(path, given, {"written_by": tool})
+        if artifact is not None:
+            inputs, outputs, _ = read_recorded(recorded, artifact)
+            if difference(artifact, inputs, outputs) is None:
+                return f" With --from {tool} your framework = our float: equal."
+    return ""
+
+
+def read_recorded(path: Path, artifact: Artifact) -> tuple[Raster, Raster, tuple[str, ...]]:
+    """Input (B, T, *shape) and output (B, T, *shape), and the names of other arrays."""
+    arrays = read_rasters(path)
+    if not isinstance(arrays, dict) or not {"input", "output"} <= arrays.keys():
+        found = f"the arrays {', '.join(sorted(arrays))}" if isinstance(arrays, dict) else "one"
+        raise ObservationError(
+            f"{path} holds {found}; needed are `input` and `output`. Write it with "
+            "np.savez(path, input=…, output=…)."
+        )
+    rows = [
+        _batch(f"{path}: {name}", arrays[name], _single(name, nodes))
+        for name, nodes in (("input", artifact.graph.inputs), ("output", artifact.graph.outputs))
+    ]
+    if rows[0].shape[:2] != rows[1].shape[:2]:
+        raise ObservationError(
+            f"{path}: input has (B, T) = {rows[0].shape[:2]}, output {rows[1].shape[:2]}. Record "
+            "both over the same timesteps."
+        )
+    return rows[0], rows[1], tuple(sorted(arrays.keys() - {"input", "output"}))
+
+
+def _single(name: str, nodes: Mapping[str, Any]) -> Port:
+    found = ports(nodes)
+    if len(found) != 1:
+        names = ", ".join(port.name for port in found)
+        raise ObservationError(
+            f"the network has the {name}s {names}; only networks with one of each are compared "
+            "with a recording. Use emulate, and compare its files."
+        )
+    return found[0]
+
+
+def _batch(where: str, rows: Raster, port: Port) -> Raster:
+    """(B, T, *shape) of what may have no axis for the batch."""
+    wanted = rows[None] if rows.ndim == len(port.shape) + 1 else rows
+    shape = ", ".join(map(str, port.shape))
+    if wanted.ndim != len(port.shape) + 2 or wanted.shape[2:] != port.shape:
+        raise ObservationError(
+            f"{where} has shape {rows.shape}; node {port.name!r} needs (T, {shape}) or "
+            f"(B, T, {shape}). Reshape it, or give the recording of this network."
+        )
+    if wanted.shape[1] == 1 and len(wanted) > 1:
+        raise ObservationError(
+            f"{where} has shape {rows.shape}, that is {len(wanted)} inferences of one timestep. If "
+            f"its first axis is time, give (T, {shape})."
+        )
+    return wanted
+
+
+# Spikes of layers that were recorded on silicon, against the same network on an e
+
+_MOST = 2**31  # spikes of a neuron in a row, which no recording reaches; sums stay below 2**63
+_COUNTED = "times are not compared: the file has fewer rows than the input has timesteps"
+_TURNED = "read as (neurons, timesteps)"
+
+
+@dataclass(frozen=True)
+class RecordedActivity:
+    """A layer of a recording beside the emulated one.
+
+    path: of the recording.
+    samples, timesteps: of the input.
+    numbers: compared, spikes of a neuron in a timestep or, where times are not compared, in all.
+    agree: of them.
+    recorded, emulated, common: spikes there, here, and of the same neuron and timestep.
+    difference: the first, in words; empty where there is none.
+    """
+
+    path: Path
+    chip: str
+    layer: str
+    samples: int
+    timesteps: int
+    neurons: int
+    numbers: int
+    agree: int
+    recorded: int
+    emulated: int
+    common: int
+    difference: str
+    reading: tuple[str, ...] = ()
+
+    @property
+    def equal(self) -> bool:
+        """Whether all numbers agree."""
+        return self.agree == self.numbers
+
+    def describe(self) -> str:
+        """The comparison in one sentence."""
+        of = f"{self.timesteps:,} timesteps of {self.neurons:,} neurons"
+        samples = f" in {self.samples} samples" if self.samples > 1 else ""
+        return (
+            f"layer {self.layer!r} on {self.chip}, {of}{samples}: {self.agree:,} of "
+            f"{self.numbers:,} numbers agree; {self.recorded:,} spikes recorded, "
+            f"{self.emulated:,} emulated, {self.common:,} the same"
+        )
+
+    def remarks(self) -> list[str]:
+        """The first difference, how the array was read, where the chip departs from the file."""
+        first = [f"first difference: {self.difference}"] if self.difference else []
+        return [*first, *self.reading]
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields as plain data."""
+        found = {**vars(self), "file": str(self.path), "equal": self.equal, "error": None}
+        return {**found, "reading": list(self.reading), "path": str(self.path)}
+
+
+def against_activity(
+    recording: Path,
+    network: Path,
+    inputs: Path,
+    chip: str,
+    layer: str | None = None,
+    limits: bool = True,
+    quantisation: Quantisation = PLAIN,
+    **convention: Any,  # noqa: ANN401
+) -> list[RecordedActivity]:
+    """Every recorded layer beside the emulated one.
+
+    recording  .npy of one layer, or .npz of arrays by the names of their nodes
+    inputs     .npy, (T, *shape) or, of several samples, (B, T, *shape)
+    layer      of a .npy, without it the only one of that shape; or the only one of a .npz
+    convention  options of artifact.load
+    """
+    wanted = _wanted(recording, _recorded(recording), layer)
+    artifact = load(network, **convention)
+    samples = _samples(inputs, artifact)
+    played = [
+        emulate_artifact(artifact, chip, rows, limits=limits, quantisation=quantisation)
+        for rows in samples
+    ]
+    names = played[0].spikes
+    spikes = {name: np.stack([each.spikes[name] for each in played]) for name in names}
+    first, *others = (_layer(recording, chip, name, rows, spikes) for name, rows in wanted)
+    # of the network, so once
+    return [replace(first, reading=(*first.reading, *played[0].remarks)), *others]
+
+
+def _recorded(path: Path) -> Raster | dict[str, Raster]:
+    """The arrays of a recording, whose numbers are spikes or counts of them."""
+    found = read_rasters(path)
+    for rows in found.values() if isinstance(found, dict) else [found]:
+        wrong = rows[(rows < 0) | (rows > _MOST) | (rows != np.rint(rows))]
+        if wrong.size:
+            raise ObservationError(
+                f"{path} holds numbers such as {wrong[0]:g}; spikes are 0, 1 or counts of them, "
+                f"at most {_MOST:,}"
+            )
+    return found
+
+
+def _wanted(
+    path: Path, found: Raster | dict[str, Raster], layer: str | None
+) -> Sequence[tuple[str | None, Raster]]:
+    """The arrays to be compared, by the name of a layer; None where the shape has to tell it."""
+    if not isinstance(found, dict):
+        return [(layer, found)]
+    if layer is None:
+        return list(found.items())
+    if layer not in found:
+        first = ", ".join(islice(found, 8))
+        raise ObservationError(
+            f"{path}: no array is called {layer!r}, as --layer says; it begins with {first}"
+        )
+    return [(layer, found[layer])]
+
+
+def _samples(path: Path, artifact: Artifact) -> Raster:
+    """(B, T, *shape) of the network's one Input."""
+    found = ports(artifact.graph.inputs)
+    rows = read_inputs(path, artifact)
+    if len(found) != 1 or isinstance(rows, dict):
+        raise ObservationError(
+            f"{path}: recordings are compared of networks with one Input, whose input is one "
+            f"array; the network has {len(found)}"
+        )
+    return rows[None] if rows.ndim == len(found[0].shape) + 1 else rows
+
+
+def _layer(
+    path: Path, chip: str, name: str | None, rows: Raster, spikes: Mapping[str, NDArray[Any]]
+) -> RecordedActivity:
+    """A recorded array beside the layer of that name, or beside the only one that it fits."""
+    if name is not None and name not in spikes:
+        raise ObservationError(
+            f"{path}: no layer {name!r} spikes in this network; there are {', '.join(spikes)}"
+        )
+    fits = [
+        (layer, *pair)
+        for layer, seen in spikes.items()
+        if name in (None, layer) and (pair := next(_readings(rows, seen), None))
+    ]
+    if len(fits) != 1:
+        raise ObservationError(_unclear(path, name, rows, spikes, [layer for layer, *_ in fits]))
+    layer, there, here, reading = fits[0]
+    seen = spikes[layer]
+    return RecordedActivity(
+        path,
+        chip,
+        layer,
+        len(seen),
+        seen.shape[1],
+        int(np.prod(seen.shape[2:])),
+        there.size,
+        int((there == here).sum()),
+        int(there.sum()),
+        int(here.sum()),
+        int(np.minimum(there, here).sum()),
+        _first(there, here),
+        reading,
+    )
+
+
+def _readings(
+    rows: Raster, seen: NDArray[Any]
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], tuple[str, ...]]]:
+    """Recorded and emulated (B, T, N), or counts (B, 1, N), in the ways in which shapes fit."""
+    samples, timesteps, *shape = seen.shape
+    neurons = int(np.prod(shape))
+    flat = seen.reshape(samples, timesteps, neurons).astype(np.int64)
+    counts = flat.sum(axis=1, keepdims=True)
+    whole, single = rows.astype(np.int64), samples == 1
+    for tail in (tuple(shape), (neurons,)):
+        if rows.shape == (samples, timesteps, *tail) or (
+            single and rows.shape == (timesteps, *tail)
+        ):
+            yield whole.reshape(flat.shape), flat, ()
+    if single and rows.shape == (neurons, timesteps):
+        yield whole.T[None], flat, (_TURNED,)
+    for tail in (tuple(shape), (neurons,)):
+        batched = rows.shape[1:] == (samples, *tail)
+        if rows.shape[0] < timesteps and (batched or (single and rows.shape[1:] == tail)):
+            yield whole.sum(axis=0).reshape(counts.shape), counts, (_COUNTED,)
+
+
+def _first(there: NDArray[np.int64], here: NDArray[np.int64]) -> str:
+    """The first difference in time."""
+    places = np.argwhere(there != here)
+    if not len(places):
+        return ""
+    sample, t, n = places[np.lexsort((places[:, 0], places[:, 1]))[0]]
+    when = f"timestep {t}, " if there.shape[1] > 1 else ""
+    which = f"sample {sample}, " if len(there) > 1 else ""
+    both = f"recorded {there[sample, t, n]}, emulated {here[sample, t, n]}"
+    return f"{which}{when}neuron {n}: {both}"
+
+
+def _unclear(
+    path: Path,
+    name: str | None,
+    rows: Raster,
+    spikes: Mapping[str, NDArray[Any]],
+    fits: list[str],
+) -> str:
+    if fits:
+        return f"{path}: {' and '.join(fits)} have that shape. Name one with --layer."
+    known = spikes if name is None else {name: spikes[name]}
+    shapes = ", ".join(f"{each} {seen.shape}" for each, seen in known.items())
+    told = "and no layer fits" if name is None else f"which layer {name!r} does not have"
+    return (
+        f"{path} has shape {rows.shape}, {told}; emulated, as (samples, timesteps, "
+        f"neurons): {shapes}. Record the layer over the input's timesteps, a row for each, or its "
+        "counts as (bins, samples, neurons)."
+    )

@@ -1,0 +1,152 @@
+"""Policies without a file of ours: the built-in `gait`, `random` and `gap`, and teachers."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.envs.foreign import is_target
+from spikedeploy.envs.kart.gap import GapDriver
+from spikedeploy.envs.rollout import Rollout
+from spikedeploy.policies.costs import NOTHING, Costs
+from spikedeploy.policies.registry import Candidate, Floats, Player, check_fit, find
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.onnx_session import says_how_it_acts, session
+
+if TYPE_CHECKING:
+    from spikedeploy.trainers.distill.teacher import Teacher, Units
+
+_STREAM = 1  # so that draws differ from those of an environment with the same seed
+
+
+class ZeroController(Player):
+    """Zero actions (act,), which leave the environment's own gait unchanged."""
+
+    def __init__(self, actions: int) -> None:
+        self._actions = actions
+
+    @classmethod
+    def open(
+        cls, candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
+    ) -> "ZeroController":
+        """The gait of a robot that has one."""
+        space = env.action_space
+        if not isinstance(space, gymnasium.spaces.Box):
+            raise ConfigError("the gait is for robots that have one, with actions that are numbers")
+        return cls(space.shape[0])
+
+    def act(self, observation: Floats) -> Floats:
+        """The action (act,), or () where it is one of several."""
+        return np.zeros(self._actions)
+
+    def costs(self, played: Rollout) -> Costs:
+        """Nothing is computed."""
+        return NOTHING
+
+
+class RandomController(Player):
+    """Actions of a space, drawn uniformly at every control step, seeded by the episode."""
+
+    def __init__(self, space: gymnasium.Space[Any]) -> None:
+        self._space = space
+        self.reset(0)
+
+    @classmethod
+    def open(
+        cls, candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
+    ) -> "RandomController":
+        """Draws of the environment's actions."""
+        return cls(env.action_space)
+
+    def reset(self, seed: int) -> None:
+        """Seed the draws."""
+        self._rng = np.random.default_rng([seed, _STREAM])
+
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The action (act,), or () where it is one of several."""
+        if isinstance(self._space, gymnasium.spaces.Discrete):
+            return np.asarray(self._rng.integers(self._space.n))
+        return self._rng.uniform(-1.0, 1.0, self._space.shape or ())
+
+    def costs(self, played: Rollout) -> Costs:
+        """Nothing is computed."""
+        return NOTHING
+
+
+class GapController(Player):
+    """A script that follows the gap in the LIDAR, on the observations of a policy."""
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        self._driver = GapDriver.of(env)
+
+    @classmethod
+    def open(
+        cls, candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
+    ) -> "GapController":
+        """The driver of the environment's kart."""
+        return cls(env)
+
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The action (act,), or () where it is one of several."""
+        return self._driver.act(observation)
+
+
+class TeacherController(Player):
+    """A teacher of `distill` that no other format plays: a function, a file of another tool.
+
+    It acts in the environment's own units, which is why ONNX files of other tools are here too.
+
+    chooses  whether its output is logits, of which the largest is taken
+    """
+
+    def __init__(self, teacher: "Teacher", chooses: bool) -> None:
+        self._teacher, self._chooses = teacher, chooses
+
+    @classmethod
+    def open(
+        cls, candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
+    ) -> "TeacherController":
+        """The teacher; functions are imported now."""
+        import torch
+
+        from spikedeploy.trainers.distill.teacher import OwnSpaces
+        from spikedeploy.trainers.distill.teachers import opened
+
+        torch.set_num_threads(1)
+        name = env.spec.id if env.spec else ""
+        found = opened(candidate.path, name, lambda: OwnSpaces.within(name, env), candidate.units)
+        check_fit(replace(candidate, observed=found.observations, actions=found.actions), env)
+        return cls(found, isinstance(env.action_space, gymnasium.spaces.Discrete))
+
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The action (act,), or () where it is one of several."""
+        return np.asarray(self.replay(observation[None])[0])
+
+    def replay(self, observations: Floats) -> NDArray[Any]:
+        """Actions (S, act) or (S,) for the observations (S, obs) of an episode."""
+        output = self._teacher.act_all(observations)
+        return output.argmax(axis=1) if self._chooses else output
+
+
+def teacher_candidate(reference: str, units: "Units | None" = None) -> Candidate:
+    """The candidate of a teacher as `distill` names it; `units` are those of its actions.
+
+    A function that the user names is code of the user, imported where it plays: a reference that
+    was read from a file must not come here.
+    """
+    path = Path(reference)
+    if is_target(reference) and not path.exists():
+        return Candidate(reference, reference, "control", "function", units=units)
+    if path.suffix == ".zip" or (path.suffix == ".onnx" and _is_foreign(path)):
+        return Candidate(reference, path.stem, "ann", "teacher", units=units)
+    if units is not None:
+        raise ConfigError(f"{reference} says itself how it acts: leave --teacher-units out")
+    return find(reference)
+
+
+def _is_foreign(path: Path) -> bool:
+    """Whether an ONNX file does not say how it acts, as ours do."""
+    return path.is_file() and not says_how_it_acts(session(path))
