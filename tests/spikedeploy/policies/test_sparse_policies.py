@@ -10,7 +10,6 @@ from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.play.spike_recorder import SpikeRecorder
-from spikedeploy.policies.nir import costs as nir_costs
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.policies.run import TorchController
 from spikedeploy.runtime.artifact.artifact import load
@@ -92,7 +91,7 @@ def test_a_readout_on_the_host_is_counted_there(world, tmp_path):
     for way in ("probe", "none"):
         player = open_policy(find(str(file)), f"loihi1:membrane_output={way}", world)
         played = rollout(world, player, 10_000)
-        costs[way] = nir_costs(player, played)
+        costs[way] = player.costs(played)
     on_chip, on_host = costs["probe"], costs["none"]
     assert on_host.sops < on_chip.sops == on_chip.effective_acs
     # all neurons have the same fan-out here
