@@ -23,7 +23,6 @@ from spikedeploy.emulation.design_report import DesignReport, network_path, repo
 from spikedeploy.emulation.open_loop import Emulation, emulate_artifact
 from spikedeploy.emulation.rasters import Raster, as_raster, read_rasters
 from spikedeploy.policies.registry import FLOAT
-from spikedeploy.reports.notebook import card, picture, table
 from spikedeploy.runtime.artifact import artifact as files
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
@@ -36,6 +35,8 @@ from spikedeploy.seeds import EVALUATION
 if TYPE_CHECKING:
     import gymnasium
     from matplotlib.figure import Figure
+
+    from spikedeploy.reports.table import Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,9 @@ class LoadedNetwork:
             "convention": self.artifact.convention.describe(),
             **({"made for": origin.env, "recipe": origin.recipe} if origin else {}),
         }
-        return card(self.path.name, facts)
+        from spikedeploy.reports.page import notebook_card
+
+        return notebook_card(self.path.name, facts)
 
     def _size(self) -> str:
         """`3 × CubaLIF, 4 × Affine`."""
@@ -134,13 +137,15 @@ class NetworkRun(Emulation):
 
     def _repr_html_(self) -> str:
         """Counts, energies and the raster, for notebooks."""
+        from spikedeploy.reports.page import notebook_card, notebook_picture
+
         counts = {"timesteps": self.timesteps, "spikes": self._spikes()}
         if self.ledger is not None:
             counts["synaptic operations"] = self.ledger.total("sop")
         facts = {name: f"{count:,}" for name, count in counts.items()}
         facts |= {f"energy, {name}": f"{joules:.3g} J" for name, joules in self.energy.items()}
-        shown = picture(self.plot()) if self.spikes else ""
-        return card(f"One inference on {self.chip}", facts) + shown
+        shown = notebook_picture(self.plot()) if self.spikes else ""
+        return notebook_card(f"One inference on {self.chip}", facts) + shown
 
     def _spikes(self) -> int:
         return sum(int(np.count_nonzero(rows)) for rows in self.spikes.values())
@@ -167,12 +172,13 @@ class ComparedPolicies:
 
     def write(self, folder: str | Path) -> list[Path]:
         """Write report.json, report.html, report.md and plots; return the files."""
-        from spikedeploy.pages import report
+        from spikedeploy.reports import comparison as report
 
         return report.write(self.document, Path(folder))
 
     def __str__(self) -> str:
-        cells = [*self._cells()]
+        table = self._table()
+        cells = [table.columns, *table.rows]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         lines = [
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
@@ -182,15 +188,15 @@ class ComparedPolicies:
 
     def _repr_html_(self) -> str:
         """The table and its sentences, for notebooks."""
-        return table(self._cells(), self.meaning)
+        from spikedeploy.reports.page import notebook_table
 
-    def _cells(self) -> list[list[str]]:
-        """Heads, then a line for each row."""
-        from spikedeploy.reports.short_table import short_columns
+        return notebook_table(self._table(), self.meaning)
 
-        columns = short_columns(self.rows)
-        heads = [column.title for column in columns]
-        return [heads, *([column.cell(row) for column in columns] for row in self.rows)]
+    def _table(self) -> "Table":
+        from spikedeploy.reports.columns import short_columns
+        from spikedeploy.reports.table import Table
+
+        return Table.of(short_columns(self.rows), self.rows)
 
 
 def load(
@@ -238,7 +244,7 @@ def compare(
     """
     from spikedeploy.comparison.evaluation import compare_policies
     from spikedeploy.comparison.lineup import line_up
-    from spikedeploy.pages import report
+    from spikedeploy.reports import comparison as report
     from spikedeploy.shipping.exported_run import runnable
 
     names = [runnable(_named(policy)) for policy in policies]

@@ -1,4 +1,4 @@
-"""Standard output and error: tables and JSON on stdout, progress and remarks on stderr."""
+"""Standard output and error: results on stdout, progress and remarks on stderr."""
 
 import codecs
 import io
@@ -6,7 +6,7 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -14,12 +14,9 @@ from spikedeploy.files import as_text
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.text import Text
 
 _PIPE_WIDTH = 120
-_NAME = 26  # letters of a name that a narrow table keeps whole
 PAUSE = 10.0  # seconds between two lines of progress where there is no terminal
-_COLOURS = {"✓": "green", "✗": "red"}
 # for terminals that know ASCII alone
 _ASCII = {
     "–": "-", "−": "-", "·": "-", "…": "...", "→": "->", "≥": ">=", "≤": "<=", "±": "+-", "×": "x",
@@ -71,50 +68,6 @@ def say(line: str) -> None:
     console(stderr=True).print(
         as_called(line), markup=False, soft_wrap=True
     )  # so that it can be copied
-
-
-def print_table(
-    title: str,
-    columns: Sequence[str],
-    rows: Iterable[Sequence[str]],
-    numbers: bool = False,
-    width: int | None = None,
-) -> None:
-    """Write a table; with `numbers` every column after the first is right-aligned.
-
-    width  most columns of the terminal that it takes
-    """
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(
-        title=Text(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
-        pad_edge=False, show_edge=not width, padding=(0, 1, 0, 0) if width else (0, 1),
-    )  # fmt: skip
-    cells = [list(map(_cell, row)) for row in rows]
-    # names of rows stay whole, unless they are long and the table narrow: then numbers do
-    whole = not width or max((len(row[0]) for row in cells), default=0) <= _NAME
-    for place, column in enumerate(columns):
-        table.add_column(
-            Text(column),
-            justify="right" if numbers and place else "left",
-            no_wrap=numbers and bool(place) != whole,
-            overflow="fold" if width else "ellipsis",
-        )
-    for row in cells:
-        table.add_row(*row)
-    screen = console()
-    screen.print(table, width=width and min(width, screen.width))
-    if width:  # the edge that wide ones end with
-        screen.print()
-
-
-def _cell(text: str) -> "Text":
-    """A cell as it is written, whatever brackets it has; marks in their colours."""
-    from rich.text import Text
-
-    return Text(text, style=_COLOURS.get(text, ""))
 
 
 def print_text(text: str) -> None:

@@ -26,7 +26,7 @@ from spikedeploy.comparison.statistics import nested_ratio, stratified
 from spikedeploy.files import write_text
 from spikedeploy.policies import costs
 from spikedeploy.policies.registry import find
-from spikedeploy.reports.markdown import markdown_table
+from spikedeploy.reports.table import markdown_text
 
 FIRST_SEED = 80_000
 # what each task's returns are shares of: the float policy that earns its README's 100 %
@@ -200,7 +200,7 @@ def page(found: Iterable[Result], episodes: int) -> str:
             "shipped as `sparse`. "
             "`sparse-gated` is the best of three trainings.",
             "",
-            *markdown_table([heads, *rows]),
+            markdown_text([heads, *rows]),
             "",
             "Gated, each layer is updated once a control step and held meanwhile: nothing "
             "published says that a Loihi can. Free is what it does with these files: three "

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from spikedeploy.comparison.statistics import paired_difference
 from spikedeploy.emulation.drift import DriftInputs
 from spikedeploy.policies.registry import Candidate
-from spikedeploy.reports import drift_tables
+from spikedeploy.reports.drift import ABLATION_STEPS
 from spikedeploy.runtime.analysis.drift import Drift
 from spikedeploy.runtime.artifact.artifact import Artifact
 
@@ -131,7 +131,7 @@ def ablation(outcomes: Iterable[Outcome]) -> str:
     ]
     heads = ["rounding", *(f"distance, {bits} bits" for bits in BITS[: len(plain)])]
     rows = [
-        [drift_tables.ABLATION_STEPS[step.name]]
+        [ABLATION_STEPS[step.name]]
         + [f"{np.mean(list(found.ablation[k].distance.values())):.5f}" for found in plain]
         for k, step in enumerate(plain[0].ablation)
     ]

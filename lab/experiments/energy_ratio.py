@@ -31,8 +31,8 @@ from lab.experiments.pareto.fronts import Point, pairing_at, points
 from lab.experiments.pareto.tables import NEARLY
 from spikedeploy.files import write_text
 from spikedeploy.reports.csv_rows import Record, write_rows
-from spikedeploy.reports.markdown import markdown_text
 from spikedeploy.reports.plots import BLUE, VERMILION, save
+from spikedeploy.reports.table import markdown_text
 from spikedeploy.runtime.metrics.energy_tables import TABLES, sram
 from spikedeploy.runtime.metrics.energy_terms import INSTRUCTION, added, delta_encoder, reading
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from lab.interop.cases import FOR, OLDER, PLAIN, TIMESTEPS
 from lab.interop.measured import Row
 from lab.interop.peers import PEERS, OtherTool
-from spikedeploy.reports.markdown import markdown_text
+from spikedeploy.reports.table import markdown_text
 
 _LONGEST = 110  # characters of a message
 

@@ -72,9 +72,8 @@ def check(
     from spikedeploy.console import print_json
     from spikedeploy.emulation.design_report import ALL, design_report, network_path
     from spikedeploy.outputs import check_output_folder
-    from spikedeploy.pages.design import design_page
-    from spikedeploy.pages.written import FILES, write_page, written_by
-    from spikedeploy.reports.check_tables import print_report
+    from spikedeploy.reports.design import design_page, print_report
+    from spikedeploy.reports.page import FILES, is_page_of, write_page
     from spikedeploy.shipping.exported_run import runnable
 
     file = runnable(file)
@@ -94,7 +93,7 @@ def check(
             raise typer.BadParameter("-o writes the rules of chips: leave --against out")
         _check_against(file, against, chip, convention, json)
     if output:
-        check_output_folder("-o", output, FILES, (network_path(file),), force, written_by("check"))
+        check_output_folder("-o", output, FILES, (network_path(file),), force, is_page_of("check"))
     report = design_report(file, chip or [ALL], **convention)
     if output:
         write_page("check", design_page(report), report.as_json(), output)
@@ -155,7 +154,8 @@ class DoctorFinding:
 
 def doctor(json: Json = False) -> None:
     """Check versions, threads, rendering and the shipped policies; exit 1 if one fails."""
-    from spikedeploy.console import print_json, print_table
+    from spikedeploy.console import print_json
+    from spikedeploy.reports.table import Table
 
     found = findings()
     if json:
@@ -163,7 +163,7 @@ def doctor(json: Json = False) -> None:
     else:
         marks = {True: "✓", False: "✗", None: " "}
         rows = [(marks[f.ok], f.name, f.detail) for f in found]
-        print_table("Doctor", ("", "what", "found"), rows)
+        Table(("", "what", "found"), rows, "Doctor").print()
     raise typer.Exit(1 if any(finding.ok is False for finding in found) else 0)
 
 

@@ -118,8 +118,8 @@ def run(
     from spikedeploy.live.watched_loop import loop_of_run
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output, check_output_folder, mark, marked
-    from spikedeploy.pages import report
     from spikedeploy.policies.nir import adopt, check_fits
+    from spikedeploy.reports import comparison as report
     from spikedeploy.reports.terminal import print_run
     from spikedeploy.runtime.faults import faults
     from spikedeploy.runtime.metrics.energy import checked_table_names
@@ -258,8 +258,8 @@ def compare(
     from spikedeploy.console import print_json, say
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output_folder
-    from spikedeploy.pages import report
     from spikedeploy.policies.scripts import teacher_candidate
+    from spikedeploy.reports import comparison as report
     from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.chips.chip import listed
     from spikedeploy.runtime.faults import faults

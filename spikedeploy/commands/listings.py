@@ -20,8 +20,9 @@ def policies(
         _policy(name, json)
         return
     from spikedeploy import zoo
-    from spikedeploy.console import print_json, print_table
+    from spikedeploy.console import print_json
     from spikedeploy.policies.registry import BUILT_IN, find
+    from spikedeploy.reports.table import Table
 
     rows: list[dict[str, Any]] = []
     apart = [f"{zoo.FOR_CHIPS}/{file.parent.name}/{file.stem}" for file in zoo.for_chips()]
@@ -35,21 +36,21 @@ def policies(
         return
     columns = ("name", "kind", "env", "recipe", "return_mean")
     cells = [[_text(row[column]) for column in columns] for row in rows if row["name"] not in apart]
-    print_table("Policies", ("name", "kind", "environment", "recipe", "return"), cells)
+    Table(("name", "kind", "environment", "recipe", "return"), cells, "Policies").print()
     folders: dict[str, list[str]] = {}
     for folder, _, last in (name.rpartition("/") for name in apart):
         folders.setdefault(f"{folder}/", []).append(last)
     cells = [[folder, ", ".join(names)] for folder, names in folders.items()]
     heads = ("name begins with", "and ends with one of")
-    print_table("For one chip each, and the teachers that they imitate", heads, cells)
+    Table(heads, cells, "For one chip each, and the teachers that they imitate").print()
 
 
 def _policy(name: str, json: bool) -> None:
     """Print the card of a policy, and its evaluation."""
     from spikedeploy import zoo
-    from spikedeploy.console import print_json, print_table
+    from spikedeploy.console import print_json
     from spikedeploy.policies.registry import find
-    from spikedeploy.reports import entries
+    from spikedeploy.reports.datasheets import policy_facts
     from spikedeploy.reports.terminal import print_rows
 
     candidate, card = find(name), zoo.card(name)
@@ -57,7 +58,7 @@ def _policy(name: str, json: bool) -> None:
     if json:
         print_json({"name": name, **facts})
         return
-    print_table("Policy", ("what", "found"), entries.policy_facts(name, facts))
+    policy_facts(name, facts).print()
     if card.get("evaluation"):
         print_rows("As it was evaluated", card["evaluation"])
 
@@ -77,8 +78,8 @@ def chips(
 
     Fields can be changed wherever a chip is named: --chip int:weight_bits=4,membrane=12.
     """
-    from spikedeploy.console import print_json, print_table
-    from spikedeploy.reports.listings import CHIP_COLUMNS, chip_list, chip_markdown, chip_rows
+    from spikedeploy.console import print_json
+    from spikedeploy.reports.datasheets import chip_list, chip_summaries, chip_table
     from spikedeploy.runtime.chips.chip import CHIPS, chip
 
     if name is not None:
@@ -88,28 +89,24 @@ def chips(
     if json:
         print_json(chip_list(known))
     elif markdown:
-        typer.echo(chip_markdown(known), nl=False)
+        typer.echo(chip_table(known).markdown())
     else:
-        lines = [(c.name, c.summary, ", ".join(c.energy_tables) or "none") for c in known]
-        print_table("Chips", ("name", "what it is", "energy tables"), lines)
-        print_table("What they compute with", CHIP_COLUMNS, chip_rows(known))
+        chip_summaries(known).print()
+        chip_table(known).print()
 
 
 def _chip(name: str, json: bool) -> None:
     """Print everything about a chip, with the source of every number."""
-    from spikedeploy.console import print_json, print_table
-    from spikedeploy.reports import entries
-    from spikedeploy.reports.listings import chip_list
+    from spikedeploy.console import print_json
+    from spikedeploy.reports.datasheets import chip_list, datasheet
     from spikedeploy.runtime.chips.chip import chip
 
     found = chip(name)
     if json:
         print_json(chip_list([found])[0])
         return
-    print_table(found.name, ("what", "found"), entries.chip_facts(found))
-    print_table("What it computes with", entries.CHIP_FIELDS, entries.chip_fields(found))
-    if limits := entries.chip_limits(found):
-        print_table("What fits", entries.CHIP_FIELDS, limits)
+    for table in datasheet(found):
+        table.print()
 
 
 def energy(
@@ -123,69 +120,69 @@ def energy(
     ] = False,
 ) -> None:
     """List the energy tables: prices of events, sources, uncertainty."""
-    from spikedeploy.console import print_json, print_table
-    from spikedeploy.reports import listings
+    from spikedeploy.console import print_json
+    from spikedeploy.reports import datasheets
 
     if name is not None:
         _energy(name, json)
     elif break_even:
         _break_even(json, markdown)
     elif json:
-        print_json(listings.price_list())
+        print_json(datasheets.price_list())
     elif markdown:
-        typer.echo("\n".join(listings.energy_markdown()))
+        typer.echo(datasheets.energy_markdown())
     else:
-        print_table("Energy tables", listings.ENERGY_COLUMNS, listings.energy_rows())
-        print_table("Where the numbers come from", ("table", "source"), listings.energy_sources())
-        typer.echo(listings.energy_choice())
+        for table in datasheets.energy_overview():
+            table.print()
+        typer.echo(datasheets.energy_choice())
 
 
 def _energy(name: str, json: bool) -> None:
     """Print everything about an energy table."""
-    from spikedeploy.console import print_json, print_table
-    from spikedeploy.reports import entries, listings
+    from spikedeploy.console import print_json
+    from spikedeploy.reports.datasheets import energy_sheet, price_list
     from spikedeploy.runtime.metrics.energy import energy_table
 
     table = energy_table(name)
     if json:
-        print_json(next(each for each in listings.price_list()["tables"] if each["name"] == name))
+        print_json(next(each for each in price_list()["tables"] if each["name"] == name))
         return
-    chips = ", ".join(listings.chips_of(table)) or "none"
-    print_table(name, ("what", "found"), entries.energy_facts(table, chips))
-    print_table("Events", entries.EVENT_COLUMNS, entries.energy_events(table), numbers=True)
+    for each in energy_sheet(table):
+        each.print()
 
 
 def _break_even(json: bool, markdown: bool) -> None:
     """Print the break-even lines."""
-    from spikedeploy.console import print_json, print_table
-    from spikedeploy.reports import listings
+    from spikedeploy.console import print_json
+    from spikedeploy.reports import datasheets
     from spikedeploy.runtime.metrics.break_even import YAN2024
 
     if json:
-        print_json({"rates": listings.break_even_list(), "yan2024": YAN2024})
+        print_json({"rates": datasheets.break_even_list(), "yan2024": YAN2024})
     elif markdown:
-        typer.echo("\n".join(listings.break_even_markdown()))
+        typer.echo(datasheets.break_even_table().markdown())
     else:
-        cells = listings.break_even_rows()
-        print_table("Break-even spike rates", listings.BREAK_EVEN_COLUMNS, cells)
-        typer.echo(listings.BREAK_EVEN_NOTE)
+        datasheets.break_even_table().print()
+        typer.echo(datasheets.BREAK_EVEN_NOTE)
 
 
 def envs(json: Json = False) -> None:
     """List the environments."""
-    from spikedeploy.console import print_json, print_table
+    from spikedeploy.console import print_json
     from spikedeploy.envs import ENVS
+    from spikedeploy.reports.table import Table
 
     rows = [(spec.short, spec.id, spec.summary) for spec in ENVS.values()]
     if json:
         print_json([dict(zip(("name", "id", "summary"), row, strict=True)) for row in rows])
     else:
-        print_table("Environments", ("name", "id", "task"), rows)
+        Table(("name", "id", "task"), rows, "Environments").print()
 
 
 def recipes(json: Json = False) -> None:
     """List the training recipes, by algorithm."""
-    from spikedeploy.console import print_json, print_table
+    from spikedeploy.console import print_json
+    from spikedeploy.reports.table import Table
     from spikedeploy.trainers import ALGORITHMS
     from spikedeploy.trainers.recipes import RECIPES, budget
 
@@ -199,4 +196,4 @@ def recipes(json: Json = False) -> None:
         ]
         heads = ["name", "trains", "operations"][: 3 if any(cell[2] for cell in cells) else 2]
         shown = [cell[: len(heads)] for cell in cells]
-        print_table(f"Recipes of the algorithm {algorithm}", heads, shown)
+        Table(heads, shown, f"Recipes of the algorithm {algorithm}").print()

@@ -174,10 +174,8 @@ def drift(
     from spikedeploy.emulation.drift import choose_inputs, drift_report, path_of
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output_folder
-    from spikedeploy.pages.drift import drift_page
-    from spikedeploy.pages.written import FILES, write_page, written_by
-    from spikedeploy.reports import drift_tables
-    from spikedeploy.reports.terminal import print_drift
+    from spikedeploy.reports.drift import drift_markdown, drift_page, print_drift
+    from spikedeploy.reports.page import FILES, is_page_of, write_page
     from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.chips.chip import chip as datasheet
     from spikedeploy.shipping.export_c import chip_of
@@ -186,7 +184,7 @@ def drift(
     env = env or trained_in(file)
     path = path_of(runnable(file))
     if output:
-        check_output_folder("-o", output, FILES, (path, input_), force, written_by("drift"))
+        check_output_folder("-o", output, FILES, (path, input_), force, is_page_of("drift"))
     artifact = load(
         path,
         dt=dt,
@@ -218,7 +216,7 @@ def drift(
     if json:
         print_json(report.as_json())
     elif markdown:
-        typer.echo(drift_tables.markdown(report))
+        typer.echo(drift_markdown(report))
     else:
         print_drift(report)
         if output:

@@ -24,14 +24,14 @@ def runs(
     json: Json = False,
 ) -> None:
     """List training runs: validation return, success, operations, how far each came, age."""
-    from spikedeploy.console import as_called, print_json, print_table
-    from spikedeploy.reports.run_table import HEADS, cells, found_runs
+    from spikedeploy.console import as_called, print_json
+    from spikedeploy.reports.runs import find_runs, run_table
 
-    rows, damaged = found_runs(folder, env, sort)
+    rows, damaged = find_runs(folder, env, sort)
     if json:
         print_json([row.as_json() for row in rows])
     elif rows:
-        print_table(f"Runs in {folder}", HEADS, [cells(row, folder) for row in rows], numbers=True)
+        run_table(rows, folder).print()
     else:
         typer.echo(as_called(f"no runs in {folder}: `spikedeploy train RECIPE` makes one"))
     for line in damaged:

@@ -166,7 +166,7 @@ def run_training(
     if resume is not None and seed is not None:
         raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
     from spikedeploy.console import called, print_json, say
-    from spikedeploy.pages.training import LivePage
+    from spikedeploy.reports.runs import LivePage
     from spikedeploy.shipping.exported_run import trained_in
     from spikedeploy.shipping.training_films import TrainingFilms
     from spikedeploy.trainers.progress import Interrupt
@@ -218,14 +218,13 @@ def visualize(
     """Draw the learning curves of training runs into one PNG."""
     from spikedeploy.console import print_json
     from spikedeploy.outputs import check_output, mark, marked
-    from spikedeploy.reports.curves import curve
-    from spikedeploy.reports.plots import draw_curves
+    from spikedeploy.reports.plots import draw_curves, read_curve
     from spikedeploy.trainers.run_folder import existing_run
 
     own = mark("visualize")
     folders = [Path(run) if Path(run).is_dir() else existing_run(run) for run in runs]
     check_output("-o", output, folders, force, lambda path: marked(path, own))
-    curves = [curve(run / "metrics.csv", run.resolve().name) for run in folders]
+    curves = [read_curve(run / "metrics.csv", run.resolve().name) for run in folders]
     picture = draw_curves(curves, output, own)
     if json:
         print_json({"path": str(picture), "curves": [vars(each) for each in curves]})

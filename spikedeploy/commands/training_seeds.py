@@ -16,8 +16,9 @@ def run_seeds(
     **settings: Any,  # noqa: ANN401
 ) -> None:
     """Train with each seed of a text such as `0-4`; print a line each and a table."""
-    from spikedeploy.console import print_json, print_table, print_text, say
+    from spikedeploy.console import print_json, print_text, say
     from spikedeploy.parallel import cores
+    from spikedeploy.reports.table import Table
     from spikedeploy.seeds import training_seeds
     from spikedeploy.trainers.config import known
     from spikedeploy.trainers.recipes import RECIPES
@@ -37,7 +38,7 @@ def run_seeds(
             (str(e.seed), "–" if e.best is None else f"{e.best:,.4g}", e.run or "–")
             for e in found.each
         ]
-        print_table(str(recipe), ("seed", "best validation return", "run"), rows)
+        Table(("seed", "best validation return", "run"), rows, str(recipe)).print()
         if (mean := found.estimate) is not None:
             low, high = mean.ci95
             between = f", 95% bootstrap interval {low:,.4g} to {high:,.4g}"

@@ -18,8 +18,7 @@ from socketserver import TCPServer, ThreadingMixIn
 from typing import Any
 
 from spikedeploy.live.backlog import Listeners
-from spikedeploy.pages.comparison import SCRIPTS
-from spikedeploy.pages.page import part
+from spikedeploy.reports.page import REPLAY_ASSETS, asset
 from spikedeploy.runtime.errors import ConfigError
 
 _HOST = re.compile(r"(127\.0\.0\.1|localhost)(:[0-9]{1,5})?", re.IGNORECASE)
@@ -76,10 +75,10 @@ class LiveServer(ThreadingMixIn, TCPServer):
     @cached_property
     def files(self) -> dict[str, tuple[str, bytes]]:
         """Path -> type and content: nothing else is there to be read."""
-        script = "\n".join(part(name) for name in (*SCRIPTS, "live.js"))
-        style = part("page.css") + part("live.css")
+        script = "\n".join(asset(name) for name in (*REPLAY_ASSETS, "live.js"))
+        style = asset("page.css") + asset("live.css")
         texts = {
-            "/": ("text/html", part("live.html")),
+            "/": ("text/html", asset("live.html")),
             "/live.js": ("text/javascript", script),
             "/live.css": ("text/css", style),
         }

@@ -19,7 +19,7 @@ from spikedeploy.policies.registry import Candidate, Player
 from spikedeploy.realtime.paced_loop import TIMES, PacedLoop, paced, pacing
 from spikedeploy.recordings.episode import ledger_of, membranes_of, spikes_of, traced
 from spikedeploy.recordings.scenes import scene_of
-from spikedeploy.reports.short_table import quoted_among
+from spikedeploy.reports.columns import quoted_among
 
 _RATE = 30.0  # [Hz] where neither the user nor the environment says one
 _BROWSER = 5.0  # [s] that a browser has to open before the first episode begins

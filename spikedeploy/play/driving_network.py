@@ -14,7 +14,7 @@ from spikedeploy.policies.costs import priced_by
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import Player
 from spikedeploy.recordings.episode import costs_of_each, ledger_of, spikes_of
-from spikedeploy.reports.short_table import quoted_among
+from spikedeploy.reports.columns import quoted_among
 
 MEAN = 30  # control steps of which costs are the mean
 

@@ -1,20 +1,18 @@
-"""Reports: tables and plots of what comparison, emulation and training found.
+"""Reports: tables, figures and pages of what comparison, emulation and training found.
 
-Nothing is computed here that is not in the data; the same tables serve terminal, HTML and Markdown.
+Nothing is computed here that is not in the data; the same tables serve terminal, page and Markdown.
 
-cells         one column of a table, and how its cells are written
-energy_columns  the columns about energy: by every table, and where it goes
-columns       the tables of a comparison, column by column
-short_table   a comparison in one table of 80 columns, a run in one line
-headline      the row that a page is about, and three numbers of it
-markdown      lines of a table in Markdown
-csv_rows      rows as CSV, and read again
-plots         returns, energies and learning curves as PNG
-curves        the learning curve in a run's metrics
-terminal      what commands print of comparisons, emulations, drifts, files and traces
-check_tables  a network against the design rules: by chip, by layer, by rule
-drift_tables  drift by layer and by rounding
-entries       one chip, energy table or policy in full
-notebook      HTML that notebooks show
-listings      the chips side by side; the energy tables; the break-even lines
+table       a table and its three forms: terminal, Markdown, HTML
+columns     the tables of a comparison, column by column; one of 80 columns; a row in one line
+headline    the row that a page is about, and three numbers of it
+plots       figures by matplotlib: returns, energies, learning curves, spikes; as PNG and SVG
+page        pages by jinja2, from `templates` and `assets`; Markdown as a page; HTML in notebooks
+
+comparison  report.json, report.html and report.md of a comparison
+design      a network against the design rules: by chip, by layer, by rule, core by core
+drift       drift by layer and by rounding
+runs        training runs: scores, list, page
+datasheets  chips, energy tables, break-even lines, shipped policies
+terminal    what commands print of comparisons, emulations, files and traces
+csv_rows    rows as CSV, and read again
 """

@@ -1,34 +1,29 @@
-"""The tables of a comparison, for terminal, HTML report and cards alike."""
+"""The columns of a comparison: its tables, its table of 80 columns, one row in one line."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 from spikedeploy.comparison.metrics import DRIVING, WALKING, drives
-from spikedeploy.comparison.summary import few
-from spikedeploy.reports.cells import ABSENT, Cell, Column, Row, bounded, number, price, scaled
-from spikedeploy.reports.energy_columns import prices, spent
-from spikedeploy.reports.markdown import markdown_name, markdown_table
+from spikedeploy.comparison.summary import counted, few
+from spikedeploy.reports.table import (
+    ABSENT,
+    Cell,
+    Column,
+    Row,
+    Table,
+    escape_markdown,
+    field_cell,
+    format_si,
+    price_cell,
+)
+from spikedeploy.runtime.chips.chip import CHIPS
+from spikedeploy.runtime.metrics.energy_tables import STATIC
 
-__all__ = [
-    "ABSENT",
-    "COST",
-    "Column",
-    "Row",
-    "asked_for",
-    "bounded",
-    "difference",
-    "divergence",
-    "finished",
-    "interval",
-    "label",
-    "markdown",
-    "price",
-    "scaled",
-    "score",
-    "tables",
-]
-
+COMMON_TABLE = "horowitz45-int8"  # the one that prices a chip and a float network alike
 COST = "What does an inference cost?"
-WHERE = "Where does the energy go, in nJ?"
+WIDTH = 80  # of the short table
+_STAMP = re.compile(r"-\d{8}-\d{6}(-\d+)?$")  # when a training began, at the end of its run's name
 
 
 def label(row: Row) -> str:
@@ -53,8 +48,8 @@ def _estimate(field: str, between: str, sign: str = "") -> Cell:
     return cell
 
 
-interval = _estimate("return_mean", "return_ci95")  # `3,413 [3,405, 3,420]`
-difference = _estimate("difference_mean", "difference_ci95", "+")  # paired: `-20 [-41, +3]`
+format_return = _estimate("return_mean", "return_ci95")  # `3,413 [3,405, 3,420]`
+format_difference = _estimate("difference_mean", "difference_ci95", "+")  # paired: `-20 [-41, +3]`
 
 
 def _digits(row: Row) -> int:
@@ -65,7 +60,7 @@ def _digits(row: Row) -> int:
     return 1 if drives(row) else 0
 
 
-def finished(row: Row) -> str:
+def format_success(row: Row) -> str:
     """The success rate with its interval: `97% [92, 99]`; a dash where success is not known."""
     if row.get("success_ci95") is None:
         return ABSENT
@@ -75,7 +70,7 @@ def finished(row: Row) -> str:
     return f"{row['success_rate']:.0%} [{100 * low:.0f}, {100 * high:.0f}]"
 
 
-def _points(row: Row) -> str:
+def _success_difference(row: Row) -> str:
     """The paired difference of the success rate in percentage points: `+1.0 [-1.0, +3.0]`."""
     if row["success_difference_mean"] is None or not drives(row):
         return ABSENT
@@ -85,13 +80,13 @@ def _points(row: Row) -> str:
     return f"{100 * row['success_difference_mean']:+.1f} [{100 * low:+.1f}, {100 * high:+.1f}]"
 
 
-def score(row: Row) -> str:
+def _score(row: Row) -> str:
     """The normalised score in percent."""
     value = row["normalised_score"]
     return ABSENT if value is None else f"{100 * value:.0f}"
 
 
-def divergence(row: Row) -> str:
+def _divergence(row: Row) -> str:
     """The median first divergence; `never` where half of the episodes never diverge."""
     if row["reference"] is None:
         return ABSENT
@@ -102,7 +97,7 @@ def divergence(row: Row) -> str:
 _NAME = Column("policy", "policy · chip; `float` is the float twin of a spiking policy", label)
 
 _RETURNS = (
-    Column("return", "mean return of an episode, with its 95% bootstrap interval", interval),
+    Column("return", "mean return of an episode, with its 95% bootstrap interval", format_return),
     Column(
         "IQM",
         "interquartile mean of the returns, without the lowest and the highest quarter, likewise",
@@ -116,105 +111,113 @@ _RETURNS = (
 )
 _WALK = (
     *_RETURNS,
-    Column("success", "episodes that succeed", number("success_rate", ".0%")),
-    Column("of ANN", "mean return / that of the float ANN", number("ratio_to_float_ann", ".1%")),
-    Column("score", "normalised return: the gait alone is 0, the float ANN 100", score),
-    *(Column(m.title, m.meaning, number(m.name, m.form)) for m in WALKING),
+    Column("success", "episodes that succeed", field_cell("success_rate", ".0%")),
+    Column(
+        "of ANN", "mean return / that of the float ANN", field_cell("ratio_to_float_ann", ".1%")
+    ),
+    Column("score", "normalised return: the gait alone is 0, the float ANN 100", _score),
+    *(Column(m.title, m.meaning, field_cell(m.name, m.form)) for m in WALKING),
 )
 _DRIVE = (
-    Column("finished", "episodes that reach the last gate, with the 95% Wilson interval", finished),
-    *(Column(m.title, m.meaning, number(m.name, m.form)) for m in DRIVING),
+    Column(
+        "finished",
+        "episodes that reach the last gate, with the 95% Wilson interval",
+        format_success,
+    ),
+    *(Column(m.title, m.meaning, field_cell(m.name, m.form)) for m in DRIVING),
     *_RETURNS,
-    Column("score", "normalised return: random actions are 0, the float ANN 100", score),
+    Column("score", "normalised return: random actions are 0, the float ANN 100", _score),
 )
 _EARN = (
     *_RETURNS,
     Column(
         "success",
         "episodes that succeed: by the key of --success, or return the registered threshold",
-        number("success_rate", ".0%"),
+        field_cell("success_rate", ".0%"),
     ),
-    Column("of ANN", "mean return / that of the float ANN", number("ratio_to_float_ann", ".1%")),
-    Column("score", "normalised return: random actions are 0, the float ANN 100", score),
+    Column(
+        "of ANN", "mean return / that of the float ANN", field_cell("ratio_to_float_ann", ".1%")
+    ),
+    Column("score", "normalised return: random actions are 0, the float ANN 100", _score),
 )
 _AGREEMENT = (
     Column(
         "reference",
         "whom the row is measured against: on a chip its float twin, else the float ANN",
-        number("reference", ""),
+        field_cell("reference", ""),
     ),
     Column(
         "difference",
         "paired difference of return on the same seeds, with its 95% bootstrap interval",
-        difference,
+        format_difference,
     ),
-    Column("ratio", "mean return / that of the reference", number("ratio_to_reference", ".1%")),
+    Column("ratio", "mean return / that of the reference", field_cell("ratio_to_reference", ".1%")),
     Column(
         "finished",
         "paired difference of the finish rate on the same seeds, in percentage points, with its "
         "95% bootstrap interval",
-        _points,
+        _success_difference,
     ),
     Column(
         "same action",
         "share of equal actions, both asked on the observations that the reference recorded",
-        number("actions_equal", ".1%"),
+        field_cell("actions_equal", ".1%"),
     ),
-    Column("as ANN", "the same, with the float ANN", number("actions_equal_to_ann", ".1%")),
+    Column("as ANN", "the same, with the float ANN", field_cell("actions_equal_to_ann", ".1%")),
     Column(
         "action RMSE",
         "RMSE over all actions, both asked on the observations that the reference recorded",
-        number("action_rmse", ".4f"),
+        field_cell("action_rmse", ".4f"),
     ),
-    Column("to ANN", "the same, with the float ANN", number("rmse_to_ann", ".4f")),
+    Column("to ANN", "the same, with the float ANN", field_cell("rmse_to_ann", ".4f")),
     Column(
         "diverges",
         "median first control step at which an action differs from the reference's by more than "
         "0.01 in the closed loop",
-        divergence,
+        _divergence,
     ),
 )
 _CLOCK = Column(
     "clock",
     "how layers advance: gated, one after the other; pipelined, all at once, a timestep for each "
     "connection; free, all in every timestep until the last has seen the input",
-    number("clock", ""),
+    field_cell("clock", ""),
 )
 _OPERATIONS = (
     _CLOCK,
-    Column("sparsity", "1 - spikes / (neurons × T), spiking layers", number("sparsity", ".1%")),
-    Column("spikes", "spikes of the spiking layers", number("spikes_per_inference", ",.0f")),
-    Column("input", "spikes of the encoder", number("input_spikes_per_inference", ",.0f")),
+    Column("sparsity", "1 - spikes / (neurons × T), spiking layers", field_cell("sparsity", ".1%")),
+    Column("spikes", "spikes of the spiking layers", field_cell("spikes_per_inference", ",.0f")),
+    Column("input", "spikes of the encoder", field_cell("input_spikes_per_inference", ",.0f")),
     Column(
         "SOPs",
         "synaptic operations: spikes × non-zero fan-out, from the encoder on",
-        number("sops_per_inference", ",.0f"),
+        field_cell("sops_per_inference", ",.0f"),
     ),
     Column(
         "+ bias",
         "synaptic operations of the always-on axon that carries the biases",
-        number("bias_sops_per_inference", ",.0f"),
+        field_cell("bias_sops_per_inference", ",.0f"),
     ),
     Column(
         "ACs",
         "NeuroBench Effective_ACs: non-zero inputs × non-zero weights where inputs are spikes, the "
         "readout included",
-        number("effective_acs", ",.0f"),
+        field_cell("effective_acs", ",.0f"),
     ),
     Column(
         "MACs",
         "NeuroBench Effective_MACs: the same where inputs are numbers",
-        number("effective_macs", ",.0f"),
+        field_cell("effective_macs", ",.0f"),
     ),
     Column(
         "dense",
         "NeuroBench Dense: all inputs × all weights, in all T timesteps",
-        number("macs_dense", ",.0f"),
+        field_cell("macs_dense", ",.0f"),
     ),
     Column(
         "sat.",
         "numbers that did not fit a register of the chip, in all episodes",
-        number("saturations", ",.0f"),
+        field_cell("saturations", ",.0f"),
     ),
 )
 
@@ -223,38 +226,52 @@ _SIZE = (
     Column(
         "bytes",
         "NeuroBench Footprint: parameters in float32, and the constants of the neurons",
-        number("footprint", ",.0f"),
+        field_cell("footprint", ",.0f"),
     ),
     Column(
         "packed",
         "bytes of all weights and biases on the chip, in its widths",
-        number("footprint_packed", ",.0f"),
+        field_cell("footprint_packed", ",.0f"),
     ),
     Column(
         "zero weights",
         "NeuroBench ConnectionSparsity: weights of the file that are 0",
-        number("connection_sparsity", ".1%"),
+        field_cell("connection_sparsity", ".1%"),
     ),
 )
 
 
 def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
     """Title -> columns that some row fills."""
-    title, columns = _task(rows)
+    title, columns = _earnings(rows)
     clocked = _filled((_CLOCK,), rows)
     found = {
-        title: [*clocked, *_filled(columns, rows), *asked_for(rows)],
+        title: [*clocked, *_filled(columns, rows), *measured_columns(rows)],
         "Does it act like its reference?": _filled(_AGREEMENT, rows),
         "How large is the network?": _filled(_SIZE, rows),
         "What does an inference take?": _filled(_OPERATIONS, rows),
-        COST: _filled(prices(rows), rows),
-        WHERE: spent(rows),
+        COST: _filled(_price_columns(rows), rows),
+        "Where does the energy go, in nJ?": _paid(rows),
     }
     return {title: [_NAME, *columns] for title, columns in found.items() if columns}
 
 
-def _task(rows: Sequence[Row]) -> tuple[str, Sequence[Column]]:
-    """What is asked of policies in the kind of world that the rows are of, and its columns."""
+def markdown_tables(rows: Sequence[Row]) -> str:
+    """The tables in Markdown, each under its title."""
+    return "\n".join(
+        f"### {title}\n\n{_escaped(Table.of(columns, rows)).markdown()}\n"
+        for title, columns in tables(rows).items()
+    )
+
+
+def _escaped(table: Table) -> Table:
+    """The table with heads and names of policies as plain Markdown."""
+    heads = [escape_markdown(head) for head in table.columns]
+    return Table(heads, [[escape_markdown(name), *rest] for name, *rest in table.rows])
+
+
+def _earnings(rows: Sequence[Row]) -> tuple[str, Sequence[Column]]:
+    """The title and the columns of the first table, by the kind of world that the rows are of."""
     if any(row.get("foreign") for row in rows):
         return "What does it earn?", _EARN
     if any(map(drives, rows)):
@@ -262,8 +279,8 @@ def _task(rows: Sequence[Row]) -> tuple[str, Sequence[Column]]:
     return "Does the robot still walk?", _WALK
 
 
-def asked_for(rows: Sequence[Row]) -> list[Column]:
-    """A column for each metric that was asked for."""
+def measured_columns(rows: Sequence[Row]) -> list[Column]:
+    """A column for each metric of --metric."""
     names = dict.fromkeys(name for row in rows for name in row.get("measured", ()))
     return [_metric(name) for name in names]
 
@@ -279,20 +296,219 @@ def _metric(text: str) -> Column:
     return Column(f"{name} {reduction}", meaning, cell)
 
 
-def _filled(columns: Sequence[Column], rows: Sequence[Row]) -> list[Column]:
+def _filled(columns: Iterable[Column], rows: Sequence[Row]) -> list[Column]:
     return [column for column in columns if any(column.cell(row) != ABSENT for row in rows)]
 
 
-def markdown(rows: Sequence[Row]) -> list[str]:
-    """The tables as lines of Markdown."""
-    return [
-        line
-        for title, columns in tables(rows).items()
-        for line in (f"### {title}", "", *_markdown(columns, rows), "")
+# energy: by every table, then term by term by COMMON_TABLE
+
+
+def energy_cell(table: str) -> Cell:
+    """A cell with the energy of a control step by a table."""
+    return price_cell("energy_per_inference_j", table, "J", "energy_interval_j")
+
+
+def _price_columns(rows: Sequence[Row]) -> list[Column]:
+    """Energies and latencies by every table that some row has."""
+    energies = [
+        Column(name, f"energy by table {name}", energy_cell(name))
+        for name in dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"])
     ]
+    latency = "latency_per_inference_s"
+    latencies = [
+        Column(
+            f"{name} time",
+            f"time by table {name}, as if one core did everything",
+            price_cell(latency, name, "s", "latency_interval_s"),
+        )
+        for name in dict.fromkeys(name for row in rows for name in row[latency])
+    ]
+    return [*energies, *latencies]
 
 
-def _markdown(columns: Sequence[Column], rows: Sequence[Row]) -> list[str]:
-    heads = [markdown_name(column.title) for column in columns]
-    cells = [[column.cell(row) for column in columns] for row in rows]
-    return markdown_table([heads, *([markdown_name(name), *rest] for name, *rest in cells)])
+def _term(name: str) -> Cell:
+    """A cell with a term by the one table, `?` where it is unknown."""
+
+    def cell(row: Row) -> str:
+        if name in row.get("energy_unknown", {}).get(COMMON_TABLE, ()):
+            return "?"
+        value = row.get("energy_terms_j", {}).get(COMMON_TABLE, {}).get(name)
+        return ABSENT if value is None else _format_nj(value)
+
+    return cell
+
+
+def _format_nj(value: float) -> str:
+    """In nJ, three digits or all before the point."""
+    nano = 1e9 * value
+    return f"{nano:,.0f}" if nano >= 100 else f"{nano:.3g}"
+
+
+def _of_table(field: str) -> Cell:
+    """A cell with the joules of the field by the one table."""
+
+    def cell(row: Row) -> str:
+        value = row.get(field, {}).get(COMMON_TABLE)
+        return ABSENT if value is None else _format_nj(value)
+
+    return cell
+
+
+def _total(row: Row) -> str:
+    """All known terms: a lower bound where each price is, and what is missing marked elsewhere."""
+    value = _of_table("energy_total_j")(row)
+    if value == ABSENT:
+        return ABSENT
+    low, _ = row.get("energy_interval_j", {}).get(COMMON_TABLE, (0, None))
+    if low and low == row["energy_per_inference_j"].get(COMMON_TABLE):
+        return f"≥ {value}"
+    return f"{value} + ?" if row.get("energy_unknown", {}).get(COMMON_TABLE) else value
+
+
+def _unpriced(row: Row) -> str:
+    """The unknown terms."""
+    return ", ".join(row.get("energy_unknown", {}).get(COMMON_TABLE, ())) or ABSENT
+
+
+def _static(row: Row) -> str:
+    """Each measurement by name; whether a chip has none that is published."""
+    found = row.get("static_energy_j", {})
+    if found:
+        return ", ".join(f"{format_si(joules)}J ({name})" for name, joules in found.items())
+    name = (row.get("chip") or "float").partition(":")[0]
+    sold = name in CHIPS and name not in ("ideal", "int")
+    return "not published" if sold and name not in STATIC else ABSENT
+
+
+def _level(row: Row) -> str:
+    """Synaptic operations: against the dense float ANN, and against the one that skips zeros."""
+    fields = ("break_even_sops", "break_even_sops_zero_skipping")
+    found = [row.get(field, {}).get(COMMON_TABLE) for field in fields]
+    levels = [f"{value:,.0f}" if value > 0 else "none" for value in found if value is not None]
+    return " / ".join(levels) or ABSENT
+
+
+_WHERE = (
+    Column(
+        "operations",
+        f"by table {COMMON_TABLE}, in all columns: synaptic operations; of float networks all "
+        "multiply-accumulates",
+        _term("operations"),
+    ),
+    Column(
+        "skipping zeros",
+        "of float networks: multiply-accumulates with an input that is not 0, instead of all",
+        _of_table("energy_zero_skipping_j"),
+    ),
+    Column("bias", "the axon of the biases; of float networks their addition", _term("bias")),
+    Column("updates", "neurons with something to add up", _term("updates")),
+    Column(
+        "encoder",
+        "numbers to spikes; of float networks the reading of observations",
+        _term("encoder"),
+    ),
+    Column("readout", "weights and constants on the host", _term("readout")),
+    Column("resets", "states set to 0 between inferences", _term("resets")),
+    Column(
+        "all known",
+        "sum of the known terms; ≥ where every price is the least of its process, + ? where some "
+        "terms have no price",
+        _total,
+    ),
+    Column(
+        "level at",
+        "SOPs at which the spiking policy would cost as much as the float ANN, dense / skipping "
+        "zeros; none where its other terms alone cost more",
+        _level,
+    ),
+    Column("no price", "terms that happen and that the table has no price for", _unpriced),
+    Column(
+        "static",
+        "a published static power of the chip over a control step, by its measurement; never added",
+        _static,
+    ),
+)
+
+
+def _paid(rows: Sequence[Row]) -> list[Column]:
+    """The terms that some row pays, or does not know."""
+    return [c for c in _WHERE if {c.cell(row) for row in rows} - {ABSENT, "0"}]
+
+
+# one table of 80 columns, and one line
+
+
+def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
+    """Policy, return, share of the float ANN, success, operations, and energy by one table.
+
+    env  id of the environment, which names of runs need not repeat
+    """
+    table = quoted_table(rows)
+    earned = Column("return", "mean return, with its 95% interval", format_return)
+    success = Column("success", "episodes that succeed", field_cell("success_rate", ".0%"))
+    if any(map(drives, rows)):  # what counts there is how many finish
+        earned = Column("return", "mean return", field_cell("return_mean", ".1f"))
+        words = "episodes that reach the last gate, with the 95% interval"
+        success = Column("finished", words, format_success)
+    columns = [
+        earned,
+        Column("of ANN", "return / that of the float ANN", field_cell("ratio_to_float_ann", ".1%")),
+        success,
+        Column("operations", "a control step, of synapses", format_operations),
+        Column("energy", f"a control step, by table {table}", energy_cell(table)),
+    ]
+    return [Column("policy", "policy · chip", short_label(rows, env)), *_filled(columns, rows)]
+
+
+def short_label(rows: Sequence[Row], env: str) -> Callable[[Row], str]:
+    """Labels whose run names have neither date nor environment, where they still differ."""
+    names = {str(row["policy"]) for row in rows}
+    part = re.sub(r"[^A-Za-z0-9.-]+", "-", f"-{env}-")  # as the run folder has it
+    short = {name: _STAMP.sub("", name).replace(part, "-", 1) for name in names}
+    if len(set(short.values())) < len(names):
+        return label
+    return lambda row: label({**row, "policy": short[str(row["policy"])]})
+
+
+def quoted_table(rows: Sequence[Row]) -> str:
+    """The energy table to quote: the one that prices chips and float networks alike, if any."""
+    return quoted_among(name for row in rows for name in row["energy_per_inference_j"])
+
+
+def quoted_among(tables: Iterable[str]) -> str:
+    """The one to quote of these energy tables, if any."""
+    names = dict.fromkeys(tables)
+    return COMMON_TABLE if COMMON_TABLE in names else next(iter(names), "")
+
+
+def energy_hint(rows: Sequence[Row]) -> str:
+    """Which energy to quote; empty where there is none."""
+    table = quoted_table(rows)
+    if table == COMMON_TABLE:
+        return f"Energy: of operations, by {table}, which prices spiking and float networks alike."
+    return f"Energy: of operations, by {table}; say so where you quote it." if table else ""
+
+
+def describe_run(document: Mapping[str, Any]) -> str:
+    """The row of a run in one line: return, success, metrics asked for, operations, energy."""
+    (row,) = document["rows"]
+    done = "finished" if drives(row) else "succeeded"
+    said = [
+        f"return {format_return(row)} in {counted(row)}",
+        *([f"{sum(row['successes'])} {done}"] if row["successes"] else []),
+        *(f"{name} {value:.4g}" for name, value in row.get("measured", {}).items()),
+        *(f"{each} a control step" for each in [format_operations(row)] if each != ABSENT),
+    ]
+    table = quoted_table([row])
+    cell = energy_cell(table)(row) if table else ABSENT
+    if cell != ABSENT:
+        said.append(f"{cell} by {table}")
+    return f"{label(row)}: {', '.join(said)}."
+
+
+def format_operations(row: Row) -> str:
+    """Synaptic operations, or the multiply-accumulates of a float network: `748,544 SOPs`."""
+    if row.get("sops_per_inference") is not None:
+        return f"{row['sops_per_inference']:,.0f} SOPs"
+    macs = row.get("macs_dense")
+    return f"{macs:,.0f} MACs" if macs else ABSENT

@@ -6,9 +6,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from spikedeploy.comparison.summary import counted, macs, smallest_baseline
-from spikedeploy.reports.cells import ABSENT, Row, price
-from spikedeploy.reports.columns import difference, interval, label
-from spikedeploy.reports.short_table import quoted_table, short_label
+from spikedeploy.reports.columns import (
+    energy_cell,
+    format_difference,
+    format_return,
+    label,
+    quoted_table,
+    short_label,
+)
+from spikedeploy.reports.table import ABSENT, Row
 
 _SENTENCE = re.compile(r"(?<=\.) (?=\w)")  # between two sentences
 _AS_GOOD = 0.95  # of the float ANN's return, or of the best chip's: those that operations decide
@@ -72,18 +78,18 @@ def verdict(document: Mapping[str, Any]) -> tuple[str, str]:
     return first, " ".join(each for each in sentences if each != first)
 
 
-def disturbed(document: Mapping[str, Any]) -> str:
+def describe_disturbances(document: Mapping[str, Any]) -> str:
     """`slope:2 (6 [degrees]), payload=0.4 (0.4 [kg])`; empty without any."""
     found = document.get("disturbances", ())
     return ", ".join(f"{each['text']} ({each['number']:g} [{each['unit']}])" for each in found)
 
 
 def _kept(row: Row, name: str, twin: str | None) -> HeadlineNumber:
-    earned = f"{interval(row)} in {counted(row)}"
+    earned = f"{format_return(row)} in {counted(row)}"
     if row.get("ratio_to_reference") is None:
-        return HeadlineNumber(f"return of {name}", interval(row).partition(" ")[0], (earned,))
+        return HeadlineNumber(f"return of {name}", format_return(row).partition(" ")[0], (earned,))
     of_ann = row.get("ratio_to_float_ann")
-    said = [earned, f"{difference(row)} to {twin}"]
+    said = [earned, f"{format_difference(row)} to {twin}"]
     said += [] if of_ann is None else [f"{of_ann:.1%} of the float ANN"]
     kept = f"{row['ratio_to_reference']:.1%}"
     whose = f"{twin}'s" if row.get("trained_for") else "its float twin's"
@@ -109,7 +115,7 @@ def _priced(row: Row, baselines: Iterable[Row]) -> HeadlineNumber | None:
     joules = row["energy_per_inference_j"].get(table)
     if not joules:
         return None
-    energy = price("energy_per_inference_j", table, "J", "energy_interval_j")
+    energy = energy_cell(table)
     known = [(each, each["energy_per_inference_j"].get(table)) for each in baselines]
     said = [
         f"{each['policy']}: {energy(each)}, {_times(other / joules)} as much"
@@ -127,10 +133,7 @@ def _priced(row: Row, baselines: Iterable[Row]) -> HeadlineNumber | None:
 def _priced_otherwise(row: Row) -> list[str]:
     """Its energy by other tables: `by loihi1's own tables: 33.36 nJ (davies2018)`."""
     others = [name for name in row["energy_per_inference_j"] if name != quoted_table([row])]
-    energy = {
-        name: price("energy_per_inference_j", name, "J", "energy_interval_j")(row)
-        for name in others
-    }
+    energy = {name: energy_cell(name)(row) for name in others}
     said = ", ".join(f"{cell} ({name})" for name, cell in energy.items() if cell != ABSENT)
     return [f"by {row['chip']}'s own tables: {said}"] if said else []
 

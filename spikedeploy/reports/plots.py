@@ -1,24 +1,59 @@
-"""Figures of comparisons and training runs as PNG; no display is needed."""
+"""Figures of comparisons, trainings and drifts, as PNG files and as SVG for pages.
 
-from collections.abc import Mapping, Sequence
+No display is needed.
+"""
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from spikedeploy.comparison.summary import few
 from spikedeploy.files import replacing
-from spikedeploy.reports.columns import Row, interval, label
-from spikedeploy.reports.curves import Curve
+from spikedeploy.reports.columns import format_return, label
+from spikedeploy.reports.table import Row
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.metrics import read
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# those of page.css by day; blue and vermilion of Okabe and Ito 2008
+# blue and vermilion of Okabe and Ito 2008; all are colours of page.css by day
 BLUE, _PURPLE, VERMILION, _GREY = "#0072B2", "#94469B", "#D55E00", "#7B848E"
-_MARKERS = "osD^vP"
+_LIGHT_GREY, _ORANGE, _GREEN, _GRID = "#8A939E", "#E69F00", "#009E73", "#E6E8EB"
+_MARKERS = "osD^vP"  # of energy tables
+_MOST = 500  # points of a line
+_ENOUGH = 80  # points, above which they are not marked
+_SVG_WIDTH = re.compile(r'viewBox="0 0 ([\d.]+) ')  # [pt]
+# colours of the plots -> those of page.css
+_CSS_COLOURS = {
+    "#0072b2": "var(--ann)",
+    "#94469b": "var(--snn)",
+    "#e69f00": "var(--snn)",
+    "#d55e00": "var(--chip)",
+    "#7b848e": "var(--control)",
+    "#8a939e": "var(--control)",
+    "#009e73": "var(--green)",
+    "#cc79a7": "var(--pink)",
+    "#56b4e9": "var(--sky)",
+    "#f0e442": "var(--yellow)",
+    "#e6e8eb": "var(--line)",
+    "#000000": "var(--ink)",
+    "#222222": "var(--ink)",
+    "#333333": "var(--ink)",
+    "#555555": "var(--soft)",
+}
+
+
+# comparisons
 
 
 def _colour(row: Row) -> str:
@@ -28,23 +63,18 @@ def _colour(row: Row) -> str:
     return BLUE if row["kind"] == "ann" else _GREY
 
 
-def draw_returns(rows: Sequence[Row], path: Path) -> Path:
-    """Write `returns_figure`; return the path."""
-    return save(returns_figure(rows), path)
-
-
 def returns_figure(rows: Sequence[Row]) -> "Figure":
     """Returns as dots, their mean with any 95 % interval as a bar, one line for each row."""
     figure, axes = _figure(len(rows))
     for place, row in enumerate(rows):
-        paint = _colour(row)
+        colour = _colour(row)
         returns = np.asarray(row["returns"], np.float64)
-        axes.scatter(returns, _spread(returns, place), s=15, color=paint, alpha=0.45, linewidths=0)
+        axes.scatter(returns, _spread(returns, place), s=15, color=colour, alpha=0.45, linewidths=0)
         if not few(row):
-            axes.plot(row["return_ci95"], [place + 0.12] * 2, color=paint, linewidth=5)
-        axes.plot(row["return_mean"], place + 0.12, "|", color=paint, markersize=16, mew=2)
+            axes.plot(row["return_ci95"], [place + 0.12] * 2, color=colour, linewidth=5)
+        axes.plot(row["return_mean"], place + 0.12, "|", color=colour, markersize=16, mew=2)
         axes.annotate(
-            interval(row).partition(" ")[0],
+            format_return(row).partition(" ")[0],
             (1.01, place),
             xycoords=("axes fraction", "data"),
             va="center",
@@ -73,11 +103,6 @@ def _limit_returns(axes: "Axes", rows: Sequence[Row]) -> None:
             axes.plot(0.015, place, "<", color=_colour(row), markersize=9, transform=inside)
 
 
-def draw_energy(rows: Sequence[Row], path: Path) -> Path:
-    """Write `energy_figure`; return the path."""
-    return save(energy_figure(rows), path)
-
-
 def energy_figure(rows: Sequence[Row]) -> "Figure":
     """Joules per inference on a log axis, a marker for each energy table."""
     from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
@@ -104,12 +129,49 @@ def energy_figure(rows: Sequence[Row]) -> "Figure":
     return figure
 
 
+# trainings
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The returns of one run over its training.
+
+    name     of the run
+    unit     of its steps: "environment steps" or "updates"
+    signal   "validation" or "training"
+    steps    (n,) [unit]
+    returns  (n,)
+    """
+
+    name: str
+    unit: str
+    signal: str
+    steps: tuple[float, ...]
+    returns: tuple[float, ...]
+
+
+def read_curve(metrics: Path, name: str) -> Curve:
+    """The learning curve in a run's metrics.csv, whose first column counts its steps."""
+    rows = read(metrics)
+    for column, signal in (("eval_return", "validation"), ("episode_return", "training")):
+        if points := _points(rows, column):
+            steps, returns = zip(*points, strict=True)
+            return Curve(name, step_unit(rows), signal, steps, returns)
+    raise ConfigError(f"{metrics} has no returns yet: train on")
+
+
+def step_unit(rows: Sequence[Mapping[str, float]]) -> str:
+    """The unit of the first column of metrics, in words."""
+    first = next(iter(rows[0])) if rows else "steps"
+    return first.replace("env_", "environment ").replace("_", " ")
+
+
 def draw_curves(curves: Sequence[Curve], path: Path, remark: str = "") -> Path:
     """Return against steps, a line for each run; the remark is in the file's metadata."""
     from matplotlib.ticker import EngFormatter, MaxNLocator
 
     figure, axes = _figure(7)
-    axes.grid(axis="y", color="#E6E8EB")
+    axes.grid(axis="y", color=_GRID)
     for curve in curves:
         axes.plot(curve.steps, curve.returns, linewidth=1.8, label=curve.name)
     axes.set_xlabel(" or ".join(dict.fromkeys(curve.unit for curve in curves)))
@@ -139,14 +201,138 @@ def raster_figure(spikes: Mapping[str, NDArray[Any]]) -> "Figure":
     return figure
 
 
+@dataclass(frozen=True)
+class CurvePanel:
+    """One panel: what its axis is, and its lines.
+
+    title  of the axis
+    lines  column of the metrics -> name and colour
+    of     what is drawn of a value
+    share  whether the axis goes from 0 to 1
+    """
+
+    title: str
+    lines: Mapping[str, tuple[str, str]]
+    of: Callable[[float], float] = float
+    share: bool = False
+
+
+_PANELS = (
+    CurvePanel(
+        "return of an episode",
+        {"episode_return": ("training", _LIGHT_GREY), "eval_return": ("validation", VERMILION)},
+    ),
+    CurvePanel(
+        "validation episodes",
+        {
+            "eval_finish": ("succeed", _GREEN),
+            "eval_crash": ("crash", VERMILION),
+            "eval_falls": ("fall", _ORANGE),
+        },
+        share=True,
+    ),
+    CurvePanel(
+        "spikes a neuron\nand timestep",
+        {
+            f"sparsity_lif{k}": (f"layer {k}", colour)
+            for k, colour in enumerate((VERMILION, BLUE, _GREEN, _ORANGE, _LIGHT_GREY), start=1)
+        },
+        lambda sparsity: 1 - sparsity,
+    ),
+    CurvePanel(
+        "operations\na control step",
+        {
+            "operations": ("training", _LIGHT_GREY),
+            "eval_operations": ("validation", VERMILION),
+            "goal": ("goal of pruning", BLUE),
+        },
+    ),
+)
+
+
+def curves_figure(rows: Sequence[Mapping[str, float]]) -> "Figure | None":
+    """The panels that the metrics fill, above one axis of steps; None where they fill none."""
+    panels = [panel for panel in _PANELS if any(_points(rows, name) for name in panel.lines)]
+    if not panels:
+        return None
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter
+
+    figure = Figure(figsize=(8, 0.6 + 1.9 * len(panels)), layout="constrained")
+    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for each, panel in zip(axes, panels, strict=True):
+        _draw(each, panel, rows)
+    axes[-1].set_xlabel(step_unit(rows))
+    axes[-1].xaxis.set_major_formatter(EngFormatter(sep=""))
+    return figure
+
+
+def _points(rows: Sequence[Mapping[str, float]], column: str) -> list[tuple[float, float]]:
+    """(step, value) of a column."""
+    steps = next(iter(rows[0])) if rows else ""
+    return [
+        (row[steps], row[column]) for row in rows if column in row and math.isfinite(row[column])
+    ]
+
+
+def _draw(axes: "Axes", panel: CurvePanel, rows: Sequence[Mapping[str, float]]) -> None:
+    values: list[float] = []
+    for column, (name, colour) in panel.lines.items():
+        if points := _points(rows, column):
+            points = points[:: max(1, -(-len(points) // _MOST))]
+            steps, found = zip(*points, strict=True)
+            drawn = [panel.of(value) for value in found]
+            values += drawn
+            marker = "." if len(points) < _ENOUGH else ""
+            axes.plot(steps, drawn, color=colour, marker=marker, linewidth=1.6, label=name)
+    axes.set_ylabel(panel.title)
+    axes.set_ylim(*_limits(panel, values))
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(color=_GRID)
+    axes.set_axisbelow(True)
+    axes.legend(loc="lower right", bbox_to_anchor=(1, 0.98), ncols=5, frameon=False, fontsize=9)
+
+
+def _limits(panel: CurvePanel, values: Sequence[float]) -> tuple[float | None, float | None]:
+    """Ends of the axis: 0 to 1 for shares, and none so far away that it squashes the rest."""
+    if panel.share:
+        return -0.03, 1.03
+    low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
+    span = max(high - low, 1e-9 * max(abs(middle), 1))
+    bottom = float(low - span) if min(values) < low - 2 * span else None
+    return bottom, float(high + span) if max(values) > high + 2 * span else None
+
+
+# files
+
+
 def save(figure: "Figure", path: Path, remark: str = "") -> Path:
     """Write the figure atomically; return the path."""
-    said = {"Comment": remark} if remark else None
+    metadata = {"Comment": remark} if remark else None
     with replacing(path) as part:
         figure.savefig(
-            part, dpi=150, format="png", bbox_inches="tight", facecolor="white", metadata=said
+            part, dpi=150, format="png", bbox_inches="tight", facecolor="white", metadata=metadata
         )
     return path
+
+
+def svg(figure: "Figure", alt: str) -> Markup:
+    """A figure as SVG in the colours of the page, light or dark, with its alternative text."""
+    from matplotlib import rc_context
+
+    text = StringIO()
+    # text as text; ids that do not differ from call to call
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": alt}):
+        figure.savefig(
+            text, format="svg", bbox_inches="tight", transparent=True, metadata={"Date": None}
+        )
+    drawn = text.getvalue()
+    drawn = drawn[drawn.index("<svg") :]
+    for colour, name in _CSS_COLOURS.items():
+        drawn = drawn.replace(colour, name)
+    width = float(_SVG_WIDTH.search(drawn)[1])  # type: ignore[index]  # matplotlib writes it
+    head = f'<svg role="img" aria-label="{escape(alt)}" style="--wide: {width:.0f}px"'
+    return Markup(drawn.replace("<svg", head, 1))
 
 
 def _figure(lines: int) -> "tuple[Figure, Axes]":
@@ -156,20 +342,20 @@ def _figure(lines: int) -> "tuple[Figure, Axes]":
     figure = Figure(figsize=(8, 1.2 + 0.42 * lines))
     axes = figure.add_subplot()
     axes.spines[["top", "right", "left"]].set_visible(False)
-    axes.grid(axis="x", color="#E6E8EB")
+    axes.grid(axis="x", color=_GRID)
     axes.set_axisbelow(True)
     return figure, axes
 
 
 def _name_rows(axes: "Axes", rows: Sequence[Row]) -> None:
     """Label the lines from top to bottom."""
-    names = [plain(label(row)) for row in rows]
+    names = [without_formulas(label(row)) for row in rows]
     axes.set_yticks(range(len(rows)), names)
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.tick_params(length=0)
 
 
-def plain(name: str) -> str:
+def without_formulas(name: str) -> str:
     """A name in which no dollar sign begins a formula."""
     return name.replace("$", r"\$")
 

@@ -1,19 +1,23 @@
-"""What commands print for people: comparisons, emulations, drifts, checks of files and traces."""
+"""Terminal output of comparisons, emulations, checks of files, and traces."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from spikedeploy.console import print_table, print_text
-from spikedeploy.emulation.drift import DriftReport
+from spikedeploy.console import print_text
 from spikedeploy.emulation.open_loop import Emulation
 from spikedeploy.emulation.recordings import RecordedActivity
 from spikedeploy.emulation.trace_replay import ReplayedTrace
 from spikedeploy.exporters.check import ParityCheck
-from spikedeploy.reports import drift_tables
-from spikedeploy.reports.columns import Column, Row, bounded, label, scaled, tables
-from spikedeploy.reports.headline import disturbed, headline
-from spikedeploy.reports.headline import verdict as verdict_of
-from spikedeploy.reports.short_table import WIDTH, energy_hint, short_columns, verdict
+from spikedeploy.reports.columns import (
+    WIDTH,
+    describe_run,
+    energy_hint,
+    label,
+    short_columns,
+    tables,
+)
+from spikedeploy.reports.headline import describe_disturbances, headline, verdict
+from spikedeploy.reports.table import ABSENT, Row, Table, format_bounds, format_si
 
 
 def print_checks(checks: Iterable[ParityCheck]) -> None:
@@ -38,10 +42,13 @@ def print_comparison(document: Mapping[str, Any], everything: bool = True) -> No
     rows = document["rows"]
     _print_head(document)
     if not everything:
-        _print_short(document)
+        print_rows("", rows, document["env_id"])
+        if document["meaning"]:
+            print_text(document["meaning"])
+        print_text("Agreement, sizes, operations, other energies: --tables all")
         return
     for title, columns in tables(rows).items():
-        _print_columns(title, columns, rows)
+        Table.of(columns, rows, title).print()
     for name, convention in document["conventions"].items():
         print_text(f"{name} is stepped with {convention}")
     for policy, remarks in document["remarks"].items():
@@ -55,13 +62,13 @@ def print_comparison(document: Mapping[str, Any], everything: bool = True) -> No
 def _print_head(document: Mapping[str, Any]) -> None:
     episodes = document["rows"][0]["episodes"]
     print_text(f"{document['env_id']}, episodes of each policy: {episodes}\n")
-    if said := disturbed(document):
-        print_text(f"Disturbed by {said}.\n")
+    if disturbances := describe_disturbances(document):
+        print_text(f"Disturbed by {disturbances}.\n")
 
 
 def print_headline(document: Mapping[str, Any]) -> None:
     """Print the first sentence of a comparison and the numbers that its page leads with."""
-    print_text(f"{document['env']}: {verdict_of(document)[0]}")
+    print_text(f"{document['env']}: {verdict(document)[0]}")
     for each in headline(document["rows"], document["env_id"]):
         beside = f"  ({'; '.join(each.beside)})" if each.beside else ""
         print_text(f"  {each.number}  {each.title}{beside}")
@@ -70,7 +77,7 @@ def print_headline(document: Mapping[str, Any]) -> None:
 
 def print_rows(title: str, rows: Sequence[Row], env: str = "") -> None:
     """Print one table of rows of a comparison, and which of their energies to quote."""
-    _print_columns(title, short_columns(rows, env), rows, WIDTH)
+    Table.of(short_columns(rows, env), rows, title).print(WIDTH)
     _print_clocks(rows)
     if hint := energy_hint(rows):
         print_text(hint)
@@ -115,7 +122,7 @@ def print_run(document: Mapping[str, Any], everything: bool = False) -> None:
                     print_text(remark)
     if "real_time" in document:
         print_real_time(document["real_time"])
-    print_text(verdict(document))
+    print_text(describe_run(document))
     _print_clocks(document["rows"])
     if hint := energy_hint(document["rows"]):
         print_text(hint)
@@ -130,7 +137,8 @@ def print_real_time(found: Mapping[str, Any]) -> None:
         for name, times in found["times_s"].items()
     ]
     title = f"{found['steps']:,} control steps at {found['rate_hz']:g} Hz; times in ms"
-    print_table(title, ("of a control step", "p50", "p95", "p99", "max"), rows, numbers=True)
+    heads = ("of a control step", "p50", "p95", "p99", "max")
+    Table(heads, rows, title, numbers=True).print()
     missed = found["missed"]
     print_text(
         f"Deadlines of {1e3 * found['deadline_s']:g} ms missed: {missed['policy']:,} by the policy "
@@ -148,68 +156,54 @@ _TIMES = {
 }
 
 
-def _print_short(document: Mapping[str, Any]) -> None:
-    rows = document["rows"]
-    print_rows("", rows, document["env_id"])
-    if document["meaning"]:
-        print_text(document["meaning"])
-    print_text("Agreement, sizes, operations, other energies: --tables all")
-
-
-def _print_columns(
-    title: str, columns: Sequence[Column], rows: Sequence[Row], width: int | None = None
-) -> None:
-    heads = [column.title for column in columns]
-    cells = [[column.cell(row) for column in columns] for row in rows]
-    print_table(title, heads, cells, numbers=True, width=width)
-
-
 def print_emulation(emulation: Emulation) -> None:
     """Print the convention, the counts, the costs and the layers of an emulation."""
-    found = emulation.as_json()
-    energies = {
-        f"energy, {name}": bounded(f"{scaled(each.value)}J", each.value, each.low, each.high)
-        for name, each in emulation.energies.items()
-    }
-    counts = ("timesteps", "spikes", "sops", "bias_sops", "neuron_updates", "saturations")
-    lines = {
-        "convention": emulation.artifact.convention.describe(),
-        **({"clock": emulation.clock} if emulation.clock else {}),
-        **{
-            name.replace("_", " "): f"{found[name]:,}" for name in counts if found[name] is not None
-        },
-        **{name: f"{value:,.4g}" for name, value in _operations(found["neurobench"]).items()},
-        **energies,
-        **({"host": _host(found["host"])} if found.get("host") else {}),
-        **({"not counted": emulation.uncounted} if emulation.uncounted else {}),
-    }
-    print_table(f"One inference on {emulation.chip}", ("what", "found"), lines.items())
+    title = f"One inference on {emulation.chip}"
+    Table(("what", "found"), list(_emulation_facts(emulation).items()), title).print()
     if hint := energy_hint([{"energy_per_inference_j": emulation.energies}]):
         print_text(hint)
     for remark in emulation.remarks:
         print(f"  {remark}")
+    found = emulation.as_json()
     rows = [
         (
             name,
             f"{layer['neurons']:,}",
             f"{layer['spikes']:,}",
             f"{layer['rate']:.4g}",
-            "–" if layer["sops"] is None else f"{layer['sops']:,}",
+            ABSENT if layer["sops"] is None else f"{layer['sops']:,}",
         )
         for name, layer in found["layers"].items()
     ]
     rows += [
-        (name, f"{readout['neurons']:,}", "–", "–", f"{readout['sops']:,}")
+        (name, f"{readout['neurons']:,}", ABSENT, ABSENT, f"{readout['sops']:,}")
         for name, readout in found["readouts"].items()
     ]
     if rows:
         heads = ("layer", "neurons", "spikes", "rate", "SOPs")
-        print_table("Layers; rate per neuron and timestep", heads, rows, numbers=True)
+        Table(heads, rows, "Layers; rate per neuron and timestep", numbers=True).print()
 
 
-def _host(work: Mapping[str, int]) -> str:
-    """What the host does for readouts."""
-    return f"{work['multiplications']:,} multiplications, {work['additions']:,} additions"
+def _emulation_facts(emulation: Emulation) -> dict[str, str]:
+    found = emulation.as_json()
+    counts = ("timesteps", "spikes", "sops", "bias_sops", "neuron_updates", "saturations")
+    energies = {
+        name: format_bounds(f"{format_si(each.value)}J", each.value, each.low, each.high)
+        for name, each in emulation.energies.items()
+    }
+    host = found.get("host") or {}
+    facts = {
+        "convention": emulation.artifact.convention.describe(),
+        "clock": emulation.clock,
+        **{
+            name.replace("_", " "): f"{found[name]:,}" for name in counts if found[name] is not None
+        },
+        **{name: f"{value:,.4g}" for name, value in _operations(found["neurobench"]).items()},
+        **{f"energy, {name}": energy for name, energy in energies.items()},
+        "host": ", ".join(f"{host[k]:,} {k}" for k in ("multiplications", "additions") if host),
+        "not counted": emulation.uncounted,
+    }
+    return {name: fact for name, fact in facts.items() if fact}
 
 
 def _operations(measures: Mapping[str, Any] | None) -> dict[str, float]:
@@ -218,9 +212,3 @@ def _operations(measures: Mapping[str, Any] | None) -> dict[str, float]:
         return {}
     flat = {**measures, **measures["SynapticOperations"]}
     return {name: value for name, value in flat.items() if isinstance(value, int | float)}
-
-
-def print_drift(report: DriftReport) -> None:
-    """Print the tables of a drift."""
-    for title, heads, rows in drift_tables.tables(report):
-        print_table(title, heads, rows)

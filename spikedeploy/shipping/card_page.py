@@ -8,7 +8,7 @@ from typing import Any
 
 from spikedeploy.files import as_text, replacing
 from spikedeploy.outputs import check_output
-from spikedeploy.reports.columns import markdown as tables_of
+from spikedeploy.reports.columns import markdown_tables
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.record_fields import check_page
 from spikedeploy.trainers.recipes import RECIPES
@@ -33,7 +33,7 @@ def markdown(name: str, record: Mapping[str, Any]) -> str:
             "",
             "## Evaluation",
             "",
-            *tables_of(record["evaluation"]),
+            markdown_tables(record["evaluation"]),
             "## Parity of the file with the trained policy",
             "",
             *checks,

@@ -1,7 +1,6 @@
 """The demo: shipped policies on two tasks, a page of each with its episodes, and an index."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +11,12 @@ from spikedeploy.comparison.summary import smallest_baseline
 from spikedeploy.console import say
 from spikedeploy.files import write_text
 from spikedeploy.outputs import check_output, check_output_folder, marked
-from spikedeploy.pages import report
-from spikedeploy.pages.comparison import policy_table, replay
-from spikedeploy.pages.page import big_numbers, hint, page, said
 from spikedeploy.policies.registry import DEFAULT_CHIP
-from spikedeploy.reports.cells import Row
+from spikedeploy.reports import comparison as report
+from spikedeploy.reports.columns import energy_hint
 from spikedeploy.reports.headline import ann_row, headline, main_row, verdict
-from spikedeploy.reports.short_table import energy_hint
+from spikedeploy.reports.page import render
+from spikedeploy.reports.table import Row
 from spikedeploy.reports.terminal import print_comparison, print_headline
 from spikedeploy.seeds import EVALUATION
 
@@ -86,28 +84,27 @@ def _compared(env: str, episodes: int, folder: Path) -> tuple[dict[str, Any], _E
 
 def _index(documents: Sequence[Mapping[str, Any]], episodes: _Episodes) -> str:
     """A page that replays an episode of the first task, and leads to the pages of all."""
-    instrument, scripts = replay(documents[0], episodes)
-    parts = [_part(document, "" if at else instrument) for at, document in enumerate(documents)]
-    return page(_TITLE, _LEAD, parts, scripts)
-
-
-def _part(document: Mapping[str, Any], instrument: str) -> str:
-    env, rows = escape(document["env"]), list(_told(document["rows"]))
-    seeds = f"{rows[0]['episodes']} episodes of each policy"
-    return "".join(
-        (
-            f"<h2>{env}</h2>{said(verdict(document)[0])}",
-            big_numbers(headline(document["rows"], document["env_id"])),
-            instrument,
-            policy_table(rows, document["env_id"]),
-            hint(f"{seeds}. {energy_hint(rows)}"),
-            f'<p><a href="{env}/report.html">All policies of {env}, with recorded episodes, '
-            "agreement, sizes and energies</a></p>",
-        )
+    return render(
+        "demo",
+        title=_TITLE,
+        lead=_LEAD,
+        episodes=report.name_players(episodes, documents[0]),
+        tasks=[_task(document) for document in documents],
     )
 
 
-def _told(rows: Sequence[Row]) -> Iterator[Row]:
+def _task(document: Mapping[str, Any]) -> dict[str, Any]:
+    rows = list(_main_rows(document["rows"]))
+    return {
+        "env": document["env"],
+        "verdict": verdict(document)[0],
+        "numbers": headline(document["rows"], document["env_id"]),
+        "policies": report.policy_table(rows, document["env_id"]),
+        "remark": f"{rows[0]['episodes']} episodes of each policy. {energy_hint(rows)}",
+    }
+
+
+def _main_rows(rows: Sequence[Row]) -> Iterator[Row]:
     """The float ANN, the spiking policies on the chip, and the smallest float baseline."""
     main = main_row(rows)
     found = (ann_row(rows), smallest_baseline(main, rows))

@@ -17,8 +17,7 @@ from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import DEFAULT_CHIP, find
 from spikedeploy.policies.run_record import SPIKING
-from spikedeploy.reports.curves import curve
-from spikedeploy.reports.plots import draw_curves
+from spikedeploy.reports.plots import draw_curves, read_curve
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.card_page import evaluated, markdown
@@ -79,7 +78,7 @@ def publish_run(
         file,
         write_text(file.with_suffix(".json"), as_text(record)),
         write_text(file.with_suffix(".md"), markdown(name, record)),
-        draw_curves([curve(source / "metrics.csv", name)], file.with_suffix(".png")),
+        draw_curves([read_curve(source / "metrics.csv", name)], file.with_suffix(".png")),
         _copied(source / "metrics.csv", file.with_suffix(".csv")),
     ]
 

@@ -12,12 +12,11 @@ from typing import Any
 from spikedeploy import envs
 from spikedeploy.files import write_text
 from spikedeploy.outputs import check_output, mark, marked, no_link
-from spikedeploy.pages.svg import standalone, svg
-from spikedeploy.pages.training import ALT, flat, write_run_page
 from spikedeploy.policies import run_record
-from spikedeploy.reports.markdown import markdown_name
-from spikedeploy.reports.run_curves import curves_figure
-from spikedeploy.reports.run_scores import RunScores, metrics_of, scores
+from spikedeploy.reports.page import standalone_svg
+from spikedeploy.reports.plots import curves_figure, svg
+from spikedeploy.reports.runs import ALT, RunScores, flatten, metrics_of, scores, write_run_page
+from spikedeploy.reports.table import escape_markdown
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.card_page import KINDS, training_command
@@ -43,7 +42,7 @@ def write_run_files(run: Path) -> list[Path]:
     """
     files = [write_run_page(run)]
     if drawn := curves_figure(metrics_of(run)):
-        files.append(write_text(no_link(run / CURVE), standalone(svg(drawn, ALT))))
+        files.append(write_text(no_link(run / CURVE), standalone_svg(svg(drawn, ALT))))
     card = no_link(run / CARD)
     if not card.exists() or marked(card, _OURS):
         files.append(write_text(card, card_of(run)))
@@ -148,24 +147,24 @@ def _environment(settings: Mapping[str, Any]) -> Iterator[str]:
     spec = envs.spec(world["name"])
     yield f"- {spec.id}" if spec.foreign else f"- {spec.id}: {spec.summary}"
     for key, value in world["options"].items():
-        yield f"- {markdown_name(str(key))}: {markdown_name(json.dumps(value))}"
+        yield f"- {escape_markdown(str(key))}: {escape_markdown(json.dumps(value))}"
 
 
 def _training(run: Path, found: RunScores) -> Iterator[str]:
     record, versions = training_of(run), run_record.versions(run)
     yield f"- `{training_command(record)}`"
     yield f"- checkpoint {record['checkpoint']}, after {record['steps']:,} {record['steps_unit']}"
-    commit = markdown_name(str(versions.get("commit") or "unknown"))
+    commit = escape_markdown(str(versions.get("commit") or "unknown"))
     yield f"- {found.share:.0%} done, spikedeploy's commit {commit}"
     told = [f"{name} {version}" for name, version in versions.items() if version]
-    yield "- " + ", ".join(markdown_name(each) for each in told if not each.startswith("commit "))
+    yield "- " + ", ".join(escape_markdown(each) for each in told if not each.startswith("commit "))
 
 
 def _results(found: RunScores, settings: Mapping[str, Any]) -> Iterator[str]:
     if found.earned is None:
         yield "No validation yet."
         return
-    episodes = dict(flat(settings)).get("validation.episodes", "some")
+    episodes = dict(flatten(settings)).get("validation.episodes", "some")
     yield f"Validation, {episodes} greedy episodes:"
     yield ""
     yield from (f"- {each['name']}: {each['value']:,.4g}" for each in _metrics(found))

@@ -6,14 +6,19 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.comparison.metrics import drives
-from spikedeploy.console import print_table
 from spikedeploy.outputs import mark
-from spikedeploy.pages.markdown import write_beside
-from spikedeploy.reports.cells import ABSENT, Column, number
-from spikedeploy.reports.columns import asked_for, difference, finished, interval
+from spikedeploy.reports.columns import (
+    energy_cell,
+    format_difference,
+    format_operations,
+    format_return,
+    format_success,
+    measured_columns,
+    quoted_table,
+)
 from spikedeploy.reports.csv_rows import write_rows
-from spikedeploy.reports.markdown import markdown_table
-from spikedeploy.reports.short_table import energy_cell, operations, quoted_table
+from spikedeploy.reports.page import write_beside
+from spikedeploy.reports.table import ABSENT, Column, Table, field_cell
 from spikedeploy.sweeps.cells import JobRow, cells
 from spikedeploy.sweeps.grid import SweepGrid
 from spikedeploy.sweeps.specification import JobSpecification
@@ -87,7 +92,7 @@ def print_sweep(state: SweepState) -> None:
     if rows:
         lines = [[name(row), *(column.cell(row) for column in measured)] for row in rows]
         heads = [" · ".join(axis.title for axis in axes), *(c.title for c in measured)]
-        print_table(state.grid.name, heads, lines, numbers=True)
+        Table(heads, lines, state.grid.name, numbers=True).print()
 
 
 def write_sweep(state: SweepState, folder: Path) -> list[Path]:
@@ -105,8 +110,7 @@ def _page(state: SweepState) -> list[str]:
     columns = [*_axes(rows), *_measured(rows)]
     lines = [f"# Sweep {state.grid.name}", "", f"<!-- {mark('sweep')} -->", f"{state.summary}.", ""]
     if rows:
-        table = [[c.title for c in columns], *([c.cell(row) for c in columns] for row in rows)]
-        lines += [*markdown_table(table), ""]
+        lines += [Table.of(columns, rows).markdown(), ""]
         lines += [*(f"* {c.title}: {c.meaning}" for c in columns if c.meaning), ""]
     if state.failures:
         lines += ["## Failed", "", *(f"* {label}: {why}" for label, why in state.failures), ""]
@@ -128,14 +132,16 @@ def _axes(rows: Sequence[Record]) -> list[Column]:
 def _measured(rows: Sequence[Record]) -> list[Column]:
     """What is measured, in columns that some row fills."""
     success = (
-        Column("finished", "episodes that reach the last gate, with the 95% interval", finished)
+        Column(
+            "finished", "episodes that reach the last gate, with the 95% interval", format_success
+        )
         if any(map(drives, rows))
-        else Column("success", "episodes that succeed", number("success_rate", ".0%"))
+        else Column("success", "episodes that succeed", field_cell("success_rate", ".0%"))
     )
     table = quoted_table(rows)
     columns = [
-        Column("episodes", "", number("episodes", ",d")),
-        Column("return", "mean of all episodes, with its 95% bootstrap interval", interval),
+        Column("episodes", "", field_cell("episodes", ",d")),
+        Column("return", "mean of all episodes, with its 95% bootstrap interval", format_return),
         Column(
             "to undisturbed",
             "paired difference of return to the same seeds without disturbance and fault, with its "
@@ -143,9 +149,9 @@ def _measured(rows: Sequence[Record]) -> list[Column]:
             _difference,
         ),
         success,
-        Column("operations", "a control step, of synapses", operations),
+        Column("operations", "a control step, of synapses", format_operations),
         Column("energy", f"a control step, of operations, by table {table}", energy_cell(table)),
-        *asked_for(rows),
+        *measured_columns(rows),
     ]
     return [c for c in columns if any(c.cell(row) != ABSENT for row in rows)]
 
@@ -155,7 +161,7 @@ def _plain(name: str) -> Any:  # noqa: ANN401 - a Cell
 
 
 def _difference(row: Mapping[str, Any]) -> str:
-    return ABSENT if row["difference_mean"] is None else difference(row)
+    return ABSENT if row["difference_mean"] is None else format_difference(row)
 
 
 def _line(state: SweepState, job: JobSpecification, table: str) -> Record:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from spikedeploy.outputs import marked
-from spikedeploy.pages.markdown import write_beside
+from spikedeploy.reports.page import write_beside
 from spikedeploy.reports.plots import save
 from spikedeploy.tuning.evaluation import FIRST_SEED
 from spikedeploy.tuning.outcomes import TrialOutcome, best, outcomes

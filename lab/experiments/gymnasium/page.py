@@ -17,8 +17,8 @@ from lab.experiments.gymnasium.published import published
 from lab.experiments.gymnasium.tasks import RATE, TASKS, TIMESTEPS
 from lab.experiments.gymnasium.training import TaskTraining
 from spikedeploy.files import as_text, read_json, write_text
-from spikedeploy.pages.markdown import write_beside
 from spikedeploy.reports.csv_rows import Record
+from spikedeploy.reports.page import write_beside
 from spikedeploy.reports.plots import save
 from spikedeploy.trainers.versions import installed, own
 

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from spikedeploy.reports.columns import ABSENT
-from spikedeploy.reports.markdown import markdown_text
+from spikedeploy.reports.table import ABSENT, markdown_text
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ from lab.experiments.gymnasium.records import ENERGY
 from lab.experiments.gymnasium.tasks import RATE, TASKS
 from lab.experiments.pareto.costs import spikes
 from lab.experiments.pareto.tables import number, share
-from spikedeploy.reports.columns import ABSENT
 from spikedeploy.reports.csv_rows import Record
-from spikedeploy.reports.markdown import markdown_text
+from spikedeploy.reports.table import ABSENT, markdown_text
 
 LABELS = {
     TEACHER: "float teacher",

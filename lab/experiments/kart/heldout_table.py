@@ -10,8 +10,7 @@ from lab.experiments.kart.heldout import TRACKS
 from lab.experiments.kart.records import Record
 from spikedeploy.comparison.statistics import Estimate, nested_ratio
 from spikedeploy.comparison.statistics import share as wilson
-from spikedeploy.reports.columns import ABSENT
-from spikedeploy.reports.markdown import markdown_table
+from spikedeploy.reports.table import ABSENT, markdown_text
 
 _TRAINED_ON = {DEFAULT: "big_S", CORRIDOR: "corridor-8"}
 _RESAMPLES = 10_000
@@ -33,7 +32,7 @@ def heldout_table(rows: Sequence[Record]) -> list[str]:
             row["policy"] for row in rows if row["seed"] is None and row["world"] == world
         ):
             lines += [[world, ABSENT, script, *_cells(_of(rows, world, script))]]
-    return markdown_table(lines)
+    return markdown_text(lines).splitlines()
 
 
 def _cells(rows: Sequence[Record]) -> list[str]:

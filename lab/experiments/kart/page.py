@@ -28,7 +28,7 @@ from lab.experiments.kart.verdicts import (
 from lab.experiments.parts import command_line
 from lab.experiments.trial import Trial
 from spikedeploy.files import read_json
-from spikedeploy.pages.markdown import write_beside
+from spikedeploy.reports.page import write_beside
 from spikedeploy.reports.plots import save
 from spikedeploy.trainers.ppo import HOLDS
 from spikedeploy.trainers.versions import began_with, own

@@ -10,8 +10,7 @@ from lab.experiments.kart.design import CORRIDOR, COUNT, GREEDY, PEERS, POLICIES
 from lab.experiments.kart.records import FIRST, HELD, NTH, Record
 from spikedeploy.comparison.statistics import Estimate, ratio_of_medians
 from spikedeploy.policies.registry import FLOAT
-from spikedeploy.reports.columns import ABSENT, scaled
-from spikedeploy.reports.markdown import markdown_table
+from spikedeploy.reports.table import ABSENT, format_si, markdown_text
 
 
 def of(rows: Iterable[Record], world: str, policy: str, **more: object) -> list[Record]:
@@ -51,7 +50,7 @@ def learning_table(rows: Sequence[Record]) -> list[str]:
                     *(_peer(world, policy) if beside else ()),
                 ]
             )
-    return markdown_table(lines)
+    return markdown_text(lines).splitlines()
 
 
 def _peer(world: str, policy: str) -> list[str]:
@@ -86,7 +85,7 @@ def driving_table(rows: Sequence[Record]) -> list[str]:
             ]
             joules = [_joules(found, price) for price in prices]
             lines.append([world, label, f"{len(found)}", *cells, *joules])
-    return markdown_table(lines)
+    return markdown_text(lines).splitlines()
 
 
 def chip_table(rows: Sequence[Record]) -> list[str]:
@@ -95,7 +94,7 @@ def chip_table(rows: Sequence[Record]) -> list[str]:
     for world in WORLDS:
         twins = {row["seed"]: row for row in of(rows, world, "snn", chip=FLOAT)}
         lines += [_beside(row, twins[row["seed"]]) for row in on_chip(rows, world)]
-    return markdown_table(lines)
+    return markdown_text(lines).splitlines()
 
 
 def _beside(row: Record, twin: Record) -> list[str]:
@@ -213,4 +212,4 @@ def _joules(rows: Sequence[Record], price: str) -> str:
     """The median energy by a table; with `≥` where it is a lower bound."""
     values, table = _values(rows, price), price.removeprefix("energy_").removesuffix("_j")
     least = "≥ " if any(table in row["energies_at_least"].split() for row in rows) else ""
-    return f"{least}{scaled(float(np.median(values)))}J" if values else ABSENT
+    return f"{least}{format_si(float(np.median(values)))}J" if values else ABSENT

@@ -13,8 +13,8 @@ from lab.experiments.lineup.design import LineupDesign, teachers
 from lab.experiments.lineup.evaluation import key
 from lab.experiments.lineup.tables import sparse_rows, table, verdicts
 from lab.experiments.parts import command_line
-from spikedeploy.pages.markdown import write_beside
 from spikedeploy.reports.csv_rows import Record
+from spikedeploy.reports.page import write_beside
 from spikedeploy.trainers.versions import began_with, own
 
 TABLE = "lineup.csv"

@@ -8,9 +8,8 @@ import numpy as np
 from lab.experiments.pareto import records as pareto
 from spikedeploy import zoo
 from spikedeploy.comparison.statistics import Estimate, nested_ratio, stratified
-from spikedeploy.reports.columns import ABSENT
 from spikedeploy.reports.csv_rows import Record
-from spikedeploy.reports.markdown import markdown_text
+from spikedeploy.reports.table import ABSENT, markdown_text
 
 _SPARSE = "sparse-gated"
 

@@ -13,8 +13,7 @@ from lab.experiments.pareto.fronts import (
 from lab.experiments.pareto.tables import number, of_teacher, share
 from spikedeploy.comparison import statistics
 from spikedeploy.comparison.statistics import Estimate
-from spikedeploy.reports.columns import ABSENT
-from spikedeploy.reports.markdown import markdown_text
+from spikedeploy.reports.table import ABSENT, markdown_text
 
 _Cells = dict[str, Callable[[Point], str]]
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from lab.experiments.pareto.costs import TOTALS
 from lab.experiments.pareto.fronts import Point, Record, points
 from lab.experiments.pareto.tables import NEARLY, number, of_teacher, pico, share
-from spikedeploy.reports.markdown import markdown_text
+from spikedeploy.reports.table import markdown_text
 
 
 def overview(tables: Mapping[str, Sequence[Record]]) -> str:

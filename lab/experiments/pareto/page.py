@@ -16,7 +16,7 @@ from lab.experiments.pareto.levels import level_table, return_table
 from lab.experiments.pareto.overview import overview
 from lab.experiments.pareto.plot import front_figure
 from spikedeploy.files import as_text, read_json, write_text
-from spikedeploy.pages.markdown import write_beside
+from spikedeploy.reports.page import write_beside
 from spikedeploy.reports.plots import save
 from spikedeploy.runtime.metrics.energy_tables import TABLES
 from spikedeploy.trainers.versions import installed, own

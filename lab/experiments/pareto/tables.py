@@ -16,8 +16,7 @@ from lab.experiments.pareto.fronts import (
     span_at,
 )
 from spikedeploy.comparison.statistics import Estimate
-from spikedeploy.reports.columns import ABSENT
-from spikedeploy.reports.markdown import markdown_text
+from spikedeploy.reports.table import ABSENT, markdown_text
 
 # shares of the teacher's score: points below the second are of no use, and not compared
 NEARLY, NEAR = 0.98, 0.95

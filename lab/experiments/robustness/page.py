@@ -21,7 +21,7 @@ from lab.experiments.robustness.design import (
 from lab.experiments.robustness.evaluation import all_rows, missing
 from lab.experiments.robustness.plot import levels_figure
 from spikedeploy.files import as_text, read_json, write_text
-from spikedeploy.pages.markdown import write_beside
+from spikedeploy.reports.page import write_beside
 from spikedeploy.reports.plots import save
 from spikedeploy.trainers.versions import installed, own
 

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from lab.experiments.robustness.design import DISTURBANCE, FAULT, UNDISTURBED
-from spikedeploy.reports.columns import ABSENT
-from spikedeploy.reports.markdown import markdown_text
+from spikedeploy.reports.table import ABSENT, markdown_text
 
 Record = dict[str, Any]
 MIDDLE = 2  # the level of the sentences

@@ -4,7 +4,7 @@ import nir
 import numpy as np
 import pytest
 
-from spikedeploy.reports.listings import chip_rows
+from spikedeploy.reports.datasheets import chip_table
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import CHIPS, chip
@@ -73,7 +73,7 @@ def test_its_fields_are_options_of_the_chip():
 
 
 def test_its_datasheet_has_a_row_beside_the_others():
-    (row,) = chip_rows([chip("toy")])
+    (row,) = chip_table([chip("toy")]).rows
     weights, membrane = "4 bits with the sign", "6 bits, saturates"
     assert row == (
         "toy",

@@ -12,8 +12,9 @@ import pytest
 import typer
 
 from spikedeploy import cli, console
-from spikedeploy.console import print_table, progress
+from spikedeploy.console import progress
 from spikedeploy.play.display import check_driver
+from spikedeploy.reports.table import Table
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.chips.chip import CHIPS, chip
 from spikedeploy.runtime.errors import ConfigError
@@ -39,7 +40,7 @@ def called(line, **environ):
 
 
 def test_brackets_are_text_in_tables(capsys):
-    print_table("[bold]out", ("time [s]", "[red]"), [('pip install ".[x]"', "[/]")])
+    Table(("time [s]", "[red]"), [('pip install ".[x]"', "[/]")], "[bold]out").print()
     out = capsys.readouterr().out
     for text in ("[bold]out", "time [s]", "[red]", 'pip install ".[x]"', "[/]"):
         assert text in out

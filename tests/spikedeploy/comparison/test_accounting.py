@@ -8,8 +8,9 @@ from spikedeploy.comparison.comparison import control_period, static
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.envs import ENVS
-from spikedeploy.pages import report
-from spikedeploy.reports.columns import ABSENT, markdown, tables
+from spikedeploy.reports import comparison as report
+from spikedeploy.reports.columns import markdown_tables, tables
+from spikedeploy.reports.table import ABSENT
 from spikedeploy.runtime.metrics.energy import TABLES
 from spikedeploy.runtime.metrics.energy_terms import ON_CHIP
 from tests import toy_stroll_env
@@ -105,4 +106,4 @@ def test_the_table_marks_what_is_unknown(rows):
 def test_reports_without_the_new_fields_still_render(rows):
     older = [{name: value for name, value in row.items() if name not in NEW} for row in rows]
     assert WHERE not in tables(older)
-    assert markdown(older)
+    assert markdown_tables(older)

@@ -20,9 +20,9 @@ from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.make_env import make_env, parse_options
-from spikedeploy.pages import report
 from spikedeploy.policies.registry import find, open_policy
-from spikedeploy.reports.columns import finished, tables
+from spikedeploy.reports import comparison as report
+from spikedeploy.reports.columns import format_success, tables
 from spikedeploy.reports.headline import verdict
 from spikedeploy.runtime.errors import ConfigError
 from tests import toy_race_env
@@ -105,7 +105,7 @@ def test_rows_of_karts_tell_of_finishes_laps_and_crashes():
     assert "CoT" not in heads
 
 
-def test_a_lap_is_timed_only_where_it_is_finished():
+def test_a_lap_is_timed_only_where_it_is_format_success():
     infos = {
         "gates": np.array([0.0, 1.0]), "lap_time": np.array([0.1, 0.2]),
         "crash": np.array([0.0, 0.0]), "stalled": np.zeros(2), "speed": np.array([1.0, 3.0]),
@@ -202,7 +202,7 @@ def test_of_few_races_the_sentence_has_no_interval_and_no_verdict():
         "snn on loihi1 finishes all of 2 episodes, too few for an interval (-1.0 points to its "
         "float twin). Fewer than 5 episodes do not show which policies finish less often."
     )
-    assert finished({**rows[0], "success_ci95": (0.34, 1.0)}) == "100%"
+    assert format_success({**rows[0], "success_ci95": (0.34, 1.0)}) == "100%"
 
 
 def test_a_float_policy_that_finishes_less_often_is_as_good_while_its_interval_reaches_nought():

@@ -5,23 +5,29 @@ from dataclasses import fields
 
 import pytest
 
-from spikedeploy.reports.listings import CHIP_COLUMNS, chip_markdown, chip_rows
+from spikedeploy.reports.datasheets import chip_table
 from spikedeploy.runtime.chips.chip import CHIPS, chip
 from tests.paths import ROOT
 
 PAGE = ROOT / "docs" / "chips.md"
 
 
+def shown(of):
+    """The row of a chip, head -> cell."""
+    table = chip_table([of])
+    return dict(zip(table.columns, table.rows[0], strict=True))
+
+
 def test_the_documentation_has_the_table_that_the_command_prints(command):
     code, out, err = command("chips", "--markdown")
     assert (code, err) == (0, "")
-    assert out == chip_markdown([chip(name) for name in CHIPS])
+    assert out == chip_table([chip(name) for name in CHIPS]).markdown() + "\n"
     assert f"\n\n{out}\n" in PAGE.read_text("utf-8")
 
 
 @pytest.mark.parametrize("name", sorted(CHIPS))
 def test_people_see_every_chip_and_what_it_was_compared_with(name, command):
-    row = dict(zip(CHIP_COLUMNS, chip_rows([chip(name)])[0], strict=True))
+    row = shown(chip(name))
     assert row["compared with"] == chip(name).evidence
     assert all(row.values())
     assert name in command("chips")[1]
@@ -40,7 +46,7 @@ def test_people_see_every_chip_and_what_it_was_compared_with(name, command):
     ],
 )
 def test_a_row_says_what_the_datasheet_says(used, weights, membrane):
-    row = dict(zip(CHIP_COLUMNS, chip_rows([used])[0], strict=True))
+    row = shown(used)
     assert (row["weights"], row["membrane"]) == (weights, membrane)
 
 

@@ -11,10 +11,9 @@ from spikedeploy import envs
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.summary import summary
-from spikedeploy.console import print_table
-from spikedeploy.pages import report
-from spikedeploy.reports.columns import ABSENT, price, scaled, tables
-from spikedeploy.reports.short_table import short_columns
+from spikedeploy.reports import comparison as report
+from spikedeploy.reports.columns import short_columns, tables
+from spikedeploy.reports.table import ABSENT, Table, format_si, price_cell
 from spikedeploy.reports.terminal import print_comparison
 from tests import toy_stroll_env
 
@@ -274,7 +273,7 @@ def test_a_policy_alone_needs_no_sentence():
     ],
 )
 def test_prices_are_readable_at_any_size(value, text):
-    assert scaled(value) == text
+    assert format_si(value) == text
 
 
 @pytest.mark.parametrize(
@@ -291,13 +290,13 @@ def test_prices_are_readable_at_any_size(value, text):
 )
 def test_a_price_is_printed_with_what_is_known_of_it(low, high, text):
     row = {"j": {"table": 2e-6}, "interval": {"table": [low, high]}}
-    assert price("j", "table", "J", "interval")(row) == text
+    assert price_cell("j", "table", "J", "interval")(row) == text
 
 
 def test_a_price_of_a_report_from_before_is_printed_as_it_is():
     row = {"j": {"table": 2e-6}}
-    assert price("j", "table", "J", "interval")(row) == "2.00 µJ"
-    assert price("j", "other", "J", "interval")(row) == ABSENT
+    assert price_cell("j", "table", "J", "interval")(row) == "2.00 µJ"
+    assert price_cell("j", "other", "J", "interval")(row) == ABSENT
 
 
 def labels_of(*policies, env="CartPole-v1"):
@@ -328,9 +327,9 @@ def test_the_short_table_takes_nothing_out_of_a_name_without_an_environment():
 def test_names_of_a_table_of_80_columns_are_not_broken(capsys):
     heads = ("policy", "return", "of ANN", "success", "operations", "energy")
     row = ("sparse · loihi1", "3,464 [3,458, 3,469]", "100.5%", "100%", "312,797 SOPs", "≥ 0.75 nJ")
-    print_table("", heads, [row], numbers=True, width=80)
+    Table(heads, [row], numbers=True).print(width=80)
     long = ("distill-sparse-tuned-s1 · loihi1", *row[1:])
-    print_table("", heads, [long], numbers=True, width=80)
+    Table(heads, [long], numbers=True).print(width=80)
     lines = capsys.readouterr().out.splitlines()
     assert all(len(line) <= 80 for line in lines)
     assert "  ".join(row[:2]) in lines[2]

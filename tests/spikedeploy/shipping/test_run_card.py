@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from spikedeploy.pages.training import LivePage
+from spikedeploy.reports.runs import LivePage
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.run_card import export_card, write_run_files
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig

@@ -8,9 +8,9 @@ from matplotlib.colors import to_hex
 
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
-from spikedeploy.pages import report
-from spikedeploy.pages.page import part
+from spikedeploy.reports import comparison as report
 from spikedeploy.reports.headline import headline, main_row
+from spikedeploy.reports.page import asset
 from spikedeploy.reports.plots import energy_figure, returns_figure
 from tests import toy_stroll_env
 
@@ -117,7 +117,7 @@ def test_png_plots_have_the_colours_of_the_page_by_day():
     kinds = {"ann": ("ann", None), "snn": ("snn", "float"), "chip": ("snn", "loihi1"),
              "control": ("control", None)}  # fmt: skip
     rows = [row(name, *kind, joules=1e-9) for name, kind in kinds.items()]
-    by_day = dict(re.findall(r"--(\w+): (#\w+);", part("page.css").partition("@media")[0]))
+    by_day = dict(re.findall(r"--(\w+): (#\w+);", asset("page.css").partition("@media")[0]))
     for figure in (returns_figure(rows), energy_figure(rows)):
         dots = [each for each in figure.axes[0].collections if len(each.get_offsets())]
         found = [to_hex(colour) for each in dots for colour in each.get_facecolors()]
@@ -194,7 +194,7 @@ def test_a_link_leads_to_a_step_of_an_episode(browser, page):
 )
 def test_an_axis_that_cuts_outliers_says_how_far_they_go(browser, outlier, ends):
     script = (
-        part("strips.js")
+        asset("strips.js")
         + """
         const values = [3, ...Array(998).fill(727), arguments[0]].map((v, k) => (k < 9 ? 3 : v));
         const lines = [{ at: (step) => values[step], rows: 1000, player: null }], said = [];

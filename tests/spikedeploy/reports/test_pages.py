@@ -9,15 +9,13 @@ from matplotlib.figure import Figure
 from spikedeploy.emulation.design_report import report_of
 from spikedeploy.emulation.drift import drift_report, random_inputs
 from spikedeploy.jobs.serial import SerialBackend
-from spikedeploy.pages.cores import core_fills, cores_svg
-from spikedeploy.pages.design import design_page
-from spikedeploy.pages.drift import drift_page
-from spikedeploy.pages.markdown import html_of
-from spikedeploy.pages.page import column_classes
-from spikedeploy.pages.training import LivePage, run_page, write_run_page
 from spikedeploy.policies import run_record
-from spikedeploy.reports.run_curves import curves_figure
-from spikedeploy.reports.run_scores import scores
+from spikedeploy.reports.design import core_drawing, core_fills, design_page
+from spikedeploy.reports.drift import drift_page
+from spikedeploy.reports.page import render_markdown
+from spikedeploy.reports.plots import curves_figure
+from spikedeploy.reports.runs import LivePage, run_page, scores, write_run_page
+from spikedeploy.reports.table import Table
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.metadata import Provenance
@@ -73,7 +71,7 @@ def of_experiment(network, run, folder):
         f"# A page of {EVIL}\n\n<!-- said by nobody -->\nFirst.\n\n![a line](dir/line.png)\n\n"
         f"| who | found |\n|---|---|\n| {EVIL} | 3.2 |\n\n### More\n\nIt is folded.\n"
     )
-    return html_of(text, {"dir/line.png": figure})
+    return render_markdown(text, {"dir/line.png": figure})
 
 
 def of_sweep(network, run, folder):
@@ -134,7 +132,7 @@ def test_every_page_fits_phones_and_desktops_in_light_and_dark_and_on_paper(brow
 
 def test_columns_of_words_stand_at_the_left_and_numbers_at_the_right():
     rows = [("lif1", "8", "3.2 [1, 4]", "fits"), ("lif2", "–", "≥ 4", "compile")]
-    assert column_classes(rows, 4) == ["words", "", "", "words"]
+    assert Table("abcd", rows).classes == ["words", "", "", "words"]
 
 
 def test_no_figure_of_a_drift_is_wider_than_a_phone(browser, network, tmp_path):
@@ -161,19 +159,19 @@ def test_the_cores_that_are_drawn_hold_every_neuron_once(network):
     for name in ("loihi1", "loihi2", "truenorth", "spinnaker2"):
         (check,) = report_of("small.nir", network, [name]).checks
         limits, mapping = check.chip.limits, check.mapping
-        fills = core_fills(mapping, limits)
+        fills = list(core_fills(mapping, limits))
         assert len(fills) == mapping.cores == len({fill.number for fill in fills})
         for placement in mapping.placements:
             held = sum(fill.neurons for fill in fills if fill.layer == placement.name)
             assert held == placement.neurons
-        drawn = cores_svg(mapping, limits, name)
-        assert drawn.count("<g") >= mapping.cores
+        drawn = design_page(report_of("small.nir", network, [name]))
+        assert drawn.count("<g>") + drawn.count('<g class="over">') >= mapping.cores
         assert f"core {fills[0].number}: {fills[0].layer}, {fills[0].neurons:,} neurons" in drawn
 
 
 def test_a_chip_without_cores_has_no_drawing(network):
     (check,) = report_of("small.nir", network, ["xylo-a2"]).checks
-    assert cores_svg(check.mapping, check.chip.limits, "xylo-a2") == ""
+    assert core_drawing(check.mapping, check.chip.limits, "xylo-a2") is None
 
 
 def test_a_value_far_away_does_not_squash_the_curve(run):
@@ -205,7 +203,7 @@ def test_a_live_page_is_written_rarely_and_survives_a_full_disk(run, monkeypatch
         written.append(path)
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("spikedeploy.pages.training.write_run_page", full)
+    monkeypatch.setattr("spikedeploy.reports.runs.write_run_page", full)
     for _ in range(3):
         live(run)
     assert written == [run]

@@ -1,0 +1,328 @@
+"""Chips, energy tables, break-even lines and shipped policies: as tables, and as plain data."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import Field, asdict, fields, is_dataclass
+from typing import Any
+
+from spikedeploy.reports.columns import COMMON_TABLE
+from spikedeploy.reports.table import ABSENT, Table, format_si
+from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip
+from spikedeploy.runtime.metrics.break_even import BREAK_EVEN_TABLES, YAN2024, break_even_rate
+from spikedeploy.runtime.metrics.energy import (
+    STATIC,
+    TABLES,
+    EnergyTable,
+    Uncertainty,
+    describe_certainty,
+)
+
+_PICO, _NANO = 1e-12, 1e-9
+_FACTS = ("what", "found")
+_OTHER_FIELDS = ("name", "summary", "evidence", "arithmetic", "sources", "limits")  # no rows of all
+
+
+# chips
+
+
+def chip_table(chips: Iterable[Chip]) -> Table:
+    """The arithmetic of chips, and what their emulation was compared with."""
+    heads = ("name", "neurons", "weights", "membrane", "resets", "readouts", "clocks",
+             "compared with")  # fmt: skip
+    rows = [
+        (
+            each.name,
+            *each.arithmetic.describe(),
+            ", ".join(each.resets),
+            "on the host" if each.membrane_output == "none" else each.membrane_output,
+            ", ".join(each.clocks),
+            each.evidence,
+        )
+        for each in chips
+    ]
+    return Table(heads, rows, "What they compute with")
+
+
+def chip_summaries(chips: Iterable[Chip]) -> Table:
+    """What each chip is, and its energy tables."""
+    rows = [(each.name, each.summary, ", ".join(each.energy_tables) or "none") for each in chips]
+    return Table(("name", "what it is", "energy tables"), rows, "Chips")
+
+
+def datasheet(of: Chip) -> Iterator[Table]:
+    """Everything about a chip, with the source of every number; fields can be changed by name."""
+    neurons, weights, membrane = of.arithmetic.describe()
+    facts = [
+        ("what it is", of.summary),
+        ("neurons", neurons),
+        ("weights", weights),
+        ("membrane", membrane),
+        ("compared with", of.evidence),
+        ("energy tables", ", ".join(of.energy_tables) or "none"),
+    ]
+    heads = ("field", "value", "source")
+    yield Table(_FACTS, facts, of.name)
+    used = [*_fields(of.arithmetic, of.sources), *_fields(of, of.sources)]
+    yield Table(heads, used, "What it computes with")
+    if of.limits is not None:
+        yield Table(heads, list(_fields(of.limits, of.limits.sources)), "What fits")
+
+
+def _fields(of: Any, sources: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:  # noqa: ANN401
+    """The fields that have a value, in words, with their sources."""
+    every: tuple[Field[Any], ...] = fields(of)
+    for name in (field.name for field in every if field.name not in _OTHER_FIELDS):
+        value = getattr(of, name)
+        if value is not None and value != ():
+            yield name, _in_words(value), sources.get(name, "")
+
+
+def _in_words(value: object) -> str:
+    """`24 bits, wrap`, `zero, subtract`, `yes`."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if is_dataclass(value) and not isinstance(value, type):
+        named = {key: _in_words(part) for key, part in vars(value).items() if part is not None}
+        return ", ".join(f"{key} {part}" for key, part in named.items())
+    if isinstance(value, tuple):
+        return ", ".join(map(_in_words, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def chip_list(chips: Iterable[Chip]) -> list[dict[str, Any]]:
+    """Chips as plain data, with every field of the datasheets, and sources."""
+    known = list(chips)
+    table = chip_table(known)
+    heads = [head.replace(" ", "_") for head in table.columns]
+    return [
+        {
+            **dict(zip(heads, row, strict=True)),
+            "resets": each.resets,
+            "clocks": each.clocks,
+            "membrane_output": each.membrane_output,
+            "summary": each.summary,
+            "energy_tables": each.energy_tables,
+            "sources": each.sources,
+            "fields": {
+                field.name: _data(getattr(of, field.name))
+                for of in (each.arithmetic, each)
+                for field in fields(of)
+                if field.name not in _OTHER_FIELDS
+            },
+            "limits": each.limits and asdict(each.limits),
+        }
+        for each, row in zip(known, table.rows, strict=True)
+    ]
+
+
+def _data(value: Any) -> Any:  # noqa: ANN401
+    """A value as JSON holds it; a register by its fields."""
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
+
+
+# energy tables
+
+
+def energy_overview() -> Iterator[Table]:
+    """All energy tables, and where their numbers come from."""
+    heads = ("table", "chips", "energies [pJ]", "energy is", "times [ns]", "time is")
+    yield Table(heads, [_overview_row(table) for table in TABLES.values()], "Energy tables")
+    yield Table(("table", "source"), _energy_sources(), "Where the numbers come from")
+
+
+def _overview_row(table: EnergyTable) -> tuple[str, ...]:
+    energies = {event: f"{joules / _PICO:.4g}" for event, joules in table.joules.items()}
+    for event, joules in table.upper_joules.items():
+        energies[event] += f" to {joules / _PICO:.4g}"
+    times = [f"{event} {seconds / _NANO:.4g}" for event, seconds in table.seconds.items()]
+    times.append(f"timestep {table.step / _NANO:,.10g}")
+    return (
+        table.name,
+        ", ".join(_chips_of(table)) or ABSENT,
+        ", ".join(f"{event} {price}" for event, price in energies.items()),
+        f"{describe_certainty(table)}: {table.uncertainty.why}",
+        ", ".join(times) if table.timed else ABSENT,
+        _time_certainty(table) if table.timed else ABSENT,
+    )
+
+
+def _time_certainty(table: EnergyTable) -> str:
+    return f"{table.time_uncertainty.describe()}: {table.time_uncertainty.why}"
+
+
+def _chips_of(table: EnergyTable) -> list[str]:
+    """Chips whose datasheets name the table."""
+    return [name for name in CHIPS if table.name in chip(name).energy_tables]
+
+
+def _energy_sources() -> list[tuple[str, str]]:
+    """Table or static power, and its source."""
+    tables = [(table.name, f"{table.source}: {table.provenance}") for table in TABLES.values()]
+    powers = [
+        (p.name, f"static, {name}: {p.watts * 1e3:g} mW, {p.whole}. {p.source}: {p.provenance}")
+        for name, powers in STATIC.items()
+        for p in powers
+    ]
+    return [*tables, *powers]
+
+
+def energy_markdown() -> str:
+    """Tables and sources in Markdown, for docs/energy.md."""
+    table, _ = energy_overview()
+    sources = "\n".join(f"* `{name}` – {source}." for name, source in _energy_sources())
+    return f"{table.markdown()}\n\n{sources}"
+
+
+def energy_choice() -> str:
+    """Which table to quote."""
+    return (
+        f"Quote {COMMON_TABLE} where spiking and float networks are compared: it prices both, with "
+        "sums in registers; of pruned ones quote those with sums in memory (acc16, acc32) beside "
+        "it. A chip's own tables are for that chip alone; say which."
+    )
+
+
+def energy_sheet(table: EnergyTable) -> Iterator[Table]:
+    """Where a table's numbers come from, how certain they are, and all prices and times."""
+    facts = [
+        ("chips", ", ".join(_chips_of(table)) or "none"),
+        ("source", table.source),
+        ("provenance", table.provenance),
+        ("energy is", f"{describe_certainty(table)}: {table.uncertainty.why}"),
+    ]
+    if table.timed:
+        facts.append(("time is", _time_certainty(table)))
+        facts.append(("a timestep", f"{format_si(table.step)}s"))
+    if table.included:
+        facts.append(("included in others", ", ".join(table.included)))
+    yield Table(_FACTS, facts, table.name)
+    prices = [
+        (name, _pico(table.joules.get(name)), _pico(table.upper_joules.get(name)),
+         _nano(table.seconds.get(name)))
+        for name in dict.fromkeys([*table.joules, *table.seconds])
+    ]  # fmt: skip
+    yield Table(("event", "energy", "at most", "time"), prices, "Events", numbers=True)
+
+
+def _pico(joules: float | None) -> str:
+    return ABSENT if joules is None else f"{1e12 * joules:.4g} pJ"
+
+
+def _nano(seconds: float | None) -> str:
+    return ABSENT if seconds is None else f"{1e9 * seconds:.4g} ns"
+
+
+def price_list() -> dict[str, list[dict[str, Any]]]:
+    """Tables and static powers as plain data."""
+    return {
+        "tables": [
+            {
+                "name": table.name,
+                "chips": _chips_of(table),
+                "source": table.source,
+                "provenance": table.provenance,
+                "joules": dict(table.joules),
+                "most_joules": dict(table.upper_joules),
+                "included": list(table.included),
+                "uncertainty": _uncertain(table.uncertainty),
+                "seconds": dict(table.seconds),
+                "step_seconds": table.step,
+                "time_uncertainty": _uncertain(table.time_uncertainty) if table.timed else None,
+            }
+            for table in TABLES.values()
+        ],
+        "static": [
+            {
+                "name": power.name,
+                "chip": name,
+                "source": power.source,
+                "provenance": power.provenance,
+                "watts": power.watts,
+                "share": power.share,
+                "whole": power.whole,
+            }
+            for name, powers in STATIC.items()
+            for power in powers
+        ],
+    }
+
+
+def _uncertain(uncertainty: Uncertainty) -> dict[str, Any]:
+    return {
+        "low": uncertainty.low,
+        "high": uncertainty.high,
+        "is": uncertainty.describe(),
+        "why": uncertainty.why,
+    }
+
+
+# break-even lines
+
+
+_TIMESTEPS = (1, 5, 16)
+_FAN_INS = (None, 32, 128, 512)  # None leaves neuron updates out
+_ACTIVITIES = {1.0: "dense", 0.5: "skips half"}  # of the float network's inputs
+BREAK_EVEN_NOTE = (
+    "Spikes per presynaptic neuron and timestep below which a spiking network costs less than a "
+    "float network of the same shape. Yan et al. (arXiv 2409.08290v4) find "
+    f"{100 * YAN2024:.1f} % at T = 5 in a model of their own, which has data movement, against a "
+    "quantised network of 3 bits."
+)
+
+
+def break_even_list() -> list[dict[str, Any]]:
+    """The lines as plain data; fan_in None is without neuron updates, activity 1 dense."""
+    return [
+        {
+            "table": name,
+            "timesteps": timesteps,
+            "activity": activity,
+            "fan_in": fan_in,
+            "rate": break_even_rate(TABLES[name], timesteps, fan_in, activity),
+        }
+        for name in BREAK_EVEN_TABLES
+        for timesteps in _TIMESTEPS
+        for activity in _ACTIVITIES
+        for fan_in in _FAN_INS
+    ]
+
+
+def break_even_table() -> Table:
+    """A row for each energy table and number of timesteps; also in docs/energy.md."""
+    heads = [
+        kind if fan_in is None else f"{kind}, updates, fan-in {fan_in}"
+        for kind in _ACTIVITIES.values()
+        for fan_in in _FAN_INS
+    ]
+    rows: dict[tuple[str, int], list[str]] = {}
+    for line in break_even_list():
+        rows.setdefault((line["table"], line["timesteps"]), []).append(_rate(line["rate"]))
+    cells = [(table, str(timesteps), *rates) for (table, timesteps), rates in rows.items()]
+    return Table(("table", "T", *heads), cells, "Break-even spike rates")
+
+
+def _rate(rate: float) -> str:
+    """In percent; a spiking network costs more at any rate, or less at any."""
+    return "never" if rate <= 0 else "always" if rate >= 1 else f"{100 * rate:.1f} %"
+
+
+# policies
+
+
+def policy_facts(name: str, card: Mapping[str, Any]) -> Table:
+    """Where a shipped policy comes from, by its card."""
+    policy = card.get("config", {}).get("policy", {})
+    facts = {
+        "name": name,
+        **{key: card.get(key) for key in ("file", "kind", "env", "recipe", "seed", "steps")},
+        "network": ", ".join(
+            f"{key} {_sizes(value)}" for key, value in policy.items() if value is not None
+        ),
+        "created": card.get("created"),
+        "note": card.get("note"),
+    }
+    rows = [(key, str(value)) for key, value in facts.items() if value not in (None, "")]
+    return Table(_FACTS, rows, "Policy")
+
+
+def _sizes(value: object) -> str:
+    return " × ".join(map(str, value)) if isinstance(value, list) else str(value)

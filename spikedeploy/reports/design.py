@@ -1,0 +1,305 @@
+"""The report of `check`: which chips a network fits on, and what it takes of their cores."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from spikedeploy.console import print_text
+from spikedeploy.emulation.design_report import DesignReport, statuses, worst
+from spikedeploy.reports.headline import HeadlineNumber
+from spikedeploy.reports.page import provenance, render
+from spikedeploy.reports.table import ABSENT, Table
+from spikedeploy.runtime.chips.limits import Limits
+from spikedeploy.runtime.compiler.compile import DesignCheck
+from spikedeploy.runtime.design_rules.mapping import (
+    CoreMapping,
+    Placement,
+    of_mapping,
+    of_placement,
+)
+from spikedeploy.runtime.design_rules.rule import RuleResult, text
+
+LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"
+_MARKS = {"pass": "✓", "fail": "✗", "unknown": "?", "not applicable": "·"}
+_CHIPS_PER_TABLE = 8  # on the terminal
+_SHARES = ("neurons", "memory", "axons_in", "axons_out")  # of the fullest core
+# a drawing of cores
+_LAYER_COLOURS = ("chip", "ann", "green", "snn", "yellow", "sky", "pink")  # variables of page.css
+_CORES_PER_LINE, _MOST_CORES = 16, 256
+_CELL, _GAP = 40, 6  # [px]
+
+
+def print_report(report: DesignReport, everything: bool = True) -> None:
+    """Print the verdicts and the broken rules; with `everything` all rules too."""
+    print_text(f"{report.file}: {report.artifact.convention.describe()}\n")
+    alone = len(report.checks) == 1
+    if everything and alone:
+        _print_chip(report.checks[0])
+    elif everything:
+        for first in range(0, len(report.checks), _CHIPS_PER_TABLE):
+            _rules_by_chip(report.checks[first : first + _CHIPS_PER_TABLE], "-\n").print()
+        print(LEGEND)
+    if alone:
+        for line in _broken_rules(report.checks[0]):
+            print(f"✗ {line}")
+    for each in report.checks:
+        mark = _MARKS["pass" if each.passed else "fail"]
+        print(f"{mark} {each.chip.name}: {_summary(each, alone)}{_remedy(report, each, alone)}")
+    if not everything:
+        print("All rules: --rules")
+
+
+def _print_chip(check: DesignCheck) -> None:
+    if check.chip.limits is not None:
+        _layers(check, check.chip.limits).print()
+    _rules(check).print()
+    print(LEGEND)
+    for note in _notes(check):
+        print(f"  {note}")
+
+
+def _remedy(report: DesignReport, check: DesignCheck, alone: bool) -> str:
+    """The reset with which the network would fit, where that is all that it lacks."""
+    reset = report.resets.get(check.chip.name)
+    return "" if reset is None else f"{'.' * alone} With --reset {reset}: fits."
+
+
+def _summary(check: DesignCheck, alone: bool) -> str:
+    """The broken rules, and the first in full unless it stands above; or cores and clock."""
+    if not check.passed:
+        first = next(result for result in check.rulings if result.failed)
+        in_full = "" if alone else f". First {first.describe(check.chip.name)}"
+        return f"breaks {_broken_names(check)}{in_full}"
+    clock = f", clock {check.program.describe_clock()}" if check.program else ""
+    if check.chip.limits is None:
+        return f"no limits{clock}"
+    return (f"{check.mapping.cores} cores" if check.mapping.cores else "fits") + clock
+
+
+def _broken_names(check: DesignCheck) -> str:
+    return ", ".join(dict.fromkeys(result.rule for result in check.rulings if result.failed))
+
+
+def _broken_rules(check: DesignCheck) -> list[str]:
+    """A line for each broken rule, of its worst result."""
+    results = [worst(check.of(rule)) for rule in statuses(check)]
+    return [result.describe(check.chip.name) for result in results if result.failed]
+
+
+def _notes(check: DesignCheck) -> list[str]:
+    """Notes on rules that are kept."""
+    results = {rule: worst(check.of(rule)) for rule in statuses(check)}
+    return [f"{rule}: {r.note}" for rule, r in results.items() if r.note and not r.failed]
+
+
+# tables
+
+
+def _rules_by_chip(checks: Sequence[DesignCheck], dash: str = "-") -> Table:
+    """Every rule, and its status on each chip.
+
+    dash  in the names of chips; with a line break names are narrow
+    """
+    columns = [statuses(each) for each in checks]
+    rows = [(rule, *(_MARKS[column[rule]] for column in columns)) for rule in columns[0]]
+    return Table(("rule", *(each.chip.name.replace("-", dash) for each in checks)), rows, "Rules")
+
+
+def _rules(check: DesignCheck) -> Table:
+    """Every rule of a chip: its status, what was found, the limit, where."""
+    rows = [_rule(check, rule) for rule in statuses(check)]
+    return Table(("rule", "", "found", "limit", "node"), rows, f"Rules of {check.chip.name}")
+
+
+def _rule(check: DesignCheck, rule: str) -> tuple[str, ...]:
+    results = check.of(rule)
+    result = worst(results)
+    mark = _MARKS[result.status]
+    node = "" if result.status == "not applicable" else result.node or ""
+    if result.status == "pass" and result.node and isinstance(result.found, str):
+        passed = [each for each in results if each.status == "pass"]
+        found = ", ".join(sorted({text(each.found) for each in passed}))
+        return rule, mark, found, text(result.limit), f"{len(passed)} nodes"
+    return rule, mark, _found(result), "" if result.limit is None else text(result.limit), node
+
+
+def _found(result: RuleResult) -> str:
+    return "" if result.found is None else f"{text(result.found)} {result.unit}".rstrip()
+
+
+def _layers(check: DesignCheck, limits: Limits) -> Table:
+    """Every layer: its sizes, its cores, and what it takes of the fullest one."""
+    placements, cores = check.mapping.placements, check.mapping.cores
+    rows = [_layer(placement, limits) for placement in placements]
+    if cores:
+        neurons, synapses = (
+            sum(getattr(p, k) for p in placements) for k in ("neurons", "synapses")
+        )
+        shares = of_mapping(check.mapping, limits)
+        total = (f"{neurons:,}", "", "", f"{synapses:,}", f"{cores:,}", "")
+        rows.append(("total", *total, *_percent(shares)))
+    heads = ("layer", "neurons", "fan-in", "fan-out", "synapses", "cores", "per core")
+    title = f"Layers on {check.chip.name}; per core and shares: the fullest core"
+    return Table((*heads, "neurons", "memory", "axons in", "axons out"), rows, title, numbers=True)
+
+
+def _layer(placement: Placement, limits: Limits) -> tuple[str, ...]:
+    counts = (placement.neurons, placement.fan_in, placement.fan_out, placement.synapses)
+    cores = (_cores(placement), f"{placement.block:,}") if placement.cores else (ABSENT, ABSENT)
+    shares = _percent(of_placement(placement, limits))
+    return placement.name, *(f"{count:,}" for count in counts), *cores, *shares
+
+
+def _cores(placement: Placement) -> str:
+    """The number of cores, and their indices."""
+    if placement.first is None:
+        return f"{placement.cores:,}"
+    last = placement.first + placement.cores - 1
+    which = f"{placement.first}" if placement.cores == 1 else f"{placement.first}–{last}"
+    return f"{placement.cores:,} ({which})"
+
+
+def _percent(shares: Any) -> list[str]:  # noqa: ANN401
+    found = [getattr(shares, name) for name in _SHARES]
+    return [ABSENT if share is None else f"{share:.1%}" for share in found]
+
+
+# the page
+
+
+def design_page(report: DesignReport) -> str:
+    """The page as one file."""
+    checks = report.checks
+    alone = len(checks) == 1
+    return render(
+        "design",
+        title=f"{report.file}: design rules" + (f" of {checks[0].chip.name}" if alone else ""),
+        lead=_lead(checks),
+        numbers=list(_numbers(checks)),
+        chips=None if alone else _chips(checks),
+        rules_by_chip=_rules_by_chip(checks),
+        checks=[_check(each) for each in checks],
+        legend=LEGEND,
+        made=[("convention", report.artifact.convention.describe()), *provenance()],
+    )
+
+
+def _lead(checks: Sequence[DesignCheck]) -> str:
+    if len(checks) == 1:
+        (check,) = checks
+        verb = "It fits on" if check.passed else "It does not fit on"
+        return f"{verb} {check.chip.name}: {_summary(check, alone=True)}."
+    limited = [each for each in checks if each.chip.limits is not None]
+    fits = [each.chip.name for each in limited if each.passed]
+    return f"It keeps all rules of {', '.join(fits) or 'no chip'}; {len(limited)} have limits."
+
+
+def _numbers(checks: Sequence[DesignCheck]) -> Iterator[HeadlineNumber]:
+    check = checks[0]
+    alone = len(checks) == 1
+    if alone:
+        broken = len(_broken_rules(check))
+        kept = f"{broken} broken rules" if broken else "every rule is kept"
+        yield HeadlineNumber("verdict", "fits" if check.passed else "does not fit", (kept,))
+    else:
+        limited = [each for each in checks if each.chip.limits is not None]
+        fits, of = sum(each.passed for each in limited), f"of {len(limited)} that have limits"
+        yield HeadlineNumber("chips that it fits on", str(fits), (of,))
+    layers = [each for each in check.mapping.placements if each.kind == "neurons"]
+    synapses = sum(each.synapses for each in layers)
+    beside = f"in {len(layers)} population{'s' if len(layers) > 1 else ''}, {synapses:,} synapses"
+    yield HeadlineNumber("neurons", f"{sum(each.neurons for each in layers):,}", (beside,))
+    if not alone:
+        fan_in = max((each.fan_in for each in layers), default=0)
+        yield HeadlineNumber("synapses", f"{synapses:,}", (f"{fan_in:,} at most onto a neuron",))
+    elif check.mapping.cores:
+        chips = check.mapping.chips
+        where = (f"on {chips} chip{'s' if chips > 1 else ''}",) if chips else ()
+        yield HeadlineNumber("cores", f"{check.mapping.cores:,}", where)
+
+
+def _chips(checks: Sequence[DesignCheck]) -> Table:
+    """A line for each chip."""
+    rows = []
+    for each in checks:
+        cores = f"{each.mapping.cores:,}" if each.mapping.cores else ABSENT
+        no_limits = "no limits" if each.chip.limits is None else ""
+        broken = no_limits if each.passed else _broken_names(each)
+        rows.append((each.chip.name, "fits" if each.passed else "does not fit", cores, broken))
+    kinds = ["pass" if each.passed else "fail" for each in checks]
+    return Table(("chip", "verdict", "cores", "broken rules"), rows, kinds=kinds)
+
+
+def _check(check: DesignCheck) -> dict[str, Any]:
+    """Everything that the page has of one chip."""
+    limits = check.chip.limits
+    return {
+        "chip": check.chip.name,
+        "summary": _summary(check, alone=True),
+        "broken": _broken_rules(check),
+        "drawing": limits and core_drawing(check.mapping, limits, check.chip.name),
+        "layers": limits and _layers(check, limits),
+        "rules": _rules(check),
+        "notes": _notes(check),
+    }
+
+
+@dataclass(frozen=True)
+class CoreFill:
+    """Contents of a core.
+
+    number   of the core
+    layer    whose neurons it has
+    neurons  of that layer in this core
+    shares   name -> part of them that is taken, of those that have a limit
+    """
+
+    number: int
+    layer: str
+    neurons: int
+    shares: dict[str, float]
+
+    def describe(self) -> str:
+        """`core 3: lif1, 128 neurons, 12.5% of its neurons`."""
+        shares = [f"{share:.1%} of its {name}" for name, share in self.shares.items()]
+        return ", ".join([f"core {self.number}: {self.layer}, {self.neurons:,} neurons", *shares])
+
+
+def core_fills(mapping: CoreMapping, limits: Limits) -> Iterator[CoreFill]:
+    """The cores that are taken; the memory of each is that of the fullest of its layer."""
+    for placement in mapping.placements:
+        if placement.first is None:
+            continue
+        fullest = of_placement(placement, limits)
+        for place in range(placement.cores):
+            neurons = min(placement.block, placement.neurons - place * placement.block)
+            part = neurons / placement.block
+            if limits.layer_cores:  # of which each holds a whole layer
+                neurons, part = placement.neurons, 1.0
+            shares = {
+                "neurons": None if fullest.neurons is None else fullest.neurons * part,
+                "synaptic memory": fullest.memory,
+            }
+            limited = {name: share for name, share in shares.items() if share is not None}
+            yield CoreFill(placement.first + place, placement.name, neurons, limited)
+
+
+def core_drawing(mapping: CoreMapping, limits: Limits, chip: str) -> dict[str, Any] | None:
+    """What templates/cores.svg.j2 draws: cores line by line; None of a chip without any."""
+    fills = {fill.number: fill for fill in list(core_fills(mapping, limits))[:_MOST_CORES]}
+    if not fills:
+        return None
+    available = len(limits.layer_cores) or (limits.cores or 0) * (mapping.chips or 1)
+    count = max(max(fills) + 1, min(available, _MOST_CORES))
+    names = [placement.name for placement in mapping.placements]
+    return {
+        "chip": chip,
+        "fills": [fills.get(number) for number in range(count)],
+        "per_line": min(count, _CORES_PER_LINE),
+        "cell": _CELL,
+        "gap": _GAP,
+        "colours": {
+            name: f"var(--{_LAYER_COLOURS[k % len(_LAYER_COLOURS)]})"
+            for k, name in enumerate(names)
+        },
+    }

@@ -1,0 +1,185 @@
+"""Tables on the terminal (rich), in Markdown and on pages, and the formats of their cells."""
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from spikedeploy.console import console
+
+if TYPE_CHECKING:
+    import rich.table
+    from rich.text import Text
+
+Row = Mapping[str, Any]
+Cell = Callable[[Row], str]
+ABSENT = "–"
+_COLOURS = {"✓": "green", "✗": "red"}  # on the terminal
+_LONGEST_NAME = 26  # letters of a row's name that a narrow table does not break
+_LONGEST_CELL = 44  # letters that a page does not break
+_NUMBER = re.compile(r"[-−+±≥≤<>≈*\[( ]*\d")
+_PREFIXES = {1: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n"}
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table of records: its head, its definition, and a record's cell."""
+
+    title: str
+    meaning: str
+    cell: Cell
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of cells.
+
+    columns   (n,) their heads
+    rows      of n cells each
+    title     for the terminal
+    numbers   whether the terminal shows every column after the first at the right
+    meanings  head -> definition, which pages show under the pointer
+    kinds     CSS class of each row, for pages
+    """
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    title: str = ""
+    numbers: bool = False
+    meanings: Mapping[str, str] = field(default_factory=dict)
+    kinds: Sequence[str] = ()
+
+    @classmethod
+    def of(
+        cls,
+        columns: Sequence[Column],
+        records: Sequence[Row],
+        title: str = "",
+        kinds: Sequence[str] = (),
+    ) -> "Table":
+        """The table of some records, whose columns after the first are numbers."""
+        heads = [column.title for column in columns]
+        cells = [[column.cell(record) for column in columns] for record in records]
+        meanings = {column.title: column.meaning for column in columns}
+        return cls(heads, cells, title, True, meanings, kinds)
+
+    def print(self, width: int | None = None) -> None:
+        """Write the table on stdout.
+
+        width  most columns of the terminal that it takes; None for all
+        """
+        screen = console()
+        screen.print(self._rich(width), width=width and min(width, screen.width))
+        if width:  # the edge that wide ones end with
+            screen.print()
+
+    def _rich(self, width: int | None) -> "rich.table.Table":
+        from rich import box
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table(
+            title=Text(self.title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
+            pad_edge=False, show_edge=not width, padding=(0, 1, 0, 0) if width else (0, 1),
+        )  # fmt: skip
+        # names of rows stay whole, unless they are long and the table narrow: then numbers do
+        longest = max((len(row[0]) for row in self.rows), default=0)
+        unbroken_names = not width or longest <= _LONGEST_NAME
+        for place, head in enumerate(self.columns):
+            table.add_column(
+                Text(head),
+                justify="right" if self.numbers and place else "left",
+                no_wrap=self.numbers and bool(place) != unbroken_names,
+                overflow="fold" if width else "ellipsis",
+            )
+        for row in self.rows:
+            table.add_row(*map(_literal, row))
+        return table
+
+    def markdown(self) -> str:
+        """The table as lines of Markdown; its cells are Markdown already."""
+        rows = [self.columns, ["---"] * len(self.columns), *self.rows]
+        return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+    @cached_property
+    def classes(self) -> list[str]:
+        """The CSS class of each column: `words`, at the left, or none for numbers."""
+        columns = zip(*self.rows, strict=True) if self.rows else [()] * len(self.columns)
+        return [
+            "words" if place == 0 or _has_words(cells) else ""
+            for place, cells in enumerate(columns)
+        ]
+
+    def cell_class(self, column: int, cell: str) -> str:
+        """The CSS class of a cell in a column; lines of `text` break."""
+        return "text" if len(cell) > _LONGEST_CELL else self.classes[column]
+
+
+def _literal(cell: str) -> "Text":
+    """The cell as it is, whatever brackets it has; marks in their colours."""
+    from rich.text import Text
+
+    return Text(cell, style=_COLOURS.get(cell, ""))
+
+
+def _has_words(cells: Sequence[str]) -> bool:
+    """True if most cells with any content are no numbers."""
+    filled = [cell for cell in cells if cell not in ("", ABSENT)]
+    return sum(_NUMBER.match(cell) is not None for cell in filled) * 2 < len(filled)
+
+
+def markdown_text(lines: Sequence[Sequence[str]]) -> str:
+    """The Markdown of a table whose first line is its head."""
+    return Table(lines[0], lines[1:]).markdown()
+
+
+def escape_markdown(name: str) -> str:
+    """A user's name as plain Markdown: no markup, no end of a cell or line."""
+    return re.sub(r"([\\`*_\[\]<>|#])", r"\\\1", " ".join(name.split()))
+
+
+def field_cell(name: str, form: str) -> Cell:
+    """A cell that formats a field, or a dash where the record lacks it."""
+
+    def cell(row: Row) -> str:
+        value = row.get(name)
+        return ABSENT if value is None else format(value, form)
+
+    return cell
+
+
+def price_cell(name: str, table: str, unit: str, interval: str) -> Cell:
+    """A cell with an estimate by an energy table, with an SI prefix.
+
+    interval  field with the bounds
+    """
+
+    def cell(row: Row) -> str:
+        value = row[name].get(table)
+        if value is None:
+            return ABSENT
+        low, high = row.get(interval, {}).get(table, (0, None))
+        return format_bounds(f"{format_si(value)}{unit}", value, low, high)
+
+    return cell
+
+
+def format_bounds(text: str, value: float, low: float, high: float | None) -> str:
+    """A number with its bounds: `≥ 3.2 µJ`, `3.2 µJ ± 11.7 %`, `2.1 µJ to 9.8 µJ`."""
+    if high is None or math.isinf(high):
+        return f"≥ {text}" if low == value else text
+    if low == high:
+        return text
+    if math.isclose(value - low, high - value, rel_tol=1e-6):
+        return f"{text} ± {100 * (high - value) / value:.3g} %"
+    unit = text[-1]
+    highest = f"{format_si(high)}{unit}"
+    return f"≤ {highest}" if low == 0 else f"{format_si(low)}{unit} to {highest}"
+
+
+def format_si(value: float) -> str:
+    """The number with an SI prefix, so that it is between 0.1 and 99: `13.03 µ`."""
+    size = next((size for size in _PREFIXES if value >= 0.1 * size), 1e-9)
+    return f"{value / size:.2f} {_PREFIXES[size]}"
