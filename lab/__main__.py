@@ -11,12 +11,12 @@ from pathlib import Path
 # command -> its module, whose main() reads the command line and may return an exit code
 COMMANDS = {
     "tables": "lab.tables",
-    "experiment": "lab.experiments.command",
+    "experiment": "lab.experiments.runner",
     "chip-policies": "lab.experiments.chip_policies",
     "clocks": "lab.experiments.clocks",
     "drift": "lab.experiments.drift",
     "energy-ratio": "lab.experiments.energy_ratio",
-    "kart-trainings": "lab.experiments.kart.trainings",
+    "kart-trainings": "lab.experiments.kart_trainings",
     "phase-table": "lab.experiments.phase_table",
     "envs": "lab.bench.envs",
     "flat-memory": "lab.bench.flat_memory",
@@ -31,7 +31,7 @@ COMMANDS = {
     "firmware-integers": "lab.firmware.integers",
     "firmware-networks": "lab.firmware.networks",
     "firmware-peers": "lab.firmware.peers",
-    "interop": "lab.interop.command",
+    "interop": "lab.interop.page",
     "exported-networks": "lab.peers.exported_networks",
     "kits": "lab.peers.kits",
     "live-peers": "lab.peers.live_peers",

@@ -1,48 +1,32 @@
 """Experiments: many trainings and their evaluations by one command, resumed where it stopped.
 
-A new experiment is a design, what runs it, and one line in EXPERIMENTS.
+A new experiment is a design, a page, and one line in EXPERIMENTS.
 
-trial         one training run, exported and evaluated
-evaluation    greedy episodes of a policy on evaluation seeds
-finishes      environment steps at which training episodes finished
-parts         missing parts run as jobs, reported, and the page of what is there
-stored_row    a row of results that is kept until what made it changes
-command       the command line of all experiments
-kart          the kart experiment: how soon networks learn to drive, and how well they do
-pareto        the pareto experiment: return against operations and energy
-robustness    the robustness experiment: return under disturbances and faults
-gymnasium     the gymnasium experiment: sparse policies on the field's own tasks
-lineup        the lineup experiment: shipped policies trained again with other seeds
+runner       the command: missing parts run as jobs, resumed where they stopped, and the page
+training     a training that is found, resumed or started; a row of results that is kept
+networks     a policy at a place — a chip, few bits — for a batch of robots, and what it did
+costs        energies of a row, term by term
+pages        pages from the Markdown of templates/, and what their tables have in common
+kart         how soon networks learn to drive, and how well they do; kart_results, kart_page
+kart_trainings  what its trainings left, as archives
+pareto       return against operations and energy; fronts, pareto_page
+robustness   return under disturbances and faults; robustness_page
+gymnasium    sparse policies on the field's own tasks; gymnasium_page
+lineup       shipped policies trained again with other seeds; lineup_page
 
 Other tables of results/ have a script each:
 
 chip_policies   a policy for every chip
 clocks          sparse policies by the clock of their layers
-drift           what quantisation costs; its page is in drift_page
+drift           the cost of quantisation
 energy_ratio    energy of spiking policies over that of float ones
 phase_table     a table of the gait's phases as a baseline
 """
 
-# what runs it, and what makes its design of the options that were given
 EXPERIMENTS = {
-    "kart": (
-        "lab.experiments.kart.experiment:experiment",
-        "lab.experiments.kart.design:asked",
-    ),
-    "pareto": (
-        "lab.experiments.pareto.experiment:experiment",
-        "lab.experiments.pareto.design:asked",
-    ),
-    "robustness": (
-        "lab.experiments.robustness.experiment:experiment",
-        "lab.experiments.robustness.design:asked",
-    ),
-    "gymnasium": (
-        "lab.experiments.gymnasium.experiment:experiment",
-        "lab.experiments.gymnasium.design:asked",
-    ),
-    "lineup": (
-        "lab.experiments.lineup.experiment:experiment",
-        "lab.experiments.lineup.design:asked",
-    ),
+    "kart": "lab.experiments.kart:KartDesign",
+    "pareto": "lab.experiments.pareto:ParetoDesign",
+    "robustness": "lab.experiments.robustness:RobustnessDesign",
+    "gymnasium": "lab.experiments.gymnasium:GymnasiumDesign",
+    "lineup": "lab.experiments.lineup:LineupDesign",
 }

@@ -22,11 +22,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lab.experiments.networks import is_discrete, random_actions
+from lab.experiments.pages import ROOT, render, share
+from lab.experiments.training import Record
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.statistics import nested_ratio, stratified
 from spikedeploy.files import as_text, replacing, write_text
 from spikedeploy.policies import run_record
+from spikedeploy.reports.csv_rows import read_rows
+from spikedeploy.reports.table import ABSENT
 from spikedeploy.runtime import SpikingController, load
+from spikedeploy.runtime.chips import CHIPS as EVERY_CHIP
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.metadata import Provenance
@@ -34,7 +40,6 @@ from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.export_run import ExportedPolicy, export_run
 from spikedeploy.shipping.publish_run import training_of
 
-ROOT = Path(__file__).resolve().parents[2]
 TABLE, PAGE = ROOT / "results" / "chips.csv", ROOT / "results" / "chips.md"
 CHIPS = ("xylo-a2", "speck2f", "odin", "tinyodin", "truenorth", "spiker", "spinnaker2", "loihi2")
 WANTED = 0.95  # of the teacher
@@ -136,7 +141,7 @@ def _ship(run: Path, file: Path) -> None:
     write_text(file.with_suffix(".json"), as_text(_card(run, file, exported)))
 
 
-def _card(run: Path, file: Path, exported: ExportedPolicy) -> dict[str, Any]:
+def _card(run: Path, file: Path, exported: ExportedPolicy) -> Record:
     origin: Provenance = run_record.origin(run, None)
     settings = run_record.settings(run)
     return {
@@ -174,28 +179,20 @@ def play(task: str, act: Act, seeds: Sequence[int]) -> list[float]:
 
 
 def _of_float(task: str) -> Act:
-    """The teacher of a task as it acts, or random actions where the task is "random NAME"."""
+    """The teacher of a task as it acts."""
     from spikedeploy.trainers.distill.teachers import teacher
 
-    space = envs.make(task).action_space
     found = teacher(str(zoo.teacher(task)), task)
-    if hasattr(space, "n"):
-        return lambda seen: found.act_all(seen).argmax(-1)
-    return found.act_all
+    return (lambda seen: found.act_all(seen).argmax(-1)) if is_discrete(task) else found.act_all
 
 
-def _random(task: str) -> Act:
-    space, rng = envs.make(task).action_space, np.random.default_rng(0)
-    if hasattr(space, "n"):
-        return lambda seen: rng.integers(space.n, size=len(seen))
-    return lambda seen: rng.uniform(-1, 1, (len(seen), *space.shape))
-
-
-def _row(task: str, name: str, seeds: Sequence[int]) -> dict[str, Any]:
+def _row(task: str, name: str, seeds: Sequence[int]) -> Record:
     """One line of the table, as stored."""
     base = {"task": task, "chip": name, "episodes": len(seeds)}
     if name in ("teacher", "random"):
-        scores = play(task, _of_float(task) if name == "teacher" else _random(task), seeds)
+        scores = play(
+            task, _of_float(task) if name == "teacher" else random_actions(task).act_batch, seeds
+        )
         return {**base, "sha256": "", "scores": scores}
     file = zoo.FOLDER / zoo.FOR_CHIPS / task / f"{name}.nir"
     artifact = load(file)
@@ -221,18 +218,20 @@ _COLUMNS = (
     "task", "chip", "episodes", "sha256", "inputs", "neurons", "timesteps", "sops", "spikes",
     "updates", "saturations", "scores",
 )  # fmt: skip
+_TEXT = ("task", "chip", "sha256")
+Table = Mapping[tuple[str, str], Record]
 
 
 def make_table(episodes: int) -> None:
     """Evaluate what is new, and write table and page."""
     seeds = range(EVALUATION, EVALUATION + episodes)
-    rows = {(row["task"], row["chip"]): row for row in _stored()}
+    rows = read(TABLE)
     for task in TASKS:
         shipped = [name for _, name in pairs(f"{task}/") if _file(task, name).is_file()]
         for name in ("teacher", "random", *shipped) if shipped else ():
             digest = zoo.sha256(_file(task, name)) if name in CHIPS else ""
             old = rows.get((task, name))
-            if old is None or old["sha256"] != digest or int(old["episodes"]) != episodes:
+            if old is None or (old["sha256"] or "") != digest or old["episodes"] != episodes:
                 rows[task, name] = _row(task, name, seeds)
                 print(f"{task}/{name}: {np.mean(rows[task, name]['scores']):,.1f}", flush=True)
                 _write([rows[key] for key in sorted(rows, key=_place)])
@@ -247,103 +246,55 @@ def _place(key: tuple[str, str]) -> tuple[int, int]:
     return list(TASKS).index(key[0]), ("teacher", "random", *CHIPS).index(key[1])
 
 
-def _stored() -> list[dict[str, Any]]:
-    if not TABLE.is_file():
-        return []
-    with TABLE.open(newline="", encoding="utf-8") as file:
-        return [{**row, "scores": json.loads(row["scores"])} for row in csv.DictReader(file)]
+def read(table: Path) -> dict[tuple[str, str], Record]:
+    """The rows of an earlier table, by task and policy."""
+    rows = read_rows(table, _TEXT) if table.is_file() else []
+    return {(row["task"], row["chip"]): row for row in rows}
 
 
-def _write(rows: Sequence[Mapping[str, Any]]) -> None:
-    part = TABLE.with_suffix(".part")
-    with part.open("w", newline="", encoding="utf-8") as file:
+def _write(rows: Sequence[Record]) -> None:
+    with replacing(TABLE) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, _COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows({**row, "scores": json.dumps(row["scores"])} for row in rows)
-    part.replace(TABLE)
 
 
 # the page
 
 
-def page(rows: Mapping[tuple[str, str], Mapping[str, Any]]) -> str:
+def page(rows: Table) -> str:
     """The table as Markdown."""
-    return "\n".join([*_head(rows), "", *_details(rows), ""])
-
-
-def _head(rows: Mapping[tuple[str, str], Mapping[str, Any]]) -> list[str]:
     tasks = [task for task in TASKS if (task, "teacher") in rows]
-    lines = [
-        "# A policy for every chip",
-        "",
-        "Written by `python -m lab chip-policies table`, after `python "
-        "lab/experiments/chip_policies.py train`. Each policy was trained in the "
-        "integers of its chip to imitate the float teacher (one training, seed 0; the checkpoint "
-        "by validation episodes on seeds from 5,000 on) and is played on the emulated chip, "
-        "compiled with all design rules, on seeds from 10,000 on. A share is the return over the "
-        "teacher's; where that is negative, of the way from random actions to the teacher. "
-        "Brackets are 95 % bootstrap intervals over episodes and say nothing of other trainings. "
-        f"✓: the whole interval of the share is at least {WANTED:.0%}.",
-        "",
-        "| chip | " + " | ".join(tasks) + " |",
-        "|---|" + "---|" * len(tasks),
-    ]
-    for name in CHIPS:
-        cells = [_cell(rows, task, name) for task in tasks]
-        lines.append(f"| `{name}` | {' | '.join(cells)} |")
-    known = ", ".join(f"`{n}`" for n in _every_chip() if n not in CHIPS)
-    lines += [
-        "",
-        f"Not trained for here: {known}. `loihi1` has the policies of other pages; `xylo-a3` and "
-        "`xylo-imu` compute as `xylo-a2`, and `check` accepts its files for them; the others are "
-        "arithmetic only.",
-    ]
-    return lines
+    shares = [["chip", *tasks]]
+    shares += [[f"`{name}`", *(_cell(rows, task, name) for task in tasks)] for name in CHIPS]
+    others = ", ".join(f"`{n}`" for n in EVERY_CHIP if n not in (*CHIPS, "ideal", "int"))
+    return render(
+        "chips", shares=shares, details=_details(rows), others=others, **{"WANTED": WANTED}
+    )
 
 
-def _every_chip() -> list[str]:
-    from spikedeploy.runtime.chips import CHIPS as EVERY
-
-    return [name for name in EVERY if name not in ("ideal", "int")]
-
-
-def _cell(rows: Mapping[tuple[str, str], Mapping[str, Any]], task: str, name: str) -> str:
+def _cell(rows: Table, task: str, name: str) -> str:
+    """The share of the teacher's return; where that is negative, from random actions on."""
     if (task, name) not in rows:
         return "not trained"
-    share = _share(rows, task, name)
-    low, high = share.ci95
-    mark = "✓" if low >= WANTED else "≈" if high >= WANTED else "✗"
-    return f"{share.mean:.1%} [{low:.1%}, {high:.1%}] {mark}"
-
-
-def _share(rows: Mapping[tuple[str, str], Mapping[str, Any]], task: str, name: str) -> Any:  # noqa: ANN401
     teacher = np.array(rows[task, "teacher"]["scores"])
     lowest = float(np.mean(rows[task, "random"]["scores"])) if teacher.mean() < 0 else 0.0
     scores = np.array(rows[task, name]["scores"])[None] - lowest
-    return nested_ratio(scores, teacher - lowest, np.random.default_rng(0))
+    found = nested_ratio(scores, teacher - lowest, np.random.default_rng(0))
+    return f"{share(found)} {found.mark(WANTED)}"
 
 
-def _details(rows: Mapping[tuple[str, str], Mapping[str, Any]]) -> list[str]:
+def _details(rows: Table) -> list[list[str]]:
     lines = [
-        "Per control step: SOPs, spikes that neurons sent, and neuron updates. Clock: how the "
-        "chip's layers advance; free and gated are the same for these networks, whose neurons "
-        "have no bias and start from 0. Each is a population code, a hidden layer and 8 output "
-        "neurons; T timesteps of input.",
-        "",
-        "| task | policy | return | clock | inputs | neurons | T | SOPs | spikes | updates |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        ["task", "policy", "return", "clock", "inputs", "neurons", "T", "SOPs", "spikes", "updates"]
     ]
     for task, name in sorted(rows, key=_place):
         row = rows[task, name]
         earned = stratified([row["scores"]], np.random.default_rng(0)).mean.text(",.1f")
-        counts = [str(row.get(key) or "–") for key in ("inputs", "neurons", "timesteps")]
-        rates = [
-            f"{float(row[key]):,.0f}" if row.get(key) else "–"
-            for key in ("sops", "spikes", "updates")
-        ]
+        counts = ("inputs", "neurons", "timesteps", "sops", "spikes", "updates")
         label = f"`{name}`" if name in CHIPS else name
-        cells = [_clock(task, name), *counts, *rates]
-        lines.append(f"| {task} | {label} | {earned} | {' | '.join(cells)} |")
+        cells = [f"{row[key]:,.0f}" if row.get(key) else ABSENT for key in counts]
+        lines.append([task, label, earned, _clock(task, name), *cells])
     return lines
 
 

@@ -12,21 +12,20 @@ OUTPUT/clocks.md; tasks that are not named keep their rows.
 
 import argparse
 import csv
-import io
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
+from lab.experiments.pages import render
 from spikedeploy.comparison.comparison import Row
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.statistics import nested_ratio, stratified
-from spikedeploy.files import write_text
+from spikedeploy.files import replacing, write_text
 from spikedeploy.policies import costs
 from spikedeploy.policies.registry import find
-from spikedeploy.reports.table import markdown_text
 
 FIRST_SEED = 80_000
 # what each task's returns are shares of: the float policy that earns its README's 100 %
@@ -172,42 +171,7 @@ def page(found: Iterable[Result], episodes: int) -> str:
         )
         for r in found
     ]
-    return "\n".join(
-        [
-            "# Clocks",
-            "",
-            "    python -m lab clocks -o results",
-            "",
-            "Sparse policies on `loihi1`, by the [clock](../docs/loihi1.md#time) in which their "
-            "layers advance.",
-            "",
-            f"{episodes} episodes each, seeds {FIRST_SEED:,} to {FIRST_SEED + episodes - 1:,}, "
-            "which no training, validation, choice of a checkpoint or of a recipe has seen. "
-            "Training seeds are 0 to 4 as far as they were trained, with reward on the command "
-            "task 1 to 4. "
-            "Intervals over three to five trainings are too narrow: of five they hold the mean in "
-            "about 84 % of cases. Training differs: policies with reward took 0.8 to 1.25 million "
-            "control steps of it after imitation; small float walkers had imitation alone, float "
-            "karts learned from reward alone in 0.12 to 0.3 million. Shares are of "
-            "the return of `sac` (walkers) and `ann` (karts) in the same episodes; intervals are "
-            "95 %, over trainings and episodes (of one training over episodes alone). `lap` is the "
-            "mean lap time of finished episodes over the reference's. An episode [succeeded]"
-            "(../docs/metrics.md) if the kart passed the last gate, the walker did not fall and "
-            "earned 2,500, or followed its commands. SOPs, updates and MACs (those with an "
-            "input that is not 0) are of a control step. Float policies are the shipped ones, one "
-            "training each ([five](lineup.md)). Which checkpoint of a training is taken was "
-            "decided by its validation episodes, on loihi1, pipelined; so was which training is "
-            "shipped as `sparse`. "
-            "`sparse-gated` is the best of three trainings.",
-            "",
-            markdown_text([heads, *rows]),
-            "",
-            "Gated, each layer is updated once a control step and held meanwhile: nothing "
-            "published says that a Loihi can. Free is what it does with these files: three "
-            "timesteps a control step, all neurons in each. Pipelined policies take one.",
-            "",
-        ]
-    )
+    return render("clocks", rows=[heads, *rows], episodes=episodes, first=FIRST_SEED)
 
 
 def read(path: Path) -> list[Result]:
@@ -215,11 +179,12 @@ def read(path: Path) -> list[Result]:
     if not path.is_file():
         return []
     kinds = {name: each.type for name, each in Result.__dataclass_fields__.items()}
-    with path.open(newline="", encoding="utf-8") as text:
-        return [
-            Result(**{name: kinds[name](value) for name, value in row.items()})  # type: ignore[operator]
-            for row in csv.DictReader(text)
-        ]
+    texts = [name for name, kind in kinds.items() if kind is str]
+    found = csv.DictReader(path.read_text("utf-8").splitlines())
+    return [
+        Result(**{n: v if n in texts else kinds[n](v) for n, v in row.items()})  # type: ignore[operator]
+        for row in found
+    ]
 
 
 def main() -> None:
@@ -244,10 +209,9 @@ def main() -> None:
     ]
     order = list(REFERENCES)
     found = sorted([*before, *played], key=lambda row: order.index(row.task))
-    table = io.StringIO()
-    writer = csv.DictWriter(table, list(Result.__dataclass_fields__), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(row) for row in found)
-    write_text(path, table.getvalue())
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(Result.__dataclass_fields__), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in found)
     write_text(given.output / "clocks.md", page(found, given.episodes))
     print(given.output / "clocks.md")

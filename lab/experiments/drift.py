@@ -1,4 +1,4 @@
-"""What quantisation costs the shipped policies: spikes, actions and returns on loihi1.
+"""The cost of quantisation for the shipped policies: spikes, actions and returns on loihi1.
 
     python -m lab drift [-o results/drift.md] [--policies hexapod/popsan,kart-grid/snn]
                                [--episodes 5] [--steps 200]
@@ -12,35 +12,27 @@ float twin's.
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lab.experiments.drift_page import (
-    BITS,
-    FEW,
-    HEAD,
-    ROOM,
-    ROOM_HEADS,
-    Outcome,
-    Subject,
-    Way,
-    markdown,
-    section,
-    summary,
-)
-from lab.experiments.parts import command_line
-from spikedeploy.emulation.drift import observed_inputs
+from lab.experiments.pages import render
+from lab.experiments.runner import command_line
+from spikedeploy.comparison.statistics import paired_difference
+from spikedeploy.emulation.drift import DriftInputs, observed_inputs
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.files import write_text
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.registry import Candidate, find
+from spikedeploy.reports.drift import ABLATION_STEPS
+from spikedeploy.reports.table import ABSENT
 from spikedeploy.runtime.analysis.activity import chip_activity
 from spikedeploy.runtime.analysis.calibration import tuned
-from spikedeploy.runtime.analysis.drift import drift
+from spikedeploy.runtime.analysis.drift import Drift, drift
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.chips.quantisation import Quantisation
@@ -51,6 +43,54 @@ from spikedeploy.seeds import EVALUATION, VALIDATION
 
 POLICIES = "hexapod/popsan,kart-grid/snn,kart-gazebo/snn,kart-steer/snn"
 PLAYED = 4  # episodes from which observations come
+BITS = (8, 6, 4, 2)
+FEW = 16  # thresholds that nengo-loihi lets a core hold
+Lines = list[list[str]]
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way to quantise."""
+
+    bits: int
+    granularity: str
+    rounding: str
+    tuned: bool = False
+    thresholds: int | None = None
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """As a table names it."""
+        most = "" if self.thresholds is None else f", {self.thresholds} thresholds"
+        tuning = "yes" if self.tuned else ""
+        return str(self.bits), f"{self.granularity}{most}", self.rounding, tuning
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A policy with its inputs.
+
+    tuning, measuring  inputs
+    returns            (n,) of its float twin
+    """
+
+    name: str
+    candidate: Candidate
+    artifact: Artifact
+    tuning: DriftInputs
+    measuring: DriftInputs
+    seeds: Sequence[int]
+    returns: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A way and what came of it; None where the chip cannot hold it, and why."""
+
+    way: Way
+    drift: Drift | None
+    returns: NDArray[np.float64] | None
+    why: str = ""
 
 
 def main() -> None:
@@ -63,10 +103,7 @@ def main() -> None:
     given = parser.parse_args()
     subjects = [subject(name, given.episodes, given.steps) for name in given.policies.split(",")]
     outcomes = [[outcome(each, way) for way in ways()] for each in subjects]
-    head = HEAD.format(command=command_line())
-    sections = [section(of, found) for of, found in zip(subjects, outcomes, strict=True)]
-    rooms = markdown(ROOM_HEADS, [row for of in subjects for row in room(of)])
-    text = "\n".join([head, summary(outcomes), ROOM, f"{rooms}\n", *sections])
+    text = page(command_line(), subjects, outcomes, [row for of in subjects for row in room(of)])
     if given.output:
         write_text(given.output, text)
     else:
@@ -138,7 +175,7 @@ def outcome(of: Subject, way: Way) -> Outcome:
     return Outcome(way, found, returns)
 
 
-def room(of: Subject) -> list[list[str]]:
+def room(of: Subject) -> Lines:
     """What proven headroom and scales of neurons would ask of the chip: rows of a table."""
     rows = []
     for granularity in ("layer", "channel"):
@@ -152,18 +189,93 @@ def room(of: Subject) -> list[list[str]]:
         pairs = list(zip(plain.layers, proven.layers, strict=True))
         coarser = [np.max(np.asarray(b.scale) / np.asarray(a.scale)) for a, b in pairs]
         distinct = [len(np.unique(layer.threshold)) for layer in plain.layers]
-        rows.append(
-            [
-                of.name,
-                granularity,
-                str(lost),
-                ", ".join(f"{times:.2f}" for times in coarser),
-                ", ".join(map(str, distinct)),
-            ]
-        )
+        times = ", ".join(f"{each:.2f}" for each in coarser)
+        rows.append([of.name, granularity, str(lost), times, ", ".join(map(str, distinct))])
     return rows
 
 
 def say(line: str) -> None:
-    """Tell whoever waits."""
+    """Print progress, apart from the page."""
     print(line, file=sys.stderr)
+
+
+# the page
+
+
+def page(
+    command: str, subjects: Sequence[Subject], outcomes: Sequence[Sequence[Outcome]], rooms: Lines
+) -> str:
+    """All tables in Markdown."""
+    sections = [section(of, found) for of, found in zip(subjects, outcomes, strict=True)]
+    facts = {"command": command, "summary": summary(outcomes), "rooms": rooms}
+    return render("drift", sections=sections, **facts)
+
+
+def section(of: Subject, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """What the template shows of a policy."""
+    layers = [layer.name for layer in _measured(outcomes)[0].layers]
+    heads = ["bits", "scale", "rounding", "tuned", *(f"distance {name}" for name in layers)]
+    lines = [[*heads, "output error", "return − float's [95 %]"]]
+    lines += [cells(of, each) for each in outcomes]
+    return {"of": of, "table": lines, "ablation": ablation(outcomes)}
+
+
+def cells(of: Subject, each: Outcome) -> list[str]:
+    """A row of a policy's table."""
+    if each.drift is None or each.returns is None:
+        return [*each.way.cells, each.why]
+    output = each.drift.output
+    error = f"{output.rms:.1%} other choices" if output.kind == "choice" else f"{output.rms:.4f}"
+    form = "+,.0f" if abs(of.returns.mean()) > 1000 else "+,.2f"
+    less = paired_difference(each.returns, of.returns, np.random.default_rng(0))
+    return [
+        *each.way.cells,
+        *(f"{layer.distance:.4f}" for layer in each.drift.layers),
+        error,
+        f"{less.mean:{form}} [{less.ci95[0]:{form}}, {less.ci95[1]:{form}}]",
+    ]
+
+
+def ablation(outcomes: Iterable[Outcome]) -> Lines:
+    """The cost of each rounding, of the plainest way at each number of bits."""
+    plain = _measured(e for e in outcomes if e.way.cells[1:] == ("layer", "nearest", ""))
+    lines = [["rounding", *(f"distance, {bits} bits" for bits in BITS[: len(plain)])]]
+    for k, step in enumerate(plain[0].ablation):
+        distances = [np.mean(list(found.ablation[k].distance.values())) for found in plain]
+        lines.append([ABLATION_STEPS[step.name], *(f"{d:.5f}" for d in distances)])
+    return lines
+
+
+def summary(every: Sequence[Sequence[Outcome]]) -> Lines:
+    """How many times nearer or further a choice brings the spikes, everything else equal."""
+    choices: dict[str, Callable[[Way], Way]] = {
+        "channel / layer": lambda w: w if w.thresholds else replace(w, granularity="layer"),
+        "truncate / nearest": lambda w: replace(w, rounding="nearest"),
+        "tuned / as it is": lambda w: replace(w, tuned=False),
+        f"{FEW} thresholds / any": lambda w: replace(w, thresholds=None),
+    }
+    lines = [["bits", *choices]]
+    return lines + [
+        [str(bits), *(ratio(every, bits, other) for other in choices.values())] for bits in BITS
+    ]
+
+
+def ratio(every: Sequence[Sequence[Outcome]], bits: int, without: Callable[[Way], Way]) -> str:
+    """Geometric mean over policies of the ratio of distances, with and without a choice."""
+    logs = []
+    for outcomes in every:
+        distances = {
+            each.way: float(np.mean([layer.distance for layer in each.drift.layers]))
+            for each in outcomes
+            if each.drift is not None
+        }
+        for way, mine in distances.items():
+            theirs = distances.get(without(way))
+            if theirs and way.bits == bits and without(way) != way:
+                logs.append(np.log(mine / theirs))
+    return f"{np.exp(np.mean(logs)):.2f}" if logs else ABSENT
+
+
+def _measured(outcomes: Iterable[Outcome]) -> list[Drift]:
+    """The drifts that could be measured."""
+    return [each.drift for each in outcomes if each.drift is not None]

@@ -22,17 +22,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lab.experiments.gymnasium import records as task_records
-from lab.experiments.gymnasium.design import MLP
-from lab.experiments.gymnasium.points import TaskPoint, judged
-from lab.experiments.gymnasium.points import points as task_points
-from lab.experiments.pareto import records
-from lab.experiments.pareto.fronts import Point, pairing_at, points
-from lab.experiments.pareto.tables import NEARLY
+from lab.experiments import pages
+from lab.experiments.fronts import Point, pairing_at, points, read_table
+from lab.experiments.gymnasium import MLP
+from lab.experiments.gymnasium_page import TaskPoint, judged
+from lab.experiments.gymnasium_page import points as task_points
+from lab.experiments.gymnasium_page import read_table as read_tasks
+from lab.experiments.pareto_page import NEARLY
+from lab.experiments.training import Record
 from spikedeploy.files import write_text
-from spikedeploy.reports.csv_rows import Record, write_rows
+from spikedeploy.reports.csv_rows import write_rows
 from spikedeploy.reports.plots import BLUE, VERMILION, save
-from spikedeploy.reports.table import markdown_text
 from spikedeploy.runtime.metrics.energy_tables import TABLES, sram
 from spikedeploy.runtime.metrics.energy_terms import INSTRUCTION, added, delta_encoder, reading
 
@@ -102,7 +102,7 @@ class Pair:
 def pairs(results: Path) -> Iterator[Pair]:
     """The pairs of all tasks that have both policies."""
     for env in WALKS_AND_KARTS:
-        rows = records.read(results / "pareto" / f"{env}.csv")
+        rows = read_table(results / "pareto" / f"{env}.csv")
         # counts in which each neuron is updated once; those of a free clock are derived
         found = points([row for row in rows if row.get("clock") != "free"])
         beside = pairing_at(found, NEARLY, "operations")
@@ -110,7 +110,7 @@ def pairs(results: Path) -> Iterator[Pair]:
             mine, baseline = beside.point, beside.baseline
             names = (f"{p.label} at {p.level:g}" for p in (mine, baseline))
             yield _pair(env, *names, mine, baseline)
-    rows = task_records.read(results / "gymnasium.csv")
+    rows = read_tasks(results / "gymnasium.csv")
     for env in GYMNASIUM:
         tried = task_points([row for row in rows if row["env"] == env])
         spiking = judged(tried, "loihi1")
@@ -235,66 +235,12 @@ def _counts(pair: Pair) -> Record:
     return dict(vars(pair))
 
 
-def text(found: Sequence[Pair]) -> str:
-    """The page."""
-    return "\n\n".join(
-        [
-            "# Spiking over float",
-            f"    {COMMAND}",
-            _INTRODUCTION,
-            "![energy of spiking over float](energy.png)",
-            "## The pairs",
-            _pair_table(found),
-            "## Operations alone",
-            _ALONE,
-            _operation_table(found),
-            "## All terms",
-            _ALL,
-            *(_total_table(found, clock) for clock in ("gated", "free")),
-            "## Where the sign flips",
-            _FLIPS,
-            _flip_table(found),
-            "Every number: [energy.csv](energy.csv).",
-        ]
-    )
-
-
 _TIMES = {
     name: TABLES[name].joules["neuron_update"] / TABLES[name].joules["sop"] for name in PUBLISHED
 }
-_SOP = {sums: 1e12 * TABLES[table].joules["sop"] for sums, table in SUMS.items()}
-
-_INTRODUCTION = f"""\
-The energy of a control step of a sparse spiking policy over that of a float network, as far as it
-depends on what is not known about the chip: the price of an update over that of a synaptic
-operation ({", ".join(f"`{name}` {times:.1f}" for name, times in _TIMES.items())}); the price of a
-synaptic operation, by the width of the sums that it reads and writes (none: sums and inputs are in
-registers, and no operation has an index: {_SOP["none"]:.2f} pJ; 16 bits: {_SOP["16"]:.1f}; 32:
-{_SOP["32"]:.1f}); where the encoder runs and whether it is counted; and the clock. Below 1 spiking
-costs less.
-
-Prices of operations are those of [the tables](../docs/energy.md#the-tables) at 45 nm, and that of
-an update so many times as much; `own` is the update of the same table, in which a readout has one
-state where sums are in memory. Counts are held: a policy that was trained for another clock has
-others. `gated` and `pipelined` update each neuron once a control step and cost the same; `free`
-takes three chip timesteps, one for each layer on the way, and updates all neurons in each. An
-encoder in software takes {_OBSERVATION} instructions an observation and {_EVENT} an event, a float
-network {_NUMBER} a number, of {1e12 * INSTRUCTION:.0f} pJ each (Horowitz 2014): derived, and the
-least that will do. Messages, idle neurons, heads of lists and static power are not counted, on
-either side."""
-_ALONE = """\
-Without updates, encoder and constants. `inputs in registers` is a float network whose inputs need
-no access to memory: a bound in its favour, as a memory holds the spiking network's sums."""
-_ALL = """\
-Operations, updates, encoder and constants; the update by the table's own price, and by the ratios
-of sanafe and of davies2018."""
-_FLIPS = f"""\
-The price of an update over that of a synaptic operation below which spiking costs less, in a clock
-that updates each neuron once; `never`: it costs more without any update. Published are
-{_TIMES["sanafe"]:.1f} and {_TIMES["davies2018"]:.1f}. In the `free` clock it is a third of it."""
 
 
-def _pair_table(found: Sequence[Pair]) -> str:
+def _pair_table(found: Sequence[Pair]) -> list[list[str]]:
     lines = [["task", "spiking", "% of teacher", "seeds", "SOPs", "updates", "of one state",
               "events", "float", "% of teacher", "seeds", "MACs"]]  # fmt: skip
     for p in found:
@@ -302,7 +248,7 @@ def _pair_table(found: Sequence[Pair]) -> str:
         mine += [f"{p.one_state:,.1f}", f"{p.events:,.1f}"]
         lines.append([p.task, *mine, p.baseline, f"{p.baseline_score:.1%}", f"{p.baseline_seeds}",
                       f"{p.macs:,.1f}"])  # fmt: skip
-    return markdown_text(lines)
+    return lines
 
 
 def alone(pair: Pair, sums: str, in_registers: bool = False) -> float:
@@ -315,7 +261,7 @@ def alone(pair: Pair, sums: str, in_registers: bool = False) -> float:
     return pair.sops * prices["sop"] / (pair.macs * (prices["mac"] - read))
 
 
-def _operation_table(found: Sequence[Pair]) -> str:
+def _operation_table(found: Sequence[Pair]) -> list[list[str]]:
     widths = ("16", "32")
     heads = ["sums of 16 bits", "of 32 bits"]
     lines = [["task", "all in registers, no index", *heads,
@@ -324,10 +270,10 @@ def _operation_table(found: Sequence[Pair]) -> str:
         cells = [alone(pair, sums) for sums in SUMS]
         cells += [alone(pair, sums, in_registers=True) for sums in widths]
         lines.append([pair.task, *(f"{cell:.2f}" for cell in cells)])
-    return markdown_text(lines)
+    return lines
 
 
-def _total_table(found: Sequence[Pair], clock: str) -> str:
+def _total_table(found: Sequence[Pair], clock: str) -> list[list[str]]:
     heads = {"none": "registers", "16": "16 bits", "32": "32 bits"}
     lines = [
         ["task", "clock", "encoder"]
@@ -343,15 +289,15 @@ def _total_table(found: Sequence[Pair], clock: str) -> str:
                 for of in (OWN, "sanafe", "davies2018")
             ]
             lines.append([pair.task, said, where, *cells])
-    return markdown_text(lines)
+    return lines
 
 
-def _flip_table(found: Sequence[Pair]) -> str:
+def _flip_table(found: Sequence[Pair]) -> list[list[str]]:
     lines = [["task", *(f"{where}, {bits}" for where in ENCODERS for bits in SUMS)]]
     for pair in found:
         flips = [Energies(pair, s, where, "gated").flips_at for where in ENCODERS for s in SUMS]
         lines.append([pair.task, *("never" if x <= 0 else f"{x:.2f}" for x in flips)])
-    return markdown_text(lines)
+    return lines
 
 
 _LINES = {
@@ -432,14 +378,27 @@ def _panel(axes: "Axes", pair: Pair, where: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def write(results: Path, output: Path) -> list[Path]:
-    """Write table, page and figure of the counts in results; return the files."""
-    found = list(pairs(results))
-    made = list(rows(found))
+def write(source: Path, results: Path) -> list[Path]:
+    """Write page, table and picture from the tables of a folder; return the files."""
+    found = list(pairs(source))
+    table = list(rows(found))
+    prices = {sums: 1e12 * TABLES[name].joules["sop"] for sums, name in SUMS.items()}
+    text = pages.render(
+        "energy",
+        command=COMMAND,
+        published=", ".join(f"`{name}` {times:.1f}" for name, times in _TIMES.items()),
+        pairs=_pair_table(found),
+        operations=_operation_table(found),
+        gated=_total_table(found, "gated"),
+        free=_total_table(found, "free"),
+        flips=_flip_table(found),
+        **{"TIMES": _TIMES, "SOP": prices, "INSTRUCTION": INSTRUCTION},
+        **{"OBSERVATION": _OBSERVATION, "EVENT": _EVENT, "NUMBER": _NUMBER},
+    )
     return [
-        write_rows(made, list(made[0]), output / "energy.csv"),
-        write_text(output / "energy.md", f"{text(found)}\n"),
-        save(figure(found), output / "energy.png"),
+        write_rows(table, list(table[0]), results / "energy.csv"),
+        write_text(results / "energy.md", text),
+        save(figure(found), results / "energy.png"),
     ]
 
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lab.experiments.pareto.costs import INT8, TABLES
+from lab.experiments.costs import INT8, TABLES
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.statistics import nested_ratio, stratified
 from spikedeploy.envs.hexapod.env import BODY, layout

@@ -2,10 +2,8 @@
 
 No tool is imported here: each runs in a Python of its own, which `./spike test --peers` makes.
 
-peers         the tools, their Pythons, their versions
+tools         the tools, their Pythons, their versions
 peer_process  what runs there; imports nothing of ours
-cases         a file as it is and as it is rewritten for a tool, with the spikes it should have
-outcome       what came of a case: opens, refuses, spikes equal, or the first difference
-measured      all cases of all files, resumed where they stopped
-page          the table
+cases         files as they are and as they are rewritten for a tool; every spike compared
+page          the command, and its table
 """

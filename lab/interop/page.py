@@ -1,18 +1,120 @@
-"""What came of all cases as a page in Markdown."""
+"""The command `interop`: our networks opened by other tools, and the page of what came of it."""
 
 import re
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Annotated
 
-from lab.interop.cases import FOR, OLDER, PLAIN, TIMESTEPS
-from lab.interop.measured import Row
-from lab.interop.peers import PEERS, OtherTool
+import typer
+
+from lab.interop.cases import FOR, OLDER, PLAIN, TIMESTEPS, Row, measure
+from lab.interop.tools import PEERS, OtherTool, check_given, pythons
+from spikedeploy import zoo
+from spikedeploy.cli import run
+from spikedeploy.commands.options import Force, Json
+from spikedeploy.console import print_json, say
+from spikedeploy.files import write_text
+from spikedeploy.outputs import check_output, marked
 from spikedeploy.reports.table import markdown_text
+from spikedeploy.runtime.errors import ConfigError
 
 _LONGEST = 110  # characters of a message
-
 _TEMPLATE = Path(__file__).with_name("template.md")
 TITLE = "# Our networks in other tools"
+_HEAD = b'[\n  {\n    "file":'  # how the records begin
+
+
+def interop(
+    files: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[FILE]…",
+            help=".nir files, names of shipped policies, or 'shipped': all of them.",
+            show_default="shipped",
+        ),
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Page to write, in Markdown.")
+    ] = Path("interop.md"),
+    records: Annotated[
+        Path | None,
+        typer.Option(
+            help="What was found, in JSON; what stands there is not measured again.",
+            show_default="beside the page",
+        ),
+    ] = None,
+    folder: Annotated[
+        Path, typer.Option(help="Environments of the tools, as ./spike test --peers makes them.")
+    ] = Path(".venv-peers"),
+    python: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TOOL=PATH", help="Python in which a tool is installed, may be repeated."
+        ),
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Open networks in other tools, run them there, compare every spike; write a page."""
+    given = _pairs(python or [])
+    records = records or output.with_suffix(".json")
+    chosen = _network_files(files or [])
+    _check_written(output, records, chosen, force)
+    places = pythons(folder, given)
+    check_given(given)
+    rows = measure(chosen, places, records, say)
+    write_text(output, page(rows, _page_command(files or [], output, records)))
+    if json:
+        print_json(rows)
+    else:
+        typer.echo(f"wrote {output}")
+
+
+def _pairs(texts: list[str]) -> dict[str, Path]:
+    """TOOL=PATH of each text; a release of nir is TOOL too: nir==1.0.4=PATH."""
+    found = {}
+    for text in texts:
+        name, sign, path = text.rpartition("=")
+        if not sign or not name:
+            raise typer.BadParameter(f"--python {text}: give TOOL=PATH")
+        found[name] = Path(path)
+    return found
+
+
+def _network_files(names: Sequence[str]) -> list[Path]:
+    """The .nir files of these names; `shipped` stands for all shipped policies."""
+    found: list[Path] = []
+    for name in names or ["shipped"]:
+        file = zoo.resolve(name)
+        if name == "shipped":
+            found += [each for each in zoo.policies() if each.suffix == ".nir"]
+        elif file is not None and file.suffix == ".nir" and file.is_file():
+            found.append(file)
+        else:
+            raise ConfigError(f"{name} is no .nir file and no shipped spiking policy")
+    return found
+
+
+def _check_written(page: Path, records: Path, files: Sequence[Path], force: bool) -> None:
+    """Refuse to replace what this command did not write."""
+    check_output("-o", page, files, force, lambda path: marked(path, TITLE))
+    if page.resolve() == records.resolve():
+        raise ConfigError(f"-o and --records are the same file, {page}. Name another for one.")
+    check_output("--records", records, (*files, page), force, _is_ours)
+
+
+def _is_ours(records: Path) -> bool:
+    with records.open("rb") as file:
+        return file.read(len(_HEAD)) == _HEAD
+
+
+def _page_command(names: Sequence[str], page: Path, records: Path) -> str:
+    """The command that makes the page again."""
+    words = ["python", "-m", "lab", "interop", *names, "-o", page.as_posix()]
+    if records != page.with_suffix(".json"):
+        words += ["--records", records.as_posix()]
+    return shlex.join(words)
 
 
 def page(rows: Sequence[Row], command: str) -> str:
@@ -150,3 +252,10 @@ def _short(message: str) -> str:
     line = re.sub(r"^--for [a-z]+: ", "", message).partition(" Without --for")[0]
     line = line.partition(", only ")[0].replace("|", "\\|").replace("<", "&lt;").rstrip(".")
     return line if len(line) <= _LONGEST else f"{line[:_LONGEST].rstrip()} …"
+
+
+def main() -> None:
+    """Run the command of sys.argv."""
+    app = typer.Typer(pretty_exceptions_enable=False)
+    app.command(context_settings={"help_option_names": ["-h", "--help"]})(interop)
+    run(app)

@@ -8,10 +8,9 @@ from zipfile import BadZipFile, ZipFile
 
 import pytest
 
-from lab.experiments.kart import trainings
-from lab.experiments.kart.design import WORLDS, ExperimentDesign
-from lab.experiments.kart.trainings import pack, unpack
-from lab.experiments.trial import perform
+from lab.experiments import kart_trainings as trainings
+from lab.experiments.kart import WORLDS, KartDesign
+from lab.experiments.kart_trainings import pack, unpack
 from spikedeploy.files import write_text
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.run_folder import RunFolder
@@ -24,7 +23,7 @@ def _race(monkeypatch):
 
 
 def trial_of(folder, recipe="kart-grid-snn", seed=0):
-    trials = ExperimentDesign(folder=str(folder)).trials()
+    trials = KartDesign(runs=str(folder)).trainings()
     return next(each for each in trials if (each.recipe, each.seed) == (recipe, seed))
 
 
@@ -43,7 +42,7 @@ def test_what_was_packed_is_done_where_it_is_unpacked(tmp_path):
     here, there, archives = (tmp_path / name for name in ("here", "there", "archives"))
     leave(trial_of(here))
     leave(trial_of(here, seed=1), steps=10)  # not trained to its end
-    (script, *_) = ExperimentDesign(folder=str(here)).built_in()
+    (script, *_) = KartDesign(runs=str(here)).scripts()
     write_text(script.file, "{}")
     write_text(here / "kart-notes.json", "of somebody else")
     assert [path.name for path in pack(here, archives)] == ["scripts.zip", "kart-grid-snn.zip"]
@@ -68,7 +67,7 @@ def test_what_was_unpacked_is_not_trained_or_evaluated_anew_in_its_place(asked, 
     trial = replace(trial_of(tmp_path / "there"), **asked)
     before = {path: path.read_bytes() for path in trial.run.rglob("*") if path.is_file()}
     with pytest.raises(ConfigError, match=r"last\.safetensors is missing, .*, or train again"):
-        perform(**trial.arguments())
+        trial.perform()
     assert {path: path.read_bytes() for path in trial.run.rglob("*") if path.is_file()} == before
 
 
@@ -79,7 +78,7 @@ def test_damaged_records_of_a_training_are_named(name, content, tmp_path):
     leave(trial)
     (trial.run / name).write_bytes(content)
     with pytest.raises(ConfigError, match=rf"{name} is damaged.*: put it back, or move it away"):
-        _ = trial.done
+        _ = trial.is_done
 
 
 def test_the_evaluation_of_another_training_is_none_of_this_one(tmp_path):
@@ -87,8 +86,8 @@ def test_the_evaluation_of_another_training_is_none_of_this_one(tmp_path):
     leave(one)
     leave(other)
     (one.run / "evaluation.json").write_bytes((other.run / "evaluation.json").read_bytes())
-    assert other.done
-    assert not one.done
+    assert other.is_done
+    assert not one.is_done
 
 
 def test_a_training_that_ended_is_not_deleted_where_its_counters_are_gone(tmp_path):
@@ -97,7 +96,7 @@ def test_a_training_that_ended_is_not_deleted_where_its_counters_are_gone(tmp_pa
     for name in ("last.json", "last.safetensors"):
         (trial.run / "checkpoints" / name).unlink()
     with pytest.raises(ConfigError, match=r"last\.json is missing, and evaluation\.json is there"):
-        perform(**trial.arguments())
+        trial.perform()
     assert (trial.run / "policy.nir").is_file()
 
 
@@ -115,7 +114,7 @@ def test_counters_that_are_none_are_named(content, tmp_path):
     leave(trial)
     (trial.run / "checkpoints/last.json").write_text(content)
     with pytest.raises(ConfigError, match=r"last\.json is damaged"):
-        _ = trial.trained
+        _ = trial.is_trained
 
 
 @pytest.mark.parametrize("take", [lambda t: t.finishes, lambda t: t.steps_to_greedy(0.95)])

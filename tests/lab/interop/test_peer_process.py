@@ -63,8 +63,7 @@ def test_what_is_written_for_a_tool_has_the_same_spikes_there(tool, tmp_path):
     """Every spike of both layers, of networks that the tool refuses or reads as others."""
     installed("nirtorch")
     installed(tool)
-    from lab.interop.cases import meant
-    from lab.interop.outcome import compared
+    from lab.interop.cases import compared, meant
     from spikedeploy.exporters.importers.rewritten import for_importer
     from spikedeploy.runtime.artifact.artifact import Artifact, load, save
     from spikedeploy.runtime.convention import Convention
@@ -79,7 +78,7 @@ def test_what_is_written_for_a_tool_has_the_same_spikes_there(tool, tmp_path):
         wanted = meant(tmp_path / "own.nir", np.load(job["raster"]))
         with np.load(job["out"]) as file:
             found = compared({name: file[name] for name in wanted}, wanted)
-        assert (found.differ, found.output, found.compared) == (0, "equal", 60 * 17)
+        assert (found["differ"], found["output"], found["compared"]) == (0, "equal", 60 * 17)
 
 
 @pytest.mark.parametrize("release", RELEASES, ids=lambda release: f"nir-{release}")

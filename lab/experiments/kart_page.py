@@ -1,0 +1,614 @@
+"""The page of the kart experiment: results/kart.md, its tables as CSV, and its picture."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lab.experiments import pages
+from lab.experiments.kart import (
+    CORRIDOR,
+    COUNT,
+    DEFAULT,
+    GREEDY,
+    LEARNING,
+    NETWORKS,
+    PEERS,
+    POLICIES,
+    PRESETS,
+    TRACKS,
+    UNSEEN,
+    WORLDS,
+    KartDesign,
+    KartTraining,
+    Steps,
+)
+from lab.experiments.kart_results import (
+    FIRST,
+    HELD,
+    NTH,
+    driving,
+    each_finish,
+    heldout,
+    learning,
+    write_csv,
+)
+from lab.experiments.pages import grouped
+from lab.experiments.runner import command_line
+from lab.experiments.training import Record
+from spikedeploy.comparison.statistics import Estimate, nested_ratio, ratio_of_medians
+from spikedeploy.comparison.statistics import share as wilson
+from spikedeploy.files import read_json
+from spikedeploy.policies.registry import FLOAT
+from spikedeploy.reports.plots import BLUE, VERMILION, save
+from spikedeploy.reports.table import ABSENT, format_si
+from spikedeploy.trainers.ppo import HOLDS
+from spikedeploy.trainers.versions import began_with, own
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Lines = list[list[str]]
+
+
+def write(design: KartDesign, results: Path) -> list[Path]:
+    """Write page, tables and picture of the complete parts; return the files."""
+    learned, driven, tracks = learning(design), driving(design), heldout(design)
+    folder = results / "kart"
+    files = [
+        write_csv(learned, folder / "learning.csv"),
+        write_csv(driven, folder / "driving.csv"),
+        write_csv(tracks, folder / "tracks.csv"),
+        write_csv(each_finish(design), folder / "finishes.csv"),
+        save(drawn := finishes_figure(design), folder / "finishes.png"),
+    ]
+    said = [*learning_verdicts(learned), *_chip_verdicts(driven), *heldout_verdicts(tracks)]
+    page, shown = pages.write_page(
+        results / "kart.md",
+        {"kart/finishes.png": drawn},
+        command=command_line(),
+        design=design,
+        missing=_missing(design),
+        verdicts="\n".join(said),
+        learning={preset: learning_table(_of_preset(learned, preset)) for preset in PRESETS},
+        driving={preset: _driving_table(_of_preset(driven, preset)) for preset in PRESETS},
+        chip={preset: _chip_table(_of_preset(driven, preset)) for preset in PRESETS},
+        tracks=heldout_table(tracks),
+        facts="\n".join(_facts(design)),
+        **{"COUNT": COUNT, "GREEDY": GREEDY, "UNSEEN": UNSEEN},
+    )
+    return [page, *files, shown]
+
+
+def _of_preset(rows: Iterable[Record], preset: str) -> list[Record]:
+    return [row for row in rows if row["preset"] == preset]
+
+
+def _missing(design: KartDesign) -> str:
+    """How many parts are complete, and of what trainings are not; empty where all are."""
+    parts = design.parts()
+    done = sum(part.is_done() for part in parts)
+    if done == len(parts):
+        return ""
+    left = Counter(f"{t.preset} {t.policy}" for t in design.trainings() if not t.is_done)
+    text = f"**{done} of {len(parts)} parts are complete.**"
+    missing = ", ".join(f"{name} {count}" for name, count in left.items())
+    return f"{text} Trainings that are missing: {missing}." if left else text
+
+
+def _facts(design: KartDesign) -> Iterator[str]:
+    """What is needed to reproduce the experiment."""
+    trainings = design.trainings()
+    yield f"- spikedeploy {own()}; run folders in `{design.runs}`"
+    yield (
+        f"- training seeds asked for: 0 to {design.seeds - 1}; of controls 0 to "
+        f"{design.controls - 1}"
+    )
+    yield from (_end(trainings, preset) for preset in PRESETS)
+    files = [t.run / "versions.json" for t in trainings if t.run and t.is_trained]
+    yield from began_with(read_json(file) for file in files if file.is_file())
+    yield from (f"- `--set {setting}`" for setting in design.settings)
+    yield from pages.other_settings(
+        trainings, "✗ {} was trained with other settings than its recipe has now: "
+    )
+    yield (
+        "- every number: [learning.csv](kart/learning.csv), [driving.csv](kart/driving.csv), "
+        "[tracks.csv](kart/tracks.csv), [finishes.csv](kart/finishes.csv)"
+    )
+
+
+def _end(trainings: Sequence[KartTraining], preset: str) -> str:
+    """When the trainings of a preset end."""
+    own = [training for training in trainings if training.preset == preset]
+    configs = {training.world: training.config for training in own}
+    budgets = ", ".join(f"{config.steps:,} ({world})" for world, config in configs.items())
+    config = own[0].config
+    limits = []
+    if config.stop_at_finishes:
+        limits.append(f"{config.stop_at_finishes} finishes")
+    if config.stop_at_greedy:
+        limits.append(f"{HOLDS} validations in a row of greedy {config.stop_at_greedy:.0%}")
+    early = f" {' and '.join(limits)}, or" if limits else ""
+    return f"- {preset}: a training ends with{early} its budget of environment steps: {budgets}"
+
+
+# learning, driving, the chip
+
+
+def of(rows: Iterable[Record], world: str, policy: str, **more: object) -> list[Record]:
+    """The rows of a policy in a world, and with the other fields that are given."""
+    wanted = {"world": world, "policy": policy, **more}
+    return [row for row in rows if all(row[key] == value for key, value in wanted.items())]
+
+
+def on_chip(rows: Iterable[Record], world: str) -> list[Record]:
+    """The spiking policies of a world where they ran on a chip."""
+    return [row for row in of(rows, world, "snn") if row["chip"] != FLOAT]
+
+
+def learning_table(rows: Sequence[Record]) -> Lines:
+    """Steps to the first and to the 300th finish, and until greedy episodes finish.
+
+    Of corridors, which kart-simulator has no figures of, without its columns.
+    """
+    beside = not any(row["preset"] == CORRIDOR for row in rows)
+    own = ["first finish", f"{COUNT} finishes", "% of ANN"]
+    heads = [*own, f"greedy {GREEDY:.0%}", "% of ANN"]
+    theirs = [f"kart-simulator: {head}" for head in own if beside]
+    lines = [["world", "policy", "seeds", *heads, *theirs]]
+    for world in WORLDS:
+        for policy in POLICIES:
+            found = of(rows, world, policy)
+            lines.append(
+                [
+                    world,
+                    policy,
+                    f"{len(found)}",
+                    steps(found, FIRST),
+                    steps(found, NTH),
+                    percent_of_ann(rows, world, policy, NTH),
+                    steps(found, HELD),
+                    percent_of_ann(rows, world, policy, HELD),
+                    *(_peer(world, policy) if beside else ()),
+                ]
+            )
+    return lines
+
+
+def _peer(world: str, policy: str) -> list[str]:
+    """kart-simulator's steps to the first and 300th finish, and its SNN's share of its ANN."""
+    peer = PEERS[world]
+    if policy not in peer.first:
+        return 3 * [ABSENT]
+    share = f"{peer.share:.1%}" if policy == "snn" else ABSENT
+    return [f"{peer.first[policy]}k", f"{peer.nth[policy]}k", share]
+
+
+def _driving_table(rows: Sequence[Record]) -> Lines:
+    """Greedy episodes of all policies, medians over the trainings."""
+    prices = list(dict.fromkeys(key for row in rows for key in row if key.startswith("energy_")))
+    heads = {
+        "parameters": ("parameters", ",.0f"),
+        "finished": ("success_rate", ".0%"),
+        "lap [s]": ("lap_time", ".2f"),
+        "crashes": ("crashes", ".0%"),
+        "sparsity": ("sparsity", ".1%"),
+        "spikes": ("spikes_per_inference", ",.0f"),
+        "SOPs": ("sops_per_inference", ",.0f"),
+        "MACs": ("effective_macs", ",.0f"),
+    }
+    energies = [price.removeprefix("energy_").removesuffix("_j") for price in prices]
+    lines = [["world", "policy", "seeds", *heads, *energies]]
+    for world in WORLDS:
+        for label, found in _drivers(rows, world):
+            cells = [
+                _range(found, *how) if head == "finished" else _middle(found, *how)
+                for head, how in heads.items()
+            ]
+            joules = [_joules(found, price) for price in prices]
+            lines.append([world, label, f"{len(found)}", *cells, *joules])
+    return lines
+
+
+def _chip_table(rows: Sequence[Record]) -> Lines:
+    """Every spiking policy on the chip, beside its float twin on the same starts."""
+    lines = [["world", "seed", "float twin", "on the chip", "points", "same action"]]
+    for world in WORLDS:
+        twins = {row["seed"]: row for row in of(rows, world, "snn", chip=FLOAT)}
+        lines += [_beside(row, twins[row["seed"]]) for row in on_chip(rows, world)]
+    return lines
+
+
+def _beside(row: Record, twin: Record) -> list[str]:
+    """A spiking policy on the chip beside its float twin."""
+    return [
+        row["world"],
+        f"{row['seed']}",
+        f"{twin['success_rate']:.0%}",
+        f"{row['success_rate']:.0%}",
+        f"{100 * row['success_difference_mean']:+.0f}",
+        f"{row['actions_equal']:.1%}",
+    ]
+
+
+def steps(rows: Sequence[Record], field: str) -> str:
+    """Median [least, most] in thousands: `251k [240k, > 500k]`.
+
+    A training that ended at 500k without counts with these; what it could raise has a `>`.
+    """
+    if not rows:
+        return ABSENT
+    values = taken(rows, field)
+    ended = [row["env_steps"] for row in rows if math.isinf(row[field])]
+
+    def text(value: float) -> str:
+        least = "> " if any(each <= value for each in ended) else ""
+        return f"{least}{value / 1000:,.0f}k"
+
+    return f"{text(float(np.median(values)))} [{text(min(values))}, {text(max(values))}]"
+
+
+def taken(rows: Iterable[Record], field: str) -> list[float]:
+    """Steps of trainings (n,) to what a field says; those that never came so far, all they took."""
+    return [min(row[field], row["env_steps"]) for row in rows]
+
+
+@dataclass(frozen=True)
+class AnnShare:
+    """The median steps of the ANN over those of a policy, with an interval over training seeds.
+
+    estimate  of the share
+    bound     "≥" or "≤" where trainings of the ANN, or of the policy, did not come so far: they
+              count with all the steps that they took; else empty
+    """
+
+    estimate: Estimate
+    bound: str = ""
+
+    def __str__(self) -> str:
+        """`97.4% [95%, 102%]`, `≥ 151.4% [126%, 193%]`."""
+        low, high = self.estimate.ci95
+        return f"{self.bound} {self.estimate.mean:.1%} [{low:.0%}, {high:.0%}]".lstrip()
+
+    def mark(self, asked: float) -> str:
+        """✓ where the whole interval reaches what is asked, ✗ where none of it can, else ≈."""
+        found = self.estimate.mark(asked)
+        return "≈" if (self.bound, found) in (("≥", "✗"), ("≤", "✓")) else found
+
+
+def share(
+    rows: Sequence[Record], world: str, policy: str = "snn", field: str = NTH
+) -> AnnShare | None:
+    """Median steps of the ANN / median steps of a policy.
+
+    None where some trainings of both did not come so far: then it has no bound.
+    """
+    ann, own = (of(rows, world, each) for each in ("ann", policy))
+    late = [any(math.isinf(row[field]) for row in each) for each in (ann, own)]
+    if not ann or not own or all(late):
+        return None
+    bound = "≥" if late[0] else "≤" if late[1] else ""
+    top, bottom = taken(ann, field), taken(own, field)
+    return AnnShare(ratio_of_medians(top, bottom, np.random.default_rng(0)), bound)
+
+
+def percent_of_ann(
+    rows: Sequence[Record], world: str, policy: str = "snn", field: str = NTH
+) -> str:
+    """`share` in percent, with its interval; a dash for the ANN itself."""
+    found = share(rows, world, policy, field)
+    return ABSENT if policy == "ann" or found is None else str(found)
+
+
+def _drivers(rows: Sequence[Record], world: str) -> Iterator[tuple[str, list[Record]]]:
+    """Label and rows: networks, then controls, then built-in policies."""
+    order = {policy: place for place, policy in enumerate(POLICIES)}
+    here = [row for row in rows if row["world"] == world]
+    here.sort(key=lambda row: order.get(row["policy"], len(order)))
+    for (policy, chip), found in grouped(here, "policy", "chip"):
+        yield f"{policy} · {chip}" if chip else policy, found
+
+
+def _values(rows: Sequence[Record], field: str) -> list[float]:
+    return [row[field] for row in rows if row.get(field) is not None]
+
+
+def _middle(rows: Sequence[Record], field: str, form: str) -> str:
+    """The median of the rows that have the field."""
+    values = _values(rows, field)
+    return format(float(np.median(values)), form) if values else ABSENT
+
+
+def _range(rows: Sequence[Record], field: str, form: str) -> str:
+    """The median [least, most]; a single value without a range."""
+    values, middle = _values(rows, field), _middle(rows, field, form)
+    if len(values) < 2:
+        return middle
+    return f"{middle} [{format(min(values), form)}, {format(max(values), form)}]"
+
+
+def _joules(rows: Sequence[Record], price: str) -> str:
+    """The median energy by a table; with `≥` where it is a lower bound."""
+    values, table = _values(rows, price), price.removeprefix("energy_").removesuffix("_j")
+    least = "≥ " if any(table in row["energies_at_least"].split() for row in rows) else ""
+    return f"{least}{format_si(float(np.median(values)))}J" if values else ABSENT
+
+
+# held-out tracks
+
+_TRAINED_ON = {DEFAULT: "big_S", CORRIDOR: "corridor-8"}
+_RESAMPLES = 10_000
+
+Shares = NDArray[np.float64]
+
+
+def heldout_table(rows: Sequence[Record]) -> Lines:
+    """The share of starts that finish, each driver on each track."""
+    lines = [["world", "trained on", "driver", "seeds", *TRACKS]]
+    for world in WORLDS:
+        for preset in (CORRIDOR, DEFAULT):
+            for policy in POLICIES:
+                if found := _of(rows, world, policy, preset=preset):
+                    chip = found[0]["chip"]
+                    label = f"{policy} · {chip}" if chip else policy
+                    lines.append([world, _TRAINED_ON[preset], label, *_cells(found)])
+        for script in dict.fromkeys(
+            row["policy"] for row in rows if row["seed"] is None and row["world"] == world
+        ):
+            lines += [[world, ABSENT, script, *_cells(_of(rows, world, script))]]
+    return lines
+
+
+def _cells(rows: Sequence[Record]) -> list[str]:
+    """Number of trainings, then the share on each track."""
+    trainings = {row["seed"] for row in rows} - {None}
+    cells = [_cell([row for row in rows if row["track"] == track]) for track in TRACKS]
+    return [f"{len(trainings)}" if trainings else ABSENT, *cells]
+
+
+def _cell(rows: Sequence[Record]) -> str:
+    if not rows:
+        return ABSENT
+    found = finish_share([row["finished"] for row in rows])
+    low, high = found.ci95
+    return f"{found.mean:.0%} [{100 * low:.0f}, {100 * high:.0f}]"
+
+
+def finish_share(finished: Sequence[Sequence[int]]) -> Estimate:
+    """The mean of (S, n) starts of S trainings, with an interval over trainings and starts.
+
+    One training, or trainings that agree in every start, have Wilson's interval over the starts:
+    resamples of equal values would have none.
+    """
+    each = np.asarray(finished, np.float64)
+    if (each == each[0]).all():
+        return wilson(each[0])
+    return nested_ratio(each, np.ones(each.shape[1]), np.random.default_rng(0))
+
+
+def on_unseen(rows: Sequence[Record], world: str, policy: str, preset: str = CORRIDOR) -> Shares:
+    """The mean share (S,) over the unseen tracks, of each training; one of a script."""
+    found = [r for r in _of(rows, world, policy, preset=preset) if r["unseen"]]
+    return np.array(
+        [
+            np.mean([np.mean(r["finished"]) for r in found if r["seed"] == seed])
+            for seed in dict.fromkeys(row["seed"] for row in found)
+        ]
+    )
+
+
+def ratio_of_means(values: Shares, reference: Shares) -> Estimate | None:
+    """Mean (n,) / mean of a reference (m,), with a bootstrap interval over both.
+
+    None where the reference is 0.
+    """
+    if not values.size or not reference.size or not reference.mean():
+        return None
+    rng = np.random.default_rng(0)
+    tops, bottoms = (
+        each[rng.integers(each.size, size=(_RESAMPLES, each.size))].mean(axis=1)
+        for each in (values, reference)
+    )
+    ratios = tops[bottoms > 0] / bottoms[bottoms > 0]
+    low, high = np.quantile(ratios, (0.025, 0.975))
+    return Estimate(float(values.mean() / reference.mean()), (float(low), float(high)))
+
+
+def _of(rows: Sequence[Record], world: str, policy: str, preset: str | None = None) -> list[Record]:
+    """The rows of a driver, on all tracks."""
+    return [
+        row
+        for row in rows
+        if (row["world"], row["policy"]) == (world, policy)
+        and (preset is None or row["preset"] == preset)
+    ]
+
+
+# sentences
+
+_NEAR = 0.95  # of the ANN: what an SNN is asked to reach
+_SOME = 0.05  # of the starts on other tracks, below which an ANN is nothing to be compared with
+_POINTS = 2  # of the finish rate that the chip may differ from the float twin
+
+
+def learning_verdicts(learned: Sequence[Record]) -> list[str]:
+    """Steps beside kart-simulator's, and the SNN beside the ANN, for each preset and world."""
+    lines = []
+    for preset in PRESETS:
+        rows = [row for row in learned if row["preset"] == preset]
+        for world in WORLDS:
+            if preset in LEARNING:  # as kart-simulator's
+                for policy in NETWORKS:
+                    lines += _finishes(rows, f"{preset}, {world}", world, policy)
+            for field, what in ((NTH, f"{COUNT} finishes"), (HELD, f"greedy {GREEDY:.0%}")):
+                found = share(rows, world, "snn", field)
+                lines += _near(found, f"{preset}, {world}", f"in steps to {what}")
+                lines += [] if found else _came_to(rows, preset, world, field, what)
+    return lines
+
+
+def _finishes(rows: Sequence[Record], where: str, world: str, policy: str) -> list[str]:
+    found = of(rows, world, policy)
+    if not found:
+        return []
+    limit, median = 1000 * PEERS[world].nth[policy], float(np.median([row[NTH] for row in found]))
+    known = math.isfinite(median)
+    text = f"{median / 1000:,.0f}k steps" if known else "more steps than it was trained"
+    # of a training that ended without, it is only known that it takes longer
+    mark = "✓" if median <= limit else "✗" if np.median(taken(found, NTH)) > limit else "≈"
+    return [
+        f"- {mark} {where}, {policy}: {COUNT} finishes after {text} (median), "
+        f"kart-simulator {limit / 1000:,.0f}k"
+    ]
+
+
+def _came_to(rows: Sequence[Record], preset: str, world: str, field: str, what: str) -> list[str]:
+    """How many trainings of both came so far, where that leaves no share; empty without any."""
+    found = {
+        each: [math.isfinite(row[field]) for row in of(rows, world, each)] for each in NETWORKS
+    }
+    if not all(found.values()):
+        return []
+    said = ", ".join(f"{sum(came)} of {len(came)} {each}" for each, came in found.items())
+    return [f"- ≈ {preset}, {world}: trainings that came to {what}: {said}; no share of steps"]
+
+
+def _near(found: AnnShare | None, where: str, what: str) -> list[str]:
+    """Whether the SNN comes near the ANN; its interval says whether that can be told."""
+    if found is None:
+        return []
+    text = f"{where}: the SNN reaches {found} of the ANN {what} (asked for: at least {_NEAR:.0%})"
+    mark = found.mark(_NEAR)
+    return [f"- {mark} {text}" + ("; the interval is on both sides" if mark == "≈" else "")]
+
+
+def _chip_verdicts(driven: Sequence[Record]) -> list[str]:
+    """Chip beside float twin, for each preset and world."""
+    lines = []
+    for preset in PRESETS:
+        rows = [row for row in driven if row["preset"] == preset]
+        for world in WORLDS:
+            chips = on_chip(rows, world)
+            apart = [abs(100 * row["success_difference_mean"]) for row in chips]
+            if any(apart) or any(row["success_rate"] for row in chips):  # else neither drives
+                text = (
+                    f"chip and float twin differ by up to {max(apart):.0f} points of the finish "
+                    f"rate (asked for: at most {_POINTS})"
+                )
+                lines.append(_verdict(max(apart) <= _POINTS, f"{preset}, {world}: {text}"))
+    return lines
+
+
+def heldout_verdicts(rows: Sequence[Record]) -> list[str]:
+    """On tracks that nothing was trained on: networks beside the script, the SNN beside the ANN."""
+    lines = []
+    for world in WORLDS:
+        shares = {policy: on_unseen(rows, world, policy) for policy in NETWORKS}
+        script = [
+            np.mean(row["finished"])
+            for row in rows
+            if (row["world"], row["policy"], row["unseen"]) == (world, "gap", True)
+        ]
+        for policy, found in shares.items():
+            if found.size and script:
+                text = (
+                    f"held-out tracks, {world}: {policy}, trained in corridors, finishes "
+                    f"{found.mean():.0%} of the starts (mean over tracks and trainings), the gap "
+                    f"follower {np.mean(script):.0%}"
+                )
+                lines.append(_verdict(bool(found.mean() > np.mean(script)), text))
+        if shares["ann"].size and shares["ann"].mean() >= _SOME:
+            ratio = ratio_of_means(shares["snn"], shares["ann"])
+            near = None if ratio is None else AnnShare(ratio)
+            lines += _near(near, f"held-out tracks, {world}", "in finished starts")
+    return lines
+
+
+def _verdict(reached: bool, text: str) -> str:
+    return f"- {'✓' if reached else '✗'} {text}"
+
+
+# the picture
+
+_COLOURS = dict(zip(NETWORKS, (BLUE, VERMILION), strict=True))
+_NAMES = {"ann": "float ANN", "snn": "SNN"}
+_GRID = 400  # points of a line
+
+
+def finishes_figure(design: KartDesign) -> "Figure":
+    """All complete trainings of the two networks."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 7.0), layout="constrained")
+    panels = figure.subplots(len(LEARNING), len(WORLDS), sharey=True, squeeze=False)
+    for preset, row in zip(LEARNING, panels, strict=True):
+        for world, axes in zip(WORLDS, row, strict=True):
+            _panel(axes, design, preset, world)
+        row[0].set_ylabel(f"finished episodes of training, up to {COUNT}")
+    pairs = [
+        pair for axes in panels.flat for pair in zip(*axes.get_legend_handles_labels(), strict=True)
+    ]
+    named = {name: line for line, name in pairs}
+    figure.legend(
+        named.values(), named.keys(), loc="outside upper center", ncols=len(named), frameon=False
+    )
+    return figure
+
+
+def _panel(axes: "Axes", design: KartDesign, preset: str, world: str) -> None:
+    from matplotlib.ticker import EngFormatter
+
+    for policy in NETWORKS:
+        trained = [
+            each
+            for each in design.trainings()
+            if (each.preset, each.world, each.policy) == (preset, world, policy) and each.is_trained
+        ]
+        if trained:
+            lengths = [float(each.env_steps) for each in trained]
+            _curve(axes, [each.finishes for each in trained], lengths, policy)
+        axes.plot(
+            1000 * PEERS[world].nth[policy], COUNT, "x", color=_COLOURS[policy], clip_on=False,
+            zorder=5, label=f"kart-simulator's {policy.upper()}",
+        )  # fmt: skip
+    axes.set_title(f"{world}, {preset}", loc="left", fontsize=11, pad=10)
+    axes.set_xlabel("environment steps")
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.set_ylim(0, COUNT)
+    axes.set_xlim(left=0)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(color="#E6E8EB")
+
+
+def _curve(axes: "Axes", runs: Sequence[Steps], lengths: Sequence[float], policy: str) -> None:
+    grid, counts = counted(runs, lengths)
+    axes.fill_between(
+        grid,
+        counts.min(axis=0),
+        counts.max(axis=0),
+        color=_COLOURS[policy],
+        alpha=0.18,
+        linewidth=0,
+    )
+    label = f"{_NAMES[policy]}: median and range"
+    axes.plot(grid, np.median(counts, axis=0), color=_COLOURS[policy], linewidth=1.8, label=label)
+
+
+def counted(runs: Sequence[Steps], lengths: Sequence[float]) -> tuple[Steps, NDArray[np.int64]]:
+    """A grid of steps (g,), and the finishes of each run there, at most COUNT (n, g).
+
+    The grid ends where every run has COUNT finishes, or where the shortest run without them ends.
+    """
+    ends = [r[COUNT - 1] if len(r) >= COUNT else math.inf for r in runs]
+    short = [length for length, end in zip(lengths, ends, strict=True) if math.isinf(end)]
+    last = min(short) if short else max(ends)
+    grid = np.linspace(0, last, _GRID)
+    return grid, np.stack(
+        [np.searchsorted(run, grid, side="right").clip(max=COUNT) for run in runs]
+    )

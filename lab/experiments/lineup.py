@@ -1,0 +1,311 @@
+"""The lineup experiment: shipped policies that were distilled, trained again with other seeds.
+
+A comparison's rows are of one training each. Here every shipped policy that was distilled from a
+float teacher is trained with more seeds, by the recipe and the settings of its card; the seed of
+the card is the shipped file itself. Each row is a file, <runs>/evaluations/<member>.json, that says
+what it was made with; rows of trainings that are not here are kept as they are in the table.
+"""
+
+import csv
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, TypeGuard
+
+from lab.experiments.networks import evaluate
+from lab.experiments.runner import Design, Part
+from lab.experiments.training import Record, StoredRow, TrainingJob
+from spikedeploy import zoo
+from spikedeploy.files import read_json
+from spikedeploy.reports.csv_rows import read_rows, write_rows
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.shipping.exported_run import runnable
+from spikedeploy.trainers.recipes import RECIPES
+from spikedeploy.trainers.versions import in_words
+
+TABLE = "lineup.csv"
+_NARROW = "-256"  # ending of a PopSAN with half the neurons in each layer, which is not shipped
+# trainings of seconds
+_QUICK = (
+    "env.count=2", "iterations=2", "states=60", "updates=20", "batch=16", "log_every=10",
+    "checkpoint_every=20", "validation.every=20", "validation.episodes=1", "validation.limit=40",
+)  # fmt: skip
+_COUNTS = ("sops_per_inference", "macs_dense", "macs_effective")
+_FIELDS = (
+    "chip", "episodes", "return_mean", "success_rate", "falls", "cot", "speed_rmse",
+    "turn_rmse", "sops_per_inference", "macs_dense", "macs_effective",
+)  # fmt: skip
+_COLUMNS = (
+    "env", "policy", "seed", "shipped", "kind", "chip", "episodes", "return_mean", "success_rate",
+    "falls", "cot", "speed_rmse", "turn_rmse", "sops_per_inference", "macs_dense",
+    "macs_effective", "quick", "versions", "returns", "successes",
+)  # fmt: skip
+_TEXT = ("env", "policy", "shipped", "kind", "chip", "quick", "versions")
+
+
+@dataclass(frozen=True)
+class Member:
+    """A policy with a seed: the shipped one, or one that is trained as it was.
+
+    env       short name of the environment
+    policy    name of the shipped policy, or of the narrower one like it
+    seed      of the training
+    training  None for the shipped file, which is not trained again
+    """
+
+    env: str
+    policy: str
+    seed: int
+    training: TrainingJob | None
+
+    @property
+    def name(self) -> str:
+        """`hexapod-command-mlp-16-s1`."""
+        return f"{self.env}-{self.policy}-s{self.seed}"
+
+    @property
+    def key(self) -> tuple[str, str, int]:
+        """Environment, policy and seed: what tells rows apart."""
+        return self.env, self.policy, self.seed
+
+    @property
+    def like(self) -> str:
+        """`hexapod/popsan`: the shipped policy that this is, or is trained like."""
+        return f"{self.env}/{self.policy.removesuffix(_NARROW)}"
+
+    @property
+    def shipped(self) -> Path:
+        """The file of the shipped policy."""
+        file = zoo.path(self.like)
+        if file is None:
+            raise ConfigError(f"no policy {self.like} is shipped")
+        return file
+
+
+@dataclass(frozen=True)
+class LineupDesign(Design):
+    """The parts of the experiment.
+
+    seeds  trainings of each policy, the shipped one among them
+    tasks  short names of environments
+    """
+
+    seeds: int = 5
+    tasks: Sequence[str] = ("hexapod", "hexapod-command")
+
+    NAME = "lineup"
+    OPTIONS: ClassVar = {name: name for name in ("seeds", "runs", "episodes", "chip", "quick")} | {
+        "env": "tasks"
+    }
+    QUICK: ClassVar = {"seeds": 2, "episodes": 2}
+
+    def __post_init__(self) -> None:
+        for env in self.tasks:
+            if not _distilled(env):
+                raise ConfigError(f"no policy that was distilled is shipped for {env!r}")
+        super().__post_init__()
+
+    def members(self) -> list[Member]:
+        """All policies of all tasks: the shipped ones and their teachers, then seed by seed."""
+        found = []
+        for env in self.tasks:
+            cards = _distilled(env)
+            teachers = dict.fromkeys(_teacher(card).partition("/")[2] for card in cards.values())
+            found += [Member(env, name, 0, None) for name in teachers]
+            found += [Member(env, name, card["seed"], None) for name, card in cards.items()]
+            found += list(self._others(env, cards))
+        return found
+
+    def _others(self, env: str, cards: Mapping[str, Mapping[str, Any]]) -> Iterator[Member]:
+        for seed in range(self.seeds):
+            for name, card in cards.items():
+                if seed != card["seed"]:
+                    yield Member(env, name, seed, self._training(env, name, card, seed))
+                if (narrow := f"{card['recipe']}{_NARROW}") in RECIPES:
+                    own = self._training(env, f"{name}{_NARROW}", {**card, "recipe": narrow}, seed)
+                    yield Member(env, f"{name}{_NARROW}", seed, own)
+
+    def _training(self, env: str, name: str, card: Mapping[str, Any], seed: int) -> TrainingJob:
+        own = [each for each in card["overrides"] if not each.startswith("teacher=")]
+        settings = (
+            f"env.name={json.dumps(env)}",
+            *own,
+            f"teacher={json.dumps(_teacher(card))}",
+            *(_QUICK if self.quick else ()),
+        )
+        return TrainingJob(
+            f"{env}-{name}-s{seed}", card["recipe"], seed, self.runs, settings, telling=settings
+        )
+
+    def trainings(self) -> list[TrainingJob]:
+        """All trainings."""
+        return [member.training for member in self.members() if member.training is not None]
+
+    def check(self, results: Path) -> None:
+        """Refuse unknown settings, and a table that the rows cannot stand in."""
+        super().check(results)
+        self.kept(results / TABLE)
+
+    def parts(self) -> list[Part]:
+        """Each policy with a seed: its training and its evaluation."""
+        return [self._part(member) for member in self.members()]
+
+    def _part(self, member: Member) -> Part:
+        def perform() -> bool:
+            if member.training is not None and not member.training.complete():
+                return False
+            if self.result(member) is None:
+                self._stored(member).write(self._evaluate(member))
+            return True
+
+        return Part(
+            member.name, lambda: self.result(member) is not None, perform, (), member.training
+        )
+
+    # rows
+
+    def _stored(self, member: Member) -> StoredRow:
+        """The row of a policy that is there."""
+        if member.training is None:
+            policy = zoo.sha256(member.shipped)
+        elif member.training.run is None:
+            raise ConfigError(f"{member.name} has no run folder")
+        else:
+            policy = zoo.sha256(member.training.run / "checkpoints" / "best.safetensors")
+        made = {"policy": policy, "episodes": self.episodes, "chip": self.chip}
+        return StoredRow(Path(self.runs) / "evaluations" / f"{member.name}.json", made)
+
+    def result(self, member: Member) -> Record | None:
+        """The result; None where the policy is not trained yet, or not evaluated."""
+        if member.training is not None and not member.training.is_trained:
+            return None
+        stored = self._stored(member)
+        row = stored.found
+        if row is not None and not (has_fields(row) and key(row) == member.key):
+            raise ConfigError(f"{stored.file} is damaged: put it back, or move it away")
+        return row
+
+    def _evaluate(self, member: Member) -> Record:
+        *_, row = evaluate(member.env, {}, _file(member), self.episodes, self.chip)
+        about = {"env": member.env, "policy": member.policy, "seed": member.seed}
+        about |= {"shipped": member.training is None, "kind": zoo.card(member.like)["kind"]}
+        numbers = {name: row[name] for name in _FIELDS if row.get(name) is not None}
+        successes = [int(each) for each in row["successes"]]
+        return about | numbers | {"returns": row["returns"], "successes": successes}
+
+    def all_rows(self) -> Iterator[Record]:
+        """The results so far."""
+        for member in self.members():
+            if (row := self.result(member)) is not None:
+                yield row | {"versions": _versions(member)}
+
+    def kept(self, table: Path) -> list[Record]:
+        """The rows of the table so far; ConfigError where they cannot stand beside its own.
+
+        That is where they have other episodes, another chip, or quick trainings.
+        """
+        rows = read_table(table) if table.is_file() else []
+        for row in rows:
+            alike = row["episodes"] == self.episodes and bool(row["quick"]) == self.quick
+            if not alike or row["chip"] not in (None, self.chip):
+                raise ConfigError(
+                    f"{table} has rows of {row['episodes']} episodes"
+                    f"{', of quick trainings' if row['quick'] else ''}"
+                    f"{', on ' + row['chip'] if row['chip'] else ''}: name another folder with -o"
+                )
+        return rows
+
+    def write_table(self, table: Path) -> None:
+        """Write the complete rows, and those of the table so far that have no new one."""
+        new, old = list(self.all_rows()), self.kept(table)
+        here = {key(row) for row in new}
+        rows = [*new, *(row for row in old if key(row) not in here)]
+        # by weights, which are the same for all trainings of a policy
+        rows.sort(key=lambda r: (r["env"], float(r.get("macs_dense") or 0), r["policy"], r["seed"]))
+        about = {"quick": "yes" if self.quick else ""}
+        write_rows(
+            (row | {"shipped": "yes" if row["shipped"] else ""} | about for row in rows),
+            _COLUMNS,
+            table,
+        )
+
+    def write(self, results: Path) -> list[Path]:
+        """Write page and table of the complete rows; return the files, the page first."""
+        from lab.experiments.lineup_page import write
+
+        return write(self, results)
+
+
+def _distilled(env: str) -> dict[str, dict[str, Any]]:
+    """Name -> card of the shipped policies of an environment that imitate a float teacher."""
+    cards = {file.stem: zoo.card(f"{env}/{file.stem}") for file in zoo.policies(env)}
+    return {
+        name: card
+        for name, card in cards.items()
+        if card and RECIPES[card["recipe"]].algorithm == "distill"
+    }
+
+
+def teachers(env: str) -> str:
+    """Which policies imitate which teacher, in a sentence."""
+    found: dict[str, list[str]] = {}
+    for name, card in _distilled(env).items():
+        found.setdefault(_teacher(card).partition("/")[2], []).append(name)
+    said = (f"{', '.join(names)} imitate `{teacher}`" for teacher, names in found.items())
+    return f"{'; '.join(said)}."
+
+
+def _teacher(card: Mapping[str, Any]) -> str:
+    """`hexapod/sac`, however the settings of the training named it."""
+    path = Path(card["config"]["teacher"])
+    return f"{path.parent.name}/{path.stem}"
+
+
+def has_fields(row: Record) -> bool:
+    """Whether a row has what the page is made of."""
+    returns, successes, count = row.get("returns"), row.get("successes"), row.get("episodes")
+    return (
+        all(isinstance(row.get(name), str) for name in ("env", "policy", "kind"))
+        and isinstance(row.get("seed"), int)
+        and isinstance(row.get("return_mean"), int | float)
+        and all(isinstance(row.get(name, 0.0) or 0.0, int | float) for name in _COUNTS)
+        and all(_numbers(each) and len(each) == count for each in (returns, successes))
+    )
+
+
+def key(row: Record) -> tuple[str, str, int]:
+    """Environment, policy and seed: what tells rows apart."""
+    return row["env"], row["policy"], row["seed"]
+
+
+def _numbers(values: object) -> TypeGuard[list[float]]:
+    return isinstance(values, list) and all(isinstance(each, int | float) for each in values)
+
+
+def read_table(table: Path) -> list[Record]:
+    """The rows of the table; ConfigError where it is damaged."""
+    try:
+        rows = read_rows(table, _TEXT)
+        for row in rows:
+            if tuple(row) != _COLUMNS or not has_fields(row):
+                raise ValueError(f"a row of {row.get('policy')}")
+    except (OSError, ValueError, csv.Error) as error:
+        raise ConfigError(f"{table} is damaged ({error}): put it back, or move it away") from error
+    return rows
+
+
+def _versions(member: Member) -> str:
+    """Versions when the training began."""
+    if member.training is None or member.training.run is None:
+        return in_words(zoo.card(member.like)["versions"])
+    return in_words(read_json(member.training.run / "versions.json"))
+
+
+def _file(member: Member) -> str:
+    """The policy's file: the shipped one, or what is exported from the run."""
+    if member.training is None:
+        return str(member.shipped)
+    if member.training.run is None:
+        raise ConfigError(f"{member.name} has no run folder")
+    return runnable(str(member.training.run))

@@ -1,0 +1,245 @@
+"""A policy at a place — a chip, few bits, in float — for a batch of robots, with what it did.
+
+Episodes of evaluations run as one batch, so that a spiking policy on a chip costs little more than
+a float one; seeds are those that no training and no choice of a policy has seen.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from spikedeploy import envs
+from spikedeploy.comparison.evaluation import compare_policies
+from spikedeploy.comparison.lineup import alone
+from spikedeploy.exporters.to_nir import to_nir
+from spikedeploy.exporters.to_onnx import to_onnx
+from spikedeploy.policies import run_record
+from spikedeploy.policies.onnx import OnnxController
+from spikedeploy.policies.registry import find
+from spikedeploy.policies.run_record import SPIKING
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.codec.delta import DeltaEncoder
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.emulator.ledger import EVENTS
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.seeds import EVALUATION
+from spikedeploy.shipping.export_run import kind_of
+from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.policies import Policy, PrunedMlpPolicy
+from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse.pool import BatchController, Episodes, Stateless, Walk
+from spikedeploy.trainers.sparse.student import in_float
+
+FLOAT = "float"  # the place of a float network that computes as it was trained
+Counts = dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class PlacedNetwork:
+    """A policy, ready to play.
+
+    controller  of B robots
+    counts      means per control step of what it did in episodes, given their walks; the
+                controller must have walked them, and no others, in one batch
+    """
+
+    controller: BatchController
+    counts: Callable[[Sequence[Walk]], Counts]
+
+
+def network(run: Path, level: str, place: str, stem: Path) -> PlacedNetwork:
+    """The policy of a checkpoint at a place: a chip, FLOAT, `int8`, or `float32` if pruned.
+
+    level  name of the checkpoint
+    stem   of the exported file, without a suffix
+
+    Raises RuleError where the chip refuses it.
+    """
+    policy = RunFolder(run).policy(level)
+    if place == FLOAT:
+        return PlacedNetwork(in_float(policy), lambda walks: _dense_counts(policy, walks))
+    origin = run_record.origin(run, level)
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    if policy.kind in SPIKING:
+        return _on_chip(policy, origin, stem.with_name(f"{stem.name}.nir"), place)
+    if isinstance(policy, PrunedMlpPolicy):
+        rounded = in_bits(policy, int(place.removeprefix("int"))) if place != "float32" else policy
+        return _pruned(rounded, origin, stem.with_name(f"{stem.name}-{place}.onnx"))
+    raise TypeError(f"{type(policy).__name__} is no policy that is pruned")
+
+
+def _on_chip(policy: Policy, origin: Provenance, path: Path, place: str) -> PlacedNetwork:
+    artifact = load(to_nir(policy, origin, path))
+    spiking = SpikingController(artifact, chip(place), ledger="each")
+    encoder = artifact.codec.encoder if artifact.codec else None
+    used = int(np.isfinite(encoder.step).sum()) if isinstance(encoder, DeltaEncoder) else 0
+    return PlacedNetwork(BatchOnChip(spiking), lambda walks: _chip_counts(spiking, used, walks))
+
+
+class BatchOnChip:
+    """A spiking policy as a BatchController.
+
+    seeds  of the upsets of each robot; without them all start from one
+    """
+
+    def __init__(self, spiking: SpikingController, seeds: Sequence[int] | None = None) -> None:
+        self._spiking, self._seeds = spiking, seeds
+        self.act_batch = spiking.act_batch
+
+    def reset(self, robots: int) -> None:
+        """Start an episode of each."""
+        if self._seeds is None:
+            self._spiking.reset(0)
+        else:
+            self._spiking.reset(0, each=self._seeds)
+
+
+def _chip_counts(spiking: SpikingController, used: int, walks: Sequence[Walk]) -> Counts:
+    """Means per control step; robots at their end keep their place in the batch, uncounted."""
+    ledger, program = spiking.ledger, spiking.program
+    lengths = np.array([len(walk.observation) for walk in walks])
+    rows = ledger.counts.reshape(lengths.max(), len(walks), *ledger.counts.shape[1:])
+    alive = np.arange(lengths.max())[:, None] < lengths
+    counts = rows[alive].sum(axis=0) / lengths.sum()  # (L, E)
+    per_step = dict(zip(EVENTS, counts.sum(axis=0).tolist(), strict=True))
+    sent = dict(zip(ledger.layers, counts[:, EVENTS.index("spike_out")].tolist(), strict=True))
+    updates = counts[:, EVENTS.index("neuron_update")]
+    readouts = [name in ledger.readouts for name in ledger.layers]
+    others = sum(sent[s.source] for s in program.layers[0].synapses if s.source != program.input)
+    neurons = sum(layer.size for layer in program.spiking)
+    several = ledger.several or not neurons
+    return {
+        "operations": per_step["sop"],
+        "graded_operations": per_step["graded_sop"],
+        "bias_operations": per_step["bias_sop"],
+        "neurons": float(sum(ledger.neurons)),
+        "neuron_updates": per_step["neuron_update"],
+        "readout_updates": float(updates[readouts].sum()),
+        "neuron_idle": per_step["neuron_idle"],
+        "messages": per_step["message"],
+        "events": float(counts[0, EVENTS.index("spike_in")]) - others,
+        "spikes_out": per_step["spike_out"],
+        "observations": float(used),
+        "constants": float(_constants(program)),
+        "on_host": float(sum(layer.size for layer in program.host)),
+        "saturations": per_step["saturation"] * float(lengths.sum()),
+        "sparsity": None if several else 1 - per_step["spike_out"] / neurons,
+    }
+
+
+def _constants(program: Program) -> int:
+    """Numbers that the host adds to what leaves the chip."""
+    if program.readout is not None:
+        return int(program.readout.bias.size)
+    return sum(outlet.bias.size for outlet in program.outlets)
+
+
+def _pruned(policy: PrunedMlpPolicy, origin: Provenance, path: Path) -> PlacedNetwork:
+    running = OnnxController(to_onnx(policy, origin, path, kind_of(policy)))
+
+    def counts(walks: Sequence[Walk]) -> Counts:
+        seen = np.concatenate([walk.observation for walk in walks]).astype(np.float64)
+        matrices = [each for each in policy.matrices.children() if isinstance(each, PrunedWeight)]
+        first, *others = (each.fan_out for each in matrices)
+        read = first + policy.past.fan_out if policy.skip else first
+        hidden = sum(int(torch.count_nonzero(fan_out)) for fan_out in others)
+        return {
+            "operations": running.effective_macs(seen),
+            "observations": float(torch.count_nonzero(read)),
+            "constants": float(hidden + policy.actions),  # a bias of each unit
+        }
+
+    return PlacedNetwork(Stateless(running.replay), counts)
+
+
+def _dense_counts(policy: Policy, walks: Sequence[Walk]) -> Counts:
+    """Operations of a float network of which nothing is left out: all multiply-accumulates."""
+    weights = [each for each in policy.parameters() if each.ndim == 2]
+    biases = [each for each in policy.parameters() if each.ndim == 1]
+    return {
+        "operations": float(sum(each.numel() for each in weights)),
+        "observations": float(walks[0].observation.shape[1]),
+        "constants": float(sum(each.numel() for each in biases)),
+    }
+
+
+def in_bits(policy: PrunedMlpPolicy, bits: int) -> PrunedMlpPolicy:
+    """The policy with weights rounded to integers of so many bits, one scale a matrix.
+
+    Scales are such that the largest weight fills the range, as on the chips; weights that are
+    rounded to 0 cost no operations, as there.
+    """
+    largest = 2 ** (bits - 1) - 1
+    for matrix in policy.modules():
+        if isinstance(matrix, PrunedWeight) and matrix.weight.numel():
+            weight = matrix().detach()
+            scale = weight.abs().max().clamp(min=torch.finfo(weight.dtype).tiny) / largest
+            steps = torch.round(weight / scale)
+            matrix.weight.data = steps * scale
+            matrix.mask.copy_(steps != 0)
+    return policy
+
+
+def is_discrete(env: str, options: Mapping[str, Any] | None = None) -> bool:
+    """Whether an environment's actions are choices."""
+    world = envs.make(env, **(options or {}))
+    world.close()
+    return isinstance(world.action_space, gymnasium.spaces.Discrete)
+
+
+def random_actions(env: str, seed: int = 0) -> Stateless:
+    """Actions drawn at random, the lower bound of a return."""
+    world: Any = envs.make(env)
+    space, rng = world.action_space, np.random.default_rng(seed)
+    world.close()
+
+    def act(observation: NDArray[np.float64]) -> NDArray[Any]:
+        if isinstance(space, gymnasium.spaces.Discrete):
+            return rng.integers(int(space.n), size=len(observation))
+        return rng.uniform(-1.0, 1.0, (len(observation), *space.shape))
+
+    return Stateless(act)
+
+
+@dataclass(frozen=True)
+class Played:
+    """Episodes of one batch.
+
+    walks       observations and steps of each
+    returns     of each
+    infos       of the last step of each
+    terminated  whether each ended in a terminal state
+    """
+
+    walks: list[Walk]
+    returns: list[float]
+    infos: Sequence[Mapping[str, Any]]
+    terminated: list[bool]
+
+
+def play(
+    config: EnvConfig, episodes: int, controller: BatchController, limit: int | None = None
+) -> Played:
+    """Play so many evaluation episodes, at most `limit` control steps each, in one batch."""
+    together = Episodes(config, episodes, limit)
+    seeds = range(EVALUATION, EVALUATION + episodes)
+    # walks are kept only with labels, of which nothing is needed here
+    walks, returns, infos = together.play(seeds, controller, lambda seen: seen[:, :0])
+    return Played(walks, list(returns), infos, [each.terminated for each in together.earned])
+
+
+def evaluate(
+    env: str, options: Mapping[str, Any], policy: str, episodes: int, on: str | None
+) -> list[dict[str, Any]]:
+    """Rows of a comparison: the policy; if it spikes, its float twin and the chip."""
+    entries, seeds = alone(find(policy), on), range(EVALUATION, EVALUATION + episodes)
+    return compare_policies(env, entries, seeds, processes=1, options=options).as_json()

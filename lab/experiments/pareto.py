@@ -1,0 +1,364 @@
+"""The pareto experiment: return against operations and energy, sparse policies and their baselines.
+
+Within a seed the spiking network is trained first; its baselines take over its walks and are
+trained with as many updates a level. A baseline is pruned by the same ranking, to levels of its
+own. Then each of them goes on with reward from its best policy, with as many episodes.
+
+Each row is a file of its own, <runs>/evaluations/<training>/<level>@<place>.json, which says what
+it was made with: a stopped experiment goes on after the last row, and a row whose checkpoint or
+sizes have changed is made again.
+"""
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lab.experiments.networks import Played, is_discrete, network, play
+from lab.experiments.runner import Design, Part, training_part
+from lab.experiments.training import Record, StoredRow, TrainingJob, is_complete
+from spikedeploy.runtime.errors import ConfigError, RuleError
+from spikedeploy.seeds import EVALUATION
+from spikedeploy.trainers.run_folder import LEVEL
+from spikedeploy.trainers.sparse.pool import Stateless
+
+ENVS = ("hexapod", "hexapod-command", "kart-grid", "kart-gazebo", "kart-steer")
+SPIKING = ("sparse", "sparse-linear")
+GRADED = ("delta-mlp",)
+FLOAT = ("small-mlp", "small-linear")
+STUDENTS = (*SPIKING, *GRADED, *FLOAT)
+LABELS = {
+    "sparse": "LIF",
+    "sparse-linear": "delta-linear",
+    "delta-mlp": "delta network",
+    "small-mlp": "float MLP",
+    "small-linear": "float linear",
+}
+# shipped policies beside the teacher, where that is another one
+REFERENCES = {"hexapod-command": "hexapod-command/sac"}
+# earlier levels of pruning from which float baselines go on with reward too: where they are strong
+EARLIER = {
+    ("hexapod", "small-mlp"): ("ops-130",),
+    ("hexapod-command", "small-mlp"): ("ops-300",),
+}
+BEST = "best"  # the checkpoint at the budget of a training by imitation
+REWARD = "reward"
+LEVELS, LAST = "levels", "last level"  # parts: every level, and where else the last one runs
+_CHIPS = ("ideal", "loihi2", "xylo-a3")  # beside loihi1, on which all levels are evaluated
+_GRADED_CHIP = "loihi2"  # graded spikes run on it and on ideal
+_BITS = (6, 5, 4, 3, 2)
+_FULL = 8  # [bits] of the weights of every level
+_VERSION = 1  # of what a row holds; a higher one makes all rows again
+
+# trainings of seconds
+_QUICK = (
+    "env.count=2", "budget=60", "levels=[200]", "teacher_walks=2", "noisy_walks=1", "walks=1",
+    "dense_updates=20", "dense_rounds=1", "level_updates=20", "polish=1", "polish_updates=10",
+    "prune_every=5", "batch=8", "log_every=5", "checkpoint_every=20", "validation.every=10",
+    "validation.episodes=1", "validation.limit=40", "tuned.iterations=2", "tuned.warm_up=1",
+    "tuned.episodes=2", "tuned.window=16", "tuned.burn_in=4", "tuned.batch=4", "tuned.epochs=1",
+    "tuned.critic_hidden=[16]", "tuned.critic_epochs=1", "tuned.checkpoint_every=1",
+    "tuned.validation.every=1", "tuned.validation.episodes=1", "tuned.validation.limit=40",
+)  # fmt: skip
+_TUNED, _BOTH = "tuned.", "env."  # settings of trainings with reward, and of all
+
+
+@dataclass(frozen=True)
+class StudentTraining(TrainingJob):
+    """A training of a student: by imitation, or with reward after it.
+
+    student  of STUDENTS
+    level    from which it went on with reward: BEST, or an earlier checkpoint; empty by imitation
+    """
+
+    student: str = ""
+    level: str = ""
+
+    @property
+    def trained_by(self) -> str:
+        """As its rows say it."""
+        return REWARD if self.level else "imitation"
+
+    @property
+    def levels(self) -> list[str]:
+        """Names of the checkpoints that are evaluated, most operations first."""
+        if self.level:
+            return [BEST]
+        found = self.run.glob(f"checkpoints/{LEVEL}*.safetensors") if self.run else ()
+        return sorted((path.stem for path in found), key=operations_of, reverse=True)
+
+    def aim(self, level: str) -> float:
+        """Operations that a checkpoint aims at; with reward those of the policy at the start."""
+        if self.level == BEST:
+            return float(self.parents["start"].config.budget)
+        return operations_of(self.level or level)
+
+
+def operations_of(level: str) -> float:
+    """Operations that a level of pruning aims at, from its checkpoint's name."""
+    return float(level.removeprefix(LEVEL))
+
+
+@dataclass(frozen=True)
+class ParetoDesign(Design):
+    """The parts of the experiment in one environment.
+
+    env            short name
+    settings       those that begin with `tuned.` are of trainings with reward, with `env.` of all
+    chip_episodes  of the evaluations of the last level, on other chips and in fewer bits
+    levels         how many of the last levels are evaluated with all episodes; None for all
+    """
+
+    env: str = ""
+    chip_episodes: int = 30
+    levels: int | None = None
+
+    NAME = "pareto"
+    OPTIONS: ClassVar = Design.OPTIONS | {
+        "env": "env", "chip-episodes": "chip_episodes", "levels": "levels"
+    }  # fmt: skip
+    QUICK: ClassVar = Design.QUICK | {"chip_episodes": 2}
+
+    def __post_init__(self) -> None:
+        if self.env not in ENVS:
+            raise ConfigError(
+                f"the pareto experiment has no environment {self.env!r}; known: {', '.join(ENVS)}"
+            )
+        super().__post_init__()
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any]) -> Any:  # noqa: ANN401
+        """The design of the options; karts finish or not, which needs more episodes."""
+        if not (env := options.get("env")) and options.keys() <= cls.OPTIONS.keys():
+            raise ConfigError(f"the experiment pareto needs an environment: {', '.join(ENVS)}")
+        quick = options.get("quick", False)
+        usual = {"runs": str(Path("runs") / ("pareto-quick" if quick else "pareto") / str(env))}
+        more = {"episodes": 300} if not quick and str(env).startswith("kart") else {}
+        return super().of({**usual, **more, **options})
+
+    def _overrides(self, tuned: bool) -> tuple[str, ...]:
+        """Settings of every training by imitation, or with reward."""
+        every = (*(_QUICK if self.quick else ()), *self.settings)
+        if tuned:
+            found = (each for each in every if each.startswith((_TUNED, _BOTH)))
+            return tuple(each.removeprefix(_TUNED) for each in found)
+        return tuple(each for each in every if not each.startswith(_TUNED))
+
+    def imitations(self) -> list[StudentTraining]:
+        """All trainings by imitation, seed by seed, the spiking network of a seed first."""
+        found = []
+        for seed in range(self.seeds):
+            walks: dict[str, TrainingJob] = {}
+            for student in STUDENTS:
+                recipe = f"{self.env}-{student}"
+                found.append(
+                    StudentTraining(
+                        f"{recipe}-s{seed}", recipe, seed, self.runs, self._overrides(False),
+                        walks, student=student,
+                    )
+                )  # fmt: skip
+                walks = walks or {"pool": found[-1]}
+        return found
+
+    def tunings(self) -> list[StudentTraining]:
+        """All trainings with reward, in the order of those by imitation.
+
+        PPO goes on with LIF neurons and with float networks, so delta networks have none.
+        """
+        return [
+            self._tuning(start, level)
+            for start in self.imitations()
+            if start.student not in GRADED
+            for level in (BEST, *(() if self.quick else EARLIER.get((self.env, start.student), ())))
+        ]
+
+    def _tuning(self, start: StudentTraining, level: str) -> StudentTraining:
+        earlier = "" if level == BEST else f"-{level}"
+        name = f"{self.env}-tuned-{start.student}{earlier}-s{start.seed}"
+        at_level = (f"start_checkpoint={level}",)
+        return StudentTraining(
+            name, f"{self.env}-sparse-tuned", start.seed, self.runs,
+            (*self._overrides(True), *(at_level if earlier else ())), {"start": start}, at_level,
+            start.student, level,
+        )  # fmt: skip
+
+    def trainings(self) -> list[StudentTraining]:
+        """Trainings of both kinds: within a seed first those by imitation."""
+        return sorted([*self.imitations(), *self.tunings()], key=lambda training: training.seed)
+
+    @property
+    def references(self) -> dict[str, str]:
+        """Policies beside which students stand: the teacher, and the reference if there is one."""
+        found = {"teacher": self.imitations()[0].planned().teacher}
+        if self.env in REFERENCES and REFERENCES[self.env] != found["teacher"]:
+            found["reference"] = REFERENCES[self.env]
+        return found
+
+    def places(self, student: str, last: bool) -> list[str]:
+        """Where a level is evaluated with all episodes, or the last one with few of them.
+
+        Chips of spiking students; of float ones `int8` and so on, or `float32`.
+        """
+        if student in FLOAT:
+            return ["float32", *(f"int{bits}" for bits in _BITS)] if last else [f"int{_FULL}"]
+        at, others = (self.chip, _CHIPS) if student in SPIKING else (_GRADED_CHIP, ("ideal",))
+        return [*others, *(f"{at}:weight_bits={bits}" for bits in _BITS)] if last else [at]
+
+    def parts(self) -> list[Part]:
+        """Each training, and its levels after it; last levels elsewhere come at the end."""
+        parts = [
+            Part(
+                " and ".join(self.references),
+                lambda: is_complete(self.reference_rows()),
+                self._evaluate_references,
+            )
+        ]
+        for training in self.trainings():
+            parts += [training_part(training), self._evaluation(training, last=False)]
+        return [*parts, *(self._evaluation(each, last=True) for each in self.imitations())]
+
+    def _evaluation(self, training: StudentTraining, last: bool) -> Part:
+        def is_done() -> bool:
+            return training.is_trained and is_complete(self.rows(training, last, self.levels))
+
+        def perform() -> None:
+            for row in self.rows(training, last, self.levels):
+                if row.found is None:
+                    row.write(self._evaluate(training, row))
+
+        name = f"{training.name}: {'last level on chips' if last else 'levels'}"
+        return Part(name, is_done, perform, [training.name])
+
+    # rows
+
+    def rows(
+        self, training: StudentTraining, last: bool, levels: int | None = None
+    ) -> list[StoredRow]:
+        """The rows of a training: of its last levels, or of the last one with few episodes.
+
+        levels  how many; None for all
+        """
+        count = 1 if last else levels
+        found = training.levels[-count:] if count else training.levels
+        places = self.places(training.student, last)
+        return [self._row(training, level, place, last) for level in found for place in places]
+
+    def _row(self, training: StudentTraining, level: str, place: str, last: bool) -> StoredRow:
+        run = _run(training)
+        checkpoint = (run / "checkpoints" / f"{level}.safetensors").read_bytes()
+        made = {
+            "recipe": training.recipe,
+            "seed": training.seed,
+            "level": level,
+            "place": place,
+            "part": LAST if last else LEVELS,
+            "checkpoint": hashlib.sha256(checkpoint).hexdigest(),
+        }
+        name = f"{level}@{place}.json".replace(":", "-")
+        return StoredRow(
+            Path(self.runs) / "evaluations" / training.name / name, made | self._sizes(last)
+        )
+
+    def reference_rows(self) -> list[StoredRow]:
+        """The rows of teacher and reference, on the seeds of every level."""
+        folder, sizes = Path(self.runs) / "evaluations", self._sizes(False)
+        return [
+            StoredRow(folder / f"{self.env}-{name}.json", {name: policy} | sizes)
+            for name, policy in self.references.items()
+        ]
+
+    def _sizes(self, last: bool) -> Record:
+        return {
+            "episodes": self.chip_episodes if last else self.episodes,
+            "first_seed": EVALUATION,
+            "limit": self.limit,
+            "version": _VERSION,
+        }
+
+    def _evaluate(self, training: StudentTraining, row: StoredRow) -> Record:
+        level, place = row.of["level"], row.of["place"]
+        facts = {
+            "env": self.env,
+            "student": training.student,
+            "seed": training.seed,
+            "level": training.aim(level),
+            "place": place,
+            "part": row.of["part"],
+            "episodes": row.of["episodes"],
+        }
+        try:
+            file = Path(self.runs) / "policies" / f"{training.name}-{level}"
+            made = network(_run(training), level, place, file)
+        except RuleError as error:
+            return facts | {"refusal": str(error)}
+        played = play(training.config.env, row.of["episodes"], made.controller, self.limit)
+        counts = made.counts(played.walks)
+        if counts.get("on_host") and row.of["part"] == LEVELS:
+            raise ConfigError(
+                f"{place} has no way out for membranes: the host would integrate "
+                f"{counts['on_host']:g} readouts, which the experiment does not price. Choose a "
+                "chip with readouts: loihi1."
+            )
+        return facts | counts | outcomes(played)
+
+    def _evaluate_references(self) -> None:
+        """Make the missing rows of teacher and reference: float policies."""
+        from spikedeploy.trainers.distill.teachers import teacher
+
+        env = self.imitations()[0].planned().env.model_copy(update={"count": 1})
+        for (name, policy), row in zip(self.references.items(), self.reference_rows(), strict=True):
+            if row.found is None:
+                act = teacher(policy, env.name).act_all
+                chooses = is_discrete(env.name, env.options)
+                greedy = Stateless(_likeliest(act) if chooses else act)
+                facts = {"env": self.env, "student": name, "episodes": self.episodes}
+                played = play(env, self.episodes, greedy, self.limit)
+                row.write(facts | {"place": policy} | outcomes(played))
+
+    def all_rows(self) -> Iterator[Record]:
+        """The results so far: those of teacher and reference, then of all trainings."""
+        for reference in self.reference_rows():
+            if (found := reference.found) is not None:
+                yield found
+        for training in (*self.imitations(), *self.tunings()):
+            for last in (False, True):
+                for row in self.rows(training, last) if training.is_trained else ():
+                    if (found := row.found) is not None:
+                        yield found | {"trained_by": training.trained_by}
+
+    def write(self, results: Path) -> list[Path]:
+        """Write page, table and picture of the complete parts; return the files."""
+        from lab.experiments.pareto_page import write
+
+        return write(self, results)
+
+
+def _run(training: TrainingJob) -> Path:
+    if training.run is None:
+        raise ConfigError(f"{training.name} has no run folder")
+    return training.run
+
+
+def _likeliest(logits: Any) -> Any:  # noqa: ANN401 - a teacher's function of observations
+    return lambda seen: logits(seen).argmax(-1)
+
+
+def outcomes(played: Played) -> Record:
+    """What episodes came to: scores are finishes (0 or 1) of karts, returns of walkers.
+
+    Of karts the returns stand beside the scores.
+    """
+    infos, returns = played.infos, played.returns
+    found: Record = {"return_mean": float(np.mean(returns)), "scores": returns}
+    if "gates" not in infos[0]:
+        return found | {"falls": float(np.mean([info["fall"] for info in infos]))}
+    laps = [float(info["lap_time"]) for info in infos if info["finish"]]
+    return found | {
+        "scores": [float(bool(info["finish"])) for info in infos],
+        "returns": returns,
+        "lap_time": float(np.mean(laps)) if laps else None,
+        "crashes": float(np.mean([bool(info["crash"]) for info in infos])),
+    }

@@ -1,0 +1,359 @@
+"""The command of all experiments: missing parts run as jobs, resumed where they stopped; a page."""
+
+import shlex
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from fnmatch import fnmatchcase
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import typer
+
+from lab.experiments import EXPERIMENTS
+from lab.experiments.training import TrainingJob
+from spikedeploy.cli import run as run_app
+from spikedeploy.commands.options import Force, Json
+from spikedeploy.console import console, print_json
+from spikedeploy.jobs import resumable
+from spikedeploy.jobs.resumable import Job, JobEnd, Outcome
+from spikedeploy.outputs import check_folder, check_output_folder, marked
+from spikedeploy.runtime.chips.chip import chip as chip_named
+from spikedeploy.runtime.errors import ConfigError
+
+_EVERY = 300.0  # [s] between two lines on what runs
+_PAGE_EVERY = 120.0  # [s] between two pages, which read all results
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of an experiment: a job of its own.
+
+    name      for people, and for --only
+    is_done   whether nothing is missing
+    perform   does what is missing; False if it was interrupted
+    after     names of the parts that must be done before
+    training  what it trains, if anything
+    """
+
+    name: str
+    is_done: Callable[[], bool]
+    perform: Callable[[], bool | None]
+    after: Sequence[str] = ()
+    training: TrainingJob | None = None
+
+
+def training_part(training: TrainingJob) -> Part:
+    """The part that completes a training, after those that it is made from."""
+    after = [parent.name for parent in training.parents.values()]
+    return Part(training.name, lambda: training.is_trained, training.complete, after, training)
+
+
+@dataclass(frozen=True)
+class Design:
+    """What an experiment consists of; subclasses name their parts and write their page.
+
+    seeds     trainings of each policy, from seed 0 up
+    runs      folder of run folders and of rows
+    settings  of trainings, as `--set` takes them
+    episodes  of each evaluation
+    chip      on which spiking policies are evaluated
+    limit     control steps that an episode of an evaluation may take; None for all
+    quick     whether parts take seconds, for a first look and for tests
+    """
+
+    seeds: int = 3
+    runs: str = ""
+    settings: Sequence[str] = ()
+    episodes: int = 100
+    chip: str = "loihi1"
+    limit: int | None = None
+    quick: bool = False
+
+    NAME: ClassVar[str]
+    # option of the command -> field
+    OPTIONS: ClassVar[dict[str, str]] = {
+        "seeds": "seeds", "runs": "runs", "set": "settings", "episodes": "episodes",
+        "chip": "chip", "quick": "quick",
+    }  # fmt: skip
+    QUICK: ClassVar[dict[str, Any]] = {"seeds": 1, "episodes": 2, "limit": 40}
+    JOBS: ClassVar[int] = 1  # side by side, if the command does not say
+
+    def __post_init__(self) -> None:
+        chip_named(self.chip)  # raises on an unknown name
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any]) -> Any:  # noqa: ANN401 - of this class
+        """The design of the options of a command; ConfigError where one is of others."""
+        if other := sorted(options.keys() - cls.OPTIONS):
+            raise ConfigError(f"the experiment {cls.NAME} has no {other[0]}. Leave it out.")
+        quick = options.get("quick", False)
+        given = {cls.OPTIONS[name]: value for name, value in options.items()}
+        if isinstance(given.get("tasks"), str):
+            given["tasks"] = (given["tasks"],)
+        place = Path("runs") / (f"{cls.NAME}-quick" if quick else cls.NAME)
+        return cls(**{"runs": str(place), **(cls.QUICK if quick else {}), **given})
+
+    def trainings(self) -> Sequence[TrainingJob]:
+        """All trainings, those that others are made from before them."""
+        return ()
+
+    def parts(self) -> list[Part]:
+        """All parts, in the order in which they are done."""
+        raise NotImplementedError
+
+    def bundles(self, names: list[str]) -> list[list[str]]:
+        """Parts that are one job together."""
+        return [[name] for name in names]
+
+    def check(self, results: Path) -> None:
+        """Refuse settings that no training has, before the first one starts."""
+        for training in self.trainings():
+            training.planned()
+
+    def write(self, results: Path) -> list[Path]:
+        """Write page, tables and pictures of what is complete; return the files."""
+        raise NotImplementedError
+
+
+def command_line() -> str:
+    """The command that this process runs, as it can be typed again."""
+    return f"{sys.argv[0]} {shlex.join(sys.argv[1:])}"
+
+
+def run_experiment(
+    design: Design,
+    only: Sequence[str] = (),
+    jobs: int | None = None,
+    results: Path = Path("results"),
+    train: bool = True,
+) -> Outcome:
+    """Run the missing parts of the experiment, and write its page.
+
+    only     beginnings of the names of parts, in which * stands for anything; empty for all
+    jobs     processes in parallel
+    results  folder of the page
+    train    False only writes the page
+    """
+    check_folder("--runs", Path(design.runs))
+    check_folder("--output", results)
+    design.check(results)
+    parts = {part.name: part for part in design.parts()}
+    chosen = _chosen(list(parts), only) if train else []
+    to_do = [name for name in chosen if not parts[name].is_done()]
+    _check_before(parts, to_do)
+    _say(f"{len(to_do)} of {len(parts)} parts to do")
+    failed: dict[str, str] = {}
+    written = shown = time.monotonic()
+
+    def ended(end: JobEnd) -> None:
+        nonlocal written
+        _say(end.line)
+        if end.failed:
+            failed[end.job.name] = end.last_line
+        if time.monotonic() - written > _PAGE_EVERY:
+            design.write(results)
+            written = time.monotonic()
+
+    def look(running: Sequence[Job]) -> None:
+        nonlocal shown
+        if time.monotonic() - shown > _EVERY:
+            shown = time.monotonic()
+            _say("running: " + "; ".join(_progress(parts.get(job.name), job) for job in running))
+
+    made = [_job(design, names, parts) for names in design.bundles(to_do)]
+    is_whole = resumable.run(made, jobs or design.JOBS, ended, look)
+    files = design.write(results)
+    done = sum(part.is_done() for part in parts.values())
+    return Outcome(done, len(parts), failed, not is_whole, files)
+
+
+def _chosen(names: Sequence[str], only: Sequence[str]) -> list[str]:
+    """The names that begin so; all where none is asked for."""
+    for beginning in only:
+        if not any(fnmatchcase(name, f"{beginning}*") for name in names):
+            raise ConfigError(
+                f"no part of the experiment begins with {beginning!r}; known: {', '.join(names)}"
+            )
+    return [n for n in names if not only or any(fnmatchcase(n, f"{each}*") for each in only)]
+
+
+def _check_before(parts: Mapping[str, Part], to_do: Sequence[str]) -> None:
+    """Refuse parts that need another which is neither complete nor among them."""
+    for part in (parts[name] for name in to_do):
+        if part.training is not None and part.training.run is not None:
+            continue  # it is resumed
+        for name in part.after:
+            if name not in to_do and not parts[name].is_done():
+                raise ConfigError(
+                    f"{part.name} needs {name}, which is not trained yet. Run the experiment "
+                    f"without --only, or with --only {name} first."
+                )
+
+
+def _job(design: Design, names: Sequence[str], parts: Mapping[str, Part]) -> Job:
+    name = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
+    log = Path(design.runs) / "logs" / f"{name.replace(': ', '-').replace(' ', '-')}.log"
+    arguments = {"experiment": design.NAME, "design": asdict(design), "parts": list(names)}
+    return Job(name, f"{__name__}:perform", log, arguments, parts[names[0]].after)
+
+
+def perform(experiment: str, design: Mapping[str, Any], parts: Sequence[str]) -> bool:
+    """Do some parts of a design (a job of `resumable`); False if one was interrupted."""
+    every = {part.name: part for part in design_class(experiment)(**design).parts()}
+    return all(every[name].perform() is not False for name in parts)
+
+
+def _progress(part: Part | None, job: Job) -> str:
+    return job.name if part is None or part.training is None else part.training.progress
+
+
+def _say(line: str) -> None:
+    console(stderr=True).print(line, markup=False, soft_wrap=True)
+
+
+def design_class(name: str) -> type[Any]:
+    """The design of an experiment by its name."""
+    if name not in EXPERIMENTS:
+        raise ConfigError(f"unknown experiment {name!r}; known: {', '.join(EXPERIMENTS)}")
+    module, _, kind = EXPERIMENTS[name].partition(":")
+    found: type[Any] = getattr(import_module(module), kind)
+    return found
+
+
+def experiment(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="kart, pareto, robustness, gymnasium or lineup.")
+    ],
+    env: Annotated[
+        str | None,
+        typer.Argument(metavar="[ENV]", help="Environment; of kart none, of gymnasium one task."),
+    ] = None,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Trainings of each network.", show_default="kart, lineup 5; others 3"
+        ),
+    ] = None,
+    controls: Annotated[
+        int | None, typer.Option(min=0, help="kart: trainings of each control.", show_default="5")
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Parts by prefix of their names: kart-grid, kart-grid-snn-s0; kart: *-classic.",
+            show_default="all",
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Processes side by side.", show_default="kart all cores, others 1"
+        ),
+    ] = None,
+    finishes: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="kart: finishes that end a training; 0 spends the whole budget.",
+            show_default="0; classic preset 300",
+        ),
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="One setting of every training; robustness: an option of the environment.",
+        ),
+    ] = None,
+    policies: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME,…",
+            help="robustness: policies, as `compare` takes them; needed for other people's ENV.",
+            show_default="all that are shipped",
+        ),
+    ] = None,
+    episodes: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Episodes of each evaluation.",
+            show_default="100; karts of pareto 300; robustness 30; gymnasium 50",
+        ),
+    ] = None,
+    chip_episodes: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="pareto: episodes on other chips and in fewer bits.", show_default="30"
+        ),
+    ] = None,
+    levels: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="pareto: how many of the last levels are evaluated.", show_default="all"
+        ),
+    ] = None,
+    chip: Annotated[
+        str | None, typer.Option(help="Chip of the spiking policies.", show_default="loihi1")
+    ] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--folder",
+            "--runs",
+            help="Where the run folders are.",
+            show_default="runs/experiment-kart, runs/NAME/ENV, runs/gymnasium, runs/lineup",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Where the page NAME.md and NAME/ are written.",
+            show_default="results; with --quick runs/NAME-quick",
+        ),
+    ] = None,
+    train: Annotated[
+        bool, typer.Option(help="Run missing parts; --no-train only writes the page.")
+    ] = True,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Trainings and episodes of seconds, a first look.")
+    ] = False,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Train, export and evaluate all parts of an experiment; resume where it stopped."""
+    given = {
+        "env": env, "seeds": seeds, "controls": controls, "finishes": finishes,
+        "set": tuple(set_) if set_ else None, "episodes": episodes, "chip-episodes": chip_episodes,
+        "policies": tuple(policies) if policies else None, "levels": levels, "chip": chip,
+        "runs": folder and str(folder), "quick": quick or None,
+    }  # fmt: skip
+    options = {option: value for option, value in given.items() if value is not None}
+    design = design_class(name).of(options)
+    output = output or Path(f"runs/{name}-quick" if quick else "results")
+    pages = (f"{name}.md", f"{name}.html")
+    check_output_folder(
+        "-o", output, pages, (), force, lambda at: marked(at / pages[0], "python -m lab")
+    )
+    outcome = run_experiment(design, only or (), jobs, output, train)
+    if json:
+        print_json({**vars(outcome), "files": [str(path) for path in outcome.files]})
+    else:
+        typer.echo(f"{outcome.done} of {outcome.of} parts are complete: {outcome.files[0]}")
+        for part, line in outcome.failed.items():
+            typer.echo(f"failed: {part}: {line}", err=True)
+    raise typer.Exit(130 if outcome.interrupted else 1 if outcome.failed else 0)
+
+
+def main() -> None:
+    """Run the command of sys.argv."""
+    app = typer.Typer(pretty_exceptions_enable=False)
+    app.command(context_settings={"help_option_names": ["-h", "--help"]})(experiment)
+    run_app(app)

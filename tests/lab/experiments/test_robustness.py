@@ -1,0 +1,261 @@
+"""The robustness experiment in its smallest size: evaluated, written, resumed."""
+
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from lab.experiments import robustness_page as page
+from lab.experiments.robustness import UNDISTURBED, RobustnessDesign, file_name
+from lab.experiments.robustness_page import read_table
+from lab.experiments.runner import perform, run_experiment
+from spikedeploy.comparison.evaluation import compare_policies
+from spikedeploy.comparison.lineup import Entry
+from spikedeploy.envs.disturbances import kinds_of
+from spikedeploy.jobs import resumable
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.faults import FAULTS, faults
+from spikedeploy.seeds import EVALUATION
+from spikedeploy.trainers.train import train
+from tests.job_functions import in_this_process
+
+ENV = "kart-grid"
+PARTS = (UNDISTURBED, "lidar-noise", "dead-neurons", "lost-spikes")
+
+
+@pytest.fixture(scope="module")
+def ran():
+    """The names of the jobs that ran, each in this process."""
+    names = []
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(resumable, "run", in_this_process(names))
+        yield names
+
+
+@pytest.fixture(scope="module")
+def design(tmp_path_factory):
+    runs = str(tmp_path_factory.mktemp("robustness") / "runs")
+    return RobustnessDesign(runs=runs, episodes=3, limit=15, env=ENV, specimens=2)
+
+
+@pytest.fixture(scope="module")
+def results(design, ran, tmp_path_factory):
+    """The folder of the page of some parts."""
+    folder = tmp_path_factory.mktemp("results")
+    outcome = run_experiment(design, PARTS, 1, folder)
+    assert (outcome.done, outcome.of, outcome.failed) == (4, len(design.names), {})
+    return folder
+
+
+def rows(results):
+    return read_table(results / "robustness" / f"{ENV}.csv")
+
+
+def test_the_line_up_is_the_ann_a_small_float_network_and_spiking_policies_on_the_chip(design):
+    labels = [tested.label for tested in design.policies]
+    assert labels[:3] == ["ann", "small", "linear"]
+    assert "snn · loihi1" in labels[3:]
+    assert all(label.endswith("· loihi1") for label in labels[3:])
+
+
+def test_a_part_is_every_disturbance_of_the_world_and_every_fault(design, results, ran):
+    assert design.names == [UNDISTURBED, *kinds_of("kart"), *FAULTS]
+    assert ran[:4] == list(PARTS)
+
+
+def test_faults_are_of_chips_and_disturbances_of_all(design, results):
+    policies = {tested.label for tested in design.policies}
+    spiking = {tested.label for tested in design.policies if tested.chip}
+    by_name = {
+        name: {row["policy"] for row in rows(results) if row["name"] == name}
+        for name in (*PARTS[1:], None)
+    }
+    assert by_name[None] == by_name["lidar-noise"] == policies
+    assert by_name["dead-neurons"] == by_name["lost-spikes"] == spiking
+
+
+def test_every_row_has_every_level_and_every_episode(results):
+    of_part = [row for row in rows(results) if row["name"] == "dead-neurons"]
+    assert {row["level"] for row in of_part} == {1, 2, 3}
+    assert {len(row["returns"]) for row in rows(results)} == {3}
+    assert {tuple(row["groups"]) for row in of_part} == {(0, 1, 0)}
+    assert all(0 < row["hit"] <= row["of"] for row in of_part)
+
+
+def test_a_row_is_what_compare_says_of_the_same_episodes(results, design):
+    options = {"disturb": ["lidar-noise:2"], "max_steps": 15}
+    seeds = range(EVALUATION, EVALUATION + 3)
+    entry = next(Entry(tested.candidate, tested.chip) for tested in design.policies if tested.chip)
+    compared = compare_policies(ENV, [entry], seeds, 1, options)
+    (row,) = (
+        row
+        for row in rows(results)
+        if (row["name"], row["level"], row["policy"]) == ("lidar-noise", 2, entry.label)
+    )
+    np.testing.assert_allclose(row["returns"], compared.rows[0].returns, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["dead-neurons", "lost-spikes"])
+def test_a_faulty_row_is_what_compare_says_of_the_same_chip(results, design, name):
+    tested = next(tested for tested in design.policies if tested.chip)
+    (row,) = (
+        row
+        for row in rows(results)
+        if (row["name"], row["level"], row["policy"]) == (name, 3, tested.label)
+    )
+    for specimen, places in enumerate([(0, 2), (1,)]):
+        broken = replace(tested.candidate, faults=faults([f"{name}:3"], specimen))
+        seeds = [EVALUATION + place for place in places]
+        entry = Entry(broken, tested.chip)
+        compared = compare_policies(ENV, [entry], seeds, 1, {"max_steps": 15})
+        got = [row["returns"][place] for place in places]
+        np.testing.assert_allclose(got, compared.rows[0].returns, rtol=1e-6)
+
+
+def test_the_share_that_is_kept_is_of_the_same_policy_undisturbed(results):
+    calm = {row["policy"]: row for row in rows(results) if row["part"] == UNDISTURBED}
+    for row in rows(results):
+        if row["kept"] is not None:
+            expected = np.mean(row["returns"]) / np.mean(calm[row["policy"]]["returns"])
+            assert row["kept"] == pytest.approx(expected, rel=1e-5)
+            assert row["kept_low"] <= row["kept_high"]
+
+
+def test_what_is_done_is_not_done_again_and_what_has_changed_is(design, results, ran):
+    before = len(ran)
+    run_experiment(design, PARTS, 1, results)
+    assert len(ran) == before
+    row = design.stored(design.conditions("lidar-noise")[1], design.policies[0])
+    row.file.unlink()
+    run_experiment(design, PARTS, 1, results)
+    assert ran[before:] == ["lidar-noise"]
+    assert replace(design, episodes=4).is_missing("lidar-noise")
+    assert replace(design, chip="loihi2").is_missing("dead-neurons")
+    assert not replace(design, specimens=3).is_missing("lidar-noise")
+    assert replace(design, specimens=3).is_missing("dead-neurons")
+
+
+def test_the_page_can_be_written_again_from_its_tables(design, results):
+    text = (results / "robustness.md").read_text(encoding="utf-8")
+    assert f"## {ENV}" in text
+    assert "parts are missing" in text
+    for name in (*PARTS[1:], "undisturbed"):
+        assert name in text.lower()
+    empty = replace(design, runs=str(results / "none"))
+    empty.write(results)
+    assert (results / "robustness.md").read_text(encoding="utf-8") == text
+
+
+def row_of(policy, kind, name, kept, part="disturbance"):
+    return {
+        "policy": policy, "kind": kind, "part": part, "name": name, "level": 2, "kept": kept,
+        "kept_low": kept - 0.1, "kept_high": kept + 0.1,
+    }  # fmt: skip
+
+
+def test_the_page_says_where_the_ann_keeps_enough_and_the_spiking_policy_does_not():
+    found = page.sentences(
+        [
+            row_of("ann", "ann", "noise", 0.95),
+            row_of("snn", "snn", "noise", 0.5),
+            row_of("ann", "ann", "delay", 0.6),
+            row_of("snn", "snn", "delay", 0.4),
+            row_of("snn", "snn", "lost-spikes", 0.91, "fault"),
+        ]
+    )
+    assert "under 0 of 2 disturbances at level 2; less under noise 50% [40, 60], delay" in found[0]
+    assert "under 1 of 1 faults at level 2." in found[1]
+    assert "Where ann keeps 90%" in found[2]
+    assert found[2].endswith("noise (50% [40, 60] against 95% [85, 105]).")
+
+
+def test_the_page_says_so_where_there_is_no_such_case():
+    found = page.sentences([row_of("ann", "ann", "noise", 0.8), row_of("snn", "snn", "noise", 0.5)])
+    assert found[-1] == "* Wherever ann keeps 90% at level 2, snn does."
+
+
+def test_a_policy_that_earns_nothing_keeps_no_share():
+    nothing = {"policy": "p", "part": UNDISTURBED, "returns": [0.0, 0.0], "groups": [0, 1]}
+    rows = page.with_kept([nothing, nothing | {"part": "disturbance"}])
+    assert all("kept" not in row for row in rows)
+    assert page.kept(rows[1]) == "–"
+
+
+def test_options_of_other_experiments_are_refused():
+    with pytest.raises(ConfigError, match="robustness has no seeds"):
+        RobustnessDesign.of({"env": ENV, "seeds": 2})
+    with pytest.raises(ConfigError, match="needs an environment"):
+        RobustnessDesign.of({})
+    with pytest.raises(ConfigError, match="no environment 'moon'"):
+        RobustnessDesign.of({"env": "moon"})
+    with pytest.raises(ConfigError, match="CartPole-v1 are shipped: name yours"):
+        RobustnessDesign.of({"env": "CartPole-v1"})
+    with pytest.raises(ConfigError, match="--policies random is built in"):
+        RobustnessDesign.of({"env": "CartPole-v1", "policies": ["random"]})
+    with pytest.raises(ConfigError, match="was made for"):
+        RobustnessDesign.of({"env": "CartPole-v1", "policies": ["kart-grid/snn"]})
+    with pytest.raises(ConfigError, match="two are called snn"):
+        RobustnessDesign.of({"env": ENV, "policies": ["kart-grid/snn,kart-grid/snn"]})
+    assert RobustnessDesign.of({"env": ENV, "quick": True}).episodes == 2
+    assert RobustnessDesign.of({"env": ENV, "quick": True, "episodes": 4}).episodes == 4
+
+
+def test_shipped_policies_can_be_chosen():
+    found = RobustnessDesign.of({"env": ENV, "policies": ["kart-grid/snn,kart-grid/ann"]}).policies
+    assert [tested.label for tested in found] == ["ann", "snn · loihi1"]
+
+
+@pytest.mark.parametrize(("env", "kind"), [("tests.own_env:Reach", "losing"), ("CartPole-v1", "")])
+def test_policies_of_other_environments_are_disturbed_and_broken_too(
+    env, kind, ran, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    small = [
+        "steps=64", "env.count=2", "horizon=16", "epochs=1", "minibatch=16", "critic_hidden=[8]",
+        "policy.hidden=[8,8]", "policy.timesteps=2", "policy.populations=2", "validation.every=64",
+        "validation.episodes=1",
+    ]  # fmt: skip
+    train("ppo-snn", env=env, overrides=small, quiet=True)
+    design = RobustnessDesign.of({"env": env, "policies": ["last"], "quick": True, "episodes": 2})
+    parts = ("undisturbed", "noise", "command-delay", "lost-spikes")
+    outcome = run_experiment(design, parts, 1, tmp_path / "results")
+    assert (outcome.done, outcome.failed) == (4, {})
+    text = (tmp_path / "results/robustness.md").read_text(encoding="utf-8")
+    assert f"## {env}" in text
+    assert "--policies runs/" in text
+    assert ("cells are mean returns" in text) == bool(kind)
+    rows = read_table(tmp_path / "results/robustness" / f"{file_name(env)}.csv")
+    assert {row["name"] for row in rows} == {None, *parts[1:]}
+    assert {row["success_rate"] for row in rows} <= ({None} if kind else {0.0, 0.5, 1.0})
+
+
+def test_one_of_several_levels_has_no_noise_and_no_bias(tmp_path):
+    design = RobustnessDesign(env="tests.own_env:Levels", files=("policy.nir",))
+    assert design.names[:4] == [UNDISTURBED, "dropout", "delay", "command-delay"]
+    with_numbers = RobustnessDesign(env="tests.own_env:Dials", files=("policy.nir",))
+    assert with_numbers.names[1:3] == ["noise", "bias"]
+
+
+def test_the_command_runs_a_quick_look(ran, tmp_path, monkeypatch, lab):
+    monkeypatch.chdir(tmp_path)
+    words = ["experiment", "robustness", ENV, "--quick", "--only", "undisturbed", "--json"]
+    code, out, _ = lab(*words)
+    assert (code, json.loads(out)["done"]) == (0, 1)
+    assert (tmp_path / "runs" / "robustness-quick" / "robustness.md").is_file()
+
+
+def test_a_job_makes_the_rows_of_its_parts(design, results):
+    assert perform("robustness", asdict(design), ["undisturbed"])
+
+
+@pytest.mark.parametrize("policy", ["bad.onnx", "nowhere"])
+def test_robustness_of_a_broken_policy_is_a_sentence(policy, tmp_path, lab, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.onnx").write_text("no onnx")
+    words = ("experiment", "robustness", "CartPole-v1", "--policies", policy)
+    code, _, err = lab(*words)
+    assert code == 2
+    assert ("bad.onnx" if policy == "bad.onnx" else "no policy at 'nowhere'") in err
+    assert "Traceback" not in err

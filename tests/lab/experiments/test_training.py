@@ -1,0 +1,403 @@
+"""A training does what is missing, and nothing twice: found, resumed, started, or refused."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lab.experiments.kart import KartTraining
+from lab.experiments.pareto import BEST, ParetoDesign, StudentTraining, operations_of
+from lab.experiments.runner import run_experiment
+from lab.experiments.training import counters
+from spikedeploy.jobs import resumable
+from spikedeploy.policies.registry import find
+from spikedeploy.runtime.errors import ChipError, ConfigError
+from spikedeploy.trainers import train
+from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.run_folder import RunFolder
+from tests import toy_race_env
+
+QUICK = ("steps=1024", "policy.timesteps=8")
+
+
+@pytest.fixture
+def race(monkeypatch):
+    toy_race_env.install(monkeypatch, "kart-grid")
+
+
+def make(folder, **changes):
+    plain = {
+        "recipe": "smoke-kart", "seed": 1, "folder": str(folder), "overrides": QUICK,
+        "episodes": 3, "chip": "loihi1", **changes,
+    }  # fmt: skip
+    return KartTraining(f"smoke-kart-s{plain['seed']}", **plain)
+
+
+def count(monkeypatch, name):
+    """Count the calls of a method of trainings."""
+    calls, function = [], getattr(KartTraining, name)
+    monkeypatch.setattr(KartTraining, name, lambda *given: calls.append(1) or function(*given))
+    return calls
+
+
+def test_a_trial_is_trained_exported_and_evaluated(race, tmp_path):
+    one = make(tmp_path)
+    assert (one.run, one.is_trained, one.is_done) == (None, False, False)
+    assert one.perform()
+    assert one.run.name.startswith("smoke-kart-s1-")
+    assert counters(one.run)["env_steps"] == 1024
+    assert [row["chip"] for row in one.evaluation["rows"]] == ["float", "loihi1"]
+    assert all(row["episodes"] == 3 for row in one.evaluation["rows"])
+    # 2-8-8-4 with biases
+    assert one.evaluation["parameters"] == 2 * 8 + 8 + 8 * 8 + 8 + 8 * 4 + 4
+    assert find(str(one.run / "policy.nir")).kind == "snn"
+
+
+def test_what_is_done_is_not_done_again(race, monkeypatch, tmp_path):
+    one = make(tmp_path)
+    one.perform()
+    trained, evaluated = count(monkeypatch, "_train"), count(monkeypatch, "_evaluate")
+    assert one.perform()
+    assert (trained, evaluated) == ([], [])
+    more = make(tmp_path, episodes=4)
+    assert not more.is_done
+    more.perform()
+    assert (trained, evaluated) == ([], [1])
+    assert more.evaluation["rows"][0]["episodes"] == 4
+
+
+def test_a_longer_budget_goes_on_with_the_same_run(race, tmp_path):
+    one, longer = make(tmp_path), make(tmp_path, overrides=(*QUICK[1:], "steps=1280"))
+    one.perform()
+    assert not longer.is_trained
+    longer.perform()
+    assert longer.run == one.run
+    assert counters(longer.run)["env_steps"] == 1280
+    assert longer.is_done
+
+
+def test_an_interrupted_training_goes_on_where_it_stopped(race, monkeypatch, tmp_path):
+    from spikedeploy.trainers.train import Interrupt
+
+    asked = iter([False, False, False, True])
+    monkeypatch.setattr(Interrupt, "__call__", lambda self: next(asked, False))
+    one = make(tmp_path)
+    assert not one.perform()
+    steps, run = counters(one.run)["env_steps"], one.run
+    assert 0 < steps < 1024
+    assert one.perform()
+    assert one.run == run
+    ends = [row["env_steps"] for row in read(run / "episodes.csv")]
+    assert ends == sorted(ends)
+
+
+def test_a_training_killed_before_its_first_checkpoint_begins_anew(race, tmp_path):
+    one = make(tmp_path)
+    one.perform()
+    for file in (*(one.run / "checkpoints").iterdir(), *one.run.glob("policy.*")):
+        file.unlink()
+    (one.run / "evaluation.json").unlink()
+    rows = len(read(one.run / "episodes.csv"))
+    assert one.perform()
+    assert len(read(one.run / "episodes.csv")) == rows
+    assert len(list(tmp_path.glob("smoke-kart-s1-*"))) == 1
+
+
+def test_enough_finishes_end_a_training(race, tmp_path):
+    one = make(tmp_path, overrides=(*QUICK, "env.options.luck=6", "stop_at_finishes=4"))
+    one.perform()
+    assert one.is_trained
+    assert 4 <= len(one.finishes) < 20
+    assert counters(one.run)["env_steps"] < 1024
+    assert one.evaluation["rows"][0]["success_rate"] == 1  # evaluated in the same world
+
+
+def test_a_run_of_an_older_recipe_is_found_out(race, monkeypatch, tmp_path):
+    from spikedeploy.trainers.recipes import RECIPES, Recipe, merged
+
+    one = make(tmp_path)
+    one.perform()
+    assert one.changed_settings == []
+    old = RECIPES["smoke-kart"]
+    newer = Recipe(old.algorithm, old.summary, merged(old.settings, {"gamma": 0.5}))
+    monkeypatch.setitem(RECIPES, "smoke-kart", newer)
+    assert one.changed_settings == [f"gamma={one.config.gamma}"]
+
+
+def test_seeds_and_recipes_do_not_take_each_other_for_themselves(race, tmp_path):
+    one, eleven = make(tmp_path, seed=1), make(tmp_path, seed=11)
+    eleven.perform()
+    assert one.run is None
+    assert eleven.run is not None
+
+
+@pytest.mark.parametrize(
+    ("shares", "reached"),
+    [
+        ((0.0, 0.95, 1.0, 0.0), 20),
+        ((0.95, 0.9, 0.95, 0.95), 30),  # the first did not hold
+        ((0.0, 0.9, 0.0, 0.95), 40),  # the last one has none after it
+        ((0.95, 0.9, 0.95, 0.9), np.inf),
+        ((), np.inf),
+    ],
+)
+def test_greedy_episodes_must_finish_in_two_validations(race, tmp_path, shares, reached):
+    one = make(tmp_path)
+    run = RunFolder.create(tmp_path, one.planned()).path
+    rows = "".join(f"{k}0,{share}\n{k}5,\n" for k, share in enumerate(shares, 1))
+    (run / "metrics.csv").write_text("env_steps,eval_finish\n" + rows)
+    assert one.steps_to_greedy(0.95) == reached
+
+
+def test_both_limits_must_be_reached_where_both_are_set(race, tmp_path):
+    both = make(tmp_path, overrides=(*QUICK, "stop_at_finishes=4", "stop_at_greedy=0.95"))
+    make(tmp_path, overrides=QUICK).perform()
+    last = both.run / "checkpoints/last.json"
+    for found, trained in (
+        ({"finishes": 4, "held": 1}, False),
+        ({"finishes": 3, "held": 2}, False),
+        ({"finishes": 4, "held": 2}, True),
+        ({"finishes": 4}, False),  # of a run before there was such a limit
+    ):
+        last.write_text(json.dumps({"env_steps": 512, **found}))
+        assert both.is_trained == trained
+
+
+def test_a_broken_export_is_not_evaluated(race, monkeypatch, tmp_path):
+    from spikedeploy.exporters.check import ParityCheck
+    from spikedeploy.runtime.errors import SpikedeployError
+
+    monkeypatch.setattr(
+        "spikedeploy.shipping.export_run.check",
+        lambda *_: [ParityCheck("spikes", False, "3 differ")],
+    )
+    one = make(tmp_path)
+    with pytest.raises(SpikedeployError, match=r"does not do what .*: spikes"):
+        one.perform()
+    assert one.is_trained
+    assert not one.is_done
+
+
+# students of teachers
+
+ENV = "kart-grid"
+
+
+def student(name, folder, overrides=()):
+    recipe = f"{ENV}-{name}"
+    return StudentTraining(f"{recipe}-s1", recipe, 1, str(folder), overrides, student=name)
+
+
+@pytest.fixture
+def asked(tmp_path):
+    return student("sparse", tmp_path, ("walks=7",))
+
+
+@pytest.fixture
+def baseline(tmp_path):
+    return replace(student("small-mlp", tmp_path), parents={"pool": student("sparse", tmp_path)})
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """What the trainer was asked for; it does nothing."""
+    found = []
+    monkeypatch.setattr(train, "train", lambda *words, **options: found.append((words, options)))
+    return found
+
+
+def leave(asked, finished, *, seed=1, **more):
+    """A run folder; with a checkpoint if it is said whether it finished."""
+    config = asked.planned().model_copy(update={"seed": seed, **more})
+    run = RunFolder.create(asked.folder, config).path
+    if finished is not None:
+        (run / "checkpoints/last.json").write_text(json.dumps({"finished": finished}))
+    return run
+
+
+def test_a_training_that_is_missing_is_started_with_its_settings(asked, calls):
+    assert asked.complete() is False  # the trainer of this test makes no updates
+    ((words, options),) = calls
+    assert words == ("kart-grid-sparse",)
+    assert (options["seed"], options["overrides"]) == (1, ["walks=7"])
+
+
+def test_an_unfinished_training_is_resumed(asked, calls):
+    leave(asked, True, seed=2)  # of another seed
+    run = leave(asked, False)
+    assert asked.complete() is False
+    assert calls[0][1]["resume"] == run
+
+
+def test_a_run_without_a_checkpoint_is_started_anew(asked, calls):
+    run = leave(asked, None)
+    asked.complete()
+    assert "resume" not in calls[0][1]
+    assert not run.exists()
+
+
+def test_a_finished_training_is_reused_whatever_lies_beside_it(asked, calls):
+    run = leave(asked, True)
+    leave(asked, False)
+    assert asked.complete() is True
+    assert (asked.run, calls) == (run, [])
+
+
+def test_a_baseline_takes_over_the_walks_of_the_finished_spiking_run(baseline, asked, calls):
+    with pytest.raises(
+        ConfigError,
+        match="needs kart-grid-sparse-s1, which is not trained yet",
+    ):
+        baseline.complete()
+    run = leave(asked, True)
+    baseline.complete()
+    assert calls[0][1]["overrides"] == [f'pool="{run}"', "teacher_walks=0", "noisy_walks=0"]
+
+
+def test_settings_that_are_not_the_recipes_are_named(asked):
+    leave(asked, True)
+    assert asked.changed_settings == []
+    now = replace(asked, overrides=("walks=8",))
+    assert now.changed_settings == ["walks=7"]
+
+
+def test_levels_begin_with_the_most_operations(asked):
+    run = leave(asked, True)
+    for name in ("ops-70", "ops-105", "ops-1e+03", "best", "last"):
+        (run / f"checkpoints/{name}.safetensors").touch()
+    assert asked.levels == ["ops-1e+03", "ops-105", "ops-70"]
+    assert operations_of("ops-1e+03") == 1000
+
+
+# with reward
+
+
+def tuned(start, level=BEST):
+    at = (f"start_checkpoint={level}",)
+    name = f"{ENV}-tuned-{start.student}{'' if level == BEST else f'-{level}'}-s1"
+    overrides = ("iterations=5", *(() if level == BEST else at))
+    return StudentTraining(
+        name, f"{ENV}-sparse-tuned", 1, start.folder, overrides, {"start": start}, at,
+        start.student, level,
+    )  # fmt: skip
+
+
+def test_a_training_with_reward_waits_for_its_start_and_begins_there(asked, calls):
+    with pytest.raises(ConfigError, match="kart-grid-tuned-sparse-s1 needs kart-grid-sparse-s1"):
+        tuned(asked).complete()
+    run = leave(asked, True)
+    assert tuned(asked).complete() is False
+    ((words, options),) = calls
+    assert words == ("kart-grid-sparse-tuned",)
+    assert (options["seed"], options["overrides"]) == (1, ["iterations=5", f'start="{run}"'])
+
+
+def test_runs_with_reward_are_told_apart_by_the_runs_that_they_began_at(asked, baseline, calls):
+    starts = {}
+    starts["asked"] = leave(asked, True)
+    starts["baseline"] = leave(baseline, True, pool=str(starts["asked"]))
+    leave(tuned(asked), None)  # refused, and left without a start
+    leave(tuned(asked), True, start="gone-s1")
+    mine = leave(tuned(asked), True, start=starts["asked"].name)
+    theirs = leave(tuned(baseline), False, start=starts["baseline"].name)
+    assert (tuned(asked).run, tuned(baseline).run) == (mine, theirs)
+    assert (tuned(asked).is_trained, tuned(baseline).is_trained) == (True, False)
+    assert tuned(asked).complete() is True
+    assert calls == []
+    tuned(baseline).complete()
+    assert calls[0][1]["resume"] == theirs
+
+
+def test_reward_from_an_earlier_level_of_pruning_is_a_training_of_its_own(asked, calls):
+    run = leave(asked, True)
+    plain, early = tuned(asked), tuned(asked, "ops-45")
+    assert early.aim("best") == 45
+    mine = leave(plain, True, start=run.name)
+    assert (plain.run, early.run) == (mine, None)
+    assert early.complete() is False
+    assert calls[0][1]["overrides"] == [
+        "iterations=5", "start_checkpoint=ops-45", f'start="{run}"'
+    ]  # fmt: skip
+    theirs = leave(early, True, start=run.name)
+    assert (plain.run, early.run) == (mine, theirs)
+    assert early.changed_settings == []
+
+
+def test_the_command_tasks_baseline_goes_on_from_300_operations_too(tmp_path):
+    names = [each.name for each in ParetoDesign(1, str(tmp_path), env="hexapod-command").tunings()]
+    baselines = [name for name in names if "small-mlp" in name]
+    assert baselines == [f"hexapod-command-tuned-small-mlp{x}-s0" for x in ("", "-ops-300")]
+
+
+def test_settings_of_trainings_with_reward_have_a_name_of_their_own(tmp_path):
+    settings = ("walks=7", "tuned.iterations=9", "env.options.laps=2")
+    design = ParetoDesign(1, str(tmp_path), settings, env=ENV)
+    assert design._overrides(False) == ("walks=7", "env.options.laps=2")
+    assert design._overrides(True) == ("iterations=9", "env.options.laps=2")
+    assert design.tunings()[0].planned().iterations == 9
+    names = [each.name for each in ParetoDesign(2, str(tmp_path), env=ENV).trainings()]
+    assert names[4:7] == [
+        "kart-grid-small-linear-s0", "kart-grid-tuned-sparse-s0",
+        "kart-grid-tuned-sparse-linear-s0",
+    ]  # fmt: skip
+    assert names[9] == "kart-grid-sparse-s1"
+
+
+# refused before anything runs
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """The names of the jobs that were started; they do nothing."""
+    names = []
+    monkeypatch.setattr(
+        resumable, "run", lambda jobs, *_: names.extend(job.name for job in jobs) or True
+    )
+    monkeypatch.setattr(ParetoDesign, "write", lambda design, results: [results / "pareto.md"])
+    return names
+
+
+def test_an_unknown_chip_is_refused_with_the_design(tmp_path):
+    with pytest.raises(ChipError, match="no chip 'nope'"):
+        ParetoDesign.of({"env": "kart-grid", "chip": "nope", "runs": str(tmp_path)})
+
+
+@pytest.mark.parametrize(
+    ("only", "missing"),
+    [
+        ("kart-grid-sparse-linear-s0", "needs kart-grid-sparse-s0, which is not trained yet"),
+        ("kart-grid-tuned-sparse-s0", "needs kart-grid-sparse-s0, which is not trained yet"),
+        ("kart-grid-sparse-s0: levels", "needs kart-grid-sparse-s0, which is not trained yet"),
+    ],
+)
+def test_a_part_whose_training_before_is_missing_is_refused_at_the_start(
+    only, missing, started, tmp_path
+):
+    design = ParetoDesign(1, str(tmp_path / "runs"), quick=True, env=ENV)
+    with pytest.raises(ConfigError, match=missing):
+        run_experiment(design, [only], 1, tmp_path / "results")
+    assert started == []
+    assert not list(tmp_path.iterdir())
+    run_experiment(design, [only, "kart-grid-sparse-s0"], 1, tmp_path / "results")
+    assert {"kart-grid-sparse-s0", only} <= set(started)
+
+
+def test_a_part_of_a_training_that_is_there_needs_nothing_more(started, asked, tmp_path):
+    leave(asked, True)
+    design = ParetoDesign(2, str(tmp_path), asked.overrides, env=ENV)
+    run_experiment(design, ["kart-grid-sparse-linear-s1"], 1, tmp_path / "results")
+    assert started[0] == "kart-grid-sparse-linear-s1"
+
+
+def test_files_in_place_of_folders_are_refused_at_the_start(started, tmp_path):
+    (file := tmp_path / "file").touch()
+    for runs, results, option in (
+        (file, tmp_path / "results", "--runs"),
+        (tmp_path / "runs", file, "--output"),
+        (tmp_path / "runs", file / "results", "--output"),
+    ):
+        design = ParetoDesign(1, str(runs), quick=True, env=ENV)
+        with pytest.raises(ConfigError, match=rf"{option} .*: .*file is a file\. Name a folder"):
+            run_experiment(design, (), 1, results)
+    assert started == []
