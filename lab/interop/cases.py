@@ -110,7 +110,8 @@ def compared(theirs: Layers, ours: Layers) -> Row:
 
     Names need not agree: what is written for Norse may have others.
     """
-    total, differ, first = 0, 0, None
+    total, differ = 0, 0
+    first: list[Any] | None = None
     *layers, (_, output) = zip(theirs.values(), ours.items(), strict=True)
     for found, (name, wanted) in layers:
         unequal = found != wanted
