@@ -8,8 +8,9 @@ metadata         metadata of a `.nir` file, and the provenance of a policy
 convention       dt, reset, integrator, delay: what NIR leaves open
 graph/           the NIR graph: neurons, order, shapes, validation
 codec/           observations to spikes, network output to actions
-artifact/        the `.nir` file: reading, writing, how other tools read it
-float_model/     the graph in floating point: the reference
+dialects/        what other tools mean by a NIR file
+artifact/        the `.nir` file: reading and writing
+float_model      the graph in floating point: the reference
 chips/           datasheets
 design_rules/    what a chip can hold, and where the network stands against it
 compiler/        graph and chip to an integer program
@@ -31,7 +32,7 @@ EXPORTS = {
     "DeltaEncoder": "spikedeploy.runtime.codec.delta:DeltaEncoder",
     "FloatGraph": "spikedeploy.runtime.float_model:FloatGraph",
     "Normaliser": "spikedeploy.runtime.codec.codec:Normaliser",
-    "PRESETS": "spikedeploy.runtime.artifact.presets.preset:PRESETS",
+    "PRESETS": "spikedeploy.runtime.dialects.dialect:PRESETS",
     "PopulationEncoder": "spikedeploy.runtime.codec.population:PopulationEncoder",
     "Provenance": "spikedeploy.runtime.metadata:Provenance",
     "RateEncoder": "spikedeploy.runtime.codec.rate:RateEncoder",

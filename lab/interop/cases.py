@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from lab.interop.tools import PEERS, OtherTool, answers, versions
 from spikedeploy import zoo
 from spikedeploy.exporters.check import random_spikes
-from spikedeploy.exporters.importers.rewritten import arguments, for_importer
 from spikedeploy.files import as_text, write_text
-from spikedeploy.runtime.artifact.artifact import Artifact, load, save
+from spikedeploy.runtime.artifact.artifact import Artifact, for_importer, load, save
+from spikedeploy.runtime.dialects.rewriting import arguments
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import ports

@@ -6,6 +6,4 @@ or as another tool reads them.
 artifact         the artifact, loading, saving, and its digest
 hdf5             the graph in an HDF5 container, checked and read node by node
 nir_data         recorded spikes as other tools exchange them
-presets/         how other tools read the same file
-writers/         what other tools mean by the files that they write
 """

@@ -11,10 +11,10 @@ import numpy as np
 
 from spikedeploy.files import replacing
 from spikedeploy.runtime.artifact.hdf5 import read_graph, write_graph
-from spikedeploy.runtime.artifact.presets.preset import read_like
-from spikedeploy.runtime.artifact.writers.writer import read_as_written
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.convention import Convention, Floor, Integrator, Reset, Spikes, State
+from spikedeploy.runtime.dialects.dialect import read_as_written, read_like
+from spikedeploy.runtime.dialects.rewriting import rewrite_for
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
 from spikedeploy.runtime.graph.neurons import (
     NEURONS,
@@ -134,6 +134,17 @@ def load(
         return Artifact(graph, None, infer_convention(graph, given))
     except (ArtifactError, ConventionError) as error:
         raise type(error)(f"{path}: {error}") from error
+
+
+def for_importer(artifact: Artifact, tool: str) -> Artifact:
+    """The artifact that a tool reads as this one's network; ConventionError where it cannot."""
+    if artifact.sigma_delta:
+        raise ConventionError(
+            f"--for {tool}: it would sum up what sigma-delta neurons rectify and round. Without "
+            "--for the network is written as it is."
+        )
+    graph, convention = rewrite_for(artifact.graph, artifact.convention, tool)
+    return replace(artifact, graph=graph, convention=convention)
 
 
 def digest(artifact: Artifact) -> str:

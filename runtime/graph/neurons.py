@@ -181,7 +181,7 @@ def infer_timestep(graph: nir.NIRGraph) -> _InferredTimestep:
     if not np.isfinite(candidates).all() or not candidates.min() > 0:
         return _InferredTimestep(None, "tau/r is too large or too small for float64")
     tolerance = max(_rounding(node) for node in neurons.values())
-    dt = _rounded(float(np.median(candidates)), tolerance)
+    dt = rounded_timestep(float(np.median(candidates)), tolerance)
     for name, node in neurons.items():
         if contradiction := _contradiction(node, dt, tolerance):
             return _InferredTimestep(None, f"in node {name!r} {contradiction}")
@@ -230,8 +230,8 @@ def _candidates(node: nir.NIRNode) -> NDArray[np.float64]:
         return np.ravel(tau / node.r)
 
 
-def _rounded(dt: float, tolerance: float) -> float:
-    """The dt to four digits, where only the rounding of the file's dtype distinguishes them."""
+def rounded_timestep(dt: float, tolerance: float) -> float:
+    """The dt [s] to four digits, where only the rounding of the file's dtype distinguishes them."""
     short = float(f"{dt:.4g}")
     return short if abs(short / dt - 1) <= tolerance else dt
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from spikedeploy.emulation.open_loop import emulate_artifact
 from spikedeploy.emulation.rasters import Raster, read_inputs, read_rasters
 from spikedeploy.runtime.artifact.artifact import Artifact, load
-from spikedeploy.runtime.artifact.writers.writer import WRITERS
+from spikedeploy.runtime.dialects.dialect import WRITERS
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.convention import Integrator, Reset, Spikes
 from spikedeploy.runtime.errors import ObservationError, SpikedeployError

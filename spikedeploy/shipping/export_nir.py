@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from spikedeploy.exporters.check import CheckedFile, MismatchCounter, ParityCheck, random_spikes
-from spikedeploy.exporters.importers.rewritten import arguments, for_importer
 from spikedeploy.outputs import check_output
-from spikedeploy.runtime.artifact.artifact import Artifact, load, save
+from spikedeploy.runtime.artifact.artifact import Artifact, for_importer, load, save
+from spikedeploy.runtime.dialects.rewriting import arguments
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import ports
@@ -28,7 +28,7 @@ def export_nir(
     """Write a policy's network for a tool, and compare it with the policy on random spikes.
 
     policy: .nir file, shipped policy, run folder, its name under runs/, or "last".
-    tool: of exporters.importers.rewritten.IMPORTERS; None leaves the scaling as it is.
+    tool: of runtime.dialects.rewriting.IMPORTERS; None leaves the scaling as it is.
     older: release of `nir` that must be able to open the file.
     timesteps: on which the networks are compared.
     options: of artifact.load, such as written_by.

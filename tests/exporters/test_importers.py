@@ -7,10 +7,10 @@ import nir
 import numpy as np
 import pytest
 
-from spikedeploy.exporters.importers.rewritten import IMPORTERS, for_importer
-from spikedeploy.exporters.importers.visits import visits
-from spikedeploy.runtime.artifact.artifact import Artifact, load, save
+from spikedeploy.runtime.artifact.artifact import Artifact, for_importer, load, save
 from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.dialects.norse import visits
+from spikedeploy.runtime.dialects.rewriting import IMPORTERS
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ConventionError
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, cuba, graph, lif, popsan, spiking_mlp

@@ -64,8 +64,7 @@ def test_what_is_written_for_a_tool_has_the_same_spikes_there(tool, tmp_path):
     installed("nirtorch")
     installed(tool)
     from lab.interop.cases import compared, meant
-    from spikedeploy.exporters.importers.rewritten import for_importer
-    from spikedeploy.runtime.artifact.artifact import Artifact, load, save
+    from spikedeploy.runtime.artifact.artifact import Artifact, for_importer, load, save
     from spikedeploy.runtime.convention import Convention
     from tests.networks import lif
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
-from spikedeploy.runtime.artifact.presets.preset import PRESETS, preset, read_like
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.dialects.dialect import PRESETS, preset, read_like
 from spikedeploy.runtime.errors import ConventionError, RuleError
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, cuba, lif, popsan
