@@ -35,7 +35,7 @@ os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 
 
 def _loads(library: str) -> bool:
-    """Whether a shared library can be loaded."""
+    """Return True if a shared library can be loaded."""
     try:
         ctypes.CDLL(library)
     except OSError:

@@ -93,7 +93,7 @@ class SeededWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:  # noqa: ANN401
         """A step in which commands or observations are disturbed."""
         observation, reward, terminated, truncated, info = self.env.step(self._command(action))
-        return self._observed(observation), reward, terminated, truncated, info
+        return self._observe(observation), reward, terminated, truncated, info
 
     def _begin(self, observation: FloatArray) -> FloatArray:
         """The first observation as the policy sees it."""
@@ -103,7 +103,7 @@ class SeededWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         """The action as it arrives."""
         return action
 
-    def _observed(self, observation: FloatArray) -> FloatArray:
+    def _observe(self, observation: FloatArray) -> FloatArray:
         """An observation as the policy sees it."""
         return observation
 
@@ -181,14 +181,14 @@ class _Sensors(SeededWrapper):
         space: Any = env.observation_space
         self._low, self._high = space.low[self._places], space.high[self._places]
 
-    def _observed(self, observation: FloatArray) -> FloatArray:
+    def _observe(self, observation: FloatArray) -> FloatArray:
         seen: FloatArray = observation.copy()
-        measured = self._measured(seen[self._places])
+        measured = self._measure(seen[self._places])
         seen[self._places] = np.minimum(np.maximum(measured, self._low), self._high)
         return seen
 
-    def _measured(self, values: FloatArray) -> FloatArray:
-        """What the sensors say of the true values (k,)."""
+    def _measure(self, values: FloatArray) -> FloatArray:
+        """Sensor readings (k,) of the true values (k,)."""
         raise NotImplementedError
 
 
@@ -208,9 +208,9 @@ class Noise(_Errors):
     STREAM = "noise"
 
     def _begin(self, observation: FloatArray) -> FloatArray:
-        return self._observed(observation)
+        return self._observe(observation)
 
-    def _measured(self, values: FloatArray) -> FloatArray:
+    def _measure(self, values: FloatArray) -> FloatArray:
         return values + self._scale * self.rng.normal(0.0, self.number, values.shape)
 
 
@@ -221,9 +221,9 @@ class Bias(_Errors):
 
     def _begin(self, observation: FloatArray) -> FloatArray:
         self._bias = self._scale * self.rng.normal(0.0, self.number, self._places.shape)
-        return self._observed(observation)
+        return self._observe(observation)
 
-    def _measured(self, values: FloatArray) -> FloatArray:
+    def _measure(self, values: FloatArray) -> FloatArray:
         return values + self._bias
 
 
@@ -240,7 +240,7 @@ class Dropout(_Sensors):
         self._last = observation[self._places]
         return observation
 
-    def _measured(self, values: FloatArray) -> FloatArray:
+    def _measure(self, values: FloatArray) -> FloatArray:
         lost = self.rng.random(values.shape if self._apart else ()) < self.number
         self._last = np.where(lost, self._last, values)
         return self._last
@@ -285,7 +285,7 @@ def _steps(number: float) -> int:
 
 
 class LateSensors(SeededWrapper):
-    """What sensors measured some control steps ago; the first observation until then."""
+    """Sensor readings of some control steps ago; the first observation until then."""
 
     STREAM = "delay"
 
@@ -298,7 +298,7 @@ class LateSensors(SeededWrapper):
         self._line = deque([now] * (self._delay + 1), self._delay + 1)
         return observation
 
-    def _observed(self, observation: FloatArray) -> FloatArray:
+    def _observe(self, observation: FloatArray) -> FloatArray:
         seen: FloatArray = observation.copy()
         self._line.append(observation[self._places])
         seen[self._places] = self._line[0]
@@ -425,8 +425,8 @@ DEAD_LEG = Kind(
 )
 
 
-def _moved(option: str, move: Callable[[float, float], float]) -> Change:
-    """What moves an option, or both ends of its range: a function of the end and the number."""
+def _shift_option(option: str, move: Callable[[float, float], float]) -> Change:
+    """Return a change of an option, or of both ends of its range, by move(end, number)."""
 
     def change(options: Options, number: float, default: Defaults, world: str) -> Options:
         value: Any = options[option] if option in options else default(option)
@@ -437,12 +437,12 @@ def _moved(option: str, move: Callable[[float, float], float]) -> Change:
     return change
 
 
-def _less(value: float, number: float) -> float:
+def _reduce(value: float, number: float) -> float:
     return value * (1.0 - number)
 
 
-def _weaker(options: Options, number: float, default: Defaults, world: str) -> Options:
-    change = _moved("power" if world == KART else "servo_gain", _less)
+def _weaken(options: Options, number: float, default: Defaults, world: str) -> Options:
+    change = _shift_option("power" if world == KART else "servo_gain", _reduce)
     return change(options, number, default, world)
 
 
@@ -452,7 +452,7 @@ WEAKNESS = Kind(
     levels={HEXAPOD: (0.1, 0.2, 0.4), KART: (0.1, 0.2, 0.4)},
     bounds=(0.0, 0.85),
     source="motor strength down to 80 % is what Tan et al. 2018 trained for",
-    change=_weaker,
+    change=_weaken,
 )
 PAYLOAD = Kind(
     meaning="a load on the torso",
@@ -460,7 +460,7 @@ PAYLOAD = Kind(
     levels={HEXAPOD: (0.25, 0.5, 1.0)},
     bounds=(0.0, 1.5),
     source="10, 20 and 40 % of the robot's 2.45 kg; training draws -0.1 to 0.3 kg",
-    change=_moved("payload", lambda end, number: end + number),
+    change=_shift_option("payload", lambda end, number: end + number),
 )
 SLOPE = Kind(
     meaning="ground that rises along the x axis",
@@ -468,7 +468,7 @@ SLOPE = Kind(
     levels={HEXAPOD: (3.0, 6.0, 9.0)},
     bounds=(-25.0, 25.0),
     source="chosen: 9 degrees are a grade of 16 %",
-    change=_moved("slope", lambda end, number: end + math.radians(number)),
+    change=_shift_option("slope", lambda end, number: end + math.radians(number)),
 )
 FRICTION = Kind(
     meaning="feet that slip: less friction on the ground",
@@ -477,7 +477,7 @@ FRICTION = Kind(
     bounds=(0.0, 0.95),
     source="coefficients of 0.39 to 0.7, 0.28 to 0.5 and 0.17 to 0.3, where training draws 0.55 "
     "to 1: the last is as wet tiles",
-    change=_moved("friction", _less),
+    change=_shift_option("friction", _reduce),
 )
 PUSHES = Kind(
     meaning="harder pushes, at the same times and in the same directions",
@@ -485,12 +485,12 @@ PUSHES = Kind(
     levels={HEXAPOD: (1.5, 2.0, 3.0)},
     bounds=(0.0, 10.0),
     source="of kicks of 0.125 to 0.25 m/s (hexapod) and 0.25 to 0.5 m/s (hexapod-command)",
-    change=_moved("pushes", lambda end, number: end * number),
+    change=_shift_option("pushes", lambda end, number: end * number),
 )
 
 
 def _lidar(field: str) -> Change:
-    """What sets an option of the LIDAR; the others stay as they are given."""
+    """Return a change of one option of the LIDAR; the others stay as they are given."""
 
     def change(options: Options, number: float, default: Defaults, world: str) -> Options:
         given: Any = options.get("lidar") or {}
@@ -500,7 +500,7 @@ def _lidar(field: str) -> Change:
     return change
 
 
-def _slipping(options: Options, number: float, default: Defaults, world: str) -> Options:
+def _reduce_grip(options: Options, number: float, default: Defaults, world: str) -> Options:
     before: float = options["grip"] if "grip" in options else default("grip")
     return {**options, "grip": before * (1.0 - number)}
 
@@ -528,7 +528,7 @@ GRIP = Kind(
     levels={KART: (0.8, 0.9, 0.95)},
     bounds=(0.0, 0.99),
     source="chosen: velocity follows the wheels with time constants of about 75, 158 and 325 ms",
-    change=_slipping,
+    change=_reduce_grip,
 )
 
 
@@ -567,7 +567,7 @@ class Disturbance(Request):
 
     @property
     def kind(self) -> Kind:
-        """What it is."""
+        """Its kind."""
         return DISTURBANCES[self.name]
 
 
@@ -612,7 +612,7 @@ def disturbed(
     for each in found:
         if each.kind.change is not None:
             changed = each.kind.change(changed, each.number, lambda o: _default(target, o), world)
-    return _wrapped(gymnasium.make(id_, **changed), found, options)
+    return _wrap(gymnasium.make(id_, **changed), found, options)
 
 
 def disturbed_foreign(
@@ -621,10 +621,10 @@ def disturbed_foreign(
     """The environment of somebody else, disturbed in what is observed and commanded."""
     env = make_foreign(name, options, success)
     found = disturbances(texts, name)
-    return _wrapped(env, found, env.given) if found else env
+    return _wrap(env, found, env.given) if found else env
 
 
-def _wrapped(
+def _wrap(
     env: gymnasium.Env[Any, Any], found: Sequence[Disturbance], options: Mapping[str, Any]
 ) -> Disturbed:
     for each in found:

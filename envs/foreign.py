@@ -54,9 +54,9 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         self.metadata, self.render_mode = inner.metadata, inner.render_mode
         self.spec = Registration("Adapted-v0")
         self.spec.id = name  # not above: gymnasium parses names, not targets
-        space, self._observed = _observed(name, inner.observation_space)
+        space, self._from_inner = _observation_map(name, inner.observation_space)
         self.observation_space: gymnasium.Space[Any] = space
-        self.action_space, self._acted = _acted(name, inner.action_space)
+        self.action_space, self._to_inner = _action_map(name, inner.action_space)
         self.CONTROL_DT = _period(inner)
         self._key = success
         self._threshold = inner.spec.reward_threshold if inner.spec else None
@@ -72,7 +72,7 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
 
     def step(self, action: Any) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:  # noqa: ANN401
         """Take an action (act,) in [-1, 1], or an index from 0."""
-        found, reward, terminated, truncated, info = self.inner.step(self._acted(action))
+        found, reward, terminated, truncated, info = self.inner.step(self._to_inner(action))
         self._total, self._steps = self._total + float(reward), self._steps + 1
         over = bool(terminated or truncated)
         if self._steps >= _LONGEST and not over:
@@ -92,7 +92,7 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         self.inner.close()
 
     def _seen(self, observation: Any) -> FloatArray:  # noqa: ANN401
-        vector = self._observed(observation)
+        vector = self._from_inner(observation)
         if vector.shape != self.observation_space.shape or not np.isfinite(vector).all():
             raise EnvError(
                 f"{self.name}: observation of step {self._steps} is no vector of "
@@ -112,7 +112,9 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         return {"success": bool(info.get(self._key, False))}
 
 
-def _observed(name: str, space: gymnasium.Space[Any]) -> tuple[Box, Callable[[Any], FloatArray]]:
+def _observation_map(
+    name: str, space: gymnasium.Space[Any]
+) -> tuple[Box, Callable[[Any], FloatArray]]:
     """The space of observations (obs,), and the map into it."""
     if isinstance(space, Discrete):
         rows, start = np.eye(int(space.n)), int(space.start)
@@ -136,7 +138,9 @@ def _flat(observation: Any) -> FloatArray:  # noqa: ANN401
     return np.array(observation, np.float64).reshape(-1)
 
 
-def _acted(name: str, space: gymnasium.Space[Any]) -> tuple[Box | Discrete, Callable[[Any], Any]]:
+def _action_map(
+    name: str, space: gymnasium.Space[Any]
+) -> tuple[Box | Discrete, Callable[[Any], Any]]:
     """The space of actions, (act,) in [-1, 1] or an index from 0, and the map out of it."""
     if isinstance(space, Discrete):
         start = int(space.start)
@@ -160,13 +164,13 @@ def _scaling(space: Box, low: FloatArray, high: FloatArray) -> Callable[[Any], N
     """The map from [-1, 1] (act,) to a box, in its shape and type."""
     whole = np.issubdtype(space.dtype, np.integer)
 
-    def scaled(action: Any) -> NDArray[Any]:  # noqa: ANN401
+    def scale(action: Any) -> NDArray[Any]:  # noqa: ANN401
         # a = low + (x + 1) / 2 (high - low)
         share = (np.clip(np.asarray(action, np.float64), -1.0, 1.0) + 1.0) / 2.0
         value = low + share * (high - low)
         return (np.rint(value) if whole else value).astype(space.dtype).reshape(space.shape)
 
-    return scaled
+    return scale
 
 
 def _period(env: gymnasium.Env[Any, Any]) -> float | None:
@@ -188,7 +192,7 @@ _ID = re.compile(r".+-v\d+")
 
 
 def is_target(name: str) -> bool:
-    """Whether a name is module:Class or module:Registered-v0, whose module it is to import."""
+    """Return True if a name is module:Class or module:Registered-v0, with its module to import."""
     return _TARGET.fullmatch(name) is not None
 
 
@@ -222,7 +226,7 @@ def make_foreign(name: str, options: Mapping[str, Any], success: str | None = No
     try:
         world = gymnasium.make(_registration(name), disable_env_checker=True, **given)
     except TypeError as error:
-        raise _said(name, error) from error
+        raise _explain(name, error) from error
     shown = given if success is None else {**given, "success": success}
     return AdaptedEnv(world, name, shown, success)
 
@@ -233,11 +237,11 @@ def check_target(name: str) -> None:
 
 
 def _registration(name: str) -> str | Registration:
-    """What gymnasium.make takes; the module of a target is imported here."""
+    """Return the argument of gymnasium.make; the module of a target is imported here."""
     found = _TARGET.fullmatch(name)
     if found is None:
         return name
-    module = imported(name, found[1])
+    module = import_target(name, found[1])
     if _ID.fullmatch(found[2]):
         if found[2] not in gymnasium.registry:
             raise EnvError(f"{name}: {found[1]} was imported and registers no {found[2]}")
@@ -245,7 +249,7 @@ def _registration(name: str) -> str | Registration:
     return Registration(id=name.replace("/", "."), entry_point=_maker(name, module, found[2]))
 
 
-def imported(
+def import_target(
     name: str, module: str, form: str = "ENV is module:Class, or module:Registered-v0"
 ) -> Any:  # noqa: ANN401
     """The module that a target names, from the current folder too; `form` is what targets are."""
@@ -264,7 +268,7 @@ def imported(
 
 
 def attribute(name: str, module: Any, within: str) -> Any:  # noqa: ANN401
-    """What the target `name` means in its module."""
+    """Return the object that the target `name` means in its module."""
     found = getattr(module, within, None)
     if found is None:
         close = difflib.get_close_matches(within, dir(module), n=1)
@@ -280,8 +284,8 @@ def _maker(name: str, module: Any, within: str) -> Callable[..., Any]:  # noqa: 
     return found  # type: ignore[no-any-return]
 
 
-def _said(name: str, error: TypeError) -> Exception:
-    """What is wrong with the options; the error itself where it is a fault of the environment."""
+def _explain(name: str, error: TypeError) -> Exception:
+    """Return an error about the options; the error itself if it is a fault of the environment."""
     text = str(error)
     if wrong := re.search(r"unexpected keyword argument '([^']+)'", text):
         return EnvError(f"{name} has no option {wrong[1]!r}: its constructor does not take it")

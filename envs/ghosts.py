@@ -146,10 +146,10 @@ class Ghosts:
         }
         return {
             "header": np.array(json.dumps(header, default=str)),
-            "start": _joined([path[:, :1] for path in paths], (4, 0), np.int32),
-            "moves": _joined([np.diff(path) for path in paths], (4, 0), np.int32),
+            "start": _join([path[:, :1] for path in paths], (4, 0), np.int32),
+            "moves": _join([np.diff(path) for path in paths], (4, 0), np.int32),
             "action": _actions([ghost.action for ghost in self.drives]),
-            "reward": _rounded(_joined([g.reward for g in self.drives], (0,), np.float32)),
+            "reward": _round(_join([g.reward for g in self.drives], (0,), np.float32)),
             **each,
         }
 
@@ -161,7 +161,7 @@ def _units(ghost: Ghost) -> NDArray[np.int64]:
     return whole
 
 
-def _joined(parts: list[Any], empty: tuple[int, ...], kind: type) -> NDArray[Any]:
+def _join(parts: list[Any], empty: tuple[int, ...], kind: type) -> NDArray[Any]:
     """Arrays joined along their last axis; an empty one if there are none."""
     return np.concatenate([np.zeros(empty), *parts], axis=-1).astype(kind)
 
@@ -174,7 +174,7 @@ def _actions(parts: list[NDArray[Any]]) -> NDArray[Any]:
     return joined.astype(np.uint8 if np.issubdtype(joined.dtype, np.integer) else np.float32)
 
 
-def _rounded(values: Floats) -> Floats:
+def _round(values: Floats) -> Floats:
     """The values with 11 bits of mantissa, which halves the file."""
     bits = values.view(np.uint32)
     rounded: Floats = ((bits + np.uint32(1 << 11)) & np.uint32(0xFFFFF000)).view(np.float32)

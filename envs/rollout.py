@@ -72,7 +72,7 @@ class Rollout:
 
     @property
     def success(self) -> bool | None:
-        """Whether the last step's info says success; None where it does not say."""
+        """Success by the last step's info; None where it does not say."""
         return bool(self.info["success"][-1]) if "success" in self.info else None
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -177,7 +177,7 @@ class EpisodeRecorder:
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended."""
+        """True once the episode has ended."""
         return self._terminated or self._truncated
 
     def step(self, choice: object) -> None:
@@ -237,11 +237,11 @@ def _options_of(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
     """Options of an environment as JSON holds them, without render_mode."""
     given = getattr(env, "given", env.spec.kwargs if env.spec else {})  # of disturbed ones
     shown = {name: value for name, value in given.items() if name != "render_mode"}
-    options: dict[str, Any] = json.loads(json.dumps(shown, default=_named))
+    options: dict[str, Any] = json.loads(json.dumps(shown, default=_name_of))
     return options
 
 
-def _named(value: object) -> str:
+def _name_of(value: object) -> str:
     """Name of an object that JSON cannot hold, such as a Track."""
     return str(getattr(value, "name", value))
 

@@ -40,7 +40,7 @@ class CheckedFile:
 
     @property
     def passed(self) -> bool:
-        """Whether every check did."""
+        """True if every check passed."""
         return all(each.passed for each in self.checks)
 
 
@@ -76,7 +76,7 @@ class LargestDifference:
         self.largest = float(np.max([self.largest, np.abs(one - other).max()]))
 
     def within(self, limit: float) -> bool:
-        """Whether no difference exceeds the limit."""
+        """Return True if no difference exceeds the limit."""
         return self.largest <= limit
 
 

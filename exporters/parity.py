@@ -123,9 +123,9 @@ def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -
     to_numpy, to_ideal, to_single = (_ImplementationPair() for _ in range(3))
     for batch in batches(observations):
         raster = codec.encode(batch)
-        by_numpy = _decoded(codec, _by_numpy(graph, raster))
+        by_numpy = _decode(codec, _by_numpy(graph, raster))
         to_numpy.add(_by_torch(double, torch.from_numpy(batch)), by_numpy)
-        to_ideal.add(by_numpy, _decoded(codec, _by_machine(program, raster)))
+        to_ideal.add(by_numpy, _decode(codec, _by_machine(program, raster)))
         to_single.add(_by_torch(single, torch.from_numpy(batch).float()), by_numpy)
     return [
         *to_numpy.checks("torch = NumPy, float64"),
@@ -145,10 +145,10 @@ def _chip_checks(
     to_chip, to_single, to_float = (_ImplementationPair() for _ in range(3))
     for batch in batches(observations):
         raster = codec.encode(batch)
-        by_machine = _decoded(codec, _by_machine(program, raster))
+        by_machine = _decode(codec, _by_machine(program, raster))
         to_chip.add(_by_torch(double, torch.from_numpy(batch)), by_machine)
         to_single.add(_by_torch(single, torch.from_numpy(batch).float()), by_machine)
-        to_float.add(_decoded(codec, _by_numpy(graph, raster)), by_machine)
+        to_float.add(_decode(codec, _by_numpy(graph, raster)), by_machine)
     chip_name = policy.target.name
     return [
         *to_chip.checks(f"torch = compiled for `{chip_name}`, integers"),
@@ -253,10 +253,10 @@ def _by_machine(program: Program, raster: NDArray[np.uint8]) -> tuple[Spikes, Nu
 
 def _episode(codec: Codec, found: tuple[Spikes, Numbers]) -> _PolicyOutput:
     """Return the output (1, S, act) of an episode with one timestep per control step, decoded."""
-    return _decoded(codec, (found[0], found[1].swapaxes(0, 1)))
+    return _decode(codec, (found[0], found[1].swapaxes(0, 1)))
 
 
-def _decoded(codec: Codec, found: tuple[Spikes, Numbers]) -> _PolicyOutput:
+def _decode(codec: Codec, found: tuple[Spikes, Numbers]) -> _PolicyOutput:
     spikes, numbers = found
     if not codec.chooses:
         return _PolicyOutput(spikes, codec.decode(numbers), None)

@@ -143,9 +143,9 @@ def check_codec(codec: Codec) -> None:
         raise ConfigError(f"--to onnx: encoder {encoder.kind!r} is not written in ONNX.")
 
 
-def encoded(graph: OnnxGraph, codec: Codec) -> tuple[Spikes, dict[str, tuple[str, int]]]:
+def add_encoder(graph: OnnxGraph, codec: Codec) -> tuple[Spikes, dict[str, tuple[str, int]]]:
     """Spikes (B, M) of each timestep; and states: name -> value after the step, and its width."""
-    x, encoder = _normalised(graph, codec.normaliser), codec.encoder
+    x, encoder = _add_normaliser(graph, codec.normaliser), codec.encoder
     if isinstance(encoder, DeltaEncoder):
         return _delta(graph, encoder, x, codec.timesteps)
     if isinstance(encoder, PopulationEncoder):
@@ -155,15 +155,15 @@ def encoded(graph: OnnxGraph, codec: Codec) -> tuple[Spikes, dict[str, tuple[str
     raise TypeError(type(encoder).__name__)
 
 
-def _normalised(graph: OnnxGraph, normaliser: Normaliser) -> str:
+def _add_normaliser(graph: OnnxGraph, normaliser: Normaliser) -> str:
     mean, std = graph.constant("mean", normaliser.mean), graph.constant("std", normaliser.std)
     shifted = graph.node("Sub", [OBSERVATION, mean], "shifted")
-    return _clipped(
+    return _add_clip(
         graph, graph.node("Div", [shifted, std], "scaled"), normaliser.clip, "normalised"
     )
 
 
-def _clipped(graph: OnnxGraph, value: str, most: float, name: str) -> str:
+def _add_clip(graph: OnnxGraph, value: str, most: float, name: str) -> str:
     limits = [graph.constant(f"{name}.lowest", -most), graph.constant(f"{name}.highest", most)]
     return graph.node("Clip", [value, *limits], name)
 
@@ -174,7 +174,7 @@ def _delta(
     """Events n where an observation has moved, and the levels q moved by them."""
     step, parts = graph.constant("step", encoder.step), graph.constant("parts", float(PARTS))
     moved = graph.node("Mul", [graph.node("Div", [x, step], "steps"), parts], "fine")
-    rounded = graph.node("Round", [_clipped(graph, moved, float(LARGEST), "bounded")], "rounded")
+    rounded = graph.node("Round", [_add_clip(graph, moved, float(LARGEST), "bounded")], "rounded")
     for name, value in (
         ("half", PARTS / 2),
         ("most", encoder.most),
@@ -332,7 +332,7 @@ def _model(artifact: Artifact, name: str) -> onnx.ModelProto:
             f"--to onnx: layer {min(plan.program.graded)!r}: sigma-delta neurons are not written "
             "in ONNX. Train neurons that spike."
         )
-    spikes, states = encoded(graph, codec)
+    spikes, states = add_encoder(graph, codec)
     states |= _Network(graph, plan).run(spikes)
     head = "discrete" if codec.chooses else "continuous"
     squash = "Tanh" if codec.squash == "tanh" else "Identity"
@@ -375,8 +375,8 @@ class _Network:
         for t, arriving in enumerate(spikes):
             self._rows[self._plan.program.input].append(arriving)
             for layer, lags in zip(self._plan.program.layers, self._plan.program.lags, strict=True):
-                self._rows[layer.name].append(self._step(layer, lags, t))
-            output = self._output(t)
+                self._rows[layer.name].append(self._add_layer(layer, lags, t))
+            output = self._add_output(t)
             total = self._graph.node("Add", [total, output], f"host:{t}.total") if t else output
         count = self._graph.constant("timesteps", float(len(spikes)))
         self._graph.node("Div", [total, count], "score")
@@ -416,7 +416,7 @@ class _Network:
                     self._graph.state(_late(source, late), self._plan.sizes[source])
 
     def _row(self, source: str, t: int) -> str:
-        """What a source puts out in a timestep; "" where that is nothing, before the first."""
+        """Name of the output of a source in a timestep; "" before the first one."""
         if t >= 0:
             return self._rows[source][t]
         return _late(source, -t) if self._kept else ""
@@ -429,25 +429,25 @@ class _Network:
             for late in range(1, slots)
         }
 
-    def _step(self, layer: Layer, lags: tuple[int, ...], t: int) -> str:
+    def _add_layer(self, layer: Layer, lags: tuple[int, ...], t: int) -> str:
         """Add a timestep of a layer; return its spikes, or its membranes where it has none."""
         node, at = self._graph.node, f"{layer.name}.{t}"
-        drive = self._arriving(layer, lags, t)
+        drive = self._add_synapses(layer, lags, t)
         if f"{layer.name}.current" in self._states:
             # I = a I + W s
-            kept = self._decayed(layer.name, "current", at)
+            kept = self._add_decay(layer.name, "current", at)
             drive = node("Add", [kept, drive], f"{at}.current")
             self._states[f"{layer.name}.current"] = (drive, layer.size)
         # V = b V + I + leak
-        kept = self._decayed(layer.name, "membrane", at)
+        kept = self._add_decay(layer.name, "membrane", at)
         driven = node("Add", [kept, drive], f"{at}.driven")
         membrane = node("Add", [driven, f"{layer.name}.leak"], f"{at}.membrane")
         if not layer.spiking:
             self._states[f"{layer.name}.membrane"] = (membrane, layer.size)
             return membrane
-        return self._fired(layer, membrane, at)
+        return self._add_spikes(layer, membrane, at)
 
-    def _fired(self, layer: Layer, membrane: str, at: str) -> str:
+    def _add_spikes(self, layer: Layer, membrane: str, at: str) -> str:
         """Add the spikes of a timestep and the resets."""
         node, threshold = self._graph.node, f"{layer.name}.threshold"
         above = node("Greater", [membrane, threshold], f"{at}.above")
@@ -458,11 +458,11 @@ class _Network:
         self._states[f"{layer.name}.membrane"] = (left, layer.size)
         return self._graph.floats(above, f"{at}.spikes")
 
-    def _decayed(self, name: str, state: str, at: str) -> str:
+    def _add_decay(self, name: str, state: str, at: str) -> str:
         before, _ = self._states[f"{name}.{state}"]
         return self._graph.node("Mul", [f"{name}.{state}_decay", before], f"{at}.{state}_left")
 
-    def _arriving(self, layer: Layer, lags: tuple[int, ...], t: int) -> str:
+    def _add_synapses(self, layer: Layer, lags: tuple[int, ...], t: int) -> str:
         total = f"{layer.name}.bias"
         for k, (synapses, lag) in enumerate(zip(layer.synapses, lags, strict=True)):
             if row := self._row(synapses.source, t - lag):
@@ -471,7 +471,7 @@ class _Network:
                 total = self._graph.node("Add", [total, sums], f"{at}.arriving")
         return total
 
-    def _output(self, t: int) -> str:
+    def _add_output(self, t: int) -> str:
         """Add what the host receives in a timestep (B, act)."""
         total = self._bias
         for k, term in enumerate(self._plan.terms):

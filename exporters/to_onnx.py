@@ -61,11 +61,11 @@ def _model(
     graph = OnnxGraph()
     pruned: dict[str, str] = {}
     if isinstance(policy, PrunedMlpPolicy):
-        _pruned_layers(graph, policy, _normalised(graph, policy, OBSERVATION))
+        _pruned_layers(graph, policy, _add_normaliser(graph, policy, OBSERVATION))
         counts = [[int(n) for n in each] for each in _fan_outs(policy)]
         pruned = {"fan_out": json.dumps(counts, separators=(",", ":"))}
     else:
-        _layers(graph, policy, _normalised(graph, policy, _features(graph, policy.features)))
+        _layers(graph, policy, _add_normaliser(graph, policy, _features(graph, policy.features)))
     properties = {
         "env": origin.env,
         "recipe": origin.recipe,
@@ -150,7 +150,7 @@ def _next_wave(graph: OnnxGraph, number: int, waves: list[str]) -> list[str]:
     ]
 
 
-def _normalised(graph: OnnxGraph, policy: Policy, features: str) -> str:
+def _add_normaliser(graph: OnnxGraph, policy: Policy, features: str) -> str:
     """Add the normaliser; return the name of its output."""
     normalizer = policy.normalizer
     mean = graph.constant("mean", _array(normalizer.mean))

@@ -165,7 +165,7 @@ class ChipRun:
     state: State = "kept"
 
     def rows(self, spikes: NDArray[Any]) -> NDArray[np.uint8]:
-        """What the host injects (timesteps, M) for the spikes (inject, M) of the input."""
+        """Return the rows (timesteps, M) that the host injects for input spikes (inject, M)."""
         raster = np.zeros((self.timesteps, self.program.width), np.uint8)
         width = spikes.shape[1]
         raster[: len(spikes), :width] = spikes
@@ -173,8 +173,8 @@ class ChipRun:
             raster[timesteps, axon] = 1
         return raster
 
-    def ran(self, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
-        """What all control steps of a run with the raster (T, M) do, from zero states.
+    def run_raster(self, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
+        """Run the raster (T, M) through all control steps, from zero states.
 
         The batch is of inferences where states are reset in each, else of the whole run.
         """
@@ -261,7 +261,7 @@ def program_text(
                 "bias_axons": [[each.start, each.stop] for each in run.biases],
             },
             **program_record(program),
-            "placement": [] if placement is None else list(_placed(placement)),
+            "placement": [] if placement is None else list(_place(placement)),
             "host": dict(host),
             "remarks": list(program.remarks),
         }
@@ -279,7 +279,7 @@ _CLOCKS = {
 
 
 def clock_text(run: ChipRun, clock: str) -> str:
-    """What the clock means for those who drive a chip, in sentences."""
+    """Describe the clock for those who drive a chip, in sentences."""
     more = run.timesteps - run.inject
     rows = f"{run.inject} rows of input take {run.timesteps} timesteps"
     if more:
@@ -317,14 +317,15 @@ def expected_text(run: ChipRun, raster: NDArray[np.uint8], text: str, source: st
             "timesteps": len(raster),
             "input_events": np.repeat(events, counts, axis=0).tolist(),
             "recorded": {
-                name: _recorded(program, layer) for name, layer in run.ran(raster).items()
+                name: _record_layer(program, layer)
+                for name, layer in run.run_raster(raster).items()
             },
         }
     )
 
 
-def _recorded(program: Program, layer: LayerTrace) -> dict[str, Any]:
-    """What a layer did, by quantity: (T, N); floats are left out, which no tool rounds alike."""
+def _record_layer(program: Program, layer: LayerTrace) -> dict[str, Any]:
+    """Return what a layer did, by quantity: (T, N); without floats, which no tool rounds alike."""
     spikes, currents = np.concatenate(layer.spikes), np.concatenate(layer.current)
     found: dict[str, Any] = {"spikes": spikes.astype(np.int64).tolist()}
     states = program.chip.arithmetic.state_bits
@@ -337,7 +338,7 @@ def _recorded(program: Program, layer: LayerTrace) -> dict[str, Any]:
 
 
 def host_record(program: Program, codec: Codec | None, run: ChipRun) -> dict[str, Any]:
-    """What the host does: the codec, and what it makes of what it reads.
+    """Return the host's part as a record: the codec, and the readout.
 
     An output of row t starts with `bias`, and each tap adds (what it reads after timestep from + t,
     times `scale`) @ `weight` from element `first` on. Under "missing" is why a loop cannot be
@@ -403,7 +404,7 @@ def missing_of(program: Program, codec: Codec | None) -> str:
 
 
 def _taps(program: Program) -> tuple[list[dict[str, Any]], list[float]]:
-    """What the host adds up, in the order in which it does, and what it starts with."""
+    """Return the terms that the host adds up, in its order, and the bias that it starts with."""
     if not program.outlets:
         size = program.layer(program.output).size
         readout = program.readout or Readout(np.eye(size), np.zeros(size), 0)
@@ -431,7 +432,7 @@ def _tap(
     }
 
 
-def _placed(mapping: CoreMapping) -> Iterator[dict[str, Any]]:
+def _place(mapping: CoreMapping) -> Iterator[dict[str, Any]]:
     """Which neurons of each node are on which core; nothing where the chip has no cores."""
     for each in mapping.placements:
         if each.cores and each.first is not None:

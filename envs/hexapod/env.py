@@ -470,7 +470,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         return course_terms(self._speed, motion.heading, motion.position[1])
 
     def _succeeds(self) -> bool:
-        """Whether the episode so far is a success, if it does not end with a fall."""
+        """Return True if the episode so far is a success, unless it ends with a fall."""
         return self._return > self.SUCCESS_RETURN
 
     def _task_observation(self, motion: Motion) -> tuple[float, ...]:

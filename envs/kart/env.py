@@ -84,7 +84,7 @@ _WEIGHTS: Mapping[str, float] = {
 
 
 class StepOutcome(NamedTuple):
-    """What happened in one step, as rewards see it.
+    """Outcome of one step, for rewards.
 
     gained    decrease of the remaining path [px]
     approach  decrease of the distance to the midpoint of the next gate [px]
@@ -464,7 +464,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
     def _outcome(
         self, before: KartState, now: KartState, passed: int, finish: bool, crash: bool
     ) -> StepOutcome:
-        """What happened in the step between two states."""
+        """Return the outcome of the step between two states."""
         remaining = self._remaining_path(now)
         x, y = self.track.midpoints[min(before.next_gate, len(self.track.gates) - 1)]
         approach = math.hypot(before.x - x, before.y - y) - math.hypot(now.x - x, now.y - y)

@@ -1,4 +1,4 @@
-"""What a kart observes: its LIDAR, and the named components of the observation, each in [-1, 1]."""
+"""Observation of a kart: its LIDAR, and the named components, each in [-1, 1]."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ CLASSIC_RAYS = 59  # 60 were asked for
 
 
 class _ObservedKart(Protocol):
-    """What an Observer reads from the environment of a kart, see KartEnv."""
+    """Part of KartEnv that an Observer reads."""
 
     lidar: Lidar
     track: Track

@@ -176,7 +176,7 @@ def check(track: Track, where: str) -> None:
     _check_size(track, where)
     _check_start(track, where)
     free, origin = _free_map(track)
-    reached = _flooded(free, _cell(track.start, origin))
+    reached = _flood(free, _cell(track.start, origin))
     if reached[0].any() or reached[-1].any() or reached[:, 0].any() or reached[:, -1].any():
         raise EnvError(
             f"{where}: the walls are open, or the start is outside of them: a kart can leave the "
@@ -253,7 +253,7 @@ def _pieces(barrier: FloatArray) -> FloatArray:
     return segments([np.linspace(barrier[0], barrier[1], count + 1)])
 
 
-def _flooded(free: NDArray[np.bool_], seed: tuple[int, int]) -> NDArray[np.bool_]:
+def _flood(free: NDArray[np.bool_], seed: tuple[int, int]) -> NDArray[np.bool_]:
     """Flood fill: the free cells that are connected with the seed cell, row by row."""
     reached = np.zeros_like(free)
     runs = [_runs(row) for row in free]
@@ -347,7 +347,7 @@ def load(track: str | Path) -> Track:
     path = Path(track)
     if path.suffix != ".json":
         if str(track) not in names():
-            raise EnvError(_unknown(str(track)))
+            raise EnvError(_describe_unknown(str(track)))
         path = FOLDER / f"{track}.json"
     try:
         found = path.stat()
@@ -456,7 +456,7 @@ def _fields(
     return value
 
 
-def _unknown(name: str) -> str:
+def _describe_unknown(name: str) -> str:
     known = [*names(), "corridor"]
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}."

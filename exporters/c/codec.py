@@ -36,14 +36,14 @@ def encoder_gaps(codec: Codec, out: Declarations) -> dict[str, str]:
 
 
 def table(name: str, values: Floats, out: Declarations, index: str = "k") -> str:
-    """What stands for a value in C: a number where all are the same."""
+    """Return C for a value: a number where all are the same, else an entry of a table."""
     values = values.astype(np.float64)
     if (values == values.flat[0]).all():
         return number(float(values.flat[0]))
     return f"{out.constant(name, values)}[{index}]"
 
 
-def _normalised(codec: Codec, chosen: NDArray[np.bool_], out: Declarations) -> dict[str, str]:
+def _normalise(codec: Codec, chosen: NDArray[np.bool_], out: Declarations) -> dict[str, str]:
     """C that normalises `observed`, and clips the result."""
     normaliser = codec.normaliser
     mean = table("mean", normaliser.mean[chosen], out)
@@ -63,7 +63,7 @@ def _delta(codec: Codec, encoder: DeltaEncoder, out: Declarations) -> dict[str, 
     live = np.isfinite(encoder.step)
     if not live.any():
         raise ConfigError("--to c: the delta code has no channel with a finite step.")
-    count, gaps = int(live.sum()), _normalised(codec, live, out)
+    count, gaps = int(live.sum()), _normalise(codec, live, out)
     apart_max = 256 * encoder.most * (codec.timesteps + 1)
     apart = narrowest(-apart_max - 128, apart_max + 128)
     apart = apart if apart == "int64_t" else "int32_t"
@@ -123,7 +123,7 @@ def _rate(codec: Codec, encoder: RateEncoder, out: Declarations) -> dict[str, st
     out.variable("rate", "uint16_t", count)
     regular = encoder.mode == "regular"
     out.variable("carry" if regular else "random", "uint16_t" if regular else "uint32_t", count)
-    gaps = _normalised(codec, np.ones(count, np.bool_), out) | {
+    gaps = _normalise(codec, np.ones(count, np.bool_), out) | {
         "nearest": template("nearest.c"),
         "channels": str(count),
         "low": table("low", encoder.low, out),
@@ -167,7 +167,7 @@ def _population(codec: Codec, encoder: PopulationEncoder, out: Declarations) -> 
     out.variable("channel", "@prefix@_id_t", encoder.width)
     out.variable("shown", shown, encoder.width)
     out.variable("active", "uint32_t")
-    gaps = _normalised(codec, np.ones(encoder.observed, np.bool_), out) | {
+    gaps = _normalise(codec, np.ones(encoder.observed, np.bool_), out) | {
         "populations": str(encoder.mean.shape[1]),
         "patterns": str(len(patterns.edges)),
         "centre": table("centre", encoder.mean, out, "n"),
@@ -252,11 +252,11 @@ class FixedParts:
 
     @property
     def small(self) -> bool:
-        """Whether X, also before it is clipped, and its levels differ by less than 2**31."""
+        """True if X, also before it is clipped, and its levels differ by less than 2**31."""
         return _PRODUCT - self.fraction < 29 and int(self.x_max.max()) < 2**29
 
     def gaps(self, out: Declarations) -> dict[str, str]:
-        """What the template leaves open."""
+        """Gaps of the template."""
         useful = self.error < _USELESS
         unsure = int(np.ceil(self.error * 2**_REST)) + 2 if useful else 2**_REST
         return {

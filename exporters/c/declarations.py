@@ -80,7 +80,7 @@ class Declarations:
         flat = values.ravel().tolist()
         items = [number(v) if floats else literal(v, kind) for v in flat]
         self.lines.append(f"static const {kind} {name}[{len(flat)}] = {{")
-        self.lines += [*_wrapped(items), "};"]
+        self.lines += [*_wrap_lines(items), "};"]
         self.rom += bytes_of(kind) * len(flat)
         return name
 
@@ -91,7 +91,7 @@ class Declarations:
         return name
 
     def per_neuron(self, name: str, values: NDArray[Any], index: str, kind: str) -> str:
-        """What stands for the value of a neuron in C: a number where all have the same."""
+        """Return C for the value of a neuron: a number where all have the same."""
         if values.size and (values == values.flat[0]).all():
             return literal(int(values.flat[0]), kind)
         # unsigned tables would turn comparisons with signed numbers into others
@@ -110,7 +110,7 @@ class Declarations:
         return "\n".join(self.lines)
 
 
-def _wrapped(items: Iterable[str]) -> list[str]:
+def _wrap_lines(items: Iterable[str]) -> list[str]:
     """Items between commas, in lines of bounded length."""
     lines, line = [], "   "
     for item in items:
@@ -127,11 +127,11 @@ def fit(name: str, register: Register, kind: str) -> str:
         return ""
     steps = [*_overflow(register, kind)]
     if register.between is not None:
-        steps += _clamped(*register.between, kind)
+        steps += _clamp(*register.between, kind)
     return _function(name, kind, steps)
 
 
-def held(name: str, register: Register, expression: str) -> str:
+def hold(name: str, register: Register, expression: str) -> str:
     """The expression as the register holds it."""
     plain = register.overflow == "none" and register.between is None
     return f"({expression})" if plain else f"{name}({expression})"
@@ -152,7 +152,7 @@ def _overflow(register: Register, kind: str) -> list[str]:
         ]
     if register.overflow == "none":
         return []
-    return _clamped(1 - half if register.overflow == "clip" else -half, half - 1, kind)
+    return _clamp(1 - half if register.overflow == "clip" else -half, half - 1, kind)
 
 
 def _wrap_statements(half: int, kind: str) -> list[str]:
@@ -165,7 +165,7 @@ def _wrap_statements(half: int, kind: str) -> list[str]:
     ]
 
 
-def _clamped(low: int, high: int, kind: str) -> list[str]:
+def _clamp(low: int, high: int, kind: str) -> list[str]:
     return [
         f"if (x < {literal(low, kind)}) {{",
         f"    x = {literal(low, kind)};",

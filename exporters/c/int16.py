@@ -159,7 +159,7 @@ class Int16Delta:
 
 @dataclass(frozen=True, eq=False)
 class Int16Term:
-    """What a layer adds to the scores: (value >> drop) weight.
+    """Contribution of a layer to the scores: (value >> drop) weight.
 
     layer: its name; of a silent one membranes count, of a spiking one spikes.
     silent: whether it is one without a threshold.
@@ -196,7 +196,7 @@ class Int16Codec:
 
     @property
     def chooses(self) -> bool:
-        """Whether an action is the index of the largest score."""
+        """True if an action is the index of the largest score."""
         return self.squash == "argmax"
 
     @property
@@ -270,7 +270,7 @@ def int16_codec(plan: Plan) -> Int16Codec | str:
     except ConfigError as error:
         return str(error).removeprefix("--to c: ")
     delta = _delta(plan, codec, codec.encoder, observations)
-    return delta if isinstance(delta, str) else _scored(plan, codec, observations, delta)
+    return delta if isinstance(delta, str) else _fix_scores(plan, codec, observations, delta)
 
 
 def _delta(
@@ -308,7 +308,7 @@ def _delta(
 
 
 def _read(plan: Plan, encoder: DeltaEncoder) -> NDArray[np.bool_]:
-    """Whether (obs,) some synapse, or the output, reads the channels of an observation."""
+    """Mask (obs,) of the observations whose channels some synapse, or the output, reads."""
     program = plan.program
     read = np.zeros(program.width, np.bool_)
     for layer in program.layers:
@@ -318,7 +318,7 @@ def _read(plan: Plan, encoder: DeltaEncoder) -> NDArray[np.bool_]:
     return np.asarray(read.reshape(encoder.observed, -1).any(axis=1))
 
 
-def _scored(
+def _fix_scores(
     plan: Plan, codec: Codec, observations: Int16Observations, delta: Int16Delta
 ) -> Int16Codec | str:
     """The decoder: weights of scores in a common unit, as fine as 32 bits let them be."""

@@ -15,7 +15,7 @@ from spikedeploy.exporters.c.int16 import (
     Int16Term,
 )
 from spikedeploy.exporters.c.plan import Plan
-from spikedeploy.exporters.c.templates import filled, template
+from spikedeploy.exporters.c.templates import fill, template
 
 Integers = NDArray[np.int64]
 
@@ -30,15 +30,15 @@ def codec_files(
     out = Declarations(bytes_of(plan.kind), bytes_of(plan.id_kind))
     gaps = {**common, **interface_gaps(codec.actions, len(codec.bias) if codec.chooses else 0)}
     files = {
-        f"{prefix}_i16.h": filled(template("policy_i16.h"), gaps),
-        "codec_i16.c": filled(template("codec_i16.c"), {**gaps, **_codec_gaps(plan, codec, out)}),
+        f"{prefix}_i16.h": fill(template("policy_i16.h"), gaps),
+        "codec_i16.c": fill(template("codec_i16.c"), {**gaps, **_codec_gaps(plan, codec, out)}),
         "host_i16.c": host_file(codec.observations, gaps, f"{prefix}_i16"),
     }
     return files, out
 
 
 def interface_gaps(actions: int, choices: int) -> dict[str, str]:
-    """What the header of the interface leaves open."""
+    """Gaps of the header of the interface."""
     words = "an index" if choices else "Q15: 32767 stands for 1"
     return {
         "actions": str(actions),
@@ -58,7 +58,7 @@ def host_file(observations: Int16Observations, gaps: Mapping[str, str], host: st
     ]
     suffix = "_i16" if host.endswith("_i16") else ""
     more = {"declarations": "\n".join(tables), "host": host, "lib_suffix": suffix}
-    return filled(template("host_i16.c"), {**gaps, **more})
+    return fill(template("host_i16.c"), {**gaps, **more})
 
 
 def tanh_gaps(squash: str, fraction: int, out: Declarations) -> str:
@@ -73,7 +73,7 @@ def tanh_gaps(squash: str, fraction: int, out: Declarations) -> str:
             "between_shift": str(fraction - PER_UNIT - BETWEEN),
             "last": str(len(TABLE) - 1),
         }
-        return filled(template("tanh_i16.c"), gaps)
+        return fill(template("tanh_i16.c"), gaps)
     lines = [
         f"/* Q15 of a score in 2**-{fraction}. */",
         "static int16_t linear_q15(int32_t score)",
@@ -88,7 +88,7 @@ def tanh_gaps(squash: str, fraction: int, out: Declarations) -> str:
     return "\n".join(lines)
 
 
-def squashed(squash: str, score: str) -> str:
+def squash_call(squash: str, score: str) -> str:
     """C for the action of a score."""
     return f"{'tanh_q15' if squash == 'tanh' else 'linear_q15'}({score})"
 
@@ -141,7 +141,7 @@ def _encoder(codec: Int16Codec, out: Declarations) -> str:
         "channels_of": each.rstrip("\n") if count <= _STRAIGHT else _loop(codec, out),
         "emit": _EMIT[delta.code],
     }
-    return filled(template("encode_i16.c"), {**gaps, "prefix": "\0"}).replace("\0", "@prefix@")
+    return fill(template("encode_i16.c"), {**gaps, "prefix": "\0"}).replace("\0", "@prefix@")
 
 
 def _loop(codec: Int16Codec, out: Declarations) -> str:
@@ -193,7 +193,7 @@ def _decoder(plan: Plan, codec: Int16Codec, out: Declarations) -> tuple[str, str
             "uint32_t a;",
             f"@prefix@_net_layer({layers[term.layer]}u, 0u, &view);",
             f"for (a = 0u; a < {scores}u; a++) {{",
-            f"    action[a] = {squashed(codec.squash, score)};",
+            f"    action[a] = {squash_call(codec.squash, score)};",
             "}",
         ]
         return _function("decode", lines), ""
@@ -216,7 +216,7 @@ def _decoder(plan: Plan, codec: Int16Codec, out: Declarations) -> tuple[str, str
 
 
 def _one_to_one(codec: Int16Codec) -> bool:
-    """Whether each score is a bias and one membrane as it is now."""
+    """Return True if each score is a bias and one membrane as it is now."""
     if codec.chooses or len(codec.terms) != 1:
         return False
     (term,) = codec.terms
@@ -237,7 +237,7 @@ def _function(name: str, lines: list[str]) -> str:
 def _act(codec: Int16Codec) -> list[str]:
     scores = len(codec.bias)
     if not codec.chooses:
-        value = squashed(codec.squash, "score[a]")
+        value = squash_call(codec.squash, "score[a]")
         return [f"for (a = 0u; a < {scores}u; a++) {{", f"    action[a] = {value};", "}"]
     return [
         "n = 0u;",
@@ -265,19 +265,19 @@ def _add(k: int, term: Int16Term, layer: int, out: Declarations) -> list[str]:
     late = 0 if term.silent else term.lag
     lines = [f"@prefix@_net_layer({layer}u, {late}u, &view);"]
     if not term.silent:
-        body = _weighed(k, term, "1", "view.id[n]", out)
+        body = _weigh(k, term, "1", "view.id[n]", out)
         return [*lines, "for (n = 0u; n < view.count; n++) {", *body, "}"]
     value = f"late{k}[late{k}_at][n]" if term.lag else "view.membrane[n]"
     dropped = f"({value} >> {term.drop})" if term.drop else value
     lines += [f"for (n = 0u; n < {len(term.weight)}u; n++) {{"]
-    lines += _weighed(k, term, dropped, "n", out)
+    lines += _weigh(k, term, dropped, "n", out)
     if term.lag:
         lines.append(f"    {value} = view.membrane[n];")
     lines.append("}")
     return [*lines, *([f"late{k}_at = (late{k}_at + 1u) % {term.lag}u;"] if term.lag else [])]
 
 
-def _weighed(k: int, term: Int16Term, value: str, index: str, out: Declarations) -> list[str]:
+def _weigh(k: int, term: Int16Term, value: str, index: str, out: Declarations) -> list[str]:
     """C that adds a value times the weights of neuron `index`."""
     rows, columns = np.nonzero(term.weight)
     if (np.bincount(rows, minlength=len(term.weight)) == 1).all():
@@ -310,6 +310,6 @@ def selftest_files(
     out.constant("vector_action_i16", action, "int16_t")
     head = f"/* {common['mark']} */\n#include <stdint.h>\n\n#define VECTOR_STEPS {len(action)}u\n"
     return {
-        "selftest_i16.c": filled(template("selftest_i16.c"), common),
+        "selftest_i16.c": fill(template("selftest_i16.c"), common),
         "vectors_i16.h": f"{head}\n{out.text}\n",
     }

@@ -27,12 +27,12 @@ from spikedeploy.exporters.c.int16_writer import (
     host_file,
     interface_gaps,
     selftest_files,
-    squashed,
+    squash_call,
     tanh_gaps,
 )
 from spikedeploy.exporters.c.packaging import Interface, package_files, package_names
 from spikedeploy.exporters.c.plan import check_prefix
-from spikedeploy.exporters.c.templates import filled, template
+from spikedeploy.exporters.c.templates import fill, template
 from spikedeploy.exporters.c.to_c import MARK, printable
 from spikedeploy.runtime.codec.codec import Normaliser
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
@@ -145,18 +145,18 @@ def quantise(policy: FloatMlp) -> Int8Mlp:
     layers = []
     for k, activation in enumerate(policy.activations):
         weight = unit[:, None] * policy.weights[k]
-        layer = _quantised(weight, policy.biases[k], centre, largest, activation)
+        layer = _quantise_layer(weight, policy.biases[k], centre, largest, activation)
         layers.append(layer)
         centre = np.zeros(len(layer.bias))
         if activation == "tanh":
             unit, largest = np.full(len(layer.bias), 2.0**-15), np.full(len(layer.bias), LARGEST)
         else:
-            reached = _reached(layer, largest) >> layer.drop
+            reached = _bound_sums(layer, largest) >> layer.drop
             unit, largest = np.full(len(reached), 2.0 ** (layer.drop - layer.fraction)), reached
     return Int8Mlp(observations, tuple(layers), policy.chooses)
 
 
-def _quantised(
+def _quantise_layer(
     weight: Floats, bias: Floats, centre: Floats, largest: Integers, activation: Activation
 ) -> Int8Layer:
     """A layer of real weights (in, out) of integer inputs, as fine as 32 bits let it be.
@@ -180,11 +180,11 @@ def _quantised(
     layer = Int8Layer(fixed, shift, offset, fraction, activation)
     if activation != "relu":
         return layer
-    drop = max(0, int(_reached(layer, largest).max()).bit_length() - 15)
+    drop = max(0, int(_bound_sums(layer, largest).max()).bit_length() - 15)
     return Int8Layer(fixed, shift, offset, fraction, activation, drop)
 
 
-def _reached(layer: Int8Layer, largest: Integers) -> Integers:
+def _bound_sums(layer: Int8Layer, largest: Integers) -> Integers:
     """Largest magnitude (out,) of the sums of a layer."""
     return np.asarray(np.abs(layer.bias) + largest @ np.abs(layer.factors))
 
@@ -230,7 +230,7 @@ def read_onnx(path: Path) -> FloatMlp:
 
 
 def _alternates(kinds: Sequence[str]) -> bool:
-    """Whether affine maps and activations take turns."""
+    """Return True if affine maps and activations take turns."""
     return (
         len(kinds) >= 2
         and len(kinds) % 2 == 0
@@ -307,11 +307,11 @@ def mlp_in_c(
     out = Declarations()
     rows = network.observations.quantise(observation)
     text = {
-        f"{prefix}_i16.h": filled(template("policy_i16.h"), common),
-        f"{prefix}.c": filled(template("dense_i16.c"), {**common, **_gaps(network, out)}),
+        f"{prefix}_i16.h": fill(template("policy_i16.h"), common),
+        f"{prefix}.c": fill(template("dense_i16.c"), {**common, **_gaps(network, out)}),
         "host_i16.c": host_file(network.observations, common, prefix),
         **selftest_files(rows, network.act(rows), common),
-        "Makefile": filled(template("dense.mk"), common),
+        "Makefile": fill(template("dense.mk"), common),
         **package_files(Interface(network.observations, False, choices, network.actions), common),
     }
     names = dense_names(prefix)
@@ -325,7 +325,7 @@ void @prefix@_net_i16(const int16_t observation[@PREFIX@_OBSERVATIONS], int32_t 
 
 
 def _gaps(network: Int8Mlp, out: Declarations) -> dict[str, str]:
-    """What the template leaves open."""
+    """Gaps of the template."""
     count = len(network.layers)
     functions, calls, place = [], [], "observation"
     fractions = {each.fraction for each in network.layers[:-1] if each.activation == "tanh"}
@@ -360,7 +360,7 @@ def _hidden_tanh(fraction: int, out: Declarations) -> str:
 def _act(network: Int8Mlp, squash: str) -> str:
     loop = f"    for (a = 0u; a < {network.scores}u; a++) {{"
     if not network.chooses:
-        return f"{loop}\n        action[a] = {squashed(squash, 'score[a]')};\n    }}"
+        return f"{loop}\n        action[a] = {squash_call(squash, 'score[a]')};\n    }}"
     lines = [loop, "        chosen = (score[a] > score[chosen]) ? a : chosen;", "    }"]
     return "\n".join([*lines, "    action[0] = (int16_t)chosen;"])
 

@@ -11,13 +11,13 @@ from spikedeploy.exporters.c.declarations import (
     bytes_of,
     decay,
     fit,
-    held,
+    hold,
     literal,
     narrowest_of,
     shifted_down,
 )
 from spikedeploy.exporters.c.plan import Plan
-from spikedeploy.exporters.c.templates import filled, template
+from spikedeploy.exporters.c.templates import fill, template
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
@@ -51,7 +51,7 @@ class Rows:
 
     @property
     def whole(self) -> bool:
-        """Whether rows are stored with their zeros."""
+        """True if rows are stored with their zeros."""
         axons, neurons = self.weight.shape
         each = bytes_of(narrowest_of(self.weight))
         synapses = np.count_nonzero(self.weight)
@@ -93,7 +93,7 @@ class Rows:
             "sum_kind": sum_kind,
             "rows": " + ".join(rows),
         }
-        return filled(template("add_rows.c"), gaps)
+        return fill(template("add_rows.c"), gaps)
 
     def _whole_row(self, kind: str, several: bool, out: Declarations) -> list[str]:
         neurons, table = self.weight.shape[1], out.constant(f"{self.name}_weight", self.weight)
@@ -144,7 +144,7 @@ def unit_of(layer: Layer, bias: Integers) -> int:
     return (merged & -merged) if merged else 1
 
 
-def cleared(bias: Integers, name: str, kind: str, out: Declarations) -> str:
+def clear_sums(bias: Integers, name: str, kind: str, out: Declarations) -> str:
     """C that sets the sums to the bias."""
     value = out.per_neuron(f"{name}_bias", bias, "n", kind) if bias.any() else literal(0, kind)
     return f"for (n = 0u; n < {bias.size}u; n++) {{\n    sums[n] = {value};\n}}"
@@ -177,7 +177,7 @@ class CubaWriter:
             factor
             for layer in self.plan.program.layers
             for factor in (layer.current_decay, layer.membrane_decay)
-            if self._mixed(factor)
+            if self._decays(factor)
         ]
         whole = any(int(factor.max()) >= self.registers.decay_one for factor in decays)
         rest = (
@@ -212,23 +212,23 @@ class CubaWriter:
         pushed = current
         if bias.any():
             pushed += f" + {self.out.per_neuron(f'{name}_bias_v', bias, 'n', self.kind)}"
-        kept = self._kept(f"{name}_keep_i", current, layer.current_decay)
-        left = self._kept(f"{name}_keep_v", membrane, layer.membrane_decay)
-        drive = self._held("accumulator", drive, largest["accumulator"])
-        pushed = self._held("push", pushed, largest["push"])
-        current_next = self._held("current", f"{kept}{drive}", largest["current"])
-        membrane_next = self._held("membrane", f"{left}{pushed}", largest["membrane"])
+        kept = self._keep(f"{name}_keep_i", current, layer.current_decay)
+        left = self._keep(f"{name}_keep_v", membrane, layer.membrane_decay)
+        drive = self._hold("accumulator", drive, largest["accumulator"])
+        pushed = self._hold("push", pushed, largest["push"])
+        current_next = self._hold("current", f"{kept}{drive}", largest["current"])
+        membrane_next = self._hold("membrane", f"{left}{pushed}", largest["membrane"])
         fire = self._fire(layer, name) if layer.spiking else []
         lines = [f"{current} = {current_next};", f"{membrane} = {membrane_next};", *fire]
         return "\n".join(_loop(layer.size, lines))
 
-    def _held(self, name: str, expression: str, largest: int) -> str:
+    def _hold(self, name: str, expression: str, largest: int) -> str:
         """The expression as a register holds it, which changes nothing up to its magnitude."""
         register: Register = getattr(self.registers, name)
         if register.between is None and largest < 1 << (register.bits - 1):
             return f"({expression})"
         self.used.add(name)
-        return held(name, register, expression)
+        return hold(name, register, expression)
 
     def _fire(self, layer: Layer, name: str) -> list[str]:
         threshold = self.out.per_neuron(f"{name}_threshold", layer.threshold, "n", self.kind)
@@ -254,15 +254,15 @@ class CubaWriter:
     def _refractory(self, layer: Layer) -> bool:
         return layer.spiking and self.registers.refractory > 1
 
-    def _mixed(self, factor: NDArray[np.int64]) -> bool:
-        """Whether some neuron keeps a part, and not all or nothing as all others do."""
+    def _decays(self, factor: NDArray[np.int64]) -> bool:
+        """Return True if some neuron keeps a part of a state, and not all or nothing."""
         return bool(factor.any() and (factor != self.registers.decay_one).any())
 
-    def _kept(self, table: str, state: str, factor: NDArray[np.int64]) -> str:
+    def _keep(self, table: str, state: str, factor: NDArray[np.int64]) -> str:
         """C for what is left of a state, and the plus sign behind it; "" for nothing."""
         if not factor.any():
             return ""
-        if not self._mixed(factor):
+        if not self._decays(factor):
             return f"{state} + "
         return f"decay({state}, {self.out.per_neuron(table, factor, 'n', f'u{self.kind}')}) + "
 
@@ -306,10 +306,10 @@ class IntegrateWriter:
         return "\n".join(_loop(layer.size, lines))
 
     def take(self, layer: Layer, name: str, unit: int) -> str:
-        """What the sums do to the membranes, in a step or of one event."""
+        """Add the sums to the membranes, in a step or for one event."""
         v = f"{name}_membrane[n]"
         added = f"sums[n] * {literal(unit, self.kind)}" if unit > 1 else "sums[n]"
-        lines = [f"{v} = {held('membrane', self.rules.membrane, f'{v} + {added}')};"]
+        lines = [f"{v} = {hold('membrane', self.rules.membrane, f'{v} + {added}')};"]
         floor = self._floor(layer)
         if floor is not None:
             least = self.out.per_neuron(f"{name}_floor", floor, "n", self.kind)
@@ -356,7 +356,7 @@ class IntegrateWriter:
         return [f"if ({test}) {{", f"    {after}", "} else {", *(f"    {a}" for a in leak), "}"]
 
     def _test(self, layer: Layer, name: str) -> tuple[str, str]:
-        """Whether a neuron fires, and its reset."""
+        """Return C of the test whether a neuron fires, and of its reset."""
         v = f"{name}_membrane[n]"
         threshold = self.out.per_neuron(f"{name}_threshold", layer.threshold, "n", self.kind)
         test = f"{v} {'>=' if self.rules.fires == 'reached' else '>'} {threshold}"
@@ -416,19 +416,19 @@ class NetworkWriter:
         self._declare()
 
     def gaps(self) -> dict[str, str]:
-        """What the template of policy.c leaves open."""
+        """Gaps of the template of policy.c."""
         program, plan = self.plan.program, self.plan
         layers = [self._layer(layer) for layer in program.layers]
         steps = [f"{plan.names[layer.name]}_step();" for layer in program.layers]
         return {
             "functions": "\n".join(filter(None, [self._neurons.shared(), *layers])),
             "declarations": self.out.text,
-            "reset": indented(self._reset()),
-            "advance": indented(self._advance()),
+            "reset": indent(self._reset()),
+            "advance": indent(self._advance()),
             "begin_slot": plan.slot(program.input),
             "input_times": "in_times[@begin_slot@]" if plan.several(program.input) else "0",
-            "steps": indented(steps),
-            "views": indented(self._views(), 2),
+            "steps": indent(steps),
+            "views": indent(self._views(), 2),
         }
 
     # states and spikes
@@ -460,7 +460,7 @@ class NetworkWriter:
         lines = []
         for layer in self.plan.program.layers:
             states = self._neurons.states(layer, self.plan.names[layer.name])
-            lines += _loop(layer.size, [f"{s}[n] = 0{_unsigned(s)};" for s in states])
+            lines += _loop(layer.size, [f"{s}[n] = 0{_suffix(s)};" for s in states])
         for source in self._sources():
             name, slots = self.plan.names[source], self.plan.slots[source]
             lines += _loop(slots, [f"{name}_count[n] = 0u;"])
@@ -511,7 +511,7 @@ class NetworkWriter:
                 else self._row(layer, k, each)
                 for k, each in enumerate(rows)
             ]
-            body = self._summed(layer, rows, bias // unit, unit)
+            body = self._sum_spikes(layer, rows, bias // unit, unit)
         return "\n".join([*added, self._step(layer, name, body)])
 
     def _step(self, layer: Layer, name: str, body: str) -> str:
@@ -529,10 +529,10 @@ class NetworkWriter:
         """True where the rows of a projection are added several at a time."""
         return rows.whole and not self._several(layer, k)
 
-    def _summed(self, layer: Layer, rows: list[Rows], bias: Integers, unit: int) -> str:
+    def _sum_spikes(self, layer: Layer, rows: list[Rows], bias: Integers, unit: int) -> str:
         """A timestep that takes in all spikes as one sum."""
         name, neurons = self.plan.names[layer.name], self._neurons
-        parts = [cleared(bias, name, self.plan.kind, self.out)]
+        parts = [clear_sums(bias, name, self.plan.kind, self.out)]
         for k, each in enumerate(rows):
             of, slot = self._source(layer, k)
             if self._is_added_together(layer, k, each):
@@ -548,7 +548,7 @@ class NetworkWriter:
     def _by_event(self, layer: Layer, name: str, bias: Integers, neurons: IntegrateWriter) -> str:
         """A timestep that takes in one event after another, and the bias as the last."""
         out, kind = self.out, self.plan.kind
-        nothing, parts = cleared(np.zeros_like(bias), name, kind, out), []
+        nothing, parts = clear_sums(np.zeros_like(bias), name, kind, out), []
         for k in range(len(layer.synapses)):
             of, slot = self._source(layer, k)
             several = self._several(layer, k)
@@ -556,10 +556,10 @@ class NetworkWriter:
             body = "\n".join([nothing, row, f"{name}_take();"])
             if several:
                 loop = f"for (again = 0u; again < {of}_times[{slot}][i]; again++) {{"
-                body = f"uint32_t again;\n{loop}\n{indented(body.splitlines())}\n}}"
+                body = f"uint32_t again;\n{loop}\n{indent(body.splitlines())}\n}}"
             parts.append(_for_each(of, slot, body))
         if bias.any():
-            parts += [cleared(bias, name, kind, out), f"{name}_take();"]
+            parts += [clear_sums(bias, name, kind, out), f"{name}_take();"]
         first, last = neurons.begin(layer, name), neurons.end(layer, name)
         return "\n".join(filter(None, [first, *parts, last]))
 
@@ -573,7 +573,7 @@ class NetworkWriter:
         return self.plan.several(layer.synapses[k].source)
 
 
-def indented(lines: list[str], depth: int = 1) -> str:
+def indent(lines: list[str], depth: int = 1) -> str:
     """Lines of C, each so many levels deeper."""
     return "\n".join("    " * depth + line if line else line for line in lines)
 
@@ -586,15 +586,15 @@ def _loop(size: int, lines: list[str]) -> list[str]:
 
 def _function(name: str, body: str) -> str:
     """A C function that takes and gives nothing, with a counter n of neurons."""
-    return f"static void {name}(void)\n{{\n    uint32_t n;\n{indented(body.splitlines())}\n}}\n"
+    return f"static void {name}(void)\n{{\n    uint32_t n;\n{indent(body.splitlines())}\n}}\n"
 
 
 def _for_each(of: str, slot: str, body: str) -> str:
     """C that does something for each event i of a source."""
     loop = f"for (i = 0u; i < {of}_count[{slot}]; i++) {{"
-    return f"{{\n    uint32_t i;\n    {loop}\n{indented(body.splitlines(), 2)}\n    }}\n}}"
+    return f"{{\n    uint32_t i;\n    {loop}\n{indent(body.splitlines(), 2)}\n    }}\n}}"
 
 
-def _unsigned(state: str) -> str:
+def _suffix(state: str) -> str:
     """The suffix of constants of a state."""
     return "u" if state.endswith(("_refractory", "_spikes")) else ""

@@ -1,11 +1,11 @@
-"""What stands around C of a policy: a Zephyr module, a CMSIS layer, a cycle counter, a README."""
+"""Packaging of C of a policy: a Zephyr module, a CMSIS layer, a cycle counter, a README."""
 
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from spikedeploy.exporters.c.int16 import Int16Observations
-from spikedeploy.exporters.c.templates import filled, template
+from spikedeploy.exporters.c.templates import fill, template
 
 ZEPHYR = ("zephyr/module.yml", "zephyr/CMakeLists.txt", "zephyr/Kconfig")
 _BESIDE = ("cycles.h", "cycles.c", "README.md", "interface.json", *ZEPHYR)
@@ -13,7 +13,7 @@ _BESIDE = ("cycles.h", "cycles.c", "README.md", "interface.json", *ZEPHYR)
 
 @dataclass(frozen=True)
 class Interface:
-    """What a firmware calls.
+    """Interface that a firmware calls.
 
     int16: scales of the observations of the interface in 16-bit integers; None without one.
     doubles: whether there is one in doubles.
@@ -40,7 +40,7 @@ def package_files(interface: Interface, common: Mapping[str, str]) -> dict[str, 
         "zephyr_sources": f"${{policy}}/{prefix}.c",
         "zephyr_choices": "\n".join(_zephyr_choices(interface, common["PREFIX"])),
         "files": "\n".join(f"        - file: {name}" for name in sources),
-        "file_table": _table(("file", "holds"), list(_described(interface, prefix).items())),
+        "file_table": _table(("file", "holds"), list(_describe_files(interface, prefix).items())),
         "interface": _interface(interface, prefix),
         "what": _WHAT[interface.doubles],
         "zephyr_words": _ZEPHYR_WORDS if interface.doubles and interface.int16 else "",
@@ -48,14 +48,14 @@ def package_files(interface: Interface, common: Mapping[str, str]) -> dict[str, 
     }
     kconfig = "\n".join([f"# {common['mark']}", *_kconfig(interface, common)])
     return {
-        "cycles.h": filled(template("cycles.h"), gaps),
-        "cycles.c": filled(template("cycles.c"), gaps),
-        "README.md": filled(template("README.md"), gaps),
+        "cycles.h": fill(template("cycles.h"), gaps),
+        "cycles.c": fill(template("cycles.c"), gaps),
+        "README.md": fill(template("README.md"), gaps),
         "interface.json": _record(interface, common),
-        "zephyr/module.yml": filled(template("module.yml"), gaps),
-        "zephyr/CMakeLists.txt": filled(template("zephyr.cmake"), gaps),
+        "zephyr/module.yml": fill(template("module.yml"), gaps),
+        "zephyr/CMakeLists.txt": fill(template("zephyr.cmake"), gaps),
         "zephyr/Kconfig": f"{kconfig}\n",
-        f"{prefix}.clayer.yml": filled(template("clayer.yml"), gaps),
+        f"{prefix}.clayer.yml": fill(template("clayer.yml"), gaps),
     }
 
 
@@ -77,8 +77,8 @@ def _sources(interface: Interface, prefix: str) -> list[str]:
     return [f"{prefix}.c", *(["codec_i16.c"] if interface.doubles else []), *doubles, "host_i16.c"]
 
 
-def _described(interface: Interface, prefix: str) -> dict[str, str]:
-    """What each source and header holds, and what of the C library it needs."""
+def _describe_files(interface: Interface, prefix: str) -> dict[str, str]:
+    """Describe each source and header, and what of the C library it needs."""
     own = {
         f"{prefix}.c": "the network in integers" if interface.doubles else "the network, all of it"
     }

@@ -1,4 +1,4 @@
-"""What C of a program has to know: names, types, magnitudes, spikes that are kept; and refusals."""
+"""Plan of a program as C: names, types, magnitudes, spikes that are kept; and refusals."""
 
 import re
 from collections.abc import Mapping
@@ -180,7 +180,7 @@ class Plan:
         return {self.program.input: chip.input_spikes_max if not self.codec else 1, **layers}
 
     def several(self, source: str) -> bool:
-        """Whether a neuron of a source can spike several times in a timestep."""
+        """Return True if a neuron of a source can spike several times in a timestep."""
         return self.times_max[source] > 1
 
     @property

@@ -15,7 +15,7 @@ from spikedeploy.exporters.c.int16_writer import codec_files, selftest_files
 from spikedeploy.exporters.c.network import NetworkWriter
 from spikedeploy.exporters.c.packaging import Interface, package_files, package_names
 from spikedeploy.exporters.c.plan import Plan, check_codec, check_prefix, check_program
-from spikedeploy.exporters.c.templates import filled, template
+from spikedeploy.exporters.c.templates import fill, template
 from spikedeploy.files import replacing
 from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.codec.codec import Codec
@@ -45,8 +45,8 @@ class Recorded:
     action: NDArray[np.float64] | None
 
 
-def observed(plan: Plan, observation: NDArray[np.float64]) -> Recorded:
-    """What the interpreter makes of observations (S, obs) of one episode, with the seed 0."""
+def record_observations(plan: Plan, observation: NDArray[np.float64]) -> Recorded:
+    """Run the interpreter on observations (S, obs) of one episode, with the seed 0."""
     if plan.codec is None:
         raise TypeError("a network without a codec has no observations")
     machine = Machine(plan.program, 1, "none", trace=True, backend="interpreter")
@@ -56,20 +56,20 @@ def observed(plan: Plan, observation: NDArray[np.float64]) -> Recorded:
         actions.append(plan.codec.decode(machine.infer(rows[None])).reshape(-1))
         found.append(machine.recordings)
     action = np.array(actions, np.float64)
-    return Recorded(observation, raster, _joined(found), action)
+    return Recorded(observation, raster, _join(found), action)
 
 
-def driven(plan: Plan, raster: NDArray[np.uint8]) -> Recorded:
-    """What the interpreter makes of input spikes (S, T, M), from zero states."""
+def record_raster(plan: Plan, raster: NDArray[np.uint8]) -> Recorded:
+    """Run the interpreter on input spikes (S, T, M), from zero states."""
     machine = Machine(plan.program, 1, "none", trace=True, backend="interpreter")
     found = []
     for rows in raster:
         machine.infer(rows[None])
         found.append(machine.recordings)
-    return Recorded(None, raster, _joined(found), None)
+    return Recorded(None, raster, _join(found), None)
 
 
-def few(plan: Plan, timesteps: int) -> int:
+def count_inferences(plan: Plan, timesteps: int) -> int:
     """Inferences that make a self-test of moderate size."""
     each = timesteps * sum(plan.sizes.values())
     return int(np.clip(_NUMBERS // each, 2, _INFERENCES))
@@ -85,9 +85,9 @@ def vectors(plan: Plan, recorded: Recorded) -> str:
     sizes = [plan.sizes[name] for name in names]
     at, channels = np.nonzero(rows)
     out.constant("vector_events", np.searchsorted(at, np.arange(len(rows) + 1)), "uint32_t")
-    out.constant("vector_channels", _some(channels), plan.id_kind)
+    out.constant("vector_channels", _nonempty(channels), plan.id_kind)
     if recorded.observation is None:
-        out.constant("vector_times", _some(rows[at, channels]), "uint8_t")
+        out.constant("vector_times", _nonempty(rows[at, channels]), "uint8_t")
     else:
         out.constant("vector_observation", recorded.observation.astype(np.float64))
         out.constant("vector_action", _actions(recorded))
@@ -107,12 +107,12 @@ def _actions(recorded: Recorded) -> NDArray[np.float64]:
     return recorded.action
 
 
-def _some(values: NDArray[np.integer]) -> NDArray[np.integer]:
+def _nonempty(values: NDArray[np.integer]) -> NDArray[np.integer]:
     """The values, or one 0: C has no empty arrays."""
     return values if values.size else np.zeros(1, np.int64)
 
 
-def _joined(parts: list[dict[str, Recording]]) -> dict[str, Recording]:
+def _join(parts: list[dict[str, Recording]]) -> dict[str, Recording]:
     """Recordings (1, T, N) of inferences as (S, T, N)."""
     return {
         name: Recording(
@@ -226,7 +226,7 @@ def policy_in_c(
     """
     check_codec(codec)
     plan = _plan(program, codec, prefix)
-    seen = observed(plan, observation[: few(plan, codec.timesteps)])
+    seen = record_observations(plan, observation[: count_inferences(plan, codec.timesteps)])
     raster = codec.encode_episode(observation)
     return _files(plan, seen, raster, origin, prefix, observation)
 
@@ -236,7 +236,7 @@ def network_in_c(
 ) -> CFiles:
     """C of a program alone; raster: (S, T, M) input spikes of its self-test."""
     plan = _plan(program, None, prefix)
-    return _files(plan, driven(plan, raster), raster, origin, prefix)
+    return _files(plan, record_raster(plan, raster), raster, origin, prefix)
 
 
 def write(files: CFiles, folder: Path) -> None:
@@ -282,14 +282,14 @@ def _files(
     network, coder = NetworkWriter(plan), Declarations(bytes_of(plan.kind), bytes_of(plan.id_kind))
     gaps = _gaps(plan, origin, prefix)
     parts = {
-        f"{prefix}.h": filled(template("policy.h"), gaps),
-        f"{prefix}.c": filled(template("policy.c"), {**gaps, **network.gaps()}),
+        f"{prefix}.h": fill(template("policy.h"), gaps),
+        f"{prefix}.c": fill(template("policy.c"), {**gaps, **network.gaps()}),
     }
     if plan.codec is not None:
-        parts["codec.c"] = filled(
+        parts["codec.c"] = fill(
             template("codec.c"), {**gaps, **_codec_gaps(plan, plan.codec, coder)}
         )
-    parts["selftest.c"] = filled(template("selftest.c"), gaps)
+    parts["selftest.c"] = fill(template("selftest.c"), gaps)
     parts["vectors.h"] = f"/* {MARK} */\n{vectors(plan, seen)}"
     integers = int16_codec(plan)
     scales = integers.observations if isinstance(integers, Int16Codec) else None
@@ -301,7 +301,7 @@ def _files(
         parts |= codec_files(plan, integers, gaps, prefix)[0]
         parts |= _int16_selftest(plan, integers, observation, gaps)
         gaps |= {"integers": template("int16.mk")}
-    parts["Makefile"] = filled(template("Makefile"), {"integers": "", **gaps})
+    parts["Makefile"] = fill(template("Makefile"), {"integers": "", **gaps})
     memory = network.out.rom + coder.rom, network.out.ram + coder.ram
     found = costs(plan, raster, *memory)
     return CFiles(parts, found, integers if isinstance(integers, str) else "")
@@ -317,7 +317,7 @@ def _int16_selftest(
 
 
 def _gaps(plan: Plan, origin: str, prefix: str) -> dict[str, str]:
-    """What several templates leave open."""
+    """Gaps of several templates."""
     codec, program = plan.codec, plan.program
     sources = f"{prefix}.c codec.c" if codec else f"{prefix}.c"
     actions = ", and every action to 1e-12" if codec and not codec.chooses else ""
@@ -343,7 +343,7 @@ def _gaps(plan: Plan, origin: str, prefix: str) -> dict[str, str]:
 
 
 def _codec_header(codec: Codec, plan: Plan) -> dict[str, str]:
-    """What the codec adds to the header and to the self-test."""
+    """Gaps that the codec fills in the header and in the self-test."""
     scores = DecoderWriter(plan, codec, Declarations()).scores
     exact = 'compare("an action", inference, 0u, a, found, wanted);'
     return {
@@ -371,7 +371,7 @@ void @prefix@_seed(uint64_t seed);
 
 
 def _codec_gaps(plan: Plan, codec: Codec, out: Declarations) -> dict[str, str]:
-    """What the template of codec.c leaves open."""
+    """Gaps of the template of codec.c."""
     encoder = encoder_gaps(codec, out)
     decoder = DecoderWriter(plan, codec, out).gaps()
     kept = plan.program.convention.state == "kept"

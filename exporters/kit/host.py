@@ -1,4 +1,4 @@
-"""What the host of this kit does; every run_*.py uses it. NumPy only.
+"""Host side of this kit; every run_*.py uses it. NumPy only.
 
 A chip of run_*.py is a class with `run(rows)`: rows (T, M) of input spikes in, and out for each
 layer {"current" | "membrane" | "spikes": (T, N)} after each timestep; states go on from call to
@@ -94,7 +94,7 @@ def check(program, expected):
 
 
 def resets(program):
-    """Whether all states are zero at the start of each control step."""
+    """Return True if all states are zero at the start of each control step."""
     return program["control_step"].get("state") == "reset"
 
 
@@ -165,7 +165,7 @@ class Codec:
         self.sent = 0
 
     def encode(self, observation):
-        """What is injected for one observation (obs,): rows (T, M), one in each timestep."""
+        """Return the rows (T, M) to inject for one observation (obs,), one in each timestep."""
         normal, encoder = self.codec["normaliser"], self.codec["encoder"]
         x = (np.asarray(observation, float) - normal["mean"]) / normal["std"]
         x = np.clip(x, -normal["clip"], normal["clip"])

@@ -13,7 +13,7 @@ from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
 
 from spikedeploy import envs
-from spikedeploy.envs.foreign import attribute, imported, is_target
+from spikedeploy.envs.foreign import attribute, import_target, is_target
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig, ValidationConfig
@@ -36,7 +36,7 @@ def own_function(name: str, spaces: OwnSpaces, units: Units) -> Teacher:
     Where the function has the attribute `vectorised`, and it is true, it takes a batch of them.
     """
     module, _, within = name.partition(":")
-    act = attribute(name, imported(name, module, "a teacher is module:function"), within)
+    act = attribute(name, import_target(name, module, "a teacher is module:function"), within)
     if not callable(act):
         raise ConfigError(f"the teacher {name} is no function of an observation, but {act!r}")
     vectorised = bool(getattr(act, "vectorised", False))

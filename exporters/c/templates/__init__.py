@@ -22,7 +22,7 @@ def template(name: str) -> str:
     return (files(__name__) / name).read_text(encoding="utf-8")
 
 
-def filled(text: str, gaps: Mapping[str, str]) -> str:
+def fill(text: str, gaps: Mapping[str, str]) -> str:
     """A template without gaps; KeyError where nothing fills one."""
     for _ in range(_DEPTH):
         text, found = _GAP.subn(lambda gap: gaps[gap[1]], text)
