@@ -115,7 +115,7 @@ def run(
     from spikedeploy.comparison.metrics import checked_metrics
     from spikedeploy.console import print_json
     from spikedeploy.envs import spec
-    from spikedeploy.live.watched_loop import loop_of_run
+    from spikedeploy.live import loop_of_run
     from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output, check_output_folder, mark, marked
     from spikedeploy.policies.nir import adopt, check_fits

@@ -43,7 +43,7 @@ def play(
     check_display()
     from spikedeploy.console import print_json
     from spikedeploy.make_env import parse_options
-    from spikedeploy.play.drive_app import DriveApp, open_session
+    from spikedeploy.play.drive import DriveApp, open_session
     from spikedeploy.play.window import show
     from spikedeploy.shipping.exported_run import runnable
 
@@ -104,8 +104,7 @@ def replay(
         check_output("--video", video, (*source, spikes), force, lambda path: marked(path, own))
 
     from spikedeploy.make_env import parse_options
-    from spikedeploy.play.replay_app import open_replay
-    from spikedeploy.play.replay_film import save_film
+    from spikedeploy.play.replay import open_replay, save_film
     from spikedeploy.play.window import show
 
     first, *beside = source
@@ -138,7 +137,7 @@ def draw(
 
     check_display()
     from spikedeploy.console import as_called, called, print_json
-    from spikedeploy.play.track_editor import TrackEditor
+    from spikedeploy.play.draw import TrackEditor
     from spikedeploy.play.window import show
 
     app = TrackEditor(file, copy)

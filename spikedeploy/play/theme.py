@@ -1,8 +1,9 @@
-"""Colours, fonts, and the shapes that panels are made of."""
+"""Colours, fonts, the shapes that panels are made of, and the picture of an environment."""
 
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pygame
 
@@ -18,6 +19,7 @@ CYAN: Colour = (76, 201, 240)
 AMBER: Colour = (255, 209, 102)
 GREEN: Colour = (95, 211, 141)
 RED: Colour = (242, 114, 123)
+HEIGHT = 800  # of a window
 _FONTS = {"plain": "DejaVuSans.ttf", "bold": "DejaVuSans-Bold.ttf", "mono": "DejaVuSansMono.ttf"}
 
 
@@ -109,3 +111,29 @@ def banner(surface: pygame.Surface, place: pygame.Rect, text: str, colour: Colou
     pygame.draw.rect(veil, (*colour, 255), veil.get_rect(), 2, border_radius=14)
     surface.blit(veil, box)
     write(surface, text, box.center, 26, colour, "bold", "center")
+
+
+def is_kart(world: Any) -> bool:  # noqa: ANN401
+    """True of a kart, which is drawn on its track from above."""
+    return hasattr(world, "track")
+
+
+def picture_size(world: Any) -> tuple[int, int]:  # noqa: ANN401
+    """Width and height of a track, or of a camera's view."""
+    return (HEIGHT, HEIGHT) if is_kart(world) else (HEIGHT * 4 // 3, HEIGHT)
+
+
+def env_picture(world: Any, size: tuple[int, int]) -> pygame.Surface:  # noqa: ANN401
+    """A picture of this size; other environments than karts need render_mode="rgb_array"."""
+    if is_kart(world):
+        from spikedeploy.envs.kart.picture import drawn
+
+        return drawn(world, size)
+    frame = world.render()
+    seen = pygame.surfarray.make_surface(frame.swapaxes(0, 1))
+    scale = min(size[0] / seen.get_width(), size[1] / seen.get_height())
+    surface = pygame.Surface(size)
+    surface.fill(NIGHT)
+    seen = pygame.transform.smoothscale_by(seen, scale)
+    surface.blit(seen, seen.get_rect(center=surface.get_rect().center))
+    return surface

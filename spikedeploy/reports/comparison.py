@@ -15,7 +15,7 @@ from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.files import as_text, write_text
 from spikedeploy.outputs import marked
 from spikedeploy.policies.registry import Candidate
-from spikedeploy.recordings.recorded import of_comparison
+from spikedeploy.recordings import of_comparison
 from spikedeploy.reports.columns import (
     COMMON_TABLE,
     COST,

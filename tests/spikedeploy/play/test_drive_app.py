@@ -11,13 +11,12 @@ from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.play import window
-from spikedeploy.play.drive_app import DriveApp, open_session
-from spikedeploy.play.drivers import (
+from spikedeploy.play.drive import (
     CommandedPolicyDriver,
-    CommandKeys,
+    DriveApp,
     KeyboardDriver,
-    Keys,
     PolicyDriver,
+    open_session,
 )
 from spikedeploy.runtime.errors import ConfigError
 from tests import toy_stroll_env
@@ -81,33 +80,32 @@ def drive(env, **options):
 def test_the_keys_of_kart_simulator_drive_every_kart(name):
     driven = drive(name)
     for cap, action in KARTS[name].items():
-        keys = Keys(driven.world.ACTIONS)
-        keys.handle(key(cap))
-        assert driven.world.ACTIONS[keys.action] == action
-        keys.handle(up(cap))
-        assert keys.action == 0
+        driven.driver.handle(key(cap))
+        assert driven.world.ACTIONS[driven.driver.act(None)] == action
+        driven.driver.handle(up(cap))
+        assert driven.driver.act(None) == 0
     assert isinstance(driven.driver, KeyboardDriver)
 
 
 @pytest.mark.usefixtures("key_names")
 def test_the_arrows_do_the_same():
-    keys = Keys(("none", "accelerate", "brake", "left", "right"))
+    keys = KeyboardDriver(("none", "accelerate", "brake", "left", "right"))
     for name, action in (("up", 1), ("down", 2), ("left", 3), ("right", 4)):
         keys.handle(key(name))
-        assert keys.action == action
+        assert keys.act(None) == action
         keys.handle(up(name))
 
 
 @pytest.mark.usefixtures("key_names")
 def test_the_key_pressed_last_counts_and_the_one_before_goes_on_after_it():
-    keys = Keys(("none", "accelerate", "brake", "left", "right"))
+    keys = KeyboardDriver(("none", "accelerate", "brake", "left", "right"))
     keys.handle(key("w"))
     keys.handle(key("a"))
-    assert keys.action == 3
+    assert keys.act(None) == 3
     keys.handle(up("a"))
-    assert keys.action == 1
+    assert keys.act(None) == 1
     keys.handle(key("q"))  # drives nothing
-    assert keys.action == 1
+    assert keys.act(None) == 1
 
 
 @pytest.mark.usefixtures("key_names")
@@ -122,7 +120,7 @@ def test_a_continuous_kart_takes_throttle_and_steering_at_once():
 
 @pytest.mark.usefixtures("key_names")
 def test_arrows_command_speed_and_turn_within_bounds():
-    keys = CommandKeys()
+    keys = CommandedPolicyDriver(None, "x", None)
     for _ in range(9):
         keys.handle(key("up"))
         keys.handle(key("left"))

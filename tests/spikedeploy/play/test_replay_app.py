@@ -15,13 +15,8 @@ from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.play import window
-from spikedeploy.play.ghost_group import GhostGroup
-from spikedeploy.play.overlay_view import COLOURS, distinct_names
-from spikedeploy.play.playback import Playback
-from spikedeploy.play.replay_app import open_replay
-from spikedeploy.play.replay_film import save_film
-from spikedeploy.play.replay_source import open_source
-from spikedeploy.play.replay_views import gates_passed, ghost_observations
+from spikedeploy.play.ghosts import COLOURS, GhostGroup, gates_passed, ghost_observations
+from spikedeploy.play.replay import Playback, distinct_names, open_replay, open_source, save_film
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
@@ -165,8 +160,8 @@ def test_a_crowd_knows_where_everybody_is_and_who_has_ended():
     assert group.length == 9
     assert group.poses(4)[:, 0].tolist() == [3, 104, 204]
     assert group.driving(4).tolist() == [False, True, True]
-    assert vars(group.count(5)) == {"driving": 1, "finished": 1, "crashed": 1}
-    assert vars(group.count(0)) == {"driving": 3, "finished": 0, "crashed": 0}
+    assert group.counts(5) == {"driving": 1, "finished": 1, "crashed": 1}
+    assert group.counts(0) == {"driving": 3, "finished": 0, "crashed": 0}
 
 
 @pytest.mark.parametrize(
@@ -378,10 +373,10 @@ def test_sources_are_laid_over_one_another_in_colours_of_their_own(run, tmp_path
 def test_of_a_source_with_fewer_batches_the_last_one_stays(run, tmp_path):
     app = open_replay(tiny(tmp_path), batch=3, beside=[run])
     assert app.playback.batches == 3
-    assert [len(view.group.drives) for view in app.view.views.values()] == [1, 2]
+    assert [len(group.drives) for group in app.view.groups.values()] == [1, 2]
     assert app.playback.length == 120
     together = open_replay(tiny(tmp_path), mode="all", beside=[run])
-    assert [len(view.group.drives) for view in together.view.views.values()] == [1, 7]
+    assert [len(group.drives) for group in together.view.groups.values()] == [1, 7]
 
 
 def test_colours_of_sources_can_be_told_apart():
@@ -488,7 +483,7 @@ def test_a_robot_walks_its_recorded_walk_again_and_backwards(monkeypatch, tmp_pa
 
 
 def test_a_hexapod_that_was_steered_is_steered_again(tmp_path):
-    from spikedeploy.play.drive_app import open_session
+    from spikedeploy.play.drive import open_session
 
     driven = open_session("hexapod-command", {}, "gait", None, 10_000, tmp_path / "walk.npz")
     for key in [pygame.K_UP] * 60 + [pygame.K_LEFT] * 60:

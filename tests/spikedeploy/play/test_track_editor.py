@@ -9,10 +9,17 @@ import pytest
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart.track import load
 from spikedeploy.play import window
-from spikedeploy.play.draft_files import as_text, draft_of, open_draft, save, save_draft
-from spikedeploy.play.track_draft import History, TrackDraft
-from spikedeploy.play.track_editor import TrackEditor
-from spikedeploy.play.track_editor_view import HEIGHT, View, view_of
+from spikedeploy.play.draft import (
+    History,
+    TrackDraft,
+    as_text,
+    draft_of,
+    open_draft,
+    save,
+    save_draft,
+)
+from spikedeploy.play.draw import TrackEditor, View, view_of
+from spikedeploy.play.theme import HEIGHT
 from spikedeploy.runtime.errors import ConfigError
 
 BOX = ((0.0, 0.0), (400.0, 0.0), (400.0, 100.0), (0.0, 100.0), (0.0, 0.0))

@@ -1,18 +1,27 @@
 """Recorded episodes are those of the comparison, spike by spike and step by step."""
 
 import json
+import zlib
+from base64 import b64decode
 
 import numpy as np
 import pytest
 
-from spikedeploy import envs
+from spikedeploy import envs, recordings
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.make_env import make_env
-from spikedeploy.recordings import recorded
-from spikedeploy.recordings.episode import NetworkTrace, RecordedEpisode, record
-from spikedeploy.recordings.scenes import scene_of
-from spikedeploy.recordings.tracks import tracks
+from spikedeploy.recordings import (
+    NetworkTrace,
+    RecordedEpisode,
+    first_difference,
+    info_curves,
+    of_comparison,
+    pack,
+    pack_bits,
+    record,
+    scene_of,
+)
 from tests import toy_stroll_env
 from tests.packed_arrays import unpacked
 
@@ -46,7 +55,7 @@ def test_what_is_recorded_is_what_was_compared(entries):
 def test_a_page_has_the_first_and_the_worst_episode_of_the_policy_it_is_about(entries):
     compared = compare_policies("stroll", entries, range(10_000, 10_006), processes=1)
     main = [row.entry for row in compared.rows].index(on_chip(entries))
-    first, worst = recorded.of_comparison(compared, main, {}, TABLE)
+    first, worst = of_comparison(compared, main, {}, TABLE)
     returns = compared.rows[main].returns
     assert (first["seed"], worst["seed"]) == (10_000, 10_000 + int(np.argmin(returns)))
     assert [player["label"] for player in worst["players"]] == [
@@ -59,11 +68,11 @@ def test_a_page_has_the_first_and_the_worst_episode_of_the_policy_it_is_about(en
 
 
 def test_a_page_that_would_be_too_large_has_one_episode(entries, monkeypatch):
-    monkeypatch.setattr(recorded, "_MOST_BYTES", 100)
-    monkeypatch.setattr(recorded, "_MOST_BITS", 10)
+    monkeypatch.setattr(recordings, "_MOST_BYTES", 100)
+    monkeypatch.setattr(recordings, "_MOST_BITS", 10)
     compared = compare_policies("stroll", entries, range(10_000, 10_006), processes=1)
     main = [row.entry for row in compared.rows].index(on_chip(entries))
-    (only,) = recorded.of_comparison(compared, main, {}, TABLE)
+    (only,) = of_comparison(compared, main, {}, TABLE)
     network = only["players"][-1]["network"]
     assert network["layers"] == []
     assert network["left_out"][0].startswith("input: ")
@@ -78,13 +87,13 @@ def episode_of(rasters):
 def test_the_first_difference_is_the_earliest_in_time_then_in_the_order_of_layers():
     one = {name: np.zeros((5, 2, 3), np.uint8) for name in ("input", "lif1", "lif2")}
     other = {name: raster.copy() for name, raster in one.items()}
-    assert recorded.first_difference(episode_of(one), episode_of(other)) is None
+    assert first_difference(episode_of(one), episode_of(other)) is None
     other["lif2"][1, 1, 2] = 1
     other["lif1"][2, 0, 0] = 1
-    found = recorded.first_difference(episode_of(one), episode_of(other))
+    found = first_difference(episode_of(one), episode_of(other))
     assert found == {"step": 1, "timestep": 1, "layer": "lif2", "neuron": 2}
     other["lif1"][1, 1, 1] = 1
-    found = recorded.first_difference(episode_of(one), episode_of(other))
+    found = first_difference(episode_of(one), episode_of(other))
     assert (found["layer"], found["neuron"]) == ("lif1", 1)
 
 
@@ -132,9 +141,42 @@ def test_commands_are_drawn_with_what_followed_them():
         line_up("hexapod-command", ("hexapod-command/sparse",), ())[0].candidate,
         None, "x", 10_000, TABLE,
     ).played  # fmt: skip
-    speed, turn = tracks(played.info)
+    speed, turn = info_curves(played.info)
     assert (speed["unit"], turn["unit"]) == ("m/s", "rad/s")
     wanted, step = unpacked(turn["wanted"]), turn["wanted"]["step"]
     assert np.abs(wanted - played.info["command_turn"]).max() <= step
     found = unpacked(turn["values"]) - wanted
     assert np.abs(found + played.info["turn_error"]).max() < 0.001
+
+
+@pytest.mark.parametrize("shape", [(1,), (50,), (40, 3), (30, 4, 7)])
+def test_numbers_come_back_within_half_a_level(shape):
+    values = np.random.default_rng(0).normal(0, 1e3, shape)
+    found = pack(values)
+    assert found["shape"] == list(shape)
+    assert np.abs(unpacked(found) - values).max() <= 0.51 * found["step"]
+
+
+def test_jumps_across_the_whole_range_come_back():
+    values = np.array([0.0, 1.0, 0.0, 1.0, 1.0, 0.0])
+    np.testing.assert_allclose(unpacked(pack(values)), values, atol=1e-4)
+
+
+@pytest.mark.parametrize("values", [np.zeros(5), np.full((4, 2), -3.25)])
+def test_constants_come_back_exactly(values):
+    assert (unpacked(pack(values)) == values).all()
+
+
+def test_nan_becomes_a_number_and_nothing_at_all_is_packed():
+    assert np.isfinite(unpacked(pack([1.0, np.nan, 2.0]))).all()
+    assert pack(np.zeros((0, 3)))["shape"] == [0, 3]
+
+
+@pytest.mark.parametrize("neurons", [1, 7, 8, 9, 130])
+def test_spikes_come_back(neurons):
+    raster = np.random.default_rng(1).integers(-1, 2, (20, neurons))
+    found = pack_bits(raster)
+    bits = np.frombuffer(zlib.decompress(b64decode(found["data"])), np.uint8)
+    rows = np.unpackbits(bits.reshape(20, -1), axis=1, bitorder="little")[:, :neurons]
+    assert found["shape"] == [20, neurons]
+    assert (rows == (raster != 0)).all()

@@ -14,9 +14,7 @@ import pytest
 
 from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.live.steps import told
-from spikedeploy.live.view import LiveView
-from spikedeploy.live.watched_loop import WatchedLoop
+from spikedeploy.live import LiveView, WatchedLoop, steps_event
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.registry import find, open_policy
 from tests.paths import ROOT
@@ -42,7 +40,7 @@ class Kept:
 
 
 def data_of(message):
-    return json.loads(message.text.split(b"data: ")[1])
+    return json.loads(message.split(b"data: ")[1])
 
 
 @pytest.mark.parametrize(("policy", "chip"), [("popsan", "loihi1"), ("popsan", "float"),
@@ -66,11 +64,11 @@ def test_what_is_told_adds_up_to_what_is_reported(stroll):
     (row,) = run_policy("stroll/popsan", None, None, [10_000], loop=loop).as_json()
     assert view.table == "horowitz45-int8"
     assert [step.number for step in view.steps] == list(range(20))
-    sops = [step.inference.ledger.total("sop") for step in view.steps]
+    sops = [step.ledger.total("sop") for step in view.steps]
     assert sum(sops) / 20 == pytest.approx(row["sops_per_inference"])
     (begun,) = view.begun
     assert (begun["label"], begun["env"], begun["period"]) == ("popsan · loihi1", "stroll", 0.02)
-    data = data_of(told(view.steps[5:9], view.table, view.deadline))
+    data = data_of(steps_event(view.steps[5:9], view.table, view.deadline))
     assert (data["first"], data["steps"], data["missed"]) == (5, 4, view.steps[8].missed)
     assert data["actions"]["shape"] == [4, 2]
     assert data["tracks"][0]["unit"] == "%"
@@ -91,8 +89,8 @@ def test_large_layers_are_left_out_by_name(stroll):
     run_policy("stroll/popsan", None, None, [0], loop=WatchedLoop(view, RATE, None, None))
     step = view.steps[0]
     wide = {**step.inference.spikes, "input": np.zeros((5, 9000), np.uint8)}
-    inference = replace(step.inference, spikes=wide, ledger=None)
-    data = data_of(told([replace(step, inference=inference)], view.table, 1.0))
+    inference = replace(step.inference, spikes=wide)
+    data = data_of(steps_event([replace(step, inference=inference, ledger=None)], view.table, 1.0))
     assert data["network"]["left_out"] == ["input: 9,000 neurons"]
     assert data["network"]["sops"] is None
 

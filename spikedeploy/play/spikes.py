@@ -1,12 +1,13 @@
-"""The panel of a policy's spikes: the current inference, and recent rates."""
+"""Spikes of a policy on the observations of an episode, and the panel that draws them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from spikedeploy.play.spike_recorder import InferenceTrace
 from spikedeploy.play.theme import (
     AMBER,
     CYAN,
@@ -20,12 +21,72 @@ from spikedeploy.play.theme import (
     signed_bar,
     write,
 )
+from spikedeploy.policies.registry import Candidate
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.emulator.network import chip_called, running
+from spikedeploy.runtime.errors import ConfigError
 
+Floats = NDArray[np.float64]
 WIDTH = 400
+WINDOW = 120  # control steps of history
 _PAD = 24
 _GAP = 14  # between inference and history
-WINDOW = 120  # control steps of history
 _SHARE = 0.3  # of the width for one inference
+
+
+@dataclass(frozen=True)
+class InferenceTrace:
+    """S inferences of T timesteps each.
+
+    rasters  "input" and every spiking layer -> (S, T, N) uint8
+    scores   (S, act) mean readout, before an action is made of it
+    """
+
+    rasters: Mapping[str, NDArray[np.uint8]]
+    scores: Floats
+
+
+class SpikeRecorder:
+    """A spiking policy, on a chip or in float, whose spikes are recorded.
+
+    name  for people
+    """
+
+    def __init__(self, candidate: Candidate, chip: str) -> None:
+        if candidate.format != ".nir":
+            raise ConfigError(
+                f"{candidate.path} shows no spikes: give a .nir file, which `export` writes"
+            )
+        self.name = f"{candidate.name} on {chip}"
+        artifact = load(candidate.path)
+        if artifact.codec is None:
+            raise ConfigError(f"{candidate.path} has no codec, so observations become no spikes")
+        self._codec = artifact.codec
+        self._graded = frozenset(artifact.sigma_delta)
+        self._network = running(artifact, chip_called(chip), "none", trace=True)
+
+    def record(self, observations: Floats, seed: int) -> InferenceTrace:
+        """One inference for each observation (S, obs), in their order."""
+        self._network.reset()
+        state = self._codec.encoder.start(max(seed, 0))
+        rasters: dict[str, list[NDArray[np.uint8]]] = {}
+        scores = []
+        for observation in observations:
+            spikes = self._codec.encode(observation[None], state)
+            scores.append(self._codec.scores(self._network.infer(spikes))[0])
+            for name, raster in {"input": spikes, **self._network.spikes}.items():
+                # a graded spike is shown as one
+                shown = (raster != 0).astype(np.uint8) if name in self._graded else raster
+                rasters.setdefault(name, []).append(shown[0])
+        return InferenceTrace(
+            {name: np.stack(rows) for name, rows in rasters.items()}, np.stack(scores)
+        )
+
+
+def action_names(world: Any, scores: int) -> Sequence[str]:  # noqa: ANN401
+    """Names of a policy's scores."""
+    names: tuple[str, ...] = getattr(world, "ACTIONS", ())
+    return names if len(names) == scores else [str(index) for index in range(scores)]
 
 
 def draw_inference(
@@ -54,22 +115,12 @@ def draw_inference(
     y = inner.top + 56
     rasters = list(inferences.rasters.items())
     height = (below - y - 34 * len(rasters)) // len(rasters)
-    for (layer, raster), colour in zip(rasters, _colours(len(rasters)), strict=True):
+    for index, (layer, raster) in enumerate(rasters):
         box = pygame.Rect(inner.left, y, inner.width, height + 20)
-        _layer(surface, box, layer, raster, step, colour)
+        _layer(surface, box, layer, raster, step, CYAN if index else AMBER)
         y += height + 34
-    _scores(
-        surface,
-        pygame.Rect(inner.left, below + 8, inner.width, 0),
-        inferences,
-        step,
-        actions,
-        taken,
-    )
-
-
-def _colours(count: int) -> list[Colour]:
-    return [AMBER, *[CYAN] * (count - 1)]
+    scores = pygame.Rect(inner.left, below + 8, inner.width, 0)
+    _scores(surface, scores, inferences, step, actions, taken)
 
 
 def _layer(

@@ -1,0 +1,499 @@
+"""`run --watch`: episodes in browsers of this machine while they are played.
+
+The paced loop appends its control steps to a bounded list and goes on. A server on 127.0.0.1 looks
+there for each browser, in a thread of its own, and sends what is new as Server-Sent Events: a slow
+browser misses the oldest control steps, and nobody waits for it.
+"""
+
+import json
+import re
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from functools import cache
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+import gymnasium
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from spikedeploy import envs
+from spikedeploy.console import say
+from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
+from spikedeploy.play.display import has_desktop
+from spikedeploy.policies.costs import FLOAT_TABLES, priced_by
+from spikedeploy.policies.nir import NirController
+from spikedeploy.policies.registry import Candidate, Player
+from spikedeploy.realtime.paced_loop import TIMES, PacedLoop, paced, pacing
+from spikedeploy.recordings import (
+    Floats,
+    Inference,
+    curve,
+    info_curves,
+    last_inference,
+    ledger_of,
+    network_json,
+    open_traced,
+    pack,
+    scene_of,
+    stack_inferences,
+)
+from spikedeploy.reports.columns import quoted_among
+from spikedeploy.reports.page import REPLAY_ASSETS, asset
+from spikedeploy.runtime.emulator.ledger import Ledger
+from spikedeploy.runtime.errors import ConfigError
+
+# the paced loop
+
+_RATE = 30.0  # [Hz] where neither the user nor the environment says one
+_BROWSER = 5.0  # [s] that a browser has to open before the first episode begins
+_POLICY = TIMES.index("policy")
+
+
+@contextmanager
+def loop_of_run(
+    watch: bool,
+    port: int | None,
+    rate: float | None,
+    deadline: str | None,
+    lasting: str | None,
+    tables: Sequence[str],
+) -> Iterator[PacedLoop | None]:
+    """The loop that `run` plays in: by --watch, by --rate, or None; arguments as of WatchedLoop."""
+    if not watch:
+        pace = pacing(rate, deadline, lasting)
+        yield PacedLoop(pace) if pace else None
+        return
+    view = LiveView(port or 0)
+    try:
+        loop = WatchedLoop(view, rate, deadline, lasting, tables)
+        say(f"watch at {view.address}")
+        if has_desktop() and not typer.launch(view.address):
+            view.wait(_BROWSER)
+        yield loop
+    finally:
+        view.close()
+
+
+class WatchedLoop(PacedLoop):
+    """Plays as PacedLoop does, and hands every control step to a view.
+
+    rate      [Hz]; None for that of the environment
+    deadline  as the option; None for the period
+    lasting   likewise; None for as many episodes as were asked for
+    tables    of energy that were asked for; none for the one that reports quote
+    """
+
+    def __init__(
+        self,
+        view: "LiveView",
+        rate: float | None,
+        deadline: str | None,
+        lasting: str | None,
+        tables: Sequence[str] = (),
+    ) -> None:
+        super().__init__(paced(_RATE if rate is None else rate, deadline, lasting))
+        self._view, self._tables = view, tables
+        self._given = rate, deadline, lasting
+        self._episode, self._missed = 0, 0
+
+    def open(
+        self,
+        candidate: Candidate,
+        chip: str | None,
+        env: gymnasium.Env[Any, Any],
+        sampled: bool,
+    ) -> Player:
+        """The policy, whose network keeps its spikes; the rate is now known."""
+        rate, deadline, lasting = self._given
+        period = getattr(env.unwrapped, "CONTROL_DT", None)
+        own = 1 / period if period else _RATE
+        self._pace(paced(own if rate is None else rate, deadline, lasting))
+        self._label = candidate.name if chip is None else f"{candidate.name} · {chip}"
+        self._kind, self._period = candidate.kind, period
+        player = open_traced(candidate, chip, env, "total", sampled)
+        self._table = next(iter(self._tables), "") or quoted_among(
+            priced_by(player.chip) if isinstance(player, NirController) else FLOAT_TABLES
+        )
+        return player
+
+    def rollout(self, env: gymnasium.Env[Any, Any], player: Player, seed: int) -> Rollout:
+        """One episode, a control step in each period."""
+        played = super().rollout(env, player, seed)
+        why = "terminal state" if played.terminated else "time limit"
+        self._view.over({"total": played.total, "success": played.success, "why": why})
+        return played
+
+    def _begun(
+        self, recorder: EpisodeRecorder, env: gymnasium.Env[Any, Any], player: Player, seed: int
+    ) -> None:
+        self._episode, self._total = self._episode + 1, 0.0
+        self._scene = scene_of(env)
+        self._before = ledger_of(player) if isinstance(player, NirController) else None
+        self._view.begin(
+            {
+                "label": self._label,
+                "kind": self._kind,
+                "env": envs.spec(env.spec.id).short if env.spec else "",
+                "episode": self._episode,
+                "seed": seed,
+                "period": self._period,
+                "rate": self._pacing.rate,
+                "scene": self._scene.shapes() if self._scene else None,
+            },
+            self._table,
+            self._pacing.deadline,
+        )
+
+    def _stepped(self, recorder: EpisodeRecorder, player: Player, times: Sequence[float]) -> None:
+        self._total += recorder.reward
+        self._missed += times[_POLICY] > self._pacing.deadline
+        network = player if isinstance(player, NirController) else None
+        self._view.step(
+            WatchedStep(
+                recorder.steps - 1,
+                recorder.action,
+                recorder.reward,
+                self._total,
+                recorder.numbers,
+                self._scene.pose() if self._scene else None,
+                last_inference(network) if network else None,
+                self._counts(network) if network else None,
+                times[_POLICY],
+                self._missed,
+                self._metronome.skipped,
+            )
+        )
+
+    def _counts(self, player: NirController) -> Ledger | None:
+        """The ledger of the last inference; None where it cannot be counted."""
+        before, self._before = self._before, ledger_of(player)
+        return self._before.since(before) if before and self._before else None
+
+
+# messages
+
+# infos of our environments, of which curves are drawn; which ones others have changes by the step
+_OURS = {"command_turn", "slip", "gates"}
+_MOST_NEURONS = 4096  # of a layer whose spikes are sent
+_MOST_MEMBRANES = 2048  # likewise
+
+
+@dataclass(frozen=True)
+class WatchedStep:
+    """A control step that was taken.
+
+    number     of the step in its episode, from 0
+    action     (act,) or ()
+    reward     of the step
+    total      return so far
+    info       numbers of the environment
+    pose       of the scene; None without one
+    inference  of a policy that spikes
+    ledger     of this inference; None where it cannot be counted
+    policy     time of the policy [s]
+    missed     deadlines that the policy missed so far, in all episodes
+    skipped    periods so far, likewise
+    """
+
+    number: int
+    action: NDArray[Any]
+    reward: float
+    total: float
+    info: Mapping[str, float]
+    pose: Floats | None
+    inference: Inference | None
+    ledger: Ledger | None
+    policy: float
+    missed: int
+    skipped: int
+
+
+def event(kind: str, data: Mapping[str, Any]) -> bytes:
+    """A Server-Sent Event: "begin", "steps", "over" or "end", with data as JSON."""
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    return f"event: {kind}\ndata: {text}\n\n".encode()
+
+
+def steps_event(batch: Sequence[WatchedStep], table: str, deadline: float) -> bytes:
+    """Consecutive control steps as an event.
+
+    table     of the energy
+    deadline  [s] of the policy
+    """
+    last, poses = batch[-1], [step.pose for step in batch if step.pose is not None]
+    use = np.array([100 * step.policy / deadline for step in batch])
+    curves = [curve("time of the policy, of its deadline", "%", use)]
+    if _OURS & last.info.keys():
+        curves += info_curves({n: np.array([s.info[n] for s in batch]) for n in last.info})
+    data = {
+        "first": batch[0].number,
+        "steps": len(batch),
+        "total": last.total,
+        "missed": last.missed,
+        "skipped": last.skipped,
+        "poses": pack(poses) if poses else None,
+        "reward": pack([step.reward for step in batch]),
+        "actions": pack([step.action.reshape(-1) for step in batch]),
+        "tracks": curves,
+        "network": _network(batch, table) if last.inference else None,
+    }
+    return event("steps", data)
+
+
+def _network(batch: Sequence[WatchedStep], table: str) -> dict[str, Any]:
+    inferences = [step.inference for step in batch if step.inference]
+    first, ledgers = inferences[0], [step.ledger for step in batch if step.ledger]
+    left_out = {n: s for n, s in first.spikes.items() if s.shape[1] > _MOST_NEURONS}
+    large = {name for name, last in first.membranes.items() if len(last) > _MOST_MEMBRANES}
+    sent = [
+        Inference(
+            {name: spikes for name, spikes in each.spikes.items() if name not in left_out},
+            {name: last for name, last in each.membranes.items() if name not in large},
+        )
+        for each in inferences
+    ]
+    counted = None
+    if ledgers:
+        counts = np.concatenate([ledger.counts for ledger in ledgers])
+        counted = replace(ledgers[0], counts=counts)
+    names = [f"{name}: {spikes.shape[1]:,} neurons" for name, spikes in left_out.items()]
+    return network_json(stack_inferences(sent, counted, table), names)
+
+
+# the view
+
+_EVERY = 0.05  # [s] between two looks at what is new
+_SILENCE = 2.0  # [s] after which a comment shows whether the browser is still there
+_MOST_STEPS = 1000  # control steps of an episode that are kept
+_GOODBYE = 2.0  # [s] that browsers have to hear of the end
+
+
+@dataclass
+class _Episode:
+    """The episode that is played.
+
+    head     label, scene, period [s] and the like, energy table and deadline
+    steps    the last ones
+    outcome  of an episode that is over
+    """
+
+    head: Mapping[str, Any]
+    steps: deque[WatchedStep]
+    outcome: Mapping[str, Any] | None = None
+
+
+class LiveView:
+    """The view of a run, with a server of its own; to be closed.
+
+    address  of its page
+    """
+
+    def __init__(self, port: int = 0) -> None:
+        self._episode: _Episode | None = None
+        self._is_ended = False
+        self._browsers = 0
+        self._changed = threading.Condition()  # how many browsers listen
+        self._server = LiveServer(self, port)
+        self.address = self._server.address
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for a browser; True if one listens."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._browsers > 0, seconds)
+
+    def begin(self, episode: Mapping[str, Any], table: str, deadline: float) -> None:
+        """An episode begins.
+
+        episode   label, scene, period [s] and the like
+        table     of the energy
+        deadline  of the policy [s]
+        """
+        head = {**episode, "table": table, "deadline": deadline}
+        self._episode = _Episode(head, deque(maxlen=_MOST_STEPS))
+
+    def step(self, step: WatchedStep) -> None:
+        """A control step was taken."""
+        if self._episode:
+            self._episode.steps.append(step)
+
+    def over(self, outcome: Mapping[str, Any]) -> None:
+        """The episode is over."""
+        if self._episode:
+            self._episode.outcome = outcome
+
+    def close(self) -> None:
+        """Let browsers hear of the end, and give the port back."""
+        self._is_ended = True
+        with self._changed:
+            self._changed.wait_for(lambda: self._browsers == 0, _GOODBYE)
+        self._server.close()
+
+    def events(self) -> Generator[bytes, None, None]:
+        """The events for one browser, until the end; a slow one misses the oldest control steps."""
+        self._count_browsers(1)
+        try:
+            yield from self._events()
+        finally:
+            self._count_browsers(-1)
+
+    def _events(self) -> Iterator[bytes]:
+        episode: _Episode | None = None
+        heard = time.monotonic()
+        while True:
+            is_ended = self._is_ended  # before it is looked what there is: nothing is lost
+            if self._episode and self._episode is not episode:
+                episode, last, is_over = self._episode, -1, False
+                yield event("begin", episode.head)
+            if episode:
+                outcome = episode.outcome
+                if batch := [step for step in episode.steps.copy() if step.number > last]:
+                    yield steps_event(batch, episode.head["table"], episode.head["deadline"])
+                    last, heard = batch[-1].number, time.monotonic()
+                if outcome and not is_over:
+                    is_over = True
+                    yield event("over", outcome)
+            if is_ended:
+                yield event("end", {})
+                return
+            if time.monotonic() - heard > _SILENCE:
+                heard = time.monotonic()
+                yield b": nothing new\n\n"
+            time.sleep(_EVERY)
+
+    def _count_browsers(self, change: int) -> None:
+        with self._changed:
+            self._browsers += change
+            self._changed.notify_all()
+
+
+# the server
+
+_HOST = re.compile(r"(127\.0\.0\.1|localhost)(:[0-9]{1,5})?", re.IGNORECASE)
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
+    "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+    "Connection": "close",
+}
+_PATIENCE = 10.0  # [s] of silence in a request, or for a browser to take what it is sent
+
+
+class LiveServer(ThreadingHTTPServer):
+    """The page and its events, over HTTP on 127.0.0.1, from the beginning on; to be closed.
+
+    Every program of this machine may look; nothing can be changed. Pages of other origins are kept
+    out: by the name of the host, as DNS may lead a name of theirs here, and by what browsers say of
+    where a request comes from.
+
+    view     whose events it sends
+    address  of the page
+    """
+
+    def __init__(self, view: LiveView, port: int = 0) -> None:
+        self.view = view
+        try:
+            super().__init__(("127.0.0.1", port), _Handler)
+        except OSError as error:
+            raise ConfigError(
+                f"--port {port}: cannot listen on 127.0.0.1 ({error.strerror}). Give another, or "
+                "leave it out for one that is free."
+            ) from error
+        self.address = f"http://127.0.0.1:{self.server_address[1]}/"
+        threading.Thread(target=self.serve_forever, args=(0.05,), daemon=True).start()
+
+    def close(self) -> None:
+        """Give the port back."""
+        self.shutdown()
+        self.server_close()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
+        """A browser that leaves is no error."""
+        if not isinstance(sys.exc_info()[1], OSError):
+            super().handle_error(request, client_address)
+
+
+@cache
+def _files() -> dict[str, tuple[str, bytes]]:
+    """Path -> type and content: nothing else is there to be read."""
+    script = "\n".join(asset(name) for name in (*REPLAY_ASSETS, "live.js"))
+    texts = {
+        "/": ("text/html", asset("live.html")),
+        "/live.js": ("text/javascript", script),
+        "/live.css": ("text/css", asset("page.css") + asset("live.css")),
+    }
+    return {path: (kind, text.encode()) for path, (kind, text) in texts.items()}
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """One request."""
+
+    server: LiveServer
+    server_version, sys_version, protocol_version = "spikedeploy", "", "HTTP/1.1"
+    timeout = _PATIENCE
+
+    def do_GET(self) -> None:
+        """A file, or the events."""
+        if not self._is_ours():
+            self._refuse(HTTPStatus.FORBIDDEN)
+        elif self.path == "/events":
+            self._send_events()
+        elif self.path in _files():
+            kind, content = _files()[self.path]
+            self._answer(HTTPStatus.OK, f"{kind}; charset=utf-8", content)
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND)
+
+    def do_POST(self) -> None:
+        """Refuse: there is nothing to change."""
+        self._refuse(HTTPStatus.METHOD_NOT_ALLOWED)
+
+    do_HEAD = do_PUT = do_DELETE = do_PATCH = do_OPTIONS = do_POST  # noqa: N815
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Nothing: the terminal is the run's."""
+
+    def _is_ours(self) -> bool:
+        """True of a request by our page, or by somebody who typed its address."""
+        hosts = self.headers.get_all("Host", [])
+        if len(hosts) != 1 or not _HOST.fullmatch(hosts[0]):
+            return False
+        ours = {f"http://{hosts[0].lower()}"}
+        origins = {each.lower() for each in self.headers.get_all("Origin", [])}
+        site = self.headers.get("Sec-Fetch-Site", "none")
+        # a link may lead to the page
+        return self.path == "/" or (origins <= ours and site in ("none", "same-origin"))
+
+    def _send_events(self) -> None:
+        self._send_head(HTTPStatus.OK, "text/event-stream")
+        with closing(self.server.view.events()) as events:
+            for each in events:
+                self.wfile.write(each)
+
+    def _refuse(self, status: HTTPStatus) -> None:
+        self._answer(status, "text/plain; charset=utf-8", f"{status.phrase}\n".encode())
+
+    def _answer(self, status: HTTPStatus, kind: str, content: bytes) -> None:
+        self._send_head(status, kind, {"Content-Length": str(len(content))})
+        if self.command != "HEAD":
+            self.wfile.write(content)
+
+    def _send_head(
+        self, status: HTTPStatus, kind: str, more: Mapping[str, str] | None = None
+    ) -> None:
+        self.send_response(status)
+        for name, value in {"Content-Type": kind, **_HEADERS, **(more or {})}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.close_connection = True

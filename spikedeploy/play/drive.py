@@ -1,0 +1,608 @@
+"""`spikedeploy play`: drive with the keys, command a robot, or watch a policy."""
+
+import time
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pygame
+from numpy.typing import NDArray
+
+from spikedeploy import envs, zoo
+from spikedeploy.envs.foreign import AdaptedEnv
+from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
+from spikedeploy.make_env import make_env
+from spikedeploy.play.spikes import WIDTH as SPIKES_WIDTH
+from spikedeploy.play.spikes import WINDOW, InferenceTrace, action_names, draw_inference
+from spikedeploy.play.theme import (
+    AMBER,
+    CYAN,
+    DIM,
+    GREEN,
+    LINE,
+    PANEL,
+    RED,
+    TEXT,
+    TRACK,
+    Colour,
+    banner,
+    bar,
+    env_picture,
+    heading,
+    is_kart,
+    keycaps,
+    picture_size,
+    signed_bar,
+    write,
+)
+from spikedeploy.policies.costs import priced_by
+from spikedeploy.policies.nir import NirController
+from spikedeploy.policies.registry import Candidate, Player, find
+from spikedeploy.recordings import Inference, costs_of_each, last_inference, ledger_of, open_traced
+from spikedeploy.reports.columns import quoted_among
+from spikedeploy.runtime.errors import ConfigError
+
+Floats = NDArray[np.float64]
+Legend = list[tuple[str, str]]
+_UNKNOWN = 1 / 30  # [s] control step where an environment does not say
+_PAUSE = 1.5  # [s] that the end of an episode stays on the screen
+_MEAN = 30  # control steps of which costs are the mean
+
+
+# drivers
+
+
+class Driver:
+    """A controller that receives key events.
+
+    name     for people
+    legend   keys and what they do
+    network  of a spiking policy that drives
+    """
+
+    name = "you"
+    legend: Legend = []  # noqa: RUF012
+    network: "DrivingNetwork | None" = None
+
+    def reset(self, seed: int) -> None:
+        """Start an episode."""
+
+    def handle(self, event: pygame.Event) -> None:
+        """Handle a key press or release."""
+
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The action for an observation."""
+        raise NotImplementedError
+
+
+_ARROWS = {
+    "up": (pygame.K_w, pygame.K_UP),
+    "down": (pygame.K_s, pygame.K_DOWN),
+    "left": (pygame.K_a, pygame.K_LEFT),
+    "right": (pygame.K_d, pygame.K_RIGHT),
+    "forward": (pygame.K_w, pygame.K_UP),
+    "accelerate": (pygame.K_w, pygame.K_UP),
+    "brake": (pygame.K_s, pygame.K_SPACE, pygame.K_DOWN),
+}  # action -> keys, that of the legend first
+
+
+class KeyboardDriver(Driver):
+    """A person at the keys: the key pressed last acts, or all that are held add up.
+
+    actions  names of an environment's actions, in its order; the first is no action
+    effects  of a continuous action: name -> numbers (act,), which add up
+    """
+
+    def __init__(
+        self, actions: tuple[str, ...], effects: Mapping[str, tuple[float, ...]] | None = None
+    ) -> None:
+        self._actions, self._effects = actions, effects
+        self._meaning = {key: name for name in actions for key in _ARROWS.get(name, ())}
+        self._held: list[int] = []
+        self.legend = [(chr(_ARROWS[n][0]).upper(), n) for n in actions if n in _ARROWS]
+
+    def handle(self, event: pygame.Event) -> None:
+        """Handle a key press or release; other keys than those that drive are ignored."""
+        if event.key not in self._meaning:
+            return
+        if event.key in self._held:
+            self._held.remove(event.key)
+        if event.type == pygame.KEYDOWN:
+            self._held.append(event.key)
+
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The action () of the key that was pressed last and is still held, or their sum (act,)."""
+        names = [self._actions[0], *(self._meaning[key] for key in self._held)]
+        if self._effects is None:
+            return np.asarray(self._actions.index(names[-1]))
+        effects = [self._effects[name] for name in names]
+        return np.asarray(np.clip(np.sum(effects, axis=0), -1.0, 1.0))
+
+
+class PolicyDriver(Driver):
+    """A policy that drives by itself."""
+
+    def __init__(self, player: Player, name: str) -> None:
+        self.name, self._player = name, player
+        self.network = player if isinstance(player, DrivingNetwork) else None
+
+    def reset(self, seed: int) -> None:
+        """Start an episode."""
+        self._player.reset(seed)
+
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The policy's action."""
+        return self._player.act(observation)
+
+
+class CommandedPolicyDriver(PolicyDriver):
+    """A policy that follows the velocity commands of a person, who changes them in steps.
+
+    speed, turn  that are commanded [m/s], [rad/s]
+    """
+
+    SPEED = (-0.25, 0.45)  # [m/s]
+    TURN = (-0.8, 0.8)  # [rad/s]
+    _STEPS = {  # noqa: RUF012 - key -> change of speed and turn rate
+        pygame.K_UP: (0.05, 0.0),
+        pygame.K_DOWN: (-0.05, 0.0),
+        pygame.K_LEFT: (0.0, 0.2),
+        pygame.K_RIGHT: (0.0, -0.2),
+    }
+    legend = [("↑ ↓", "speed"), ("← →", "turn"), ("SPACE", "stand")]  # noqa: RUF012
+
+    def __init__(self, player: Player, name: str, world: Any) -> None:  # noqa: ANN401
+        super().__init__(player, name)
+        self._world = world
+        self.speed, self.turn = 0.25, 0.0
+
+    def handle(self, event: pygame.Event) -> None:
+        """Handle a key press."""
+        if event.type != pygame.KEYDOWN:
+            return
+        if event.key == pygame.K_SPACE:
+            self.speed = self.turn = 0.0
+        speed, turn = self._STEPS.get(event.key, (0.0, 0.0))
+        self.speed = round(min(max(self.speed + speed, self.SPEED[0]), self.SPEED[1]), 2)
+        self.turn = round(min(max(self.turn + turn, self.TURN[0]), self.TURN[1]), 2)
+
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The policy's action; the next observation contains the command."""
+        self._world.steer(self.speed, self.turn)
+        return super().act(observation)
+
+
+class DrivingNetwork(Player):
+    """A Player whose network can be looked at.
+
+    table    of the energy
+    seconds  time of the last action [s]
+    """
+
+    def __init__(self, player: NirController) -> None:
+        self._player = player
+        self.table = quoted_among(priced_by(player.chip))
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Start an episode."""
+        self._player.reset(seed)
+        self._inferences: deque[tuple[Inference, Floats]] = deque(maxlen=WINDOW)
+        self._costs: deque[tuple[float, float]] = deque(maxlen=_MEAN)
+        self._before, self.seconds = ledger_of(self._player), 0.0
+
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The action, timed."""
+        begin = time.perf_counter()
+        action = self._player.act(observation)
+        self.seconds = time.perf_counter() - begin
+        controller = self._player.controller
+        scores = controller.codec.scores(controller.output)[0]
+        self._inferences.append((last_inference(self._player), scores))
+        before, self._before = self._before, ledger_of(self._player)
+        if before is not None and self._before is not None:
+            sops, joules = costs_of_each(self._before.since(before), self.table)
+            self._costs.append((float(sops[0]), float(joules[0])))
+        return action
+
+    def replay(self, observations: Floats) -> NDArray[Any]:
+        """Actions for the observations of an episode."""
+        return self._player.replay(observations)
+
+    @property
+    def trace(self) -> InferenceTrace | None:
+        """The last control steps; None before the first."""
+        if not self._inferences:
+            return None
+        each, scores = zip(*self._inferences, strict=True)
+        return InferenceTrace(
+            {
+                name: np.stack([(one.spikes[name] != 0).astype(np.uint8) for one in each])
+                for name in each[0].spikes
+            },
+            np.stack(scores),
+        )
+
+    @property
+    def sops(self) -> float | None:
+        """Synaptic operations of a control step, mean of the last ones; None if not counted."""
+        return _mean(sops for sops, _ in self._costs)
+
+    @property
+    def joules(self) -> float | None:
+        """Energy of a control step [J], likewise."""
+        return _mean(joules for _, joules in self._costs)
+
+
+def _mean(values: Iterable[float]) -> float | None:
+    found = list(values)
+    return sum(found) / len(found) if found else None
+
+
+# a session: one driver in one environment
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The end of an episode.
+
+    word     "finish", "crash", "stalled", "fall", "the end" or "time is up"
+    good     whether it was a success
+    steps    of the episode
+    total    return
+    seconds  of the lap, where one was finished
+    """
+
+    word: str
+    good: bool
+    steps: int
+    total: float
+    seconds: float | None = None
+
+    @classmethod
+    def of(cls, played: Rollout, info: Mapping[str, Any]) -> "Outcome":
+        """The outcome of an episode, whose last info has the reason if it has one."""
+        reasons = (name for name in ("finish", "crash", "stalled", "fall") if info.get(name))
+        word = next(reasons, "the end" if played.terminated else "time is up")
+        lap = float(info["lap_time"]) if info.get("finish") else None
+        return cls(word, bool(info.get("success")), played.steps, played.total, lap)
+
+    @property
+    def line(self) -> str:
+        """The outcome in one line."""
+        lap = "" if self.seconds is None else f" in {self.seconds:.2f} s"
+        return f"{self.word}{lap}, {self.steps} steps, return {self.total:.2f}"
+
+
+class Session:
+    """One driver in one environment, episode after episode.
+
+    seed      of the first episode; each further one has the next
+    record    file for the rollouts; the second goes to <name>-2, and so on
+    period    time of a control step [s]
+    episode   the recorder of the current episode
+    sums      reward term -> sum over the episode
+    outcomes  of the episodes that ended
+    files     of recorded rollouts
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env[Any, Any],
+        driver: Driver,
+        seed: int,
+        record: Path | None = None,
+    ) -> None:
+        self.env, self.driver, self._record = env, driver, record
+        self.world: Any = env.unwrapped
+        self.period = float(getattr(self.world, "CONTROL_DT", None) or _UNKNOWN)
+        self.outcomes: list[Outcome] = []
+        self.files: list[Path] = []
+        self._seed = seed - 1
+        self.restart()
+
+    @property
+    def info(self) -> Mapping[str, Any]:
+        """The info of the last step or reset."""
+        return self.episode.info
+
+    @property
+    def waiting(self) -> bool:
+        """True while the end of an episode is shown."""
+        return self._wait > 0
+
+    @property
+    def laps(self) -> list[float]:
+        """Times of the laps that were finished [s]."""
+        return [each.seconds for each in self.outcomes if each.seconds is not None]
+
+    def restart(self) -> None:
+        """Start the next episode; an unfinished one is dropped."""
+        self._seed += 1
+        self._wait = 0
+        self.episode = EpisodeRecorder(self.env, self._seed)
+        self.driver.reset(self._seed)
+        self.sums: Counter[str] = Counter()
+
+    def tick(self) -> None:
+        """Advance by one control step, or keep showing the end of an episode."""
+        if self._wait:
+            self._wait -= 1
+            if not self._wait:
+                self.restart()
+            return
+        self.episode.step(self.driver.act(self.episode.observation))
+        self.sums.update(self.info.get("reward_terms", {"reward": self.episode.reward}))
+        if self.episode.over:
+            played = self.episode.rollout()
+            self.outcomes.append(Outcome.of(played, self.info))
+            self._keep(played)
+            self._wait = max(1, round(_PAUSE / self.period))
+
+    def close(self) -> None:
+        """Record the unfinished episode, if recording, and close the environment."""
+        if not self.waiting and self.episode.steps:
+            self._keep(self.episode.rollout())
+        self.env.close()
+
+    def _keep(self, played: Rollout) -> None:
+        """Write a rollout, if recording; all but the first to a file that is not there."""
+        if self._record is None:
+            return
+        path, number = self._record, len(self.files) + 1
+        while number > 1 and (path := self._record.with_stem(f"{self._record.stem}-{number}")):
+            if not path.exists():
+                break
+            number += 1
+        self.files.append(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        played.save(path)
+
+
+def open_session(
+    env: str,
+    options: Mapping[str, Any],
+    policy: str | None,
+    chip: str | None,
+    seed: int,
+    record: Path | None = None,
+) -> Session:
+    """The session of `spikedeploy play`.
+
+    env      short name or id
+    options  of the environment
+    policy   None for a person where keys can drive, else for a shipped policy
+    chip     of a spiking policy; None is that of its training, or loihi1
+    """
+    if record is not None and record.suffix != ".npz":
+        raise ConfigError(f"--record {record}: a drive is kept in a file that ends in .npz")
+    world = make_env(env, options, render_mode="rgb_array")
+    return Session(world, _driver(env, world, policy, chip), seed, record)
+
+
+def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Driver:  # noqa: ANN401
+    """A person where keys can drive and no policy is named, else a policy."""
+    inner = world.unwrapped
+    if policy is None and hasattr(inner, "ACTIONS"):
+        if chip is not None:
+            raise ConfigError("--chip is for a policy: name one with --policy")
+        is_discrete = isinstance(world.action_space, gymnasium.spaces.Discrete)
+        return KeyboardDriver(inner.ACTIONS, None if is_discrete else inner.EFFECTS)
+    candidate = _shipped(env) if policy is None else find(policy)
+    chip = chip or candidate.default_chip
+    player = open_traced(candidate, chip, world, "total")
+    if isinstance(player, NirController):
+        player = DrivingNetwork(player)
+    name = f"{candidate.name} on {chip}" if chip else candidate.name
+    if hasattr(inner, "steer"):
+        return CommandedPolicyDriver(player, name, inner)
+    return PolicyDriver(player, name)
+
+
+def _shipped(env: str) -> Candidate:
+    """A shipped policy of the environment, a spiking one if there is one."""
+    spec = envs.spec(env)
+    found = [find(str(path)) for path in zoo.policies(spec.short)]
+    spiking = [candidate for candidate in found if candidate.kind == "snn"]
+    return (spiking or found or [find(spec.controls[0])])[0]
+
+
+# the app
+
+
+class DriveApp:
+    """A session in a window, and its panel.
+
+    title, name, fps  as of a window.App
+    """
+
+    def __init__(self, session: Session, env: str) -> None:
+        self.session = session
+        self.name = envs.spec(env).short
+        self.title = f"{self.name} – spikedeploy"
+        self.fps = 1.0 / session.period
+        track = getattr(session.world, "track", None)
+        self._heading = f"{self.name} · {track.name}" if track else self.name
+        self._size = picture_size(session.world)
+
+    def handle(self, event: pygame.Event) -> None:
+        """R restarts; any other key is passed to the driver."""
+        if event.type == pygame.KEYDOWN and event.key == pygame.K_r:
+            self.session.restart()
+        else:
+            self.session.driver.handle(event)
+
+    def tick(self) -> None:
+        """One control step."""
+        self.session.tick()
+
+    def draw(self) -> pygame.Surface:
+        """The environment, the panel, and a banner at the end of an episode."""
+        width, height = self._size
+        driver = self.session.driver
+        spikes = SPIKES_WIDTH if driver.network else 0
+        surface = pygame.Surface((width + spikes + _WIDTH, height))
+        seen = surface.blit(env_picture(self.session.world, self._size), (0, 0))
+        if driver.network:
+            place, trace = pygame.Rect(width, 0, spikes, height), driver.network.trace
+            pygame.draw.rect(surface, PANEL, place)
+            if trace:
+                names = action_names(self.session.world, trace.scores.shape[1])
+                step = len(trace.scores) - 1
+                draw_inference(surface, place, driver.name, trace, step, names, None)
+        _draw_panel(
+            surface, pygame.Rect(width + spikes, 0, _WIDTH, height), self.session, self._heading
+        )
+        if self.session.waiting:
+            outcome = self.session.outcomes[-1]
+            lap = "" if outcome.seconds is None else f"  {outcome.seconds:.2f} s"
+            banner(surface, seen, outcome.word + lap, GREEN if outcome.good else RED)
+        return surface
+
+
+# its panel
+
+_WIDTH = 400
+_PAD = 26
+_TOPS = {"up": 4.0, "forward": 4.4, "accelerate": 5.99}  # action of one kind of kart -> [m/s]
+
+
+def _draw_panel(surface: pygame.Surface, place: pygame.Rect, session: Session, title: str) -> None:
+    pygame.draw.rect(surface, PANEL, place)
+    inner = place.inflate(-2 * _PAD, -2 * _PAD)
+    write(surface, title, inner.topleft, 20, TEXT, "bold")
+    write(surface, session.driver.name, (inner.left, inner.top + 28), 13, DIM)
+    y = inner.top + 66
+    if not isinstance(session.world, AdaptedEnv):
+        y = _speed(surface, inner, y, session)
+    y = _times(surface, inner, y + 24, session)
+    if is_kart(session.world):
+        y = _gates(surface, inner, y + 24, session.world)
+        y = _lidar(surface, inner, y + 24, session.world)
+    if session.driver.network is not None:
+        y = _network(surface, inner, y + 24, session.driver.network, session.period)
+    _rewards(surface, inner, y + 24, session)
+    legend = [*session.driver.legend, ("R", "restart"), ("P", "picture"), ("ESC", "leave")]
+    keycaps(surface, legend, (inner.left, inner.bottom - 50), inner.width)
+
+
+def _speed(surface: pygame.Surface, inner: pygame.Rect, y: int, session: Session) -> int:
+    """A large number and a bar; a robot's command below it."""
+    scale = 100.0 if is_kart(session.world) else 1.0  # of the world's unit in a metre
+    speed = float(session.info.get("speed", 0.0)) / scale
+    heading(surface, "speed", (inner.left, y))
+    number = write(surface, f"{speed:.2f}", (inner.left, y + 14), 44, TEXT, "bold")
+    write(surface, "m/s", (number.right + 8, number.bottom - 9), 15, DIM, anchor="bottomleft")
+    top = next((_TOPS[a] for a in getattr(session.world, "ACTIONS", ()) if a in _TOPS), 0.5)
+    bar(surface, pygame.Rect(inner.left, y + 72, inner.width, 8), abs(speed) / top)
+    if "command_speed" not in session.info:
+        return y + 80
+    command = (
+        f"{session.info['command_speed']:+.2f} m/s   {session.info['command_turn']:+.2f} rad/s"
+    )
+    write(surface, "commanded", (inner.left, y + 92), 13, DIM)
+    write(surface, command, (inner.right, y + 92), 13, AMBER, "mono", "topright")
+    return y + 110
+
+
+def _times(surface: pygame.Surface, inner: pygame.Rect, y: int, session: Session) -> int:
+    """The time of the episode, and of a kart the last lap and the best."""
+    laps = session.laps
+    seconds = session.episode.steps * session.period
+    cells = [("time", f"{seconds:.2f} s", TEXT if seconds else DIM)]
+    if is_kart(session.world):
+        last, best = (f"{laps[-1]:.2f} s", f"{min(laps):.2f} s") if laps else ("–", "–")
+        cells.append(("last lap", last, TEXT if laps else DIM))
+        cells.append(("best lap", best, GREEN if laps else DIM))
+    return _columns(surface, inner, y, cells, 19)
+
+
+def _columns(
+    surface: pygame.Surface,
+    inner: pygame.Rect,
+    y: int,
+    cells: list[tuple[str, str, Colour]],
+    size: int,
+) -> int:
+    """Titles, and a text in its colour below each, in three columns."""
+    for column, (title, text, colour) in enumerate(cells):
+        x = inner.left + column * inner.width // 3
+        heading(surface, title, (x, y))
+        write(surface, text, (x, y + 17), size, colour, "bold")
+    return y + 42
+
+
+def _network(
+    surface: pygame.Surface, inner: pygame.Rect, y: int, network: DrivingNetwork, period: float
+) -> int:
+    """Operations and energy of a control step, and how much of it the policy took."""
+    share = network.seconds / period
+    cells = [
+        ("SOPs", "–" if network.sops is None else f"{network.sops:,.0f}", TEXT),
+        ("energy", "–" if network.joules is None else f"{1e9 * network.joules:,.3g} nJ", TEXT),
+        ("deadline use", f"{100 * share:.1f} %", RED if share > 1 else TEXT),
+    ]
+    _columns(surface, inner, y, cells, 15)
+    note = f"means of {_MEAN} steps · energy by {network.table}"
+    write(surface, note, (inner.left, y + 40), 12, DIM)
+    return y + 54
+
+
+def _gates(surface: pygame.Surface, inner: pygame.Rect, y: int, world: Any) -> int:  # noqa: ANN401
+    """A mark for each gate: passed, next, to come."""
+    count, passed = len(world.track.gates), int(world.next_gate)
+    heading(surface, "gates", (inner.left, y))
+    write(surface, f"{passed} / {count}", (inner.right, y - 3), 14, TEXT, "bold", "topright")
+    gap = 6
+    width = (inner.width - gap * (count - 1)) / count
+    for gate in range(count):
+        colour = GREEN if gate < passed else AMBER if gate == passed else TRACK
+        pip = pygame.Rect(round(inner.left + gate * (width + gap)), y + 20, round(width), 8)
+        pygame.draw.rect(surface, colour, pip, border_radius=4)
+    return y + 28
+
+
+def _lidar(surface: pygame.Surface, inner: pygame.Rect, y: int, world: Any) -> int:  # noqa: ANN401
+    """The LIDAR scan in the frame of the kart: ahead is up."""
+    radius = 78
+    heading(surface, "lidar", (inner.left, y))
+    write(surface, f"{world.lidar.range / 100:.1f} m", (inner.left, y + 18), 13, DIM)
+    centre = np.array([inner.centerx, y + radius + 4])
+    for share in (1.0, 2 / 3, 1 / 3):
+        pygame.draw.aacircle(surface, LINE, tuple(centre), radius * share, 1)
+    turned = np.asarray(world.lidar.angles) - np.pi / 2 * world.TURNS
+    share = np.asarray(world.scan) / world.lidar.range
+    points = centre + radius * share[:, None] * np.stack((np.cos(turned), np.sin(turned)), axis=1)
+    seen_area = [tuple(point) for point in (centre, *points)]
+    if world.lidar.options.field >= 2 * np.pi:
+        seen_area.pop(0)
+    if len(seen_area) > 2:
+        veil = pygame.Surface(surface.get_size(), pygame.SRCALPHA)
+        pygame.draw.polygon(veil, (*CYAN, 40), seen_area)
+        surface.blit(veil, (0, 0))
+    for point, reach in zip(points, share, strict=True):
+        seen = reach < 0.999
+        pygame.draw.aacircle(surface, RED if seen else LINE, tuple(point), 3 if seen else 2)
+    pygame.draw.aacircle(surface, CYAN, tuple(centre), 5)
+    return y + 2 * radius + 8
+
+
+def _rewards(surface: pygame.Surface, inner: pygame.Rect, y: int, session: Session) -> int:
+    """Every reward term: its sum over the episode, as bar and number."""
+    heading(surface, "reward so far", (inner.left, y))
+    total = sum(session.sums.values())
+    write(surface, f"{total:+.2f}", (inner.right, y - 4), 16, TEXT, "bold", "topright")
+    y += 24
+    largest = max((abs(value) for value in session.sums.values()), default=0.0) or 1.0
+    rows = max(1, (inner.bottom - 66 - y) // 21)
+    for name, value in [*session.sums.items()][:rows]:
+        write(surface, name.replace("_", " "), (inner.left, y), 13, DIM)
+        place = pygame.Rect(inner.left + 130, y + 5, inner.width - 130 - 74, 6)
+        signed_bar(surface, place, value / largest)
+        write(surface, f"{value + 0.0:+.2f}", (inner.right, y), 13, TEXT, "mono", "topright")
+        y += 21
+    return y

@@ -1,0 +1,504 @@
+"""Recorded episodes for pages: what robot, network and chip did in each control step.
+
+An episode is played once more and becomes JSON that scripts in reports/assets draw: arrays packed
+as text, the shapes and poses of a scene, curves of the step infos, spikes, membranes and costs.
+"""
+
+import json
+import zlib
+from base64 import b64encode
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spikedeploy.comparison.comparison import Comparison
+from spikedeploy.comparison.lineup import Entry
+from spikedeploy.envs.kart.track import RADIUS
+from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
+from spikedeploy.make_env import make_env
+from spikedeploy.policies.nir import NirController
+from spikedeploy.policies.registry import Candidate, Player, check_fit, open_policy
+from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger, Rows
+from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.metrics.energy import energy, energy_table
+
+Floats = NDArray[np.float64]
+
+_FPS = 25  # poses a second, nearest possible; between them the page interpolates
+_PERIOD = 1 / 30  # [s] of a control step where an environment does not say
+_MOST_BYTES = 2_600_000  # of all episodes: a page of 3 MB opens at once and can be sent
+_MOST_BITS = 4_000_000  # of a raster: larger ones are left out, by name
+_MOST_MEMBRANES = 300_000  # numbers of a layer's membranes, likewise
+
+
+# the episodes of a comparison
+
+
+def of_comparison(
+    comparison: Comparison, main: int, options: Mapping[str, Any], table: str
+) -> list[dict[str, Any]]:
+    """The first episode of a row and its worst one, beside those of its references.
+
+    main     index of the row, which is the last of each episode's players
+    options  of the environment
+    table    of the energy
+    """
+    row = comparison.rows[main]
+    entries = [*reversed(row.entry.references), row.entry]
+    first, worst = comparison.seeds[0], comparison.seeds[int(np.argmin(row.returns))]
+    seeds = {first: "first episode"} | ({worst: "worst episode"} if worst != first else {})
+    env = make_env(comparison.env, dict(options))
+    episodes = [_episode(env, entries, seed, title, table) for seed, title in seeds.items()]
+    env.close()
+    while len(episodes) > 1 and len(json.dumps(episodes)) > _MOST_BYTES:
+        episodes.pop()
+    return episodes
+
+
+def _episode(
+    env: Any,  # noqa: ANN401
+    entries: Sequence[Entry],
+    seed: int,
+    title: str,
+    table: str,
+) -> dict[str, Any]:
+    played = [record(env, e.candidate, e.chip, e.label, seed, table) for e in entries]
+    last = played[-1]
+    twin = next((each for each in played[:-1] if each.network is not None), None)
+    return {
+        "title": title,
+        "seed": seed,
+        "period": last.period,
+        "scene": last.shapes,
+        "players": [_player(each, each is last) for each in played],
+        "distance": None if twin is None else pack(_distance(last, twin)),
+        "twin": twin is not None,
+        "first_spike": None if twin is None else first_difference(last, twin),
+    }
+
+
+def _player(each: "RecordedEpisode", has_network: bool) -> dict[str, Any]:
+    """JSON of a player; spikes and membranes of the last one alone."""
+    played = each.played
+    return {
+        "label": each.label,
+        "kind": each.kind,
+        "steps": played.steps,
+        "total": played.total,
+        "success": played.success,
+        "ended": "terminal state" if played.terminated else "time limit",
+        "every": each.every,
+        "poses": pack(each.poses) if len(each.poses) else None,
+        "reward": pack(played.reward),
+        "actions": pack(played.action.reshape(played.steps, -1)),
+        "tracks": info_curves(played.info),
+        "network": network_json(each.network) if each.network and has_network else None,
+    }
+
+
+def _distance(one: "RecordedEpisode", other: "RecordedEpisode") -> Floats:
+    """(S,) root mean square of the difference of their observations, until one ends."""
+    steps = min(one.played.steps, other.played.steps)
+    apart = one.played.observation[:steps] - other.played.observation[:steps]
+    found: Floats = np.sqrt(np.mean(apart.reshape(steps, -1) ** 2, axis=1))
+    return found
+
+
+def first_difference(one: "RecordedEpisode", other: "RecordedEpisode") -> dict[str, Any] | None:
+    """The first spike of a layer that only one of two networks has; None where there is none.
+
+    Both start alike, so until then they observe the same.
+    """
+    if one.network is None or other.network is None:
+        return None
+    found = []
+    for place, (name, raster) in enumerate(one.network.rasters.items()):
+        twin = other.network.rasters.get(name, raster)
+        steps = min(len(raster), len(twin))
+        differs = np.argwhere((raster[:steps] != 0) != (twin[:steps] != 0))
+        if len(differs):
+            step, timestep, neuron = differs[0].tolist()
+            found.append((step, timestep, place, name, neuron))
+    if not found:
+        return None
+    step, timestep, _, name, neuron = min(found)
+    return {"step": step, "timestep": timestep, "layer": name, "neuron": neuron}
+
+
+# one episode
+
+
+@dataclass(frozen=True)
+class RecordedEpisode:
+    """An episode of S control steps.
+
+    label    of the policy, as in tables
+    kind     of the candidate
+    played   observations, actions, rewards
+    shapes   of the scene; None where the environment shows nothing that can be drawn
+    poses    (F, N, 7) or (F, 1, 3), see Scene, every `every` control steps
+    period   of a control step [s]; None where it is not known
+    network  of a policy that spikes
+    """
+
+    label: str
+    kind: str
+    played: Rollout
+    shapes: Mapping[str, Any] | None
+    poses: Floats
+    every: int
+    period: float | None
+    network: "NetworkTrace | None"
+
+
+def record(
+    env: Any,  # noqa: ANN401
+    candidate: Candidate,
+    chip: str | None,
+    label: str,
+    seed: int,
+    table: str,
+) -> RecordedEpisode:
+    """Play an episode in an environment.
+
+    chip   or "float"; None for what does not spike
+    table  of the energy
+    """
+    player = open_traced(candidate, chip, env, "each")
+    network = player if isinstance(player, NirController) else None
+    period = getattr(env.unwrapped, "CONTROL_DT", None)
+    every = max(1, round(1 / (_FPS * (period or _PERIOD))))
+    episode, scene = EpisodeRecorder(env, seed), scene_of(env)
+    player.reset(seed)
+    shapes = scene.shapes() if scene else None
+    poses = [scene.pose()] if scene else []
+    inferences = []
+    while not episode.over:
+        episode.step(player.act(episode.observation))
+        if network:
+            inferences.append(last_inference(network))
+        if scene and (episode.steps % every == 0 or episode.over):
+            poses.append(scene.pose())
+    ledger = ledger_of(network) if network else None
+    return RecordedEpisode(
+        label,
+        candidate.kind,
+        episode.rollout(),
+        shapes,
+        np.stack(poses) if poses else np.zeros((0, 0, 0)),
+        every,
+        period,
+        stack_inferences(inferences, ledger, table) if network else None,
+    )
+
+
+def open_traced(
+    candidate: Candidate,
+    chip: str | None,
+    env: Any,  # noqa: ANN401
+    rows: Rows,
+    sampled: bool = False,
+) -> Player:
+    """The player of a candidate; where it spikes, its network keeps those of the last step.
+
+    rows  of its ledger
+    """
+    if candidate.format != ".nir":
+        return open_policy(candidate, chip, env, sampled)
+    check_fit(candidate, env)
+    return NirController.open(candidate, chip, env, sampled, trace=True, rows=rows)
+
+
+# networks
+
+
+@dataclass(frozen=True)
+class Inference:
+    """One inference of T timesteps.
+
+    spikes     "input" and every spiking layer -> (T, N); graded ones as they are
+    membranes  layer -> (N,) after the last timestep [state units]; empty in float
+    """
+
+    spikes: Mapping[str, NDArray[Any]]
+    membranes: Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class NetworkTrace:
+    """A spiking network in S inferences of T timesteps.
+
+    rasters    "input" and every spiking layer -> spikes (S, T, N); graded ones as they are
+    membranes  layer -> (S, N) after the last timestep [state units]; empty in float
+    sops       (S,) synaptic operations; None where they cannot be counted
+    energy     (S,) [J] of operations and neuron updates by the table; likewise
+    """
+
+    rasters: Mapping[str, NDArray[Any]]
+    membranes: Mapping[str, Floats]
+    sops: Floats | None
+    energy: Floats | None
+
+
+def last_inference(player: NirController) -> Inference:
+    """The last inference of a traced player."""
+    controller = player.controller
+    spikes = {"input": controller.encoded, **controller.network.spikes}
+    flat = {name: each[0].reshape(len(each[0]), -1) for name, each in spikes.items()}
+    if player.chip is None:
+        return Inference(flat, {})
+    seen = controller.network.recordings
+    names = [each.name for each in player.program.spiking]
+    return Inference(flat, {n: np.array(seen[n].membrane[0, -1], np.float64) for n in names})
+
+
+def ledger_of(player: NirController) -> Ledger | None:
+    """Counts so far; None of a graph that no chip can hold, which runs in float, uncounted."""
+    try:
+        return player.controller.ledger
+    except RuleError:
+        return None
+
+
+def stack_inferences(each: Sequence[Inference], ledger: Ledger | None, table: str) -> NetworkTrace:
+    """Consecutive inferences as one trace.
+
+    ledger  a row for each; None where they are not counted
+    """
+    sops, joules = costs_of_each(ledger, table) if ledger else (None, None)
+    return NetworkTrace(
+        {name: np.stack([one.spikes[name] for one in each]) for name in each[0].spikes},
+        {name: np.stack([one.membranes[name] for one in each]) for name in each[0].membranes},
+        sops,
+        joules,
+    )
+
+
+def costs_of_each(ledger: Ledger, table: str) -> tuple[Floats, Floats]:
+    """Synaptic operations (S,) and energy (S,) [J] of each inference of a ledger."""
+    prices = energy_table(table)
+    rows = (replace(ledger, counts=row[None], inferences=1) for row in ledger.counts)
+    sops = ledger.counts[:, :, EVENTS.index("sop")].sum(axis=1).astype(np.float64)
+    return sops, np.array([energy(row, prices) for row in rows])
+
+
+def network_json(trace: NetworkTrace, left_out: Iterable[str] = ()) -> dict[str, Any]:
+    """Spikes, membranes, operations and energy; what is too large is left out, by name.
+
+    left_out  names of layers that are not in the trace
+    """
+    large = {name: r for name, r in trace.rasters.items() if r.size > _MOST_BITS}
+    return {
+        "layers": [
+            _layer(name, raster, trace.membranes.get(name))
+            for name, raster in trace.rasters.items()
+            if name not in large
+        ],
+        "left_out": [*left_out, *(f"{name}: {r.shape[2]:,} neurons" for name, r in large.items())],
+        "sops": None if trace.sops is None else pack(trace.sops),
+        "energy": None if trace.energy is None else pack(trace.energy),
+    }
+
+
+def _layer(name: str, raster: NDArray[Any], membranes: Floats | None) -> dict[str, Any]:
+    steps, timesteps, neurons = raster.shape
+    is_small = membranes is not None and membranes.size <= _MOST_MEMBRANES
+    return {
+        "name": name,
+        "timesteps": timesteps,
+        "spikes": pack_bits(raster.reshape(steps * timesteps, neurons)),
+        "count": int(np.count_nonzero(raster)),
+        "membranes": pack(membranes) if membranes is not None and is_small else None,
+    }
+
+
+# curves of the step infos
+
+
+_OWN = {"speed": "m/s", "heading": "rad", "lateral": "m", "slip": "m/s"}
+_KART = {"speed": "px/s", "progress": "of the track"}
+_MOST_CURVES = 4  # of other people's environments
+
+
+def info_curves(info: Mapping[str, Floats]) -> list[dict[str, Any]]:
+    """Curves of step infos: `title`, `unit`, `values` (S,) and `wanted` (S,) or None."""
+    if "command_turn" in info:
+        turn = info["command_turn"] - info["turn_error"]
+        return [
+            curve("speed", "m/s", info["speed"], info["command_speed"]),
+            curve("turn rate", "rad/s", turn, info["command_turn"]),
+        ]
+    units = _OWN if "slip" in info else _KART if "gates" in info else _foreign_units(info)
+    return [curve(name, unit, info[name]) for name, unit in units.items() if name in info]
+
+
+def curve(title: str, unit: str, values: Floats, wanted: Floats | None = None) -> dict[str, Any]:
+    """A curve, and the one that it should follow."""
+    return {
+        "title": title if wanted is None else f"{title}, commanded in grey",
+        "unit": unit,
+        "values": pack(values),
+        "wanted": None if wanted is None else pack(wanted),
+    }
+
+
+def _foreign_units(info: Mapping[str, Floats]) -> dict[str, str]:
+    """The first numbers of somebody else's infos that change."""
+    changing = [name for name, values in info.items() if np.ptp(np.nan_to_num(values)) > 0]
+    return dict.fromkeys(changing[:_MOST_CURVES], "")
+
+
+# scenes
+
+
+# mujoco.mjtGeom that the page draws
+_KINDS = {0: "plane", 1: "ground", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder",
+          6: "box"}  # fmt: skip
+_GROUND = ("plane", "ground")
+_COARSE = 0.1  # [m] spacing of the heights that are kept of rough ground
+_DECOR = 2  # MuJoCo's visualiser hides geoms of higher groups
+
+
+class Scene(Protocol):
+    """What there is to draw in an environment."""
+
+    def shapes(self) -> dict[str, Any]:
+        """What does not move in an episode, as JSON: `kind` and the shapes."""
+
+    def pose(self) -> Floats:
+        """What moves, (N, 7) positions and quaternions of bodies or (1, 3) x, y, heading."""
+
+
+def scene_of(env: Any) -> Scene | None:  # noqa: ANN401
+    """The scene of an environment; None of one that shows nothing that we know."""
+    inner = env.unwrapped
+    # of environments that wrap other people's
+    inner = getattr(inner, "inner", inner).unwrapped
+    body = getattr(inner, "robot", inner)  # of our hexapods; gymnasium's hold both themselves
+    if hasattr(body, "model") and hasattr(getattr(body, "data", None), "xquat"):
+        return _Bodies(body.model, body.data)
+    if hasattr(inner, "track") and hasattr(inner, "pose"):
+        return _Kart(inner)
+    return None
+
+
+class _Bodies:
+    """The bodies of a MuJoCo model and the geoms fixed to them."""
+
+    def __init__(self, model: Any, data: Any) -> None:  # noqa: ANN401
+        self._model, self._data = model, data
+
+    def shapes(self) -> dict[str, Any]:
+        """Geoms in the frames of their bodies, and the heights of the ground."""
+        model = self._model
+        kinds = [_KINDS.get(int(kind), "") for kind in model.geom_type]
+        shown = [g for g, kind in enumerate(kinds) if kind and self._is_shown(g)]
+        return {
+            "kind": "bodies",
+            "geoms": [
+                {
+                    "kind": kinds[g],
+                    "body": int(model.geom_bodyid[g]) - 1,
+                    "size": _rounded(model.geom_size[g]),
+                    "position": _rounded(model.geom_pos[g]),
+                    "quaternion": _rounded(model.geom_quat[g]),
+                    "colour": _rounded(self._colour(g)[:3]),
+                }
+                for g in shown
+                if kinds[g] not in _GROUND and model.geom_bodyid[g] > 0
+            ],
+            "ground": self._ground([g for g in shown if kinds[g] in _GROUND]),
+        }
+
+    def pose(self) -> Floats:
+        """(N, 7) of the bodies besides the world."""
+        return np.concatenate([self._data.xpos[1:], self._data.xquat[1:]], axis=1)
+
+    def _is_shown(self, geom: int) -> bool:
+        return bool(self._colour(geom)[3] > 0 and self._model.geom_group[geom] <= _DECOR)
+
+    def _colour(self, geom: int) -> Floats:
+        material = int(self._model.geom_matid[geom])
+        own = material < 0 or not np.allclose(self._model.geom_rgba[geom], [0.5, 0.5, 0.5, 1])
+        found = self._model.geom_rgba[geom] if own else self._model.mat_rgba[material]
+        return np.asarray(found, np.float64)
+
+    def _ground(self, geoms: list[int]) -> dict[str, Any] | None:
+        """Height of a plane, or heights (rows along y, columns along x) of rough ground."""
+        if not geoms:
+            return None
+        model, geom = self._model, geoms[0]
+        height = float(model.geom_pos[geom, 2])
+        field = int(model.geom_dataid[geom])
+        if field < 0:
+            return {"height": height}
+        rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
+        x, y, top, _ = (float(each) for each in model.hfield_size[field])
+        start = int(model.hfield_adr[field])
+        heights = model.hfield_data[start : start + rows * columns].reshape(rows, columns)
+        every = max(1, round(_COARSE * (columns - 1) / (2 * x)))
+        return {
+            "height": height,
+            "half": [x, y],
+            "heights": pack(height + top * heights[::every, ::every]),
+        }
+
+
+class _Kart:
+    """A kart on its track."""
+
+    def __init__(self, env: Any) -> None:  # noqa: ANN401
+        self._env = env
+
+    def shapes(self) -> dict[str, Any]:
+        """Walls and gates [px]; y points down."""
+        track = self._env.track
+        return {
+            "kind": "track",
+            "walls": _rounded(track.walls, 1),
+            "gates": _rounded(track.gates, 1),
+            "radius": RADIUS,
+        }
+
+    def pose(self) -> Floats:
+        """(1, 3) x [px], y [px] and heading [rad]."""
+        return np.array([self._env.pose])
+
+
+def _rounded(values: Any, digits: int = 4) -> Any:  # noqa: ANN401
+    return np.round(np.asarray(values, np.float64), digits).tolist()
+
+
+# arrays as text
+
+
+_LEVELS = 32_000  # of an array between its lowest and highest value
+
+
+def pack(values: ArrayLike) -> dict[str, Any]:
+    """Numbers (S, …) with 32,000 levels between lowest and highest, as differences along S.
+
+    `shape`, `low` and `step` undo it: value = low + step * cumulative sum, NaN becomes 0.
+    """
+    array = np.nan_to_num(np.asarray(values, np.float64))
+    low, high = (float(array.min()), float(array.max())) if array.size else (0.0, 0.0)
+    step = (high - low) / _LEVELS or 1.0
+    levels = np.rint((array - low) / step).astype(np.int16)
+    changes = np.diff(levels, axis=0, prepend=np.zeros_like(levels[:1]))
+    return {"shape": list(array.shape), "low": low, "step": step, "data": _as_text(changes)}
+
+
+def pack_bits(spikes: NDArray[Any]) -> dict[str, Any]:
+    """Spikes (R, N), each row from the lowest bit on: `shape` and `data`."""
+    rows = spikes.reshape(len(spikes), -1) != 0
+    bits = np.packbits(rows, axis=1, bitorder="little")
+    return {"shape": list(rows.shape), "data": _as_text(bits)}
+
+
+def _as_text(array: NDArray[Any]) -> str:
+    """Little-endian, compressed, in base64."""
+    little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+    return b64encode(zlib.compress(little.tobytes(), 9)).decode()
