@@ -1,8 +1,10 @@
 """The artifact: one `.nir` file that is all a robot needs; the only reader and writer of `.nir`."""
 
+import copy
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import h5py
@@ -18,6 +20,7 @@ from spikedeploy.runtime.dialects.rewriting import rewrite_for
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
 from spikedeploy.runtime.graph.neurons import (
     NEURONS,
+    DiscreteNeuron,
     SigmaDelta,
     check_sigma_delta,
     discretise,
@@ -25,7 +28,7 @@ from spikedeploy.runtime.graph.neurons import (
     infer_timestep,
 )
 from spikedeploy.runtime.graph.normal_form import flattened, with_floats, without_batch_axis
-from spikedeploy.runtime.graph.order import delay_timesteps
+from spikedeploy.runtime.graph.order import Timing, delay_timesteps, timing
 from spikedeploy.runtime.graph.shapes import check_size
 from spikedeploy.runtime.graph.validate import DERIVED_FIELDS, check_graph
 from spikedeploy.runtime.metadata import Provenance, Record, Tree
@@ -44,6 +47,7 @@ class Artifact:
     convention: how the graph is discretised; inferred or given for files of other tools.
     provenance: where the policy comes from; None in files of other tools.
     sigma_delta: names of nodes `I` that are sigma-delta neurons, and what NIR cannot say of them.
+    neurons: the difference equation of each node of neurons, by name.
     """
 
     graph: nir.NIRGraph
@@ -51,24 +55,41 @@ class Artifact:
     convention: Convention
     provenance: Provenance | None = None
     sigma_delta: Mapping[str, SigmaDelta] = field(default_factory=dict)
+    neurons: Mapping[str, DiscreteNeuron] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        # the one field that construction changes: every reader expects a flat graph
         object.__setattr__(self, "graph", flattened(self.graph))
         check_graph(self.graph)
         check_sigma_delta(self.graph, self.sigma_delta)
-        for name in sorted(self.graph.nodes):
-            if isinstance(self.graph.nodes[name], NEURONS):
-                discretise(name, self.graph.nodes[name], self.convention)
-            if isinstance(self.graph.nodes[name], nir.Delay):
-                delay_timesteps(name, self.graph.nodes[name], self.convention)
+        self._discretise()
         if self.codec is not None:
             _check_width(self.graph, self.codec)
+
+    def _discretise(self) -> None:
+        nodes = sorted(self.graph.nodes.items())
+        for name, node in nodes:
+            if isinstance(node, nir.Delay):
+                delay_timesteps(name, node, self.convention)
+        neurons = {n: discretise(n, m, self.convention) for n, m in nodes if isinstance(m, NEURONS)}
+        object.__setattr__(self, "neurons", neurons)
+
+    @cached_property
+    def timing(self) -> Timing:
+        """When each node runs, and when its output arrives."""
+        return timing(self.graph, self.convention)
 
     @property
     def trained_for(self) -> str:
         """The chip in whose integers the policy was trained; empty where it was for none."""
         return self.provenance.chip if self.provenance else ""
+
+    def with_convention(self, convention: Convention) -> "Artifact":
+        """The artifact under another convention; its graph is not checked again."""
+        other = copy.copy(self)
+        other.__dict__.pop("timing", None)
+        object.__setattr__(other, "convention", convention)
+        other._discretise()
+        return other
 
 
 def save(artifact: Artifact, path: str | Path, older: str | None = None) -> None:
@@ -118,22 +139,16 @@ def load(
     }
     given = {name: value for name, value in options.items() if value is not None}
     try:
-        graph = _read(Path(path))
         if like is not None and written_by is not None:
             raise ConventionError(
                 f"--like {like} is how a tool reads the file, --from {written_by} how a tool wrote "
                 "it. Give one of them."
             )
-        if like is not None:
-            return _like(graph, like, given)
-        if written_by is not None:
-            return _written_by(graph, written_by, given)
-        if _KEY in graph.metadata:
-            return _ours(graph, given)
-        graph = with_floats(graph)
-        return Artifact(graph, None, infer_convention(graph, given))
+        artifact = _interpreted(_read(Path(path)), given, like, written_by)
+        check_size(artifact.graph, Path(path).stat().st_size)
     except (ArtifactError, ConventionError) as error:
         raise type(error)(f"{path}: {error}") from error
+    return artifact
 
 
 def for_importer(artifact: Artifact, tool: str) -> Artifact:
@@ -149,17 +164,18 @@ def for_importer(artifact: Artifact, tool: str) -> Artifact:
 
 def digest(artifact: Artifact) -> str:
     """SHA-256 of everything that decides what the policy does: network, codec and convention."""
-    nodes = {name: _parameters(node) for name, node in artifact.graph.nodes.items()}
+    nodes = {
+        name: {
+            **{key: value for key, value in vars(node).items() if key not in DERIVED_FIELDS},
+            "type": type(node).__name__,
+        }
+        for name, node in artifact.graph.nodes.items()
+    }
     edges = repr(sorted(artifact.graph.edges))
     sha = hashlib.sha256()
     for part in _parts("", {**_record(artifact), "nodes": nodes, "edges": edges}):
         sha.update(part)
     return sha.hexdigest()
-
-
-def _parameters(node: nir.NIRNode) -> dict[str, object]:
-    values = {field: value for field, value in vars(node).items() if field not in DERIVED_FIELDS}
-    return {**values, "type": type(node).__name__}
 
 
 def _parts(path: str, tree: Mapping[str, object]) -> Iterator[bytes | memoryview]:
@@ -200,7 +216,7 @@ def _record(artifact: Artifact) -> Tree:
 
 
 def _read(path: Path) -> nir.NIRGraph:
-    """The graph in the file, flattened and checked."""
+    """The graph in the file, in one level."""
     if not path.is_file():
         raise ArtifactError("there is no such file. Check the path.")
     if not h5py.is_hdf5(path):
@@ -208,72 +224,65 @@ def _read(path: Path) -> nir.NIRGraph:
             "not an HDF5 file, so not NIR. Give the .nir file that `spikedeploy export` or another "
             "NIR tool wrote; if it is that file, copy it again, it is truncated."
         )
-    graph = without_batch_axis(flattened(read_graph(path)))
-    check_graph(graph)
-    check_size(graph, path.stat().st_size)
-    return graph
+    return without_batch_axis(flattened(read_graph(path)))
 
 
-def _ours(graph: nir.NIRGraph, given: Mapping[str, object]) -> Artifact:
-    """The artifact of a graph with our metadata."""
-    record = Record(graph.metadata, "file").group(_KEY)
-    _check_schema(record)
-    convention = _stated_convention(record.group("convention"))
-    _check_timestep(graph, convention)
-    codec = Codec.from_record(record.group("codec")) if "codec" in record else None
-    # "origin" is the key of the file format
-    found = Provenance.from_record(record.group("origin")) if "origin" in record else None
-    graded = _sigma_delta(record)
-    del graph.metadata[_KEY]
-    stated = Artifact(graph, codec, convention, found, graded)
-    if found is not None:
-        _check_digest(stated, found)
-    # after the digest, which is of the numbers as they were exported
-    floats = with_floats(graph)
-    if floats is graph and not given:
-        return stated  # which is checked already
-    return replace(stated, graph=floats, convention=convention.with_options(given))
+def _interpreted(
+    graph: nir.NIRGraph, given: Mapping[str, object], like: str | None, written_by: str | None
+) -> Artifact:
+    """The artifact of a graph: ours as stored, another tool's as it is read, written or inferred.
 
-
-def _like(graph: nir.NIRGraph, tool: str, given: Mapping[str, object]) -> Artifact:
-    """The artifact as another tool reads the graph; it ignores our convention and provenance."""
-    codec = _ours(graph, {}).codec if _KEY in graph.metadata else None
-    read, convention = read_like(with_floats(graph), tool, given)
-    return Artifact(read, codec, convention)
-
-
-def _written_by(graph: nir.NIRGraph, tool: str, given: Mapping[str, object]) -> Artifact:
-    """The artifact as its author meant it, in the tool that wrote it."""
+    As another tool reads a file of ours, its convention and provenance are ignored.
+    """
+    codec = None
     if _KEY in graph.metadata:
-        raise ConventionError(
-            f"--from {tool}: spikedeploy wrote this file, and its metadata state the convention. "
-            "Leave --from away; --like reads it as another tool would."
-        )
-    read, convention = read_as_written(with_floats(graph), tool, given)
-    return Artifact(read, None, convention)
+        if written_by is not None:
+            raise ConventionError(
+                f"--from {written_by}: spikedeploy wrote this file, and its metadata state the "
+                "convention. Leave --from away; --like reads it as another tool would."
+            )
+        stored = _stored(graph)
+        if like is None:
+            return stored.with_convention(stored.convention.with_options(given))
+        graph, codec = stored.graph, stored.codec
+    else:
+        check_graph(graph)
+        graph = with_floats(graph)
+    if like is not None:
+        graph, convention = read_like(graph, like, given)
+    elif written_by is not None:
+        graph, convention = read_as_written(graph, written_by, given)
+    else:
+        convention = infer_convention(graph, given)
+    return Artifact(graph, codec, convention)
 
 
-def _stated_convention(record: Record) -> Convention:
-    try:
-        return Convention.from_record(record)
-    except ConventionError as error:
-        raise ArtifactError(f"metadata {record.where}: {error}") from error
-
-
-def _sigma_delta(record: Record) -> dict[str, SigmaDelta]:
-    if "sigma_delta" not in record:
-        return {}
-    group = record.group("sigma_delta")
-    return {name: SigmaDelta.from_record(group.group(name)) for name in sorted(group.fields)}
-
-
-def _check_schema(record: Record) -> None:
+def _stored(graph: nir.NIRGraph) -> Artifact:
+    """The artifact of a graph with our metadata; ArtifactError where they contradict each other."""
+    record = Record(graph.metadata, "file").group(_KEY)
     record.only("schema", "convention", "codec", "origin", "sigma_delta")
     if (schema := record.integer("schema")) != _SCHEMA:
         raise ArtifactError(
             f"metadata {record.where}.schema is {schema}; this version reads {_SCHEMA}. "
             "Update spikedeploy, or export the policy again."
         )
+    try:
+        convention = Convention.from_record(record.group("convention"))
+    except ConventionError as error:
+        raise ArtifactError(f"metadata {record.where}.convention: {error}") from error
+    codec = Codec.from_record(record.group("codec")) if "codec" in record else None
+    # "origin" is the key of the file format
+    found = Provenance.from_record(record.group("origin")) if "origin" in record else None
+    graded = record.group("sigma_delta") if "sigma_delta" in record else Record({}, "")
+    neurons = {name: SigmaDelta.from_record(graded.group(name)) for name in sorted(graded.fields)}
+    del graph.metadata[_KEY]
+    artifact = Artifact(graph, codec, convention, found, neurons)
+    _check_timestep(graph, convention)
+    if found is not None:
+        _check_digest(artifact, found)
+    # after the digest, which is of the numbers as they were exported
+    floats = with_floats(graph)
+    return artifact if floats is graph else replace(artifact, graph=floats)
 
 
 def _check_timestep(graph: nir.NIRGraph, convention: Convention) -> None:

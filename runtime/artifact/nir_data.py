@@ -15,7 +15,7 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.artifact.hdf5 import budget, check_container, check_file
+from spikedeploy.runtime.artifact.hdf5 import byte_budget, check_container
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 
 # bytes that a file may unpack to, and more for each of its own: spikes shrink two hundredfold
@@ -37,11 +37,9 @@ def read_nir_data(
 
     dt: [s] of the network, on which events are laid and which a grid must have.
     """
-    most = budget(path, FREE, EXPANSION)
+    most = byte_budget(path, FREE, EXPANSION)
     try:
-        longest = check_file(path, claims=True)
-        with h5py.File(path, "r") as file:
-            check_container(file, path, longest, most)
+        check_container(path, most)
         nodes = nir.read_data(path).nodes
     except ArtifactError as error:
         raise ObservationError(f"{path} is HDF5 and no NIRData: {error}") from error

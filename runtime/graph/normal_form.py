@@ -31,8 +31,9 @@ def flattened(graph: nir.NIRGraph, path: str = "") -> nir.NIRGraph:
 
     path: of the graph inside an outer one, ending in a dot.
     """
-    check_edges(graph, path)
     inner = {n: node for n, node in graph.nodes.items() if isinstance(node, nir.NIRGraph)}
+    if inner or path:
+        check_edges(graph, path)
     if not inner:
         return graph
     nodes = {name: node for name, node in graph.nodes.items() if name not in inner}

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.artifact.hdf5 import budget
+from spikedeploy.runtime.artifact.hdf5 import byte_budget
 from spikedeploy.runtime.artifact.nir_data import EXPANSION, FREE, is_nir_data, read_nir_data
 from spikedeploy.runtime.errors import ObservationError
 from spikedeploy.runtime.graph.ports import check_unmasked, ports
@@ -30,7 +30,7 @@ def read_rasters(path: Path) -> Raster | dict[str, Raster]:
         raise ObservationError(f"{path} is no file. Give a .npy or .npz file.")
     try:
         if zipfile.is_zipfile(path):
-            arrays, most = _archive(path), budget(path, FREE, EXPANSION)
+            arrays, most = _archive(path), byte_budget(path, FREE, EXPANSION)
             if not arrays:
                 raise ObservationError(f"{path} holds no array. Write at least one with numpy.")
             return {name: _checked(f"{path}: {name}", a, most) for name, a in arrays.items()}
@@ -38,7 +38,7 @@ def read_rasters(path: Path) -> Raster | dict[str, Raster]:
         with np.errstate(over="raise"):  # of the product of a shape, which numpy only warns of
             raster = np.lib.format.open_memmap(path, mode="r")
         _check_claim(path, raster.nbytes)
-        return _checked(str(path), raster, budget(path, FREE, EXPANSION))
+        return _checked(str(path), raster, byte_budget(path, FREE, EXPANSION))
     except ObservationError:
         raise
     except FloatingPointError as error:
@@ -56,7 +56,7 @@ def read_inputs(path: Path, artifact: Artifact) -> Raster | dict[str, Raster]:
         return read_rasters(path)
     shapes = {port.name: port.shape for port in ports(artifact.graph.inputs)}
     found = read_nir_data(path, shapes, artifact.convention.dt)
-    most = budget(path, FREE, EXPANSION)
+    most = byte_budget(path, FREE, EXPANSION)
     return {name: _checked(f"{path}: {name}", rows, most) for name, rows in found.items()}
 
 
@@ -71,7 +71,7 @@ def _archive(path: Path) -> dict[str, Raster]:
 
 def _check_claim(path: Path, claimed: int) -> None:
     """Refuse what takes far more memory than disk: holes and zeros."""
-    if claimed > (most := budget(path, FREE, EXPANSION)):
+    if claimed > (most := byte_budget(path, FREE, EXPANSION)):
         raise ObservationError(
             f"{path} would be {claimed} bytes when unpacked; the limit of a file of its size is "
             f"{most}. Split it, and play the parts one by one."
