@@ -10,7 +10,6 @@ EXTRAS = {
     "pydantic": "train",
     "safetensors": "train",
     "onnx": "train",
-    "tomli": "train",
     "numba": "fast",
     "ray": "sweep",
     "zmq": "serve",

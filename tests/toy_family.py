@@ -11,9 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
-from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.layer import StepResult
-from spikedeploy.runtime.chips.limits import ENDS, WEIGHTS, Limits
 from spikedeploy.runtime.chips.registers import Register, rounded
 
 
@@ -65,16 +63,3 @@ class LeakySixBits(ArithmeticDefaults):
             membrane_decay=zeros + 2,
             scale=1 / scale,
         )
-
-
-TOY = Chip(
-    name="toy",
-    summary="leaky integrators with membranes of 6 bits",
-    arithmetic=LeakySixBits(weight_bits=4, membrane=Register(6, "saturate")),
-    resets=("zero",),
-    delay=1,
-    delay_max=1,
-    energy_tables=(),
-    limits=Limits(primitives=(*ENDS, *WEIGHTS, "LIF"), neurons=8, sources={}),
-    sources={"weight_bits": "made up", "membrane": "made up"},
-)

@@ -1,33 +1,182 @@
-"""The datasheet of a chip, and its options: fields that are replaced by other values."""
+"""The datasheet of a chip: its fields, the limits of what fits on it, its file, and its options.
+
+A datasheet is a file in TOML. Of each field of the chip and of its arithmetic, and of each limit,
+it has the value and the source, which says how certain the value is: run, read, secondary, derived,
+assumed, or by definition.
+
+    summary = "4-bit weights, 16-bit membranes"
+    evidence = "compared with nothing"           what the emulation was compared with
+    arithmetic = "cuba-free-width"               one of ARITHMETICS
+
+    [like]                                       leave out what is as in another datasheet
+    chip = "int"
+    source = "{source}; taken from int"          what is then said of the values taken from there
+
+    [references]                                 stands for {RTL} in sources
+    RTL = "RTL of July (read)"
+
+    [fields]                                     of Chip and of the arithmetic
+    membrane = { value = "16-saturate", source = "{RTL}: 16 bits" }
+
+    [limits]                                     of Limits
+    neurons = { value = 1024, source = "assumed" }
+
+A register is its bits and what it does when it is full; "none" is None.
+"""
 
 import difflib
+import re
+import sys
 from collections.abc import Iterable, Mapping
-from dataclasses import Field, dataclass, field, fields, replace
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
+from functools import lru_cache
 from importlib import import_module
-from typing import Any, Literal, get_args, get_origin
+from pathlib import Path
+from typing import Any, Literal, cast, get_args, get_origin
 
-from spikedeploy.runtime.chips import CHIPS
+import numpy as np
+
+from spikedeploy.runtime.chips import ARITHMETICS, CHIPS
 from spikedeploy.runtime.chips.arithmetic import Arithmetic
-from spikedeploy.runtime.chips.limits import Limits
 from spikedeploy.runtime.chips.registers import OVERFLOWS, Register
 from spikedeploy.runtime.convention import CLOCKS, Clock
 from spikedeploy.runtime.errors import ChipError
 
-__all__ = ["CHIPS", "Chip", "chip"]
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
-# of chips whose neurons all update in each timestep
-ALL_AT_ONCE: tuple[Clock, ...] = ("pipelined", "free")
+__all__ = ["CHIPS", "Chip", "chip"]
 
 # how a membrane leaves a chip: read by the host from its register, sent as a graded spike, or put
 # out by a program; "none" leaves neurons that do not spike to the host
 MembraneOutput = Literal["none", "probe", "graded", "software"]
+Cost = Literal["words", "bits"]
+
+# maps without a state: weights of the neurons behind them on every chip that has synapses
+WEIGHTS = ("Affine", "Linear")
+SPACE = ("Conv1d", "Conv2d", "Flatten", "SumPool2d", "AvgPool2d")
+ENDS = ("Input", "Output")
+# neurons without a threshold, whose membranes leave the chip
+READOUTS = ("LI", "CubaLI", "I")
+
+
+@dataclass(frozen=True)
+class SynapticMemory:
+    """The memory of a core that holds the synapses of its neurons.
+
+    size: of a core [bit].
+    cost: "words" packs up to 64 synapses of an axon into 64-bit words, as Loihi does; "bits" takes
+        weight_bits a synapse and nothing else, which is the least that it can be.
+    weight_bits: of a stored weight.
+    """
+
+    size: int
+    cost: Cost
+    weight_bits: int
+
+
+@dataclass(frozen=True)
+class LayerCore:
+    """A core that computes one layer by itself.
+
+    kernel: entries of its kernel memory.
+    neurons: entries of its neuron memory.
+    """
+
+    kernel: int
+    neurons: int
+
+
+@dataclass(frozen=True)
+class Convolutions:
+    """What a core that computes a layer can take for one.
+
+    kernel: largest extent of a kernel.
+    strides: possible.
+    channels: most features.
+    extent: largest of what a layer puts out.
+    """
+
+    kernel: int
+    strides: tuple[int, ...]
+    channels: int
+    extent: int
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What fits on a chip; None, or nothing, is no limit that anyone published.
+
+    primitives: names of the NIR nodes that the chip has, maps without a state included.
+    inputs: input channels of the chip.
+    neurons: of the chip; besides the outputs where those are limited by themselves.
+    outputs: neurons whose spikes leave the chip.
+    fan_in: synapses of a neuron.
+    fan_out: synapses that a spike can reach in the neurons of the chip, outputs not counted where
+        those are limited by themselves.
+    fan_out_mean: the same, the mean over the chip's neurons.
+    input_targets: neurons that can have synapses from inputs.
+    output_sources: neurons that can have synapses onto outputs.
+    destinations: postsynaptic layers that a layer can have.
+    cores: of a chip.
+    neurons_per_core: of one core; larger layers are divided.
+    memory: synaptic memory of a core.
+    axons_in: different presynaptic sources of a core.
+    axons_out: pairs of a neuron in a core and a core with postsynaptic neurons.
+    decays: different pairs of decays in a core.
+    thresholds: different thresholds in a core.
+    layer_cores: where each layer takes a core of its own: what those hold.
+    convolutions: what such a layer can be.
+    axon_signs: whether a source excites all that it reaches, or inhibits all.
+    weight_values: different weights of a neuron, besides 0; None where each synapse has its own.
+    weight_max: largest mantissa of a weight.
+    threshold_max: largest threshold, in the unit of weight_max.
+    current_loss: least and most that a synaptic current may lose in one timestep, of 1.
+    membrane_loss: likewise of a membrane.
+    recurrence: whether neurons can project to themselves, over however many others.
+    input_cores: whether inputs and the always-on axon of biases start in neurons of the chip.
+    alone: whether a network must fit on one chip.
+    sources: field to where its value comes from and how sure it is.
+    """
+
+    primitives: tuple[str, ...]
+    sources: Mapping[str, str] = field(compare=False)
+    inputs: int | None = None
+    neurons: int | None = None
+    outputs: int | None = None
+    fan_in: int | None = None
+    fan_out: int | None = None
+    fan_out_mean: int | None = None
+    input_targets: int | None = None
+    output_sources: int | None = None
+    destinations: int | None = None
+    cores: int | None = None
+    neurons_per_core: int | None = None
+    memory: SynapticMemory | None = None
+    axons_in: int | None = None
+    axons_out: int | None = None
+    decays: int | None = None
+    thresholds: int | None = None
+    layer_cores: tuple[LayerCore, ...] = ()
+    convolutions: Convolutions | None = None
+    axon_signs: bool = False
+    weight_values: int | None = None
+    weight_max: int | None = None
+    threshold_max: int | None = None
+    current_loss: tuple[float, float] | None = None
+    membrane_loss: tuple[float, float] | None = None
+    recurrence: bool | None = None
+    input_cores: bool = False
+    alone: bool = True
 
 
 @dataclass(frozen=True)
 class Chip:
     """Everything about a chip that decides what a network does on it.
 
-    name: as in the table CHIPS.
+    name: as in the table CHIPS, or of its file.
     summary: one line.
     arithmetic: what its numbers are and how they are added up.
     resets: what a spike may do to the membrane, as in Convention.
@@ -61,20 +210,10 @@ class Chip:
     clock: Clock | None = None
 
     def __post_init__(self) -> None:
-        if self.membrane_output not in get_args(MembraneOutput):
-            raise ChipError(
-                f"chip {self.name!r}: membrane_output {self.membrane_output!r} is unknown. Choose "
-                f"one of {', '.join(map(repr, get_args(MembraneOutput)))}."
-            )
         if self.delay < 0:
             raise ChipError(
-                f"chip {self.name!r}: delay {self.delay}: no spike arrives before it was sent. "
-                "Choose 0 or more timesteps."
-            )
-        if self.clock not in (None, *CLOCKS):
-            raise ChipError(
-                f"chip {self.name!r}: clock {self.clock!r} is unknown. Choose one of "
-                f"{', '.join(map(repr, CLOCKS))}."
+                f"delay {self.delay}: no spike arrives before it was sent. Choose 0 or more "
+                "timesteps."
             )
 
     @property
@@ -91,53 +230,32 @@ class Chip:
 def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
     """The chip called `name`, with some fields of it or of its arithmetic replaced.
 
-    They may also stand in the name, as on a command line: "int:weight_bits=4,membrane=12". Where a
-    register is given as a number, that is its bits; "12-wrap" says what overflows do too.
+    A name that ends in .toml is the file of a datasheet. Fields may also be replaced in the name,
+    as on a command line: "int:weight_bits=4,membrane=12". Where a register is given as a number,
+    that is its bits; "12-wrap" says what overflows do too.
     """
-    name, _, options = name.partition(":")
-    if name not in CHIPS:
+    place, options = _NAME.fullmatch(name.strip()).groups("")  # type: ignore[union-attr]  # any text
+    if place in CHIPS:
+        path, called = CHIPS[place], place
+    elif place.endswith(_FILE):
+        path, called = Path(place), Path(place).stem
+        if called in CHIPS:
+            raise ChipError(f"{path}: {called!r} is the name of another chip. Rename the file.")
+    else:
         raise ChipError(
-            f"there is no chip {name!r}{_like(name, CHIPS)}. Known: {', '.join(CHIPS)}."
+            f"there is no chip {place!r}{_close(place, CHIPS)}. Known: {', '.join(CHIPS)}; or "
+            "name a datasheet, which ends in .toml."
         )
-    module, attribute = CHIPS[name].split(":")
-    datasheet: Chip = getattr(import_module(module), attribute)
-    return _overridden(datasheet, {**_spelled(datasheet, options), **overrides})
-
-
-# not for a line of text: they are made of other things, or say what is known of the chip
-_WHOLE = ("name", "arithmetic", "sources", "clocks")
-
-
-def _overridden(datasheet: "Chip", overrides: Mapping[str, Any]) -> "Chip":
-    """The datasheet with these fields of it, or of its arithmetic, replaced."""
-    arithmetic = datasheet.arithmetic
-    own = {f.name for f in fields(datasheet)}
-    inside = {f.name for f in fields(arithmetic)}
-    for key in overrides:
-        _field(datasheet, key)
-    inner = {k: _filled(arithmetic, k, v) for k, v in overrides.items() if k in inside}
-    outer = {k: v for k, v in overrides.items() if k in own and k not in inside}
-    return replace(datasheet, **{"arithmetic": replace(arithmetic, **inner), **outer})
-
-
-def _spelled(datasheet: "Chip", text: str) -> dict[str, Any]:
-    """The options in a text like "weight_bits=4,membrane=12-wrap"."""
-    options: dict[str, Any] = {}
-    for part in filter(None, text.split(",")):
-        key, given, value = part.partition("=")
-        key, value = key.strip(), value.strip()
-        if not (given and value):
-            example = CLOCKS[0] if key == "clock" else 4
-            raise ChipError(
-                f"chip {datasheet.name!r}: option {part!r} has no value. Write it as "
-                f"{datasheet.name}:{key or 'weight_bits'}={example}, with commas between options."
-            )
-        if key in options:
-            raise ChipError(
-                f"chip {datasheet.name!r}: option {key!r} is given twice. Leave one of them out."
-            )
-        options[key] = _read(datasheet, _field(datasheet, key), value)
-    return options
+    try:
+        datasheet = _loaded(path, called, path.stat().st_mtime_ns)
+    except OSError as error:
+        raise ChipError(
+            f"chip {place!r}: its datasheet cannot be read ({error.strerror}). Name another file."
+        ) from error
+    try:
+        return _overridden(datasheet, {**_spelled(datasheet, options), **overrides})
+    except ChipError as error:
+        raise ChipError(f"chip {called!r}: {error}") from None
 
 
 def listed(text: str) -> list[str]:
@@ -152,61 +270,278 @@ def listed(text: str) -> list[str]:
     return names
 
 
-def _like(name: str, known: Iterable[str]) -> str:
-    """A hint at what may have been meant."""
-    close = difflib.get_close_matches(name, list(known), n=2)
-    return f"; did you mean {' or '.join(map(repr, close))}" if close else ""
+_FILE = ".toml"
+# a name, or a file, which may have a colon in its path; then options
+_NAME = re.compile(r"(.*?\.toml(?=:|$)|[^:]*):?(.*)", re.DOTALL)
 
 
-def _field(datasheet: "Chip", key: str) -> "Field[Any]":
+# options
+
+
+# not for a line of text: they are made of other things, or say what is known of the chip
+_NO_TEXT = ("name", "arithmetic", "sources", "clocks", "limits")
+
+
+def _overridden(datasheet: Chip, overrides: Mapping[str, Any]) -> Chip:
+    """The datasheet with these fields of it, or of its arithmetic, replaced."""
+    arithmetic = datasheet.arithmetic
+    inner: dict[str, Any] = {}
+    outer: dict[str, Any] = {}
+    for key, value in overrides.items():
+        wanted = _field(datasheet, key)
+        inside = any(each is wanted for each in fields(arithmetic))
+        present = getattr(arithmetic if inside else datasheet, key)
+        (inner if inside else outer)[key] = _typed(wanted.type, key, value, present)
+    arithmetic = _built(replace, arithmetic, **inner) if inner else arithmetic
+    return cast("Chip", _built(replace, datasheet, **{"arithmetic": arithmetic, **outer}))
+
+
+def _field(datasheet: Chip, key: str) -> "Field[Any]":
     every = (*fields(datasheet), *fields(datasheet.arithmetic))
     known = {f.name: f for f in every if f.init}
     if key not in known:
-        raise ChipError(f"chip {datasheet.name!r} has no option {key!r}{_like(key, known)}.")
+        raise ChipError(f"it has no option {key!r}{_close(key, known)}.")
     return known[key]
 
 
-def _filled(arithmetic: Arithmetic, key: str, value: Any) -> Any:  # noqa: ANN401
-    """The value of a field, where a number means the bits of the register that is there."""
-    present = getattr(arithmetic, key)
-    if isinstance(present, Register) and isinstance(value, int):
-        return replace(present, bits=value)
+def _spelled(datasheet: Chip, text: str) -> dict[str, Any]:
+    """The options in a text like "weight_bits=4,membrane=12-wrap"."""
+    options: dict[str, Any] = {}
+    for part in filter(None, text.split(",")):
+        key, given, value = (each.strip() for each in part.partition("="))
+        if not (given and value):
+            example = CLOCKS[0] if key == "clock" else 4
+            raise ChipError(
+                f"option {part!r} has no value. Write it as "
+                f"{datasheet.name}:{key or 'weight_bits'}={example}, with commas between options."
+            )
+        if key in options:
+            raise ChipError(f"option {key!r} is given twice. Leave one of them out.")
+        if _field(datasheet, key).name in _NO_TEXT:
+            raise ChipError(f"{key!r} cannot be given as text.")
+        members = [int(each) if _WHOLE.fullmatch(each) else each for each in value.split("/")]
+        options[key] = members if len(members) > 1 else members[0]
+    return options
+
+
+# files
+
+
+_WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
+_LARGEST = 1 << 62
+_MOST_BYTES = 1 << 20
+_TABLES: dict[str, type] = {
+    "summary": str,
+    "evidence": str,
+    "arithmetic": str,
+    "energy_tables": list,
+    "like": dict,
+    "references": dict,
+    "fields": dict,
+    "limits": dict,
+}
+_LIKE = ("chip", "source", "limits")
+
+
+@lru_cache(maxsize=64)
+def _loaded(path: Path, name: str, changed: int) -> Chip:
+    """The chip of a datasheet's file, read again when the file has changed."""
+    try:
+        return _datasheet(name, _tables(path))
+    except ChipError as error:
+        raise ChipError(f"{path}: {error}") from None
+
+
+def _datasheet(name: str, tables: Mapping[str, Any]) -> Chip:
+    """The chip that the tables of a file describe."""
+    entries, limits = tables.get("fields", {}), tables.get("limits", {})
+    family = _imported(tables.get("arithmetic", ""))
+    known = {each.name for each in (*fields(Chip), *fields(family))} - {"name", *_TABLES, "sources"}
+    _check_names("field", entries, known | {"arithmetic"})
+    _check_names("limit", limits, {each.name for each in fields(Limits)} - {"sources"})
+    sources = _sources(entries, tables)
+    rest = {
+        "name": name,
+        "summary": tables.get("summary", ""),
+        "evidence": tables.get("evidence", "compared with nothing"),
+        "arithmetic": _built(family, **_values(family, entries)),
+        "energy_tables": tuple(map(str, tables.get("energy_tables", ()))),
+        "sources": sources,
+        "limits": None,
+    }
+    if limits:
+        found = _values(Limits, limits, sources=_sources(limits, tables))
+        rest["limits"] = _built(Limits, **found)
+    return cast("Chip", _built(Chip, **_values(Chip, entries, **rest)))
+
+
+def _tables(path: Path) -> dict[str, Any]:
+    """What a file says, over what the datasheet says of the chip that it is like."""
+    tables = _checked(_toml(path))
+    like: dict[str, str] = tables.pop("like", {})
+    if not like:
+        return tables
+    _check_names("entry of like", like, _LIKE)
+    other = like.get("chip", "")
+    if CHIPS.get(other) in (None, path):
+        raise ChipError(f"like.chip is {other!r}{_close(other, CHIPS)}. Name one of the chips.")
+    base = _tables(CHIPS[other])
+    references = base.get("references", {}) | tables.get("references", {})
+    of_fields = _inherited(base, tables, "fields", like.get("source", "{source}"))
+    of_limits = _inherited(base, tables, "limits", like.get("limits", "{source}"))
+    return {**base, **tables, "references": references, "fields": of_fields, "limits": of_limits}
+
+
+def _inherited(
+    base: Mapping[str, Any], tables: Mapping[str, Any], table: str, source: str
+) -> dict[str, Any]:
+    """Entries of a chip over those of the one that it is like, with what is said of these."""
+    taken = {
+        name: {**entry, "source": source.replace("{source}", entry["source"])}
+        for name, entry in base.get(table, {}).items()
+    }
+    own = tables.get(table, {})
+    return taken | {name: {**taken.get(name, {}), **entry} for name, entry in own.items()}
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    if path.stat().st_size > _MOST_BYTES:
+        raise ChipError(f"it has more than {_MOST_BYTES} bytes, which no datasheet needs.")
+    try:
+        tables: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ChipError(f"it is not TOML ({error}). Mend it there.") from None
+    return tables
+
+
+def _checked(tables: dict[str, Any]) -> dict[str, Any]:
+    """The tables, if all are known and every entry of fields and limits has a source."""
+    _check_names("table", tables, _TABLES)
+    for name, table in tables.items():
+        if not isinstance(table, _TABLES[name]):
+            raise ChipError(f"{name} is {table!r:.40}; it must be a {_TABLES[name].__name__}.")
+    for name, entry in (*tables.get("fields", {}).items(), *tables.get("limits", {}).items()):
+        if not isinstance(entry, dict) or not isinstance(entry.get("source"), str):
+            raise ChipError(
+                f'{name} has no source. Write {name} = {{ value = 8, source = "where the value '
+                'comes from, or assumed" }.'
+            )
+        _check_names(f"part of {name}", entry, ("value", "source"))
+    texts = (*tables.get("references", {}).items(), *tables.get("like", {}).items())
+    if wrong := [name for name, text in texts if not isinstance(text, str)]:
+        raise ChipError(f"{wrong[0]} is no text.")
+    return tables
+
+
+def _sources(entries: Mapping[str, Any], tables: Mapping[str, Any]) -> dict[str, str]:
+    """Where the value of each entry comes from, with its references written out."""
+    references = tables.get("references", {})
+
+    def written_out(match: "re.Match[str]") -> str:
+        if match[1] not in references:
+            raise ChipError(f"a source names {match[0]}, which is not among its references.")
+        return _REFERENCE.sub(written_out, references[match[1]])
+
+    try:
+        return {name: _REFERENCE.sub(written_out, e["source"]) for name, e in entries.items()}
+    except RecursionError:
+        raise ChipError("its references name one another in a circle.") from None
+
+
+_REFERENCE = re.compile(r"\{(\w+)\}")
+
+
+def _imported(arithmetic: str) -> Any:  # noqa: ANN401
+    if arithmetic not in ARITHMETICS:
+        raise ChipError(
+            f"arithmetic {arithmetic!r} is unknown{_close(arithmetic, ARITHMETICS)}. Choose one of "
+            f"{', '.join(ARITHMETICS)}."
+        )
+    module, name = ARITHMETICS[arithmetic].split(":")
+    return getattr(import_module(module), name)
+
+
+def _values(kind: Any, entries: Mapping[str, Any], **given: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Values of entries, by the types of the fields of a dataclass, beside those given."""
+    values = dict(given)
+    for each in fields(kind):
+        if each.name in given or not each.init:
+            continue
+        if "value" in (entry := entries.get(each.name, {})):
+            values[each.name] = _typed(each.type, each.name, entry["value"])
+        elif each.default is MISSING and each.default_factory is MISSING:
+            raise ChipError(f"{each.name} has no value. Write it with its source.")
+    return values
+
+
+def _built(make: Any, *of: Any, **values: Any) -> Any:  # noqa: ANN401
+    """What is made of the values, which may not go together."""
+    try:
+        return make(*of, **values)
+    except (ArithmeticError, ValueError) as error:
+        if isinstance(error, ChipError):
+            raise
+        raise ChipError(f"its numbers do not go together ({error}).") from None
+
+
+def _typed(kind: Any, name: str, value: Any, present: Any = None) -> Any:  # noqa: ANN401
+    """The value of a field in a file, a text or from Python, by the field's type.
+
+    present: the value now, for a register of which only the bits are given.
+    """
+    members = get_args(kind)
+    if type(None) in members:
+        kind = next(each for each in members if each is not type(None))
+        return None if value in (None, "none") else _typed(kind, name, value, present)
+    if kind is Register:
+        return _register(name, value, present)
+    if get_origin(kind) is tuple:
+        each = value if isinstance(value, list | tuple) else [value]
+        return tuple(_typed(members[0], name, member) for member in each)
+    if get_origin(kind) is Literal:
+        if value not in members:
+            choices = ", ".join(map(repr, members))
+            raise ChipError(f"{name} {value!r} is unknown. Choose one of {choices}.")
+        return value
+    if isinstance(value, dict) and is_dataclass(kind):
+        _check_names(f"part of {name}", value, [each.name for each in fields(kind)])
+        return _built(kind, **_values(kind, {part: {"value": v} for part, v in value.items()}))
+    if kind is int and (isinstance(value, bool) or not isinstance(value, int | np.integer)):
+        raise ChipError(f"{name} must be a whole number, found {value!r}.")
+    if kind is int and abs(value) > _LARGEST:
+        raise ChipError(f"{name} is {value}; no register is that wide.")
+    if (kind is float and not isinstance(value, float | int)) or (
+        kind in (bool, str) and not isinstance(value, kind)
+    ):
+        raise ChipError(f"{name} must be a {kind.__name__}, found {value!r:.40}.")
     return value
 
 
-def _read(datasheet: "Chip", field: "Field[Any]", text: str) -> Any:  # noqa: ANN401
-    """The value of a field in a text, by the field's type."""
-    kind: Any = field.type
-    if field.name in _WHOLE:
-        raise ChipError(f"chip {datasheet.name!r}: {field.name!r} cannot be given as text.")
-    if kind is Register:
-        return _register(datasheet, field.name, text)
-    if field.name == "clock":
-        return text
-    if type(None) in get_args(kind):
-        return None if text == "none" else _whole(datasheet, field.name, text)
-    if get_origin(kind) is tuple:
-        parts = text.split("/")
-        numeric = get_args(kind)[0] is int
-        return tuple(_whole(datasheet, field.name, p) for p in parts) if numeric else tuple(parts)
-    return _whole(datasheet, field.name, text) if kind is int else text
-
-
-def _register(datasheet: "Chip", key: str, text: str) -> Register:
-    present: Register = getattr(datasheet.arithmetic, key)
-    bits, _, overflow = text.partition("-")
-    if overflow and overflow not in OVERFLOWS:
+def _register(name: str, value: Any, present: Register | None) -> Register:  # noqa: ANN401
+    """A register from one, from its bits, or from a text like "12-wrap"."""
+    if isinstance(value, Register):
+        return value
+    bits, _, overflow = str(value).partition("-")
+    if present is not None and not overflow:
+        overflow = present.overflow
+    if overflow not in OVERFLOWS:
         raise ChipError(
-            f"chip {datasheet.name!r}: {key} {text!r} overflows in an unknown way. Write its bits, "
-            f"and after a '-' one of {', '.join(OVERFLOWS)}: {key}={present.bits}-saturate."
+            f"{name} {value!r} overflows in an unknown way. Write its bits, and after a '-' one of "
+            f"{', '.join(OVERFLOWS)}: {name}=24-saturate."
         )
-    return Register(_whole(datasheet, key, bits), overflow or present.overflow, present.between)
+    if not _WHOLE.fullmatch(bits):
+        raise ChipError(f"{name} must be a whole number, found {bits!r}.")
+    between = None if present is None else present.between
+    return Register(int(bits), overflow, between)
 
 
-def _whole(datasheet: "Chip", key: str, text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise ChipError(
-            f"chip {datasheet.name!r}: {key} must be a whole number, found {text!r}."
-        ) from None
+def _check_names(what: str, found: Iterable[str], known: Iterable[str]) -> None:
+    for name in found:
+        if name not in known:
+            raise ChipError(f"there is no {what} {name!r}{_close(name, known)}.")
+
+
+def _close(name: str, known: Iterable[str]) -> str:
+    """A hint at what may have been meant."""
+    close = difflib.get_close_matches(name, list(known), n=2)
+    return f"; did you mean {' or '.join(map(repr, close))}" if close else ""

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.chip import Chip, Limits
 from spikedeploy.runtime.chips.layer import Layer, Synapses
-from spikedeploy.runtime.chips.limits import Limits
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.program import HostOutput, Program, Readout
 from spikedeploy.runtime.compiler.wiring import LayerGraph, wiring

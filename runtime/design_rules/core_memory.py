@@ -19,7 +19,7 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.limits import LayerCore, Limits, SynapticMemory
+from spikedeploy.runtime.chips.chip import LayerCore, Limits, SynapticMemory
 from spikedeploy.runtime.design_rules.topology import Population, Projection
 from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE
 

@@ -13,8 +13,7 @@ from typing import TypeAlias
 
 import nir
 
-from spikedeploy.runtime.chips.chip import Chip
-from spikedeploy.runtime.chips.limits import Limits
+from spikedeploy.runtime.chips.chip import Chip, Limits
 from spikedeploy.runtime.design_rules.core_memory import Load, assigned, entries, load
 from spikedeploy.runtime.design_rules.topology import Population, Topology
 

@@ -6,7 +6,7 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.limits import READOUTS
+from spikedeploy.runtime.chips.chip import READOUTS
 from spikedeploy.runtime.design_rules.rule import (
     PlacedNetwork,
     RuleResult,

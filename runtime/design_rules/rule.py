@@ -8,8 +8,7 @@ import nir
 import numpy as np
 
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.chips.chip import Chip
-from spikedeploy.runtime.chips.limits import Limits
+from spikedeploy.runtime.chips.chip import Chip, Limits
 from spikedeploy.runtime.design_rules.mapping import CoreMapping, mapping
 from spikedeploy.runtime.design_rules.topology import Population, Topology, topology
 from spikedeploy.runtime.graph.neurons import NEURONS, SPIKING, DiscreteNeuron, discretise

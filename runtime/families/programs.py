@@ -129,8 +129,8 @@ def _chip_of(fields: Fields) -> Chip:
 
 def _check(program: Program) -> None:
     """Refuse what a record cannot say."""
-    other = datasheet(program.chip.name).arithmetic != program.chip.arithmetic
-    if other:
+    name = program.chip.name
+    if name not in CHIPS or datasheet(name).arithmetic != program.chip.arithmetic:
         raise ConfigError(
             f"--to program: {program.chip.name} was given with options of its arithmetic, which "
             "its tool has not. Name the chip alone."

@@ -76,7 +76,8 @@ def chips(
 ) -> None:
     """List the chips: their arithmetic, and what it was compared with.
 
-    Fields can be changed wherever a chip is named: --chip int:weight_bits=4,membrane=12.
+    Fields can be changed wherever a chip is named: --chip int:weight_bits=4,membrane=12. The file
+    of a datasheet can be named instead: --chip ./mine.toml.
     """
     from spikedeploy.console import print_json
     from spikedeploy.reports.datasheets import chip_list, chip_summaries, chip_table

@@ -9,7 +9,7 @@ from spikedeploy.emulation.design_report import DesignReport, statuses, worst
 from spikedeploy.reports.headline import HeadlineNumber
 from spikedeploy.reports.page import provenance, render
 from spikedeploy.reports.table import ABSENT, Table
-from spikedeploy.runtime.chips.limits import Limits
+from spikedeploy.runtime.chips.chip import Limits
 from spikedeploy.runtime.compiler.compile import DesignCheck
 from spikedeploy.runtime.design_rules.mapping import (
     CoreMapping,

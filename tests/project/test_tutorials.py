@@ -35,7 +35,7 @@ def test_a_tutorial_does_what_it_says(page, reader, command, capsys):
             printed = called(programs(part), reader)
             if printed is not None:
                 printed += "".join(ran(line, command) for line in commands(part))
-        elif part.kind in ("python", "c") and part.title:
+        elif part.kind in ("python", "c", "toml") and part.title:
             (reader / part.title).write_text(part.text, encoding="utf-8")
         elif part.kind == "python":
             exec(compile(part.text, page.name, "exec"), names)

@@ -2,8 +2,8 @@
 
 A block of `text` behind another shows lines of what that one prints: all in their order, maybe not
 all that there are, white space aside and numbers within 5 %. With a title it is only shown: of a
-training that tests cut short. A block of Python or C with a title is a file. Compilers and other
-programs run where they are installed; elsewhere what stands behind them is passed over.
+training that tests cut short. A block of Python, C or TOML with a title is a file. Other programs,
+as compilers, run where they are installed; elsewhere what stands behind them is passed over.
 """
 
 import re

@@ -19,11 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
-from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
-from spikedeploy.runtime.chips.limits import ENDS, READOUTS, WEIGHTS, Limits, SynapticMemory
 from spikedeploy.runtime.chips.quantisation import Quantisation
-from spikedeploy.runtime.chips.registers import Register, Rounding, decay, magnitude, rounded
+from spikedeploy.runtime.chips.registers import Rounding, decay, magnitude, rounded
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ChipError, RuleError
 from spikedeploy.runtime.families.cuba.neurons import (
@@ -269,68 +267,6 @@ class CubaFreeWidth(CubaFixedPoint):
             )
 
 
-_DEFINED = "by definition"
-_FREE = f"{_DEFINED}; free"
-_FOLLOWS = f"{_DEFINED}; follows from the others"
-
-INT = Chip(
-    name="int",
-    summary="no chip: free bit widths for weights, decays, thresholds and states",
-    arithmetic=CubaFreeWidth(
-        weight_bits=8,
-        sign_mode="mixed",
-        step_rounding="zero",
-        exponents="exact",
-        mantissa_shift=6,
-        bias_mantissa_max=(1 << 15) - 1,
-        bias_exponent_max=0,
-        decay_bits=12,
-        current_decay_offset=0,
-        membrane_decay_offset=0,
-        accumulator=Register(24, "clip"),
-        current=Register(24, "clip"),
-        push=Register(24, "none"),
-        membrane=Register(24, "clip"),
-        refractory=1,
-        input_acts="next",
-        threshold_bits=17,
-    ),
-    resets=("zero", "subtract"),
-    delay=0,
-    delay_max=63,
-    energy_tables=(),
-    membrane_output="probe",
-    sources={
-        "clocks": "by definition",
-        "membrane_output": _DEFINED,
-        "weight_bits": f"{_FREE}, 1 to 16",
-        "weight_bits_allowed": _DEFINED,
-        "sign_mode": _FREE,
-        "step_rounding": f"{_DEFINED}: weights have a step of 1, so nothing is rounded",
-        "exponents": f"{_DEFINED}: there are none",
-        "mantissa_shift": f"{_FREE}, 0 to 16: fraction bits of the states",
-        "threshold_max": _FOLLOWS,
-        "threshold_bits": _FREE,
-        "bias_mantissa_max": _FREE,
-        "input_acts": f"{_DEFINED}: an input waits as a spike does",
-        "bias_exponent_max": _FREE,
-        "decay_bits": f"{_FREE}, 1 to 16",
-        "decay_max": _FOLLOWS,
-        "current_decay_offset": _FREE,
-        "membrane_decay_offset": _FREE,
-        "accumulator": f"{_FREE}, 2 to 36 bits",
-        "current": f"{_FREE}, 2 to 36 bits",
-        "push": f"{_FREE}; {_DEFINED} it is no register: the membrane takes it in at once",
-        "membrane": f"{_FREE}, 2 to 36 bits",
-        "refractory": _FREE,
-        "resets": f"{_DEFINED}: both that a convention can name",
-        "delay": f"{_FREE}; 0 leaves it to the convention",
-        "delay_max": _FREE,
-    },
-    evidence="nothing to compare with: a definition",
-)
-
-
 _LARGEST = float(np.finfo(np.float32).max)
 
 
@@ -496,125 +432,3 @@ def _single(layer: Layer, name: str, scale: float) -> NDArray[np.float32]:
             f"weights that are whole; float32 holds {_LARGEST:.3g}. Rescale the layer."
         )
     return (values * scale).astype(np.float32)
-
-
-IDEAL = Chip(
-    name="ideal",
-    summary="float64 through the compiled path: no rounding, no limits",
-    arithmetic=CubaFloat64(),
-    resets=("zero", "subtract"),
-    delay=0,
-    delay_max=4096,
-    energy_tables=(),
-    membrane_output="software",
-    sources={
-        "clocks": "by definition",
-        "arithmetic": "by definition",
-        "membrane_output": "by definition",
-        "resets": "by definition: both that a convention can name",
-        "delay": "by definition: the convention decides",
-        "delay_max": "by choice: so many timesteps of spikes fit any memory",
-    },
-    evidence="equal to the float graph in every spike",
-)
-
-
-_S2_NIR = "py-spinnaker2, s2_nir (source read)"
-_PY = "py-spinnaker2's import of NIR, s2_nir (source read)"
-_API = "py-spinnaker2, page 'SNN API' of its documentation"
-_BOARDS = "public scripts that run lif_curr_exp on SpiNNaker2 boards (read)"
-_SURVEY = "secondary: surveys of the chip"
-_FIRMWARE = "assumed: the firmware was not read"
-
-_LIMITS = Limits(
-    primitives=(
-        *ENDS,
-        *WEIGHTS,
-        "Conv2d",
-        "Flatten",
-        "SumPool2d",
-        "Scale",
-        "IF",
-        "LIF",
-        "CubaLIF",
-        *READOUTS,
-    ),
-    cores=152,
-    memory=SynapticMemory(size=128 * 1024 * 8, cost="bits", weight_bits=8),
-    recurrence=True,
-    alone=False,
-    sources={
-        "primitives": f"{_PY}: models lif_no_delay, lif_curr_exp_no_delay and lif_conv2d; IF is a "
-        "lif without a leak, LI, CubaLI and I the same without a threshold (derived)",
-        "cores": _SURVEY,
-        "memory": f"{_SURVEY}: 128 KB of SRAM; program and states lie there too, so the number of "
-        "cores is the least that it can be (derived)",
-        "recurrence": f"{_PY}: a population can hear itself",
-        "alone": f"{_SURVEY}: chips are joined on boards",
-    },
-)
-
-SPINNAKER2 = Chip(
-    name="spinnaker2",
-    summary="SpiNNaker2, models *_no_delay: 8-bit weights, float32 states; approximate",
-    arithmetic=CubaFloat32(weight_bits=8),
-    resets=("subtract", "zero"),
-    delay=1,
-    delay_max=1,
-    energy_tables=("spinnaker2",),  # two secondary sources that disagree: an interval
-    limits=_LIMITS,
-    membrane_output="software",
-    sources={
-        "clocks": "neurons are programs on ARM cores, so software can update a layer when it is "
-        "told to; py-spinnaker2's own programs update every neuron in each timer tick",
-        "membrane_output": f"{_PY}: neurons are programs, and its recordings hold their voltages",
-        "weight_bits": f"{_S2_NIR}: 127 / max|w| into a population; rounding to nearest is assumed",
-        "resets": f"{_S2_NIR}: subtraction is its default",
-        "delay": f"{_S2_NIR}: conn_delay is 1 unless given; that a spike of a model without delays "
-        f"is heard in the next timestep is {_FIRMWARE}",
-        "delay_max": f"{_S2_NIR}: the models lif_no_delay, lif_curr_exp_no_delay and lif_conv2d, "
-        "which its import takes, hold no delay of a synapse, as their names say",
-    },
-    evidence="approximate: the firmware's order of operations is not published; compared with "
-    "nothing",
-)
-
-_LIF_LIMITS = Limits(
-    primitives=(*ENDS, *WEIGHTS, "Scale", "Delay", "IF", "LIF", "CubaLIF", *READOUTS),
-    cores=152,
-    neurons_per_core=250,
-    memory=SynapticMemory(size=128 * 1024 * 8, cost="bits", weight_bits=16),
-    recurrence=True,
-    alone=False,
-    sources={
-        "primitives": f"{_API}: models lif and lif_curr_exp, whose synapses have a delay; "
-        "convolutions have a model of their own, without (spinnaker2); IF, LI, CubaLI and I as on "
-        "spinnaker2 (derived)",
-        "cores": _SURVEY,
-        "neurons_per_core": "max_atoms_per_core of a class that NESTML writes for py-spinnaker2, "
-        "made from its LIFApplication (read)",
-        "memory": f"{_SURVEY}: 128 KB of SRAM; 16 bits a synapse: 4 of weight, 3 of delay, its "
-        "sign and the index of one of 250 neurons (derived)",
-        "recurrence": f"{_API}: a projection joins any two populations",
-        "alone": f"{_SURVEY}: chips are joined on boards",
-    },
-)
-
-SPINNAKER2_LIF = replace(
-    SPINNAKER2,
-    name="spinnaker2-lif",
-    summary="SpiNNaker2, models lif and lif_curr_exp: weights -15 to 15, delays; approximate",
-    arithmetic=CubaFloat32(weight_bits=5),
-    delay_max=7,
-    limits=_LIF_LIMITS,
-    sources={
-        "clocks": SPINNAKER2.sources["clocks"],
-        "membrane_output": f"{_API}: recordings hold the voltages of a population",
-        "weight_bits": f"{_API}: lif takes whole weights of -15 to 15 (secondary); {_BOARDS} scale "
-        "theirs to +-15; rounding to nearest is assumed",
-        "resets": f"{_API}: reset_by_subtraction, reset_to_v_reset",
-        "delay": f"{_API}: a delay of 1 is one timestep; what 0 means is {_FIRMWARE}, so 1 is the "
-        "least here",
-        "delay_max": f"{_API}: delays of 0 to 7 (secondary)",
-    },
-)

@@ -242,12 +242,6 @@ _LEAKS = {
     "crossing": "IF, linear leak",
     "shift": "LIF, leak by a shift",
 }
-# sources of the options of a queue, on chips without one
-WITHOUT_QUEUE = {
-    "queue": "none between neurons was found in any source that was read",
-    "queue_entries": "there is no queue",
-    "host": "there is no queue",
-}
 _RELAYED = (
     "spikes from neuron to neuron are relayed by the host (queue 'off'), those of a timestep by "
     "index; the chip's own queue is emulated with queue=on"

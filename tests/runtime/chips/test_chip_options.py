@@ -72,7 +72,7 @@ def test_lists_and_nothing_have_a_spelling():
         ("int:membrane=wide", "membrane must be a whole number, found 'wide'"),
         ("loihi1:sign_mode=both", "sign_mode 'both' is unknown"),
         ("loihi1:sources=x", "'sources' cannot be given as text"),
-        ("ideal:weight_bits=4", "chip 'ideal' has no option 'weight_bits'"),
+        ("ideal:weight_bits=4", "chip 'ideal': it has no option 'weight_bits'"),
         ("inf:weight_bits=4", "there is no chip 'inf'; did you mean 'int'"),
         ("loihi1:clock=", "option 'clock=' has no value. Write it as loihi1:clock=gated"),
         ("loihi1:clock=free,clock=gated", "option 'clock' is given twice"),

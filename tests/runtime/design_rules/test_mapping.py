@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.limits import LayerCore, SynapticMemory
+from spikedeploy.runtime.chips.chip import LayerCore, SynapticMemory, chip
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.design_rules.core_memory import (
     Entries,

@@ -7,7 +7,8 @@ import pytest
 from spikedeploy.reports.datasheets import chip_table
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.chips.chip import CHIPS, chip
+from spikedeploy.runtime.chips import ARITHMETICS, CHIPS
+from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.compiler.compile import check, compile_program
 from spikedeploy.runtime.convention import Convention
@@ -15,12 +16,14 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.metrics.memory import memory_traffic
 from tests.networks import chain, lif
+from tests.paths import ROOT
 
 
 @pytest.fixture(autouse=True)
 def line(monkeypatch):
-    """The only line that the package needs."""
-    monkeypatch.setitem(CHIPS, "toy", "tests.toy_family:TOY")
+    """The only lines that the package needs."""
+    monkeypatch.setitem(ARITHMETICS, "leaky-six-bits", "tests.toy_family:LeakySixBits")
+    monkeypatch.setitem(CHIPS, "toy", ROOT / "tests" / "toy.toml")
 
 
 def network(size=3, reset="zero"):

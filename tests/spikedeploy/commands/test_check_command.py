@@ -261,12 +261,11 @@ def test_emulate_refuses_what_does_not_fit_and_emulates_it_without_limits(comman
 @pytest.fixture
 def crowded(monkeypatch, tmp_path):
     """A shipped policy for the stroll whose layers no core of Loihi holds."""
-    from spikedeploy.runtime.families.cuba import loihi
-
     toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
-    none = replace(loihi.LOIHI1.limits, axons_in=1)
-    monkeypatch.setattr(loihi, "LOIHI1", replace(loihi.LOIHI1, limits=none))
+    few = CHIPS["loihi1"].read_text().replace("axons_in = { value = 4096", "axons_in = { value = 1")
+    (tmp_path / "few.toml").write_text(few)
+    monkeypatch.setitem(CHIPS, "loihi1", tmp_path / "few.toml")
 
 
 @pytest.mark.usefixtures("crowded")
