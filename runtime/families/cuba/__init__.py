@@ -6,7 +6,6 @@ integers, and up to float64 rounding on `ideal`.
 neurons          the registers in integers, and one timestep, with and without registers
 quantise         a layer in floats becomes integers; bounds on what registers must hold
 arithmetic       the arithmetics: Loihi's integers, free widths, float64 and float32
-loihi            the datasheets of Loihi 1, by three published models, and of Loihi 2
 numpy_kernels    the NumPy kernels: the window of a layer, or of all small ones, in few calls
 numpy_backend    the backend that runs them, and counts events
 numba_program    a program and its memory as the arrays that compiled kernels take
