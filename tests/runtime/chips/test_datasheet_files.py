@@ -18,7 +18,7 @@ RTL = "RTL of July (read)"
 weight_bits = { value = 4, source = "{RTL}" }
 membrane = { value = "16-saturate", source = "{RTL}: 16 bits" }
 [limits]
-primitives = { value = ["Input", "Output", "Affine", "Linear", "LIF"], source = "assumed" }
+primitives = { value = ["Input", "Output", "Affine", "Linear", "CubaLIF"], source = "assumed" }
 neurons = { value = 1024, source = "assumed" }
 memory = { value = { size = 8192, cost = "bits", weight_bits = 4 }, source = "assumed" }
 """
