@@ -15,19 +15,18 @@
     pages        the page of a comparison: one HTML file
     shipping     export, publishing into the zoo, the demo
     jobs         pure functions in this process, in several, or on a cluster of Ray
-    sweeps       grids of evaluations, kept job by job
-    tuning       searches for settings of trainings
+    campaign     sweeps of evaluations, searches for settings, seeds of a training
     play         windows: drive, replay, draw a track
 
     api          three lines of Python: load, compare, train, make
     cli          starts a command
     console      tables and JSON on stdout, progress on stderr
-    files        files that are whole or not there
+    errors       the errors that every package may raise
+    files        atomic writes, JSON, locks
+    schema       data from files, checked
     outputs      the guard of every file that a command writes
     make_env     environments with options, as the command line asks for them
-    parallel     pure functions in processes side by side
     seeds        which seeds are for training, validation and evaluation
-    training_seeds  one recipe with several seeds, side by side
     user_errors  the one line that an error becomes
     video        MP4 files
 

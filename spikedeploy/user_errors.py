@@ -7,7 +7,6 @@ import sys
 EXTRAS = {
     "torch": "train",
     "snntorch": "train",
-    "pydantic": "train",
     "safetensors": "train",
     "onnx": "train",
     "numba": "fast",

@@ -29,11 +29,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.jobs.answer import JobBackend
-from spikedeploy.jobs.processes import ProcessBackend
-from spikedeploy.jobs.serial import SerialBackend
-from spikedeploy.sweeps.grid import read_grid
-from spikedeploy.sweeps.sweep import run_sweep
+from spikedeploy.campaign.sweep import run_sweep
+from spikedeploy.campaign.sweep_grid import read_grid
+from spikedeploy.jobs.pool import JobBackend, ProcessBackend, SerialBackend
 
 _SPEC = """
 env = "kart-grid"
@@ -62,8 +60,8 @@ def whole(spec: Path, folder: Path, backend: JobBackend) -> float:
     """Run a sweep to its end from here; its time [s], that of workers to start too."""
     began = time.perf_counter()
     outcome = run_sweep(read_grid(spec), folder, backend)
-    if outcome.interrupted or outcome.state.failed:
-        sys.exit(f"the sweep in {folder} did not end: {outcome.state.summary}")
+    if outcome.interrupted or outcome.failed:
+        sys.exit(f"the sweep in {folder} did not end: {outcome.summary}")
     return time.perf_counter() - began
 
 

@@ -37,8 +37,8 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.seeds import EVALUATION
+from spikedeploy.shipping.cards import training_of
 from spikedeploy.shipping.export_run import ExportedPolicy, export_run
-from spikedeploy.shipping.publish_run import training_of
 
 TABLE, PAGE = ROOT / "results" / "chips.csv", ROOT / "results" / "chips.md"
 CHIPS = ("xylo-a2", "speck2f", "odin", "tinyodin", "truenorth", "spiker", "spinnaker2", "loihi2")

@@ -28,7 +28,7 @@ from lab.experiments.training import Record, StoredRow, TrainingJob, counters
 from spikedeploy import envs
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.files import as_text, read_json, write_text
-from spikedeploy.parallel import cores
+from spikedeploy.jobs.pool import cores
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.run_record import whole
 from spikedeploy.runtime.artifact.artifact import load

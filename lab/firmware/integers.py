@@ -35,7 +35,6 @@ from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.shipping.export_c import export_c
-from spikedeploy.shipping.export_int8 import export_int8
 
 # of each task the smallest dense policies that earn about what the sparse one does, or the linear
 _DENSE = {
@@ -110,7 +109,7 @@ def _dense(name: str, options: argparse.Namespace, folder: Path) -> list[dict]:
     """A dense policy in 8-bit weights, and in float by emlearn."""
     file, seen = zoo.path(name), _seen(f"{name.split('/')[0]}/sparse-gated")
     integer, floats = folder / "int8", folder / "float"
-    export_int8(file, name, None, integer)
+    export_c(name, None, integer)
     must(["make", "-s", "CC=gcc", "test", "lib"], integer)
     floats.mkdir()
     policy = dense.read(file)

@@ -27,7 +27,7 @@ def measured(name: str, folder: Path, episodes: int) -> dict:
     row = {"policy": name, "passed": called(["make", "-s", "CC=gcc", "test"], folder)[0]}
     row |= _compared(name, folder, episodes)
     row |= _timed(name, folder)
-    row |= {"ram": written.costs.ram, "sops": written.costs.sops, "events": written.costs.events}
+    row |= {name: written.facts["costs"][name] for name in ("ram", "sops", "events")}
     for target in ("cortex-m4", "rv32imac"):
         found = on(target, folder) if present(target) else {}
         row["passed"] &= found.pop("passed", True)

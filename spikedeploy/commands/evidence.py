@@ -9,7 +9,7 @@ from spikedeploy.commands.closed_loop import compare
 from spikedeploy.commands.options import Force, Json, Workers, quantisation
 
 if TYPE_CHECKING:
-    from spikedeploy.shipping.recorded_evaluation import Settings
+    from spikedeploy.shipping.cards import Settings
     from spikedeploy.shipping.reproduce import Reproduction
 
 # of which the numbers depend most
@@ -50,7 +50,7 @@ def reproduce(
     from spikedeploy.console import print_json
     from spikedeploy.make_env import confirm
     from spikedeploy.shipping import reproduce as again
-    from spikedeploy.shipping.recorded_evaluation import recorded
+    from spikedeploy.shipping.cards import recorded
 
     evaluations = [recorded(name, settings) for name in names or zoo.names()]
     for evaluation in evaluations:  # before hours of others
@@ -71,7 +71,7 @@ def settings(command: str) -> "Settings":
     from spikedeploy.make_env import parse_options
     from spikedeploy.runtime.errors import ConfigError
     from spikedeploy.runtime.faults import faults
-    from spikedeploy.shipping.recorded_evaluation import Settings
+    from spikedeploy.shipping.cards import Settings
 
     _, verb, *words = [*shlex.split(command), "", ""]
     if verb == "demo":

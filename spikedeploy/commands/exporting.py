@@ -140,7 +140,7 @@ def export(
     if to == "card":
         _export_card(run, output, checkpoint, film, force, json)
         return
-    from spikedeploy.shipping.export_onnx import export_onnx, is_nir_file
+    from spikedeploy.shipping.export_file import export_onnx, is_nir_file
     from spikedeploy.shipping.export_run import export_run
 
     if to == "onnx" and is_nir_file(run):
@@ -174,17 +174,12 @@ def _export_c(
     """Write a policy as C, of a chip if it spikes, and say what that takes."""
     from spikedeploy.console import print_json
     from spikedeploy.shipping import export_c as shipping
-    from spikedeploy.shipping import export_int8
 
-    written: shipping.WrittenC | export_int8.WrittenInt8
-    if (file := export_int8.onnx_file(policy)) is not None:
-        written = export_int8.export_int8(file, policy, chip, folder, observations, prefix, force)
-    else:
-        written = shipping.export_c(policy, chip, folder, observations, prefix, force)
+    written = shipping.export_c(policy, chip, folder, observations, prefix, force)
     if json:
         print_json(written.record())
         return
-    for line in written.lines():
+    for line in written.lines:
         typer.echo(line)
 
 
@@ -205,7 +200,7 @@ def _export_program(
     if json:
         print_json(written.record())
         return
-    for line in written.lines():
+    for line in written.lines:
         typer.echo(line)
 
 
@@ -221,7 +216,7 @@ def _export_for(
     json: bool,
 ) -> None:
     """Write the file, and say whether it is the same network."""
-    from spikedeploy.shipping.export_nir import export_nir
+    from spikedeploy.shipping.export_file import export_nir
 
     if to not in (None, "nir"):
         raise typer.BadParameter(f"--for and --nir-compat write nir, not {to}")
@@ -240,7 +235,7 @@ def _export_xylo(
     json: bool,
 ) -> None:
     """Write the specification, and say whether it computes the same."""
-    from spikedeploy.shipping.export_xylo import export_xylo
+    from spikedeploy.shipping.export_file import export_xylo
 
     written = export_xylo(policy, chip, output, timesteps, options, force)
     remarks = list(written.remarks)

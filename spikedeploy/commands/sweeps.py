@@ -7,7 +7,7 @@ import typer
 
 from spikedeploy.commands.options import Force, Json, Workers
 
-# as the table BACKENDS of spikedeploy.sweeps.backends has them; a test holds both together
+# as the table BACKENDS of spikedeploy.jobs has them; a test holds both together
 BackendName = Literal["serial", "process", "ray"]
 
 
@@ -51,30 +51,28 @@ def sweep(
     json: Json = False,
 ) -> None:
     """Evaluate a grid of policies, chips, disturbances and seeds; run again, it goes on."""
+    from spikedeploy import jobs
+    from spikedeploy.campaign.sweep import is_sweep, load_sweep, run_sweep
+    from spikedeploy.campaign.sweep_grid import read_grid
+    from spikedeploy.campaign.sweep_page import NUMBERS, PAGE, SHOWN, print_sweep
     from spikedeploy.console import print_json, say
     from spikedeploy.outputs import check_output_folder
-    from spikedeploy.sweeps.backends import backend_called
-    from spikedeploy.sweeps.grid import read_grid
-    from spikedeploy.sweeps.page import NUMBERS, PAGE, SHOWN, print_sweep
-    from spikedeploy.sweeps.store import is_sweep
-    from spikedeploy.sweeps.sweep import look_at_sweep, run_sweep
 
     grid = read_grid(spec)
     folder = output or Path("runs/sweeps") / grid.name
     check_output_folder(
         "-o", folder, (PAGE, SHOWN, NUMBERS, "journal.csv"), (spec,), force, is_sweep
     )
-    chosen = backend_called(backend, workers, address)
-    outcome = run_sweep(grid, folder, chosen, retry) if run else look_at_sweep(grid, folder)
-    state = outcome.state
+    chosen = jobs.backend(backend, workers, address)
+    found = run_sweep(grid, folder, chosen, retry) if run else load_sweep(grid, folder)
     if json:
-        print_json(state.as_json() | {"folder": str(folder), "ran": outcome.ran})
+        print_json(found.as_json() | {"folder": str(folder), "ran": found.ran})
     else:
-        print_sweep(state)
-        for label, why in state.failures:
+        print_sweep(found)
+        for label, why in found.failures:
             typer.echo(f"failed: {label}: {why}", err=True)
-        typer.echo(f"{state.summary}: {outcome.files[0]}")
-    if outcome.interrupted:
+        typer.echo(f"{found.summary}: {found.files[0]}")
+    if found.interrupted:
         say("stopped; the same command goes on")
         raise typer.Exit(130)
-    raise typer.Exit(1 if state.failed else 0)
+    raise typer.Exit(1 if found.failed else 0)

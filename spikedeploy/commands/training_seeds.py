@@ -16,13 +16,13 @@ def run_seeds(
     **settings: Any,  # noqa: ANN401
 ) -> None:
     """Train with each seed of a text such as `0-4`; print a line each and a table."""
+    from spikedeploy.campaign.training_seeds import train_seeds
     from spikedeploy.console import print_json, print_text, say
-    from spikedeploy.parallel import cores
+    from spikedeploy.jobs.pool import cores
     from spikedeploy.reports.table import Table
     from spikedeploy.seeds import training_seeds
     from spikedeploy.trainers.config import known
     from spikedeploy.trainers.recipes import RECIPES
-    from spikedeploy.training_seeds import train_seeds
 
     known(str(recipe), RECIPES, "recipe")  # refuses an unknown one before processes are started
     seeds = training_seeds("--seeds", text)

@@ -45,8 +45,12 @@ def tune(
     jobs: Annotated[int, typer.Option(min=1, help="Processes side by side, a core each.")] = 1,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes that judge a trial.")] = 20,
     chip: Annotated[
-        str, typer.Option(help="Chip of a spiking policy; 'float' for its float twin.")
-    ] = "loihi1",
+        str | None,
+        typer.Option(
+            help="Chip of a spiking policy; 'float' for its float twin.",
+            show_default="that which it is trained for, or loihi1",
+        ),
+    ] = None,
     seed: Annotated[
         int,
         typer.Option(
@@ -70,16 +74,16 @@ def tune(
     json: Json = False,
 ) -> None:
     """Search for the settings of a recipe with Optuna; go on where it stopped."""
+    from spikedeploy.campaign.tune import tune as find
+    from spikedeploy.campaign.tune_plan import TuningPlan
+    from spikedeploy.campaign.tune_results import PAGE, SHOWN, is_study
     from spikedeploy.console import print_json, say
     from spikedeploy.outputs import check_output_folder
-    from spikedeploy.tuning.page import PAGE, SHOWN, is_study
-    from spikedeploy.tuning.plan import TuningPlan
-    from spikedeploy.tuning.tune import tune as find
 
     plan = TuningPlan(
         recipe=recipe, env=env or "", objective=objective, sops=sops or 0.0,
         search=tuple(search or ()), fixed=tuple(set_ or ()), seed=seed, episodes=episodes,
-        chip=chip,
+        chip=chip or "",
     )  # fmt: skip
     where = folder or Path("runs/tune") / "-".join(filter(None, (recipe, plan.title)))
     # a study goes on; other people's files of these names stay

@@ -15,9 +15,9 @@ from spikedeploy.comparison.episodes import Episode, EpisodeJob, play, summarise
 from spikedeploy.comparison.lineup import Entry, on_another_chip
 from spikedeploy.console import progress, say
 from spikedeploy.envs.rollout import rollout
+from spikedeploy.jobs.pool import local_backend
 from spikedeploy.make_env import confirm, disturbed_by, make_env
 from spikedeploy.outputs import mark
-from spikedeploy.parallel import workers
 from spikedeploy.policies.registry import (
     FLOAT,
     Candidate,
@@ -56,12 +56,13 @@ def compare_policies(
     played: dict[Entry, list[Episode]] = {}
     with (
         TemporaryDirectory() as folder,
-        workers(processes) as jobs,
+        local_backend(processes) as pool,
         progress(f"{env}: {len(entries)} policies", len(entries) * len(seeds)) as done,
     ):
         plan = _Plan(env, json.dumps(dict(options)), entries, seeds, Path(folder), tuple(metrics))
         for group in plan.rounds():
-            episodes = jobs.run(play, [job for entry in group for job in plan.jobs(entry)], done)
+            todo = [job for entry in group for job in plan.jobs(entry)]
+            episodes = pool.in_order(play, todo, done)
             for place, entry in enumerate(group):
                 played[entry] = episodes[place * len(seeds) : (place + 1) * len(seeds)]
     rows = [Row(entry, played[entry]) for entry in entries]

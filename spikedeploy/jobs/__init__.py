@@ -1,16 +1,32 @@
-"""Jobs, pure functions of what they are given: in this process, in several, or on a cluster.
+"""Jobs: calls of functions in this process, in several, or on a cluster.
 
-A job that fails is answered with its error, and one whose worker was killed is run once more;
-answers come in the order of completion. `spikedeploy.parallel` puts them in order for `compare`,
-`spikedeploy.sweeps` keeps each in a file. Trainings, which take hours and checkpoint when they are
-stopped, are no such jobs: spikedeploy.jobs.resumable runs those.
-
-answer       what a job came to, and the interface of the back-ends
-serial       one job after the other, in this process
-processes    spawned processes of one thread each, replaced where they are killed
-ray_cluster  tasks of Ray, on this machine or a cluster
-resumable    trainings and parts of experiments: processes with a log each, asked to stop
-resumable_process  the program that such a process runs
-environment  variables of worker processes
-interruption  SIGTERM as Ctrl-C
+pool         pure functions of seconds: serial, or in processes that are replaced where killed
+ray_cluster  the same as tasks of Ray, on this machine or a cluster
+resumable    trainings of hours: processes with a log each, which checkpoint when stopped
 """
+
+from typing import TYPE_CHECKING
+
+from spikedeploy.errors import ConfigError
+
+if TYPE_CHECKING:
+    from spikedeploy.jobs.pool import JobBackend
+
+BACKENDS = ("serial", "process", "ray")
+
+
+def backend(name: str, workers: int | None, address: str | None = None) -> "JobBackend":
+    """The back-end of a name in BACKENDS.
+
+    workers  processes, one for each core by default; on a cluster as many as it has
+    address  of a cluster of Ray
+    """
+    from spikedeploy.jobs.pool import ProcessBackend, SerialBackend, cores
+
+    if address is not None and name != "ray":
+        raise ConfigError(f"--address is of Ray, not of {name}: add --backend ray, or leave it out")
+    if name == "ray":
+        from spikedeploy.jobs.ray_cluster import RayBackend
+
+        return RayBackend(workers, address)
+    return SerialBackend() if name == "serial" else ProcessBackend(workers or cores())

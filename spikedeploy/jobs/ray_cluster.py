@@ -12,9 +12,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any
 
-from spikedeploy.jobs.answer import Function, JobAnswer, answered, lost
-from spikedeploy.jobs.environment import WORKER_ENVIRONMENT, environment
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.errors import ConfigError
+from spikedeploy.jobs.pool import (
+    WORKER_ENVIRONMENT,
+    Function,
+    JobBackend,
+    JobResult,
+    environment,
+    lost,
+    run_job,
+)
 
 _CHUNK = 2.0  # [s] of work in a task
 _AHEAD = 2  # chunks for each core, one that runs and one that waits
@@ -26,7 +33,7 @@ _RAY = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "token"}
 _ALONE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 
 
-class RayBackend:
+class RayBackend(JobBackend):
     """Runs jobs as tasks of Ray.
 
     workers  cores that are used; None for all
@@ -50,8 +57,8 @@ class RayBackend:
     def __exit__(self, *raised: object) -> None:
         self._ray.shutdown()  # of a cluster only this driver's tasks
 
-    def run(self, function: Function, jobs: Sequence[Any]) -> Iterator[JobAnswer]:
-        """The answers in the order of completion."""
+    def run(self, function: Function, jobs: Sequence[Any]) -> Iterator[JobResult]:
+        """The results in the order of completion."""
         task = self._ray.remote(max_retries=_RETRIES)(_chunk)
         waiting, alone = deque(range(len(jobs))), deque[int]()
         running: dict[Any, tuple[list[int], bool]] = {}  # task -> its jobs; whether it is the last
@@ -61,27 +68,27 @@ class RayBackend:
             while (waiting or alone) and len(running) < room * _AHEAD:
                 last = bool(alone)
                 count = 1 if last else pace.size(len(waiting), room)
-                places = [(alone or waiting).popleft() for _ in range(count)]
-                sent = task.remote(function, [(place, jobs[place]) for place in places])
-                running[sent] = places, last
+                indices = [(alone or waiting).popleft() for _ in range(count)]
+                sent = task.remote(function, [(index, jobs[index]) for index in indices])
+                running[sent] = indices, last
             ended, _ = self._ray.wait(list(running), timeout=_POLL)
             for each in ended:
-                places, last = running.pop(each)
-                for answer in self._answers(each, places):
-                    if answer is not None:
-                        pace.note(answer.seconds)
-                        yield answer
+                indices, last = running.pop(each)
+                for result in self._results(each, indices):
+                    if result is not None:
+                        pace.note(result.seconds)
+                        yield result
                     elif last:
-                        yield from map(lost, places)
+                        yield from map(lost, indices)
                     else:
-                        alone.extend(places)
+                        alone.extend(indices)
 
-    def _answers(self, task: Any, places: Sequence[int]) -> list[JobAnswer] | list[None]:  # noqa: ANN401
-        """The answers of a task that has ended; one None where its worker was killed."""
+    def _results(self, task: Any, indices: Sequence[int]) -> list[JobResult] | list[None]:  # noqa: ANN401
+        """The results of a task that has ended; one None where its worker was killed."""
         try:
-            found: list[JobAnswer] = self._ray.get(task)
+            found: list[JobResult] = self._ray.get(task)
         except self._ray.exceptions.RayTaskError as error:  # of what travels, not of a job
-            return [JobAnswer(place, error=error) for place in places]
+            return [JobResult(index, error=error) for index in indices]
         except self._ray.exceptions.RayError:
             return [None]
         return found
@@ -138,6 +145,6 @@ def _has_token() -> bool:
     return any(os.environ.get(name) for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
 
 
-def _chunk(function: Function, jobs: Sequence[tuple[int, Any]]) -> list[JobAnswer]:
-    """The answers to some jobs, on a worker."""
-    return [answered(function, place, job) for place, job in jobs]
+def _chunk(function: Function, jobs: Sequence[tuple[int, Any]]) -> list[JobResult]:
+    """The results to some jobs, on a worker."""
+    return [run_job(function, index, job) for index, job in jobs]

@@ -1,26 +1,33 @@
-"""Jobs in processes of their own, a few at a time, which checkpoint when the experiment stops.
+"""Trainings and parts of experiments, each in a process of its own, which checkpoint when stopped.
 
-These are trainings and whole parts of experiments: they take hours, write run folders, wait for one
-another, have a log each, and must be asked to stop. spikedeploy.jobs has the back-ends for the
-others, which take seconds, return a value, and can be killed and run again.
+They take hours, write run folders, wait for one another, have a log each, and are asked to stop;
+`jobs.pool` is for jobs that take seconds, return a value, and can be killed and run again.
+
+`python -m spikedeploy.jobs.resumable` is the program of such a process. Its stdin holds one line of
+JSON, {"call": "module:function", "arguments": {...}}, and stays open. When it closes, because the
+parent was interrupted or killed, the process interrupts itself as Ctrl-C would, and training ends
+with a checkpoint.
 """
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.jobs.environment import WORKER_ENVIRONMENT
-from spikedeploy.jobs.interruption import sigterm_as_interrupt
-from spikedeploy.jobs.resumable_process import INTERRUPTED
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.errors import ConfigError
+from spikedeploy.jobs.pool import WORKER_ENVIRONMENT, sigterm_as_interrupt
+from spikedeploy.user_errors import one_line
 
+INTERRUPTED = 130  # a shell's exit status after Ctrl-C
 _PAUSE = 0.5  # [s] between two polls of the processes
 
 
@@ -47,7 +54,7 @@ class JobEnd:
     """How a job ended.
 
     seconds  of run time
-    status   0 done, worker.INTERRUPTED, else failed
+    status   0 done, INTERRUPTED, else failed
     begins   where in the log this attempt begins [bytes]
     """
 
@@ -169,7 +176,7 @@ class _Process:
         with job.log.open("ab") as log:
             self._begins = log.tell()
             self._popen = subprocess.Popen(
-                [sys.executable, "-m", "spikedeploy.jobs.resumable_process"],
+                [sys.executable, "-m", "spikedeploy.jobs.resumable"],
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,
@@ -205,3 +212,33 @@ class _Process:
         status = self._popen.wait()
         self.ask_to_stop()
         return JobEnd(self.job, time.monotonic() - self._start, status, self._begins)
+
+
+def main() -> int:
+    """Run the job; exit status 0 done, INTERRUPTED, or 1 after a line on stderr."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # with `&` a shell ignores it
+    job = json.loads(sys.stdin.readline())
+    threading.Thread(target=_interrupt_when_stdin_closes, daemon=True).start()
+    module, _, function = job["call"].partition(":")
+    try:
+        done = getattr(import_module(module), function)(**job["arguments"])
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except Exception as error:
+        line = one_line(error)
+        if line is None:
+            raise
+        print(f"error: {line}", file=sys.stderr)
+        return 1
+    return INTERRUPTED if done is False else 0
+
+
+def _interrupt_when_stdin_closes() -> None:
+    os.read(sys.stdin.fileno(), 1)  # returns only when the other end closes
+    main_thread = threading.main_thread().ident
+    if main_thread is not None:  # only a signal to the main thread interrupts a blocking call
+        signal.pthread_kill(main_thread, signal.SIGINT)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

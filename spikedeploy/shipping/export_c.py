@@ -1,4 +1,4 @@
-"""A policy as C99 of a chip: the folder, and what it takes of a microcontroller."""
+"""A policy as C99, of a chip if it spikes, else with 8-bit weights; what it takes or changes."""
 
 import os
 from collections.abc import Mapping
@@ -6,31 +6,36 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy import envs, zoo
 from spikedeploy.console import say
 from spikedeploy.envs.rollout import rollout
+from spikedeploy.errors import ConfigError
+from spikedeploy.exporters.c.int8 import Int8Mlp, dense_names, mlp_in_c, quantise, read_onnx
+from spikedeploy.exporters.c.plan import check_prefix
 from spikedeploy.exporters.c.to_c import (
     MAKEFILE,
     MARK,
     RECORD,
-    CCosts,
     file_names,
     policy_in_c,
     write_texts,
 )
 from spikedeploy.make_env import make_env
 from spikedeploy.outputs import check_output_folder, marked
+from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.registry import DEFAULT_CHIP
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.convention import CLOCKS
 from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import VALIDATION
+
+_INT8_STEPS = 200  # of the self-test of a float policy
 
 
 @dataclass(frozen=True)
@@ -39,54 +44,18 @@ class WrittenC:
 
     folder: with the files.
     names: of the files.
-    costs: memory and operations.
-    remarks: what of the program is not as in the file.
-    source: of the observations behind the typical operations.
-    without_int16: why there is no interface in 16-bit integers; "" where there is one.
+    facts: memory and operations, or the largest difference of an action; as data.
+    lines: the same for a terminal.
     """
 
     folder: Path
     names: tuple[str, ...]
-    costs: CCosts
-    remarks: tuple[str, ...]
-    source: str
-    without_int16: str
+    facts: Mapping[str, Any]
+    lines: tuple[str, ...]
 
     def record(self) -> dict[str, Any]:
         """All of it as data."""
-        return {
-            "path": str(self.folder),
-            "files": list(self.names),
-            "costs": asdict(self.costs),
-            "recorded": self.source,
-            "remarks": list(self.remarks),
-            "int16": not self.without_int16,
-        }
-
-    @property
-    def prefix(self) -> str:
-        """What names in C begin with."""
-        return next(name.removesuffix(".h") for name in self.names if name.endswith(".h"))
-
-    def lines(self) -> list[str]:
-        """All of it for a terminal."""
-        found, prefix = self.costs, self.prefix
-        beside = f"{prefix}_act_i16: observations and actions as 16-bit integers; README.md"
-        if self.without_int16:
-            beside = f"no interface in 16-bit integers: {self.without_int16}"
-        code = "and the code, which has short rows of weights"
-        return [
-            f"constants (ROM)        {found.rom:,} bytes, {code}",
-            f"variables (RAM)        {found.ram:,} bytes, and the stack",
-            f"input spikes           {found.events:,.1f}, at most {found.events_max:,}",
-            f"synaptic operations    {found.sops:,.1f}, at most {found.sops_max:,}",
-            f"neuron updates         {found.neuron_updates:,}",
-            f"of an inference, means of {self.source}",
-            *self.remarks,
-            beside,
-            f"wrote {self.folder}: {', '.join(self.names)}",
-            f"compare with the interpreter: make -C {self.folder} test",
-        ]
+        return {"path": str(self.folder), "files": list(self.names), **self.facts}
 
 
 def export_c(
@@ -97,17 +66,29 @@ def export_c(
     prefix: str = "policy",
     force: bool = False,
 ) -> WrittenC:
-    """Write a policy as C of a chip.
+    """Write a policy as C: a spiking one of a chip, a float one with 8-bit weights.
 
-    policy: .nir file, shipped policy, run folder, its name under runs/, or "last".
-    chip_name: None is that of its training, or the default.
+    policy: .nir or .onnx file, shipped policy, run folder, its name under runs/, or "last".
+    chip_name: None is that of its training, or the default; refused of a float policy.
     folder: to write to.
-    observations: of an episode, from which the self-test and the typical operations come.
+    observations: of an episode, from which the self-test and the typical operations come, or on
+        which actions are compared.
     prefix: what names in C begin with.
     force: whether files that no earlier export wrote are replaced.
     """
     if folder is None:
         raise ConfigError("--to c writes a folder: name it, as in -o firmware")
+    file = policy_file(policy)
+    if file.suffix == ".onnx" and file.is_file():
+        if chip_name is not None:
+            raise ConfigError(
+                f"--to c: {policy} is a float network, whose C is of no chip; leave --chip out."
+            )
+        check_prefix(prefix)
+        check_output_folder(
+            "-o", folder, dense_names(prefix), (file, policy), force, written_before
+        )
+        return _write_float(file, folder, observations, prefix)
     file = nir_file(policy, "c")
     artifact = load(file)
     chip_name = chip_of(artifact) if chip_name is None else chip_name
@@ -123,34 +104,77 @@ def export_c(
     clock, software = on.clock or own_clock(artifact.convention), replace(on, clocks=CLOCKS)
     program = compile_program(artifact, software, clock=clock)
     seen, source = episode_of(artifact, on, observations, world_of(policy, artifact))
-    origin = f"{zoo.called(str(file))}, sha256 {zoo.sha256(file)[:16]}, on {chip_name}"
-    files = policy_in_c(program, artifact.codec, seen, origin, prefix)
+    files = policy_in_c(program, artifact.codec, seen, f"{_origin(file)}, on {chip_name}", prefix)
     write(files.text, folder, prefix)
-    return WrittenC(
-        folder, tuple(files.text), files.costs, program.remarks, source, files.without_int16
+    costs = files.costs
+    facts = {"costs": asdict(costs), "recorded": source, "remarks": list(program.remarks)}
+    without = files.without_int16
+    lines = (
+        f"constants (ROM)        {costs.rom:,} bytes, and the code, with short rows of weights",
+        f"variables (RAM)        {costs.ram:,} bytes, and the stack",
+        f"input spikes           {costs.events:,.1f}, at most {costs.events_max:,}",
+        f"synaptic operations    {costs.sops:,.1f}, at most {costs.sops_max:,}",
+        f"neuron updates         {costs.neuron_updates:,}",
+        f"of an inference, means of {source}",
+        *program.remarks,
+        f"no interface in 16-bit integers: {without}"
+        if without
+        else f"{prefix}_act_i16: observations and actions as 16-bit integers; README.md",
+        f"wrote {folder}: {', '.join(files.text)}",
+        f"compare with the interpreter: make -C {folder} test",
+    )
+    return WrittenC(folder, tuple(files.text), {**facts, "int16": not without}, lines)
+
+
+def _write_float(file: Path, folder: Path, observations: int, prefix: str) -> WrittenC:
+    """Write the C of an ONNX file, and compare its actions with the float network's."""
+    controller, network = OnnxController(file), quantise(read_onnx(file))
+    seen, source = _float_episode(controller, network, observations)
+    files = mlp_in_c(network, seen[:_INT8_STEPS], f"{_origin(file)}, in 8-bit weights", prefix)
+    write(files.text, folder, prefix)
+    found = network.floats(network.act(network.observations.quantise(seen)))
+    apart = np.abs(found - np.asarray(controller.replay(seen)).reshape(found.shape))
+    largest = float((apart > 0).mean() if network.chooses else apart.max())
+    facts = {"weights": network.weights, "largest_difference": largest, "recorded": source}
+    lines = (
+        f"weights of 8 bits      {network.weights:,} that are not 0",
+        f"{largest:.2%} of choices differ from the float network's, on {source}"
+        if network.chooses
+        else f"actions differ from the float network's by at most {largest:.4f}, on {source}",
+        f"wrote {folder}: {', '.join(files.text)}",
+        f"compare with the specification in Python: make -C {folder} test",
+    )
+    return WrittenC(folder, tuple(files.text), facts, lines)
+
+
+def _origin(file: Path) -> str:
+    return f"{zoo.called(str(file))}, sha256 {zoo.sha256(file)[:16]}"
+
+
+def policy_file(policy: str) -> Path:
+    """The file of a policy; that of a run is exported first."""
+    from spikedeploy.shipping.exported_run import runnable
+
+    file = zoo.resolve(policy)
+    return Path(runnable(policy)) if file is None or file.is_dir() else file
+
+
+def nir_file(policy: str, to: str) -> Path:
+    """The `.nir` file of a policy; ConfigError where it does not spike."""
+    file = policy_file(policy)
+    if file.suffix == ".nir" and file.is_file():
+        return file
+    if file.suffix in zoo.SUFFIXES and not file.is_file():
+        raise ConfigError(f"--to {to}: there is no file {policy}")
+    raise ConfigError(
+        f"--to {to}: {policy} is no spiking policy; only .nir files can be taken, and runs that "
+        "make one."
     )
 
 
 def chip_of(artifact: Artifact) -> str:
     """The chip on which a policy runs where none is named: that of its training, or the default."""
     return artifact.trained_for or DEFAULT_CHIP
-
-
-def nir_file(policy: str, to: str) -> Path:
-    """The file of a policy; that of a run is exported first."""
-    file = zoo.resolve(policy)
-    if file is None or file.is_dir():
-        from spikedeploy.shipping.exported_run import runnable
-
-        file = Path(runnable(policy))
-    if file.suffix != ".nir" or not file.is_file():
-        if file.suffix in (".nir", ".onnx") and not file.is_file():
-            raise ConfigError(f"--to {to}: there is no file {policy}")
-        raise ConfigError(
-            f"--to {to}: {policy} is no spiking policy; only .nir files can be taken, and runs "
-            "that make one."
-        )
-    return file
 
 
 def written_before(folder: Path) -> bool:
@@ -178,8 +202,7 @@ def world_of(policy: str, artifact: Artifact) -> str:
     from spikedeploy.shipping.exported_run import trained_in
 
     named = artifact.provenance.env if artifact.provenance else ""
-    ours = named if named in {entry.id for entry in envs.ENVS.values()} else ""
-    return trained_in(policy) or ours or ""
+    return trained_in(policy) or (named if _is_ours(named) else "")
 
 
 def episode_of(
@@ -191,12 +214,39 @@ def episode_of(
         raise TypeError("an artifact without a codec has no observations")
     env = make_env(where, {}) if where else None
     if env is not None and env.observation_space.shape == (codec.encoder.observed,):
-        played = rollout(env, SpikingController(artifact, on, "none"), VALIDATION[0])
-        env.close()
-        seen = np.asarray(played.observation[:-1], np.float64)[:count]
-        return seen, f"{len(seen)} control steps in {where}, seed {VALIDATION[0]}"
+        return _played(env, SpikingController(artifact, on, "none"), count, where)
     named = (artifact.provenance.env if artifact.provenance else "") or "no environment"
     say(f"{named} cannot be played here: a random walk stands for it; name the run to play it")
     steps = np.random.default_rng(0).normal(0, 0.2, (count, len(codec.normaliser.mean)))
     walk = np.clip(np.cumsum(steps, axis=0), -3, 3)
     return walk * codec.normaliser.std + codec.normaliser.mean, f"{count} steps of a random walk"
+
+
+def _float_episode(
+    controller: OnnxController, network: Int8Mlp, count: int
+) -> tuple[NDArray[np.float64], str]:
+    """The same of a float policy: in its environment if that is ours, else a random walk."""
+    where = controller.metadata.get("env", "")
+    if _is_ours(where):
+        return _played(make_env(where, {}), controller, count, where)
+    scales = network.observations
+    middle, half = (scales.low + scales.high) / 2, (scales.high - scales.low) / 2
+    steps = np.random.default_rng(0).normal(0, 0.05, (count, len(half)))
+    walk = middle + half * np.clip(np.cumsum(steps, axis=0), -0.75, 0.75)
+    return walk / 2.0**scales.exponent, f"{count} steps of a random walk"
+
+
+def _played(
+    env: gymnasium.Env[Any, Any],
+    controller: SpikingController | OnnxController,
+    count: int,
+    where: str,
+) -> tuple[NDArray[np.float64], str]:
+    played = rollout(env, controller, VALIDATION[0])
+    env.close()
+    seen = np.asarray(played.observation[:-1], np.float64)[:count]
+    return seen, f"{len(seen)} control steps in {where}, seed {VALIDATION[0]}"
+
+
+def _is_ours(env: str) -> bool:
+    return env in {entry.id for entry in envs.ENVS.values()}

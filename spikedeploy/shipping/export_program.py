@@ -81,6 +81,7 @@ class WrittenKit:
             "remarks": list(self.remarks),
         }
 
+    @property
     def lines(self) -> list[str]:
         """All of it for a terminal."""
         found = self.verdict

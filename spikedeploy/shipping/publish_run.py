@@ -12,7 +12,7 @@ from spikedeploy import envs, zoo
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import alone
 from spikedeploy.console import say
-from spikedeploy.files import as_text, replacing, write_text
+from spikedeploy.files import replacing, write_json, write_text
 from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import DEFAULT_CHIP, find
@@ -20,17 +20,14 @@ from spikedeploy.policies.run_record import SPIKING
 from spikedeploy.reports.plots import draw_curves, read_curve
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.shipping.card_page import evaluated, markdown
+from spikedeploy.shipping.cards import evaluation_fields, markdown, training_of
 from spikedeploy.shipping.export_run import ExportedPolicy, export_run
-from spikedeploy.trainers.config import differences
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.ppo import find_start
-from spikedeploy.trainers.train import algorithm
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
-# the setting of an algorithm that names another run, and settings that follow from that run
+# the setting of an algorithm that names another run
 _NEEDED = {"sparse": "pool", "sparse-ppo": "start"}
-_DERIVED = {"sparse-ppo": ("policy.",)}
 
 
 def publish_run(
@@ -76,7 +73,7 @@ def publish_run(
         file.with_suffix(suffix).unlink(missing_ok=True)
     return [
         file,
-        write_text(file.with_suffix(".json"), as_text(record)),
+        write_json(file.with_suffix(".json"), record),
         write_text(file.with_suffix(".md"), markdown(name, record)),
         draw_curves([read_curve(source / "metrics.csv", name)], file.with_suffix(".png")),
         _copied(source / "metrics.csv", file.with_suffix(".csv")),
@@ -107,20 +104,6 @@ def _describe(source: Path, exported: ExportedPolicy, checkpoint: str | None) ->
     }
 
 
-def training_of(source: Path, checkpoint: str | None = None) -> dict[str, Any]:
-    """How a run was made, and how far it was at a checkpoint."""
-    settings = run_record.settings(source)
-    steps, unit = run_record.steps(source, checkpoint)
-    return {
-        "recipe": settings["recipe"],
-        "seed": settings["seed"],
-        "checkpoint": run_record.deployed(source, checkpoint),
-        "steps": steps,
-        "steps_unit": unit,
-        "overrides": _overrides(source),
-    }
-
-
 def _before(source: Path) -> Iterator[dict[str, Any]]:
     """The runs that a run needs, the first one first: for its walks, or as its start."""
     settings = run_record.settings(source)
@@ -130,13 +113,6 @@ def _before(source: Path) -> Iterator[dict[str, Any]]:
     run = find_start(settings[setting], source.parent).path
     yield from _before(run)
     yield training_of(run, settings.get("start_checkpoint")) | {"run": run.name, "gives": setting}
-
-
-def _overrides(source: Path) -> list[str]:
-    """Settings that differ from the recipe."""
-    name = run_record.settings(source)["algorithm"]
-    found = differences(RunFolder(source).config(algorithm(name).Config))
-    return [each for each in found if not each.startswith(_DERIVED.get(name, ()))]
 
 
 def _exported(source: Path, path: Path, control: bool, checkpoint: str | None) -> ExportedPolicy:
@@ -167,7 +143,7 @@ def _evaluation(path: Path, source: Path, episodes: int, processes: int | None) 
     world = settings["env"]
     seeds = range(EVALUATION, EVALUATION + episodes)
     rows = compare_policies(world["name"], entries, seeds, processes, world["options"]).as_json()
-    return evaluated(path.name, seeds, rows)
+    return evaluation_fields(path.name, seeds, rows)
 
 
 def _copied(source: Path, target: Path) -> Path:

@@ -14,8 +14,7 @@ from spikedeploy import zoo
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.files import as_text
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.shipping.card_page import check_rewritable, write_evaluation
-from spikedeploy.shipping.recorded_evaluation import RecordedEvaluation, Row
+from spikedeploy.shipping.cards import RecordedEvaluation, Row, check_rewritable, write_evaluation
 from spikedeploy.trainers.versions import versions
 
 TOLERANCE = 1e-9

@@ -19,9 +19,8 @@ from spikedeploy.reports.runs import ALT, RunScores, flatten, metrics_of, scores
 from spikedeploy.reports.table import escape_markdown
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.shipping.card_page import KINDS, training_command
+from spikedeploy.shipping.cards import KINDS, training_command, training_of
 from spikedeploy.shipping.exported_run import runnable
-from spikedeploy.shipping.publish_run import training_of
 from spikedeploy.shipping.training_films import last_film
 from spikedeploy.trainers.run_folder import RunFolder
 

@@ -14,7 +14,7 @@ from lab.experiments import EXPERIMENTS
 from spikedeploy import cli, envs
 from spikedeploy.commands.evidence import settings
 from spikedeploy.runtime.chips.chip import listed
-from spikedeploy.shipping.recorded_evaluation import recorded
+from spikedeploy.shipping.cards import recorded
 from tests.paths import ROOT
 
 RESULTS = ROOT / "results"

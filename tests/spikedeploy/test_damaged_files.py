@@ -27,7 +27,7 @@ from spikedeploy.runtime.compiler.compile import check
 from spikedeploy.runtime.errors import ConventionError, SpikedeployError
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.runtime.traces.verify import verify
-from spikedeploy.shipping.recorded_evaluation import recorded
+from spikedeploy.shipping.cards import recorded
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.ppo import PpoConfig
 from spikedeploy.trainers.run_folder import RunFolder

@@ -2,10 +2,10 @@
 
 import pytest
 
+from spikedeploy.campaign.sweep import is_sweep
+from spikedeploy.campaign.tune_results import PAGE, is_study
 from spikedeploy.exporters.c.plan import check_prefix
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.sweeps.store import is_sweep
-from spikedeploy.tuning.page import PAGE, is_study
 
 SPEC = "env = 'kart-grid'\npolicy = 'gap'\nepisodes = 1\n"
 

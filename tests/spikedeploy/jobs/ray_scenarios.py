@@ -10,10 +10,10 @@ from pathlib import Path
 
 import psutil
 
-from spikedeploy.jobs.environment import WORKER_ENVIRONMENT
+from spikedeploy.jobs.pool import WORKER_ENVIRONMENT
 from spikedeploy.jobs.ray_cluster import RayBackend
 from spikedeploy.runtime.errors import ConfigError
-from tests.spikedeploy.jobs.test_backends import errand, square
+from tests.spikedeploy.jobs.test_pool import errand, square
 
 
 def environment(name):
@@ -30,8 +30,8 @@ def listening(_):
 
 def told(answers):
     """Answers in the order of their jobs, as JSON."""
-    found = sorted(answers, key=lambda answer: answer.place)
-    return [[each.place, each.value, each.error and str(each.error)] for each in found]
+    found = sorted(answers, key=lambda answer: answer.index)
+    return [[each.index, each.value, each.error and str(each.error)] for each in found]
 
 
 def main(folder):

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 
 import pytest
 
-from spikedeploy.jobs.environment import WORKER_ENVIRONMENT
+from spikedeploy.jobs.pool import WORKER_ENVIRONMENT
 from tests.paths import ROOT
 
 pytest.importorskip("psutil")

@@ -1,6 +1,5 @@
 """Processes of an experiment: each does its job, and all of them end when it does."""
 
-import json
 import os
 import signal
 import subprocess
@@ -8,13 +7,11 @@ import sys
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from spikedeploy.jobs import resumable
-from spikedeploy.jobs.resumable import Job, run
-from spikedeploy.jobs.resumable_process import INTERRUPTED
+from spikedeploy.jobs.resumable import INTERRUPTED, Job, run
 from tests.paths import ROOT
 
 
@@ -137,8 +134,3 @@ def test_a_log_keeps_the_words_of_every_attempt(tmp_path):
     for _ in range(2):
         run([job("bad", "fail", tmp_path)], 1, lambda end: None)
     assert (tmp_path / "logs/bad.log").read_text().count("the shop was closed") == 2
-
-
-def test_a_job_is_plain_json():
-    each = Job("x", "a:b", Path("log"), {"seed": 1})
-    assert json.loads(json.dumps(dict(each.arguments))) == {"seed": 1}

@@ -6,9 +6,11 @@ from dataclasses import replace
 import pytest
 from matplotlib.figure import Figure
 
+from spikedeploy.campaign.sweep import run_sweep
+from spikedeploy.campaign.sweep_grid import SweepGrid
 from spikedeploy.emulation.design_report import report_of
 from spikedeploy.emulation.drift import drift_report, random_inputs
-from spikedeploy.jobs.serial import SerialBackend
+from spikedeploy.jobs.pool import SerialBackend
 from spikedeploy.policies import run_record
 from spikedeploy.reports.design import core_drawing, core_fills, design_page
 from spikedeploy.reports.drift import drift_page
@@ -19,8 +21,6 @@ from spikedeploy.reports.table import Table
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.sweeps.grid import SweepGrid
-from spikedeploy.sweeps.sweep import run_sweep
 from spikedeploy.trainers.config import PopsanConfig
 from tests import toy_stroll_env
 from tests.networks import popsan

@@ -5,14 +5,14 @@ import sys
 
 import pytest
 
-from spikedeploy import parallel
+from spikedeploy.jobs import pool
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping import demo_reports
 
 
 def test_the_first_page_replays_the_first_task_and_leads_to_all(stroll, monkeypatch):
     monkeypatch.setattr(demo_reports, "_TASKS", {"stroll": 2})
-    monkeypatch.setattr(parallel, "cores", lambda: 1)  # others do not know the toy walker
+    monkeypatch.setattr(pool, "cores", lambda: 1)  # others do not know the toy walker
     (document,) = demo_reports.write_demo(stroll / "demo", quiet=True)
     index = (stroll / "demo/index.html").read_text()
     assert index.count('id="episodes-data"') == 1
@@ -31,7 +31,7 @@ def test_the_first_page_replays_the_first_task_and_leads_to_all(stroll, monkeypa
 def test_a_demo_replaces_only_what_a_demo_wrote(name, linked, stroll, monkeypatch):
     monkeypatch.setattr(demo_reports, "_TASKS", {"stroll": 1})
     monkeypatch.setattr(sys, "argv", ["spikedeploy", "demo"])  # which the report names
-    monkeypatch.setattr(parallel, "cores", lambda: 1)
+    monkeypatch.setattr(pool, "cores", lambda: 1)
     mine, place = stroll / "mine", stroll / "demo" / name
     place.parent.mkdir(parents=True)
     mine.write_text("mine")

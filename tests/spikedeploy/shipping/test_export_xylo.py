@@ -13,7 +13,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.shipping.export_xylo import compared, document
+from spikedeploy.shipping.export_file import compared, document
 from tests.xylo_networks import network, random_networks
 
 STEPS = 60

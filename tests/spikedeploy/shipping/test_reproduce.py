@@ -10,9 +10,8 @@ import pytest
 from spikedeploy import zoo
 from spikedeploy.commands.evidence import settings
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.shipping.card_page import check_rewritable
+from spikedeploy.shipping.cards import check_rewritable, recorded
 from spikedeploy.shipping.publish_run import publish_run
-from spikedeploy.shipping.recorded_evaluation import recorded
 from spikedeploy.shipping.reproduce import CLOSE, DIFFERS, EQUAL, reproduce
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig
 from tests import toy_stroll_env
@@ -105,7 +104,7 @@ def test_an_update_of_a_card_that_has_no_page_is_refused_before_anything_is_writ
     shipped.write_text(json.dumps(document))
     before = shipped.read_text()
     monkeypatch.setattr("spikedeploy.shipping.reproduce.compare_policies", played)
-    with pytest.raises(ConfigError, match=f"has no '{field}'"):
+    with pytest.raises(ConfigError, match=f"{field}: Field required"):
         reproduce(recorded(str(shipped), settings), processes=1, update=True)
     assert shipped.read_text() == before
 
@@ -143,34 +142,34 @@ def test_card_and_page_are_written_together_or_not_at_all(card, monkeypatch):
     change(card, "evaluation", 1, "macs_dense", to=lambda macs: macs + 1)
     before = card.read_text()
     page = card.with_suffix(".md").read_text()
-    monkeypatch.setattr("spikedeploy.shipping.card_page.markdown", lambda *_: "\ud800")
+    monkeypatch.setattr("spikedeploy.shipping.cards.markdown", lambda *_: "\ud800")
     with pytest.raises(UnicodeEncodeError):
         reproduce(recorded(str(card), settings), processes=1, update=True)
     assert (card.read_text(), card.with_suffix(".md").read_text()) == (before, page)
 
 
 EDITED = {
-    "numbers as rows": ({"evaluation": [1, 2]}, r"evaluation\[0\] is 1, not a table"),
-    "rows as table": ({"evaluation": {"a": 1}}, "not a list of rows"),
-    "seeds": ({"seeds": {"first": "x"}}, r"seeds\.first is 'x', not a whole number"),
-    "negative seed": ({"seeds": {"first": -1}}, r"seeds\.first is -1"),
-    "file": ({"file": 5}, "file is 5, not the name of a file"),
-    "file elsewhere": ({"file": "../x.nir"}, "not the name of a file beside it"),
-    "settings": ({"config": None}, "config is null, not a table"),
-    "environment": ({"config": {"env": {"name": 3}}}, r"config\.env\.name is 3, not a text"),
-    "options": ({"config": {"env": {"name": "stroll", "options": [1]}}}, "options is .*table"),
-    "versions": ({"evaluated_with": [1]}, "evaluated_with is .*, not a table of texts"),
+    "numbers as rows": ({"evaluation": [1, 2]}, r"evaluation\.0: .*valid dictionary.*, got 1"),
+    "rows as table": ({"evaluation": {"a": 1}}, "evaluation: .*valid list"),
+    "seeds": ({"seeds": {"first": "x"}}, r"seeds\.first: .*valid integer, got 'x'"),
+    "negative seed": ({"seeds": {"first": -1}}, r"seeds\.first: .*, got -1"),
+    "file": ({"file": 5}, "file: .*valid string, got 5"),
+    "file elsewhere": ({"file": "../x.nir"}, "file: it is not the name of a file beside it"),
+    "settings": ({"config": None}, "config: .*dictionary.*, got None"),
+    "environment": ({"config": {"env": {"name": 3}}}, r"config\.env\.name: .*valid string, got 3"),
+    "options": ({"config": {"env": {"name": "stroll", "options": [1]}}}, "options: .*dictionary"),
+    "versions": ({"evaluated_with": [1]}, "evaluated_with: .*dictionary"),
 }
 EDITED_ROWS = {
-    "no policy": ({"policy": None}, r"\.policy is null, not a text"),
-    "chip": ({"chip": 3}, r"\.chip is 3, not a text or null"),
-    "tables as returns": ({"returns": [{}, {}, {}]}, r"\.returns is .*finite numbers"),
-    "texts as returns": ({"returns": ["1", "2", "3"]}, r"\.returns is .*finite numbers"),
-    "truths as returns": ({"returns": [True, True, True]}, r"\.returns is .*finite numbers"),
-    "a return that is none": ({"returns": [1.0, float("nan"), 1.0]}, "finite numbers"),
-    "null": ({"returns": [1.0, None, 1.0]}, "finite numbers"),
-    "digits": ({"returns": [10**400, 1, 1]}, "finite numbers"),
-    "one number": ({"returns": 5}, r"\.returns is 5"),
+    "no policy": ({"policy": None}, r"\.policy: .*valid string, got None"),
+    "chip": ({"chip": 3}, r"\.chip: .*valid string, got 3"),
+    "tables as returns": ({"returns": [{}, {}, {}]}, r"\.returns\.0: .*valid number"),
+    "texts as returns": ({"returns": ["1", "2", "3"]}, r"\.returns\.0: .*valid number"),
+    "truths as returns": ({"returns": [True, True, True]}, r"\.returns\.0: .*valid number"),
+    "a return that is none": ({"returns": [1.0, float("nan"), 1.0]}, r"\.returns\.\d: .*number"),
+    "null": ({"returns": [1.0, None, 1.0]}, r"\.returns\.\d: .*number"),
+    "digits": ({"returns": [10**400, 1, 1]}, r"\.returns\.\d: .*number"),
+    "one number": ({"returns": 5}, r"\.returns: .*valid list, got 5"),
     "nothing": ({"returns": [], "episodes": 0}, "records 0 episodes"),
 }
 
@@ -191,7 +190,7 @@ def test_a_card_that_was_edited_is_refused_in_a_sentence(case, shipped):
 @pytest.mark.parametrize("field", ["policy", "chip", "episodes", "returns"])
 def test_a_row_that_lacks_what_it_is_of_is_refused(field, shipped):
     change(shipped, "evaluation", 0, to=lambda row: {k: v for k, v in row.items() if k != field})
-    with pytest.raises(ConfigError, match=rf"evaluation\[0\] has no '{field}'"):
+    with pytest.raises(ConfigError, match=rf"evaluation\.0\.{field}: Field required"):
         recorded(str(shipped), settings)
 
 
@@ -211,11 +210,11 @@ WITHOUT_TORCH = """
 import sys
 class Blocked:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in ("torch", "snntorch", "pydantic", "safetensors", "onnx"):
+        if name.partition(".")[0] in ("torch", "snntorch", "safetensors", "onnx"):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Blocked())
 from spikedeploy.commands.evidence import settings
-from spikedeploy.shipping.recorded_evaluation import recorded
+from spikedeploy.shipping.cards import recorded
 from spikedeploy.shipping.reproduce import reproduce
 print(reproduce(recorded("kart-steer/linear", settings), 1, 1).verdict)
 """
@@ -410,10 +409,10 @@ def test_a_command_that_is_none_is_refused(line, message):
         ("empty", r"has no report\.json"),
         ("run", "is a run folder"),
         ("alone.nir", r"no card alone\.json"),
-        ("list.json", "records no evaluation"),
-        ("torn.json", "is not JSON"),
+        ("list.json", "it holds no JSON object"),
+        ("torn.json", "torn.json is damaged"),
         ("uneven.json", "rows with 1, 2 episodes"),
-        ("old.json", r"evaluation\[0\] has no 'returns'"),
+        ("old.json", r"evaluation\.0\.returns: Field required"),
     ],
 )
 def test_what_has_no_evaluation_is_refused_with_a_reason(name, message, tmp_path, monkeypatch):

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from spikedeploy import training_seeds
+from spikedeploy.campaign import training_seeds
+from spikedeploy.campaign.training_seeds import SeedTraining, SeedTrainings, train_seeds
 from spikedeploy.jobs import resumable
-from spikedeploy.jobs.resumable import JobEnd
-from spikedeploy.jobs.resumable_process import INTERRUPTED
+from spikedeploy.jobs.resumable import INTERRUPTED, JobEnd
 from spikedeploy.trainers.train import train
-from spikedeploy.training_seeds import SeedTraining, SeedTrainings, train_seeds
 from tests.paths import ROOT
 
 QUICK = ["steps=512", "env.count=2", "validation.every=256", "validation.episodes=1"]

@@ -8,15 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from spikedeploy.jobs.resumable import JobEnd
-from spikedeploy.jobs.resumable_process import INTERRUPTED
+from spikedeploy.campaign import tune
+from spikedeploy.campaign.tune import journal, open_study
+from spikedeploy.campaign.tune_plan import TuningPlan
+from spikedeploy.campaign.tune_results import best, write_page
+from spikedeploy.jobs.resumable import INTERRUPTED, JobEnd
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import parse_override
-from spikedeploy.tuning import trial, tune
-from spikedeploy.tuning.outcomes import best
-from spikedeploy.tuning.page import write_page
-from spikedeploy.tuning.plan import TuningPlan
-from spikedeploy.tuning.study import journal, opened
 
 optuna = pytest.importorskip("optuna")
 
@@ -31,8 +29,8 @@ class Trainings:
 
     def __init__(self, monkeypatch):
         self.log, self.fault, self.validations = [], None, 4
-        monkeypatch.setattr(trial, "train", self.train)
-        monkeypatch.setattr(trial, "evaluated", self.evaluated)
+        monkeypatch.setattr(tune, "train", self.train)
+        monkeypatch.setattr(tune, "evaluate", self.evaluate)
         monkeypatch.setattr(tune, "run", self.run)
         monkeypatch.setattr(tune, "write_page", lambda plan, study, folder: [])
 
@@ -59,7 +57,7 @@ class Trainings:
         (run / "gamma").write_text(str(gamma["gamma"]))
         return run
 
-    def evaluated(self, run, plan):
+    def evaluate(self, run, plan):
         gamma = float((run / "gamma").read_text())
         return gamma, 100 * gamma
 
@@ -68,7 +66,7 @@ class Trainings:
             job.log.parent.mkdir(parents=True, exist_ok=True)
             start, status = time.monotonic(), 0
             try:
-                done = trial.perform(**json.loads(json.dumps(job.arguments)))
+                done = tune.run_trial(**json.loads(json.dumps(job.arguments)))
                 status = INTERRUPTED if done is False else 0
             except Exception as error:
                 job.log.write_text(f"error: {error}\n")
@@ -108,7 +106,7 @@ def test_the_best_of_as_many_trials_as_asked_is_found_and_a_search_goes_on(train
 
 def test_the_page_has_the_command_the_pictures_and_every_trial(page, tmp_path):
     found = tune.tune(PLAN, tmp_path, 5)
-    study = opened(PLAN, journal(tmp_path))
+    study = open_study(PLAN, journal(tmp_path))
     study.set_user_attr("reason 5", "out | over")
     study.tell(study.ask(), state=optuna.trial.TrialState.FAIL)
     assert "out \\| over" in write_page(PLAN, study, tmp_path)[0].read_text()
@@ -144,7 +142,7 @@ def test_where_the_first_three_trials_fail_the_others_are_not_tried(trainings, t
 
 def test_a_training_far_below_the_others_is_pruned(trainings, tmp_path):
     tune.tune(PLAN, tmp_path, 6)
-    study = opened(PLAN, journal(tmp_path))
+    study = open_study(PLAN, journal(tmp_path))
     study.enqueue_trial({"gamma": 1e-3})
     found = tune.tune(PLAN, tmp_path, 7)
     assert found.trials[-1].state == "pruned"
@@ -182,8 +180,8 @@ def test_a_trial_whose_driver_was_killed_is_made_again(trainings, tmp_path):
 
 def test_a_trial_whose_process_dies_has_its_last_words_as_reason(trainings, tmp_path, monkeypatch):
     def dies(jobs, count, ended):
-        study = opened(PLAN, journal(tmp_path))
-        study.ask().set_user_attr(trial.JOB, jobs[0].name)
+        study = open_study(PLAN, journal(tmp_path))
+        study.ask().set_user_attr(tune._JOB, jobs[0].name)
         jobs[0].log.parent.mkdir()
         jobs[0].log.write_text("Out of memory\n")
         ended(JobEnd(jobs[0], 1.0, -9))
@@ -202,14 +200,14 @@ def test_within_a_budget_of_sops_the_best_is_within_it(trainings, tmp_path):
     within = [gamma for gamma, _ in trainings.log if 100 * gamma <= 50]
     assert 0 < len(within) < 6
     assert [each.earned for each in found.best] == [max(within)]
-    study = opened(plan, journal(tmp_path))
+    study = open_study(plan, journal(tmp_path))
     assert study.best_value == max(within)  # the sampler knows the budget too
 
 
 def test_of_two_objectives_the_pareto_front_is_found_and_drawn(trainings, tmp_path, monkeypatch):
     plan = TuningPlan("smoke-popsan", objective="return,sops", search=("gamma=0.0..1.0",))
     # the last digits decide how much is earned for the operations
-    monkeypatch.setattr(trial, "evaluated", lambda run, plan: (
+    monkeypatch.setattr(tune, "evaluate", lambda run, plan: (
         round(100 * float((run / "gamma").read_text()) % 7, 1), float((run / "gamma").read_text())
     ))  # fmt: skip
     found = tune.tune(plan, tmp_path, 6)
@@ -219,7 +217,7 @@ def test_of_two_objectives_the_pareto_front_is_found_and_drawn(trainings, tmp_pa
     for earned, sops in points:
         beaten = any(e >= earned and s <= sops and (e, s) != (earned, sops) for e, s in points)
         assert ((earned, sops) in front) != beaten
-    pictures = write_page(plan, opened(plan, journal(tmp_path)), tmp_path)[1:-1]
+    pictures = write_page(plan, open_study(plan, journal(tmp_path)), tmp_path)[1:-1]
     assert [path.stem for path in pictures] == ["history", "importances", "front"]
 
 

@@ -12,20 +12,22 @@ from pathlib import Path
 
 import pytest
 
+from spikedeploy.campaign.sweep import (
+    SweepFolder,
+    SweepJob,
+    evaluate_job,
+    load_sweep,
+    run_sweep,
+)
+from spikedeploy.campaign.sweep_grid import SweepGrid, expand, read_grid
+from spikedeploy.campaign.sweep_page import JobRow, cells
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.jobs.processes import ProcessBackend
-from spikedeploy.jobs.serial import SerialBackend
+from spikedeploy.jobs.pool import ProcessBackend, SerialBackend
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.sweeps import evaluation
-from spikedeploy.sweeps.cells import JobRow, cells
-from spikedeploy.sweeps.expansion import expand
-from spikedeploy.sweeps.grid import SweepGrid, read_grid
-from spikedeploy.sweeps.store import SweepFolder
-from spikedeploy.sweeps.sweep import look_at_sweep, run_sweep
 from tests.networks import popsan
 from tests.paths import ROOT
 
@@ -80,7 +82,7 @@ def journal(folder):
 def test_processes_find_what_one_finds_bit_for_bit(grid, serial, tmp_path, monkeypatch):
     monkeypatch.chdir(ROOT)
     outcome = run_sweep(grid, tmp_path, ProcessBackend(2))
-    assert outcome.state.summary == f"{JOBS} of {JOBS} jobs are done, 0 failed"
+    assert outcome.summary == f"{JOBS} of {JOBS} jobs are done, 0 failed"
     assert results(tmp_path) == results(serial)
     assert len({line["worker"] for line in journal(tmp_path)}) == 2
 
@@ -88,14 +90,14 @@ def test_processes_find_what_one_finds_bit_for_bit(grid, serial, tmp_path, monke
 def test_the_order_of_the_jobs_changes_nothing(grid, serial):
     plan = expand(grid)
     for job in reversed(plan.jobs):
-        row = evaluation.evaluate_job(evaluation.SweepJob(job, plan.policies.get(job.sha256)))
-        assert SweepFolder(serial).read(job).row["returns"] == row["returns"]
+        row = evaluate_job(SweepJob(job, plan.policies.get(job.sha256)))
+        assert SweepFolder(serial).read(job)[0]["returns"] == row["returns"]
 
 
 def test_a_job_earns_what_compare_finds(grid, serial):
     compared = compare_policies(ENV, [Entry(find("random"))], range(10_000, 10_002), processes=1)
     job = next(job for job in expand(grid).jobs if job.policy == "random" and not job.disturb)
-    row = SweepFolder(serial).read(job).row
+    row = SweepFolder(serial).read(job)[0]
     expected = json.loads(json.dumps(compared.as_json()[0]))
     assert {name: row[name] for name in expected} == expected
 
@@ -131,20 +133,20 @@ def test_a_worker_with_other_versions_refuses(grid):
     plan = expand(grid)
     job = replace(plan.jobs[0], versions={"numpy": "1.0"})
     with pytest.raises(ConfigError, match=r"this worker has numpy .*begun with 1\.0"):
-        evaluation.evaluate_job(evaluation.SweepJob(job, plan.policies[job.sha256]))
+        evaluate_job(SweepJob(job, plan.policies[job.sha256]))
 
 
 def test_a_policy_that_arrives_damaged_is_refused(grid):
     job = expand(grid).jobs[0]
     with pytest.raises(ConfigError, match="damaged"):
-        evaluation.evaluate_job(evaluation.SweepJob(job, b"no network"))
+        evaluate_job(SweepJob(job, b"no network"))
 
 
 def test_failures_are_kept_with_their_reason_and_retried_on_request(grid, tmp_path):
     wrong = replace(grid, policy=("random",), metrics=("no_such:mean",), disturb=((),))
     first = run_sweep(wrong, tmp_path, SerialBackend())
-    assert len(first.state.failed) == first.ran == 2
-    assert all("no_such" in why and "\n" not in why for _, why in first.state.failures)
+    assert len(first.failed) == first.ran == 2
+    assert all("no_such" in why and "\n" not in why for _, why in first.failures)
     assert run_sweep(wrong, tmp_path, SerialBackend()).ran == 0
     assert run_sweep(wrong, tmp_path, SerialBackend(), retry=True).ran == 2
     assert {line["status"] for line in journal(tmp_path)} == {"failed"}
@@ -158,9 +160,9 @@ def test_ctrl_c_keeps_what_is_done(grid, tmp_path, serial):
     inner = backend.run
 
     def stopped(function, jobs):
-        for answer in inner(function, jobs):
-            yield answer
-            if answer.place == 4:
+        for result in inner(function, jobs):
+            yield result
+            if result.index == 4:
                 raise KeyboardInterrupt
 
     backend.run = stopped
@@ -197,14 +199,14 @@ def test_a_driver_that_is_killed_loses_nothing_and_repeats_what_was_in_flight(
 
 
 def test_two_sweeps_do_not_run_in_one_folder(grid, tmp_path):
-    with SweepFolder(tmp_path).alone(), pytest.raises(ConfigError, match="another sweep"):
+    with SweepFolder(tmp_path).locked(), pytest.raises(ConfigError, match="another sweep"):
         run_sweep(grid, tmp_path, SerialBackend())
-    assert look_at_sweep(grid, tmp_path).ran == 0
+    assert load_sweep(grid, tmp_path).ran == 0
 
 
 def test_cells_pool_the_seeds_and_differ_from_the_undisturbed_seed_by_seed(grid, serial):
     jobs = expand(grid).jobs
-    rows = [JobRow(job, SweepFolder(serial).read(job).row) for job in jobs]
+    rows = [JobRow(job, SweepFolder(serial).read(job)[0]) for job in jobs]
     found = cells(rows)
     assert len(found) == JOBS // 2
     calm, noisy = (row for row in found if row["policy"] == "random")
@@ -220,7 +222,7 @@ def test_cells_pool_the_seeds_and_differ_from_the_undisturbed_seed_by_seed(grid,
 
 def test_cells_keep_the_bounds_of_energies(grid, serial):
     kept = SweepFolder(serial)
-    found = [JobRow(job, kept.read(job).row) for job in expand(grid).jobs]
+    found = [JobRow(job, kept.read(job)[0]) for job in expand(grid).jobs]
     (cell,) = [
         each for each in cells(found)
         if each["chip"] == "loihi1" and not each["disturb"] and not each["fault"]
@@ -263,7 +265,7 @@ def test_the_back_ends_of_the_command_are_those_that_exist():
     from typing import get_args
 
     from spikedeploy.commands.sweeps import BackendName
-    from spikedeploy.sweeps.backends import BACKENDS
+    from spikedeploy.jobs import BACKENDS
 
     assert get_args(BackendName) == BACKENDS
 

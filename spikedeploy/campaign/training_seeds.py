@@ -15,7 +15,7 @@ from spikedeploy.jobs import resumable
 from spikedeploy.jobs.resumable import Job, JobEnd
 from spikedeploy.policies.run_record import unfinished
 
-_PERFORM = "spikedeploy.training_seeds:perform"
+_PERFORM = "spikedeploy.campaign.training_seeds:perform"
 
 
 @dataclass(frozen=True)

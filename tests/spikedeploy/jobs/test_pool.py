@@ -1,4 +1,4 @@
-"""Back-ends: one answer for every job, whatever happens to workers."""
+"""Pools: one result for every job, whatever happens to workers."""
 
 import os
 import signal
@@ -9,8 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from spikedeploy.jobs.processes import ProcessBackend
-from spikedeploy.jobs.serial import SerialBackend
+from spikedeploy.jobs.pool import (
+    WORKER_ENVIRONMENT,
+    ProcessBackend,
+    SerialBackend,
+    local_backend,
+)
 from spikedeploy.runtime.errors import ChipError, SpikedeployError
 from tests.paths import ROOT
 
@@ -58,17 +62,17 @@ def linger(path):
     time.sleep(60)
 
 
-def answers(backend, function, jobs):
+def results(backend, function, jobs):
     with backend as running:
         found = list(running.run(function, jobs))
-    assert sorted(answer.place for answer in found) == list(range(len(jobs)))
-    return sorted(found, key=lambda answer: answer.place)
+    assert sorted(result.index for result in found) == list(range(len(jobs)))
+    return sorted(found, key=lambda result: result.index)
 
 
 @pytest.mark.parametrize("made", BACKENDS)
 def test_every_job_has_one_answer_and_an_error_is_one_too(made):
-    found = answers(made(), square, range(6))
-    assert [answer.value for answer in found] == [0, 1, 4, None, None, 25]
+    found = results(made(), square, range(6))
+    assert [result.value for result in found] == [0, 1, 4, None, None, 25]
     assert isinstance(found[3].error, ChipError)
     assert "three is no chip" in found[3].trace
     with pytest.raises(Exception, match="this and that"):
@@ -77,37 +81,37 @@ def test_every_job_has_one_answer_and_an_error_is_one_too(made):
 
 def test_a_job_whose_worker_is_killed_is_run_again_and_the_others_are_not(tmp_path):
     jobs = [("work", "a"), ("die once", tmp_path / "once"), ("work", "b"), ("work", "c")]
-    found = answers(ProcessBackend(2), errand, jobs)
-    assert [answer.error for answer in found] == [None] * 4
-    assert [answer.value for answer in found if answer.place != 1] == ["a", "b", "c"]
+    found = results(ProcessBackend(2), errand, jobs)
+    assert [result.error for result in found] == [None] * 4
+    assert [result.value for result in found if result.index != 1] == ["a", "b", "c"]
 
 
 def test_a_job_that_kills_its_worker_twice_fails_and_the_others_are_done(tmp_path):
     jobs = [("die", tmp_path / "tries"), *(("work", str(number)) for number in range(5))]
-    found = answers(ProcessBackend(2), errand, jobs)
+    found = results(ProcessBackend(2), errand, jobs)
     assert isinstance(found[0].error, SpikedeployError)
     assert "killed" in str(found[0].error)
     assert (tmp_path / "tries").read_text() == "xx"
-    assert [answer.value for answer in found[1:]] == list("01234")
+    assert [result.value for result in found[1:]] == list("01234")
 
 
 def test_what_cannot_be_sent_back_is_an_error_and_kills_no_worker():
-    found = answers(ProcessBackend(1), lambda_back, [1, 2])
-    assert all("pickle" in str(answer.error).lower() for answer in found)
+    found = results(ProcessBackend(1), lambda_back, [1, 2])
+    assert all("pickle" in str(result.error).lower() for result in found)
 
 
 def test_processes_are_kept_for_later_jobs():
     with ProcessBackend(1) as backend:
-        first = [answer.worker for answer in backend.run(square, [1, 2])]
-        again = [answer.worker for answer in backend.run(square, [1, 2])]
+        first = [result.worker for result in backend.run(square, [1, 2])]
+        again = [result.worker for result in backend.run(square, [1, 2])]
     assert len({*first, *again}) == 1
 
 
 def test_processes_that_cannot_start_are_a_sentence_and_not_an_endless_row(tmp_path):
     script = tmp_path / "unguarded.py"
     script.write_text("""
-from tests.spikedeploy.jobs.test_backends import square
-from spikedeploy.jobs.processes import ProcessBackend
+from tests.spikedeploy.jobs.test_pool import square
+from spikedeploy.jobs.pool import ProcessBackend
 with ProcessBackend(1) as backend:
     print(len(list(backend.run(square, range(100)))))
 """)
@@ -121,8 +125,8 @@ with ProcessBackend(1) as backend:
 
 def test_a_worker_dies_with_its_parent_in_the_middle_of_a_job(tmp_path):
     code = f"""
-from tests.spikedeploy.jobs.test_backends import linger
-from spikedeploy.jobs.processes import ProcessBackend
+from tests.spikedeploy.jobs.test_pool import linger
+from spikedeploy.jobs.pool import ProcessBackend
 if __name__ == "__main__":
     with ProcessBackend(1) as backend:
         list(backend.run(linger, [{str(tmp_path / "pid")!r}]))
@@ -142,3 +146,43 @@ if __name__ == "__main__":
     while worker.exists() and ") Z " not in worker.read_text() and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not worker.exists() or ") Z " in worker.read_text()
+
+
+def variable(name):
+    return os.environ.get(name)
+
+
+def sleep(seconds):
+    time.sleep(seconds)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_results_come_in_the_order_of_the_jobs(count):
+    done = []
+    with local_backend(count) as jobs:
+        assert jobs.in_order(abs, range(-4, 1), lambda: done.append(1)) == [4, 3, 2, 1, 0]
+    assert len(done) == 5
+
+
+def test_workers_have_one_thread_and_leave_this_process_alone():
+    before = dict(os.environ)
+    with local_backend(2) as jobs:
+        found = jobs.in_order(variable, list(WORKER_ENVIRONMENT), lambda: None)
+    assert found == list(WORKER_ENVIRONMENT.values())
+    assert dict(os.environ) == before
+
+
+def test_a_killed_worker_is_one_clear_line(tmp_path):
+    with local_backend(2) as jobs, pytest.raises(SpikedeployError, match="fewer --workers"):
+        jobs.in_order(die, [tmp_path / "a", tmp_path / "b"], lambda: None)
+
+
+def test_ctrl_c_ends_at_once_and_does_not_wait_for_jobs():
+    began = time.monotonic()
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), local_backend(2) as jobs:
+        jobs.in_order(sleep, [0, 300, 300], interrupt)
+    assert time.monotonic() - began < 60

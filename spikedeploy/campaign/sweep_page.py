@@ -1,0 +1,299 @@
+"""The tables of a sweep: its cells, in a terminal and on a page, and every job as CSV."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spikedeploy.campaign.sweep_grid import JobSpecification, SweepGrid
+from spikedeploy.comparison.metrics import drives
+from spikedeploy.comparison.statistics import bootstrap, paired_difference, share
+from spikedeploy.outputs import mark
+from spikedeploy.reports.columns import (
+    energy_cell,
+    format_difference,
+    format_operations,
+    format_return,
+    format_success,
+    measured_columns,
+    quoted_table,
+)
+from spikedeploy.reports.csv_rows import write_rows
+from spikedeploy.reports.page import write_beside
+from spikedeploy.reports.table import ABSENT, Column, Table, field_cell
+
+Record = dict[str, Any]
+PAGE, SHOWN, NUMBERS = "sweep.md", "sweep.html", "sweep.csv"
+_COLUMNS = (
+    "key", "env", "policy", "kind", "chip", "bits", "disturb", "fault", "specimen", "seed",
+    "episodes", "status", "return_mean", "success_rate", "spikes_per_inference",
+    "sops_per_inference", "macs_dense", "energy_table", "energy_per_inference_j", "returns",
+    "successes", "steps", "measured", "reason",
+)  # fmt: skip
+# means over inferences, of whole rows and of each energy table
+_PER_INFERENCE = ("spikes_per_inference", "sops_per_inference", "macs_dense")
+_ON_PAGES = ("episodes", "energy")  # for which a terminal is too narrow
+
+
+@dataclass(frozen=True)
+class JobRow:
+    """A job and its row, as a report has it."""
+
+    of: JobSpecification
+    row: Mapping[str, Any]
+
+
+@dataclass
+class Sweep:
+    """How far a sweep is.
+
+    grid    what was asked for
+    jobs    all of them
+    rows    key -> row of each that is done
+    failed  key -> why it failed
+    ran     number of jobs that were run now
+    interrupted  whether it was stopped from outside
+    files   page and CSV
+    """
+
+    grid: SweepGrid
+    jobs: Sequence[JobSpecification]
+    rows: dict[str, Record] = field(default_factory=dict)
+    failed: dict[str, str] = field(default_factory=dict)
+    ran: int = 0
+    interrupted: bool = False
+    files: list[Path] = field(default_factory=list)
+
+    def add(self, job: JobSpecification, row: Record | None, failed: str) -> None:
+        """Add the result of a job: its row, or why it failed."""
+        if row is None:
+            self.failed[job.key] = failed
+        else:
+            self.failed.pop(job.key, None)
+            self.rows[job.key] = row
+
+    @property
+    def summary(self) -> str:
+        """`200 of 200 jobs are done, 0 failed`."""
+        missing = len(self.jobs) - len(self.rows) - len(self.failed)
+        left = f", {missing} are missing" if missing else ""
+        return (
+            f"{len(self.rows)} of {len(self.jobs)} jobs are done, {len(self.failed)} failed{left}"
+        )
+
+    @property
+    def found(self) -> list[JobRow]:
+        """The jobs that are done."""
+        return [JobRow(job, self.rows[job.key]) for job in self.jobs if job.key in self.rows]
+
+    @property
+    def failures(self) -> list[tuple[str, str]]:
+        """Label of each job that failed, and why."""
+        return [(job.label, self.failed[job.key]) for job in self.jobs if job.key in self.failed]
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain data: how many jobs are done, why some failed, and the cells."""
+        return {
+            "name": self.grid.name,
+            "jobs": len(self.jobs),
+            "done": len(self.rows),
+            "failed": dict(self.failures),
+            "cells": cells(self.found),
+        }
+
+
+def print_sweep(sweep: Sweep) -> None:
+    """The table on stdout, the axes in one column."""
+    rows = cells(sweep.found)
+    axes = _axes(rows)
+    measured = [c for c in _measured(rows) if c.title not in _ON_PAGES]
+
+    def name(row: Record) -> str:
+        return " · ".join(cell for axis in axes if (cell := axis.cell(row)) != ABSENT)
+
+    if rows:
+        lines = [[name(row), *(column.cell(row) for column in measured)] for row in rows]
+        heads = [" · ".join(axis.title for axis in axes), *(c.title for c in measured)]
+        Table(heads, lines, sweep.grid.name, numbers=True).print()
+
+
+def write_sweep(sweep: Sweep, folder: Path) -> list[Path]:
+    """Write the page and the CSV of what is there; return both."""
+    table = quoted_table([each.row for each in sweep.found])
+    numbers = write_rows(
+        (_line(sweep, job, table) for job in sweep.jobs), _COLUMNS, folder / NUMBERS
+    )
+    page, shown = write_beside(folder / PAGE, "\n".join(_page(sweep)), {})
+    return [page, numbers, shown]
+
+
+def _page(sweep: Sweep) -> list[str]:
+    rows = cells(sweep.found)
+    columns = [*_axes(rows), *_measured(rows)]
+    lines = [f"# Sweep {sweep.grid.name}", "", f"<!-- {mark('sweep')} -->", f"{sweep.summary}.", ""]
+    if rows:
+        lines += [Table.of(columns, rows).markdown(), ""]
+        lines += [*(f"* {c.title}: {c.meaning}" for c in columns if c.meaning), ""]
+    if sweep.failures:
+        lines += ["## Failed", "", *(f"* {label}: {why}" for label, why in sweep.failures), ""]
+    versions = {tuple(job.versions.items()) for job in sweep.jobs}
+    said = sorted({f"{name} {version}" for each in versions for name, version in each if version})
+    return [*lines, f"Computed with {', '.join(said)}; every job in [{NUMBERS}]({NUMBERS}).", ""]
+
+
+def _axes(rows: Sequence[Record]) -> list[Column]:
+    """The axes on which rows differ; the policy at least."""
+    names = ("env", "policy", "chip", "disturb", "fault")
+    axes = [Column(name, "", _plain(name)) for name in names]
+    found = [axis for axis in axes if len({axis.cell(row) for row in rows}) > 1] or axes[1:2]
+    if len({row["specimen"] for row in rows} - {None}) > 1:
+        found.append(Column("specimen", "which faulty chip", _plain("specimen")))
+    return found
+
+
+def _measured(rows: Sequence[Record]) -> list[Column]:
+    """What is measured, in columns that some row fills."""
+    success = (
+        Column(
+            "finished", "episodes that reach the last gate, with the 95% interval", format_success
+        )
+        if any(map(drives, rows))
+        else Column("success", "episodes that succeed", field_cell("success_rate", ".0%"))
+    )
+    table = quoted_table(rows)
+    columns = [
+        Column("episodes", "", field_cell("episodes", ",d")),
+        Column("return", "mean of all episodes, with its 95% bootstrap interval", format_return),
+        Column(
+            "to undisturbed",
+            "paired difference of return to the same seeds without disturbance and fault, with its "
+            "95% bootstrap interval",
+            _difference_cell,
+        ),
+        success,
+        Column("operations", "a control step, of synapses", format_operations),
+        Column("energy", f"a control step, of operations, by table {table}", energy_cell(table)),
+        *measured_columns(rows),
+    ]
+    return [c for c in columns if any(c.cell(row) != ABSENT for row in rows)]
+
+
+def _plain(name: str) -> Any:  # noqa: ANN401 - a Cell
+    return lambda row: ABSENT if row[name] in (None, "") else str(row[name])
+
+
+def _difference_cell(row: Mapping[str, Any]) -> str:
+    return ABSENT if row["difference_mean"] is None else format_difference(row)
+
+
+def _line(sweep: Sweep, job: JobSpecification, table: str) -> Record:
+    """A job in the CSV."""
+    row = sweep.rows.get(job.key, {})
+    status = "done" if row else "failed" if job.key in sweep.failed else "missing"
+    prices = row.get("energy_per_inference_j", {})
+    return {
+        "key": job.key,
+        **{name: getattr(job, name) for name in ("env", "policy", "bits", "seed", "episodes")},
+        "chip": job.chip,
+        "kind": row.get("kind"),
+        "disturb": " ".join(job.disturb),
+        "fault": " ".join(job.fault),
+        "specimen": job.specimen if job.fault else None,
+        "status": status,
+        **{n: row.get(n) for n in ("return_mean", "success_rate", "returns", "steps")},
+        **{n: row.get(n) for n in ("spikes_per_inference", "sops_per_inference", "macs_dense")},
+        "successes": [int(each) for each in row["successes"]] if row else None,
+        "energy_table": table if table in prices else None,
+        "energy_per_inference_j": prices.get(table),
+        "measured": row.get("measured"),
+        "reason": sweep.failed.get(job.key),
+    }
+
+
+def cells(found: Iterable[JobRow]) -> list[Record]:
+    """A row for each cell of the grid, over the seeds that are there, in the order of the jobs.
+
+    `difference_mean`, `difference_ci95` are to the cell without disturbance and fault, paired by
+    seed, where that has the same seeds.
+    """
+    groups: dict[str, list[JobRow]] = {}
+    for each in found:
+        groups.setdefault(each.of.cell, []).append(each)
+    return [_pooled(jobs) | _difference(jobs, groups) for jobs in groups.values()]
+
+
+def _pooled(jobs: Sequence[JobRow]) -> Record:
+    of, first = jobs[0].of, jobs[0].row
+    returns = [value for each in jobs for value in each.row["returns"]]
+    successes = [value for each in jobs for value in each.row["successes"]]
+    estimate, rate = bootstrap(returns, _rng()), share(successes) if successes else None
+    pooled = {
+        "env": of.env,
+        "policy": of.policy,
+        "kind": first["kind"],
+        "chip": of.place,
+        "disturb": " ".join(of.disturb),
+        "fault": " ".join(of.fault),
+        "specimen": of.specimen if of.fault else None,
+        "limits": first["limits"],
+        "jobs": len(jobs),
+        "episodes": len(returns),
+        "return_mean": estimate.mean,
+        "return_ci95": estimate.ci95,
+        "success_rate": rate.mean if rate else None,
+        "success_ci95": rate.ci95 if rate else None,
+        "foreign": first.get("foreign", False),
+        "measured": _asked(jobs),
+        **({"gates": first["gates"]} if drives(first) else {}),  # so that tables speak of karts
+    }
+    return pooled | _costs(jobs)
+
+
+def _costs(jobs: Sequence[JobRow]) -> Record:
+    """Means over all inferences of the jobs, of which each control step has one."""
+    steps = [sum(each.row["steps"]) for each in jobs]
+    rows = [each.row for each in jobs]
+    found: Record = {name: _mean([row.get(name) for row in rows], steps) for name in _PER_INFERENCE}
+    for name in ("energy_per_inference_j", "energy_interval_j"):
+        found[name] = {
+            table: _price([row[name][table] for row in rows], steps) for table in rows[0][name]
+        }
+    return found
+
+
+def _price(values: Sequence[Any], weights: Sequence[int]) -> Any:  # noqa: ANN401
+    """A mean, or the means of lower and of upper bounds, of which none bounds."""
+    if isinstance(values[0], Sequence):
+        return [_mean(bounds, weights) for bounds in zip(*values, strict=True)]
+    return _mean(values, weights)
+
+
+def _asked(jobs: Sequence[JobRow]) -> dict[str, float]:
+    """Means over episodes of the metrics that were asked for."""
+    weights = [each.of.episodes for each in jobs]
+    rows = [each.row.get("measured", {}) for each in jobs]
+    found = {name: _mean([row.get(name) for row in rows], weights) for name in rows[0]}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _mean(values: Sequence[float | None], weights: Sequence[int]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.average(known, weights=weights)) if len(known) == len(values) else None
+
+
+def _difference(jobs: Sequence[JobRow], groups: Mapping[str, Sequence[JobRow]]) -> Record:
+    of = jobs[0].of
+    calm = replace(of, disturb=(), fault=(), specimen=0)
+    beside = groups.get(calm.cell, ())
+    if calm == of or [each.of.seed for each in beside] != [each.of.seed for each in jobs]:
+        return {"difference_mean": None, "difference_ci95": None}
+    left, right = ([v for each in many for v in each.row["returns"]] for many in (jobs, beside))
+    found = paired_difference(left, right, _rng())
+    return {"difference_mean": found.mean, "difference_ci95": found.ci95}
+
+
+def _rng() -> np.random.Generator:
+    """A generator with a fixed seed: the same episodes give the same interval in any table."""
+    return np.random.default_rng(0)
