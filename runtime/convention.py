@@ -3,10 +3,10 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, cast, get_args
+from typing import Any, Literal, get_args
 
 from spikedeploy.runtime.errors import ConventionError
-from spikedeploy.runtime.metadata import Record, Tree
+from spikedeploy.runtime.metadata import OPTIONAL, Stored
 
 Reset = Literal["zero", "subtract", "zero-delayed", "subtract-delayed", "subtract-ahead", "none"]
 Integrator = Literal["euler", "exponential"]
@@ -18,7 +18,7 @@ CLOCKS: tuple[Clock, ...] = get_args(Clock)
 
 
 @dataclass(frozen=True)
-class Convention:
+class Convention(Stored):
     """How a NIR graph, which is defined in continuous time, is simulated in timesteps.
 
     dt: [s] duration of one timestep.
@@ -50,9 +50,9 @@ class Convention:
     delay: int = 0
     state: State = "reset"
     source: str = field(default="stated", compare=False)
-    spikes: Spikes = "above"
-    floor: Floor = "none"
-    clock: Literal["gated", "pipelined"] = "gated"
+    spikes: Spikes = field(default="above", metadata=OPTIONAL)
+    floor: Floor = field(default="none", metadata=OPTIONAL)
+    clock: Literal["gated", "pipelined"] = field(default="gated", metadata=OPTIONAL)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.dt) and self.dt > 0):
@@ -80,8 +80,9 @@ class Convention:
 
     def describe(self) -> str:
         """One line for reports: every choice, and where it comes from."""
-        optional = {**self._optional(), "clock": self.clock}
-        more = "".join(f", {name}={value}" for name, value in optional.items())
+        stored = {**self.to_record(), "clock": self.clock}
+        optional = (name for name in ("spikes", "floor", "clock") if name in stored)
+        more = "".join(f", {name}={stored[name]}" for name in optional)
         return (
             f"dt={self.dt:g} s, reset={self.reset}, integrator={self.integrator}, "
             f"delay={self.delay}, state={self.state}{more} ({self.source})"
@@ -93,47 +94,6 @@ class Convention:
             return self
         names = ", ".join(sorted(options))
         return replace(self, **options, source=f"{names} given, otherwise {self.source}")
-
-    def to_record(self) -> Tree:
-        """The fields as the file stores them."""
-        return {
-            "dt": self.dt,
-            "reset": self.reset,
-            "integrator": self.integrator,
-            "delay": self.delay,
-            "state": self.state,
-            "source": self.source,
-            **self._optional(),
-        }
-
-    def _optional(self) -> Tree:
-        """Fields that are stored only where they differ from the default: older files lack them."""
-        fields: Tree = {}
-        if self.spikes != "above":
-            fields["spikes"] = self.spikes
-        if self.floor != "none":
-            fields["floor"] = self.floor
-        if self.clock != "gated":
-            fields["clock"] = self.clock
-        return fields
-
-    @classmethod
-    def from_record(cls, record: Record) -> "Convention":
-        """The convention stored in a file; impossible ones raise ConventionError."""
-        names = "dt", "reset", "integrator", "delay", "clock", "state", "source", "spikes", "floor"
-        record.only(*names)
-        clock = record.text("clock") if "clock" in record else "gated"
-        return cls(
-            dt=record.number("dt"),
-            reset=cast("Reset", record.text("reset")),
-            integrator=cast("Integrator", record.text("integrator")),
-            delay=record.integer("delay"),
-            state=cast("State", record.text("state")),
-            source=record.text("source"),
-            spikes=cast("Spikes", record.text("spikes") if "spikes" in record else "above"),
-            floor=cast("Floor", record.text("floor") if "floor" in record else "none"),
-            clock=cast("Literal['gated', 'pipelined']", clock),
-        )
 
 
 def _one_of(name: str, found: object, allowed: tuple[object, ...]) -> None:

@@ -1,17 +1,18 @@
-"""What a `.nir` file states: typed reading of its fields, and the provenance of a policy."""
+"""Metadata of a `.nir` file: typed reading, dataclasses that it stores, and the provenance."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TypeAlias
+from dataclasses import Field, dataclass, field, fields, replace
+from typing import Any, Literal, TypeAlias, TypeVar, get_origin
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from spikedeploy.runtime.errors import ArtifactError
 
 # what NIR metadata can hold: nir refuses None and loses the type of lists
 Tree: TypeAlias = dict[str, "str | int | float | NDArray[np.float64] | Tree"]
 _LARGEST = float(np.finfo(np.float64).max)
+_S = TypeVar("_S", bound="Stored")
 
 
 class Record:
@@ -61,7 +62,7 @@ class Record:
         return float(value)
 
     def array(self, name: str, infinite: bool = False) -> NDArray[np.float64]:
-        """The array of numbers called `name`, float64; finite unless said otherwise."""
+        """The array of numbers called `name`, float64; finite, or with infinity if `infinite`."""
         value = self._field(name)
         if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
             raise self._wrong(name, value, "an array of numbers")
@@ -94,8 +95,59 @@ class Record:
         )
 
 
+# of a field that a file has only where it is not the default
+OPTIONAL = {"optional": True}
+# of an array that may hold infinity
+INFINITE = {"infinite": True}
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """A dataclass that a file stores as a group of its fields: arrays, numbers and texts."""
+
+    def to_record(self) -> Tree:
+        """The fields as the file stores them."""
+        found = {each.name: getattr(self, each.name) for each in fields(self) if self._has(each)}
+        return {
+            name: value.astype(np.float64) if isinstance(value, np.ndarray) else value
+            for name, value in found.items()
+        }
+
+    def _has(self, each: "Field[Any]") -> bool:
+        """True if a file needs the field: it is required, or has another value than its default."""
+        return not each.metadata.get("optional") or getattr(self, each.name) != each.default
+
+    @classmethod
+    def from_record(cls: type[_S], record: Record) -> _S:
+        """The object stored in a file; ArtifactError at fields that are unknown or missing."""
+        record.only(*(each.name for each in fields(cls)))
+        return cls(
+            **{
+                each.name: _read(record, each)
+                for each in fields(cls)
+                if each.name in record or not each.metadata.get("optional")
+            }
+        )
+
+    def astype(self: _S, dtype: DTypeLike) -> _S:
+        """The same object computing in another float type."""
+        arrays = {n: value for n, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return replace(self, **{n: value.astype(dtype) for n, value in arrays.items()})
+
+
+def _read(record: Record, each: "Field[Any]") -> object:
+    """The value of a field, by its type."""
+    if each.type is int:
+        return record.integer(each.name)
+    if each.type is float:
+        return record.number(each.name)
+    if each.type is str or get_origin(each.type) is Literal:
+        return record.text(each.name)
+    return record.array(each.name, infinite=bool(each.metadata.get("infinite")))
+
+
 @dataclass(frozen=True)
-class Provenance:
+class Provenance(Stored):
     """Where a policy comes from: what is needed to train it again.
 
     env: id of the training environment.
@@ -117,36 +169,5 @@ class Provenance:
     created: str = ""
     version: str = ""
     sha256: str = ""
-    checkpoint: str = ""
-    chip: str = ""
-
-    def to_record(self) -> Tree:
-        """The fields as the file stores them."""
-        return {
-            "env": self.env,
-            "recipe": self.recipe,
-            "seed": self.seed,
-            "steps": self.steps,
-            "created": self.created,
-            "version": self.version,
-            "sha256": self.sha256,
-            **({"checkpoint": self.checkpoint} if self.checkpoint else {}),
-            **({"chip": self.chip} if self.chip else {}),
-        }
-
-    @classmethod
-    def from_record(cls, record: Record) -> "Provenance":
-        """The provenance stored in a file; unknown fields raise ArtifactError."""
-        names = ("env", "recipe", "seed", "steps", "created", "version", "sha256")
-        record.only(*names, "checkpoint", "chip")
-        return cls(
-            env=record.text("env"),
-            recipe=record.text("recipe"),
-            seed=record.integer("seed"),
-            steps=record.integer("steps"),
-            created=record.text("created"),
-            version=record.text("version"),
-            sha256=record.text("sha256"),
-            checkpoint=record.text("checkpoint") if "checkpoint" in record else "",
-            chip=record.text("chip") if "chip" in record else "",
-        )
+    checkpoint: str = field(default="", metadata=OPTIONAL)
+    chip: str = field(default="", metadata=OPTIONAL)

@@ -4,17 +4,18 @@ It holds the normaliser and the squashing too, so that a `.nir` file is all that
 """
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Protocol, TypeAlias, cast, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 import numpy.ma  # here, as np.unique would import it while a policy is loaded
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from spikedeploy.runtime.codec.delta import DeltaEncoder
+from spikedeploy.runtime.codec.encoder import Encoder, EncoderState
 from spikedeploy.runtime.codec.population import PopulationEncoder
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.metadata import Record, Tree
+from spikedeploy.runtime.metadata import Record, Stored, Tree
 
 __all__ = [
     "ENCODERS",
@@ -28,53 +29,6 @@ __all__ = [
 ]
 
 Squash = Literal["tanh", "none", "argmax"]
-# what an encoder carries from one inference of an episode to the next, for every robot of a batch;
-# made by its `start`, read by its `encode` alone; copied by copy.deepcopy and pickle
-EncoderState: TypeAlias = Any
-
-
-class Encoder(Protocol):
-    """Normalised observations to spikes."""
-
-    kind: ClassVar[str]
-
-    @property
-    def observed(self) -> int:
-        """Numbers of an observation: obs."""
-
-    @property
-    def width(self) -> int:
-        """Neurons: M."""
-
-    @property
-    def random(self) -> bool:
-        """Whether the spikes depend on random numbers."""
-
-    @property
-    def remembers(self) -> bool:
-        """Whether the spikes depend on more than the observation: those before, or a seed."""
-
-    def start(self, seed: int) -> EncoderState:
-        """The state at the beginning of an episode; what is random in it comes from the seed."""
-
-    def encode(
-        self, x: NDArray[np.floating], timesteps: int, state: EncoderState = None
-    ) -> NDArray[np.uint8]:
-        """Spikes (B, T, M) of the normalised observations x (B, obs).
-
-        state: of the episode, which is moved on; None for one that starts here with seed 0.
-        """
-
-    def astype(self, dtype: DTypeLike) -> "Encoder":
-        """The same encoder computing in another float type."""
-
-    def to_record(self) -> Tree:
-        """The fields as the file stores them, without the kind."""
-
-    @classmethod
-    def from_record(cls, record: Record) -> "Encoder":
-        """The encoder stored in a file."""
-
 
 ENCODERS: dict[str, type[Encoder]] = {
     PopulationEncoder.kind: PopulationEncoder,
@@ -87,7 +41,7 @@ _MOST_TIMESTEPS = 2**16  # of an inference: a spike train is held whole
 
 
 @dataclass(frozen=True, eq=False)
-class Normaliser:
+class Normaliser(Stored):
     """Observation to zero mean and unit standard deviation, clipped.
 
     mean: (obs,) in the observation's units.
@@ -120,24 +74,6 @@ class Normaliser:
         np.minimum(x, self.clip, out=x)
         np.maximum(x, -self.clip, out=x)
         return x
-
-    def astype(self, dtype: DTypeLike) -> "Normaliser":
-        """The same normaliser computing in another float type."""
-        return Normaliser(self.mean.astype(dtype), self.std.astype(dtype), self.clip)
-
-    def to_record(self) -> Tree:
-        """The fields as the file stores them."""
-        return {
-            "mean": self.mean.astype(np.float64),
-            "std": self.std.astype(np.float64),
-            "clip": self.clip,
-        }
-
-    @classmethod
-    def from_record(cls, record: Record) -> "Normaliser":
-        """The normaliser stored in a file."""
-        record.only("mean", "std", "clip")
-        return cls(record.array("mean"), record.array("std"), record.number("clip"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,4 +226,5 @@ def _encoder(record: Record) -> Encoder:
             f"metadata {record.where}.kind is {kind!r}; known encoders are {', '.join(ENCODERS)}. "
             "If a newer spikedeploy wrote the file, update; otherwise export the policy again."
         )
-    return ENCODERS[kind].from_record(record)
+    stored = {name: value for name, value in record.fields.items() if name != "kind"}
+    return ENCODERS[kind].from_record(Record(stored, record.where))

@@ -4,15 +4,16 @@ All of it is integer arithmetic after one rounding, so that float64, float32 and
 the same events unless 256 x / step lies within rounding error of halfway between two integers.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import ClassVar, Literal, cast, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
+from spikedeploy.runtime.codec.encoder import Encoder
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.metadata import Record, Tree
+from spikedeploy.runtime.metadata import INFINITE
 
 Code = Literal["unary", "one-hot"]
 PARTS = 256  # of a step: what an observation is rounded to
@@ -42,7 +43,7 @@ class Levels:
 
 
 @dataclass(frozen=True, eq=False)
-class DeltaEncoder:
+class DeltaEncoder(Encoder):
     """Signed events when an observation has moved since the last event; the residual is kept.
 
         X = rint(256 x / step)                                          within +-2^30
@@ -60,7 +61,7 @@ class DeltaEncoder:
 
     kind: ClassVar[str] = "delta"
 
-    step: NDArray[np.floating]
+    step: NDArray[np.floating] = field(metadata=INFINITE)
     most: int = 3
     code: Code = "unary"
     threshold: int = 154
@@ -99,11 +100,6 @@ class DeltaEncoder:
         return 2 * self.most * self.observed
 
     @property
-    def random(self) -> bool:
-        """Whether the spikes depend on random numbers: never."""
-        return False
-
-    @property
     def remembers(self) -> bool:
         """Whether the spikes depend on more than the observation: always, on those before."""
         return True
@@ -138,30 +134,6 @@ class DeltaEncoder:
             sent = sent + events
         levels.sent = sent
         return np.asarray(found.swapaxes(0, 1))
-
-    def astype(self, dtype: DTypeLike) -> "DeltaEncoder":
-        """The same encoder computing in another float type."""
-        return DeltaEncoder(self.step.astype(dtype), self.most, self.code, self.threshold)
-
-    def to_record(self) -> Tree:
-        """The fields as the file stores them."""
-        return {
-            "step": self.step.astype(np.float64),
-            "most": self.most,
-            "code": self.code,
-            "threshold": self.threshold,
-        }
-
-    @classmethod
-    def from_record(cls, record: Record) -> "DeltaEncoder":
-        """The encoder stored in a file."""
-        record.only("kind", "step", "most", "code", "threshold")
-        return cls(
-            record.array("step", infinite=True),
-            record.integer("most"),
-            cast("Code", record.text("code")),
-            record.integer("threshold"),
-        )
 
     def _parts(self, x: NDArray[np.floating]) -> NDArray[np.int64]:
         """Observations X (B, obs) of normalised ones, rounded to halves even [1/256 steps]."""

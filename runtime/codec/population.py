@@ -11,10 +11,10 @@ from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
+from spikedeploy.runtime.codec.encoder import Encoder
 from spikedeploy.runtime.errors import ArtifactError
-from spikedeploy.runtime.metadata import Record, Tree
 
 Drives = NDArray[np.floating]
 
@@ -23,7 +23,7 @@ MAX_TABLE_TIMESTEPS = 64
 
 
 @dataclass(frozen=True, eq=False)
-class PopulationEncoder:
+class PopulationEncoder(Encoder):
     """P neurons for each observed number, spiking deterministically (Tang et al. 2020, PopSAN).
 
     mean: (obs, P) centre of each receptive field, in units of the normalised observation.
@@ -62,43 +62,12 @@ class PopulationEncoder:
         """Neurons: M = obs * P; neuron i * P + p is the p-th of observation i."""
         return int(self.mean.size)
 
-    @property
-    def random(self) -> bool:
-        """Whether the spikes depend on random numbers: never."""
-        return False
-
-    @property
-    def remembers(self) -> bool:
-        """Whether the spikes depend on more than the observation: never."""
-        return False
-
-    def start(self, seed: int) -> None:
-        """Nothing: each inference begins with membranes of 0."""
-
     def encode(
         self, x: NDArray[np.floating], timesteps: int, state: None = None
     ) -> NDArray[np.uint8]:
         """Spikes (B, T, M) of the normalised observations x (B, obs)."""
         spikes = spike_patterns(self._drive(x), self.threshold, timesteps)
         return np.asarray(spikes.swapaxes(0, 1))
-
-    def astype(self, dtype: DTypeLike) -> "PopulationEncoder":
-        """The same encoder computing in another float type."""
-        return PopulationEncoder(self.mean.astype(dtype), self.std.astype(dtype), self.threshold)
-
-    def to_record(self) -> Tree:
-        """The fields as the file stores them."""
-        return {
-            "mean": self.mean.astype(np.float64),
-            "std": self.std.astype(np.float64),
-            "threshold": self.threshold,
-        }
-
-    @classmethod
-    def from_record(cls, record: Record) -> "PopulationEncoder":
-        """The encoder stored in a file."""
-        record.only("kind", "mean", "std", "threshold")
-        return cls(record.array("mean"), record.array("std"), record.number("threshold"))
 
     def _drive(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
         """Drive A (B, M), the same in every timestep."""

@@ -10,13 +10,13 @@ its four bytes, which are looked up: the same bits as step by step, in a tenth o
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar, Literal, cast, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
+from spikedeploy.runtime.codec.encoder import Encoder
 from spikedeploy.runtime.errors import ArtifactError
-from spikedeploy.runtime.metadata import Record, Tree
 
 Mode = Literal["regular", "bernoulli"]
 LEVELS = 256  # steps of a rate from 0 to 1; a rate of 1 is level 256
@@ -54,7 +54,7 @@ class Xorshift:
 
 
 @dataclass(frozen=True, eq=False)
-class RateEncoder:
+class RateEncoder(Encoder):
     """One neuron for each observed number, in the arithmetic of an 8-bit circuit.
 
         n = round(256 clip((x - low) / (high - low), 0, 1))      halves to even
@@ -111,11 +111,6 @@ class RateEncoder:
         """Whether the spikes depend on random numbers."""
         return self.mode == "bernoulli"
 
-    @property
-    def remembers(self) -> bool:
-        """Whether the spikes depend on more than the observation: on random numbers."""
-        return self.random
-
     def start(self, seed: int) -> Xorshift:
         """The generators of mode "bernoulli"; mode "regular" draws nothing from them."""
         return Xorshift(seed, self.width)
@@ -143,24 +138,6 @@ class RateEncoder:
         np.minimum(share, 1, out=share)
         share *= LEVELS
         return np.rint(share).astype(np.int64)
-
-    def astype(self, dtype: DTypeLike) -> "RateEncoder":
-        """The same encoder computing in another float type."""
-        return RateEncoder(self.low.astype(dtype), self.high.astype(dtype), self.mode)
-
-    def to_record(self) -> Tree:
-        """The fields as the file stores them."""
-        return {
-            "low": self.low.astype(np.float64),
-            "high": self.high.astype(np.float64),
-            "mode": self.mode,
-        }
-
-    @classmethod
-    def from_record(cls, record: Record) -> "RateEncoder":
-        """The encoder stored in a file."""
-        record.only("kind", "low", "high", "mode")
-        return cls(record.array("low"), record.array("high"), cast("Mode", record.text("mode")))
 
 
 @lru_cache(maxsize=16)

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
-from spikedeploy.runtime.metadata import Record, Tree
+from spikedeploy.runtime.metadata import Record, Stored, Tree
 
 Array = NDArray[np.float64]
 
@@ -248,7 +248,7 @@ _REMARK = (
 
 
 @dataclass(frozen=True, eq=False)
-class SigmaDelta:
+class SigmaDelta(Stored):
     """The neurons of one node.
 
     threshold: (N,) or the node's shape; distance that a graded spike of 1 stands for, above 0.
@@ -271,15 +271,14 @@ class SigmaDelta:
             )
 
     def to_record(self) -> Tree:
-        """The fields as the file stores them."""
-        return {"threshold": self.threshold, "bias": self.bias, "remark": _REMARK}
+        """The fields as the file stores them, and a remark for readers of other tools."""
+        return {**super().to_record(), "remark": _REMARK}
 
     @classmethod
     def from_record(cls, record: Record) -> "SigmaDelta":
-        """The neurons stored in a file."""
-        record.only("threshold", "bias", "remark")
-        threshold = record.array("threshold")
-        return cls(threshold, record.array("bias"))
+        """The neurons stored in a file; its remark is not read."""
+        stored = {name: value for name, value in record.fields.items() if name != "remark"}
+        return super().from_record(Record(stored, record.where))
 
 
 def check_sigma_delta(graph: nir.NIRGraph, neurons: Mapping[str, SigmaDelta]) -> None:
