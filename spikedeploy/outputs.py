@@ -21,12 +21,12 @@ _MAY_STAND_IN_RUNS = (".nir", ".onnx", ".png", ".mp4", ".gif")
 
 
 def mark(command: str) -> str:
-    """What a file says that this command wrote."""
+    """The mark in a file that this command wrote."""
     return f"{_MARK}{command}"
 
 
 def marked(path: Path, *texts: str) -> bool:
-    """Whether there is a file that holds one of these texts, such as the mark of a command."""
+    """True where there is a file that holds one of these texts, such as the mark of a command."""
     if not path.is_file() or not path.stat().st_size:
         return False
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
@@ -38,7 +38,7 @@ def marked(path: Path, *texts: str) -> bool:
 
 
 def _takes_marks(head: bytes) -> bool:
-    """Whether a file that begins so is npz, png, gif, HDF5 or mp4, which commands mark."""
+    """True where a file that begins so is npz, png, gif, HDF5 or mp4, which commands mark."""
     return head.startswith((b"PK", b"\x89PNG", b"GIF8", b"\x89HDF")) or head[4:8] == b"ftyp"
 
 
@@ -138,7 +138,7 @@ def _check_writable(option: str, path: Path) -> None:
 
 
 def _same(path: Path, other: Path) -> bool:
-    """Whether both are one file, by links of any kind too."""
+    """True where both are one file, by links of any kind too."""
     if path.exists() and other.exists():
         return path.samefile(other)
     return other.exists() and path.resolve() == other.resolve()

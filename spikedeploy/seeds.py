@@ -1,4 +1,4 @@
-"""Which seeds are for what, so that nothing is ever judged on what it was made with."""
+"""Seeds for training, validation and evaluation, which never overlap."""
 
 from collections import Counter
 

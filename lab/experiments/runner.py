@@ -18,13 +18,30 @@ from spikedeploy.cli import run as run_app
 from spikedeploy.commands.options import Force, Json
 from spikedeploy.console import console, print_json
 from spikedeploy.jobs import resumable
-from spikedeploy.jobs.resumable import Job, JobEnd, Outcome
+from spikedeploy.jobs.resumable import Job, JobEnd
 from spikedeploy.outputs import check_folder, check_output_folder, marked
 from spikedeploy.runtime.chips.chip import chip as chip_named
 from spikedeploy.runtime.errors import ConfigError
 
 _EVERY = 300.0  # [s] between two lines on what runs
 _PAGE_EVERY = 120.0  # [s] between two pages, which read all results
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The result of running an experiment.
+
+    done, of     number of complete parts, and of all
+    failed       part -> last line of its log
+    interrupted  whether it was stopped from outside
+    files        page, tables and pictures
+    """
+
+    done: int
+    of: int
+    failed: dict[str, str]
+    interrupted: bool
+    files: list[Path]
 
 
 @dataclass(frozen=True)

@@ -211,7 +211,7 @@ class SweepFolder:
 
 
 def is_sweep(folder: Path) -> bool:
-    """Whether a sweep has results in the folder, or a page without any yet."""
+    """True where a sweep has results in the folder, or a page without any yet."""
     journal = folder / "journal.csv"
     if journal.is_file():
         with journal.open("rb") as file:

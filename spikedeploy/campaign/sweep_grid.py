@@ -78,7 +78,7 @@ Together = Annotated[tuple[str, ...], BeforeValidator(_together)]
 
 @dataclass(frozen=True)
 class SweepGrid:
-    """What a sweep varies, and what its jobs have in common.
+    """The axes of a sweep, and what its jobs have in common.
 
     name      of the sweep; that of its file
     env       short names, ids of gymnasium, or module:Class

@@ -47,7 +47,7 @@ class JobRow:
 
 @dataclass
 class Sweep:
-    """How far a sweep is.
+    """A sweep and the results so far.
 
     grid    what was asked for
     jobs    all of them
@@ -154,7 +154,7 @@ def _axes(rows: Sequence[Record]) -> list[Column]:
 
 
 def _measured(rows: Sequence[Record]) -> list[Column]:
-    """What is measured, in columns that some row fills."""
+    """Columns of the measurements that some row has."""
     success = (
         Column(
             "finished", "episodes that reach the last gate, with the 95% interval", format_success

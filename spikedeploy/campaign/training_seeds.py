@@ -20,7 +20,7 @@ _PERFORM = "spikedeploy.campaign.training_seeds:perform"
 
 @dataclass(frozen=True)
 class SeedTraining:
-    """How the training with a seed ended.
+    """The end of the training with a seed.
 
     seed      of the training
     run       its folder; None where it was refused or killed
@@ -40,13 +40,13 @@ class SeedTraining:
         """`seed 0: best validation return 812.3, runs/…`."""
         best = "no validation" if self.best is None else f"best validation return {self.best:,.4g}"
         stopped = f"stopped at {self.stopped}, " if self.stopped else ""
-        said = f"failed: {self.failed}" if self.failed else f"{stopped}{best}, {self.run}"
-        return f"seed {self.seed}: {said}"
+        end = f"failed: {self.failed}" if self.failed else f"{stopped}{best}, {self.run}"
+        return f"seed {self.seed}: {end}"
 
 
 @dataclass(frozen=True)
 class SeedTrainings:
-    """How all of them ended.
+    """The ends of all of them.
 
     each         in the order of the seeds; those that were not begun are missing
     interrupted  whether they were stopped from outside
@@ -114,7 +114,7 @@ def perform(place: str, films: int = 0, **arguments: Any) -> bool:  # noqa: ANN4
 
 
 def _ending(seed: int, end: JobEnd, place: Path) -> SeedTraining:
-    """How a training ended, from its process and its run folder."""
+    """The end of a training, from its process and its run folder."""
     if end.failed:
         return SeedTraining(seed, failed=f"{end.last_line.removeprefix('error: ')} ({end.job.log})")
     if not place.is_file():

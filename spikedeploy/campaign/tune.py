@@ -164,7 +164,7 @@ def _requeue(study: "optuna.Study", folder: Path) -> None:
 
 
 def _counts(study: "optuna.Study", trial: "optuna.trial.FrozenTrial") -> bool:
-    """Whether it is one of the trials asked for: it runs or has ended, and was not interrupted."""
+    """True where it is one of the trials asked for: it runs or has ended by itself."""
     done = trial.state.name in ("RUNNING", "COMPLETE", "PRUNED")
     return done or bool(failure_of(study, trial))
 
@@ -337,7 +337,7 @@ class Validations(Interrupt):
         self.pruned = False
 
     def __call__(self) -> bool:
-        """Whether the training is to stop; called after each iteration."""
+        """True where the training is to stop; called after each iteration."""
         if self._prunes and not self.pruned:
             self.pruned = self._is_hopeless()
         return self.pruned or super().__call__()

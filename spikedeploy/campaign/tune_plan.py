@@ -143,17 +143,17 @@ class TuningPlan:
 
     @property
     def counts_sops(self) -> bool:
-        """Whether synaptic operations matter."""
+        """True where synaptic operations matter."""
         return self.objective != "return"
 
     @property
     def has_two(self) -> bool:
-        """Whether there are two objectives."""
+        """True where there are two objectives."""
         return self.objective == "return,sops"
 
     @property
     def _events(self) -> bool:
-        """Whether a policy without hidden neurons sends events into a readout."""
+        """True where a policy without hidden neurons sends events into a readout."""
         return self.config.policy.kind in ("delta-snn", "delta-mlp")
 
     @property

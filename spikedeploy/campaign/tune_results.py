@@ -1,6 +1,7 @@
 """The results of a study: its trials, the best of them, and the page tune.md with pictures."""
 
 import warnings
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from spikedeploy.campaign.tune_plan import FIRST_SEED, TuningPlan
 from spikedeploy.outputs import marked
 from spikedeploy.reports.page import write_beside
 from spikedeploy.reports.plots import BLUE, VERMILION, save
+from spikedeploy.reports.table import ABSENT, Table
 
 if TYPE_CHECKING:
     import optuna
@@ -20,10 +22,10 @@ if TYPE_CHECKING:
 PAGE, SHOWN = "tune.md", "tune.html"
 RUN, REASON, RETURN, SOPS = "run", "reason", "return", "sops"  # attributes of a trial
 _STATES = {"COMPLETE": "complete", "PRUNED": "pruned", "RUNNING": "running", "FAIL": "failed"}
+_ORDER = ("complete", "pruned", "running", "failed", "interrupted")
 _ENOUGH = 4  # trials, below which nothing can be said of importance
 _MOST_BARS = 16
 _GREY = "#8A939E"
-_DASH = "–"
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def _earned(trial: TrialOutcome) -> float:
 
 
 def _dominates(one: TrialOutcome, other: TrialOutcome) -> bool:
-    """Whether one earns no less with no more operations, and differs."""
+    """True where one earns no less with no more operations, and differs."""
     mine, theirs = (_earned(one), -(one.sops or 0.0)), (_earned(other), -(other.sops or 0.0))
     return mine != theirs and mine[0] >= theirs[0] and mine[1] >= theirs[1]
 
@@ -111,7 +113,7 @@ def failure_of(study: "optuna.Study", trial: "optuna.trial.FrozenTrial") -> str:
 
 
 def is_study(folder: Path) -> bool:
-    """Whether a search has a journal of Optuna in the folder, or a page of one in a database."""
+    """True where a search has a journal of Optuna in the folder, or a page of one in a database."""
     journal = folder / "journal.log"
     if journal.is_file():
         with journal.open("rb") as file:
@@ -128,8 +130,7 @@ def write_page(plan: TuningPlan, study: "optuna.Study", folder: Path) -> list[Pa
     if plan.counts_sops and any(each.sops is not None for each in found):
         drawn["front.png"] = front_figure(plan, found)
     pictures = [save(figure, folder / name) for name, figure in drawn.items()]
-    text = "\n".join([*_head(plan, found), *_shown(pictures), *_table(plan, found)])
-    page, shown = write_beside(folder / PAGE, text + "\n", drawn)
+    page, shown = write_beside(folder / PAGE, _text(plan, found, pictures), drawn)
     return [page, *pictures, shown]
 
 
@@ -153,62 +154,45 @@ def importances(plan: TuningPlan, study: "optuna.Study") -> dict[str, Mapping[st
     return found
 
 
-def _head(plan: TuningPlan, found: Sequence[TrialOutcome]) -> list[str]:
-    told = ", ".join(
-        f"{count} {state}"
-        for state in ("complete", "pruned", "running", "failed", "interrupted")
-        if (count := sum(each.state == state for each in found))
-    )
+def _text(plan: TuningPlan, found: Sequence[TrialOutcome], pictures: Sequence[Path]) -> str:
+    counts = Counter(each.state for each in found)
+    states = ", ".join(f"{counts[each]} {each}" for each in _ORDER if counts[each])
+    objective = {
+        "return": "the return",
+        "return-at-sops": f"the return within {plan.sops:g} SOPs a control step",
+        "return,sops": "the return, and few SOPs a control step",
+    }[plan.objective]
     where = f" in {plan.env}" if plan.env else ""
     place = f"`{plan.chip}`" if plan.chip else "the chip that it is trained for, or the default"
-    lines = [
+    parts = [
         f"# Settings of {plan.recipe}{where}",
-        "",
-        f"Objective: {_objective(plan)}. {len(found)} trials: {told or 'none'}.",
-        "",
+        f"Objective: {objective}. {len(found)} trials: {states or 'none'}.",
         f"Returns are means over {plan.episodes} episodes of the exported policy, from seed "
         f"{FIRST_SEED:,}; a spiking one runs on {place}. These seeds chose the settings: "
         "judge them by `spikedeploy compare`, whose seeds nothing here has seen.",
-        "",
     ]
-    chosen = best(plan, found)
+    for each in (chosen := best(plan, found)):
+        sops = "" if each.sops is None else f", {each.sops:,.1f} SOPs a control step"
+        parts.append(f"Trial {each.number}, return {_cell(each.earned)}{sops}:")
+        parts.append(f"    {plan.command(each.settings)}")
     if not chosen:
-        return [*lines, "No trial is complete" + (" within the budget." if plan.sops else "."), ""]
-    for each in chosen:
-        lines += [f"Trial {each.number}, {_numbers(each)}:", ""]
-        lines += [f"    {plan.command(each.settings)}", ""]
-    return lines
+        parts.append("No trial is complete" + (" within the budget." if plan.sops else "."))
+    parts += [f"![{path.stem}]({path.name})" for path in pictures]
+    return "\n\n".join([*parts, _table(plan, found).markdown()]) + "\n"
 
 
-def _objective(plan: TuningPlan) -> str:
-    if plan.has_two:
-        return "the return, and few SOPs a control step"
-    return f"the return within {plan.sops:g} SOPs a control step" if plan.sops else "the return"
-
-
-def _numbers(trial: TrialOutcome) -> str:
-    sops = "" if trial.sops is None else f", {trial.sops:,.1f} SOPs a control step"
-    return f"return {_cell(trial.earned)}{sops}"
-
-
-def _shown(pictures: Sequence[Path]) -> list[str]:
-    return [line for path in pictures for line in (f"![{path.stem}]({path.name})", "")]
-
-
-def _table(plan: TuningPlan, found: Sequence[TrialOutcome]) -> list[str]:
-    keys = list(plan.space)
-    lines = ["| trial | | return | SOPs | s | " + " | ".join(keys) + " | why |"]
-    lines.append("|--:|---|--:|--:|--:|" + "---|" * len(keys) + "---|")
-    for each in found:
-        cells = [str(each.number), each.state, _cell(each.earned), _cell(each.sops)]
-        cells += [_cell(each.seconds), *(_cell(each.settings.get(key)) for key in keys)]
-        lines.append("| " + " | ".join([*cells, each.reason.replace("|", "\\|")]) + " |")
-    return lines
+def _table(plan: TuningPlan, found: Sequence[TrialOutcome]) -> Table:
+    rows = [
+        [t.number, t.state, t.earned, t.sops, t.seconds, *map(t.settings.get, plan.space), t.reason]
+        for t in found
+    ]
+    heads = ["trial", "", "return", "SOPs", "s", *plan.space, "why"]
+    return Table(heads, [[*map(_cell, row)] for row in rows], numbers=True)
 
 
 def _cell(value: object) -> str:
     if value is None:
-        return _DASH
+        return ABSENT
     return f"{value:,.4g}" if isinstance(value, float) else str(value).replace("|", "\\|")
 
 

@@ -204,7 +204,7 @@ class _Worker:
 
     @property
     def started(self) -> bool:
-        """Whether it has come so far as to wait for jobs."""
+        """True where it has come so far as to wait for jobs."""
         return self._pid.done() and not self._pid.exception()
 
     def submit(self, index: int, packed: bytes) -> "Future[bytes]":

@@ -62,12 +62,12 @@ class RayBackend(JobBackend):
         task = self._ray.remote(max_retries=_RETRIES)(_chunk)
         waiting, alone = deque(range(len(jobs))), deque[int]()
         running: dict[Any, tuple[list[int], bool]] = {}  # task -> its jobs; whether it is the last
-        pace = _Pace()
+        seconds: float | None = None  # of a job, a running mean
         while waiting or alone or running:
             room = self._room()
             while (waiting or alone) and len(running) < room * _AHEAD:
                 last = bool(alone)
-                count = 1 if last else pace.size(len(waiting), room)
+                count = 1 if last else _chunk_size(seconds, len(waiting), room)
                 indices = [(alone or waiting).popleft() for _ in range(count)]
                 sent = task.remote(function, [(index, jobs[index]) for index in indices])
                 running[sent] = indices, last
@@ -76,7 +76,7 @@ class RayBackend(JobBackend):
                 indices, last = running.pop(each)
                 for result in self._results(each, indices):
                     if result is not None:
-                        pace.note(result.seconds)
+                        seconds = 0.8 * (seconds or result.seconds) + 0.2 * result.seconds
                         yield result
                     elif last:
                         yield from map(lost, indices)
@@ -99,22 +99,11 @@ class RayBackend(JobBackend):
         return min(found, self._workers or found)
 
 
-class _Pace:
-    """How long jobs take, from which the size of chunks follows."""
-
-    def __init__(self) -> None:
-        self._seconds: float | None = None
-
-    def note(self, seconds: float) -> None:
-        """A job took so long."""
-        before = seconds if self._seconds is None else self._seconds
-        self._seconds = 0.8 * before + 0.2 * seconds
-
-    def size(self, left: int, cores: int) -> int:
-        """Jobs of the next chunk: one before anything is known, few at the end."""
-        if self._seconds is None:
-            return 1
-        return max(1, min(int(_CHUNK / max(self._seconds, 1e-3)), -(-left // (2 * cores))))
+def _chunk_size(seconds: float | None, left: int, cores: int) -> int:
+    """Jobs of the next chunk: one before their time [s] is known, few at the end."""
+    if seconds is None:
+        return 1
+    return max(1, min(int(_CHUNK / max(seconds, 1e-3)), -(-left // (2 * cores))))
 
 
 def _started(ray: Any, address: str | None, options: Mapping[str, Any]) -> Any:  # noqa: ANN401

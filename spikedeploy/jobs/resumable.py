@@ -23,7 +23,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.errors import ConfigError
 from spikedeploy.jobs.pool import WORKER_ENVIRONMENT, sigterm_as_interrupt
 from spikedeploy.user_errors import one_line
 
@@ -51,7 +50,7 @@ class Job:
 
 @dataclass(frozen=True)
 class JobEnd:
-    """How a job ended.
+    """The end of a job.
 
     seconds  of run time
     status   0 done, INTERRUPTED, else failed
@@ -65,7 +64,7 @@ class JobEnd:
 
     @property
     def failed(self) -> bool:
-        """Whether it ended by itself, but not with success."""
+        """True where it ended by itself, but not with success."""
         return self.status not in (0, INTERRUPTED)
 
     @property
@@ -82,36 +81,6 @@ class JobEnd:
         sign = "✗" if self.failed else "…" if self.status else "✓"
         why = f": {self.last_line} ({self.job.log})" if self.failed else ""
         return f"{time.strftime('%H:%M:%S')} {sign} {self.job.name} ({took}){why}"
-
-
-def chosen(names: Sequence[str], only: Sequence[str]) -> list[str]:
-    """The names that have one of the prefixes; all without prefixes.
-
-    Raises ConfigError where a prefix is of none.
-    """
-    for beginning in only:
-        if not any(name.startswith(beginning) for name in names):
-            raise ConfigError(
-                f"no part of the experiment begins with {beginning!r}; known: {', '.join(names)}"
-            )
-    return [name for name in names if not only or name.startswith(tuple(only))]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The result of running an experiment.
-
-    done, of     number of complete parts, and of all
-    failed       part -> last line of its log
-    interrupted  whether it was stopped from outside
-    files        page, tables and pictures
-    """
-
-    done: int
-    of: int
-    failed: dict[str, str]
-    interrupted: bool
-    files: list[Path]
 
 
 def run(

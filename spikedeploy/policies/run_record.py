@@ -107,3 +107,9 @@ def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise ConfigError(f"{path.parent} is no run folder: it has no {path.name}")
     return read_json(path, "copy it from a backup, or train again")
+
+
+def format_of(run: Path) -> str:
+    """The format of a run's policy: "nir" where it spikes, else "onnx"."""
+    spikes = settings(run)["policy"]["kind"] in SPIKING
+    return "nir" if spikes else "onnx"

@@ -48,7 +48,7 @@ _REMEDY = ". Restore the file, or evaluate the policy anew."
 
 
 def training_of(run: Path, checkpoint: str | None = None) -> dict[str, Any]:
-    """How a run was made, and how far it was at a checkpoint: fields of a card."""
+    """Fields of a card: the training of a run up to a checkpoint."""
     settings = run_record.settings(run)
     steps, unit = run_record.steps(run, checkpoint)
     return {
@@ -126,7 +126,7 @@ def _checkpoint(name: str) -> str:
 
 
 def _steps(record: Mapping[str, Any]) -> str:
-    """How long the policy was trained, and the one that it began with."""
+    """Steps of the training, and of the one that it began with."""
     starts = [r for r in record["before"] if r["gives"] == "start"]
     after = "".join(f", after {r['steps']:,} {r['steps_unit']} by imitation" for r in starts)
     return f"{record['steps']:,}{after}"
@@ -227,7 +227,7 @@ class _Page(_Training):
 
 @dataclass(frozen=True)
 class Settings:
-    """What a report records in its command alone.
+    """Settings that a report records in its command alone.
 
     options       of the environment
     quantisation  of spiking policies on chips
@@ -411,7 +411,7 @@ def check_rewritable(card: Path, force: bool = False) -> None:
 
 
 def _begins(page: Path, lines: Sequence[str]) -> bool:
-    """Whether a page begins with these lines."""
+    """True where a page begins with these lines."""
     with page.open(encoding="utf-8", errors="replace") as file:
         return all(file.readline() == f"{line}\n" for line in lines)
 

@@ -85,9 +85,7 @@ def export_c(
                 f"--to c: {policy} is a float network, whose C is of no chip; leave --chip out."
             )
         check_prefix(prefix)
-        check_output_folder(
-            "-o", folder, dense_names(prefix), (file, policy), force, written_before
-        )
+        check_output_folder("-o", folder, dense_names(prefix), (file, policy), force, is_export)
         return _write_float(file, folder, observations, prefix)
     file = nir_file(policy, "c")
     artifact = load(file)
@@ -99,7 +97,7 @@ def export_c(
             "actions. Give it one with `spikedeploy run --from`; docs/own-network.md has it."
         )
     names = file_names(prefix, codec=True)
-    check_output_folder("-o", folder, names, (file, policy), force, written_before)
+    check_output_folder("-o", folder, names, (file, policy), force, is_export)
     # software updates a layer when it is told to, whatever the chip can; its options come first
     clock, software = on.clock or own_clock(artifact.convention), replace(on, clocks=CLOCKS)
     program = compile_program(artifact, software, clock=clock)
@@ -177,8 +175,8 @@ def chip_of(artifact: Artifact) -> str:
     return artifact.trained_for or DEFAULT_CHIP
 
 
-def written_before(folder: Path) -> bool:
-    """Whether the folder has an earlier export, or what one left that was killed."""
+def is_export(folder: Path) -> bool:
+    """True where the folder has an earlier export, or what one left that was killed."""
     whole = os.path.lexists(folder / MAKEFILE)
     return marked(folder / (MAKEFILE if whole else RECORD), MARK)
 
@@ -214,7 +212,7 @@ def episode_of(
         raise TypeError("an artifact without a codec has no observations")
     env = make_env(where, {}) if where else None
     if env is not None and env.observation_space.shape == (codec.encoder.observed,):
-        return _played(env, SpikingController(artifact, on, "none"), count, where)
+        return _play(env, SpikingController(artifact, on, "none"), count, where)
     named = (artifact.provenance.env if artifact.provenance else "") or "no environment"
     say(f"{named} cannot be played here: a random walk stands for it; name the run to play it")
     steps = np.random.default_rng(0).normal(0, 0.2, (count, len(codec.normaliser.mean)))
@@ -228,7 +226,7 @@ def _float_episode(
     """The same of a float policy: in its environment if that is ours, else a random walk."""
     where = controller.metadata.get("env", "")
     if _is_ours(where):
-        return _played(make_env(where, {}), controller, count, where)
+        return _play(make_env(where, {}), controller, count, where)
     scales = network.observations
     middle, half = (scales.low + scales.high) / 2, (scales.high - scales.low) / 2
     steps = np.random.default_rng(0).normal(0, 0.05, (count, len(half)))
@@ -236,7 +234,7 @@ def _float_episode(
     return walk / 2.0**scales.exponent, f"{count} steps of a random walk"
 
 
-def _played(
+def _play(
     env: gymnasium.Env[Any, Any],
     controller: SpikingController | OnnxController,
     count: int,

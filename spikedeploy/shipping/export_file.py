@@ -70,7 +70,7 @@ def export_nir(
 
 
 def _is_rewritten(path: Path) -> bool:
-    """Whether a file is an artifact that this command may write anew."""
+    """True where a file is an artifact that this command may write anew."""
     try:
         return load(path).convention.source.startswith("as ")
     except ArtifactError:
@@ -99,7 +99,7 @@ def _spikes_of(artifact: Artifact, rasters: list[Any]) -> list[Any]:
 
 
 def is_nir_file(reference: str) -> bool:
-    """Whether a reference is a `.nir` file or a shipped policy in one."""
+    """True where a reference is a `.nir` file or a shipped policy in one."""
     file = zoo.resolve(reference)
     return file is not None and file.is_file() and file.suffix == ".nir"
 
@@ -161,14 +161,14 @@ def export_xylo(
     program = compile_program(artifact, chip(name))
     found = specification(program)
     write_json(path, document(program, found))
-    check = compared(program, found, timesteps)
+    check = compare_spikes(program, found, timesteps)
     left = {"codec": artifact.codec, "last affine map": program.readout}
     remarks = [f"the {what} stays with the host" for what, one in left.items() if one is not None]
     return CheckedFile(path, (check,), (*program.remarks, *remarks))
 
 
 def document(program: Program, found: Specification) -> dict[str, Any]:
-    """What is written: the specification, and how to read its populations and its time."""
+    """The content of the file: the specification, and how to read its populations and time."""
     wait, output = _wait(program), program.layer(program.output)
     return {
         "made_by": _XYLO,
@@ -183,7 +183,7 @@ def document(program: Program, found: Specification) -> dict[str, Any]:
     }
 
 
-def compared(program: Program, found: Specification, timesteps: int) -> ParityCheck:
+def compare_spikes(program: Program, found: Specification, timesteps: int) -> ParityCheck:
     """Spikes of every layer by the specification, read as a trace's, beside the program's."""
     raster = random_spikes(np.random.default_rng(0), 1, timesteps, program.width)
     wait, steps = _wait(program), program.steps(program.rows(timesteps))

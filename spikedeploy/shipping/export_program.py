@@ -125,14 +125,14 @@ def export_program(
     tool, on = tool_of(chip_name), _chip(chip_name)
     names = (PROGRAM, EXPECTED, README, HOST, tool.script, EPISODE)
     inputs = (file, policy, raster)
-    check_output_folder("-o", folder, names, inputs, force, _written_before)
+    check_output_folder("-o", folder, names, inputs, force, _is_kit)
     compiled = compile_program(artifact, on, clock=clock or _clock_of(artifact, on))
     if raster is not None:
-        given = _given(artifact, raster, steps)
+        given = _read_raster(artifact, raster, steps)
         run = chip_run(compiled, len(given))
         rows, episode, source = run.rows(given), None, f"the raster {raster.name}"
     else:
-        run = _in_control_steps(policy, artifact, compiled)
+        run = _steps_of(policy, artifact, compiled)
         rows, episode, source = _episode(policy, artifact, compiled, run, steps, env)
     _check_delays(run.program, tool)
     host = host_record(compiled, None if raster is not None else artifact.codec, run)
@@ -142,7 +142,7 @@ def export_program(
     said = f"expected by spikedeploy's emulation of {chip_name}, {source}"
     expected = expected_text(run, rows, text, said)
     readme = _readme(tool, run, compiled.clock, origin, source, episode, host)
-    verdict = _replayed(text, expected)
+    verdict = _verify_text(text, expected)
     # first what says whose the folder is, last what names the program: a part is no kit
     write_text(folder / PROGRAM, text)
     if episode is not None:
@@ -157,8 +157,8 @@ def export_program(
     return WrittenKit(folder, kept, tool, verdict, source, (*compiled.remarks, *missing))
 
 
-def _replayed(text: str, expected: str) -> Verdict:
-    """What `verify` says of a kit before it is written."""
+def _verify_text(text: str, expected: str) -> Verdict:
+    """The verdict of `verify` on a kit before it is written."""
     with TemporaryDirectory() as apart:
         Path(apart, PROGRAM).write_text(text, "utf-8")
         Path(apart, EXPECTED).write_text(expected, "utf-8")
@@ -171,8 +171,8 @@ def _replayed(text: str, expected: str) -> Verdict:
     return verdict
 
 
-def _written_before(folder: Path) -> bool:
-    """Whether the folder has an earlier export."""
+def _is_kit(folder: Path) -> bool:
+    """True where the folder has an earlier export."""
     return marked(folder / PROGRAM, MARK)
 
 
@@ -187,7 +187,7 @@ def _clock_of(artifact: Artifact, on: Chip) -> Clock:
     return "free" if wanted == "gated" and "free" in on.clocks else wanted
 
 
-def _in_control_steps(policy: str, artifact: Artifact, compiled: Program) -> ChipRun:
+def _steps_of(policy: str, artifact: Artifact, compiled: Program) -> ChipRun:
     """The chip timesteps of a control step."""
     if artifact.codec is None:
         raise ConfigError(
@@ -213,7 +213,7 @@ def _placement(artifact: Artifact, on: Chip) -> CoreMapping | None:
     return design(artifact, on, on.limits).mapping if on.limits is not None else None
 
 
-def _given(artifact: Artifact, path: Path, most: int) -> NDArray[np.uint8]:
+def _read_raster(artifact: Artifact, path: Path, most: int) -> NDArray[np.uint8]:
     """(T, M) of the raster in a file, the first timesteps."""
     found = read_inputs(path, artifact)
     if not isinstance(found, np.ndarray):
@@ -261,7 +261,7 @@ def _episode(
 
 
 def _write_episode(path: Path, episode: Rollout) -> None:
-    """What a closed loop is compared with: observations, actions and rewards; the seed."""
+    """Write the reference of a closed loop: observations, actions, rewards and the seed."""
     archive.write(
         path,
         {

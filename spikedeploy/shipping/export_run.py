@@ -65,7 +65,9 @@ def export_run(
     force         whether a file that no export of this training wrote is replaced
     """
     folder = RunFolder.find(run).path
-    to = to or _format(path, folder)
+    if to is None:
+        ending = "" if path is None else path.suffix[1:]
+        to = ending if ending in EXPORTERS else run_record.format_of(folder)
     if state == "kept" and to != "nir":
         raise ConfigError(f"only a .nir file has membranes to keep: leave --state out for {to}")
     policy = policy_of(folder, run_record.deployed(folder, checkpoint))
@@ -83,7 +85,7 @@ def export_run(
 
 
 def _same_training(origin: Provenance, path: Path) -> bool:
-    """Whether a file is an export of the same training."""
+    """True where a file is an export of the same training."""
     try:
         if path.suffix == ".onnx":
             said = session(path).get_modelmeta().custom_metadata_map
@@ -93,13 +95,6 @@ def _same_training(origin: Provenance, path: Path) -> bool:
     except (SpikedeployError, KeyError, ValueError):
         return False
     return (found.env, found.recipe, found.seed) == (origin.env, origin.recipe, origin.seed)
-
-
-def _format(path: Path | None, run: Path) -> str:
-    """The format that a path ends in, else the one that the policy of a run needs."""
-    if path is not None and path.suffix[1:] in EXPORTERS:
-        return path.suffix[1:]
-    return "nir" if run_record.settings(run)["policy"]["kind"] in SPIKING else "onnx"
 
 
 def kind_of(policy: "Policy", control: bool = False) -> str:

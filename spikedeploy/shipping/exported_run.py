@@ -24,8 +24,7 @@ def runnable(reference: str) -> str:
 
     folder = RunFolder.find(reference)
     run = folder.path
-    kind = run_record.settings(run)["policy"]["kind"]
-    to = "nir" if kind in run_record.SPIKING else "onnx"
+    to = run_record.format_of(run)
     name = run_record.deployed(run)
     checkpoint = folder.checkpoint(name)
     if not checkpoint.is_file():

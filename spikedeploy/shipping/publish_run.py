@@ -16,7 +16,6 @@ from spikedeploy.files import replacing, write_json, write_text
 from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import DEFAULT_CHIP, find
-from spikedeploy.policies.run_record import SPIKING
 from spikedeploy.reports.plots import draw_curves, read_curve
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.seeds import EVALUATION
@@ -62,13 +61,13 @@ def publish_run(
     names = [f"{name}.{kind}" for kind in ("nir", "onnx", "json", "md", "png", "csv")]
     check_output_folder("-o", target, names, (source,), force, partial(_has_card, name))
     with TemporaryDirectory() as stage:  # so that a failure leaves the zoo unchanged
-        exported = _exported(source, Path(stage) / name, control, checkpoint)
+        exported = _export(source, Path(stage) / name, control, checkpoint)
         record = _describe(source, exported, checkpoint)
         record |= _evaluation(exported.path, source, episodes, processes)
         record = {key: _portable(value) for key, value in record.items()} | {"note": note}
         if old := [path.name for path in sorted(target.glob(f"{name}.*"))]:
             say(f"replaced in {target}: {', '.join(old)}")
-        file = _copied(exported.path, target / exported.path.name)
+        file = _copy(exported.path, target / exported.path.name)
     for suffix in set(zoo.SUFFIXES) - {file.suffix}:  # one name is one policy
         file.with_suffix(suffix).unlink(missing_ok=True)
     return [
@@ -76,12 +75,12 @@ def publish_run(
         write_json(file.with_suffix(".json"), record),
         write_text(file.with_suffix(".md"), markdown(name, record)),
         draw_curves([read_curve(source / "metrics.csv", name)], file.with_suffix(".png")),
-        _copied(source / "metrics.csv", file.with_suffix(".csv")),
+        _copy(source / "metrics.csv", file.with_suffix(".csv")),
     ]
 
 
 def _has_card(name: str, folder: Path) -> bool:
-    """Whether a policy of this name was published into the folder."""
+    """True where a policy of this name was published into the folder."""
     card = folder / f"{name}.json"
     return card.is_file() and marked(card, '"evaluation"')
 
@@ -115,9 +114,9 @@ def _before(source: Path) -> Iterator[dict[str, Any]]:
     yield training_of(run, settings.get("start_checkpoint")) | {"run": run.name, "gives": setting}
 
 
-def _exported(source: Path, path: Path, control: bool, checkpoint: str | None) -> ExportedPolicy:
+def _export(source: Path, path: Path, control: bool, checkpoint: str | None) -> ExportedPolicy:
     """The run's policy as a file that passes its parity checks."""
-    to = "nir" if run_record.settings(source)["policy"]["kind"] in SPIKING else "onnx"
+    to = run_record.format_of(source)
     path = path.with_suffix(f".{to}")
     exported = export_run(str(source), to, path, control=control, checkpoint=checkpoint)
     failed = [check.name for check in exported.checks if not check.passed]
@@ -146,7 +145,7 @@ def _evaluation(path: Path, source: Path, episodes: int, processes: int | None) 
     return evaluation_fields(path.name, seeds, rows)
 
 
-def _copied(source: Path, target: Path) -> Path:
+def _copy(source: Path, target: Path) -> Path:
     with replacing(target) as part:
         shutil.copyfile(source, part)
     return target

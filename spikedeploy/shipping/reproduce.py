@@ -58,7 +58,7 @@ class NumberThatDiffers:
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What came of making an evaluation again.
+    """The result of making an evaluation again.
 
     name          of the evaluation
     episodes      that were played of each row; `of` were recorded
@@ -88,7 +88,7 @@ class Reproduction:
 
     @property
     def equal(self) -> bool:
-        """Whether every number is equal, or is so up to TOLERANCE."""
+        """True where every number is equal, or is so up to TOLERANCE."""
         return self.verdict != DIFFERS
 
     def as_json(self) -> dict[str, Any]:
@@ -125,24 +125,26 @@ def reproduce(
     )
     rows = replace(played, tables=recorded.settings.tables).as_json()
     found = json.loads(as_text(rows))  # as a file would have them: infinite bounds are null
-    expected = [comparable(row, count) for row in recorded.rows]
+    expected = [first_episodes(row, count) for row in recorded.rows]
     labels = [entry.label for entry in recorded.entries]
-    checked = list(_checked(labels, expected, found, recorded.seeds))
-    verdict, first, differing = _judged(checked)
+    compared = list(_compare(labels, expected, found, recorded.seeds))
+    unequal = [pair for pair in compared if pair[0] != EQUAL]
+    verdict, first = min(unequal, key=lambda pair: pair[0] != DIFFERS, default=(EQUAL, None))
     if update:
-        _update(recorded, found, checked)
+        _update(recorded, found, unequal)
+    now = versions()
     return Reproduction(
         name=recorded.name,
         episodes=count,
         of=len(recorded.seeds),
         rows=len(found),
-        numbers=len(checked),
+        numbers=len(compared),
         verdict=verdict,
         difference=first,
-        differing=differing,
+        differing=len(unequal),
         not_compared=_left_out(recorded.rows, expected),
         not_recorded=recorded.not_recorded,
-        versions=_versions(recorded.versions),
+        versions={name: [recorded.versions.get(name, "not recorded"), now[name]] for name in now},
         seconds=round(monotonic() - started, 1),
     )
 
@@ -161,11 +163,11 @@ def _check_update(recorded: RecordedEvaluation, count: int, force: bool) -> None
 def _update(
     recorded: RecordedEvaluation,
     found: Sequence[Row],
-    checked: Sequence[tuple[str, NumberThatDiffers]],
+    unequal: Sequence[tuple[str, NumberThatDiffers]],
 ) -> None:
     """Write the rows into the card, unless a return differs: then the policy acts otherwise."""
-    for verdict, pair in checked:
-        if verdict != EQUAL and pair.field == _RETURNS:
+    for _, pair in unequal:
+        if pair.field == _RETURNS:
             raise ConfigError(
                 f"{recorded.name}: {pair.describe()}. The card is kept: --update is for numbers "
                 "that are counted otherwise than before, not for other returns."
@@ -185,8 +187,8 @@ def check_episodes(recorded: RecordedEvaluation, count: int) -> None:
         )
 
 
-def comparable(row: Row, count: int) -> Row:
-    """What a recorded row says of its first `count` episodes."""
+def first_episodes(row: Row, count: int) -> Row:
+    """The fields of a recorded row that hold for its first `count` episodes."""
     if count == row["episodes"]:
         return row
     returns = row[_RETURNS][:count]
@@ -217,7 +219,7 @@ def numbers(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any,
         yield path, value
 
 
-def _checked(
+def _compare(
     labels: Sequence[str], expected: Sequence[Row], found: Sequence[Row], seeds: range
 ) -> Iterator[tuple[str, NumberThatDiffers]]:
     """(verdict, both numbers) of every recorded number; of each row the returns first."""
@@ -234,7 +236,7 @@ def _checked(
 
 
 def _verdict(then: Number, now: Any, field: str) -> str:  # noqa: ANN401
-    """Whether two numbers are equal, close, or differ; integers are never close."""
+    """True where two numbers are equal, close, or differ; integers are never close."""
     if then == now:
         return EQUAL
     if not (isinstance(then, float) and isinstance(now, float)):
@@ -242,24 +244,6 @@ def _verdict(then: Number, now: Any, field: str) -> str:  # noqa: ANN401
     near = 0.0 if field.startswith(_SMALL) else TOLERANCE
     close = math.isclose(then, now, rel_tol=TOLERANCE, abs_tol=near)
     return CLOSE if close else DIFFERS
-
-
-def _judged(
-    checked: Sequence[tuple[str, NumberThatDiffers]],
-) -> tuple[str, NumberThatDiffers | None, int]:
-    """The worst verdict, the first number that has it, and how many are not equal."""
-    unequal = [(verdict, pair) for verdict, pair in checked if verdict != EQUAL]
-    for worst in (DIFFERS, CLOSE):
-        for verdict, pair in unequal:
-            if verdict == worst:
-                return worst, pair, len(unequal)
-    return EQUAL, None, 0
-
-
-def _versions(then: Mapping[str, str | None]) -> dict[str, list[str | None]]:
-    """Package -> its version then and now; "not recorded" where the record does not name it."""
-    now = versions()
-    return {name: [then.get(name, "not recorded"), now[name]] for name in now}
 
 
 def _text(number: Number | str) -> str:

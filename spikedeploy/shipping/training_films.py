@@ -53,7 +53,7 @@ class TrainingFilms:
                 say(f"no more films of this training, which goes on: {why}")
 
     def _due(self, run: Path, step: int, total: int) -> bool:
-        """Whether a part of the training ended that has no film yet, and there is a policy."""
+        """True where a part of the training ended that has no film yet, and there is a policy."""
         parts = [min(each, total) * self._count // total for each in (step, *_filmed(run))]
         waits = step < total and not _best(run).is_file()
         return parts[0] > max(parts[1:], default=0) and not waits

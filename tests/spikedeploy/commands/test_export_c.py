@@ -194,7 +194,7 @@ def test_an_export_that_is_killed_leaves_no_makefile_that_builds_a_mixture(
                 to_c.write_texts(texts_of("new"), folder)
         assert not (folder / "Makefile").exists()
         # and the same command may write there again
-        assert export_c.written_before(folder) or not names_in(folder)
+        assert export_c.is_export(folder) or not names_in(folder)
         to_c.write_texts(texts_of("new"), folder)
         assert {(folder / name).read_text() for name in names_in(folder)} == {f"{to_c.MARK}, new\n"}
 
@@ -228,7 +228,7 @@ def test_c_of_another_policy_is_removed_where_it_is_not_replaced(tmp_path):
 def test_a_makefile_of_the_user_is_not_taken_for_a_part_of_an_export(tmp_path):
     to_c.write_texts(texts_of("old"), tmp_path)
     (tmp_path / "Makefile").write_text("all:\n")
-    assert not export_c.written_before(tmp_path)
+    assert not export_c.is_export(tmp_path)
 
 
 @pytest.mark.parametrize("given", ["loihi1", "loihi1:clock=gated"])

@@ -13,7 +13,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.shipping.export_file import compared, document
+from spikedeploy.shipping.export_file import compare_spikes, document
 from tests.xylo_networks import network, random_networks
 
 STEPS = 60
@@ -71,14 +71,14 @@ def test_a_changed_number_of_the_specification_is_found(file):
     for name in ("threshold", "dash_mem", "bias_hidden"):
         spec = specification(program)
         spec[name] = [number + 3 for number in spec[name]]
-        assert not compared(program, spec, 200).passed
+        assert not compare_spikes(program, spec, 200).passed
 
 
 @settings(max_examples=30, deadline=None)
 @given(random_networks())
 def test_specifications_of_random_networks_compute_the_same_spikes(artifact):
     program = program_of(artifact)
-    check = compared(program, specification(program), STEPS)
+    check = compare_spikes(program, specification(program), STEPS)
     assert check.passed, check.detail
 
 
