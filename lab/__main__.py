@@ -63,8 +63,23 @@ def main() -> int | None:
     paths = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
     os.environ["PYTHONPATH"] = os.pathsep.join(dict.fromkeys([_ROOT, *paths]))
     sys.argv = [f"python -m lab {words[0]}", *words[1:]]
-    code: int | None = import_module(COMMANDS[words[0]]).main()
+    try:
+        code: int | None = import_module(COMMANDS[words[0]]).main()
+    except Exception as error:
+        if (line := _sentence(error)) is None:
+            raise
+        print(f"error: {line}", file=sys.stderr)
+        return 2
     return code
+
+
+def _sentence(error: Exception) -> str | None:
+    """The line for the user; None of a bug, whose traceback is needed."""
+    try:
+        from spikedeploy.user_errors import one_line
+    except ImportError:  # the environment of another tool
+        return None
+    return one_line(error)
 
 
 if __name__ == "__main__":

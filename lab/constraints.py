@@ -14,6 +14,11 @@ import sys
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
+from packaging.version import Version
+
 if sys.version_info >= (3, 11):
     import tomllib
 else:
@@ -32,8 +37,6 @@ HEAD = """\
 # leave out `-c constraints.txt`, or the line. `spikedeploy doctor` says what differs. torch has
 # no `+cpu` here, so that plain pip finds it, and the wheel of any index will do.
 """
-_NAME = re.compile(r"[A-Za-z0-9._-]+")
-_CLAUSE = re.compile(r"(>=|<=|<|>|==|!=|~=)\s*(\d+(?:\.\d+)*)")
 _OLDEST = (3, 10)
 
 
@@ -53,15 +56,12 @@ def closure() -> set[str]:
     """Names of all packages that the extras require, as far as they are installed."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     table = project["optional-dependencies"]
-    todo = list(project["dependencies"])
-    todo += [f"spikedeploy[{extra}]" for extra in EXTRAS]
+    todo = [*project["dependencies"], *(f"spikedeploy[{extra}]" for extra in EXTRAS)]
     found: set[str] = set()
     seen: set[tuple[str, str]] = set()
     while todo:
-        name, extras = parsed(todo.pop())
-        for extra in ["", *extras]:
-            if (name, extra) in seen:
-                continue
+        name, extras = parse(todo.pop())
+        for extra in {"", *extras} - {extra for of, extra in seen if of == name}:
             seen.add((name, extra))
             if name == "spikedeploy":
                 todo += table.get(extra, ())
@@ -74,45 +74,32 @@ def closure() -> set[str]:
     return found
 
 
-def parsed(requirement: str) -> tuple[str, list[str]]:
-    """Name and extras of a requirement."""
-    match = _NAME.match(requirement)
-    if match is None:
-        raise SystemExit(f"{requirement!r} is no requirement")
-    name, rest = normal(match.group()), requirement[match.end() :].lstrip()
-    extras = rest[1 : rest.index("]")].split(",") if rest.startswith("[") else []
-    return name, [extra.strip() for extra in extras]
-
-
-def normal(name: str) -> str:
-    """The name as indexes spell it."""
-    return re.sub(r"[-_.]+", "-", name).lower()
+def parse(requirement: str) -> tuple[str, set[str]]:
+    """Name, as indexes spell it, and extras of a requirement."""
+    found = Requirement(requirement)
+    return canonicalize_name(found.name), found.extras
 
 
 def required(name: str, extra: str) -> list[str]:
     """Requirements of an installed package, those of an extra where one is named."""
     wanted = []
     for each in distribution(name).requires or ():
-        marker = each.partition(";")[2]
-        named = re.findall(r"extra\s*==\s*['\"]([^'\"]+)['\"]", marker)
+        named = re.findall(r"extra\s*==\s*['\"]([^'\"]+)['\"]", each.partition(";")[2])
         if (extra in named) if named else not extra:
             wanted.append(each)
     return wanted
 
 
 def line(name: str) -> str:
-    """`numpy==2.4.6; python_version >= "3.11"`."""
+    """`numpy==2.4.6; python_version >= "3.11"`, for a limit that excludes a Python that we support.
+
+    Patch versions are left out.
+    """
     found = distribution(name)
-    version = found.version.partition("+")[0]
+    clauses = SpecifierSet(found.metadata.get("Requires-Python") or "")
     marker = " and ".join(
-        f'python_version {sign} "{number}"'
-        for sign, number in _CLAUSE.findall(found.metadata.get("Requires-Python") or "")
-        if matters(sign, number)
+        f'python_version >= "{clause.version}"'
+        for clause in clauses
+        if clause.operator == ">=" and Version(clause.version).release[:2] > _OLDEST
     )
-    return f"{name}=={version}" + (f"; {marker}" if marker else "")
-
-
-def matters(sign: str, number: str) -> bool:
-    """Whether a limit excludes a Python that we support; patch versions are left out."""
-    parts = tuple(map(int, number.split(".")[:2]))
-    return sign == ">=" and parts > _OLDEST
+    return f"{name}=={found.version.partition('+')[0]}" + (f"; {marker}" if marker else "")

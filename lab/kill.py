@@ -59,7 +59,7 @@ def main() -> None:
         killer = Killer(options.keep or Path(temporary), options.seed)
         rows = []
         for name in options.only:
-            rows.append(killer.tried(CASES[name], options.kills))
+            rows.append(killer.try_case(CASES[name], options.kills))
             print(table(rows[-1:]), file=sys.stderr, flush=True)
     print(json.dumps([asdict(row) for row in rows]) if options.json else table(rows))
     sys.exit(any(row.differences for row in rows))
@@ -80,7 +80,7 @@ class Moment:
 
     @property
     def kills(self) -> bool:
-        """Whether it is a kill."""
+        """Return whether it is a kill."""
         return not self.stop
 
 
@@ -106,7 +106,7 @@ def load() -> None:
         import_module(name)
 
 
-def ended(
+def run_once(
     recipe: str, settings: Sequence[str], runs: Path, resume: Path | None, moment: Moment
 ) -> End:
     """Train in a process of its own, and return how it ended."""
@@ -240,7 +240,7 @@ def lean(observation: np.ndarray) -> int:
 
 @dataclass(frozen=True)
 class Row:
-    """What came of one case.
+    """Outcome of one case.
 
     kills, writes: SIGKILLs that met a training, and those of them at a file operation
     stops: SIGTERMs that met one
@@ -266,7 +266,7 @@ class Killer:
         load()
         self._whole: dict[str, End] = {}
 
-    def tried(self, case: Case, kills: int) -> Row:
+    def try_case(self, case: Case, kills: int) -> Row:
         """Return what came of a case after so many kills."""
         began, rng = time.perf_counter(), np.random.default_rng([self._seed, len(case.name), kills])
         whole = self.unbroken(case)
@@ -329,7 +329,7 @@ class Killer:
         if resume is None:
             shutil.rmtree(runs, ignore_errors=True)  # it died before it had a configuration
             runs.mkdir(parents=True)
-        return ended(case.recipe, settings, runs, resume, moment)
+        return run_once(case.recipe, settings, runs, resume, moment)
 
 
 def _moment(rng: np.random.Generator, whole: End) -> Moment:

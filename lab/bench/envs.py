@@ -10,10 +10,7 @@ Of karts, PPO's rollouts are measured, too, with the recipes' spiking policies: 
 spike through all timesteps, draw an action, and step, in 16 copies.
 """
 
-import argparse
 import tempfile
-import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,48 +18,43 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from lab.bench.turns import Act, interleave, parser_of, report
 from spikedeploy import envs
 
 KARTS = tuple(name for name in envs.ENVS if name.startswith("kart"))
-Measure = Callable[[], float]
 
 
-def single(name: str, options: dict[str, Any], steps: int) -> Measure:
-    """What steps one environment, and gives its steps per second."""
+def single(name: str, options: dict[str, Any], steps: int) -> tuple[Act, int]:
+    """A function that steps one environment so many times, and that number."""
     env = envs.make(name, **options)
     actions = _actions(env.action_space, steps)
     env.reset(seed=0)
 
-    def measure() -> float:
-        begin = time.perf_counter()
+    def step() -> None:
         for action in actions:
             _, _, terminated, truncated, _ = env.step(action)
             if terminated or truncated:
                 env.reset()
-        return steps / (time.perf_counter() - begin)
 
-    return measure
+    return step, steps
 
 
-def vector(name: str, options: dict[str, Any], steps: int, copies: int) -> Measure:
-    """What steps several at once, and gives the steps per second of all of them."""
-    makers = [partial(envs.make, name, **options)] * copies
-    several = gymnasium.vector.SyncVectorEnv(makers)
+def vector(name: str, options: dict[str, Any], steps: int, copies: int) -> tuple[Act, int]:
+    """A function that steps several at once, and the steps of all of them."""
+    several = gymnasium.vector.SyncVectorEnv([partial(envs.make, name, **options)] * copies)
     rounds = max(1, steps // copies)
     actions = _actions(several.action_space, rounds)
     several.reset(seed=0)
 
-    def measure() -> float:
-        begin = time.perf_counter()
+    def step() -> None:
         for action in actions:
             several.step(action)
-        return rounds * copies / (time.perf_counter() - begin)
 
-    return measure
+    return step, rounds * copies
 
 
-def rollouts(recipe: str, options: dict[str, Any], steps: int) -> Measure:
-    """What collects experience as PPO does, untrained, and gives its steps per second."""
+def rollouts(recipe: str, options: dict[str, Any], steps: int) -> tuple[Act, int]:
+    """A function that collects experience as PPO does, untrained, and the number of its steps."""
     import torch
 
     from spikedeploy.trainers.config import resolve
@@ -75,15 +67,14 @@ def rollouts(recipe: str, options: dict[str, Any], steps: int) -> Measure:
     config = resolve(PpoConfig, recipe, overrides=settings)
     learner = Ppo(config, RunFolder.create(folder, config))
     log = EpisodeLog(folder / "episodes.csv", config.env.count)
-    repeats = max(1, steps // (config.horizon * config.env.count))
+    each = config.horizon * config.env.count
+    repeats = max(1, steps // each)
 
-    def measure() -> float:
-        begin, before = time.perf_counter(), learner.env_steps
+    def collect() -> None:
         for _ in range(repeats):
             learner.collect(log)
-        return (learner.env_steps - before) / (time.perf_counter() - begin)
 
-    return measure
+    return collect, repeats * each
 
 
 def _actions(space: gymnasium.Space[Any], count: int) -> list[Any]:
@@ -94,30 +85,28 @@ def _actions(space: gymnasium.Space[Any], count: int) -> list[Any]:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = parser_of(__doc__, rounds=5)
     parser.add_argument("names", nargs="*", default=KARTS, metavar="NAME")
     parser.add_argument("--track", default="big_S", help="of the karts")
     parser.add_argument("--steps", type=int, default=20_000, help="in a round")
-    parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--vector", type=int, default=8, help="environments side by side")
     given = parser.parse_args()
-    rows: dict[tuple[str, str], tuple[Measure, list[float]]] = {}
+    rows: dict[str, tuple[Act, int]] = {}
     for name in given.names:
         options = {"track": given.track} if name in KARTS else {}
-        rows[name, "one"] = single(name, options, given.steps), []
-        rows[name, f"{given.vector} of them"] = (
-            vector(name, options, given.steps, given.vector),
-            [],
-        )
+        several = f"{name:16} {f'{given.vector} of them':10}"
+        rows[f"{name:16} one       "] = single(name, options, given.steps)
+        rows[several] = vector(name, options, given.steps, given.vector)
         if name in KARTS:
-            rows[name, "PPO-SNN"] = rollouts(f"{name}-snn", options, given.steps), []
-    for _ in range(given.rounds):
-        for measure, found in rows.values():
-            found.append(measure())
-    print(f"steps per second, median (slowest - fastest) of {given.rounds} x {given.steps:,} steps")
-    for (name, how), (_, found) in rows.items():
-        print(
-            f"{name:16} {how:10} {np.median(found):9,.0f}  ({min(found):,.0f} - {max(found):,.0f})"
-        )
+            rows[f"{name:16} PPO-SNN   "] = rollouts(f"{name}-snn", options, given.steps)
+    taken = interleave({name: [act] for name, (act, _) in rows.items()}, given.rounds)
+    rates = {name: (rows[name][1] / np.array(times)).tolist() for name, times in taken.items()}
+    report(rates, given, table)
+
+
+def table(rates: dict[str, list[float]]) -> str:
+    """The rates as lines."""
+    lines = ["steps per second, median (slowest - fastest) of the rounds"]
+    for name, each in rates.items():
+        lines.append(f"{name} {np.median(each):9,.0f}  ({min(each):,.0f} - {max(each):,.0f})")
+    return "\n".join(lines)

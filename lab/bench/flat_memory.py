@@ -34,7 +34,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     rows = [
-        measured(backend, ledger, options.steps)
+        measure(backend, ledger, options.steps)
         for backend in options.backend or ["numpy", "numba"]
         for ledger in ("none", "total")
     ]
@@ -50,7 +50,7 @@ def main() -> None:
     sys.exit(any(not row["flat"] for row in rows))
 
 
-def measured(backend: Any, ledger: Any, steps: int) -> dict[str, Any]:  # noqa: ANN401
+def measure(backend: Any, ledger: Any, steps: int) -> dict[str, Any]:  # noqa: ANN401
     """Resident memory [bytes] after each part of the steps."""
     spikes = nets.bernoulli(1, 64, 20, 0.2)
     machine = Machine(nets.kart(spikes).program, ledger=ledger, backend=backend)
@@ -59,7 +59,7 @@ def measured(backend: Any, ledger: Any, steps: int) -> dict[str, Any]:  # noqa: 
     for _ in range(PARTS):
         for step in range(steps // PARTS):
             machine.step(rows[step % len(rows)])
-        resident.append(now())
+        resident.append(resident_memory())
     grown = resident[-1] - resident[0]
     return {
         "backend": backend,
@@ -72,7 +72,7 @@ def measured(backend: Any, ledger: Any, steps: int) -> dict[str, Any]:  # noqa: 
     }
 
 
-def now() -> int:
+def resident_memory() -> int:
     """Resident memory of this process [bytes]."""
     pages = int(Path("/proc/self/statm").read_text("ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")

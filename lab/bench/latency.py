@@ -9,10 +9,8 @@ ours is compared without its ledger; with it, as closed loops run, is a row of i
 actions are compared with the float twin's too, so that both are seen to compute the same policy.
 """
 
-import argparse
-import json
-import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +22,7 @@ from snntorch import Synaptic
 from torch import Tensor, nn
 
 import spikedeploy.zoo
+from lab.bench.turns import interleave, parser_of, report
 from spikedeploy import envs
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
@@ -78,7 +77,10 @@ class SnnTorchLoop(nn.Module):
 
 def main() -> None:
     """Measure, and print a table or JSON."""
-    arguments = parsed()
+    parser = parser_of(__doc__)
+    parser.add_argument("file", nargs="?", type=Path, default=SHIPPED, help="a PopSAN's .nir")
+    parser.add_argument("--chip", default="loihi1")
+    arguments = parser.parse_args()
     torch.set_num_threads(1)
     artifact = load(arguments.file)
     if artifact.codec is None or artifact.provenance is None:
@@ -93,7 +95,8 @@ def main() -> None:
         "snntorch": peer,
     }
     observations = walk(artifact, artifact.provenance.env)
-    times = interleaved(actors, observations, arguments.rounds)
+    calls = {n: [partial(act, r) for r in observations[:, None]] for n, act in actors.items()}
+    times = interleave(calls, arguments.rounds)
     median = {name: 1e6 * float(np.median(taken)) for name, taken in times.items()}
     result = {
         "file": "/".join(arguments.file.parts[-2:]),
@@ -103,7 +106,7 @@ def main() -> None:
         "ratios_counting": {"snntorch": median["snntorch"] / median["ours_counting"]},
         "snntorch_equals_float_twin": agreement(artifact, peer, observations),
     }
-    print(json.dumps(result, indent=2) if arguments.json else table(result))
+    report(result, arguments, table)
 
 
 def walk(artifact: Artifact, env_id: str) -> Numbers:
@@ -125,20 +128,6 @@ def agreement(artifact: Artifact, peer: Act, observations: Numbers) -> float:
     found = np.concatenate([peer(row) for row in observations[:, None]])
     # float32 moves a spike now and then, so not all of them
     return float((np.abs(found - expected).max(axis=1) < 1e-4).mean())
-
-
-def interleaved(
-    actors: dict[str, Act], observations: Numbers, rounds: int
-) -> dict[str, list[float]]:
-    """Return seconds of each actor's inferences; the first round is not kept."""
-    times: dict[str, list[float]] = {name: [] for name in actors}
-    for _ in range(rounds + 1):
-        for name, act in actors.items():
-            for row in observations[:, None]:
-                start = time.perf_counter()
-                act(row)
-                times[name].append(time.perf_counter() - start)
-    return {name: taken[len(observations) :] for name, taken in times.items()}
 
 
 def actor(network: nn.Module) -> Act:
@@ -186,13 +175,3 @@ def table(result: dict[str, Any]) -> str:
             f"{STEPS} observations",
         ]
     )
-
-
-def parsed() -> argparse.Namespace:
-    """Return the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("file", nargs="?", type=Path, default=SHIPPED, help="a PopSAN's .nir")
-    parser.add_argument("--chip", default="loihi1")
-    parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--json", action="store_true")
-    return parser.parse_args()

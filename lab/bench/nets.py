@@ -43,13 +43,13 @@ class Net:
 def popsan(raster: Raster, seed: int = 0) -> Net:
     """The shape of the hexapod's policy, with its decays; layers spike at 12, 8 and 10 %."""
     sizes, rates = (770, 512, 512, 180), (0.12, 0.08, 0.10)
-    return calibrated("770-512-512-180", sizes, rates, 0.5, 0.75, raster, seed)
+    return calibrate("770-512-512-180", sizes, rates, 0.5, 0.75, raster, seed)
 
 
 def kart(raster: Raster, seed: int = 0) -> Net:
     """The shape of a kart's driver: LIF neurons, rate coded; layers spike at 15 %."""
     sizes, rates = (20, 64, 64, 5), (0.15, 0.15, 0.15)
-    return calibrated("20-64-64-5", sizes, rates, 0.0, 3686 / ONE, raster, seed)
+    return calibrate("20-64-64-5", sizes, rates, 0.0, 3686 / ONE, raster, seed)
 
 
 def bernoulli(batch: int, timesteps: int, width: int, rate: float, seed: int = 0) -> Raster:
@@ -57,7 +57,7 @@ def bernoulli(batch: int, timesteps: int, width: int, rate: float, seed: int = 0
     return (np.random.default_rng(seed).random((batch, timesteps, width)) < rate).astype(np.uint8)
 
 
-def encoded(batch: int, timesteps: int, seed: int = 0) -> Raster:
+def encode(batch: int, timesteps: int, seed: int = 0) -> Raster:
     """Spikes (B, T, 770) of PopSAN's encoder for observations drawn from a normal distribution."""
     centres = np.tile(np.linspace(-3, 3, 10), (77, 1))
     encoder = PopulationEncoder(centres, np.full((77, 10), 0.15**0.5))
@@ -65,7 +65,7 @@ def encoded(batch: int, timesteps: int, seed: int = 0) -> Raster:
     return np.ascontiguousarray(encoder.encode(observations, timesteps))
 
 
-def calibrated(
+def calibrate(
     name: str,
     sizes: tuple[int, ...],
     rates: tuple[float, ...],
@@ -86,7 +86,7 @@ def calibrated(
     return Net(name, weights, thresholds, alpha, beta, raster.shape[1], program(layers))
 
 
-def widened(net: Net, times: int, seed: int = 1) -> Net:
+def widen(net: Net, times: int, seed: int = 1) -> Net:
     """The network with so many times as many hidden neurons; those that are new never spike."""
     rng = np.random.default_rng(seed)
     weights, layers = [], []

@@ -29,17 +29,17 @@ SEED = 5_000  # of the first walk; evaluation begins at 10,000
 def main() -> int:
     """Check every file; return the exit code."""
     torch.set_num_threads(1)
-    arguments = parsed()
+    arguments = parse_options()
     passed = True
     for file in arguments.files or SHIPPED:
         print("/".join(file.parts[-2:]))
-        for line in check(from_nir(file), file, walked(file, arguments.observations)):
+        for line in check(from_nir(file), file, walk(file, arguments.observations)):
             passed &= line.passed
             print(f"  {'✓' if line.passed else '✗'} {line.name}: {line.detail}")
     return 0 if passed else 1
 
 
-def walked(file: Path, count: int) -> NDArray[np.float64]:
+def walk(file: Path, count: int) -> NDArray[np.float64]:
     """Return observations (count, obs) that the policy makes in its own environment."""
     artifact = load(file)
     if artifact.provenance is None:
@@ -53,7 +53,7 @@ def walked(file: Path, count: int) -> NDArray[np.float64]:
     return np.concatenate(walks)[:count]
 
 
-def parsed() -> argparse.Namespace:
+def parse_options() -> argparse.Namespace:
     """Return the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("files", nargs="*", type=Path, help="default: all that are shipped")

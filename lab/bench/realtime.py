@@ -11,7 +11,6 @@ loop   the closed loop with the ledger on, once with NumPy's kernels and once wi
 Where the machine has other work, compare the parts with one another and not with other machines.
 """
 
-import argparse
 import json
 import subprocess
 import sys
@@ -22,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from lab.bench.turns import parser_of, report
 from spikedeploy import zoo
 from spikedeploy.make_env import make_env
 from spikedeploy.runtime.artifact.artifact import load
@@ -44,7 +44,11 @@ print(json.dumps([time.perf_counter() - wall, time.process_time() - cpu]))
 
 def main() -> None:
     """Measure, and print a table or JSON."""
-    given = parsed()
+    parser = parser_of(__doc__, rounds=5)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="shipped spiking policies")
+    parser.add_argument("--chip", default="loihi1")
+    parser.add_argument("--steps", type=int, default=1000)
+    given = parser.parse_args()
     result = {
         name: {
             **starts(name, given.chip, given.rounds),
@@ -52,7 +56,7 @@ def main() -> None:
         }
         for name in given.names or NAMES
     }
-    print(json.dumps(result, indent=2) if given.json else table(result))
+    report(result, given, table)
 
 
 def starts(name: str, on: str, rounds: int) -> dict[str, float]:
@@ -113,16 +117,3 @@ def table(result: dict[str, Any]) -> str:
         start = f"{1e3 * found['start_s']:8.0f}{1e3 * found['start_cpu_s']:9.0f}"
         lines.append(f"{name:20}{start}{parts}{times}")
     return "\n".join(lines)
-
-
-def parsed() -> argparse.Namespace:
-    """Return the command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("names", nargs="*", metavar="NAME", help="shipped spiking policies")
-    parser.add_argument("--chip", default="loihi1")
-    parser.add_argument("--steps", type=int, default=1000)
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--json", action="store_true")
-    return parser.parse_args()

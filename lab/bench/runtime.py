@@ -14,8 +14,6 @@ bytes that an inference of the compiled kernels touches, and how long that takes
 which this machine copies memory that fits its caches, or does not.
 """
 
-import argparse
-import json
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -24,8 +22,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from lab.bench.nets import SHIFT, Net, Raster, bernoulli, encoded, kart, popsan, widened
+from lab.bench.nets import SHIFT, Net, Raster, bernoulli, encode, kart, popsan, widen
 from lab.bench.peers import peers
+from lab.bench.turns import Act, interleave, parser_of, report
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import MachinePool
@@ -33,25 +32,24 @@ from spikedeploy.runtime.families.cuba.numpy_kernels import Scratch, gathering
 from spikedeploy.runtime.families.cuba.quantise import bounds
 
 INPUTS = 20  # rasters of a round at batch 1
-Act = Callable[[], Any]
 Times = dict[str, float]
 
 
 def main() -> None:
     """Measure, and print tables or JSON."""
-    arguments = parsed()
+    arguments = parser_of(__doc__).parse_args()
     torch.set_num_threads(1)
-    spikes, population = bernoulli(32, 5, 770, 0.2), encoded(1024, 5)
+    spikes, population = bernoulli(32, 5, 770, 0.2), encode(1024, 5)
     driving = bernoulli(32, 32, 20, 0.3)
     nets = {"popsan": popsan(spikes), "encoded": popsan(population), "kart": kart(driving)}
     rounds = arguments.rounds
     result = {
-        "popsan, batch 1": compared(nets["popsan"], spikes[:INPUTS], 1, rounds),
-        "popsan with its encoder, batch 1": compared(
+        "popsan, batch 1": compare(nets["popsan"], spikes[:INPUTS], 1, rounds),
+        "popsan with its encoder, batch 1": compare(
             nets["encoded"], population[:INPUTS], 1, rounds
         ),
-        "popsan with its encoder, batch 1024": compared(nets["encoded"], population, 1024, rounds),
-        "kart, batch 1": compared(nets["kart"], driving[:INPUTS], 1, rounds),
+        "popsan with its encoder, batch 1024": compare(nets["encoded"], population, 1024, rounds),
+        "kart, batch 1": compare(nets["kart"], driving[:INPUTS], 1, rounds),
         "10 x wider": {name: scaling(net, rounds) for name, net in wider(nets, spikes, driving)},
     }
     rasters = {"popsan": spikes, "encoded": population, "kart": driving}
@@ -59,10 +57,10 @@ def main() -> None:
         "copies_GB_per_s": (speeds := {name: copying(size) for name, size in SIZES.items()}),
         "per_inference": {name: memory(nets[name], rasters[name], speeds) for name in nets},
     }
-    print(json.dumps(result, indent=2) if arguments.json else table(result))
+    report(result, arguments, table)
 
 
-def compared(net: Net, raster: Raster, batch: int, rounds: int) -> dict[str, Any]:
+def compare(net: Net, raster: Raster, batch: int, rounds: int) -> dict[str, Any]:
     """Medians of all candidates [us per inference], and ratios to ours."""
     rasters = [raster[at : at + batch] for at in range(0, len(raster), batch)]
     candidates = {name: calls(run, rasters) for name, run in ours(net, batch).items()}
@@ -72,7 +70,7 @@ def compared(net: Net, raster: Raster, batch: int, rounds: int) -> dict[str, Any
             missing[name] = peer
         else:
             candidates[name] = calls(peer.run, [peer.prepare(one) for one in rasters])
-    median = {name: taken / batch for name, taken in interleaved(candidates, rounds).items()}
+    median = {name: taken / batch for name, taken in medians(candidates, rounds).items()}
     return {
         "median_us": median,
         "ratios": {
@@ -101,16 +99,9 @@ def calls(run: Callable[[Any], Any], inputs: list[Any]) -> list[Act]:
     return [lambda one=one: run(one) for one in inputs]
 
 
-def interleaved(candidates: dict[str, list[Act]], rounds: int) -> Times:
-    """Median time [us] of each candidate's calls; the first round is not kept."""
-    taken: dict[str, list[float]] = {name: [] for name in candidates}
-    for turn in range(rounds + 1):
-        for name, acts in candidates.items():
-            for act in acts:
-                start = time.perf_counter()
-                act()
-                if turn:
-                    taken[name].append(time.perf_counter() - start)
+def medians(candidates: dict[str, list[Act]], rounds: int) -> Times:
+    """Median time [us] of each candidate's calls."""
+    taken = interleave(candidates, rounds)
     return {name: 1e6 * float(np.median(values)) for name, values in taken.items()}
 
 
@@ -130,7 +121,7 @@ def agreement(net: Net, raster: Raster) -> dict[str, float]:
 def wider(nets: dict[str, Net], spikes: Raster, driving: Raster) -> list[tuple[str, list[Any]]]:
     """Networks, with their wide twins and an input."""
     return [
-        (name, [nets[name], widened(nets[name], 10), raster[:INPUTS]])
+        (name, [nets[name], widen(nets[name], 10), raster[:INPUTS]])
         for name, raster in (("kart", driving), ("popsan", spikes))
     ]
 
@@ -149,7 +140,7 @@ def scaling(three: list[Any], rounds: int) -> dict[str, Any]:
         )
     if spikes["narrow"] != spikes["wide"]:
         raise AssertionError(f"the twins spike differently: {spikes}")
-    median = interleaved(candidates, rounds)
+    median = medians(candidates, rounds)
     names = [name.removesuffix(" narrow") for name in candidates if name.endswith("narrow")]
     return {
         "median_us": median,
@@ -236,11 +227,3 @@ def comparison(part: dict[str, Any]) -> list[str]:
 def row(values: dict[str, float]) -> str:
     """Names and numbers in a line."""
     return ", ".join(f"{name} {value:.3g}" for name, value in values.items())
-
-
-def parsed() -> argparse.Namespace:
-    """Return the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--json", action="store_true")
-    return parser.parse_args()

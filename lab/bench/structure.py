@@ -53,7 +53,7 @@ def counts() -> Counter[str]:
 
 
 class Calls:
-    """What runs inside of `runtime`: files, and calls from one file or folder to another."""
+    """Files that run inside of `runtime`, and calls from one file or folder to another."""
 
     def __init__(self) -> None:
         self.files: set[str] = set()

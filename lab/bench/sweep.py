@@ -1,4 +1,4 @@
-"""What a sweep survives, and what it costs: nodes and drivers killed, scaling, overhead.
+"""Faults that a sweep survives, and its costs: nodes and drivers killed, scaling, overhead.
 
     python -m lab sweep [--jobs 200] [--only nodes driver scaling] [--folder FOLDER]
 
@@ -11,10 +11,7 @@ job twice. Exits with 1 where a result is missing, twice or different. Ratios an
 something on an idle machine alone.
 """
 
-import contextlib
-
-with contextlib.suppress(ModuleNotFoundError):  # processes that it spawns have the path already
-    import argparse
+import argparse
 import csv
 import json
 import os
@@ -56,7 +53,7 @@ def sweep(spec: Path, folder: Path, *words: str) -> "subprocess.Popen[bytes]":
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-def whole(spec: Path, folder: Path, backend: JobBackend) -> float:
+def run_whole(spec: Path, folder: Path, backend: JobBackend) -> float:
     """Run a sweep to its end from here; its time [s], that of workers to start too."""
     began = time.perf_counter()
     outcome = run_sweep(read_grid(spec), folder, backend)
@@ -65,7 +62,7 @@ def whole(spec: Path, folder: Path, backend: JobBackend) -> float:
     return time.perf_counter() - began
 
 
-def half_way(folder: Path, jobs: int, driver: "subprocess.Popen[bytes]") -> int:
+def wait_half_way(folder: Path, jobs: int, driver: "subprocess.Popen[bytes]") -> int:
     """Wait until half of the jobs are done; how many are."""
     end = time.monotonic() + _PATIENCE
     while (done := len(results(folder))) < jobs // 2:
@@ -86,7 +83,7 @@ def journal(folder: Path) -> list[dict[str, str]]:
 
 
 def verdict(folder: Path, serial: Path, jobs: int) -> dict[str, Any]:
-    """What is missing, twice, or not what the serial sweep found."""
+    """Numbers of results that are missing, twice, or unlike the serial sweep's."""
     found, expected = results(folder), results(serial)
     keys = [line["key"] for line in journal(folder) if line["status"] == "done"]
     return {
@@ -112,22 +109,22 @@ def cluster() -> Iterator[Any]:
         both.shutdown()
 
 
-def killed_node(spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
+def kill_node(spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
     """Kill a node half-way."""
     with cluster() as (both, second):
         driver = sweep(spec, folder, "--backend", "ray", "--address", both.address)
-        done = half_way(folder, jobs, driver)
+        done = wait_half_way(folder, jobs, driver)
         both.remove_node(second, allow_graceful=False)
         code = driver.wait(_PATIENCE)
     return {"done when killed": done, "exit status": code}
 
 
-def killed_driver(spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
+def kill_driver(spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
     """Kill the driver half-way, and start it again."""
     with cluster() as (both, _):
         words = ("--backend", "ray", "--address", both.address)
         driver = sweep(spec, folder, *words)
-        half_way(folder, jobs, driver)
+        wait_half_way(folder, jobs, driver)
         driver.send_signal(signal.SIGKILL)
         driver.wait()
         done = len(results(folder))
@@ -137,8 +134,8 @@ def killed_driver(spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
 
 def scaling(spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
     """Times of one process and of two; each sweep is whole, from an empty folder."""
-    one = whole(spec, folder / "1", ProcessBackend(1))
-    two = whole(spec, folder / "2", ProcessBackend(2))
+    one = run_whole(spec, folder / "1", ProcessBackend(1))
+    two = run_whole(spec, folder / "2", ProcessBackend(2))
     inside = {name: _inside(folder / name) for name in ("1", "2", "serial")}
     return {
         "one process [s]": one,
@@ -169,7 +166,7 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         spec = folder / "spec.toml"
         spec.write_text(_SPEC.format(last=10_000 + options.jobs // _CELLS - 1), encoding="utf-8")
-        whole(spec, folder / "serial", SerialBackend())
+        run_whole(spec, folder / "serial", SerialBackend())
         wrong = False
         for part in options.only:
             found = PARTS[part](spec, folder if part == "scaling" else folder / part, options.jobs)
@@ -183,7 +180,7 @@ def main() -> None:
 
 
 PARTS: dict[str, Callable[[Path, Path, int], dict[str, Any]]] = {
-    "nodes": killed_node,
-    "driver": killed_driver,
+    "nodes": kill_node,
+    "driver": kill_driver,
     "scaling": scaling,
 }

@@ -29,18 +29,18 @@ Times = dict[str, dict[str, float]]
 
 def main() -> None:
     """Measure, and print a table or JSON."""
-    arguments = parsed()
+    arguments = parse_options()
     if arguments.child:
         serve(arguments.backend)
         return
     trees = {"other": arguments.other.resolve(), "this": HERE}
     children = {name: child(tree, arguments.backend) for name, tree in trees.items()}
-    cases = {name: json.loads(asked(each, "cases")) for name, each in children.items()}["this"]
+    cases = {name: json.loads(ask(each, "cases")) for name, each in children.items()}["this"]
     taken: dict[str, dict[str, list[float]]] = {case: {n: [] for n in trees} for case in cases}
     for turn in range(arguments.rounds + 1):
         for case in cases:
             for name, each in children.items():
-                times = json.loads(asked(each, case))
+                times = json.loads(ask(each, case))
                 if turn:  # the first round is not kept
                     taken[case][name] += times
     for each in children.values():
@@ -57,7 +57,7 @@ def child(tree: Path, backend: str) -> "subprocess.Popen[str]":
     return subprocess.Popen(command, cwd=tree, env=environment, stdin=pipe, stdout=pipe, text=True)
 
 
-def asked(process: "subprocess.Popen[str]", question: str) -> str:
+def ask(process: "subprocess.Popen[str]", question: str) -> str:
     """The answer of a child."""
     if process.stdin is None or process.stdout is None:
         raise RuntimeError("the process has no pipes")
@@ -68,25 +68,21 @@ def asked(process: "subprocess.Popen[str]", question: str) -> str:
 def serve(backend: str) -> None:
     """Times [us per inference] of a round of the case that each line names."""
     sys.path[0] = os.environ["PYTHONPATH"]  # not this folder, but the tree
-    cases = made(backend)
+    cases = make_cases(backend)
     for line in sys.stdin:
         case = line.strip()
-        print(json.dumps(list(cases) if case == "cases" else timed(*cases[case])), flush=True)
+        print(
+            json.dumps(list(cases) if case == "cases" else time_inferences(*cases[case])),
+            flush=True,
+        )
 
 
-def made(backend: str) -> dict[str, tuple[Callable[[Any], Any], list[Any]]]:
+def make_cases(backend: str) -> dict[str, tuple[Callable[[Any], Any], list[Any]]]:
     """A pool's inference, and the rasters of a round, of each network and batch."""
-    try:
-        from lab.bench.nets import bernoulli, encoded, kart, popsan
-    except ImportError:  # where they stood before
-        from benchmarks.nets import bernoulli, encoded, kart, popsan
+    from lab.bench.nets import bernoulli, encode, kart, popsan
+    from spikedeploy.runtime.emulator.network import MachinePool
 
-    try:
-        from spikedeploy.runtime.emulator.network import MachinePool
-    except ImportError:  # where it stood before
-        from spikedeploy.runtime.emulator.controllers import MachinePool
-
-    spikes, population = bernoulli(1024, 5, 770, 0.2), encoded(1024, 5)
+    spikes, population = bernoulli(1024, 5, 770, 0.2), encode(1024, 5)
     driving = bernoulli(1024, 32, 20, 0.3)
     nets = {
         "popsan, random spikes": (popsan(spikes[:CALIBRATION]), spikes),
@@ -103,7 +99,7 @@ def made(backend: str) -> dict[str, tuple[Callable[[Any], Any], list[Any]]]:
     }
 
 
-def timed(infer: Callable[[Any], Any], rasters: list[Any]) -> list[float]:
+def time_inferences(infer: Callable[[Any], Any], rasters: list[Any]) -> list[float]:
     """Time of each inference [us], per network of a batch."""
     times = []
     for raster in rasters:
@@ -122,7 +118,7 @@ def table(median: Times) -> str:
     return "\n".join(lines)
 
 
-def parsed() -> argparse.Namespace:
+def parse_options() -> argparse.Namespace:
     """Return the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("other", type=Path, help="the other checkout")

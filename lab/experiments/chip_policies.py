@@ -24,21 +24,19 @@ from numpy.typing import NDArray
 
 from lab.experiments.networks import is_discrete, random_actions
 from lab.experiments.pages import ROOT, render, share
-from lab.experiments.training import Record
+from lab.experiments.ratios import nested_ratio
+from lab.experiments.training import Record, read_rows
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.statistics import nested_ratio, stratified
+from spikedeploy.comparison.statistics import stratified
 from spikedeploy.files import as_text, replacing, write_text
-from spikedeploy.policies import run_record
-from spikedeploy.reports.csv_rows import read_rows
 from spikedeploy.reports.table import ABSENT
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips import CHIPS as EVERY_CHIP
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.shipping.cards import training_of
-from spikedeploy.shipping.export_run import ExportedPolicy, export_run
+from spikedeploy.shipping.export_run import export_run
+from spikedeploy.shipping.publish_run import describe
 
 TABLE, PAGE = ROOT / "results" / "chips.csv", ROOT / "results" / "chips.md"
 CHIPS = ("xylo-a2", "speck2f", "odin", "tinyodin", "truenorth", "spiker", "spinnaker2", "loihi2")
@@ -101,7 +99,7 @@ def train_all(only: str | None, again: bool, runs: Path) -> None:
 
 
 def _shipped(file: Path) -> bool:
-    """Whether a policy is there with its card, which is written after it."""
+    """Return whether a policy is there with its card, which is written after it."""
     name = file.relative_to(zoo.FOLDER).with_suffix("").as_posix()
     return file.is_file() and zoo.card(name).get("sha256") == zoo.sha256(file)
 
@@ -135,27 +133,10 @@ def _ship(run: Path, file: Path) -> None:
     failed = [check.name for check in exported.checks if not check.passed]
     if failed:
         raise SystemExit(f"{run}: the file does not do what the policy does: {', '.join(failed)}")
+    card = describe(run, exported) | {"file": file.name}
     with replacing(file) as whole:
-        shutil.copyfile(part, whole)
-    part.unlink()
-    write_text(file.with_suffix(".json"), as_text(_card(run, file, exported)))
-
-
-def _card(run: Path, file: Path, exported: ExportedPolicy) -> Record:
-    origin: Provenance = run_record.origin(run, None)
-    settings = run_record.settings(run)
-    return {
-        "file": file.name,
-        "sha256": zoo.sha256(file),
-        "kind": exported.kind,
-        "env": origin.env,
-        **training_of(run),
-        "commit": run_record.versions(run)["commit"],
-        "created": origin.created,
-        "versions": run_record.versions(run),
-        "config": settings,
-        "parity": [vars(check) for check in exported.checks],
-    }
+        shutil.move(part, whole)
+    write_text(file.with_suffix(".json"), as_text(card))
 
 
 # evaluation

@@ -1,4 +1,4 @@
-"""What sparse policies earn by each clock of loihi1, and those trained through a pipeline.
+"""Returns of sparse policies by each clock of loihi1, and those trained through a pipeline.
 
     python -m lab clocks -o results [--episodes 100] [TASK …]
 
@@ -19,10 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from lab.experiments.pages import render
+from lab.experiments.ratios import nested_ratio
 from spikedeploy.comparison.comparison import Row
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.comparison.statistics import nested_ratio, stratified
+from spikedeploy.comparison.statistics import stratified
 from spikedeploy.files import replacing, write_text
 from spikedeploy.policies import costs
 from spikedeploy.policies.registry import find

@@ -51,12 +51,12 @@ LEAN_UPDATE = 5 * ADDITION + 4 * ACCESS
 
 
 def spikes(row: Mapping[str, Any]) -> bool:
-    """Whether a row is of a spiking policy."""
+    """Return whether a row is of a spiking policy."""
     return row.get("neuron_updates") is not None
 
 
 def priced(row: Mapping[str, Any], table: str) -> bool:
-    """Whether a table has prices for a row: a float network needs one for multiply-accumulates.
+    """Return whether a table prices a row: a float network needs multiply-accumulates.
 
     What a host integrates is not counted, so a row with readouts there has no price.
     """

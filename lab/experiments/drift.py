@@ -176,7 +176,7 @@ def outcome(of: Subject, way: Way) -> Outcome:
 
 
 def room(of: Subject) -> Lines:
-    """What proven headroom and scales of neurons would ask of the chip: rows of a table."""
+    """Rows of a table: demands of proven headroom and scales of neurons on the chip."""
     rows = []
     for granularity in ("layer", "channel"):
         plain, proven = (
@@ -212,7 +212,7 @@ def page(
 
 
 def section(of: Subject, outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """What the template shows of a policy."""
+    """Facts that the template shows of a policy."""
     layers = [layer.name for layer in _measured(outcomes)[0].layers]
     heads = ["bits", "scale", "rounding", "tuned", *(f"distance {name}" for name in layers)]
     lines = [[*heads, "output error", "return − float's [95 %]"]]

@@ -24,10 +24,9 @@ import numpy as np
 
 from lab.experiments import pages
 from lab.experiments.fronts import Point, pairing_at, points, read_table
-from lab.experiments.gymnasium import MLP
-from lab.experiments.gymnasium_page import TaskPoint, judged
-from lab.experiments.gymnasium_page import points as task_points
-from lab.experiments.gymnasium_page import read_table as read_tasks
+from lab.experiments.gymnasium import MLP, TaskPoint, pick_judged
+from lab.experiments.gymnasium import points as task_points
+from lab.experiments.gymnasium import read_table as read_tasks
 from lab.experiments.pareto_page import NEARLY
 from lab.experiments.training import Record
 from spikedeploy.files import write_text
@@ -113,7 +112,7 @@ def pairs(results: Path) -> Iterator[Pair]:
     rows = read_tasks(results / "gymnasium.csv")
     for env in GYMNASIUM:
         tried = task_points([row for row in rows if row["env"] == env])
-        spiking = judged(tried, "loihi1")
+        spiking = pick_judged(tried, "loihi1")
         baselines = [p for p in tried if p.role == MLP and p.mean("operations") is not None]
         if spiking and baselines:
             best = min(baselines, key=lambda p: p.mean("operations") or 0.0)
@@ -251,7 +250,7 @@ def _pair_table(found: Sequence[Pair]) -> list[list[str]]:
     return lines
 
 
-def alone(pair: Pair, sums: str, in_registers: bool = False) -> float:
+def operations_ratio(pair: Pair, sums: str, in_registers: bool = False) -> float:
     """Energy of the operations of a pair, spiking over float.
 
     in_registers: whether the float network's inputs are, so that it need not read any
@@ -267,8 +266,8 @@ def _operation_table(found: Sequence[Pair]) -> list[list[str]]:
     lines = [["task", "all in registers, no index", *heads,
               *(f"{head}, inputs in registers" for head in heads)]]  # fmt: skip
     for pair in found:
-        cells = [alone(pair, sums) for sums in SUMS]
-        cells += [alone(pair, sums, in_registers=True) for sums in widths]
+        cells = [operations_ratio(pair, sums) for sums in SUMS]
+        cells += [operations_ratio(pair, sums, in_registers=True) for sums in widths]
         lines.append([pair.task, *(f"{cell:.2f}" for cell in cells)])
     return lines
 

@@ -11,9 +11,10 @@ import numpy as np
 from lab.experiments.costs import INT8, TERMS, energies, spikes, terms, total
 from lab.experiments.pages import grouped, mean
 from lab.experiments.pareto import FLOAT, LABELS, LEVELS, REWARD, SPIKING, STUDENTS
-from lab.experiments.training import Record
-from spikedeploy.comparison.statistics import Estimate, ReturnEstimates, nested_ratio, stratified
-from spikedeploy.reports.csv_rows import read_rows, write_rows
+from lab.experiments.ratios import nested_ratio
+from lab.experiments.training import Record, read_rows
+from spikedeploy.comparison.statistics import Estimate, ReturnEstimates, stratified
+from spikedeploy.reports.csv_rows import write_rows
 
 _FIRST = (
     "env", "student", "trained_by", "seed", "level", "place", "part", "episodes", "return_mean",
@@ -100,7 +101,7 @@ class Point:
 
     @property
     def is_rewarded(self) -> bool:
-        """Whether it was trained on with reward."""
+        """Return whether it was trained on with reward."""
         return _is_rewarded(self.rows[0])
 
     @property
@@ -110,7 +111,7 @@ class Point:
 
     @property
     def is_spiking(self) -> bool:
-        """Whether it spikes, or is delta-coded."""
+        """Return whether it spikes, or is delta-coded."""
         return spikes(self.rows[0])
 
 
@@ -131,7 +132,7 @@ def _estimates(values: tuple[tuple[float, ...], ...]) -> ReturnEstimates:
 
 
 def is_kart(row: Record) -> bool:
-    """Whether a row is of a kart, whose scores are finishes."""
+    """Return whether a row is of a kart, whose scores are finishes."""
     return row.get("crashes") is not None
 
 

@@ -11,7 +11,6 @@ kart-simulator's own figures are from its README's table: its best runs, one see
 finishes on Grid and Steer follow from the steps per finish that it implies.
 """
 
-import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 from lab.experiments.networks import evaluate, play
 from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, TrainingJob, counters
-from spikedeploy import envs
+from spikedeploy import envs, zoo
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.jobs.pool import cores
@@ -94,7 +93,7 @@ class KartTraining(TrainingJob):
         return amended(found, overrides=self.overrides) if self.run else found
 
     def _is_finished(self, run: Path) -> bool:
-        """Whether all limits of the training are reached, or the budget is spent."""
+        """Return whether all limits of the training are reached, or the budget is spent."""
         found, config = counters(run), self.config
         if not found:
             return False
@@ -174,7 +173,7 @@ class KartTraining(TrainingJob):
 
     @property
     def is_done(self) -> bool:
-        """Whether it is trained and evaluated."""
+        """Return whether it is trained and evaluated."""
         return self.evaluation is not None
 
     def perform(self) -> bool:
@@ -220,7 +219,7 @@ class KartTraining(TrainingJob):
         file = self.exported
         if file is None or self.run is None:
             return None
-        digest = hashlib.sha256(file.read_bytes()).hexdigest()
+        digest = zoo.sha256(file)
         made = _tracks_made(starts) | {"policy": digest, "chip": self.chip}
         return StoredRow(self.run / "tracks.json", made)
 
@@ -274,7 +273,7 @@ class Script:
 
     @property
     def is_done(self) -> bool:
-        """Whether it is evaluated."""
+        """Return whether it is evaluated."""
         return self.evaluation is not None
 
     def perform(self) -> None:
@@ -300,7 +299,7 @@ def _tracks_made(starts: int) -> Record:
     return {"tracks": list(TRACKS), "starts": starts, "first_seed": EVALUATION}
 
 
-def finished(driver: KartTraining | Script, starts: int) -> Mapping[str, list[int]] | None:
+def read_tracks(driver: KartTraining | Script, starts: int) -> Mapping[str, list[int]] | None:
     """Track -> whether each episode finished; None where an evaluation is missing."""
     row = driver.tracks(starts)
     return row.found if row else None
@@ -316,7 +315,7 @@ def drive_tracks(driver: KartTraining | Script, starts: int) -> bool:
 
 
 def _finished(driver: KartTraining | Script, track: str, starts: int) -> list[int]:
-    """Whether each episode on a track finished."""
+    """Return whether each episode on a track finished."""
     options = {**driver.options, "track": track}
     config = EnvConfig(name=driver.world, options=options)
     played = play(config, starts, driver.driver(options))
@@ -386,7 +385,7 @@ class KartDesign(Design):
         ]
 
     def drivers(self) -> list[KartTraining | Script]:
-        """What drives on all tracks: scripts, and what was trained on one or many."""
+        """All that drive on all tracks: scripts, and what was trained on one or many."""
         return [*self.scripts(), *(each for each in self.trainings() if each.preset != CLASSIC)]
 
     def parts(self) -> list[Part]:
@@ -405,7 +404,7 @@ class KartDesign(Design):
         return [*scripts, *trained, *tracks]
 
     def _has_tracks(self, driver: KartTraining | Script) -> bool:
-        return finished(driver, self.starts) is not None
+        return read_tracks(driver, self.starts) is not None
 
     def check(self, results: Path) -> None:
         """Refuse unknown settings, and to write over rows that the new tables would not have."""

@@ -38,17 +38,18 @@ from lab.experiments.kart_results import (
     learning,
     write_csv,
 )
-from lab.experiments.pages import grouped
+from lab.experiments.pages import grouped, versions_at_start, versions_text
+from lab.experiments.ratios import nested_ratio, ratio_of
 from lab.experiments.runner import command_line
 from lab.experiments.training import Record
-from spikedeploy.comparison.statistics import Estimate, nested_ratio, ratio_of_medians
+from spikedeploy.comparison.statistics import Estimate
 from spikedeploy.comparison.statistics import share as wilson
 from spikedeploy.files import read_json
 from spikedeploy.policies.registry import FLOAT
 from spikedeploy.reports.plots import BLUE, VERMILION, save
 from spikedeploy.reports.table import ABSENT, format_si
 from spikedeploy.trainers.ppo import HOLDS
-from spikedeploy.trainers.versions import began_with, own
+from spikedeploy.trainers.versions import own
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,7 +104,7 @@ def _missing(design: KartDesign) -> str:
 
 
 def _facts(design: KartDesign) -> Iterator[str]:
-    """What is needed to reproduce the experiment."""
+    """Facts needed to reproduce the experiment."""
     trainings = design.trainings()
     yield f"- spikedeploy {own()}; run folders in `{design.runs}`"
     yield (
@@ -112,7 +113,7 @@ def _facts(design: KartDesign) -> Iterator[str]:
     )
     yield from (_end(trainings, preset) for preset in PRESETS)
     files = [t.run / "versions.json" for t in trainings if t.run and t.is_trained]
-    yield from began_with(read_json(file) for file in files if file.is_file())
+    yield from versions_at_start(versions_text(read_json(file)) for file in files if file.is_file())
     yield from (f"- `--set {setting}`" for setting in design.settings)
     yield from pages.other_settings(
         trainings, "✗ {} was trained with other settings than its recipe has now: "
@@ -244,7 +245,7 @@ def steps(rows: Sequence[Record], field: str) -> str:
     """
     if not rows:
         return ABSENT
-    values = taken(rows, field)
+    values = steps_taken(rows, field)
     ended = [row["env_steps"] for row in rows if math.isinf(row[field])]
 
     def text(value: float) -> str:
@@ -254,7 +255,7 @@ def steps(rows: Sequence[Record], field: str) -> str:
     return f"{text(float(np.median(values)))} [{text(min(values))}, {text(max(values))}]"
 
 
-def taken(rows: Iterable[Record], field: str) -> list[float]:
+def steps_taken(rows: Iterable[Record], field: str) -> list[float]:
     """Steps of trainings (n,) to what a field says; those that never came so far, all they took."""
     return [min(row[field], row["env_steps"]) for row in rows]
 
@@ -294,8 +295,8 @@ def share(
     if not ann or not own or all(late):
         return None
     bound = "≥" if late[0] else "≤" if late[1] else ""
-    top, bottom = taken(ann, field), taken(own, field)
-    return AnnShare(ratio_of_medians(top, bottom, np.random.default_rng(0)), bound)
+    top, bottom = steps_taken(ann, field), steps_taken(own, field)
+    return AnnShare(ratio_of(np.median, top, bottom), bound)
 
 
 def percent_of_ann(
@@ -354,14 +355,14 @@ def heldout_table(rows: Sequence[Record]) -> Lines:
     for world in WORLDS:
         for preset in (CORRIDOR, DEFAULT):
             for policy in POLICIES:
-                if found := _of(rows, world, policy, preset=preset):
+                if found := of(rows, world, policy, preset=preset):
                     chip = found[0]["chip"]
                     label = f"{policy} · {chip}" if chip else policy
                     lines.append([world, _TRAINED_ON[preset], label, *_cells(found)])
         for script in dict.fromkeys(
             row["policy"] for row in rows if row["seed"] is None and row["world"] == world
         ):
-            lines += [[world, ABSENT, script, *_cells(_of(rows, world, script))]]
+            lines += [[world, ABSENT, script, *_cells(of(rows, world, script))]]
     return lines
 
 
@@ -394,40 +395,13 @@ def finish_share(finished: Sequence[Sequence[int]]) -> Estimate:
 
 def on_unseen(rows: Sequence[Record], world: str, policy: str, preset: str = CORRIDOR) -> Shares:
     """The mean share (S,) over the unseen tracks, of each training; one of a script."""
-    found = [r for r in _of(rows, world, policy, preset=preset) if r["unseen"]]
+    found = [r for r in of(rows, world, policy, preset=preset) if r["unseen"]]
     return np.array(
         [
             np.mean([np.mean(r["finished"]) for r in found if r["seed"] == seed])
             for seed in dict.fromkeys(row["seed"] for row in found)
         ]
     )
-
-
-def ratio_of_means(values: Shares, reference: Shares) -> Estimate | None:
-    """Mean (n,) / mean of a reference (m,), with a bootstrap interval over both.
-
-    None where the reference is 0.
-    """
-    if not values.size or not reference.size or not reference.mean():
-        return None
-    rng = np.random.default_rng(0)
-    tops, bottoms = (
-        each[rng.integers(each.size, size=(_RESAMPLES, each.size))].mean(axis=1)
-        for each in (values, reference)
-    )
-    ratios = tops[bottoms > 0] / bottoms[bottoms > 0]
-    low, high = np.quantile(ratios, (0.025, 0.975))
-    return Estimate(float(values.mean() / reference.mean()), (float(low), float(high)))
-
-
-def _of(rows: Sequence[Record], world: str, policy: str, preset: str | None = None) -> list[Record]:
-    """The rows of a driver, on all tracks."""
-    return [
-        row
-        for row in rows
-        if (row["world"], row["policy"]) == (world, policy)
-        and (preset is None or row["preset"] == preset)
-    ]
 
 
 # sentences
@@ -461,7 +435,7 @@ def _finishes(rows: Sequence[Record], where: str, world: str, policy: str) -> li
     known = math.isfinite(median)
     text = f"{median / 1000:,.0f}k steps" if known else "more steps than it was trained"
     # of a training that ended without, it is only known that it takes longer
-    mark = "✓" if median <= limit else "✗" if np.median(taken(found, NTH)) > limit else "≈"
+    mark = "✓" if median <= limit else "✗" if np.median(steps_taken(found, NTH)) > limit else "≈"
     return [
         f"- {mark} {where}, {policy}: {COUNT} finishes after {text} (median), "
         f"kart-simulator {limit / 1000:,.0f}k"
@@ -480,7 +454,7 @@ def _came_to(rows: Sequence[Record], preset: str, world: str, field: str, what: 
 
 
 def _near(found: AnnShare | None, where: str, what: str) -> list[str]:
-    """Whether the SNN comes near the ANN; its interval says whether that can be told."""
+    """Return whether the SNN comes near the ANN; its interval says whether that can be told."""
     if found is None:
         return []
     text = f"{where}: the SNN reaches {found} of the ANN {what} (asked for: at least {_NEAR:.0%})"
@@ -523,9 +497,8 @@ def heldout_verdicts(rows: Sequence[Record]) -> list[str]:
                     f"follower {np.mean(script):.0%}"
                 )
                 lines.append(_verdict(bool(found.mean() > np.mean(script)), text))
-        if shares["ann"].size and shares["ann"].mean() >= _SOME:
-            ratio = ratio_of_means(shares["snn"], shares["ann"])
-            near = None if ratio is None else AnnShare(ratio)
+        if all(each.size for each in shares.values()) and shares["ann"].mean() >= _SOME:
+            near = AnnShare(ratio_of(np.mean, shares["snn"], shares["ann"]))
             lines += _near(near, f"held-out tracks, {world}", "in finished starts")
     return lines
 
@@ -587,7 +560,7 @@ def _panel(axes: "Axes", design: KartDesign, preset: str, world: str) -> None:
 
 
 def _curve(axes: "Axes", runs: Sequence[Steps], lengths: Sequence[float], policy: str) -> None:
-    grid, counts = counted(runs, lengths)
+    grid, counts = count_finishes(runs, lengths)
     axes.fill_between(
         grid,
         counts.min(axis=0),
@@ -600,7 +573,9 @@ def _curve(axes: "Axes", runs: Sequence[Steps], lengths: Sequence[float], policy
     axes.plot(grid, np.median(counts, axis=0), color=_COLOURS[policy], linewidth=1.8, label=label)
 
 
-def counted(runs: Sequence[Steps], lengths: Sequence[float]) -> tuple[Steps, NDArray[np.int64]]:
+def count_finishes(
+    runs: Sequence[Steps], lengths: Sequence[float]
+) -> tuple[Steps, NDArray[np.int64]]:
     """A grid of steps (g,), and the finishes of each run there, at most COUNT (n, g).
 
     The grid ends where every run has COUNT finishes, or where the shortest run without them ends.

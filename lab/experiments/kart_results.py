@@ -15,7 +15,7 @@ from lab.experiments.kart import (
     KartDesign,
     KartTraining,
     Script,
-    finished,
+    read_tracks,
 )
 from lab.experiments.training import Record
 from spikedeploy.files import replacing
@@ -77,7 +77,7 @@ def _trained(design: KartDesign) -> list[Record]:
 
 
 def _keys(rows: Iterable[Mapping[str, Any]]) -> set[tuple[str, ...]]:
-    """What tells rows of a table apart, as it stands in the table."""
+    """Keys of the rows of a table, as they stand in it."""
     names = (*_KEYS, "chip", "track")
     return {tuple("" if row.get(n) is None else str(row[n]) for n in names) for row in rows}
 
@@ -147,7 +147,7 @@ def heldout(design: KartDesign) -> list[Record]:
             "finished": each,
         }
         for driver in design.drivers()
-        for track, each in (finished(driver, design.starts) or {}).items()
+        for track, each in (read_tracks(driver, design.starts) or {}).items()
     ]
 
 

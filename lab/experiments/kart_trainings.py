@@ -1,4 +1,4 @@
-"""What the trainings of the kart experiment left, as archives; so that nobody need train again.
+"""Archives of what the trainings of the kart experiment left, so that nobody need train again.
 
     python -m lab kart-trainings pack --runs runs/experiment-kart
     python -m lab kart-trainings unpack --runs runs/experiment-kart
@@ -84,12 +84,9 @@ def unpack(archive: Path, runs: Path) -> int:
 
 def _read(zipped: ZipFile, member: ZipInfo) -> bytes:
     """The content of a member; BadZipFile where it is no file of a training, or too large."""
-    if _NAME.fullmatch(member.filename):
-        with zipped.open(member) as file:
-            content = file.read(_MOST + 1)
-        if len(content) <= _MOST:
-            return content
-    raise BadZipFile(f"{zipped.filename}: {member.filename!r} is no file of a training")
+    if not _NAME.fullmatch(member.filename) or member.file_size > _MOST:
+        raise BadZipFile(f"{zipped.filename}: {member.filename!r} is no file of a training")
+    return zipped.read(member)
 
 
 def main() -> int:

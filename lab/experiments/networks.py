@@ -190,7 +190,7 @@ def in_bits(policy: PrunedMlpPolicy, bits: int) -> PrunedMlpPolicy:
 
 
 def is_discrete(env: str, options: Mapping[str, Any] | None = None) -> bool:
-    """Whether an environment's actions are choices."""
+    """Return whether an environment's actions are choices."""
     world = envs.make(env, **(options or {}))
     world.close()
     return isinstance(world.action_space, gymnasium.spaces.Discrete)

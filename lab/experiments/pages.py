@@ -3,6 +3,7 @@
 import math
 import re
 import shlex
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -47,6 +48,21 @@ def write_page(path: Path, figures: "Mapping[str, Figure]", **facts: Any) -> lis
 def releases(*packages: str) -> str:
     """`spikedeploy 0.1, torch 2.13`."""
     return ", ".join([f"spikedeploy {own()}", *(f"{name} {installed(name)}" for name in packages)])
+
+
+def versions_text(found: Mapping[str, object]) -> str:
+    """`python 3.11.7, torch 2.13.0, numpy 2.4.6`, of a record of versions."""
+    return ", ".join(f"{name} {found.get(name)}" for name in ("python", "torch", "numpy"))
+
+
+def versions_at_start(records: Iterable[str]) -> list[str]:
+    """A line on the versions when trainings began, and of how many; the most frequent first.
+
+    records  of each training, as `versions_text` has them; without any there is no line
+    """
+    found = Counter(records).most_common()
+    texts = [f"{versions} ({count} trainings)" for versions, count in found]
+    return [f"- versions when a training began: {'; '.join(texts)}"] if texts else []
 
 
 def command(design: Design, *names: str, sizes: Sequence[str] = ()) -> str:

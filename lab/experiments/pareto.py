@@ -9,7 +9,6 @@ it was made with: a stopped experiment goes on after the last row, and a row who
 sizes have changed is made again.
 """
 
-import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,8 @@ import numpy as np
 
 from lab.experiments.networks import Played, is_discrete, network, play
 from lab.experiments.runner import Design, Part, training_part
-from lab.experiments.training import Record, StoredRow, TrainingJob, is_complete
+from lab.experiments.training import Record, StoredRow, TrainingJob, complete, is_complete, results
+from spikedeploy import zoo
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.run_folder import LEVEL
@@ -225,9 +225,8 @@ class ParetoDesign(Design):
             return training.is_trained and is_complete(self.rows(training, last, self.levels))
 
         def perform() -> None:
-            for row in self.rows(training, last, self.levels):
-                if row.found is None:
-                    row.write(self._evaluate(training, row))
+            rows = self.rows(training, last, self.levels)
+            complete(rows, lambda row: self._evaluate(training, row))
 
         name = f"{training.name}: {'last level on chips' if last else 'levels'}"
         return Part(name, is_done, perform, [training.name])
@@ -247,15 +246,14 @@ class ParetoDesign(Design):
         return [self._row(training, level, place, last) for level in found for place in places]
 
     def _row(self, training: StudentTraining, level: str, place: str, last: bool) -> StoredRow:
-        run = _run(training)
-        checkpoint = (run / "checkpoints" / f"{level}.safetensors").read_bytes()
+        checkpoint = training.made / "checkpoints" / f"{level}.safetensors"
         made = {
             "recipe": training.recipe,
             "seed": training.seed,
             "level": level,
             "place": place,
             "part": LAST if last else LEVELS,
-            "checkpoint": hashlib.sha256(checkpoint).hexdigest(),
+            "checkpoint": zoo.sha256(checkpoint),
         }
         name = f"{level}@{place}.json".replace(":", "-")
         return StoredRow(
@@ -291,7 +289,7 @@ class ParetoDesign(Design):
         }
         try:
             file = Path(self.runs) / "policies" / f"{training.name}-{level}"
-            made = network(_run(training), level, place, file)
+            made = network(training.made, level, place, file)
         except RuleError as error:
             return facts | {"refusal": str(error)}
         played = play(training.config.env, row.of["episodes"], made.controller, self.limit)
@@ -309,25 +307,24 @@ class ParetoDesign(Design):
         from spikedeploy.trainers.distill.teachers import teacher
 
         env = self.imitations()[0].planned().env.model_copy(update={"count": 1})
-        for (name, policy), row in zip(self.references.items(), self.reference_rows(), strict=True):
-            if row.found is None:
-                act = teacher(policy, env.name).act_all
-                chooses = is_discrete(env.name, env.options)
-                greedy = Stateless(_likeliest(act) if chooses else act)
-                facts = {"env": self.env, "student": name, "episodes": self.episodes}
-                played = play(env, self.episodes, greedy, self.limit)
-                row.write(facts | {"place": policy} | outcomes(played))
+
+        def evaluate(row: StoredRow) -> Record:
+            name = next(name for name in self.references if name in row.of)
+            act = teacher(row.of[name], env.name).act_all
+            greedy = _likeliest(act) if is_discrete(env.name, env.options) else act
+            played = play(env, self.episodes, Stateless(greedy), self.limit)
+            facts = {"env": self.env, "student": name, "episodes": self.episodes}
+            return facts | {"place": row.of[name]} | outcomes(played)
+
+        complete(self.reference_rows(), evaluate)
 
     def all_rows(self) -> Iterator[Record]:
         """The results so far: those of teacher and reference, then of all trainings."""
-        for reference in self.reference_rows():
-            if (found := reference.found) is not None:
-                yield found
+        yield from results(self.reference_rows())
         for training in (*self.imitations(), *self.tunings()):
             for last in (False, True):
-                for row in self.rows(training, last) if training.is_trained else ():
-                    if (found := row.found) is not None:
-                        yield found | {"trained_by": training.trained_by}
+                for row in results(self.rows(training, last) if training.is_trained else ()):
+                    yield row | {"trained_by": training.trained_by}
 
     def write(self, results: Path) -> list[Path]:
         """Write page, table and picture of the complete parts; return the files."""
@@ -336,18 +333,12 @@ class ParetoDesign(Design):
         return write(self, results)
 
 
-def _run(training: TrainingJob) -> Path:
-    if training.run is None:
-        raise ConfigError(f"{training.name} has no run folder")
-    return training.run
-
-
 def _likeliest(logits: Any) -> Any:  # noqa: ANN401 - a teacher's function of observations
     return lambda seen: logits(seen).argmax(-1)
 
 
 def outcomes(played: Played) -> Record:
-    """What episodes came to: scores are finishes (0 or 1) of karts, returns of walkers.
+    """Outcomes of episodes: scores are finishes (0 or 1) of karts, returns of walkers.
 
     Of karts the returns stand beside the scores.
     """

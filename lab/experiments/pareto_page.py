@@ -75,7 +75,7 @@ def write(design: ParetoDesign, results: Path) -> list[Path]:
 
 
 def _task(rows: list[Record], made: Record) -> Record:
-    """What the template shows of an environment."""
+    """Facts that the template shows of an environment."""
     found = points(rows)
     if not found:
         return made | {"levels": []}
@@ -92,7 +92,7 @@ def _task(rows: list[Record], made: Record) -> Record:
 
 
 def _made(design: ParetoDesign) -> Record:
-    """What the page says about the making of a table."""
+    """Facts on the making of a table."""
     sizes = ["seeds", "episodes", "chip_episodes"]
     limit = f", of at most {design.limit} control steps" if design.limit else ""
     last = f"the last {design.levels} levels" if (design.levels or 0) > 1 else "the last level"
@@ -324,7 +324,7 @@ def _mark(pair: Pairing | None, span: Span) -> str:
 
 
 def _beside(pair: Pairing | None, span: Span) -> str:
-    """What a spiking point costs beside its baseline, as the means and as the intervals have it."""
+    """Energy of a spiking point beside its baseline, as the means and as the intervals have it."""
     if pair is None:
         return "no spiking policy is good enough"
     own, other = pair.energies

@@ -24,8 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lab.experiments.costs import INT8, TABLES
+from lab.experiments.ratios import nested_ratio
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.statistics import nested_ratio, stratified
+from spikedeploy.comparison.statistics import stratified
 from spikedeploy.envs.hexapod.env import BODY, layout
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.files import write_text
@@ -128,7 +129,7 @@ def _in_8_bits(numbers: Array) -> Array:
     return np.asarray(np.rint(numbers / scale) * scale)
 
 
-def fitted(teacher: Controller, macs: int) -> PhaseTable:
+def fit(teacher: Controller, macs: int) -> PhaseTable:
     """The student of a teacher, after DAgger."""
     world = envs.make("hexapod")
     walks = [
@@ -146,7 +147,7 @@ def fitted(teacher: Controller, macs: int) -> PhaseTable:
     return student
 
 
-def measured(student: PhaseTable, episodes: int) -> dict[str, Any]:
+def measure(student: PhaseTable, episodes: int) -> dict[str, Any]:
     """Size, return, ratio to SAC's and energy of a student on the episodes of evaluation."""
     world, seeds = envs.make("hexapod"), range(EVALUATION, EVALUATION + episodes)
     played = [rollout(world, Player(student), seed) for seed in seeds]
@@ -169,7 +170,7 @@ def _sac() -> list[float]:
     return next(row["returns"] for row in report["rows"] if row["policy"] == "sac")
 
 
-def parsed() -> argparse.Namespace:
+def parse_options() -> argparse.Namespace:
     """Return the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--macs", type=int, default=10)
@@ -181,13 +182,13 @@ def parsed() -> argparse.Namespace:
 
 def main() -> None:
     """Fit, play, print."""
-    options = parsed()
+    options = parse_options()
     teacher = OnnxController(zoo.path(options.teacher))
     command = (
         f"python -m lab phase-table --macs {options.macs} --teacher {options.teacher} "
         f"--episodes {options.episodes}"
     )
-    found = measured(fitted(teacher.act, options.macs), options.episodes)
+    found = measure(fit(teacher.act, options.macs), options.episodes)
     text = json.dumps({"command": command, **found}, indent=1)
     print(text)
     if options.write:

@@ -1,5 +1,6 @@
 """The command of all experiments: missing parts run as jobs, resumed where they stopped; a page."""
 
+import argparse
 import shlex
 import sys
 import time
@@ -8,14 +9,10 @@ from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
-
-import typer
+from typing import Any, ClassVar
 
 from lab.experiments import EXPERIMENTS
 from lab.experiments.training import TrainingJob
-from spikedeploy.cli import run as run_app
-from spikedeploy.commands.options import Force, Json
 from spikedeploy.console import console, print_json
 from spikedeploy.jobs import resumable
 from spikedeploy.jobs.resumable import Job, JobEnd
@@ -70,7 +67,7 @@ def training_part(training: TrainingJob) -> Part:
 
 @dataclass(frozen=True)
 class Design:
-    """What an experiment consists of; subclasses name their parts and write their page.
+    """The parts of an experiment; subclasses name their parts and write their page.
 
     seeds     trainings of each policy, from seed 0 up
     runs      folder of run folders and of rows
@@ -240,137 +237,85 @@ def design_class(name: str) -> type[Any]:
     return found
 
 
-def experiment(
-    name: Annotated[
-        str, typer.Argument(metavar="NAME", help="kart, pareto, robustness, gymnasium or lineup.")
-    ],
-    env: Annotated[
-        str | None,
-        typer.Argument(metavar="[ENV]", help="Environment; of kart none, of gymnasium one task."),
-    ] = None,
-    seeds: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="Trainings of each network.", show_default="kart, lineup 5; others 3"
-        ),
-    ] = None,
-    controls: Annotated[
-        int | None, typer.Option(min=0, help="kart: trainings of each control.", show_default="5")
-    ] = None,
-    only: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Parts by prefix of their names: kart-grid, kart-grid-snn-s0; kart: *-classic.",
-            show_default="all",
-        ),
-    ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="Processes side by side.", show_default="kart all cores, others 1"
-        ),
-    ] = None,
-    finishes: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            help="kart: finishes that end a training; 0 spends the whole budget.",
-            show_default="0; classic preset 300",
-        ),
-    ] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="One setting of every training; robustness: an option of the environment.",
-        ),
-    ] = None,
-    policies: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME,…",
-            help="robustness: policies, as `compare` takes them; needed for other people's ENV.",
-            show_default="all that are shipped",
-        ),
-    ] = None,
-    episodes: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Episodes of each evaluation.",
-            show_default="100; karts of pareto 300; robustness 30; gymnasium 50",
-        ),
-    ] = None,
-    chip_episodes: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="pareto: episodes on other chips and in fewer bits.", show_default="30"
-        ),
-    ] = None,
-    levels: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="pareto: how many of the last levels are evaluated.", show_default="all"
-        ),
-    ] = None,
-    chip: Annotated[
-        str | None, typer.Option(help="Chip of the spiking policies.", show_default="loihi1")
-    ] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(
-            "--folder",
-            "--runs",
-            help="Where the run folders are.",
-            show_default="runs/experiment-kart, runs/NAME/ENV, runs/gymnasium, runs/lineup",
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Where the page NAME.md and NAME/ are written.",
-            show_default="results; with --quick runs/NAME-quick",
-        ),
-    ] = None,
-    train: Annotated[
-        bool, typer.Option(help="Run missing parts; --no-train only writes the page.")
-    ] = True,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Trainings and episodes of seconds, a first look.")
-    ] = False,
-    force: Force = False,
-    json: Json = False,
-) -> None:
-    """Train, export and evaluate all parts of an experiment; resume where it stopped."""
-    given = {
-        "env": env, "seeds": seeds, "controls": controls, "finishes": finishes,
-        "set": tuple(set_) if set_ else None, "episodes": episodes, "chip-episodes": chip_episodes,
-        "policies": tuple(policies) if policies else None, "levels": levels, "chip": chip,
-        "runs": folder and str(folder), "quick": quick or None,
-    }  # fmt: skip
-    options = {option: value for option, value in given.items() if value is not None}
-    design = design_class(name).of(options)
-    output = output or Path(f"runs/{name}-quick" if quick else "results")
-    pages = (f"{name}.md", f"{name}.html")
-    check_output_folder(
-        "-o", output, pages, (), force, lambda at: marked(at / pages[0], "python -m lab")
+def _at_least(least: int) -> Callable[[str], int]:
+    """The type of an option that is a whole number."""
+
+    def number(text: str) -> int:
+        if (value := int(text)) < least:
+            raise argparse.ArgumentTypeError(f"{value} is below {least}")
+        return value
+
+    return number
+
+
+# option -> its type or action, metavar, and help; those of each experiment are in Design.OPTIONS
+_NUMBERS = {
+    "seeds": (1, "trainings of each network (kart, lineup 5; others 3)"),
+    "controls": (0, "kart: trainings of each control (5)"),
+    "jobs": (1, "processes side by side (kart all cores, others 1)"),
+    "finishes": (0, "kart: finishes that end a training; 0 spends the whole budget (classic 300)"),
+    "episodes": (1, "of each evaluation (100; karts of pareto 300; robustness 30; gymnasium 50)"),
+    "chip-episodes": (1, "pareto: episodes on other chips and in fewer bits (30)"),
+    "levels": (1, "pareto: how many of the last levels are evaluated (all)"),
+}
+_LISTS = {
+    "only": ("NAME", "parts by prefix of their names: kart-grid, kart-grid-snn-s0, *-classic"),
+    "set": ("KEY=VALUE", "a setting of every training; robustness: an option of the environment"),
+    "policies": ("NAME,…", "robustness: as `compare` takes them; needed for other people's ENV"),
+}
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        description="Train, export and evaluate all parts of an experiment; resume where it "
+        "stopped.",
+        allow_abbrev=False,
     )
-    outcome = run_experiment(design, only or (), jobs, output, train)
-    if json:
+    parser.add_argument("name", metavar="NAME", help=", ".join(EXPERIMENTS))
+    parser.add_argument(
+        "env", metavar="ENV", nargs="?", help="of kart none, of gymnasium and lineup one task"
+    )
+    for option, (least, text) in _NUMBERS.items():
+        parser.add_argument(f"--{option}", type=_at_least(least), metavar="N", help=text)
+    for option, (metavar, text) in _LISTS.items():
+        parser.add_argument(f"--{option}", action="append", metavar=metavar, help=text)
+    parser.add_argument("--chip", help="of the spiking policies (loihi1)")
+    parser.add_argument("--runs", help="where the run folders are (runs/NAME)")
+    parser.add_argument(
+        "-o", "--output", type=Path, help="folder of NAME.md and NAME/ (results; --quick: runs/…)"
+    )
+    parser.add_argument(
+        "--train", action=argparse.BooleanOptionalAction, default=True, help="or the page alone"
+    )
+    parser.add_argument("--quick", action="store_true", help="parts of seconds, a first look")
+    parser.add_argument("--force", action="store_true", help="write over what others made")
+    parser.add_argument("--json", action="store_true")
+    return parser
+
+
+def main() -> int:
+    """Run the command of sys.argv; return its exit code."""
+    given = vars(_parser().parse_args())
+    kind, quick = design_class(given["name"]), given["quick"]
+    options = {
+        name.replace("_", "-"): value
+        for name, value in given.items()
+        if value is not None and value is not False
+    }
+    own = {n for other in EXPERIMENTS for n in design_class(other).OPTIONS}
+    design = kind.of(
+        {n: v for n, v in options.items() if n in own and v is not None and v is not False}
+    )
+    results = given["output"] or Path(f"runs/{kind.NAME}-quick" if quick else "results")
+    pages = (f"{kind.NAME}.md", f"{kind.NAME}.html")
+    check_output_folder(
+        "-o", results, pages, (), given["force"], lambda at: marked(at / pages[0], "python -m lab")
+    )
+    outcome = run_experiment(design, given["only"] or (), given["jobs"], results, given["train"])
+    if given["json"]:
         print_json({**vars(outcome), "files": [str(path) for path in outcome.files]})
     else:
-        typer.echo(f"{outcome.done} of {outcome.of} parts are complete: {outcome.files[0]}")
+        print(f"{outcome.done} of {outcome.of} parts are complete: {outcome.files[0]}")
         for part, line in outcome.failed.items():
-            typer.echo(f"failed: {part}: {line}", err=True)
-    raise typer.Exit(130 if outcome.interrupted else 1 if outcome.failed else 0)
-
-
-def main() -> None:
-    """Run the command of sys.argv."""
-    app = typer.Typer(pretty_exceptions_enable=False)
-    app.command(context_settings={"help_option_names": ["-h", "--help"]})(experiment)
-    run_app(app)
+            print(f"failed: {part}: {line}", file=sys.stderr)
+    return 130 if outcome.interrupted else 1 if outcome.failed else 0

@@ -4,9 +4,10 @@ All results of a training are in its run folder. It can be stopped at any time; 
 goes on. A file lock keeps other processes out; the system releases it when the process ends.
 """
 
+import csv
 import json
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -52,8 +53,15 @@ class TrainingJob:
         runs = sorted(file.parent for file in files if self._is_of(read_json(file)))
         return next(filter(self._is_finished, runs), runs[-1] if runs else None)
 
+    @property
+    def made(self) -> Path:
+        """Its run folder, which must be there."""
+        if (run := self.run) is None:
+            raise ConfigError(f"{self.name} has no run folder")
+        return run
+
     def _is_of(self, made: Record) -> bool:
-        """Whether a run has the recipe, seed, telling settings and parents of this training."""
+        """Return whether a run has recipe, seed, telling settings and parents of this training."""
         if (made.get("recipe"), made.get("seed")) != (self.recipe, self.seed):
             return False
         wanted = [setting for setting in self.telling if not setting.startswith(_COMPUTED)]
@@ -68,7 +76,7 @@ class TrainingJob:
 
     @property
     def is_trained(self) -> bool:
-        """Whether it ended."""
+        """Return whether it ended."""
         return self.run is not None and self._is_finished(self.run)
 
     @property
@@ -163,7 +171,7 @@ def resumable(run: Path | None) -> Path | None:
 
 
 def _is_within(wanted: object, made: object) -> bool:
-    """Whether nested settings are among those of a run."""
+    """Return whether nested settings are among those of a run."""
     if isinstance(wanted, Mapping):
         return isinstance(made, Mapping) and all(
             _is_within(value, made.get(key)) for key, value in wanted.items()
@@ -172,7 +180,7 @@ def _is_within(wanted: object, made: object) -> bool:
 
 
 def _is_run(setting: object, run: Path | None) -> bool:
-    """Whether a setting names a run folder, wherever that was then."""
+    """Return whether a setting names a run folder, wherever that was then."""
     return run is not None and isinstance(setting, str) and Path(setting).name == run.name
 
 
@@ -201,5 +209,30 @@ class StoredRow:
 
 
 def is_complete(rows: Iterable[StoredRow]) -> bool:
-    """Whether every row has its result."""
+    """Return whether every row has its result."""
     return all(row.found is not None for row in rows)
+
+
+def complete(rows: Iterable[StoredRow], evaluate: Callable[[StoredRow], Record]) -> None:
+    """Make the rows that have no result."""
+    for row in rows:
+        if row.found is None:
+            row.write(evaluate(row))
+
+
+def results(rows: Iterable[StoredRow]) -> Iterator[Record]:
+    """The results so far."""
+    return (found for row in rows if (found := row.found) is not None)
+
+
+def read_rows(path: Path, texts: Collection[str]) -> list[Record]:
+    """The rows of a CSV; missing fields are None. Columns other than `texts` hold JSON."""
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    return [{n: _value(text, n in texts) for n, text in row.items()} for row in rows]
+
+
+def _value(text: str, is_text: bool) -> Any:  # noqa: ANN401
+    if not text:
+        return None
+    return text if is_text else json.loads(text)

@@ -3,9 +3,9 @@
 policies       shipped policies, spiking and float
 peers          float policies through emlearn, beside ours
 integers       float policies in integers, beside ours
-networks       networks through snn-mlir, beside ours
-runs, targets  building for a target, running in QEMU, counting
-table          the tables of docs/firmware.md
+networks       networks through snn-mlir and LLVM, beside ours
+targets        building for a target, running in QEMU, counting
+table          the tables of docs/firmware.md, and the options of all commands
 dense          dense networks as C, by us and by emlearn
-snn_mlir_code, snn_to_linalg  the same networks through snn-mlir and LLVM
+snn_to_linalg  the operations of snn-mlir in MLIR's own dialects
 """

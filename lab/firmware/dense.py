@@ -10,7 +10,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import numpy_helper
 
-from lab.firmware.targets import SOURCES, piped
+from lab.firmware.targets import SOURCES, pipe
 
 _ACTIVATIONS = {"Relu": "relu", "Tanh": "tanh", "Identity": "identity"}
 _PLAIN = re.compile(r"Sub Div Clip( Gemm (Relu|Tanh|Identity))+")
@@ -33,7 +33,7 @@ class Dense(NamedTuple):
 
     @property
     def chooses(self) -> bool:
-        """Whether the action is the largest of the outputs."""
+        """Return whether the action is the largest of the outputs."""
         return self.activations[-1] == "identity"
 
 
@@ -70,7 +70,7 @@ def write(policy: Dense, python: Path, observations: NDArray[np.float64], folder
     return _emlearn(policy, python, folder)
 
 
-def recorded(folder: Path) -> NDArray[np.float64]:
+def read_observations(folder: Path) -> NDArray[np.float64]:
     """(steps, obs) of the self-test of an export."""
     text = (folder / "vectors.h").read_text()
     found = re.search(r"double vector_observation\[\d+\] = \{([^}]*)\}", text)
@@ -108,4 +108,4 @@ def _emlearn(policy: Dense, python: Path, folder: Path) -> str:
     }
     # isolated: what this process imports from is nothing to that Python
     words = [str(python), "-I", str(SOURCES / "emlearn_code.py"), str(folder)]
-    return piped(words, json.dumps(network)).strip()
+    return pipe(words, json.dumps(network)).strip()

@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lab.firmware import dense
-from lab.firmware.table import INTEGERS, integer_table, put
-from lab.firmware.targets import TARGETS, must, sized, split
+from lab.firmware.policies import observe
+from lab.firmware.table import INTEGERS, integer_table, options_of, publish
+from lab.firmware.targets import TARGETS, count_split, measure_size, run
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.statistics import bootstrap, paired_difference
 from spikedeploy.envs.rollout import rollout
@@ -50,23 +51,19 @@ _OBSERVED_ON = 5_000  # seed of the episode whose observations are counted on
 
 def main() -> None:
     """Measure the policies of each task and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of(__doc__, "a task, such as hexapod")
     parser.add_argument("--emlearn", type=Path, required=True, help="a Python that has emlearn")
     parser.add_argument("--episodes", type=int, default=20)
-    parser.add_argument("--only", default="", help="a task, such as hexapod")
     parser.add_argument("--rows", type=Path, help="a file of rows that were measured")
-    parser.add_argument("--write", action="store_true", help="the table into docs/firmware.md")
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     rows = []
     for task in _DENSE:
         if options.only in ("", task):
             for policy in ("sparse-gated", *_DENSE[task]):
                 rows += _measured(f"{task}/{policy}", options)
-    print(json.dumps(rows) if options.json else integer_table(rows))
-    if options.write:
-        said = f"Of {options.episodes} episodes, made by `python -m lab firmware-integers "
-        put(INTEGERS, f"{said}--emlearn VENV/bin/python --write`:\n\n{integer_table(rows)}")
+    intro = f"Of {options.episodes} episodes, made by `python -m lab firmware-integers "
+    intro += "--emlearn VENV/bin/python --write`:\n\n"
+    publish(options, rows, integer_table(rows), INTEGERS, intro)
 
 
 def _measured(name: str, options: argparse.Namespace) -> list[dict]:
@@ -89,7 +86,7 @@ def _measured(name: str, options: argparse.Namespace) -> list[dict]:
 def _sparse(name: str, options: argparse.Namespace, folder: Path) -> list[dict]:
     """A sparse policy on loihi1, by each of its interfaces."""
     export_c(name, "loihi1", folder)
-    must(["make", "-s", "CC=gcc", "test", "test_i16", "lib", "lib_i16"], folder)
+    run(["make", "-s", "CC=gcc", "test", "test_i16", "lib", "lib_i16"], folder)
     env = envs.make(load(zoo.path(name)).provenance.env)
     seen = _seen(name)
     floats = _returns(env, NativeController(folder / "libpolicy.so"), options.episodes)
@@ -110,7 +107,7 @@ def _dense(name: str, options: argparse.Namespace, folder: Path) -> list[dict]:
     file, seen = zoo.path(name), _seen(f"{name.split('/')[0]}/sparse-gated")
     integer, floats = folder / "int8", folder / "float"
     export_c(name, None, integer)
-    must(["make", "-s", "CC=gcc", "test", "lib"], integer)
+    run(["make", "-s", "CC=gcc", "test", "lib"], integer)
     floats.mkdir()
     policy = dense.read(file)
     if policy is None:
@@ -131,10 +128,7 @@ def _seen(name: str) -> NDArray[np.float64]:
     """Observations (S, obs) of the sparse policy of a task, on which all are counted."""
     artifact = load(zoo.path(name))
     player = SpikingController(artifact, chip("loihi1"), "none", backend="auto")
-    env = envs.make(artifact.provenance.env)
-    played = rollout(env, player, _OBSERVED_ON)
-    env.close()
-    return np.asarray(played.observation[:-1], np.float64)[:_STEPS]
+    return observe(player, artifact.provenance.env, _OBSERVED_ON)[:_STEPS]
 
 
 def _row(
@@ -152,19 +146,15 @@ def _row(
     _write_rows(folder, seen, options)
     row = {"policy": name, "by": by, "episodes": len(returns)}
     row |= {"return": bootstrap(returns, rng).text(",.1f")}
-    row["difference"] = "" if beside is None else _apart(returns, beside, rng)
+    apart = None if beside is None else paired_difference(returns, beside, rng)
+    row["difference"] = "" if apart is None else apart.text("+,.1f")
     least = "least.c" if "FLOATS" in options else "least_i16.c"
     for core in TARGETS:
-        row[core] = split(core, folder, sources, options) | sized(core, folder, sources, least)
+        row[core] = count_split(core, folder, sources, options) | measure_size(
+            core, folder, sources, least
+        )
     print(json.dumps(row), file=sys.stderr, flush=True)
     return row
-
-
-def _apart(
-    returns: NDArray[np.float64], beside: NDArray[np.float64], rng: np.random.Generator
-) -> str:
-    """The paired difference of returns on the same seeds."""
-    return paired_difference(returns, beside, rng).text("+,.1f")
 
 
 def _write_rows(folder: Path, seen: NDArray[np.float64], options: Sequence[str]) -> None:

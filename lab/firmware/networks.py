@@ -15,24 +15,34 @@ package; lab/firmware/snn_to_linalg.py stands in for it, or give your own by --s
 float32 are not those of the network.
 """
 
-import argparse
 import ctypes
 import json
+import re
 import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from lab.firmware import dense, snn_mlir_code
-from lab.firmware.runs import best, in_turns
-from lab.firmware.table import NETWORKS, network_table, put
-from lab.firmware.targets import BESIDE, SOURCES, counted, shared
+from lab.firmware import dense
+from lab.firmware.snn_to_linalg import lower
+from lab.firmware.table import NETWORKS, network_table, options_of, publish
+from lab.firmware.targets import (
+    BESIDE,
+    SOURCES,
+    best,
+    build_shared,
+    count_instructions,
+    in_turns,
+    pipe,
+    run,
+)
 from spikedeploy import zoo
 from spikedeploy.exporters.c.to_c import network_in_c
 from spikedeploy.exporters.c.to_c import write as write_c
@@ -45,34 +55,52 @@ from spikedeploy.shipping.export_c import export_c
 
 NAMES = ("kart-grid/snn", "hexapod/popsan")
 _MOST = 4096  # outputs
+KINDS = ("float32", "int8")
+_ELEMENT = {"float32": "float", "int8": "int8_t"}
+_STATE = {"float32": "float", "int8": "int32_t"}
+# as `snn-mlir run` has them; those that take it are told the width of an index
+_PASSES = (
+    "convert-linalg-to-affine-loops", "affine-loop-invariant-code-motion", "affine-scalrep", "cse",
+    "canonicalize", "lower-affine", "convert-scf-to-cf", "convert-func-to-llvm",
+    "convert-cf-to-llvm", "finalize-memref-to-llvm", "convert-arith-to-llvm",
+    "reconcile-unrealized-casts", "canonicalize",
+)  # fmt: skip
+_WIDE = {"convert-func-to-llvm", "convert-cf-to-llvm", "finalize-memref-to-llvm"}
+_WIDE |= {"convert-arith-to-llvm"}
+_SOFT = ("-mattr=-fpregs", "-float-abi=soft")
+_FLOAT_ABI = {"cortex-m4": _SOFT, "cortex-m4f": ("-float-abi=hard",)}
+
+
+class Tools(NamedTuple):
+    """A Python that has snn-mlir, the programs of LLVM 22, and a snn-opt or None."""
+
+    python: Path
+    llvm: Path
+    snn_opt: Path | None
 
 
 def main() -> None:
     """Measure the networks and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of(__doc__, "a policy, such as kart-grid/snn")
     parser.add_argument("--snn-mlir", type=Path, required=True, help="a Python that has snn-mlir")
     parser.add_argument("--llvm", type=Path, required=True, help="the programs of LLVM 22")
     parser.add_argument("--snn-opt", type=Path, help="a snn-opt of your own")
-    parser.add_argument("--only", default="", help="a policy, such as kart-grid/snn")
-    parser.add_argument("--write", action="store_true", help="the table into docs/firmware.md")
     options = parser.parse_args()
-    tools = snn_mlir_code.Tools(options.snn_mlir, options.llvm, options.snn_opt)
+    tools = Tools(options.snn_mlir, options.llvm, options.snn_opt)
     rows = []
     for name in NAMES:
         if options.only in ("", name):
             with tempfile.TemporaryDirectory() as folder:
                 rows += _network(name, tools, Path(folder))
-    print(network_table(rows))
-    if options.write:
-        put(NETWORKS, network_table(rows))
+    publish(options, rows, network_table(rows), NETWORKS)
     sys.exit(any(row["differ"] for row in rows))
 
 
-def _network(name: str, tools: snn_mlir_code.Tools, folder: Path) -> list[dict]:
+def _network(name: str, tools: Tools, folder: Path) -> list[dict]:
     """Rows of a network: ours, then snn-mlir's of both kinds."""
     policy = load(zoo.path(name))
     export_c(name, "loihi1", folder / "policy")
-    observations = dense.recorded(folder / "policy")
+    observations = dense.read_observations(folder / "policy")
     raster = np.asarray(policy.codec.encode_episode(observations))
     spiking = without_readout(policy)
     save(spiking, folder / "net.nir")
@@ -80,13 +108,13 @@ def _network(name: str, tools: snn_mlir_code.Tools, folder: Path) -> list[dict]:
     wanted = {"own": trace(program, raster)[program.output].spikes.sum(axis=1)}
     wanted["float32"] = FloatGraph(spiking).run(raster)["output"].sum(axis=1).astype(np.int64)
     rows = [_own(name, program, raster, folder / "own")]
-    for kind in snn_mlir_code.KINDS:
+    for kind in KINDS:
         rows.append({"policy": name, "by": f"snn-mlir, {kind}", "kind": kind})
         place = folder / kind
         place.mkdir()
-        snn_mlir_code.write(tools, folder / "net.nir", kind, raster, place)
-        rows[-1] |= {target: snn_mlir_code.built(tools, target, place) for target in BESIDE}
-        snn_mlir_code.host(tools, place)
+        _write_mlir(tools, folder / "net.nir", kind, raster, place)
+        rows[-1] |= {target: _built(tools, target, place) for target in BESIDE}
+        _host(tools, place)
     for row in rows:
         found = _counts(folder / row["kind"], raster, wanted["float32"].shape[1])
         row["unlike"] = int((found != wanted["float32"]).sum())
@@ -112,11 +140,11 @@ def without_readout(policy: Artifact) -> Artifact:
 
 def _own(name: str, program, raster: NDArray[np.uint8], folder: Path) -> dict:  # noqa: ANN001
     write_c(network_in_c(program, raster, name, prefix="net"), folder)
-    snn_mlir_code.write_header(folder, raster, program.layer(program.output).size, "int8_t")
+    _write_header(folder, raster, program.layer(program.output).size, "int8_t")
     (folder / "net_counts.c").write_bytes((SOURCES / "net_counts.c").read_bytes())
     sources = ("net.c", "net_counts.c")
-    shared(folder, *sources)
-    found = {target: counted(target, folder, sources) for target in BESIDE}
+    build_shared(folder, *sources)
+    found = {target: count_instructions(target, folder, sources) for target in BESIDE}
     return {"policy": name, "by": "spikedeploy, loihi1", "kind": "own", **found}
 
 
@@ -147,3 +175,92 @@ def _inference_ns(folder: Path, raster: NDArray[np.uint8]) -> float:
 def _all(step: Callable, places: list, action: ctypes.Array) -> None:
     for place in places:
         step(place, action)
+
+
+# through snn-mlir and LLVM
+
+
+def _write_mlir(
+    tools: Tools, network: Path, kind: str, raster: NDArray[np.uint8], folder: Path
+) -> None:
+    """Fill a folder: network.mlir without snn, policy.h, vectors.h and mlir_net.c."""
+    # isolated (-I): what this process imports from is nothing to that Python
+    code = f"import snn_mlir; print(snn_mlir.to_mlir({str(network)!r}, quantize={kind == 'int8'}))"
+    text = pipe([str(tools.python), "-I", "-c", code])
+    if tools.snn_opt:
+        plain = pipe([str(tools.snn_opt), "-", "--convert-snn-to-linalg"], text)
+    else:
+        plain = lower(text)
+    (folder / "network.mlir").write_text(plain)
+    found = re.findall(r"^\s*(%\w+) : memref<(\d+)x\w+>", text, re.MULTILINE)
+    *states, output = [int(size) for _, size in found[1:]]
+    _write_header(folder, raster, output, _ELEMENT[kind])
+    (folder / "mlir_net.c").write_text(_caller(states, output, kind))
+
+
+def _write_header(folder: Path, raster: NDArray[np.uint8], outputs: int, element: str) -> None:
+    """policy.h and vectors.h of a network that is given rasters."""
+    inferences, timesteps, width = raster.shape
+    (folder / "policy.h").write_text(f"""#include <stdint.h>
+#define POLICY_STEPS {timesteps}
+#define POLICY_WIDTH {width}
+#define POLICY_OBSERVATIONS (POLICY_STEPS * POLICY_WIDTH)
+#define POLICY_ACTIONS {outputs}
+#define OBSERVATION {element}
+typedef int32_t policy_action_t;
+void policy_reset(void);
+int policy_step(const OBSERVATION *raster, policy_action_t *counts);
+""")
+    numbers = ",".join(map(str, raster.ravel().tolist()))
+    (folder / "vectors.h").write_text(f"""#include <stdint.h>
+#define VECTOR_INFERENCES {inferences}u
+static const {element} vector_observation[] = {{{numbers}}};
+""")
+
+
+def _built(tools: Tools, target: str, folder: Path) -> dict:
+    """Demands on a microcontroller."""
+    triple = ("-mtriple=thumbv7em-none-eabi", "-mcpu=cortex-m4", *_FLOAT_ABI[target])
+    _object(tools, folder, 32, "-O2", triple)
+    return count_instructions(target, folder, ("mlir_net.c", "net.o"))
+
+
+def _host(tools: Tools, folder: Path) -> None:
+    """A shared object for this machine."""
+    triple = run(["gcc", "-dumpmachine"], folder).strip()
+    options = (f"-mtriple={triple}", "-mcpu=native", "--relocation-model=pic")
+    _object(tools, folder, 64, "-O3", options)
+    build_shared(folder, "mlir_net.c", "net.o")
+
+
+def _object(tools: Tools, folder: Path, index: int, level: str, options: tuple[str, ...]) -> None:
+    passes = [f"-{x}=index-bitwidth={index}" if x in _WIDE else f"-{x}" for x in _PASSES]
+    llvm = tools.llvm
+    lower = [str(llvm / "mlir-opt"), *passes, str(folder / "network.mlir")]
+    code = pipe([str(llvm / "mlir-translate"), "--mlir-to-llvmir"], pipe(lower))
+    triple = [word for word in options if word.startswith("-m")]
+    code = pipe([str(llvm / "opt"), level, *triple, "-S"], code)
+    out = ["-filetype=obj", "-", "-o", str(folder / "net.o")]
+    pipe([str(llvm / "llc"), level, *options, *out], code)
+
+
+def _caller(states: list[int], output: int, kind: str) -> str:
+    """C that plays a raster from zero states, as the main.c of snn-mlir plays its input."""
+    text = (SOURCES / "mlir_net.c").read_text()
+    count = len(states)
+    fields = "".join(f"    {_STATE[kind]} s{k}[{size}];\n" for k, size in enumerate(states))
+    made = "".join(
+        f"    memref_t d{k} = {{state.s{k}, state.s{k}, 0, {size}, 1}};\n"
+        for k, size in enumerate(states)
+    )
+    gaps = {
+        "@ELEMENT@": _ELEMENT[kind],
+        "@FIELDS@": fields,
+        "@MEMREFS@": made,
+        "@POINTERS@": ", ".join(["memref_t *"] * (count + 2)),
+        "@STATES@": "".join(f"&d{k}, " for k in range(count)),
+        "@OUTPUT@": str(output),
+    }
+    for gap, value in gaps.items():
+        text = text.replace(gap, value)
+    return text

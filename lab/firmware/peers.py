@@ -12,7 +12,6 @@ lab/firmware/policies.py needs, all of it, and a Python in which emlearn is inst
 --write puts the table into docs/firmware.md. Exits with 1 where C of emlearn differs from ONNX.
 """
 
-import argparse
 import ctypes
 import json
 import sys
@@ -24,9 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lab.firmware import dense
-from lab.firmware.runs import best, in_turns
-from lab.firmware.table import PEERS, peer_table, put
-from lab.firmware.targets import BESIDE, SOURCES, counted, shared
+from lab.firmware.table import PEERS, options_of, peer_table, publish
+from lab.firmware.targets import BESIDE, SOURCES, best, build_shared, count_instructions, in_turns
 from spikedeploy import zoo
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.shipping.export_c import export_c
@@ -36,20 +34,15 @@ _TOLERANCE = 2e-5  # of actions, between float32 of emlearn and of ONNX Runtime
 
 def main() -> None:
     """Measure the policies of each task and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of(__doc__, "a task, such as hexapod")
     parser.add_argument("--emlearn", type=Path, required=True, help="a Python that has emlearn")
-    parser.add_argument("--only", default="", help="a task, such as hexapod")
-    parser.add_argument("--write", action="store_true", help="the table into docs/firmware.md")
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     rows = []
     for task in dict.fromkeys(name.split("/")[0] for name in zoo.names()):
         if options.only in ("", task):
             with tempfile.TemporaryDirectory() as folder:
                 rows += _task(task, options.emlearn, Path(folder))
-    print(json.dumps(rows) if options.json else peer_table(rows))
-    if options.write:
-        put(PEERS, peer_table(rows))
+    publish(options, rows, peer_table(rows), PEERS)
     sys.exit(any(row["error"] > _TOLERANCE for row in rows))
 
 
@@ -58,7 +51,7 @@ def _task(task: str, python: Path, folder: Path) -> list[dict]:
     names = [name for name in zoo.names() if name.startswith(f"{task}/")]
     spiking = [name for name in names if zoo.path(name).suffix == ".nir"]
     rows = [_spiking(name, folder / name) for name in sorted(spiking, reverse=True)]
-    seen = dense.recorded(folder / spiking[0])
+    seen = dense.read_observations(folder / spiking[0])
     for name in names:
         if name not in spiking:
             rows += _dense(name, seen, python, folder / name)
@@ -86,9 +79,9 @@ def _dense(name: str, seen: NDArray[np.float64], python: Path, folder: Path) -> 
 
 
 def _built(name: str, folder: Path, sources: tuple[str, ...]) -> dict:
-    """What is built and counted alike of all policies."""
-    shared(folder, *sources, str(SOURCES / "repeat.c"))
-    found = {target: counted(target, folder, sources) for target in BESIDE}
+    """Numbers that are measured alike of all policies."""
+    build_shared(folder, *sources, str(SOURCES / "repeat.c"))
+    found = {target: count_instructions(target, folder, sources) for target in BESIDE}
     print(name, json.dumps(found), file=sys.stderr, flush=True)
     return {"return": zoo.mean_return(zoo.card(name)), **found}
 

@@ -27,7 +27,7 @@ _MATRIX = (
 )
 
 
-def lowered(text: str) -> str:
+def lower(text: str) -> str:
     """The module without operations of snn."""
     lines = []
     for line in text.splitlines():

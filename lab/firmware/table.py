@@ -1,5 +1,7 @@
 """The tables of docs/firmware.md."""
 
+import argparse
+import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -7,7 +9,7 @@ from spikedeploy.files import write_text
 
 PAGE = Path(__file__).parents[2] / "docs/firmware.md"
 # places of the tables on the page
-_OWN, PEERS, NETWORKS, INTEGERS = "firmware", "peers", "networks", "integers"
+OWN, PEERS, NETWORKS, INTEGERS = "firmware", "peers", "networks", "integers"
 _HEAD = (
     "policy", "ROM [kB]", "RAM [kB]", "M4 instructions", "at most", "RV32 instructions", "at most",
     "host [µs]", "runtime / C", "spikes compared", "steps that differ",
@@ -35,14 +37,25 @@ def table(rows: list[dict]) -> str:
     return _table(_HEAD, map(_cells, rows))
 
 
-def written(rows: list[dict], episodes: int) -> None:
-    """Put the table, and what it is of, into the page."""
-    said = f"Of {episodes} episodes each, made by `python -m lab firmware --write`:\n\n"
-    put(_OWN, said + table(rows))
+def options_of(doc: str, only: str) -> argparse.ArgumentParser:
+    """The options that all of the commands have."""
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    parser.add_argument("--only", default="", help=only)
+    parser.add_argument("--write", action="store_true", help="the table into docs/firmware.md")
+    parser.add_argument("--json", action="store_true")
+    return parser
 
 
-def put(place: str, text: str) -> None:
-    """Put a text between the marks of a place on the page."""
+def publish(
+    options: argparse.Namespace, rows: list[dict], text: str, place: str, intro: str = ""
+) -> None:
+    """Print the rows or their table; with --write put it between the marks of its place."""
+    print(json.dumps(rows) if options.json else text)
+    if options.write:
+        _put(place, intro + text)
+
+
+def _put(place: str, text: str) -> None:
     start, end = f"<!-- {place} -->\n", f"<!-- end of {place} -->\n"
     head, rest = PAGE.read_text(encoding="utf-8").split(start)
     _, tail = rest.split(end)

@@ -2,110 +2,117 @@
 
 import shutil
 import subprocess
+import time
+from collections.abc import Callable
 from pathlib import Path
 
-SOURCES = Path(__file__).parent / "firmware"
+import numpy as np
+
+SOURCES = Path(__file__).parent / "c"
 BESIDE = ("cortex-m4", "cortex-m4f")  # those on which other tools are compared
-_M4_MEMORY = (0x0, 0x400000, 0x20000000, 0x400000)
-_M4_MACHINE = ("qemu-system-arm", "-M", "mps2-an386", "-semihosting")
-# compiler, its options, where memory lies, and the machine of qemu
+_ARM = (
+    "arm-none-eabi",
+    (0x0, 0x400000, 0x20000000, 0x400000),
+    ("qemu-system-arm", "-M", "mps2-an386", "-semihosting"),
+)
+_RISC = (
+    "riscv64-unknown-elf",
+    (0x80000000, 0x800000, 0x80800000, 0x800000),
+    ("qemu-system-riscv32", "-M", "virt", "-bios", "none", "-semihosting"),
+)
+# name -> compiler, where memory lies, and the machine of qemu; options of the compiler
 TARGETS = {
-    "cortex-m4": (
-        "arm-none-eabi",
-        ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=soft"),
-        _M4_MEMORY,
-        _M4_MACHINE,
-    ),
+    "cortex-m4": (_ARM, ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=soft")),
     # the same core with its floating-point unit, of single precision
     "cortex-m4f": (
-        "arm-none-eabi",
-        ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"),
-        _M4_MEMORY,
-        _M4_MACHINE,
+        _ARM, ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard")
     ),
     # both run on the emulated M4, which has all of their instructions
-    "cortex-m0": ("arm-none-eabi", ("-mcpu=cortex-m0", "-mthumb"), _M4_MEMORY, _M4_MACHINE),
-    "cortex-m3": ("arm-none-eabi", ("-mcpu=cortex-m3", "-mthumb"), _M4_MEMORY, _M4_MACHINE),
-    "rv32imac": (
-        "riscv64-unknown-elf",
-        ("-march=rv32imac", "-mabi=ilp32"),
-        (0x80000000, 0x800000, 0x80800000, 0x800000),
-        ("qemu-system-riscv32", "-M", "virt", "-bios", "none", "-semihosting"),
-    ),
-}
+    "cortex-m0": (_ARM, ("-mcpu=cortex-m0", "-mthumb")),
+    "cortex-m3": (_ARM, ("-mcpu=cortex-m3", "-mthumb")),
+    "rv32imac": (_RISC, ("-march=rv32imac", "-mabi=ilp32")),
+}  # fmt: skip
 
 
-def present(target: str) -> bool:
-    """Whether compiler and emulator of a microcontroller are installed."""
-    tools, _, _, machine = TARGETS[target]
+def is_installed(target: str) -> bool:
+    """Return whether compiler and emulator of a microcontroller are installed."""
+    (tools, _, machine), _ = TARGETS[target]
     return bool(shutil.which(f"{tools}-gcc") and shutil.which(machine[0]))
 
 
-def on(target: str, folder: Path) -> dict:
-    """Self-test, instructions and sizes of an export."""
-    probed = ["-DPOLICY_PROBE", "policy.c", "codec.c", "selftest.c", "-o", "self.elf"]
-    must([*_compiler(target), *_hosted(target), *probed, "-lm"], folder)
-    passed, output = called([*_machine(target), "self.elf"], folder)
-    return {"passed": passed and "0 differ" in output, **counted(target, folder)}
-
-
-def counted(target: str, folder: Path, sources: tuple[str, ...] = ("policy.c", "codec.c")) -> dict:
+def count_instructions(
+    target: str, folder: Path, sources: tuple[str, ...] = ("policy.c", "codec.c")
+) -> dict:
     """Instructions of a control step, mean and most; bytes of ROM, and of static memory."""
-    build = [*_compiler(target), *sources]
-    hosted = [*_hosted(target), str(SOURCES / "count.c"), "-lm", "-o", "count.elf"]
-    must([*build, *hosted], folder)
-    mean, worst = map(int, must([*_machine(target), "count.elf"], folder).split()[:2])
-    return {"instructions": mean, "instructions_max": worst, **sized(target, folder, sources)}
+    mean, worst = _counts(target, folder, [*sources, str(SOURCES / "count.c")])
+    return {
+        "instructions": mean,
+        "instructions_max": worst,
+        **measure_size(target, folder, sources),
+    }
 
 
-def split(target: str, folder: Path, sources: tuple[str, ...], options: tuple[str, ...]) -> dict:
+def count_split(
+    target: str, folder: Path, sources: tuple[str, ...], options: tuple[str, ...]
+) -> dict:
     """Instructions of a control step on the rows of count_rows.h, mean and most; of the network.
 
-    options: SPIKING, DENSE and FLOATS, as lab/firmware/c/count_rows.c has them.
+    options  SPIKING, DENSE and FLOATS, as lab/firmware/c/count_rows.c has them
     """
     defines = [f"-D{option}" for option in options]
     wrapped = ["-Wl,--wrap=policy_net_step"] if "SPIKING" in options else []
-    build = [*_compiler(target), *sources, *defines, str(SOURCES / "count_rows.c")]
-    must([*build, *_hosted(target), *wrapped, "-lm", "-o", "count.elf"], folder)
-    said = must([*_machine(target), "count.elf"], folder).split()[:3]
-    return dict(zip(("instructions", "instructions_max", "network"), map(int, said), strict=True))
+    counts = _counts(target, folder, [*sources, *defines, str(SOURCES / "count_rows.c"), *wrapped])
+    return dict(zip(("instructions", "instructions_max", "network"), counts, strict=True))
 
 
-def sized(target: str, folder: Path, sources: tuple[str, ...], least: str = "least.c") -> dict:
+def _counts(target: str, folder: Path, words: list[str]) -> list[int]:
+    """The numbers that a program prints on the emulated core."""
+    return [int(word) for word in run(run_words(target, folder, words), folder).split()]
+
+
+def run_words(target: str, folder: Path, words: list[str]) -> list[str]:
+    """The command that runs sources on the emulated core, which it builds."""
+    run([*_compiler(target), *words, *_hosted(target), "-lm", "-o", "count.elf"], folder)
+    return [*TARGETS[target][0][2], "-nographic", "-icount", "shift=0", "-kernel", "count.elf"]
+
+
+def measure_size(
+    target: str, folder: Path, sources: tuple[str, ...], least: str = "least.c"
+) -> dict:
     """Bytes of ROM, and of static memory, of the least program that has all of a policy."""
     build = [*_compiler(target), *sources]
     alone = ["--specs=picolibc.specs", "-nostartfiles", "-Wl,-e,main", "-Wl,--gc-sections"]
     words = ["-ffunction-sections", *alone, *_memory(target), str(SOURCES / least)]
-    must([*build, *words, "-lm", "-o", "least.elf"], folder)
-    size = must([f"{TARGETS[target][0]}-size", "least.elf"], folder).split()
+    run([*build, *words, "-lm", "-o", "least.elf"], folder)
+    size = run([f"{TARGETS[target][0][0]}-size", "least.elf"], folder).split()
     text, data, bss = map(int, size[6:9])
     return {"rom": text + data, "static": data + bss}
 
 
-def shared(folder: Path, *sources: str) -> None:
+def build_shared(folder: Path, *sources: str) -> None:
     """Build timed.so for this machine, as quick as gcc makes it."""
     quick = ["-std=c99", "-O3", "-march=native", "-ffp-contract=off", "-fPIC", "-shared", "-I."]
-    must(["gcc", *quick, *sources, "-lm", "-o", "timed.so"], folder)
+    run(["gcc", *quick, *sources, "-lm", "-o", "timed.so"], folder)
 
 
-def called(words: list[str], folder: Path) -> tuple[bool, str]:
-    """Whether a command succeeds, and its output."""
+def attempt(words: list[str], folder: Path) -> tuple[bool, str]:
+    """Return whether a command succeeds, and its output."""
     ended = subprocess.run(
         words, cwd=folder, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
     )
     return ended.returncode == 0, ended.stdout + ended.stderr
 
 
-def must(words: list[str], folder: Path) -> str:
+def run(words: list[str], folder: Path) -> str:
     """The output of a command that has to succeed."""
-    passed, output = called(words, folder)
+    passed, output = attempt(words, folder)
     if not passed:
         raise RuntimeError(f"{' '.join(words)}: {output[-2000:]}")
     return output
 
 
-def piped(words: list[str], given: str = "") -> str:
-    """What a command that has to succeed writes when it is given a text."""
+def pipe(words: list[str], given: str = "") -> str:
+    """Output of a command that has to succeed, given a text."""
     ended = subprocess.run(words, input=given, capture_output=True, text=True, check=False)
     if ended.returncode:
         raise RuntimeError(f"{' '.join(words)[:300]}: {ended.stderr[-2000:]}")
@@ -113,7 +120,7 @@ def piped(words: list[str], given: str = "") -> str:
 
 
 def _compiler(target: str) -> list[str]:
-    tools, options, _, _ = TARGETS[target]
+    (tools, _, _), options = TARGETS[target]
     return [f"{tools}-gcc", *options, "-std=c99", "-O2", "-ffp-contract=off", "-I."]
 
 
@@ -124,9 +131,26 @@ def _hosted(target: str) -> list[str]:
 
 def _memory(target: str) -> list[str]:
     names = ("__flash", "__flash_size", "__ram", "__ram_size")
-    places = TARGETS[target][2]
+    places = TARGETS[target][0][1]
     return [f"-Wl,--defsym={n}={v:#x}" for n, v in zip(names, places, strict=True)]
 
 
-def _machine(target: str) -> list[str]:
-    return [*TARGETS[target][3], "-nographic", "-icount", "shift=0", "-kernel"]
+def best(task: Callable[[], object]) -> float:
+    """Seconds of the quickest of seven attempts."""
+    spent = []
+    for _ in range(7):
+        begun = time.perf_counter()
+        task()
+        spent.append(time.perf_counter() - begun)
+    return min(spent)
+
+
+def in_turns(rows: list[dict], spent: Callable[[dict], float]) -> None:
+    """Nanoseconds on this machine of each row's C, and in parts of the first row's.
+
+    Rows take turns, so that what else the machine does meets all of them.
+    """
+    for row in rows * 5:
+        row["host_ns"] = min(row.get("host_ns", np.inf), spent(row))
+    for row in rows:
+        row["ratio"] = row["host_ns"] / rows[0]["host_ns"]

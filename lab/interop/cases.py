@@ -100,7 +100,7 @@ def _run(artifact: Artifact, rows: NDArray[np.uint8]) -> Layers:
     return {name: trace[name][0].reshape(len(rows), -1) for name in names}
 
 
-def compared(theirs: Layers, ours: Layers) -> Row:
+def compare(theirs: Layers, ours: Layers) -> Row:
     """Compare layers (T, N) in their order; the last is the output.
 
     compared  spikes and absences of them, over all layers and timesteps
@@ -160,7 +160,7 @@ def measure(
 
 
 def _is_known(head: Row, known: Mapping[str, Row]) -> bool:
-    """Whether the same file was opened by the same releases."""
+    """Return whether the same file was opened by the same releases."""
     row = known.get(_key(head), {"opens": None})
     return row["opens"] is not None and bool(row["versions"] == head["versions"])
 
@@ -211,8 +211,8 @@ def _spikes(found: Case, peer: OtherTool, folder: Path) -> Row:
     with np.load(folder / _SPIKES) as file:
         theirs = {name: file[name] for name in (ours if isinstance(like, str) else like)}
     return {
-        "meant": compared(theirs, ours),
-        "like": like if isinstance(like, str) else compared(theirs, like),
+        "meant": compare(theirs, ours),
+        "like": like if isinstance(like, str) else compare(theirs, like),
     }
 
 
@@ -231,7 +231,7 @@ def _read(records: Path) -> list[Row]:
 
 
 def _is_row(row: object) -> bool:
-    """Whether it has the fields that the page is made of."""
+    """Return whether it has the fields that the page is made of."""
     if not isinstance(row, dict) or not all(
         isinstance(row.get(f), str) for f in (*_KEY, "message")
     ):

@@ -1,18 +1,14 @@
 """The command `interop`: our networks opened by other tools, and the page of what came of it."""
 
+import argparse
 import re
 import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from lab.interop.cases import FOR, OLDER, PLAIN, TIMESTEPS, Row, measure
 from lab.interop.tools import PEERS, OtherTool, check_given, pythons
 from spikedeploy import zoo
-from spikedeploy.cli import run
-from spikedeploy.commands.options import Force, Json
 from spikedeploy.console import print_json, say
 from spikedeploy.files import write_text
 from spikedeploy.outputs import check_output, marked
@@ -25,61 +21,42 @@ TITLE = "# Our networks in other tools"
 _HEAD = b'[\n  {\n    "file":'  # how the records begin
 
 
-def interop(
-    files: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[FILE]…",
-            help=".nir files, names of shipped policies, or 'shipped': all of them.",
-            show_default="shipped",
-        ),
-    ] = None,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Page to write, in Markdown.")
-    ] = Path("interop.md"),
-    records: Annotated[
-        Path | None,
-        typer.Option(
-            help="What was found, in JSON; what stands there is not measured again.",
-            show_default="beside the page",
-        ),
-    ] = None,
-    folder: Annotated[
-        Path, typer.Option(help="Environments of the tools, as ./spike test --peers makes them.")
-    ] = Path(".venv-peers"),
-    python: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="TOOL=PATH", help="Python in which a tool is installed, may be repeated."
-        ),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
+def main() -> None:
     """Open networks in other tools, run them there, compare every spike; write a page."""
-    given = _pairs(python or [])
-    records = records or output.with_suffix(".json")
-    chosen = _network_files(files or [])
-    _check_written(output, records, chosen, force)
-    places = pythons(folder, given)
+    parser = argparse.ArgumentParser(description=main.__doc__, allow_abbrev=False)
+    parser.add_argument("files", nargs="*", metavar="FILE", help=".nir, or of shipped policies")
+    parser.add_argument("-o", "--output", type=Path, default=Path("interop.md"))
+    parser.add_argument("--records", type=Path, help="what stands there is not measured again")
+    parser.add_argument(
+        "--folder", type=Path, default=Path(".venv-peers"), help="as ./spike test --peers makes it"
+    )
+    parser.add_argument(
+        "--python", action="append", default=[], metavar="TOOL=PATH", help="in which a tool is"
+    )
+    parser.add_argument("--force", action="store_true", help="write over what others made")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    given = _pairs(options.python)
+    records = options.records or options.output.with_suffix(".json")
+    chosen = _network_files(options.files)
+    _check_written(options.output, records, chosen, options.force)
+    places = pythons(options.folder, given)
     check_given(given)
     rows = measure(chosen, places, records, say)
-    write_text(output, page(rows, _page_command(files or [], output, records)))
-    if json:
+    write_text(options.output, page(rows, _page_command(options.files, options.output, records)))
+    if options.json:
         print_json(rows)
     else:
-        typer.echo(f"wrote {output}")
+        print(f"wrote {options.output}")
 
 
 def _pairs(texts: list[str]) -> dict[str, Path]:
     """TOOL=PATH of each text; a release of nir is TOOL too: nir==1.0.4=PATH."""
-    found = {}
-    for text in texts:
-        name, sign, path = text.rpartition("=")
-        if not sign or not name:
-            raise typer.BadParameter(f"--python {text}: give TOOL=PATH")
-        found[name] = Path(path)
-    return found
+    pairs = {text: text.rpartition("=") for text in texts}
+    for text, (name, _, _) in pairs.items():
+        if not name:
+            raise ConfigError(f"--python {text}: give TOOL=PATH")
+    return {name: Path(path) for name, _, path in pairs.values()}
 
 
 def _network_files(names: Sequence[str]) -> list[Path]:
@@ -195,7 +172,7 @@ def _table(peer: OtherTool, rows: Sequence[Row]) -> str:
 
 
 def _cell(row: Row) -> str:
-    """What came of a case in words."""
+    """Outcome of a case in words."""
     if row["opens"] is None:
         return "not installed"
     if not row["opens"]:
@@ -252,10 +229,3 @@ def _short(message: str) -> str:
     line = re.sub(r"^--for [a-z]+: ", "", message).partition(" Without --for")[0]
     line = line.partition(", only ")[0].replace("|", "\\|").replace("<", "&lt;").rstrip(".")
     return line if len(line) <= _LONGEST else f"{line[:_LONGEST].rstrip()} …"
-
-
-def main() -> None:
-    """Run the command of sys.argv."""
-    app = typer.Typer(pretty_exceptions_enable=False)
-    app.command(context_settings={"help_option_names": ["-h", "--help"]})(interop)
-    run(app)

@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def done(peer: str, job: Job) -> Job:
-    """What came of a job: its file opens or not, and why; spikes are in the job's `out`.
+    """Outcome of a job: its file opens or not, and why; spikes are in the job's `out`.
 
     `opens` is None where something that the peer needs is not installed.
     """

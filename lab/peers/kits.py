@@ -142,12 +142,12 @@ CASES = {
 
 def main() -> int:
     """Run the kits of a tool, print a line for each; return the exit code."""
-    arguments = parsed()
+    arguments = parse_options()
     failed = 0
     for case in CASES[arguments.tool]:
         differs = None
         try:
-            for text in ran(case, arguments.python, arguments.folder / case.name):
+            for text in run_case(case, arguments.python, arguments.folder / case.name):
                 print(f"✓ {case.name}: {text}")
         except DiffersError as error:
             differs, failed = error, failed + 1
@@ -161,18 +161,18 @@ class DiffersError(Exception):
     """A script that failed, or recorded other numbers than are expected."""
 
 
-def ran(case: Case, python: Path, folder: Path) -> Iterator[str]:
-    """What came of the kit's script, of its trace, and of its loop."""
-    kit = written(case, folder)
-    yield called(python, kit, case.flags)
+def run_case(case: Case, python: Path, folder: Path) -> Iterator[str]:
+    """Outcomes of the kit's script, of its trace, and of its loop."""
+    kit = write_kit(case, folder)
+    yield run_script(python, kit, case.flags)
     trace = folder / f"{kit.tool.name}.json"
     yield _output([sys.executable, "-m", "spikedeploy", "verify", str(trace)], ROOT)
     if "episode.npz" in kit.names:
         loop = ("--loop", case.env) if case.env else ("--loop",)
-        yield called(python, kit, (*case.flags, *loop))
+        yield run_script(python, kit, (*case.flags, *loop))
 
 
-def written(case: Case, folder: Path) -> WrittenKit:
+def write_kit(case: Case, folder: Path) -> WrittenKit:
     """The kit of a case; each of its layers spikes."""
     network, env = case.network, None
     raster = None if case.raster is None else Path(case.raster)
@@ -194,14 +194,14 @@ def written(case: Case, folder: Path) -> WrittenKit:
 
 
 def _silent(kit: WrittenKit, name: str, recorded: dict[str, Any]) -> bool:
-    """Whether a layer that can spike never does."""
+    """Return whether a layer that can spike never does."""
     program = json.loads((kit.folder / "program.json").read_text("utf-8"))
     can = {layer["name"]: layer["spiking"] for layer in program["layers"]}
     return bool(can[name]) and not np.any(recorded["spikes"])
 
 
-def called(python: Path, kit: WrittenKit, flags: tuple[str, ...]) -> str:
-    """What the kit's script says; it sees nothing but its folder."""
+def run_script(python: Path, kit: WrittenKit, flags: tuple[str, ...]) -> str:
+    """Output of the kit's script; it sees nothing but its folder."""
     return _output([str(python), kit.tool.script, *flags], kit.folder)
 
 
@@ -216,7 +216,7 @@ def _output(command: list[str], folder: Path) -> str:
     return " ".join(done.stdout.split("\n")).strip()
 
 
-def parsed() -> argparse.Namespace:
+def parse_options() -> argparse.Namespace:
     """Return the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("tool", choices=CASES)

@@ -97,7 +97,7 @@ class NotInstalledError(Exception):
 
 def main() -> int:
     """Compare with each peer, print a line for each; return the exit code."""
-    arguments = parsed()
+    arguments = parse_options()
     failed = False
     for peer in PEERS:
         if arguments.names and peer.name not in arguments.names:
@@ -108,7 +108,7 @@ def main() -> int:
         except NotInstalledError as error:
             print(f"- {peer.name:13} could not be installed: {error}", flush=True)
             continue
-        verdicts = list(compared(peer, python, home))
+        verdicts = list(compare(peer, python, home))
         well = all(passed for passed, _ in verdicts)
         failed |= not well
         texts = "; ".join(text for _, text in verdicts)
@@ -123,16 +123,16 @@ def environment(peer: Peer, home: Path) -> Path:
     if python.exists() and done.exists() and done.read_text() == wanted:
         return python
     shutil.rmtree(home, ignore_errors=True)
-    called([interpreter(peer), "-m", "venv", str(home)])
+    run_command([interpreter(peer), "-m", "venv", str(home)])
     kept = home / "constraints.txt"
-    kept.write_text("" if peer.python else shared(home))
+    kept.write_text("" if peer.python else share_packages(home))
     command = [str(python), "-m", "pip", "install", "-c", str(kept), *requirements(peer)]
-    (home / "install.log").write_text(called(command))
+    (home / "install.log").write_text(run_command(command))
     done.write_text(wanted)
     return python
 
 
-def shared(home: Path) -> str:
+def share_packages(home: Path) -> str:
     """Let an environment see the packages beside us; those that it must not install anew.
 
     What is installed in it comes first. A torch of its own would be several gigabytes.
@@ -143,7 +143,7 @@ def shared(home: Path) -> str:
 
 
 def requirements(peer: Peer) -> list[str]:
-    """What pip installs: the options, and the extra of the peer's name."""
+    """Requirements for pip: the options, and the extra of the peer's name."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     return [*peer.options, *project["optional-dependencies"].get(peer.name, ())]
 
@@ -160,7 +160,7 @@ def interpreter(peer: Peer) -> str:
     raise NotInstalledError(f"it needs Python {peer.python}, and there is no python{peer.python}")
 
 
-def called(command: list[str]) -> str:
+def run_command(command: list[str]) -> str:
     """Output of a command of the installation."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -170,19 +170,19 @@ def called(command: list[str]) -> str:
     return done.stdout
 
 
-def compared(peer: Peer, python: Path, home: Path) -> Iterator[tuple[bool, str]]:
-    """Whether each comparison passed, and what it says."""
+def compare(peer: Peer, python: Path, home: Path) -> Iterator[tuple[bool, str]]:
+    """Return whether each comparison passed, and what it says."""
     if peer.traces:
-        yield recorded(peer.traces, python, home)
+        yield record_again(peer.traces, python, home)
     if peer.traces in SOURCES:
-        yield replayed(peer.traces, python, home)
+        yield replay_random(peer.traces, python, home)
     if peer.kits:
-        yield kits_run(peer.name, python, home)
+        yield run_kits(peer.name, python, home)
     if peer.tests:
-        yield tested(peer.tests, python, home)
+        yield run_tests(peer.tests, python, home)
 
 
-def recorded(tool: str, python: Path, home: Path) -> tuple[bool, str]:
+def record_again(tool: str, python: Path, home: Path) -> tuple[bool, str]:
     """Golden traces of the tool, recorded again."""
     words = ["-m", "lab", "record-traces", "--tool", tool]
     done = run([str(python), *words], home / "traces.log")
@@ -193,7 +193,7 @@ def recorded(tool: str, python: Path, home: Path) -> tuple[bool, str]:
     return done.returncode == 0, "; ".join(["traces: " + last, *lines])
 
 
-def replayed(tool: str, python: Path, home: Path) -> tuple[bool, str]:
+def replay_random(tool: str, python: Path, home: Path) -> tuple[bool, str]:
     """Random networks of several layers, recorded with the tool and replayed with ours."""
     folder = home / "random"
     shutil.rmtree(folder, ignore_errors=True)
@@ -208,7 +208,7 @@ def replayed(tool: str, python: Path, home: Path) -> tuple[bool, str]:
     return not bad and bool(verdicts), text + (f"; {len(bad)} different" if bad else "")
 
 
-def kits_run(tool: str, python: Path, home: Path) -> tuple[bool, str]:
+def run_kits(tool: str, python: Path, home: Path) -> tuple[bool, str]:
     """Kits of the tool's chips, written by us and run by the tool alone."""
     folder = home / "kits"
     words = ["-m", "lab", "kits", tool, "--python", str(python), "--folder", str(folder)]
@@ -218,7 +218,7 @@ def kits_run(tool: str, python: Path, home: Path) -> tuple[bool, str]:
     return done.returncode == 0, "; ".join(["kits: " + lines[-1], *bad])
 
 
-def tested(tests: tuple[str, ...], python: Path, home: Path) -> tuple[bool, str]:
+def run_tests(tests: tuple[str, ...], python: Path, home: Path) -> tuple[bool, str]:
     """Tests that compare with the tool; none that is skipped counts as passed."""
     report = home / "tests.xml"
     report.unlink(missing_ok=True)
@@ -247,7 +247,7 @@ def run(command: list[str], log: Path) -> subprocess.CompletedProcess[str]:
     return done
 
 
-def parsed() -> argparse.Namespace:
+def parse_options() -> argparse.Namespace:
     """Return the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     names = [peer.name for peer in PEERS]

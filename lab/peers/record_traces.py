@@ -46,7 +46,7 @@ def golden_traces() -> list[Path]:
 
 def main() -> int:
     """Record every trace whose tool is there; return the exit code."""
-    arguments = parsed()
+    arguments = parse_options()
     if arguments.random:
         return record_random(arguments.tool, arguments.random, arguments.out)
     same = different = 0
@@ -64,7 +64,7 @@ def main() -> int:
         print(f"✗ {path.name}: {first}" if first else f"✓ {path.name}: {count(found)} numbers")
         same, different = same + (first is None), different + (first is not None)
         if arguments.out:
-            write(arguments.out / path.name, name, merged(trace, found))
+            write(arguments.out / path.name, name, merge(trace, found))
     print(f"{same} recorded again and equal, {different} different")
     return 1 if different else 0 if same else NOTHING_RECORDED
 
@@ -78,7 +78,7 @@ def record_random(name: str, networks: int, folder: Path) -> int:
     for seed in range(networks):
         for kind, options in random_kinds(name).items():
             trace = random_trace(name, seed, **options)
-            write(folder / f"{name}_{kind}_{seed}.json", name, merged(trace, record(trace)))
+            write(folder / f"{name}_{kind}_{seed}.json", name, merge(trace, record(trace)))
     print(f"{networks * len(random_kinds(name))} random networks recorded")
     return 0
 
@@ -102,13 +102,13 @@ def recorder(name: str) -> Callable[[Trace], Trace] | str:
     return found
 
 
-def merged(trace: Any, recorded: Any) -> Any:  # noqa: ANN401
+def merge(trace: Any, recorded: Any) -> Any:  # noqa: ANN401
     """The trace with another recording; lists of layers are merged layer by layer."""
     if isinstance(recorded, dict):
-        new = {k: merged(trace[k], v) if k in trace else v for k, v in recorded.items()}
+        new = {k: merge(trace[k], v) if k in trace else v for k, v in recorded.items()}
         return {**trace, **new}
     if isinstance(recorded, list) and recorded and isinstance(recorded[0], dict):
-        return [merged(*pair) for pair in zip(trace, recorded, strict=True)]
+        return [merge(*pair) for pair in zip(trace, recorded, strict=True)]
     return recorded
 
 
@@ -142,7 +142,7 @@ def write(path: Path, name: str, trace: Trace) -> None:
     path.write_text(json.dumps({**trace, "source": source}), "utf-8")
 
 
-def parsed() -> argparse.Namespace:
+def parse_options() -> argparse.Namespace:
     """Return the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("files", nargs="*", type=Path, help="default: all of tests/golden")

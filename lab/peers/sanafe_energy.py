@@ -11,15 +11,15 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from lab.peers.sanafe_networks import NETWORKS, program, run, scattered, simulated
+from lab.peers.sanafe_networks import NETWORKS, one_core_each, program, run, scatter, simulate
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.metrics.energy import TABLES, energy, latency
-from spikedeploy.runtime.metrics.traffic import Layout, one_core_each, traffic
+from spikedeploy.runtime.metrics.traffic import Layout, traffic
 
 TABLE = TABLES["sanafe"]
 LAYOUTS = {
     "one core a layer": lambda network, seed: one_core_each(network),
-    "12 cores": scattered,
+    "12 cores": scatter,
 }
 HEADS = ("network", "layout", "rate", "SOPs", "messages", "energy [nJ]", "theirs", "time [us]",
          "theirs")  # fmt: skip
@@ -48,7 +48,7 @@ def _measured(network: Program, raster: np.ndarray, layout: Layout) -> Iterator[
     ledger, spikes = run(network, raster)
     sent = traffic(network, spikes, layout)
     with _silence():
-        theirs = simulated(network, raster, layout)
+        theirs = simulate(network, raster, layout)
     joules, whole = energy(ledger, TABLE, sent), theirs["energy"]["total"]
     seconds, time = latency(ledger, TABLE), theirs["sim_time"]
     yield from (f"{ledger.total('sop'):,}", f"{sent.message:,}")

@@ -59,7 +59,13 @@ def program(case: str, seed: int) -> Program:
     return Program(CHIP, Convention(1e-3), "input", sizes[0], tuple(layers), names[-1], None)
 
 
-def scattered(network: Program, seed: int, cores: int = 12) -> Layout:
+def one_core_each(program: Program) -> Layout:
+    """Every layer on a core of its own, all cores on one tile."""
+    cores = {name: np.full(size, k) for k, (name, size) in enumerate(program.sizes.items())}
+    return Layout(cores, np.zeros((len(cores), 2), np.int64))
+
+
+def scatter(network: Program, seed: int, cores: int = 12) -> Layout:
     """Neurons placed at random on twelve cores, four to a tile."""
     rng = np.random.default_rng(seed)
     where = {name: rng.integers(0, cores, size) for name, size in network.sizes.items()}
@@ -76,8 +82,8 @@ def run(network: Program, raster: Weights) -> tuple[Ledger, dict[str, Weights]]:
     return machine.ledger, {"input": raster.sum(axis=0), **seen}
 
 
-def simulated(network: Program, raster: Weights, layout: Layout) -> dict[str, Any]:
-    """What SANA-FE says of the same network on the same cores."""
+def simulate(network: Program, raster: Weights, layout: Layout) -> dict[str, Any]:
+    """Results of SANA-FE for the same network on the same cores."""
     # an extra of the tests
     import sanafe
 

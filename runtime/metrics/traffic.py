@@ -30,12 +30,6 @@ class Layout:
     tiles: Counts
 
 
-def one_core_each(program: Program) -> Layout:
-    """Every layer on a core of its own, all cores on one tile."""
-    cores = {name: np.full(size, k) for k, (name, size) in enumerate(program.sizes.items())}
-    return Layout(cores, np.zeros((len(cores), 2), np.int64))
-
-
 @dataclass(frozen=True)
 class Traffic:
     """Messages between cores; spikes to the host are not included.

@@ -6,7 +6,6 @@ risk. Two policies on the same seeds share terrain and pushes, so their *paired*
 far smaller variance than the difference of their means.
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
@@ -139,40 +138,6 @@ def paired_difference(
     return bootstrap(left - right, rng)
 
 
-def ratio_of_medians(values: ArrayLike, reference: ArrayLike, rng: np.random.Generator) -> Estimate:
-    """Median of `values` (n,) / median of `reference` (m,), and its bootstrap interval.
-
-    The `mean` of the estimate is that ratio.
-    """
-    left, right = np.asarray(values, np.float64), np.asarray(reference, np.float64)
-    tops, bottoms = (
-        np.median(each[rng.integers(each.size, size=(_RESAMPLES, each.size))], axis=1)
-        for each in (left, right)
-    )
-    return Estimate(float(np.median(left) / np.median(right)), _interval(tops / bottoms))
-
-
-def nested_ratio(values: ArrayLike, reference: ArrayLike, rng: np.random.Generator) -> Estimate:
-    """Mean of values (S, n) of S trainings in n episodes / mean of a reference in the same.
-
-    reference  (n,), or (R, n) of R trainings
-
-    A resample draws trainings of both, then episodes, the same for all of them; the `mean` of the
-    estimate is the ratio of the sample itself. NaN where the reference is 0.
-    """
-    each = np.asarray(values, np.float64)
-    beside = np.atleast_2d(np.asarray(reference, np.float64))
-    if not beside.any():
-        return Estimate(math.nan, (math.nan, math.nan))
-    trainings, episodes = each.shape
-    ratios = []
-    for drawn, picks in _draws(trainings, episodes, rng):
-        of = rng.integers(len(beside), size=(len(drawn), len(beside), 1))
-        with np.errstate(divide="ignore", invalid="ignore"):  # rare successes, none drawn
-            ratios.append(each[drawn, picks].mean((1, 2)) / beside[of, picks].mean((1, 2)))
-    return Estimate(float(each.mean() / beside.mean()), _interval(np.concatenate(ratios)))
-
-
 def _draws(
     trainings: int, episodes: int, rng: np.random.Generator
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
@@ -180,35 +145,6 @@ def _draws(
     for _ in range(_RESAMPLES // _TOGETHER):
         drawn = rng.integers(trainings, size=(_TOGETHER, trainings, 1))
         yield drawn, rng.integers(episodes, size=(_TOGETHER, 1, episodes))
-
-
-def grouped_ratio(
-    values: ArrayLike, reference: ArrayLike, groups: ArrayLike, rng: np.random.Generator
-) -> Estimate:
-    """Mean of values (n,) / mean of a reference (n,) in the same episodes, with its interval.
-
-    groups  (n,) of each episode: a resample draws groups, then pairs within each, so that an
-            interval covers what a group has in common; where each pair is a group, only pairs
-
-    The `mean` of the estimate is the ratio of the sample itself. NaN where the reference is 0.
-    """
-    left, right = np.asarray(values, np.float64), np.asarray(reference, np.float64)
-    if not right.any():
-        return Estimate(math.nan, (math.nan, math.nan))
-    _, of, sizes = np.unique(np.asarray(groups), return_inverse=True, return_counts=True)
-    members = np.zeros((sizes.size, sizes.max()), np.int64)
-    for group in range(sizes.size):
-        members[group, : sizes[group]] = np.flatnonzero(of == group)
-    ratios = []
-    for _ in range(_RESAMPLES // _TOGETHER):
-        drawn = rng.integers(sizes.size, size=(_TOGETHER, sizes.size))
-        share = rng.random((_TOGETHER, sizes.size, sizes.max()))
-        picks = members[drawn[..., None], (share * sizes[drawn][..., None]).astype(np.int64)]
-        counts = np.arange(sizes.max()) < sizes[drawn][..., None]
-        top, bottom = ((each[picks] * counts).sum((1, 2)) for each in (left, right))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratios.append(top / bottom)
-    return Estimate(float(left.mean() / right.mean()), _interval(np.concatenate(ratios)))
 
 
 def _resampled_means(sample: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:

@@ -62,7 +62,7 @@ def publish_run(
     check_output_folder("-o", target, names, (source,), force, partial(_has_card, name))
     with TemporaryDirectory() as stage:  # so that a failure leaves the zoo unchanged
         exported = _export(source, Path(stage) / name, control, checkpoint)
-        record = _describe(source, exported, checkpoint)
+        record = describe(source, exported, checkpoint)
         record |= _evaluation(exported.path, source, episodes, processes)
         record = {key: _portable(value) for key, value in record.items()} | {"note": note}
         if old := [path.name for path in sorted(target.glob(f"{name}.*"))]:
@@ -85,7 +85,9 @@ def _has_card(name: str, folder: Path) -> bool:
     return card.is_file() and marked(card, '"evaluation"')
 
 
-def _describe(source: Path, exported: ExportedPolicy, checkpoint: str | None) -> dict[str, Any]:
+def describe(
+    source: Path, exported: ExportedPolicy, checkpoint: str | None = None
+) -> dict[str, Any]:
     """The card as data: training and parity."""
     origin = run_record.origin(source, checkpoint)
     return {

@@ -6,7 +6,7 @@ import json
 import pytest
 
 from lab.experiments import energy_ratio
-from lab.experiments.energy_ratio import Energies, Pair, alone
+from lab.experiments.energy_ratio import Energies, Pair, operations_ratio
 from tests.paths import ROOT
 
 RESULTS = ROOT / "results"
@@ -114,10 +114,10 @@ def test_a_free_clock_updates_three_times_and_a_pipelined_one_once():
 
 
 def test_operations_alone_are_a_ratio_of_two_products():
-    assert alone(PAIR, "none") == pytest.approx(100 * 1.35 / (200 * 1.55))
-    assert alone(PAIR, "32") == pytest.approx(100 * 12.6 / (200 * 4.05))
+    assert operations_ratio(PAIR, "none") == pytest.approx(100 * 1.35 / (200 * 1.55))
+    assert operations_ratio(PAIR, "32") == pytest.approx(100 * 12.6 / (200 * 4.05))
     # without the read of an input of 8 bits
-    assert alone(PAIR, "16", in_registers=True) == pytest.approx(100 * 7.6 / (200 * 2.8))
+    assert operations_ratio(PAIR, "16", in_registers=True) == pytest.approx(100 * 7.6 / (200 * 2.8))
 
 
 def test_the_page_names_the_command_that_the_index_names():

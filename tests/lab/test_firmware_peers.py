@@ -48,7 +48,7 @@ def test_observations_of_a_self_test_are_those_of_its_c(tmp_path):
         "#define VECTOR_INFERENCES 2u\n"
         f"static const double vector_observation[4] = {{\n{values},\n}};"
     )
-    assert dense.recorded(tmp_path).tolist() == [[0.5, -1.25], [3.0, 0.0]]
+    assert dense.read_observations(tmp_path).tolist() == [[0.5, -1.25], [3.0, 0.0]]
 
 
 def test_the_table_on_the_page_has_the_columns_of_the_command():
@@ -65,7 +65,7 @@ MODULE = """module {
 
 
 def test_operations_of_snn_mlir_become_those_of_mlir():
-    found = snn_to_linalg.lowered(MODULE)
+    found = snn_to_linalg.lower(MODULE)
     assert "snn." not in found
     assert "outs(%y : memref<2xi32>)" in found
     assert "%by = arith.constant 5 : i32" in found  # 12 - 7
@@ -85,7 +85,7 @@ def test_operations_of_snn_mlir_become_those_of_mlir():
 )
 def test_what_is_not_translated_is_refused(line):
     with pytest.raises(ValueError, match="not translated"):
-        snn_to_linalg.lowered(line)
+        snn_to_linalg.lower(line)
 
 
 def test_the_table_of_networks_has_the_columns_of_its_command():

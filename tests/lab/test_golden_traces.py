@@ -13,7 +13,7 @@ from lab.peers.record_traces import (
     count,
     differences,
     golden_traces,
-    merged,
+    merge,
     tool,
 )
 from tests.paths import ROOT
@@ -74,5 +74,5 @@ def test_differences_are_found_in_any_depth():
     assert list(differences(old, {"c": [4]})) == ["c was 4, is [4]"]
     assert list(differences(old, {"d": 4})) == ["d is not in the file"]
     assert list(differences(old, {"a": [{"b": [1, 2]}]}))
-    assert merged(old, {"a": [{"b": [5]}, {"d": 6}]})["a"] == [{"b": [5]}, {"b": [3], "d": 6}]
+    assert merge(old, {"a": [{"b": [5]}, {"d": 6}]})["a"] == [{"b": [5]}, {"b": [3], "d": 6}]
     assert count({"a": [1, [2, 3]], "b": 4}) == 4

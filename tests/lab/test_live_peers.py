@@ -71,8 +71,8 @@ def test_a_peer_that_cannot_be_installed_is_named_with_the_reason_and_is_no_fail
         error = [sys.executable, "-c", "raise SystemExit('ERROR: no such release')"]
         return live_peers_called(error if "pip" in command else command)
 
-    live_peers_called = live_peers.called
-    code, out = played(called=fails)
+    live_peers_called = live_peers.run_command
+    code, out = played(run_command=fails)
     assert (code, out) == (0, "- norse         could not be installed: ERROR: no such release\n")
 
 

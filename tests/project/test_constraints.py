@@ -34,7 +34,7 @@ def number(version):
 
 @pytest.mark.parametrize("requirement", NEEDED)
 def test_every_requirement_has_an_upper_bound_and_its_tested_version_is_within(requirement):
-    name, _ = constraints.parsed(requirement)
+    name, _ = constraints.parse(requirement)
     low = re.search(r">=([\d.]+)", requirement)[1]
     high = re.search(r"<([\d.]+)", requirement)[1]
     assert number(low) <= number(PINS[name]) < number(high)

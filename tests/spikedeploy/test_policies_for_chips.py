@@ -93,7 +93,7 @@ def test_the_table_names_the_teacher_that_is_shipped_and_chips_without_a_policy(
     rows = {
         ("Pendulum-v1", "teacher"): {"scores": [-100.0, -110.0]},
         ("Pendulum-v1", "random"): {"scores": [-1100.0, -1110.0]},
-        ("Pendulum-v1", "odin"): {"scores": [-110.0, -120.0], "sops": "12.3"},
+        ("Pendulum-v1", "odin"): {"scores": [-110.0, -120.0], "sops": 12.3},
     }
     page = chip_policies.page(rows)
     assert "| `odin` | 99.0% [99.0%, 99.0%] ✓ |" in page

@@ -9,8 +9,15 @@ import gymnasium
 import numpy as np
 import pytest
 
-from lab.experiments.gymnasium import RATE, TASKS, GymnasiumDesign
-from lab.experiments.gymnasium_page import points, read_table, reference, verdict
+from lab.experiments.gymnasium import (
+    RATE,
+    TASKS,
+    GymnasiumDesign,
+    points,
+    read_table,
+    reference,
+    verdict,
+)
 from lab.experiments.runner import run_experiment
 from spikedeploy.jobs import resumable
 from spikedeploy.runtime.errors import ConfigError
@@ -155,14 +162,6 @@ def test_the_page_says_what_is_missing_and_keeps_the_rows_of_other_tasks(results
     assert "    python -m lab experiment gymnasium CartPole-v1 --quick --seeds 1" in text
 
 
-def test_the_page_has_a_verdict_for_every_task_and_says_what_was_left_out(results):
-    text = (results / "gymnasium.md").read_text()
-    for env in TASKS:
-        assert f"**{env}**:" in text
-    assert "numbers are not quoted from memory" in text
-    assert (results / "gymnasium.png").stat().st_size > 10_000
-
-
 @pytest.mark.parametrize("env", TASKS)
 def test_the_table_has_the_sizes_of_each_task(env):
     task, world = TASKS[env], gymnasium.make(env)
@@ -171,11 +170,6 @@ def test_the_table_has_the_sizes_of_each_task(env):
     assert task.observations == world.observation_space.shape[0]
     assert task.actions == (space.shape[0] if task.is_continuous else space.n)
     world.close()
-
-
-def test_every_budget_is_below_a_hundredth_of_the_dense_network():
-    for task in TASKS.values():
-        assert task.budget < 0.01 * task.dense_operations()
 
 
 def test_the_dense_network_is_counted_synapse_by_synapse():

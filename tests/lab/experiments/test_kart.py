@@ -1,26 +1,22 @@
 """The kart experiment: what belongs to it, what its page says, what is left to do."""
 
-import csv
 import json
 import shlex
 import sys
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from lab.experiments import kart, kart_page
-from lab.experiments.kart import TRACKS, UNSEEN, WORLDS, KartDesign, drive_tracks, finished
+from lab.experiments.kart import TRACKS, UNSEEN, WORLDS, KartDesign, drive_tracks, read_tracks
 from lab.experiments.kart_page import (
-    counted,
     finish_share,
     heldout_table,
     heldout_verdicts,
     learning_table,
     learning_verdicts,
     percent_of_ann,
-    ratio_of_means,
     steps,
 )
 from lab.experiments.kart_results import HELD, NTH, learning
@@ -118,12 +114,6 @@ def leave(trial, first=1_000, gap=1_000):
     (run / "evaluation.json").write_text(json.dumps(found))
 
 
-def table(page, title):
-    """The cells of the first table below a headline."""
-    lines = page.split(f"## {title}\n")[1].split("\n## ")[0].split("\n### ")[0].split("\n")
-    return [[c.strip() for c in line.strip("|").split("|")] for line in lines if line[:1] == "|"]
-
-
 def test_every_world_is_seen_early_and_what_the_page_begins_with_comes_first(design):
     names = [trial.name for trial in design.trainings()]
     assert names[:3] == ["kart-grid-ann-s0", "kart-grid-snn-s0", "kart-gazebo-ann-s0"]
@@ -180,14 +170,6 @@ def test_a_star_stands_for_every_world(design, pretend, tmp_path):
     assert pretend == [f"{world}-classic-snn-s0" for world in WORLDS]
 
 
-def test_the_page_alone_trains_nothing(design, pretend, tmp_path):
-    outcome = run_experiment(design, (), 2, tmp_path, train=False)
-    assert (outcome.done, pretend) == (0, [])
-    page = outcome.files[0].read_text()
-    assert "**0 of 96 parts are complete.** Trainings that are missing: default ann 6, " in page
-    assert ", corridor linear 3, classic small 3, classic linear 3.\n" in page
-
-
 def test_a_part_that_fails_is_named_with_its_last_words(design, monkeypatch, tmp_path):
     def run(jobs, count, ended, look=None):
         jobs[0].log.parent.mkdir(parents=True)
@@ -200,83 +182,11 @@ def test_a_part_that_fails_is_named_with_its_last_words(design, monkeypatch, tmp
     assert outcome.failed == {"kart-grid-ann-s0": "error: no memory"}
 
 
-def test_the_page_says_how_soon_they_finish_beside_kart_simulator(design, pretend, tmp_path):
-    page = run_experiment(design, (), 2, tmp_path).files[0].read_text()
-    for preset in ("default", "classic"):
-        cells = table(page, f"{preset} preset")
-        assert cells[0][3:8] == [
-            "first finish",
-            "300 finishes",
-            "% of ANN",
-            "greedy 95%",
-            "% of ANN",
-        ]
-        assert cells[2][:8] == [
-            "kart-grid", "ann", "2", "1k [1k, 1k]", "300k [300k, 300k]", "–",
-            "40k [40k, 40k]", "–",
-        ]  # fmt: skip
-        assert cells[3][4:] == [
-            "599k [599k, 599k]", "50.1% [50%, 50%]", "40k [40k, 40k]", "100.0% [100%, 100%]",
-            "175k", "406k", "99.0%",
-        ]  # fmt: skip
-        assert [row[1] for row in cells[2:6]] == ["ann", "snn", "small", "linear"]
-        assert cells[4][5] == "100.0% [100%, 100%]"
-        assert cells[4][8:] == ["–"] * 3
-
-
-def test_the_page_says_how_well_each_of_them_drives(design, pretend, tmp_path):
-    page = run_experiment(design, (), 2, tmp_path).files[0].read_text()
-    drivers = [row[1] for row in table(page, "default preset, driving")[2:8]]
-    assert drivers == ["ann", "snn · float", "snn · loihi1", "small", "linear", "random"]
-    ann = table(page, "default preset, driving")[2]
-    assert ann[2:7] == ["2", "25,000", "98% [98%, 98%]", "7.50", "2%"]
-    assert len(table(page, "classic preset, driving")) == 2 + 3 * 5
-    chip = table(page, "default preset, on the chip")
-    assert chip[2] == ["kart-grid", "0", "98%", "97%", "-1", "97.0%"]
-
-
-def test_the_page_says_plainly_what_was_not_reached(design, pretend, tmp_path):
-    page = run_experiment(design, (), 2, tmp_path).files[0].read_text()
-    where = "default, kart-grid"
-    assert f"- ✓ {where}, ann: 300 finishes after 300k steps (median), kart-simulator 402k" in page
-    assert f"- ✗ {where}, snn: 300 finishes after 599k steps (median)" in page
-    assert f"- ✗ {where}: the SNN reaches 50.1% [50%, 50%] of the ANN in steps to 300 fin" in page
-    assert f"- ✓ {where}: the SNN reaches 100.0% [100%, 100%] of the ANN in steps to greedy" in page
-    assert f"- ✓ {where}: chip and float twin differ by up to 1 points of the finish rate" in page
-    assert "- ✗ classic, kart-grid, snn: 300 finishes after 599k" in page
-
-
-def test_the_page_says_when_trainings_end(design, pretend, tmp_path):
-    page = run_experiment(design, (), 2, tmp_path, train=False).files[0].read_text()
-    assert "- default: a training ends with its budget of environment steps: 300,000 (kart-" in page
-    assert "- classic: a training ends with 300 finishes, or its budget" in page
-    longer = KartDesign(1, design.runs, ("stop_at_greedy=0.95",), controls=1)
-    page = run_experiment(longer, (), 2, tmp_path, train=False).files[0].read_text()
-    assert "300 finishes and 2 validations in a row of greedy 95%, or its budget" in page
-
-
-def test_the_page_says_who_finishes_on_other_tracks(design, pretend, tmp_path):
-    page = run_experiment(design, (), 2, tmp_path).files[0].read_text()
-    cells = table(page, "Tracks that were not trained on")
-    assert cells[0] == ["world", "trained on", "driver", "seeds", *TRACKS]
-    drivers = [row[1:3] for row in cells[2:] if row[0] == "kart-grid"]
-    labels = ["ann", "snn · loihi1", "small", "linear"]
-    assert drivers == [
-        *(["corridor-8", label] for label in labels),
-        *(["big_S", label] for label in labels),
-        ["–", "random"],
-    ]
-    assert cells[2][4:] == ["100% [93, 100]"] * len(TRACKS)
-    assert cells[6][4:] == ["0% [0, 7]"] * (len(TRACKS) - 1) + ["100% [93, 100]"]
-
-
 def test_a_share_of_finishes_has_an_interval_over_trainings_and_starts():
     apart = finish_share([[1] * 50, [0] * 50])
     assert (apart.mean, apart.ci95) == (0.5, (0.0, 1.0))
     agreed = finish_share([[1] * 30 + [0] * 20] * 3)
     assert 0.45 < agreed.ci95[0] < agreed.mean == 0.6 < agreed.ci95[1] < 0.73
-    assert ratio_of_means(np.array([0.4, 0.6]), np.array([1.0])).mean == 0.5
-    assert ratio_of_means(np.array([0.4]), np.zeros(2)) is None
 
 
 def tracks_rows(policy, share, seed=0):
@@ -307,21 +217,6 @@ def test_held_out_sentences_count_only_tracks_that_nothing_was_trained_on():
     assert len(heldout_table(rows)) == 1 + 3
     neither = tracks_rows("ann", 0.0) + tracks_rows("snn", 0.0) + tracks_rows("gap", 0.5, None)
     assert len(heldout_verdicts(neither)) == 2
-
-
-def test_the_tables_are_written_in_full_as_csv(design, pretend, tmp_path):
-    run_experiment(design, (), 2, tmp_path)
-    rows = {
-        name: list(csv.DictReader((tmp_path / f"kart/{name}.csv").read_text().splitlines()))
-        for name in ("learning", "driving", "tracks", "finishes")
-    }
-    assert len(rows["learning"]) == 54
-    assert len(rows["finishes"]) == 36 * 300  # of the two presets on big_S
-    assert len(rows["driving"]) == 54 + 18 + 3  # spiking ones have two rows, built-in ones one
-    assert len(rows["tracks"]) == (36 + 3) * len(TRACKS)
-    assert rows["learning"][0][NTH] == "300000"
-    assert rows["learning"][0][HELD] == "40000"
-    assert rows["tracks"][0]["finished"] == "0" * 50
 
 
 def test_a_training_that_never_came_so_far_counts_as_longer_than_it_was():
@@ -379,15 +274,6 @@ def test_a_page_with_trainings_that_are_not_here_is_not_written_over(design, pre
     assert {path: path.read_bytes() for path in files} == before
 
 
-def test_lines_are_medians_up_to_where_every_run_tells():
-    runs = [np.arange(1, 301) * 10.0, np.arange(1, 101) * 20.0]
-    grid, counts = counted(runs, [3000.0, 2500.0])
-    assert grid[-1] == 2500  # where the run that never reached 300 ends
-    assert counts[:, -1].tolist() == [250, 100]
-    grid, counts = counted(runs[:1], [9000.0])
-    assert (grid[-1], counts[0, -1]) == (3000, 300)
-
-
 def test_the_command_tells_machines_and_people(design, pretend, monkeypatch, tmp_path, lab):
     monkeypatch.chdir(tmp_path)
     words = ("experiment", "kart", "--seeds", "1", "--controls", "0", "--only", "kart-grid")
@@ -410,10 +296,10 @@ def short(monkeypatch):
 
 def test_the_gap_follower_finishes_where_it_was_tuned_and_not_everywhere(tmp_path, short):
     script = kart.Script("kart-gazebo", "gap", str(tmp_path), 3)
-    assert finished(script, 2) is None
+    assert read_tracks(script, 2) is None
     assert drive_tracks(script, 2)
-    assert finished(script, 2) == {"big_S": [1, 1], "small_S": [0, 0]}
-    assert finished(script, 3) is None
+    assert read_tracks(script, 2) == {"big_S": [1, 1], "small_S": [0, 0]}
+    assert read_tracks(script, 3) is None
 
 
 def test_unseen_tracks_are_those_that_no_recipe_is_trained_on():

@@ -108,15 +108,6 @@ def test_a_table_that_was_cut_is_not_one_of_few_finishes(tmp_path):
         _ = trial.finishes
 
 
-@pytest.mark.parametrize("content", ['{"env_steps": "x", "finishes": 1}', '{"env_steps": 3}'])
-def test_counters_that_are_none_are_named(content, tmp_path):
-    trial = trial_of(tmp_path)
-    leave(trial)
-    (trial.run / "checkpoints/last.json").write_text(content)
-    with pytest.raises(ConfigError, match=r"last\.json is damaged"):
-        _ = trial.is_trained
-
-
 @pytest.mark.parametrize("take", [lambda t: t.finishes, lambda t: t.steps_to_greedy(0.95)])
 def test_a_training_that_ended_and_lost_its_tables_did_not_fail_to_finish(take, tmp_path):
     trial = trial_of(tmp_path)
@@ -157,28 +148,6 @@ def test_files_of_others_are_refused(name, tmp_path):
     with pytest.raises(BadZipFile, match="is no file of a training"):
         unpack(tmp_path / "a.zip", tmp_path / "runs")
     assert not (tmp_path / "runs").exists()
-
-
-def test_members_larger_than_they_say_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(trainings, "_MOST", 10)
-    with ZipFile(tmp_path / "a.zip", "w") as zipped:
-        zipped.writestr("kart-grid-gap.json", "x" * 11)
-        zipped.infolist()[0].file_size = 1  # what the directory at the end says
-    with pytest.raises(BadZipFile):
-        unpack(tmp_path / "a.zip", tmp_path / "runs")
-    assert not (tmp_path / "runs").exists()
-
-
-def test_a_training_is_complete_last_of_all(tmp_path, monkeypatch):
-    leave(trial_of(tmp_path / "here"))
-    (archive,) = pack(tmp_path / "here", tmp_path)
-    written = []
-    monkeypatch.setattr(trainings, "replacing", lambda path: written.append(path.name))
-    with pytest.raises(TypeError):
-        unpack(archive, tmp_path / "there")
-    assert written == ["last.json"]
-    names = ZipFile(archive).namelist()
-    assert names.index(next(n for n in names if n.endswith("evaluation.json"))) < len(names) - 1
 
 
 def test_damaged_archives_leave_nothing(tmp_path):

@@ -27,9 +27,7 @@ from lab.experiments.pages import share
 from lab.experiments.pareto import FLOAT, LAST, SPIKING, STUDENTS, ParetoDesign
 from lab.experiments.pareto_page import cheapest, return_table, sentences
 from lab.experiments.runner import run_experiment
-from spikedeploy.comparison.statistics import iqm, risk
 from spikedeploy.jobs import resumable
-from spikedeploy.reports.table import markdown_text
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.policies import PrunedMlpPolicy
@@ -204,25 +202,6 @@ def test_the_page_follows_from_its_table_without_the_runs(design, results, tmp_p
     }
 
 
-def test_the_page_says_what_it_was_made_with(results):
-    text = (results / "pareto.md").read_text()
-    assert "    python -m lab experiment pareto kart-grid --quick --seeds 1 --episodes 3" in text
-    assert "of at most 12 control steps" in text
-
-
-def test_rows_say_of_how_many_trainings_their_policy_is_and_keep_the_returns_of_karts(results):
-    teacher, *others = rows(results)
-    assert teacher["training_seeds"] is None
-    assert {row["training_seeds"] for row in others} == {1}
-    for row in rows(results):
-        if not row["refusal"]:
-            assert len(row["returns"]) == len(row["scores"])
-            assert np.mean(row["returns"]) == pytest.approx(row["return_mean"], rel=1e-5)
-    text = (results / "pareto.md").read_text()
-    assert "### Returns over training seeds and episodes" in text
-    assert "| training seeds | episodes | finished | return | IQM | risk |" in text
-
-
 def test_options_of_other_experiments_are_refused():
     with pytest.raises(ConfigError, match="the experiment pareto has no finishes"):
         ParetoDesign.of({"env": "hexapod", "finishes": 3})
@@ -249,12 +228,6 @@ def test_an_unknown_part_or_setting_is_refused_before_anything_runs(design, resu
     with pytest.raises(ConfigError, match=r"kart-grid-sparse-s0: .*no_such"):
         run_experiment(odd, (), 1, tmp_path)
     assert len(ran) == count
-
-
-def test_intervals_hold_their_means(results):
-    for point in points(rows(results)):
-        low, high = point.of_teacher.ci95
-        assert np.isnan(low) or low <= point.of_teacher.mean <= high
 
 
 def test_the_command_leaves_the_published_page_alone_where_sizes_are_quick(
@@ -476,26 +449,6 @@ def driven(row):
     return row | {"crashes": 0.5, "scores": finishes}
 
 
-def test_mean_iqm_and_risk_are_of_all_trainings_together_with_their_spread(walked):
-    (point,) = points(walked)
-    found, everything = (
-        return_estimates(point.rows),
-        np.concatenate([r["scores"] for r in walked[1:]]),
-    )
-    assert found.mean.mean == pytest.approx(everything.mean())
-    assert found.iqm.mean == pytest.approx(iqm(everything))
-    assert found.risk.mean == pytest.approx(risk(everything))
-    alone = return_estimates(point.rows[:1]).mean.ci95
-    assert found.mean.ci95[1] - found.mean.ci95[0] > 3 * (alone[1] - alone[0])
-
-
-def test_each_level_has_a_row_with_its_training_seeds_and_the_teacher_one_without(walked):
-    lines = markdown_text(return_table(walked, points(walked))).splitlines()
-    assert lines[0] == "| policy | aim | training seeds | episodes | return | IQM | risk |"
-    assert lines[2].startswith("| LIF | 50 | 3 | 40 | 3,194 [")
-    assert lines[3].startswith("| teacher, hexapod/sac | – | – | 40 | 3,294 [")
-
-
 def test_karts_have_finishes_first_and_returns_where_their_rows_keep_them(walked):
     karts = [driven(row) for row in walked]
     assert return_estimates(karts[1:]) is None
@@ -505,9 +458,3 @@ def test_karts_have_finishes_first_and_returns_where_their_rows_keep_them(walked
     assert return_estimates(kept[1:]) == return_estimates(walked[1:])
     head = return_table(kept, points(kept))[0]
     assert head[-4:] == ["finished", "return", "IQM", "risk"]
-
-
-def test_a_csv_counts_the_trainings_of_each_policy(walked, tmp_path):
-    plain = [row | {"neuron_updates": None, "operations": None} for row in walked]
-    found = read_table(write_table(plain, tmp_path / "hexapod.csv"))
-    assert [row["training_seeds"] for row in found] == [None, 3, 3, 3]

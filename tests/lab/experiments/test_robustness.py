@@ -6,9 +6,8 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from lab.experiments import robustness_page as page
-from lab.experiments.robustness import UNDISTURBED, RobustnessDesign, file_name
-from lab.experiments.robustness_page import read_table
+from lab.experiments import robustness as page
+from lab.experiments.robustness import UNDISTURBED, RobustnessDesign, file_name, read_table
 from lab.experiments.runner import perform, run_experiment
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry

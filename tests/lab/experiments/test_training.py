@@ -12,7 +12,7 @@ from lab.experiments.runner import run_experiment
 from lab.experiments.training import counters
 from spikedeploy.jobs import resumable
 from spikedeploy.policies.registry import find
-from spikedeploy.runtime.errors import ChipError, ConfigError
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import train
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.run_folder import RunFolder
@@ -92,18 +92,6 @@ def test_an_interrupted_training_goes_on_where_it_stopped(race, monkeypatch, tmp
     assert ends == sorted(ends)
 
 
-def test_a_training_killed_before_its_first_checkpoint_begins_anew(race, tmp_path):
-    one = make(tmp_path)
-    one.perform()
-    for file in (*(one.run / "checkpoints").iterdir(), *one.run.glob("policy.*")):
-        file.unlink()
-    (one.run / "evaluation.json").unlink()
-    rows = len(read(one.run / "episodes.csv"))
-    assert one.perform()
-    assert len(read(one.run / "episodes.csv")) == rows
-    assert len(list(tmp_path.glob("smoke-kart-s1-*"))) == 1
-
-
 def test_enough_finishes_end_a_training(race, tmp_path):
     one = make(tmp_path, overrides=(*QUICK, "env.options.luck=6", "stop_at_finishes=4"))
     one.perform()
@@ -111,25 +99,6 @@ def test_enough_finishes_end_a_training(race, tmp_path):
     assert 4 <= len(one.finishes) < 20
     assert counters(one.run)["env_steps"] < 1024
     assert one.evaluation["rows"][0]["success_rate"] == 1  # evaluated in the same world
-
-
-def test_a_run_of_an_older_recipe_is_found_out(race, monkeypatch, tmp_path):
-    from spikedeploy.trainers.recipes import RECIPES, Recipe, merged
-
-    one = make(tmp_path)
-    one.perform()
-    assert one.changed_settings == []
-    old = RECIPES["smoke-kart"]
-    newer = Recipe(old.algorithm, old.summary, merged(old.settings, {"gamma": 0.5}))
-    monkeypatch.setitem(RECIPES, "smoke-kart", newer)
-    assert one.changed_settings == [f"gamma={one.config.gamma}"]
-
-
-def test_seeds_and_recipes_do_not_take_each_other_for_themselves(race, tmp_path):
-    one, eleven = make(tmp_path, seed=1), make(tmp_path, seed=11)
-    eleven.perform()
-    assert one.run is None
-    assert eleven.run is not None
 
 
 @pytest.mark.parametrize(
@@ -356,11 +325,6 @@ def started(monkeypatch):
     )
     monkeypatch.setattr(ParetoDesign, "write", lambda design, results: [results / "pareto.md"])
     return names
-
-
-def test_an_unknown_chip_is_refused_with_the_design(tmp_path):
-    with pytest.raises(ChipError, match="no chip 'nope'"):
-        ParetoDesign.of({"env": "kart-grid", "chip": "nope", "runs": str(tmp_path)})
 
 
 @pytest.mark.parametrize(

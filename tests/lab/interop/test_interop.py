@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lab.interop import cases, tools
-from lab.interop.cases import FOR, PLAIN, case, compared, intended, measure, raster
+from lab.interop.cases import FOR, PLAIN, case, compare, intended, measure, raster
 from lab.interop.page import page
 from lab.interop.tools import PEERS, pythons, versions
 from spikedeploy.runtime.artifact.artifact import save
@@ -34,25 +34,25 @@ def layers(**changed):
 
 
 def test_equal_layers_are_equal():
-    found = compared(layers(), layers(output=np.ones((5, 2)) + 1e-6))
+    found = compare(layers(), layers(output=np.ones((5, 2)) + 1e-6))
     assert found == EQUAL
 
 
 def test_the_first_difference_is_the_earliest_in_time():
     late, early = np.zeros((5, 3)), np.zeros((5, 2))
     late[4, 0] = early[2, 1] = 1
-    found = compared(layers(a=late, b=early), layers())
+    found = compare(layers(a=late, b=early), layers())
     assert (found["differ"], found["first"]) == (2, [2, "b", 1])
 
 
 def test_outputs_of_another_node_or_size_are_not_equal():
-    assert compared(layers(output=np.zeros((5, 3))), layers())["output"] == "another shape"
-    assert compared(layers(output=np.zeros((5, 2))), layers())["output"] == "differs"
+    assert compare(layers(output=np.zeros((5, 3))), layers())["output"] == "another shape"
+    assert compare(layers(output=np.zeros((5, 2))), layers())["output"] == "differs"
 
 
 def test_names_of_the_tool_need_not_be_ours():
     renamed = {f"n00_{name}": rows for name, rows in layers().items() if name != "output"}
-    found = compared({**renamed, "output": np.ones((5, 2))}, layers())
+    found = compare({**renamed, "output": np.ones((5, 2))}, layers())
     assert found == EQUAL
 
 
@@ -73,8 +73,8 @@ def test_a_missing_tool_is_a_row_and_a_measured_one_is_kept(file, monkeypatch):
 def test_the_page_says_what_came_of_each_case(file):
     rows = measure([file], {}, Path("found.json"), print)
     assert page(rows, "python -m lab interop").count("not installed") >= 8
-    equal = compared(layers(), layers())
-    other = compared(layers(a=np.ones((5, 3))), layers())
+    equal = compare(layers(), layers())
+    other = compare(layers(a=np.ones((5, 3))), layers())
     norse = [row for row in rows if row["peer"] == "norse"]
     norse[0] |= {"opens": True, "meant": other, "like": other, "versions": {"norse": "1.1.0"}}
     norse[1] |= {"opens": True, "meant": equal, "like": equal}
@@ -89,7 +89,7 @@ def test_the_page_says_what_came_of_each_case(file):
 
 def test_the_page_counts_the_files_of_which_a_tool_computes_every_spike(file):
     rows = measure([file], {}, Path("found.json"), print)
-    equal, other = (compared(layers(**a), layers()) for a in ({}, {"a": np.ones((5, 3))}))
+    equal, other = (compare(layers(**a), layers()) for a in ({}, {"a": np.ones((5, 3))}))
     for row, found in zip([r for r in rows if r["peer"] == "norse"], (other, equal), strict=True):
         row |= {"opens": True, "meant": found, "like": found, "versions": {"norse": "1.1.0"}}
     text = page(rows, "python -m lab interop policy.nir -o x.md")

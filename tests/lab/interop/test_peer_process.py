@@ -63,7 +63,7 @@ def test_what_is_written_for_a_tool_has_the_same_spikes_there(tool, tmp_path):
     """Every spike of both layers, of networks that the tool refuses or reads as others."""
     installed("nirtorch")
     installed(tool)
-    from lab.interop.cases import compared, meant
+    from lab.interop.cases import compare, intended
     from spikedeploy.runtime.artifact.artifact import Artifact, for_importer, load, save
     from spikedeploy.runtime.convention import Convention
     from tests.networks import lif
@@ -74,9 +74,9 @@ def test_what_is_written_for_a_tool_has_the_same_spikes_there(tool, tmp_path):
         save(own, tmp_path / "own.nir")
         save(for_importer(load(tmp_path / "own.nir"), tool), job["file"])
         assert peer_process.done(tool, job)["opens"]
-        wanted = meant(tmp_path / "own.nir", np.load(job["raster"]))
+        wanted = intended(tmp_path / "own.nir", np.load(job["raster"]))
         with np.load(job["out"]) as file:
-            found = compared({name: file[name] for name in wanted}, wanted)
+            found = compare({name: file[name] for name in wanted}, wanted)
         assert (found["differ"], found["output"], found["compared"]) == (0, "equal", 60 * 17)
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from lab.peers.sanafe_networks import NETWORKS, program, run, scattered, simulated
+from lab.peers.sanafe_networks import NETWORKS, one_core_each, program, run, scatter, simulate
 from spikedeploy.runtime.metrics.energy import TABLES, energy, latency
-from spikedeploy.runtime.metrics.traffic import one_core_each, traffic
+from spikedeploy.runtime.metrics.traffic import traffic
 
 TABLE = TABLES["sanafe"]
 UPDATE = TABLE.joules["neuron_update"] - TABLE.joules["neuron_idle"]
@@ -29,10 +29,10 @@ def raster_of(network, seed, rate):
 def test_the_energy_of_a_random_network_is_sanafes(case, rate, mapping):
     network = program(case, seed=1)
     raster = raster_of(network, 2, rate)
-    layout = one_core_each(network) if mapping == "one core each" else scattered(network, 3)
+    layout = one_core_each(network) if mapping == "one core each" else scatter(network, 3)
     ledger, spikes = run(network, raster)
     sent = traffic(network, spikes, layout)
-    theirs = simulated(network, raster, layout)
+    theirs = simulate(network, raster, layout)
     inputs = int(raster.sum())
     assert ledger.total("sop") == theirs["spikes"] > 0
     assert ledger.total("spike_out") == theirs["neurons_fired"] - inputs
@@ -51,7 +51,7 @@ def test_energies_are_sanafes_without_a_layout_too_where_nothing_goes_to_a_host(
     network = program(case, seed=4)
     raster = raster_of(network, 5, 0.2)
     ledger, _ = run(network, raster)
-    theirs = simulated(network, raster, one_core_each(network))
+    theirs = simulate(network, raster, one_core_each(network))
     to_host = ledger.by_layer("spike_out")[network.output] * TABLE.joules["message"]
     assert energy(ledger, TABLE) - to_host == pytest.approx(theirs["energy"]["total"], rel=0.05)
 
@@ -61,5 +61,5 @@ def test_the_time_of_layers_on_one_tile_is_an_upper_bound_of_sanafes(case):
     network = program(case, seed=6)
     raster = raster_of(network, 7, 0.2)
     ledger, _ = run(network, raster)
-    theirs = simulated(network, raster, one_core_each(network))
+    theirs = simulate(network, raster, one_core_each(network))
     assert 1.0 < latency(ledger, TABLE) / theirs["sim_time"] < 4.0

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lab.peers.sanafe_networks import one_core_each
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.compiler.program import Program
@@ -11,7 +12,6 @@ from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.runtime.metrics.traffic import (
     Layout,
     Traffic,
-    one_core_each,
     placed_messages,
     total,
     traffic,

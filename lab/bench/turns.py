@@ -1,0 +1,37 @@
+"""Candidates that take turns, so that what else the machine does meets all of them alike."""
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+Act = Callable[[], object]
+
+
+def interleave(candidates: Mapping[str, Sequence[Act]], rounds: int) -> dict[str, list[float]]:
+    """Seconds of each candidate's calls, round by round; the first round is not kept."""
+    taken: dict[str, list[float]] = {name: [] for name in candidates}
+    for turn in range(rounds + 1):
+        for name, acts in candidates.items():
+            for act in acts:
+                start = time.perf_counter()
+                act()
+                if turn:
+                    taken[name].append(time.perf_counter() - start)
+    return taken
+
+
+def parser_of(doc: str | None, rounds: int = 15) -> argparse.ArgumentParser:
+    """The options that benchmarks have."""
+    parser = argparse.ArgumentParser(
+        description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rounds", type=int, default=rounds, help="in which candidates take turns")
+    parser.add_argument("--json", action="store_true")
+    return parser
+
+
+def report(result: Any, options: argparse.Namespace, table: Callable[[Any], str]) -> None:  # noqa: ANN401
+    """Print a result as JSON, or as its table."""
+    print(json.dumps(result, indent=2) if options.json else table(result))
