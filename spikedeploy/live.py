@@ -183,7 +183,6 @@ class WatchedLoop(PacedLoop):
 # infos of our environments, of which curves are drawn; which ones others have changes by the step
 _OURS = {"command_turn", "slip", "gates"}
 _MOST_NEURONS = 4096  # of a layer whose spikes are sent
-_MOST_MEMBRANES = 2048  # likewise
 
 
 @dataclass(frozen=True)
@@ -249,23 +248,12 @@ def steps_event(batch: Sequence[WatchedStep], table: str, deadline: float) -> by
 
 
 def _network(batch: Sequence[WatchedStep], table: str) -> dict[str, Any]:
-    inferences = [step.inference for step in batch if step.inference]
-    first, ledgers = inferences[0], [step.ledger for step in batch if step.ledger]
-    left_out = {n: s for n, s in first.spikes.items() if s.shape[1] > _MOST_NEURONS}
-    large = {name for name, last in first.membranes.items() if len(last) > _MOST_MEMBRANES}
-    sent = [
-        Inference(
-            {name: spikes for name, spikes in each.spikes.items() if name not in left_out},
-            {name: last for name, last in each.membranes.items() if name not in large},
-        )
-        for each in inferences
-    ]
-    counted = None
+    counted, ledgers = None, [step.ledger for step in batch if step.ledger]
     if ledgers:
         counts = np.concatenate([ledger.counts for ledger in ledgers])
         counted = replace(ledgers[0], counts=counts)
-    names = [f"{name}: {spikes.shape[1]:,} neurons" for name, spikes in left_out.items()]
-    return network_json(stack_inferences(sent, counted, table), names)
+    inferences = [step.inference for step in batch if step.inference]
+    return network_json(stack_inferences(inferences, counted, table), _MOST_NEURONS)
 
 
 # the view

@@ -5,9 +5,10 @@ as text, the shapes and poses of a scene, curves of the step infos, spikes, memb
 """
 
 import json
+import math
 import zlib
 from base64 import b64encode
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -285,33 +286,40 @@ def costs_of_each(ledger: Ledger, table: str) -> tuple[Floats, Floats]:
     return sops, np.array([energy(row, prices) for row in rows])
 
 
-def network_json(trace: NetworkTrace, left_out: Iterable[str] = ()) -> dict[str, Any]:
+def network_json(trace: NetworkTrace, most_neurons: float = math.inf) -> dict[str, Any]:
     """Spikes, membranes, operations and energy; what is too large is left out, by name.
 
-    left_out  names of layers that are not in the trace
+    most_neurons  of a layer whose spikes are shown, twice as many as of one with membranes
     """
-    large = {name: r for name, r in trace.rasters.items() if r.size > _MOST_BITS}
+    large = {
+        name: raster
+        for name, raster in trace.rasters.items()
+        if raster.size > _MOST_BITS or raster.shape[2] > most_neurons
+    }
     return {
         "layers": [
-            _layer(name, raster, trace.membranes.get(name))
+            _layer(name, raster, trace.membranes.get(name), most_neurons / 2)
             for name, raster in trace.rasters.items()
             if name not in large
         ],
-        "left_out": [*left_out, *(f"{name}: {r.shape[2]:,} neurons" for name, r in large.items())],
+        "left_out": [f"{name}: {raster.shape[2]:,} neurons" for name, raster in large.items()],
         "sops": None if trace.sops is None else pack(trace.sops),
         "energy": None if trace.energy is None else pack(trace.energy),
     }
 
 
-def _layer(name: str, raster: NDArray[Any], membranes: Floats | None) -> dict[str, Any]:
+def _layer(
+    name: str, raster: NDArray[Any], membranes: Floats | None, most: float
+) -> dict[str, Any]:
     steps, timesteps, neurons = raster.shape
-    is_small = membranes is not None and membranes.size <= _MOST_MEMBRANES
+    if membranes is not None and (membranes.size > _MOST_MEMBRANES or neurons > most):
+        membranes = None
     return {
         "name": name,
         "timesteps": timesteps,
         "spikes": pack_bits(raster.reshape(steps * timesteps, neurons)),
         "count": int(np.count_nonzero(raster)),
-        "membranes": pack(membranes) if membranes is not None and is_small else None,
+        "membranes": None if membranes is None else pack(membranes),
     }
 
 

@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 REPLAY_ASSETS = ("unpack.js", "bodies.js", "track.js", "strips.js", "instrument.js")
 FILES = ("report.html", "report.json")
 _COMMENT = re.compile(r"<!--.*?-->\n?")
-_FOLDED = "h3"  # heads of Markdown whose sections are folded
+_HEADS = re.compile(r"(?=<h\d>)")
+_FOLDED = re.compile(r"<h3>(.*?)</h3>\n?", re.DOTALL)  # head of a section that is folded
 
 
 def render(template: str, **content: Any) -> str:  # noqa: ANN401
@@ -117,27 +118,14 @@ def render_markdown(text: str, figures: "Mapping[str, Figure]") -> str:
     parser = MarkdownIt("commonmark", {"html": False}).enable("table")
     title, _, body = _COMMENT.sub("", text).partition("\n")
     tokens = list(_align_tables(list(_draw_pictures(parser.parse(body), figures))))
-
-    def html(part: "Sequence[Token]") -> Markup:
-        return Markup(parser.renderer.render(part, parser.options, {}))
-
-    sections = [
-        (part[1].content, html(part[3:])) if _is_folded(part) else ("", html(part))
-        for part in _sections(tokens)
-    ]
-    return render("text", title=title.lstrip("# "), sections=sections)
+    html = parser.renderer.render(tokens, parser.options, {})
+    return render("text", title=title.lstrip("# "), sections=map(_section, _HEADS.split(html)))
 
 
-def _sections(tokens: "Sequence[Token]") -> "Iterator[Sequence[Token]]":
-    """What stands before the first head, and each head with what stands below it."""
-    starts = [place for place, each in enumerate(tokens) if each.type == "heading_open"]
-    for first, last in zip([0, *starts], [*starts, len(tokens)], strict=True):
-        if first < last:
-            yield tokens[first:last]
-
-
-def _is_folded(part: "Sequence[Token]") -> bool:
-    return part[0].type == "heading_open" and part[0].tag == _FOLDED
+def _section(html: str) -> tuple[Markup, Markup]:
+    """Title, which is empty where the section is not folded, and content."""
+    head = _FOLDED.match(html)
+    return (Markup(head[1]), Markup(html[head.end() :])) if head else (Markup(), Markup(html))
 
 
 def _draw_pictures(tokens: "Sequence[Token]", figures: "Mapping[str, Figure]") -> "Iterator[Token]":
