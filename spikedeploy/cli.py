@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from spikedeploy.console import as_called, discard_output, prepare_streams
+from spikedeploy.console import discard_output, name_program, prepare_streams
 from spikedeploy.user_errors import BAD_INPUT, exit_code, one_line
 
 # panel of the help -> command -> its module in spikedeploy/commands
@@ -113,5 +113,5 @@ def run(commands: typer.Typer) -> None:
         if line is None:
             raise
         discard_output()
-        print(f"error: {as_called(line)}", file=sys.stderr)
+        print(f"error: {name_program(line)}", file=sys.stderr)
         sys.exit(exit_code(error))

@@ -26,13 +26,13 @@ _ASCII = {
 
 def prepare_streams() -> None:
     """Let lines appear at once, piped or not, and letters that a terminal lacks be spelt out."""
-    codecs.register_error("spelt", _spelt)
+    codecs.register_error("ascii-spelling", _spell_in_ascii)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(line_buffering=True, errors="spelt")
+            stream.reconfigure(line_buffering=True, errors="ascii-spelling")
 
 
-def _spelt(error: UnicodeError) -> tuple[str, int]:
+def _spell_in_ascii(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     letters = error.object[error.start : error.end]
@@ -48,14 +48,14 @@ def discard_output() -> None:
             os.dup2(nothing.fileno(), sys.stdout.fileno())
 
 
-def called() -> str:
-    """The word by which the user calls this program: the script ./spike names itself."""
+def program_name() -> str:
+    """The word by which the user calls this program; the script ./spike sets it."""
     return shlex.quote(os.environ.get("SPIKEDEPLOY_COMMAND") or "spikedeploy")
 
 
-def as_called(text: str) -> str:
-    """A text whose `spikedeploy …` are as the user calls them."""
-    return text.replace("`spikedeploy ", f"`{called()} ")
+def name_program(text: str) -> str:
+    """The text with `spikedeploy …` as the user calls it."""
+    return text.replace("`spikedeploy ", f"`{program_name()} ")
 
 
 def print_json(data: object) -> None:
@@ -66,7 +66,7 @@ def print_json(data: object) -> None:
 def say(line: str) -> None:
     """Write a line on stderr, which leaves stdout for results."""
     console(stderr=True).print(
-        as_called(line), markup=False, soft_wrap=True
+        name_program(line), markup=False, soft_wrap=True
     )  # so that it can be copied
 
 
@@ -109,11 +109,11 @@ class _Lines:
 
     def __init__(self, description: str, total: int) -> None:
         self._description, self._total, self._done = description, total, 0
-        self._said = time.monotonic()
+        self._printed = time.monotonic()
 
     def advance(self) -> None:
         """One more is done."""
         self._done += 1
-        if time.monotonic() - self._said >= PAUSE:
-            self._said = time.monotonic()
+        if time.monotonic() - self._printed >= PAUSE:
+            self._printed = time.monotonic()
             say(f"{self._description}: {self._done} of {self._total}")

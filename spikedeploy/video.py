@@ -102,7 +102,7 @@ def gif(path: Path, frames: Iterable[Frame], period: float, remark: str = "") ->
     return path.stat().st_size
 
 
-def captioned(frame: Frame, text: str) -> Frame:
+def add_caption(frame: Frame, text: str) -> Frame:
     """The frame (H, W, 3) with a dark strip that holds `text` along its lower edge."""
     from PIL import Image, ImageDraw, ImageFont
 

@@ -24,7 +24,7 @@ def runs(
     json: Json = False,
 ) -> None:
     """List training runs: validation return, success, operations, how far each came, age."""
-    from spikedeploy.console import as_called, print_json
+    from spikedeploy.console import name_program, print_json
     from spikedeploy.reports.runs import find_runs, run_table
 
     rows, damaged = find_runs(folder, env, sort)
@@ -33,6 +33,6 @@ def runs(
     elif rows:
         run_table(rows, folder).print()
     else:
-        typer.echo(as_called(f"no runs in {folder}: `spikedeploy train RECIPE` makes one"))
+        typer.echo(name_program(f"no runs in {folder}: `spikedeploy train RECIPE` makes one"))
     for line in damaged:
         typer.echo(f"left out: {line}", err=True)

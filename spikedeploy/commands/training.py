@@ -165,7 +165,7 @@ def run_training(
     """
     if resume is not None and seed is not None:
         raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
-    from spikedeploy.console import called, print_json, say
+    from spikedeploy.console import print_json, program_name, say
     from spikedeploy.reports.runs import LivePage
     from spikedeploy.shipping.exported_run import trained_in
     from spikedeploy.shipping.training_films import TrainingFilms
@@ -186,7 +186,7 @@ def run_training(
         raise typer.Exit(interrupt.exit_code)
     if not json:
         env = trained_in(str(run))
-        again = f"{called()} {shlex.join(['compare', str(env), str(run), *baselines(run)])}"
+        again = f"{program_name()} {shlex.join(['compare', str(env), str(run), *baselines(run)])}"
         typer.echo(f"trained: {run}\n{remark(run)}page: {run / 'report.html'}\nnext: {again}")
 
 

@@ -136,7 +136,7 @@ def draw(
     from spikedeploy.play.display import check_display
 
     check_display()
-    from spikedeploy.console import as_called, called, print_json
+    from spikedeploy.console import name_program, print_json, program_name
     from spikedeploy.play.draw import TrackEditor
     from spikedeploy.play.window import show
 
@@ -150,6 +150,6 @@ def draw(
         print_json(result)
         return
     if app.saved:
-        typer.echo(f"wrote {file}; drive it: {called()} play kart-grid --track {file}")
+        typer.echo(f"wrote {file}; drive it: {program_name()} play kart-grid --track {file}")
     if draft:
-        typer.echo(as_called(f"kept {draft}; `spikedeploy draw {file}` goes on with it"))
+        typer.echo(name_program(f"kept {draft}; `spikedeploy draw {file}` goes on with it"))

@@ -32,7 +32,7 @@ from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import NONE, Faults
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.video import Frame, Pace, captioned, mp4
+from spikedeploy.video import Frame, Pace, add_caption, mp4
 
 
 def compare_policies(
@@ -216,4 +216,4 @@ def _film(path: Path | None, fps: float, caption: str) -> Iterator[Callable[[Fra
         yield None
         return
     with mp4(path, fps, mark("run")) as write:
-        yield lambda frame: write(captioned(frame, caption))
+        yield lambda frame: write(add_caption(frame, caption))

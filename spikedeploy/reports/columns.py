@@ -244,14 +244,14 @@ _SIZE = (
 def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
     """Title -> columns that some row fills."""
     title, columns = _earnings(rows)
-    clocked = _filled((_CLOCK,), rows)
+    clocked = _drop_empty((_CLOCK,), rows)
     found = {
-        title: [*clocked, *_filled(columns, rows), *measured_columns(rows)],
-        "Does it act like its reference?": _filled(_AGREEMENT, rows),
-        "How large is the network?": _filled(_SIZE, rows),
-        "What does an inference take?": _filled(_OPERATIONS, rows),
-        COST: _filled(_price_columns(rows), rows),
-        "Where does the energy go, in nJ?": _paid(rows),
+        title: [*clocked, *_drop_empty(columns, rows), *measured_columns(rows)],
+        "Does it act like its reference?": _drop_empty(_AGREEMENT, rows),
+        "How large is the network?": _drop_empty(_SIZE, rows),
+        "What does an inference take?": _drop_empty(_OPERATIONS, rows),
+        COST: _drop_empty(_price_columns(rows), rows),
+        "Where does the energy go, in nJ?": _term_columns(rows),
     }
     return {title: [_NAME, *columns] for title, columns in found.items() if columns}
 
@@ -296,7 +296,7 @@ def _metric(text: str) -> Column:
     return Column(f"{name} {reduction}", meaning, cell)
 
 
-def _filled(columns: Iterable[Column], rows: Sequence[Row]) -> list[Column]:
+def _drop_empty(columns: Iterable[Column], rows: Sequence[Row]) -> list[Column]:
     return [column for column in columns if any(column.cell(row) != ABSENT for row in rows)]
 
 
@@ -430,7 +430,7 @@ _WHERE = (
 )
 
 
-def _paid(rows: Sequence[Row]) -> list[Column]:
+def _term_columns(rows: Sequence[Row]) -> list[Column]:
     """The terms that some row pays, or does not know."""
     return [c for c in _WHERE if {c.cell(row) for row in rows} - {ABSENT, "0"}]
 
@@ -457,7 +457,7 @@ def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
         Column("operations", "a control step, of synapses", format_operations),
         Column("energy", f"a control step, by table {table}", energy_cell(table)),
     ]
-    return [Column("policy", "policy · chip", short_label(rows, env)), *_filled(columns, rows)]
+    return [Column("policy", "policy · chip", short_label(rows, env)), *_drop_empty(columns, rows)]
 
 
 def short_label(rows: Sequence[Row], env: str) -> Callable[[Row], str]:
@@ -493,7 +493,7 @@ def describe_run(document: Mapping[str, Any]) -> str:
     """The row of a run in one line: return, success, metrics asked for, operations, energy."""
     (row,) = document["rows"]
     done = "finished" if drives(row) else "succeeded"
-    said = [
+    facts = [
         f"return {format_return(row)} in {counted(row)}",
         *([f"{sum(row['successes'])} {done}"] if row["successes"] else []),
         *(f"{name} {value:.4g}" for name, value in row.get("measured", {}).items()),
@@ -502,8 +502,8 @@ def describe_run(document: Mapping[str, Any]) -> str:
     table = quoted_table([row])
     cell = energy_cell(table)(row) if table else ABSENT
     if cell != ABSENT:
-        said.append(f"{cell} by {table}")
-    return f"{label(row)}: {', '.join(said)}."
+        facts.append(f"{cell} by {table}")
+    return f"{label(row)}: {', '.join(facts)}."
 
 
 def format_operations(row: Row) -> str:

@@ -63,9 +63,9 @@ def headline(rows: Sequence[Row], env: str = "") -> list[HeadlineNumber]:
     names = {label(each): short(each) for each in rows}
     name = names[label(row)]
     numbers = (
-        _kept(row, name, names.get(row["reference"], row["reference"])),
-        _counted(row, baselines.values(), name),
-        _priced(row, baselines.values()),
+        _return_number(row, name, names.get(row["reference"], row["reference"])),
+        _operations_number(row, baselines.values(), name),
+        _energy_number(row, baselines.values()),
     )
     return [each for each in numbers if each]
 
@@ -84,58 +84,58 @@ def describe_disturbances(document: Mapping[str, Any]) -> str:
     return ", ".join(f"{each['text']} ({each['number']:g} [{each['unit']}])" for each in found)
 
 
-def _kept(row: Row, name: str, twin: str | None) -> HeadlineNumber:
+def _return_number(row: Row, name: str, twin: str | None) -> HeadlineNumber:
     earned = f"{format_return(row)} in {counted(row)}"
     if row.get("ratio_to_reference") is None:
         return HeadlineNumber(f"return of {name}", format_return(row).partition(" ")[0], (earned,))
     of_ann = row.get("ratio_to_float_ann")
-    said = [earned, f"{format_difference(row)} to {twin}"]
-    said += [] if of_ann is None else [f"{of_ann:.1%} of the float ANN"]
+    beside = [earned, f"{format_difference(row)} to {twin}"]
+    beside += [] if of_ann is None else [f"{of_ann:.1%} of the float ANN"]
     kept = f"{row['ratio_to_reference']:.1%}"
     whose = f"{twin}'s" if row.get("trained_for") else "its float twin's"
-    return HeadlineNumber(f"return kept on {row['chip']}, of {whose}", kept, tuple(said))
+    return HeadlineNumber(f"return kept on {row['chip']}, of {whose}", kept, tuple(beside))
 
 
-def _counted(row: Row, baselines: Iterable[Row], name: str) -> HeadlineNumber | None:
+def _operations_number(row: Row, baselines: Iterable[Row], name: str) -> HeadlineNumber | None:
     count = _operations(row)
     if count <= 0:
         return None
     unit = "SOPs" if row.get("sops_per_inference") is not None else "MACs"
-    said = [
+    beside = [
         f"{each['policy']}: {_macs(each)}, {_times(macs(each) / count)} as many"
         for each in baselines
         if math.isfinite(macs(each))
     ]
     title = f"operations of a control step, {name}"
-    return HeadlineNumber(title, f"{count:,.0f} {unit}", tuple(said))
+    return HeadlineNumber(title, f"{count:,.0f} {unit}", tuple(beside))
 
 
-def _priced(row: Row, baselines: Iterable[Row]) -> HeadlineNumber | None:
+def _energy_number(row: Row, baselines: Iterable[Row]) -> HeadlineNumber | None:
     table = quoted_table([row])
     joules = row["energy_per_inference_j"].get(table)
     if not joules:
         return None
     energy = energy_cell(table)
-    known = [(each, each["energy_per_inference_j"].get(table)) for each in baselines]
-    said = [
+    priced = [(each, each["energy_per_inference_j"].get(table)) for each in baselines]
+    beside = [
         f"{each['policy']}: {energy(each)}, {_times(other / joules)} as much"
-        for each, other in known
+        for each, other in priced
         if other
     ]
-    by = f"by {table}" + (", which prices float networks too" if said else "")
+    by = f"by {table}" + (", which prices float networks too" if beside else "")
     return HeadlineNumber(
         "energy of a control step",
         energy(row),
-        (by, *said, *_priced_otherwise(row)),
+        (by, *beside, *_other_energies(row)),
     )
 
 
-def _priced_otherwise(row: Row) -> list[str]:
+def _other_energies(row: Row) -> list[str]:
     """Its energy by other tables: `by loihi1's own tables: 33.36 nJ (davies2018)`."""
     others = [name for name in row["energy_per_inference_j"] if name != quoted_table([row])]
     energy = {name: energy_cell(name)(row) for name in others}
-    said = ", ".join(f"{cell} ({name})" for name, cell in energy.items() if cell != ABSENT)
-    return [f"by {row['chip']}'s own tables: {said}"] if said else []
+    beside = ", ".join(f"{cell} ({name})" for name, cell in energy.items() if cell != ABSENT)
+    return [f"by {row['chip']}'s own tables: {beside}"] if beside else []
 
 
 def _macs(row: Row) -> str:

@@ -88,13 +88,13 @@ def _print_clocks(rows: Sequence[Row]) -> None:
     clocks: dict[tuple[str, str], list[str]] = {}
     for row in rows:
         if row.get("clock") and row["chip"] not in (None, "float"):
-            clocks.setdefault((row["clock"], _late(row)), []).append(label(row))
+            clocks.setdefault((row["clock"], _describe_delay(row)), []).append(label(row))
     if clocks:
         each = (f"{clock} ({', '.join(names)}){late}" for (clock, late), names in clocks.items())
         print_text(f"Clock: {'; '.join(each)}.")
 
 
-def _late(row: Row) -> str:
+def _describe_delay(row: Row) -> str:
     """`: an observation acts 1 to 2 control steps later (20 to 40 ms)`; empty where it does not."""
     steps, seconds = row.get("control_steps_late"), row.get("late_s")
     if not steps:

@@ -18,7 +18,7 @@ from spikedeploy.policies import run_record
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.user_errors import one_line
-from spikedeploy.video import Frame, Pace, captioned, gif
+from spikedeploy.video import Frame, Pace, add_caption, gif
 
 # torch is imported where a film is made: the card looks for films without
 
@@ -100,7 +100,7 @@ def _film(run: Path, step: int) -> None:
     trained, _ = run_record.steps(run, "best")
     caption = f"step {step:,}, best so far from {trained:,}"
     frames, period = _episode(run)
-    frames = [captioned(frame, caption) for frame in frames]
+    frames = [add_caption(frame, caption) for frame in frames]
     path = no_link(_place(run, step))
     while gif(path, frames, period, mark("train")) > _LARGEST and len(frames) > 1:
         frames, period = frames[::2], 2 * period

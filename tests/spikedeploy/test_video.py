@@ -6,7 +6,7 @@ import pytest
 
 from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.video import Pace, captioned, mp4
+from spikedeploy.video import Pace, add_caption, mp4
 from tests import toy_stroll_env
 
 
@@ -45,7 +45,7 @@ def test_a_film_that_breaks_off_leaves_no_file(tmp_path):
 
 def test_a_caption_covers_the_lower_edge_only():
     frame = np.full((200, 300, 3), 255, np.uint8)
-    found = captioned(frame, "popsan · loihi1")
+    found = add_caption(frame, "popsan · loihi1")
     assert found.shape == frame.shape
     assert (found[:180] == 255).all()
     assert found[185:].min() < 50
