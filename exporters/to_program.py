@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.compiler.mapping import CoreMapping
 from spikedeploy.runtime.compiler.program import Program, Readout
 from spikedeploy.runtime.convention import State
-from spikedeploy.runtime.design_rules.mapping import CoreMapping
 from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.programs import program_record

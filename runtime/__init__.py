@@ -12,7 +12,6 @@ dialects/        what other tools mean by a NIR file
 artifact/        the `.nir` file: reading and writing
 float_model      the graph in floating point: the reference
 chips/           datasheets
-design_rules/    what a chip can hold, and where the network stands against it
 compiler/        graph and chip to an integer program
 faults/          chips with broken parts, and with upsets while they run
 emulator/        programs run on observations; the ledger of events

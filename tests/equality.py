@@ -3,8 +3,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from spikedeploy.runtime.emulator.interpreter import Interpreter
-from spikedeploy.runtime.emulator.ledger import count
+from spikedeploy.runtime.emulator.interpreter import Interpreter, count
 from spikedeploy.runtime.emulator.machine import Machine
 from tests.programs import rasters
 
@@ -39,7 +38,6 @@ def check_like_the_interpreter(program, run, backend):
         counts = count(
             program,
             {program.input: raster, **{name: t.spikes for name, t in traces.items()}},
-            {name: t.active for name, t in traces.items()},
-            {name: t.overflows for name, t in traces.items()},
+            traces,
         )
         np.testing.assert_array_equal(machine.ledger.counts[-batch:], counts)

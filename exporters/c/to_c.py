@@ -21,7 +21,7 @@ from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.backend import Recording
+from spikedeploy.runtime.emulator.backend import Recording, joined
 from spikedeploy.runtime.emulator.machine import Machine
 
 # numbers of a self-test, about; at least two inferences are recorded
@@ -56,7 +56,7 @@ def record_observations(plan: Plan, observation: NDArray[np.float64]) -> Recorde
         actions.append(plan.codec.decode(machine.infer(rows[None])).reshape(-1))
         found.append(machine.recordings)
     action = np.array(actions, np.float64)
-    return Recorded(observation, raster, _join(found), action)
+    return Recorded(observation, raster, joined(found, axis=0), action)
 
 
 def record_raster(plan: Plan, raster: NDArray[np.uint8]) -> Recorded:
@@ -66,7 +66,7 @@ def record_raster(plan: Plan, raster: NDArray[np.uint8]) -> Recorded:
     for rows in raster:
         machine.infer(rows[None])
         found.append(machine.recordings)
-    return Recorded(None, raster, _join(found), None)
+    return Recorded(None, raster, joined(found, axis=0), None)
 
 
 def count_inferences(plan: Plan, timesteps: int) -> int:
@@ -110,19 +110,6 @@ def _actions(recorded: Recorded) -> NDArray[np.float64]:
 def _nonempty(values: NDArray[np.integer]) -> NDArray[np.integer]:
     """The values, or one 0: C has no empty arrays."""
     return values if values.size else np.zeros(1, np.int64)
-
-
-def _join(parts: list[dict[str, Recording]]) -> dict[str, Recording]:
-    """Recordings (1, T, N) of inferences as (S, T, N)."""
-    return {
-        name: Recording(
-            *(
-                np.concatenate([getattr(part[name], quantity) for part in parts])
-                for quantity in ("current", "membrane", "spikes")
-            )
-        )
-        for name in parts[0]
-    }
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,6 @@ from lab.bench.peers import peers
 from lab.bench.turns import Act, interleave, parser_of, report
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.network import MachinePool
 from spikedeploy.runtime.families.cuba.numpy_kernels import Scratch, gathering
 from spikedeploy.runtime.families.cuba.quantise import bounds
 
@@ -91,7 +90,7 @@ def ours(net: Net, batch: int) -> dict[str, Callable[[Raster], Any]]:
     backends = [name for name in OURS if name == "numpy" or find_spec("numba")]
     if batch == 1:
         return {name: Machine(net.program, 1, "none", backend=name).infer for name in backends}
-    return {name: MachinePool(net.program, "none", backend=name).infer for name in backends}
+    return {name: Machine(net.program, None, "none", backend=name).infer for name in backends}
 
 
 def calls(run: Callable[[Any], Any], inputs: list[Any]) -> list[Act]:

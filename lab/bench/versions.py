@@ -80,7 +80,7 @@ def serve(backend: str) -> None:
 def make_cases(backend: str) -> dict[str, tuple[Callable[[Any], Any], list[Any]]]:
     """A pool's inference, and the rasters of a round, of each network and batch."""
     from lab.bench.nets import bernoulli, encode, kart, popsan
-    from spikedeploy.runtime.emulator.network import MachinePool
+    from spikedeploy.runtime.emulator.machine import Machine
 
     spikes, population = bernoulli(1024, 5, 770, 0.2), encode(1024, 5)
     driving = bernoulli(1024, 32, 20, 0.3)
@@ -91,7 +91,7 @@ def make_cases(backend: str) -> dict[str, tuple[Callable[[Any], Any], list[Any]]
     }
     return {
         f"{name}, batch {batch}": (
-            MachinePool(net.program, "none", backend).infer,
+            Machine(net.program, None, "none", backend=backend).infer,
             [raster[k : k + batch] for k in range(0, batch * inputs, batch)],
         )
         for name, (net, raster) in nets.items()

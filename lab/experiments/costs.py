@@ -7,21 +7,21 @@ traffic     messages and spikes, where a table prices them
 encoder     the delta encoder, or of a float network the reading of its observations
 constants   the constant of each readout, added by the host, or the biases of a float network
 
-What the host does is priced by runtime/metrics/energy_terms.py, alike beside all tables.
+What the host does is priced by runtime/metrics/energy.py, alike beside all tables.
 """
 
 from collections.abc import Mapping
 from typing import Any
 
-from spikedeploy.runtime.metrics.energy_tables import TABLES
-from spikedeploy.runtime.metrics.energy_terms import (
+from spikedeploy.runtime.metrics.energy import (
     ACCESS,
     ADDITION,
-    added,
+    addition_energy,
     chip_terms,
     delta_encoder,
-    reading,
+    reading_energy,
 )
+from spikedeploy.runtime.metrics.energy_tables import TABLES
 
 TERMS = ("operations", "updates", "traffic", "encoder", "constants")
 TOTALS = {
@@ -71,10 +71,10 @@ def terms(row: Mapping[str, Any], table: str, lean: bool = False) -> dict[str, f
     lean: neuron updates with states of 16 bits and decays by powers of two, derived; in tables of
         chips they cannot be chosen
     """
-    constants = added(row["constants"])
+    constants = addition_energy(row["constants"])
     if not spikes(row):
         operations = row["operations"] * TABLES[table].joules.get("mac", 0.0)
-        return _named(operations, 0.0, 0.0, reading(row["observations"]), constants)
+        return _named(operations, 0.0, 0.0, reading_energy(row["observations"]), constants)
     on_chip = chip_terms(_counts(row), TABLES[table])
     updates = row["neuron_updates"] * LEAN_UPDATE if lean else on_chip["updates"]
     return _named(

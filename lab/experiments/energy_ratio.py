@@ -32,8 +32,13 @@ from lab.experiments.training import Record
 from spikedeploy.files import write_text
 from spikedeploy.reports.csv_rows import write_rows
 from spikedeploy.reports.plots import BLUE, VERMILION, save
+from spikedeploy.runtime.metrics.energy import (
+    INSTRUCTION,
+    addition_energy,
+    delta_encoder,
+    reading_energy,
+)
 from spikedeploy.runtime.metrics.energy_tables import TABLES, sram
-from spikedeploy.runtime.metrics.energy_terms import INSTRUCTION, added, delta_encoder, reading
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -150,7 +155,9 @@ def encoding(pair: Pair, where: str) -> tuple[float, float]:
     if where == "host":
         return 0.0, 0.0
     if where == "chip":
-        return delta_encoder(pair.observations, pair.events), reading(pair.baseline_observations)
+        return delta_encoder(pair.observations, pair.events), reading_energy(
+            pair.baseline_observations
+        )
     mine = _OBSERVATION * pair.observations + _EVENT * pair.events
     return INSTRUCTION * mine, INSTRUCTION * _NUMBER * pair.baseline_observations
 
@@ -186,13 +193,19 @@ class Energies:
         """Of the spiking policy."""
         updates = CLOCKS[self.clock] * self.pair.updates * update_over_sop
         encoder, _ = encoding(self.pair, self.where)
-        return (self.pair.sops + updates) * self.sop + encoder + added(self.pair.constants)
+        return (
+            (self.pair.sops + updates) * self.sop + encoder + addition_energy(self.pair.constants)
+        )
 
     @property
     def baseline(self) -> float:
         """Of the float network."""
         _, read = encoding(self.pair, self.where)
-        return self.pair.macs * self._prices["mac"] + read + added(self.pair.baseline_constants)
+        return (
+            self.pair.macs * self._prices["mac"]
+            + read
+            + addition_energy(self.pair.baseline_constants)
+        )
 
     def ratio(self, update_over_sop: float) -> float:
         """Spiking over float."""

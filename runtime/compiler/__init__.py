@@ -1,9 +1,10 @@
-"""The compiler: an artifact becomes the program of a chip.
+"""The compiler: whether a network fits on a chip, and the program that it becomes there.
 
 What differs between arithmetics it asks of the chip; here is what all have in common.
 
-compile          the compiler itself, and the check of every design rule without an error
-wiring           which spiking node is connected to which, as matrices, and in what order they run
-linear           everything between spikes as matrices, one for each lag
-program          the result: a network as one chip runs it
+wiring    populations and the synapses between them: counted for the rules, as matrices for a chip
+mapping   populations on cores, and how full those are
+rules     the design rules, and what they found in a network
+compile   the compiler itself, and the check of every design rule without an error
+program   the result: a network as one chip runs it
 """

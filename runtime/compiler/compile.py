@@ -10,12 +10,19 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip, Limits
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.compiler.mapping import CoreMapping
 from spikedeploy.runtime.compiler.program import HostOutput, Program, Readout
+from spikedeploy.runtime.compiler.rules import (
+    ARITHMETIC,
+    CAPACITY,
+    PlacedNetwork,
+    RuleResult,
+    evaluate,
+    place,
+    refuse,
+)
 from spikedeploy.runtime.compiler.wiring import LayerGraph, wiring
 from spikedeploy.runtime.convention import Clock, Convention
-from spikedeploy.runtime.design_rules.mapping import CoreMapping
-from spikedeploy.runtime.design_rules.rule import RuleResult, design
-from spikedeploy.runtime.design_rules.table import ARITHMETIC, CAPACITY, judged, refuse
 from spikedeploy.runtime.errors import RuleError, SpikedeployError
 from spikedeploy.runtime.graph.neurons import DiscreteNeuron, discretise
 
@@ -40,22 +47,34 @@ def compile_program(
     limits: refuse what breaks a design rule of the chip; False emulates the arithmetic also where
         the chip lacks capacity for the network, or something that the network asks for.
     """
+    return _compile(artifact, chip, quantisation, clock, limits, judge=limits)
+
+
+def _compile(
+    artifact: Artifact,
+    chip: Chip,
+    quantisation: Quantisation,
+    clock: Clock | None,
+    limits: bool,
+    judge: bool,
+) -> Program:
+    """The program; `judge` by the design rules, of a network that was not judged before."""
     _check_reset(artifact, chip)
     _check_graded(artifact, chip)
     if not limits:
         chip = replace(chip, delay_max=_ENDLESS)
     clock = clock or chip.clock or clock_on(artifact.convention, chip)
-    artifact = _clocked(artifact, clock)
+    artifact = _with_delays_of(clock, artifact)
     graph = wiring(artifact.graph, artifact.convention, frozenset(artifact.sigma_delta))
-    plan = design(artifact, chip, chip.limits) if limits and chip.limits else None
-    if plan:
-        refuse(plan, CAPACITY)
+    placed = place(artifact, chip, chip.limits) if judge and chip.limits else None
+    if placed:
+        refuse(placed, CAPACITY)
     chip.arithmetic.check_quantisation(quantisation, chip.name)
     program = float_program(artifact, chip, graph, clock)
     rows = _rows(artifact, program)
     layers = chip.arithmetic.quantise(program, quantisation, chip.name, rows, limits=limits)
-    if plan:  # last: the compiler itself is more precise
-        refuse(plan, ARITHMETIC)
+    if placed:  # last: the compiler itself is more precise
+        refuse(placed, ARITHMETIC)
     ranges = chip.arithmetic.ranges(layers, rows)
     return replace(program, layers=tuple(layers), remarks=(*program.remarks, *ranges))
 
@@ -81,118 +100,24 @@ def clock_on(convention: Convention, chip: Chip) -> Clock:
     )
 
 
-def _clocked(artifact: Artifact, clock: Clock) -> Artifact:
+def _with_delays_of(clock: Clock, artifact: Artifact) -> Artifact:
     """The artifact with the delays of the clock; a convention's own delay is a pipeline already."""
     delays = clock == "pipelined" and not artifact.convention.delay
     stated = replace(artifact.convention, clock="pipelined" if delays else "gated")
     return replace(artifact, convention=stated)
 
 
-def float_program(artifact: Artifact, chip: Chip, graph: LayerGraph, clock: Clock) -> Program:
-    """The program in floats, with the starts, delays and decays that the chip has."""
-    floats = [_layer(artifact, graph, name) for name in graph.layers]
-    here = [layer for layer in floats if layer.spiking or chip.membrane_output != "none"]
-    host = [layer for layer in floats if layer not in here]
-    if not here:
-        raise RuleError(
-            f"rule primitive: layer {floats[0].name!r}: no neuron of the network spikes, and "
-            f"membranes do not leave {chip.name}, so that the host would compute everything. Run "
-            "it in float."
-        )
-    layers, remarks = chip.arithmetic.prepare(
-        here, graph.input, artifact.convention, chip.delay, clock != "pipelined"
-    )
-    remarks += chip.arithmetic.carried(layers, graph.input)
-    remarks += [_on_host(layer, chip.name) for layer in host]
-    if chip.arithmetic.rounds:
-        remarks += [_on_chip(layer, chip) for layer in here if not layer.spiking]
-    program = _program(artifact, chip, graph, layers, host, remarks)
-    program = replace(program, clock=clock)
-    if program.assumed_clock:
-        program = replace(program, remarks=(*program.remarks, _assumed(clock, chip)))
-    chip.arithmetic.check_output(program, chip.name)
-    return program
-
-
-def _program(
-    artifact: Artifact,
-    chip: Chip,
-    graph: LayerGraph,
-    layers: Sequence[Layer],
-    host: Sequence[Layer],
-    remarks: Sequence[str],
-) -> Program:
-    """What the layers become together, with those that the host integrates."""
-    silent = {layer.name for layer in (*layers, *host) if not layer.spiking}
-    output, readout, outlets = _ways_out(graph, artifact.convention, bool(host), silent)
-    if host and output in {layer.name for layer in host}:
-        output = layers[-1].name
-    return Program(
-        chip=chip,
-        convention=artifact.convention,
-        input=graph.input,
-        width=graph.width,
-        layers=tuple(layers),
-        output=output,
-        readout=readout,
-        inputs=graph.inputs,
-        outputs=tuple(outlet.port for outlet in graph.outlets),
-        outlets=outlets,
-        remarks=tuple(remarks),
-        host=tuple(host),
-    )
-
-
-def _assumed(clock: Clock, chip: Chip) -> str:
-    """That the chip is not known to advance its layers so, in a sentence."""
-    return (
-        f"clock {clock!r} is an assumption: nothing published says that {chip.name} can advance "
-        f"its layers so; it advances them {' or '.join(chip.clocks)}"
-    )
-
-
-def _on_chip(layer: Layer, chip: Chip) -> str:
-    """How the membranes of a readout layer leave the chip, in a sentence."""
-    ways = {
-        "probe": "which the host reads from their registers",
-        "graded": "which are sent as graded spikes",
-        "software": "which the chip's program puts out",
-    }
-    return (
-        f"readout {layer.name!r}: the membranes of {layer.size} neurons leave {chip.name} in each "
-        f"timestep, {ways[chip.membrane_output]} (membrane_output {chip.membrane_output!r})"
-    )
-
-
-def _on_host(layer: Layer, chip_name: str) -> str:
-    """What the host does for a readout layer, in a sentence."""
-    fan_outs = [
-        f"{synapses.fan_out.mean():.3g} additions for each spike of {synapses.source!r}"
-        for synapses in layer.synapses
-    ]
-    return (
-        f"readout {layer.name!r}: membranes do not leave {chip_name}, so the host integrates it in "
-        f"float64: {layer.multiplications} multiplications in each timestep, and on average "
-        f"{', '.join(fan_outs)}"
-    )
-
-
 def _check_reset(artifact: Artifact, chip: Chip) -> None:
     convention = artifact.convention
     there = f"The policy was trained in the integers of {artifact.trained_for}: run it there."
     if convention.reset not in chip.resets:
-        if artifact.trained_for:
-            raise RuleError(
-                f"rule reset: reset {convention.reset!r}: a spike on {chip.name} can only do "
-                f"{', '.join(map(repr, chip.resets))}. {there}"
-            )
         late = convention.reset not in ("zero", "subtract")
         how = " (snnTorch: reset_mechanism, and reset_delay=False)" if late else ""
         options = " or ".join(f"--reset {each}" for each in chip.resets)
+        remedy = f"Train with that reset{how}, give it as an option ({options}), or run in float."
         raise RuleError(
             f"rule reset: reset {convention.reset!r}: a spike on {chip.name} can only do "
-            f"{', '.join(map(repr, chip.resets))}. Train with that reset{how}, give it as an "
-            f"option ({options}), or run in float."
+            f"{', '.join(map(repr, chip.resets))}. {there if artifact.trained_for else remedy}"
         )
     try:
         chip.arithmetic.check_convention(convention, chip.name)
@@ -207,6 +132,79 @@ def _check_graded(artifact: Artifact, chip: Chip) -> None:
             f"spikes to neurons, and {chip.name} has none between neurons. Choose loihi2 or ideal, "
             "or run in float."
         )
+
+
+def float_program(artifact: Artifact, chip: Chip, graph: LayerGraph, clock: Clock) -> Program:
+    """The program in floats, with the starts, delays and decays that the chip has."""
+    arithmetic, convention = chip.arithmetic, artifact.convention
+    floats = [_layer(artifact, graph, name) for name in graph.layers]
+    here = [layer for layer in floats if layer.spiking or chip.membrane_output != "none"]
+    host = [layer for layer in floats if layer not in here]
+    if not here:
+        raise RuleError(
+            f"rule primitive: layer {floats[0].name!r}: no neuron of the network spikes, and "
+            f"membranes do not leave {chip.name}, so that the host would compute everything. Run "
+            "it in float."
+        )
+    layers, remarks = arithmetic.prepare(
+        here, graph.input, convention, chip.delay, clock != "pipelined"
+    )
+    remarks += arithmetic.carried(layers, graph.input)
+    remarks += [_describe_host(layer, chip) for layer in host]
+    if arithmetic.rounds:
+        remarks += [_describe_readout(layer, chip) for layer in here if not layer.spiking]
+    if clock not in chip.clocks:
+        remarks.append(
+            f"clock {clock!r} is an assumption: nothing published says that {chip.name} can "
+            f"advance its layers so; it advances them {' or '.join(chip.clocks)}"
+        )
+    silent = {layer.name for layer in floats if not layer.spiking}
+    output, readout, outlets = _ways_out(graph, convention, bool(host), silent)
+    if output in {layer.name for layer in host}:
+        output = layers[-1].name
+    program = Program(
+        chip=chip,
+        convention=convention,
+        input=graph.input,
+        width=graph.width,
+        layers=tuple(layers),
+        output=output,
+        readout=readout,
+        inputs=graph.inputs,
+        outputs=tuple(outlet.port for outlet in graph.outlets),
+        outlets=outlets,
+        remarks=tuple(remarks),
+        host=tuple(host),
+        clock=clock,
+    )
+    arithmetic.check_output(program, chip.name)
+    return program
+
+
+def _describe_readout(layer: Layer, chip: Chip) -> str:
+    """How the membranes of a readout layer leave the chip, in a sentence."""
+    ways = {
+        "probe": "which the host reads from their registers",
+        "graded": "which are sent as graded spikes",
+        "software": "which the chip's program puts out",
+    }
+    return (
+        f"readout {layer.name!r}: the membranes of {layer.size} neurons leave {chip.name} in each "
+        f"timestep, {ways[chip.membrane_output]} (membrane_output {chip.membrane_output!r})"
+    )
+
+
+def _describe_host(layer: Layer, chip: Chip) -> str:
+    """What the host does for a readout layer, in a sentence."""
+    fan_outs = [
+        f"{synapses.fan_out.mean():.3g} additions for each spike of {synapses.source!r}"
+        for synapses in layer.synapses
+    ]
+    return (
+        f"readout {layer.name!r}: membranes do not leave {chip.name}, so the host integrates it in "
+        f"float64: {layer.multiplications} multiplications in each timestep, and on average "
+        f"{', '.join(fan_outs)}"
+    )
 
 
 def _layer(artifact: Artifact, graph: LayerGraph, name: str) -> Layer:
@@ -306,21 +304,17 @@ class DesignCheck:
 
 def check(artifact: Artifact, on: Chip) -> DesignCheck:
     """Judge the artifact by every rule of the chip."""
-    plan = design(artifact, on, on.limits or _NONE)
-    rulings = judged(plan) if on.limits is not None else []
+    placed: PlacedNetwork = place(artifact, on, on.limits or _NONE)
+    rulings: Sequence[RuleResult] = evaluate(placed) if on.limits is not None else ()
     broken = any(ruling.failed for ruling in rulings)
-    program, ruling = _compiled(artifact, on, not broken)
-    return DesignCheck(on, (*rulings, ruling), plan.mapping, program)
-
-
-def _compiled(artifact: Artifact, on: Chip, limits: bool) -> tuple[Program | None, RuleResult]:
-    """Whether it compiles, and to what; without limits where a rule has already failed."""
     try:
-        program = compile_program(artifact, on, limits=limits)
+        program = _compile(artifact, on, PLAIN, None, limits=not broken, judge=False)
     except SpikedeployError as error:
-        return None, RuleResult(COMPILE, None, "fail", str(error))
+        ruling = RuleResult(COMPILE, None, "fail", str(error))
+        return DesignCheck(on, (*rulings, ruling), placed.mapping)
     arithmetic, layers = program.chip.arithmetic, program.layers
     ranges = arithmetic.ranges(layers, _rows(artifact, program))
     carried = arithmetic.carried(layers, program.input)
     note = "; ".join(program.remarks if program.reads_membranes else (*carried, *ranges))
-    return program, RuleResult(COMPILE, None, "pass", "a program", note=note)
+    ruling = RuleResult(COMPILE, None, "pass", "a program", note=note)
+    return DesignCheck(on, (*rulings, ruling), placed.mapping, program)

@@ -1,6 +1,6 @@
 """The program: a network as one chip runs it; compiled, frozen, and all that a Machine needs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -48,20 +48,6 @@ class HostOutput:
 
 def _counted(timesteps: int) -> str:
     return f"{timesteps} chip timestep{'s' * (timesteps != 1)}"
-
-
-def leaving(outlets: Sequence[HostOutput], spikes: Mapping[str, NDArray[Any]]) -> Floats:
-    """Output (B, T, act) of all outlets side by side, from the spikes (B, T, N) of each layer."""
-    return np.concatenate([_received(outlet, spikes) for outlet in outlets], axis=2)
-
-
-def _received(outlet: HostOutput, spikes: Mapping[str, NDArray[Any]]) -> Floats:
-    batch, timesteps, _ = spikes[outlet.taps[0].layer].shape
-    output = np.zeros((batch, timesteps, outlet.port.size)) + outlet.bias
-    for tap in outlet.taps:
-        rows = spikes[tap.layer][:, : max(0, timesteps - tap.lag)].astype(np.float64)
-        output[:, timesteps - rows.shape[1] :] += rows if tap.weight is None else rows @ tap.weight
-    return output
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,9 +169,7 @@ class Program:
             ]
             if paths:
                 found[layer.name] = (min(p[0] for p in paths), max(p[1] for p in paths))
-        taps = [(tap.layer, tap.lag) for outlet in self.outlets for tap in outlet.taps]
-        taps = taps or [(self.output, self.readout.lag if self.readout else 0)]
-        ends = [(found[name], lag) for name, lag in taps if name in found]
+        ends = [(found[tap.layer], tap.lag) for tap in self.taps if tap.layer in found]
         if not ends:
             return 0, 0
         return min(f[0] + lag for f, lag in ends), max(f[1] + lag for f, lag in ends)
@@ -241,9 +225,7 @@ class Program:
     @cached_property
     def to_host(self) -> frozenset[str]:
         """Names of the layers with spikes or membranes that leave the chip."""
-        if not self.outlets:
-            return frozenset({self.output})
-        taps = {tap.layer for outlet in self.outlets for tap in outlet.taps}
+        taps = {tap.layer for tap in self.taps}
         onto_host = {synapses.source for layer in self.host for synapses in layer.synapses}
         return frozenset((taps | onto_host) & self._by_name.keys())
 
@@ -251,6 +233,22 @@ class Program:
     def reads_membranes(self) -> bool:
         """Whether membranes leave the chip, or the host integrates what leaves it."""
         return bool(self.host) or any(not self.layer(name).spiking for name in self.to_host)
+
+    @cached_property
+    def ways_out(self) -> tuple[HostOutput, ...]:
+        """The outlets; of a single layer that leaves the chip, as one of them."""
+        if self.outlets:
+            return self.outlets
+        readout, size = self.readout, self.layer(self.output).size
+        weight, lag = (None, 0) if readout is None else (readout.weight, readout.lag)
+        bias = np.zeros(size) if readout is None else readout.bias
+        port = Port(self.output, (len(bias),))
+        return (HostOutput(port, (ReadoutTerm(self.output, weight, lag),), bias),)
+
+    @property
+    def taps(self) -> tuple[ReadoutTerm, ...]:
+        """Everything that the output adds up."""
+        return tuple(tap for outlet in self.ways_out for tap in outlet.taps)
 
     @property
     def spiking(self) -> tuple[Layer, ...]:
@@ -265,10 +263,7 @@ class Program:
     @property
     def readouts(self) -> tuple[tuple[str, NDArray[np.float64]], ...]:
         """The layers that the host listens to through weights, and those weights (N, act)."""
-        if self.readout is not None:
-            return ((self.output, self.readout.weight),)
-        taps = [tap for outlet in self.outlets for tap in outlet.taps]
-        return tuple((tap.layer, tap.weight) for tap in taps if tap.weight is not None)
+        return tuple((tap.layer, tap.weight) for tap in self.taps if tap.weight is not None)
 
     @cached_property
     def feed_forward(self) -> bool:

@@ -1,9 +1,9 @@
-"""What computes a program: one Protocol for all backends, and the choice among them."""
+"""Backends, which compute a program: their interface, and the choice among them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, Protocol, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,7 @@ _PREFERENCES: Mapping[str, tuple[str, ...]] = {
     "auto": ("numba", "numpy", "interpreter"),
     "interpreter": ("interpreter",),
 }
-_UPSET = "spikedeploy.runtime.emulator.upset_backend:UpsetBackend"
-_INTERPRETER = "spikedeploy.runtime.emulator.interpreter_backend:InterpreterBackend"
+_INTERPRETER = "spikedeploy.runtime.emulator.interpreter:InterpreterBackend"
 
 # "window": all timesteps of a layer at once; "row": one timestep of all layers after another, which
 # closes loops; "step": one timestep of the chip, with the delays of the chip
@@ -32,11 +31,12 @@ RunMode = Literal["window", "row", "step"]
 
 # what a backend needs to go on, arrays by name; only a backend of the same class reads them
 SavedState = dict[str, NDArray[Any]]
+AnyRecording = TypeVar("AnyRecording", bound="Recording")
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a layer did in a window; integers on integer chips.
+    """Currents, membranes and spikes of a layer in a window; integers on integer chips.
 
     current: (B, T, N) after each timestep [state units]; (B, T, K, N) where neurons have K.
     membrane: (B, T, N) after each timestep, resets included [state units].
@@ -46,6 +46,13 @@ class Recording:
     current: NDArray[Any]
     membrane: NDArray[Any]
     spikes: NDArray[np.integer[Any]]
+
+    def part(self: AnyRecording, window: slice) -> AnyRecording:
+        """The same of some of the timesteps."""
+        parts: dict[str, Any] = {
+            name: None if rows is None else rows[:, window] for name, rows in vars(self).items()
+        }
+        return replace(self, **parts)
 
 
 def joined(parts: Sequence[Mapping[str, Recording]], axis: int) -> dict[str, Recording]:
@@ -62,7 +69,7 @@ def joined(parts: Sequence[Mapping[str, Recording]], axis: int) -> dict[str, Rec
 
 @dataclass(frozen=True)
 class Schedule:
-    """What a backend is prepared for.
+    """The windows that a backend is prepared for.
 
     mode: which of its loops over layers and timesteps is the outer one.
     timesteps: T of a window.
@@ -82,21 +89,6 @@ class Schedule:
     counting: bool
 
 
-def schedule(
-    program: Program, mode: RunMode, timesteps: int, *, trace: bool, counting: bool
-) -> Schedule:
-    """What a program asks of its backend for windows of T timesteps."""
-    return Schedule(
-        mode=mode,
-        timesteps=timesteps,
-        steps=1 if mode == "step" else program.steps(timesteps),
-        delays=program.delays if mode == "step" else program.lags,
-        kept=mode != "window" or program.convention.state == "kept",
-        trace=trace,
-        counting=counting,
-    )
-
-
 class Backend(Protocol):
     """A program in memory, ready to run windows of T timesteps for a batch of B."""
 
@@ -106,7 +98,7 @@ class Backend(Protocol):
 
     @staticmethod
     def obstacle(program: Program) -> str | None:
-        """Why it cannot compute the program, and what to do; None where it can."""
+        """The reason why it cannot compute the program, and what to do; None where it can."""
 
     def reset(self) -> None:
         """Forget every current, membrane and spike."""
@@ -120,8 +112,8 @@ class Backend(Protocol):
     def report(self, ledger: LedgerBuilder) -> None:
         """Enter the last window in the ledger."""
 
-    def recordings(self) -> dict[str, Recording]:
-        """What each layer did in the last window."""
+    def recordings(self) -> Mapping[str, Recording]:
+        """The recording of each layer in the last window."""
 
     def membranes(self, layer: str) -> NDArray[Any]:
         """Membranes (T, B, N) of a layer after each timestep of the last window [state units].
@@ -147,9 +139,19 @@ def backend_class(program: Program, name: str) -> type[Backend]:
     if name not in get_args(BackendName):
         choices = ", ".join(map(repr, get_args(BackendName)))
         raise ConfigError(f"backend {name!r} is unknown. Choose one of {choices}.")
-    if program.upsets is not None:
-        return _upset(name, program)
     arithmetic = program.chip.arithmetic
+    if program.upsets is not None:
+        if arithmetic.together:
+            raise ConfigError(
+                "queue is 'on': lost and spurious spikes and flipped bits of states are emulated "
+                "layer by layer, and not in the chip's queue. Choose queue=off, or other faults."
+            )
+        if name == "numba":
+            raise ConfigError(
+                "backend 'numba': lost and spurious spikes and flipped bits of states are drawn by "
+                "the interpreter alone. Choose backend='numpy', which then interprets."
+            )
+        name = "interpreter"
     able = {**arithmetic.backends, "interpreter": _INTERPRETER}
     obstacle: str | None = (
         f"chip {program.chip.name!r} computes with {type(arithmetic).__name__}, which only the "
@@ -157,30 +159,11 @@ def backend_class(program: Program, name: str) -> type[Backend]:
     )
     for each in _PREFERENCES[name]:
         if each in able:
-            found = _imported(able[each])
+            module, _, attribute = able[each].partition(":")
+            found: type[Backend] = getattr(import_module(module), attribute)
             if (obstacle := found.obstacle(program)) is None:
                 return found
     raise ConfigError(f"backend {name!r}: {obstacle} Or choose backend='numpy'.")
-
-
-def _upset(name: str, program: Program) -> type[Backend]:
-    if program.chip.arithmetic.together:
-        raise ConfigError(
-            "queue is 'on': lost and spurious spikes and flipped bits of states are emulated layer "
-            "by layer, and not in the chip's queue. Choose queue=off, or other faults."
-        )
-    if name == "numba":
-        raise ConfigError(
-            "backend 'numba': lost and spurious spikes and flipped bits of states are drawn by the "
-            "interpreter alone. Choose backend='numpy', which then interprets."
-        )
-    return _imported(_UPSET)
-
-
-def _imported(place: str) -> type[Backend]:
-    module, name = place.split(":")
-    found: type[Backend] = getattr(import_module(module), name)
-    return found
 
 
 def check_counts(rows: NDArray[Any], most: int) -> None:

@@ -13,8 +13,8 @@ from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
-from spikedeploy.runtime.emulator.machine import SerialCalls
-from spikedeploy.runtime.emulator.network import MachinePool, running
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.network import run_network
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.faults import NONE, Faults
 
@@ -50,9 +50,6 @@ class Sampler:
 class SpikingController:
     """Observation in, action out; the codec of the artifact does the rest.
 
-    Copies made by copy.deepcopy and pickle go on exactly as the original does. Calls from several
-    threads wait for one another.
-
     artifact: the policy.
     chip: what it runs on; None is the float twin, in float64.
     ledger: rows to keep, as in LedgerBuilder.
@@ -85,42 +82,39 @@ class SpikingController:
         self._kept = artifact.convention.state == "kept"
         self._sampler = Sampler(self.codec.chooses) if sampled else None
         on_chip = {"backend": backend, "faults": faults, **options} if chip else {}
-        self.network = running(artifact, chip, ledger, trace, **on_chip)
+        self.network = run_network(artifact, chip, ledger, trace, **on_chip)
+        self._machine = self.network if isinstance(self.network, Machine) else None
         self.encoded: NDArray[Any] = np.zeros((0, 0, 0), np.uint8)
         self.output = np.zeros((0, 0, 0))
-        pool = self.network if isinstance(self.network, MachinePool) else None
-        self._upset = pool is not None and pool.program.upsets is not None
-        self._calls = SerialCalls()
         self.reset(0)
 
     @property
     def program(self) -> Program:
-        """What runs; that of the float twin is the one without rounding."""
+        """The program that runs; that of the float twin is the one without rounding."""
         return self.network.program
 
     @property
     def remembers(self) -> bool:
         """Whether an action depends on more than its observation."""
         remembers = self._kept or self.codec.encoder.remembers or self._sampler is not None
-        return remembers or self._upset
+        return remembers or (self._machine is not None and self.program.upsets is not None)
 
     @property
     def damage(self) -> tuple[Damage, ...]:
-        """What faults of the chip have hit, those over time since the controller was made."""
-        return self.network.damage if isinstance(self.network, MachinePool) else ()
+        """Hits of the chip's faults, those over time since the controller was made."""
+        return self._machine.damage if self._machine else ()
 
     def reset(self, seed: int, each: Sequence[int] = ()) -> None:
         """Start an episode: forget every state; what is random in it comes from the seed.
 
         each: seeds of the B robots of a batch, of which each has upsets of its own.
         """
-        with self._calls.lock:
-            self.network.reset()
-            if isinstance(self.network, MachinePool):
-                self.network.seed(each or (seed,))
-            self._state = self.codec.encoder.start(seed)
-            if self._sampler is not None:
-                self._sampler.reset(seed)
+        self.network.reset()
+        if self._machine is not None:
+            self._machine.seed(each or (seed,))
+        self._state = self.codec.encoder.start(seed)
+        if self._sampler is not None:
+            self._sampler.reset(seed)
 
     def act(self, observation: ArrayLike) -> NDArray[Any]:
         """Action (act,), or () int where one of several is chosen, for the observation (obs,)."""
@@ -131,14 +125,13 @@ class SpikingController:
 
         Where states are kept, also by the encoder, B must stay the same until `reset`.
         """
-        with self._calls.lock:
-            self.encoded = self.codec.encode(observations, self._state)
-            self.output = self.network.infer(self.encoded)
-            if self._sampler is not None:
-                return self._sampler(self.codec.scores(self.output))
-            return self.codec.decode(self.output)
+        self.encoded = self.codec.encode(observations, self._state)
+        self.output = self.network.infer(self.encoded)
+        if self._sampler is not None:
+            return self._sampler(self.codec.scores(self.output))
+        return self.codec.decode(self.output)
 
     @property
     def ledger(self) -> Ledger:
-        """What happened since the controller was made."""
+        """The events since the controller was made."""
         return self.network.ledger

@@ -1,7 +1,12 @@
 """The interpreter: a program run timestep by timestep, by the specification of its arithmetic.
 
-Short and slow on purpose. Integers are int64 (floats on `ideal` and on SpiNNaker2).
-Everything fast is tested to be equal to this in every current, membrane and spike.
+Short and slow on purpose. Integers are int64 (floats on `ideal` and on SpiNNaker2). Everything fast
+is tested to be equal to this in every current, membrane and spike, and to `count` in every event.
+
+As a backend it runs the chips without kernels, and every chip with upsets: spikes that are lost or
+made up, and bits of membranes that flip. A layer's timestep begins with the flips and ends with the
+loss: a neuron whose spike is lost was reset, one that did not send a spurious spike was not. The
+ledger counts what arrives.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -11,39 +16,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.chips.damage import Damage, Keys, Upsets, keys, uniform
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Numbers, StepResult
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.backend import Recording, SavedState, Schedule, check_counts
+from spikedeploy.runtime.emulator.ledger import EVENTS, Counts, LedgerBuilder
+
+Spikes = NDArray[np.integer[Any]]
 
 
 @dataclass(frozen=True, eq=False)
-class LayerTrace:
+class LayerTrace(Recording):
     """Everything that a layer did in its window, after each timestep, resets included.
 
-    current: (B, T, N) [state units]; (B, T, K, N) where neurons have K currents.
-    membrane: (B, T, N) [state units].
-    spikes: (B, T, N); counts where neurons spike several times in a timestep, signed numbers in
-        int64 of sigma-delta neurons.
     active: (B, T, N) as in StepResult.
     overflows: (B, T, N) as in StepResult.
     lost: (B, T, N) as in StepResult.
     """
 
-    current: Numbers
-    membrane: Numbers
-    spikes: NDArray[np.integer[Any]]
     active: NDArray[np.bool_]
     overflows: NDArray[np.int64]
     lost: NDArray[np.int64] | None = None
 
-    def part(self, window: slice) -> "LayerTrace":
-        """The same of some of the timesteps."""
-        lost = None if self.lost is None else self.lost[:, window]
-        numbers = self.current[:, window], self.membrane[:, window], self.spikes[:, window]
-        return LayerTrace(*numbers, self.active[:, window], self.overflows[:, window], lost)
-
 
 def trace(program: Program, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
-    """What every layer does in its window with the raster (B, T, M), from zero states."""
+    """Everything that every layer does in its window with the raster (B, T, M), from zero."""
     rows = program.rows(raster.shape[1])
     filled = np.pad(raster, ((0, 0), (0, rows - raster.shape[1]), (0, 0)))
     found = Interpreter(program, raster.shape[0]).run(filled)
@@ -53,16 +50,21 @@ def trace(program: Program, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
 
 
 class Interpreter:
-    """A program running, one chip timestep after another."""
+    """A program running, one chip timestep after another.
 
-    def __init__(self, program: Program, batch: int) -> None:
+    states: of each layer.
+    tails: (B, lag, N) the last spikes of each layer and of the input: synapses with a lag still
+        have to deliver them.
+    """
+
+    def __init__(self, program: Program, batch: int, draws: "UpsetDraws | None" = None) -> None:
         self.program = program
         self.states = {layer.name: LayerState.zero(layer, batch) for layer in program.layers}
-        # last rows of the inference before: synapses with a lag still have to deliver them
+        self._draws = draws
         self._memory = max(lag for lags in program.lags for lag in lags)
-        graded = program.graded
-        self.tails: dict[str, NDArray[np.integer[Any]]] = {
-            name: np.zeros((batch, self._memory, size), np.int64 if name in graded else np.uint8)
+        self._unbiased = {layer.name: _without_bias(layer) for layer in program.layers}
+        self.tails: dict[str, Spikes] = {
+            name: np.zeros((batch, self._memory, size), self._dtype(name))
             for name, size in program.sizes.items()
         }
 
@@ -75,89 +77,329 @@ class Interpreter:
         waiting: names of layers that are held meanwhile.
         """
         program, timesteps = self.program, raster.shape[1]
-        begins = {layer.name: program.begin(layer) for layer in program.layers}
-        biased = {layer.name: program.window(layer, timesteps) for layer in program.layers}
-        output_spikes = {name: _lengthened(tail, timesteps) for name, tail in self.tails.items()}
-        output_spikes[program.input][:, self._memory :] = raster
-        history: dict[str, list[tuple[Numbers, Numbers, StepResult]]] = {
-            layer.name: [] for layer in program.layers
-        }
+        sent = {name: _lengthen(tail, timesteps) for name, tail in self.tails.items()}
+        sent[program.input][:, self._memory :] = raster
+        done: dict[str, list[tuple[Numbers, Numbers, StepResult]]] = {n: [] for n in self.states}
         for step in range(program.steps(timesteps)):
-            together = self._together(step, output_spikes)
+            together = self._update_together(step, sent)
             for layer in program.layers:
-                row = step - begins[layer.name]
+                row = step - program.begin(layer)
                 if not 0 <= row < timesteps:
                     continue
                 state = self.states[layer.name]
-                if layer.name in together:
-                    tick = together[layer.name]
+                if together:
+                    result = together[layer.name]
                 elif layer.name in waiting:
-                    tick = _waiting(state)
+                    result = _wait(state)
                 else:
-                    presynaptic = self._presynaptic(layer, step, output_spikes)
-                    now = layer if row in range(timesteps)[biased[layer.name]] else unbiased(layer)
-                    tick = self._advanced(now, step, presynaptic, state)
-                output_spikes[layer.name][:, self._memory + row] = tick.spikes
-                history[layer.name].append((state.current, state.membrane, tick))
-        self.tails = {name: rows[:, timesteps:] for name, rows in output_spikes.items()}
-        return {name: _stacked(ticks, output_spikes[name].dtype) for name, ticks in history.items()}
+                    presynaptic = self._presynaptic(layer, step, sent)
+                    heard = row in range(timesteps)[program.window(layer, timesteps)]
+                    result = self._update(layer, heard, step, presynaptic, state)
+                sent[layer.name][:, self._memory + row] = result.spikes
+                done[layer.name].append((state.current, state.membrane, result))
+        self.tails = {name: rows[:, timesteps:] for name, rows in sent.items()}
+        return {name: _stack(results, self._dtype(name)) for name, results in done.items()}
 
-    def _together(
-        self, step: int, output_spikes: dict[str, NDArray[np.integer[Any]]]
-    ) -> Mapping[str, StepResult]:
+    def _update_together(self, step: int, sent: Mapping[str, Spikes]) -> Mapping[str, StepResult]:
         """A timestep of all layers, where the chip advances them as one; else nothing."""
-        arithmetic = self.program.chip.arithmetic
+        arithmetic, layers = self.program.chip.arithmetic, self.program.layers
         if not arithmetic.together:
             return {}
-        presynaptic = {
-            layer.name: self._presynaptic(layer, step, output_spikes)
-            for layer in self.program.layers
-        }
+        presynaptic = {layer.name: self._presynaptic(layer, step, sent) for layer in layers}
         return arithmetic.update_together(self.program, presynaptic, self.states)
 
-    def _advanced(
-        self, layer: Layer, step: int, presynaptic: Sequence[Numbers], state: LayerState
+    def _update(
+        self,
+        layer: Layer,
+        heard: bool,
+        step: int,
+        presynaptic: Sequence[Numbers],
+        state: LayerState,
     ) -> StepResult:
-        """A timestep of a layer, in which these spikes (B, M) of its synapses arrive."""
-        return self.program.chip.arithmetic.update(self.program, layer, presynaptic, state)
+        """A timestep of a layer, in which these spikes (B, M) of its synapses arrive.
+
+        heard: whether it is in its window, in which its bias axon spikes.
+        """
+        program, draws = self.program, self._draws
+        now = layer if heard else self._unbiased[layer.name]
+        if draws is None:
+            return program.chip.arithmetic.update(program, now, presynaptic, state)
+        place = [each.name for each in program.layers].index(layer.name) + 1
+        bits = program.chip.arithmetic.state_bits[-1]
+        state.membrane = draws.flip(place, step, state.membrane, bits)
+        result = program.chip.arithmetic.update(program, now, presynaptic, state)
+        if not layer.spiking:
+            return result
+        return replace(result, spikes=draws.upset_spikes(place, step, result.spikes))
 
     def _presynaptic(
-        self, layer: Layer, step: int, output_spikes: dict[str, NDArray[np.integer[Any]]]
-    ) -> list[Numbers]:
+        self, layer: Layer, step: int, sent: Mapping[str, Spikes]
+    ) -> list[NDArray[Any]]:
         """Spikes (B, M) that arrive through each synapse of a layer in a chip timestep."""
-        presynaptic = []
+        program, presynaptic = self.program, []
         for synapses in layer.synapses:
-            of = synapses.source
-            begin = 0 if of == self.program.input else self.program.begin(self.program.layer(of))
-            presynaptic.append(output_spikes[of][:, self._memory + step - synapses.delay - begin])
+            source = synapses.source
+            begin = 0 if source == program.input else program.begin(program.layer(source))
+            presynaptic.append(sent[source][:, self._memory + step - synapses.delay - begin])
         return presynaptic
 
+    def _dtype(self, name: str) -> type[np.integer[Any]]:
+        return np.int64 if name in self.program.graded else np.uint8
 
-def unbiased(layer: Layer) -> Layer:
+
+def _without_bias(layer: Layer) -> Layer:
     """The layer while its bias axon is silent."""
     return replace(layer, bias=0 * layer.bias) if layer.bias.any() else layer
 
 
-def _waiting(state: LayerState) -> StepResult:
-    """What a layer does that has not started yet."""
+def _wait(state: LayerState) -> StepResult:
+    """The timestep of a layer that has not started yet."""
     none = np.zeros(state.membrane.shape, np.int64)
     return StepResult(none, none.astype(np.bool_), none)
 
 
-def _lengthened(tail: NDArray[np.integer[Any]], timesteps: int) -> NDArray[np.integer[Any]]:
+def _lengthen(tail: Spikes, timesteps: int) -> Spikes:
     batch, _, size = tail.shape
     return np.concatenate([tail, np.zeros((batch, timesteps, size), tail.dtype)], axis=1)
 
 
-def _stacked(
-    ticks: list[tuple[Numbers, Numbers, StepResult]], kind: np.dtype[np.integer[Any]]
+def _stack(
+    results: Sequence[tuple[Numbers, Numbers, StepResult]], dtype: type[np.integer[Any]]
 ) -> LayerTrace:
-    lost = [tick.lost for _, _, tick in ticks if tick.lost is not None]
+    currents, membranes, steps = zip(*results, strict=True)
+    lost = [step.lost for step in steps if step.lost is not None]
     return LayerTrace(
-        current=np.stack([current for current, _, _ in ticks], axis=1),
-        membrane=np.stack([membrane for _, membrane, _ in ticks], axis=1),
-        spikes=np.stack([tick.spikes for _, _, tick in ticks], axis=1).astype(kind),
-        active=np.stack([tick.active for _, _, tick in ticks], axis=1),
-        overflows=np.stack([tick.overflows for _, _, tick in ticks], axis=1),
+        current=np.stack(currents, axis=1),
+        membrane=np.stack(membranes, axis=1),
+        spikes=np.stack([step.spikes for step in steps], axis=1).astype(dtype),
+        active=np.stack([step.active for step in steps], axis=1),
+        overflows=np.stack([step.overflows for step in steps], axis=1),
         lost=np.stack(lost, axis=1) if lost else None,
     )
+
+
+def count(
+    program: Program,
+    spikes: Mapping[str, Spikes],
+    traces: Mapping[str, LayerTrace] | None = None,
+    waiting: Collection[str] = (),
+) -> Counts:
+    """Counts (B, L, E) of one inference, the slow way: the specification of a Machine's ledger.
+
+    spikes: (B, T, N) of the input and of each layer that can spike, in all rows that they run; a
+        graded one counts as one.
+    traces: of each layer; None takes every neuron-timestep for an update, and no overflows.
+    waiting: names of layers that have not started.
+    """
+    batch, timesteps, _ = spikes[program.input].shape
+    traces, nothing = traces or {}, np.zeros(batch, np.int64)
+    lost = {name: each.lost for name, each in traces.items() if each.lost is not None}
+    spikes = {n: rows != 0 if n in program.graded else rows for n, rows in spikes.items()}
+    arriving = {n: rows - lost[n] if n in lost else rows for n, rows in spikes.items()}
+    counts = np.zeros((batch, len(program.layers), len(EVENTS)), np.int64)
+    for index, layer in enumerate(program.layers):
+        seen = traces.get(layer.name)
+        window = len(range(timesteps)[program.window(layer, timesteps)])
+        biases = 0 if layer.name in waiting else layer.bias_fan_out
+        spike_in = sum(_sum_each(arriving[s.source]) for s in layer.synapses)
+        spike_out = _sum_each(spikes[layer.name]) if layer.spiking else nothing
+        update = _sum_each(seen.active) if seen else timesteps * layer.size
+        membranes = window * layer.size * (layer.name not in waiting)
+        sent = spike_out if layer.spiking else membranes
+        event = {
+            "spike_in": spike_in,
+            "sop": sum(_sum_each(arriving[s.source] * s.fan_out) for s in layer.synapses),
+            "bias_sop": window * biases,
+            "neuron_update": update,
+            "neuron_idle": layer.size * program.steps(timesteps) - update,
+            "spike_out": spike_out,
+            "message": spike_in + window * (biases > 0) + sent * (layer.name in program.to_host),
+            "saturation": _sum_each(seen.overflows) if seen else 0,
+            "graded_sop": sum(
+                (
+                    _sum_each(spikes[s.source] * s.fan_out)
+                    for s in layer.synapses
+                    if s.source in program.graded
+                ),
+                nothing,
+            ),
+            "lost_spike": _sum_each(lost[layer.name]) if layer.name in lost else 0,
+        }
+        for kind, name in enumerate(EVENTS):
+            counts[:, index, kind] = event[name]
+    return counts
+
+
+def _sum_each(values: NDArray[Any]) -> Counts:
+    """Sums (B,) over timesteps and neurons."""
+    return np.asarray(values.sum(axis=(1, 2), dtype=np.int64))
+
+
+_FLIPS, _LOST, _SPURIOUS, _BIT = range(4)  # streams of draws
+_KINDS = {"state-flips": _FLIPS, "lost-spikes": _LOST, "spurious-spikes": _SPURIOUS}
+
+
+class UpsetDraws:
+    """The draws of a batch of B robots, and how often something was hit.
+
+    seeds: (B,) of their episodes.
+    window: how many windows have run since then.
+    counts: (3, 2) hits and chances of each kind.
+    """
+
+    def __init__(self, upsets: Upsets, batch: int) -> None:
+        self.upsets = upsets
+        self.counts = np.zeros((len(_KINDS), 2), np.int64)
+        self.seed(range(batch))
+
+    def seed(self, seeds: Sequence[int]) -> None:
+        """Start the draws of these episodes; counts go on."""
+        self.seeds = np.array(seeds, np.int64)
+        self._keys: Keys = keys(self.upsets.specimen, self.seeds.tolist())
+        self.window = 0
+
+    def upset_spikes(self, layer: int, step: int, sent: NDArray[Any]) -> NDArray[Any]:
+        """The spikes (B, N) that arrive of those that were sent."""
+        arriving = sent
+        fired = sent != 0
+        if self.upsets.of("lost-spikes"):
+            lost = self._hit("lost-spikes", (layer, step), fired)
+            arriving = np.where(lost, 0, arriving).astype(sent.dtype)
+        if self.upsets.of("spurious-spikes"):
+            made_up = self._hit("spurious-spikes", (layer, step), ~fired)
+            arriving = np.where(made_up, 1, arriving).astype(sent.dtype)
+        return arriving
+
+    def flip(self, layer: int, step: int, membrane: Numbers, bits: int) -> Numbers:
+        """Membranes (B, N) after bits have flipped, in registers of so many bits."""
+        if not self.upsets.of("state-flips"):
+            return membrane
+        flips = self._hit("state-flips", (layer, step), np.ones(membrane.shape, np.bool_))
+        if not flips.any():
+            return membrane
+        size = membrane.shape[1]
+        which = (uniform(self._keys, (_BIT, layer, self.window, step), size) * bits).astype(int)
+        stored = (membrane & ((1 << bits) - 1)) ^ (np.int64(1) << which)
+        flipped = np.where(stored >> (bits - 1), stored - (1 << bits), stored)
+        return np.where(flips, flipped, membrane)
+
+    def _hit(
+        self, name: str, place: tuple[int, int], chances: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """The chances (B, N) that are hit."""
+        layer, step = place
+        stream = _KINDS[name]
+        draws = uniform(self._keys, (stream, layer, self.window, step), chances.shape[1])
+        hit = chances & (draws < self.upsets.of(name))
+        self.counts[stream] += np.count_nonzero(hit), np.count_nonzero(chances)
+        return np.asarray(hit)
+
+
+class InterpreterBackend:
+    """An Interpreter as a Backend; a reset of states leaves the draws of upsets as they are."""
+
+    def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
+        self.schedule = schedule
+        self._starts = {layer.name: layer.start for layer in program.layers}
+        if streaming := schedule.mode == "step":
+            # all layers start at once, so that lags are the delays of the chip
+            layers = tuple(replace(layer, start=0) for layer in program.layers)
+            program = replace(program, layers=layers, clock="pipelined")
+        self._program, self._batch, self._streaming = program, batch, streaming
+        self._lag = program.readout.lag if program.readout else 0
+        self._waiting: set[str] = set()
+        self._traces: dict[str, LayerTrace] = {}
+        self._draws = UpsetDraws(program.upsets, batch) if program.upsets else None
+        self.reset()
+
+    @staticmethod
+    def obstacle(program: Program) -> str | None:
+        """Supports every arithmetic."""
+        return None
+
+    def reset(self) -> None:
+        """Forget every current, membrane and spike."""
+        self._interpreter = Interpreter(self._program, self._batch, self._draws)
+        size = self._program.layer(self._program.output).size
+        self._tail = np.zeros((self._lag, self._batch, size), np.uint8)
+
+    def seed(self, seeds: Sequence[int]) -> None:
+        """Start the draws of upsets anew, of an episode of each robot (B,)."""
+        if self._draws is not None:
+            self._draws.seed(seeds)
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """Hits of upsets so far."""
+        if (draws := self._draws) is None:
+            return ()
+        hits = {name: draws.counts[stream].tolist() for name, stream in _KINDS.items()}
+        return tuple(
+            Damage(u.text, u.name, u.probability, hit, of, u.what, over_time=True)
+            for u in draws.upsets.each
+            for hit, of in [hits[u.name]]
+        )
+
+    def run(self, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:
+        """Spikes (T, B, N) as they reach the readout, from those of the input (T, B, M)."""
+        draws = self._draws
+        if draws is not None:
+            rows = np.stack([draws.upset_spikes(0, t, row) for t, row in enumerate(rows)])
+        check_counts(rows, self._program.chip.input_spikes_max)
+        waits = self._streaming and step is not None
+        self._waiting = {n for n, start in self._starts.items() if waits and (step or 0) < start}
+        self._raster = rows.swapaxes(0, 1).astype(np.uint8)
+        self._traces = self._interpreter.run(self._raster, self._waiting)
+        late = np.concatenate([self._tail, self.spikes(self._program.output)])
+        self._tail = late[len(rows) :]
+        if draws is not None:
+            draws.window += 1
+        return late[: len(rows)]
+
+    def report(self, ledger: LedgerBuilder) -> None:
+        """Enter the last window in the ledger."""
+        spikes = {self._program.input: self._raster}
+        spikes |= {name: trace.spikes for name, trace in self._traces.items()}
+        counts = count(self._program, spikes, self._traces, self._waiting)
+        timesteps = self.schedule.timesteps
+        ledger.add(counts, timesteps, self._program.steps(timesteps))
+
+    def recordings(self) -> Mapping[str, Recording]:
+        """The trace of each layer in the last window."""
+        return self._traces
+
+    def membranes(self, layer: str) -> NDArray[Any]:
+        """Membranes (T, B, N) of a layer after each timestep of the last window [state units]."""
+        return np.asarray(self._traces[layer].membrane.swapaxes(0, 1))
+
+    def spikes(self, layer: str) -> NDArray[Any]:
+        """Spikes (T, B, N) of a layer in the last window."""
+        return np.asarray(self._traces[layer].spikes.swapaxes(0, 1))
+
+    def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
+        """Current and membrane (B, N) of each layer; the current (B, K, N) where it has K."""
+        states = self._interpreter.states
+        return {name: (state.current, state.membrane) for name, state in states.items()}
+
+    def saved(self) -> SavedState:
+        """Copies of all states, of spikes on their way, and of the draws of upsets."""
+        tails = {f"spikes of {name}": tail for name, tail in self._interpreter.tails.items()}
+        found = {"readout": self._tail, **tails}
+        for name, state in self._interpreter.states.items():
+            found |= {f"{quantity} of {name}": values for quantity, values in vars(state).items()}
+        if (draws := self._draws) is not None:
+            found |= {"seeds": draws.seeds, "window": np.array(draws.window), "hits": draws.counts}
+        return {name: values.copy() for name, values in found.items()}
+
+    def restore(self, saved: SavedState) -> None:
+        """Continue from there."""
+        saved = {name: values.copy() for name, values in saved.items()}
+        self._tail = saved["readout"]
+        interpreter = self._interpreter
+        interpreter.tails = {n: saved[f"spikes of {n}"] for n in interpreter.tails}
+        for name, state in interpreter.states.items():
+            for quantity in vars(state):
+                setattr(state, quantity, saved[f"{quantity} of {name}"])
+        if (draws := self._draws) is not None:
+            draws.seed(saved["seeds"].tolist())
+            draws.window, draws.counts = int(saved["window"]), saved["hits"]

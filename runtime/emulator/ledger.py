@@ -1,6 +1,6 @@
-"""The ledger: what a chip did, counted, so that any table of energies can price it afterwards."""
+"""The ledger: counted events of a chip, so that any table of energies can price it afterwards."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol, get_args
 
@@ -98,57 +98,6 @@ class Ledger:
         return (every - self.total("spike_out")) / every
 
 
-def count(
-    program: Program,
-    spikes: Mapping[str, NDArray[np.integer[Any]]],
-    busy: Mapping[str, NDArray[np.bool_]] | None = None,
-    overflows: Mapping[str, Counts] | None = None,
-    waiting: Collection[str] = (),
-    lost: Mapping[str, Counts] | None = None,
-) -> Counts:
-    """Counts (B, L, E) of one inference, the slow way: the specification of a Machine's ledger.
-
-    spikes: (B, T, N) of the input and of each layer that can spike, in all rows that they run; a
-        graded one counts as one.
-    busy: (B, T, N) of each layer, as in StepResult; None takes every neuron-timestep for an update.
-    overflows: (B, T, N) of each layer, as in StepResult; None takes none.
-    waiting: names of layers that have not started.
-    lost: (B, T, N) of the layers with a queue, as in StepResult; None takes none.
-    """
-    batch, timesteps, _ = spikes[program.input].shape
-    lost = lost or {}
-    spikes = {n: rows != 0 if n in program.graded else rows for n, rows in spikes.items()}
-    arriving = {n: rows - lost[n] if n in lost else rows for n, rows in spikes.items()}
-    counts = np.zeros((batch, len(program.layers), len(EVENTS)), np.int64)
-    graded = program.graded
-    for index, layer in enumerate(program.layers):
-        neuron_steps = layer.size * program.steps(timesteps)
-        spike_in = sum(_each(arriving[s.source]) for s in layer.synapses)
-        spike_out = _each(spikes[layer.name]) if layer.spiking else np.zeros(batch, np.int64)
-        update = _each(busy[layer.name]) if busy else timesteps * layer.size
-        window = len(range(timesteps)[program.window(layer, timesteps)])
-        sent = spike_out if layer.spiking else window * layer.size * (layer.name not in waiting)
-        to_host = sent if layer.name in program.to_host else 0
-        event = {
-            "spike_in": spike_in,
-            "sop": sum(_each(arriving[s.source] * s.fan_out) for s in layer.synapses),
-            "bias_sop": window * layer.bias_fan_out,
-            "neuron_update": update,
-            "neuron_idle": neuron_steps - update,
-            "spike_out": spike_out,
-            "message": spike_in + window * (layer.bias_fan_out > 0) + to_host,
-            "saturation": _each(overflows[layer.name]) if overflows else 0,
-            "graded_sop": sum(
-                (_each(spikes[s.source] * s.fan_out) for s in layer.synapses if s.source in graded),
-                np.zeros(batch, np.int64),
-            ),
-            "lost_spike": _each(lost[layer.name]) if layer.name in lost else 0,
-        }
-        for kind, name in enumerate(EVENTS):
-            counts[:, index, kind] = event[name]
-    return counts
-
-
 def state_count(layer: Layer, program: Program) -> int:
     """States that a neuron of a layer holds: those of the chip, without a current that is 0 again.
 
@@ -156,11 +105,6 @@ def state_count(layer: Layer, program: Program) -> int:
     """
     kinds = len(program.chip.arithmetic.state_bits)
     return 1 if not np.any(layer.current_decay) else kinds
-
-
-def _each(values: NDArray[Any]) -> Counts:
-    """Sums (B,) over timesteps and neurons."""
-    return np.asarray(values.sum(axis=(1, 2), dtype=np.int64))
 
 
 Rows = Literal["each", "total", "none"]
@@ -237,11 +181,6 @@ class LedgerBuilder:
                 a.name for a in self._program.layers if state_count(a, self._program) == 1
             ),
         )
-
-    def __getstate__(self) -> dict[str, Any]:
-        """A counter belongs to the memory of one machine, and does not go with a copy."""
-        self._count()
-        return {**self.__dict__, "_counts": self._counts.copy(), "_counter": None}
 
     def _count(self) -> None:
         if self._counter and self._pending:

@@ -1,67 +1,44 @@
-"""A chip with a program on it, running."""
+"""A chip with a program on it, running; and the host, which makes an output of what leaves it."""
 
-from collections.abc import Sequence
-from copy import deepcopy
-from threading import Lock
-from typing import Any, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.damage import Damage
-from spikedeploy.runtime.compiler.program import Program, leaving
+from spikedeploy.runtime.chips.damage import Damage, summed
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import (
     Backend,
     BackendName,
     Recording,
     RunMode,
-    SavedState,
+    Schedule,
     backend_class,
+    joined,
     not_spikes,
-    schedule,
 )
-from spikedeploy.runtime.emulator.host import Host
-from spikedeploy.runtime.emulator.interpreter import Interpreter
+from spikedeploy.runtime.emulator.interpreter import Interpreter, InterpreterBackend
 from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows
-from spikedeploy.runtime.emulator.upset_backend import UpsetBackend
 from spikedeploy.runtime.errors import ConfigError, ObservationError
-from spikedeploy.runtime.graph.ports import check_unmasked
+from spikedeploy.runtime.graph.ports import Port, check_unmasked
 
 Floats = NDArray[np.float64]
-T = TypeVar("T")
 
-
-class SerialCalls:
-    """Makes calls from several threads wait for one another; a copy has a lock of its own.
-
-    lock: to be held during a call.
-    """
-
-    __slots__ = ("lock",)
-
-    def __init__(self) -> None:
-        self.lock = Lock()
-
-    def __reduce__(self) -> "tuple[type[SerialCalls], tuple[()]]":
-        return SerialCalls, ()
-
-
-def snapshot(state: T, program: Program | None) -> T:
-    """A copy of what changes; the program, which does not, is shared."""
-    return deepcopy(state, {id(program): program})
+# inferences that are computed at once: enough to fill matrix products, few enough for the cache
+CHUNK = 64
 
 
 class Machine:
     """A running chip: spikes in; out comes what the readout makes of them, or spikes.
 
-    Use `infer` for whole inferences, or `step` for one chip timestep after another. Copies made by
-    copy.deepcopy and pickle go on exactly as the original does. Calls from several threads wait for
-    one another.
+    Use `infer` for whole inferences, or `step` for one chip timestep after another.
 
     program: what it runs.
-    batch: B, copies of the network that run side by side.
-    ledger: rows to keep, as in LedgerBuilder, or the LedgerBuilder of another machine, to go on
-        with; one row per inference and copy, or per step and copy.
+    batch: B, copies of the network that run side by side; None takes any number, which has to stay
+        the same until `reset` where states are kept.
+    ledger: rows to keep, as in LedgerBuilder; one row per inference and copy, or per step and copy.
     trace: whether `infer` leaves a Recording of each layer in `recordings`.
     backend: "numpy", or "numba", which computes the same several times faster, and compiles for
         half a minute when it runs for the first time after it was installed; "auto" takes it where
@@ -75,50 +52,49 @@ class Machine:
     def __init__(
         self,
         program: Program,
-        batch: int = 1,
-        ledger: Rows | LedgerBuilder = "each",
+        batch: int | None = 1,
+        ledger: Rows = "each",
         trace: bool = False,
         backend: BackendName = "numpy",
     ) -> None:
-        if batch < 1:
+        if batch is not None and batch < 1:
             raise ConfigError(f"batch is {batch}; the least is 1.")
         self.program, self.batch = program, batch
-        self.recordings: dict[str, Recording] = {}
-        # where several layers leave the chip, the host needs the spikes of all
-        self._trace = trace or (bool(program.outlets) and not program.reads_membranes)
-        self._host = Host(program, batch) if program.reads_membranes else None
+        self.recordings: Mapping[str, Recording] = {}
+        self._trace = trace
         self._backend_class = backend_class(program, backend)
-        self._ledger = (
-            ledger if isinstance(ledger, LedgerBuilder) else LedgerBuilder(program, ledger)
-        )
-        self._prepared_for: tuple[RunMode, int] = ("row", 1)
-        self._backend: Backend | None = None
-        self._running = False
+        self._ledger = LedgerBuilder(program, ledger)
+        # by batch size; since the last reset only that of `_active` has run
+        self._backends: dict[int, Backend] = {}
+        self._hosts: dict[int, Host] = {}
+        self._active: int | None = None
         self._step = 0
         self._seeds: tuple[int, ...] = ()
-        self._calls = SerialCalls()
 
     def reset(self) -> None:
         """Forget every current, membrane and spike; the ledger stays."""
-        with self._calls.lock:
-            self._reset()
+        for batch, backend in self._backends.items():
+            backend.reset()
+            if host := self._hosts.get(batch):
+                host.reset(streaming=backend.schedule.mode == "step")
+        self._active = None
+        self._step = 0
 
-    def infer(self, spikes: NDArray[Any]) -> Floats:
-        """Output (B, T, act) of the spikes (B, T, M); states as the convention says."""
-        with self._calls.lock:
-            raster = self._checked(spikes, 3).swapaxes(0, 1)
-            rows = self._with_fill(raster)
-            if self.program.convention.state == "reset":
-                self._reset()
-            backend = self._prepared("window" if self.program.feed_forward else "row", len(rows))
-            presynaptic = self._run(backend, rows)
-            if self._trace:
-                recorded = backend.recordings()
-                self.recordings = {n: self._heard(n, each) for n, each in recorded.items()}
-            if self._host is not None:
-                return self._host.output(raster, backend)
-            output = self.program.layer(self.program.output)
-            return self._output(presynaptic[self.program.window(output, len(rows))])
+    def infer(self, spikes: NDArray[Any] | Mapping[str, NDArray[Any]]) -> Floats:
+        """Output (B, T, act) of the spikes (B, T, M); states as the convention says.
+
+        spikes: or a raster (B, T, *shape) of each Input node, by name.
+        """
+        raster = spikes if isinstance(spikes, np.ndarray) else self._join(spikes)
+        kept = self.program.convention.state == "kept" or self.program.upsets is not None
+        if self.batch is not None or len(raster) <= CHUNK or kept:
+            return self._infer(raster)
+        outputs, recorded = [], []
+        for first in range(0, len(raster), CHUNK):
+            outputs.append(self._infer(raster[first : first + CHUNK]))
+            recorded.append(self.recordings)
+        self.recordings = joined(recorded, axis=0)
+        return np.concatenate(outputs)
 
     def step(self, spikes: NDArray[Any], out: Floats | None = None) -> Floats:
         """Output (B, act) after one chip timestep with the input spikes (B, M).
@@ -127,43 +103,56 @@ class Machine:
 
         out: memory (B, act) for the output, float64; with it the "numba" backend allocates nothing.
         """
-        if self.program.outlets and self._host is None:
-            raise ConfigError(
-                f"{len(self.program.to_host)} layers leave the chip, and a step gives the spikes "
-                "of one. Use infer, or give the network one Output connected to one layer."
-            )
-        with self._calls.lock:
-            rows = self._checked(spikes, 2)[None]
-            backend = self._prepared("step", 1)
-            presynaptic = self._run(backend, rows, self._step)
-            self._step += 1
-            if self._host is not None:
-                output = self._host.output(rows, backend)[:, 0]
-                if out is None:
-                    return output
-                np.copyto(out, output)
-                return out
-            if out is None:
-                return np.asarray(self._output(presynaptic)[:, 0])
-            return self._write(presynaptic[0], out)
+        rows = self._checked(spikes, 2)[None]
+        backend = self._prepare("step", 1, len(spikes))
+        presynaptic = self._run(backend, rows, self._step)[0]
+        self._step += 1
+        readout = self.program.readout
+        if host := self._hosts.get(len(spikes)):
+            output = host.output(rows, backend)[:, 0]
+        elif readout is not None and out is not None:
+            np.dot(presynaptic.astype(np.float64, copy=False), readout.weight, out)
+            return np.add(out, readout.bias, out)
+        else:
+            output = self._output(presynaptic)
+        if out is None:
+            return output
+        np.copyto(out, output)
+        return out
 
     def seed(self, seeds: Sequence[int]) -> None:
         """Start the chance of upsets anew, for the episode of each robot (B,)."""
-        with self._calls.lock:
-            self._seeds = tuple(seeds)
-            if isinstance(self._backend, UpsetBackend):
-                self._backend.seed(self._seeds)
+        self._seeds = tuple(seeds)
+        if isinstance(backend := self._backends.get(len(seeds)), InterpreterBackend):
+            backend.seed(self._seeds)
 
     @property
     def damage(self) -> tuple[Damage, ...]:
-        """What has gone wrong by chance since the machine was made."""
-        return self._backend.damage if isinstance(self._backend, UpsetBackend) else ()
+        """Hits of faults, those over time since the machine was made."""
+        backends = self._backends.values()
+        each = [b.damage for b in backends if isinstance(b, InterpreterBackend) and b.damage]
+        return (*self.program.damage, *summed(each))
 
     @property
     def ledger(self) -> Ledger:
-        """What happened since the machine was made."""
-        with self._calls.lock:
-            return self._ledger.ledger()
+        """The events since the machine was made."""
+        return self._ledger.ledger()
+
+    @property
+    def spikes(self) -> dict[str, NDArray[Any]]:
+        """(B, T, N) of each spiking layer in the last inference, where it was traced."""
+        seen, layers = self.recordings, self.program.spiking
+        return {layer.name: seen[layer.name].spikes for layer in layers if layer.name in seen}
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """The Output nodes side by side in the output."""
+        return self.program.outputs
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Deviations of the chip from the file, one sentence each."""
+        return self.program.remarks
 
     @property
     def current(self) -> dict[str, NDArray[Any]]:
@@ -175,49 +164,31 @@ class Machine:
         """(B, N) of each layer now [state units]."""
         return {name: membrane for name, (_, membrane) in self._states().items()}
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Everything between two calls, so that a copy made during one is whole."""
-        with self._calls.lock:
-            return {**self._snapshot(), "_ledger": snapshot(self._ledger, self.program)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        saved: SavedState | None = state["_backend"]
-        self.__dict__.update(state, _backend=None)
-        if saved is not None:
-            self._backend = self._built(*self._prepared_for)
-            self._backend.restore(saved)
-
-    def without_ledger(self) -> dict[str, Any]:
-        """State for a copy that another object gives the copy of a shared ledger."""
-        with self._calls.lock:
-            return {**self._snapshot(), "_ledger": None}
-
-    def _snapshot(self) -> dict[str, Any]:
-        """Memory of a backend is full of views of itself, so copies build it anew."""
-        saved = self._backend.saved() if self._backend else None
-        # the program is shared by all copies
-        host = snapshot(self._host, self.program)
-        return {**self.__dict__, "_backend": saved, "_host": host}
-
-    def _reset(self) -> None:
-        if self._backend is not None:
-            self._backend.reset()
-        if self._host is not None:
-            self._host.reset(streaming=self._prepared_for[0] == "step")
-        self._running = False
-        self._step = 0
-
     def _states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
-        with self._calls.lock:
-            if self._backend is not None and self._running:
-                return self._backend.states()
-        zero = Interpreter(self.program, self.batch).states
+        if self._active is not None:
+            return self._backends[self._active].states()
+        zero = Interpreter(self.program, self.batch or 1).states
         return {name: (state.current, state.membrane) for name, state in zero.items()}
 
+    def _join(self, rasters: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+        """The input (B, T, M), from the raster of each Input node."""
+        for name, rows in rasters.items():
+            check_unmasked(rows)
+            if rows.dtype.kind not in "bu":
+                found = f"{rows.dtype} values"
+                if rows.dtype.kind == "f" and rows.size and not np.isin(rows, (0, 1)).all():
+                    found = f"numbers from {rows.min():g} to {rows.max():g}"
+                raise ObservationError(
+                    f"the raster of node {name!r} holds {found}; a chip takes spikes, 0 or 1. "
+                    "Encode them, or play them into --chip float."
+                )
+        return self.program.joined(rasters)
+
     def _checked(self, spikes: NDArray[Any], axes: int) -> NDArray[Any]:
-        width = self.program.width
-        if spikes.ndim != axes or len(spikes) != self.batch or spikes.shape[-1] != width:
-            wanted = ", ".join([str(self.batch), *["T"] * (axes - 2), str(width)])
+        width, batch = self.program.width, self.batch
+        fits = spikes.ndim == axes and spikes.shape[-1] == width
+        if not fits or (batch is not None and len(spikes) != batch):
+            wanted = ", ".join([str(batch or "B"), *["T"] * (axes - 2), str(width)])
             raise ObservationError(
                 f"the spikes have shape {spikes.shape}; this machine takes ({wanted}). Give the "
                 "raster of this network, or make a machine with another batch."
@@ -228,75 +199,205 @@ class Machine:
             raise not_spikes(spikes, self.program.chip.input_spikes_max)
         return spikes
 
-    def _with_fill(self, raster: NDArray[Any]) -> NDArray[Any]:
-        """The raster (T, B, M) with the silent rows in which layers that run free go on."""
-        fill = self.program.rows(len(raster)) - len(raster)
-        return np.pad(raster, ((0, fill), (0, 0), (0, 0))) if fill else raster
+    def _infer(self, spikes: NDArray[Any]) -> Floats:
+        """Output (B, T, act) of the spikes (B, T, M), all at once."""
+        program = self.program
+        raster = rows = self._checked(spikes, 3).swapaxes(0, 1)
+        # silent rows, in which layers that run free go on
+        if fill := program.rows(len(raster)) - len(raster):
+            rows = np.pad(raster, ((0, fill), (0, 0), (0, 0)))
+        if program.convention.state == "reset":
+            self.reset()
+        mode: RunMode = "window" if program.feed_forward else "row"
+        backend = self._prepare(mode, len(rows), len(spikes))
+        presynaptic = self._run(backend, rows)
+        if self._trace:
+            self.recordings = {
+                name: self._in_window(name, each) for name, each in backend.recordings().items()
+            }
+        if host := self._hosts.get(len(spikes)):
+            return host.output(raster, backend)
+        window = program.window(program.layer(program.output), len(rows))
+        return np.asarray(self._output(presynaptic[window]).swapaxes(0, 1))
 
-    def _heard(self, name: str, recorded: Recording) -> Recording:
-        """What a layer did in its window."""
+    def _in_window(self, name: str, recorded: Recording) -> Recording:
         rows = recorded.spikes.shape[1]
         window = self.program.window(self.program.layer(name), rows)
-        if window == slice(0, rows):
-            return recorded
-        parts = recorded.current, recorded.membrane, recorded.spikes
-        return Recording(*(part[:, window] for part in parts))
+        return recorded if window == slice(0, rows) else recorded.part(window)
 
-    def _prepared(self, mode: RunMode, timesteps: int) -> Backend:
+    def _prepare(self, mode: RunMode, timesteps: int, batch: int) -> Backend:
         """The backend for a way of running, which has to stay the same while states are kept."""
-        backend = self._backend
-        if backend is None or (mode, timesteps) != self._prepared_for:
-            saved: SavedState = {}
-            if backend is not None and self._running and backend.schedule.kept:
-                if not mode == self._prepared_for[0] == "row":
-                    raise ConfigError(
-                        "the machine holds the state of a run with another number of timesteps, or "
-                        "of step and not infer. Call reset() first."
-                    )
-                saved = backend.saved()
-            self._backend = backend = self._built(mode, timesteps)
-            self._prepared_for = (mode, timesteps)
-            if saved:
-                backend.restore(saved)
-            elif self._host is not None:
-                self._host.reset(streaming=mode == "step")
-        return backend
+        found = self._backends.get(batch)
+        fits = found and (found.schedule.mode, found.schedule.timesteps) == (mode, timesteps)
+        if found is not None and fits and self._active in (None, batch):
+            return found
+        saved = None
+        active = self._backends[self._active] if self._active is not None else None
+        if active is not None and active.schedule.kept:
+            # only what runs row by row can go on with another number of rows
+            if active is not found or not mode == active.schedule.mode == "row":
+                raise ConfigError(
+                    "the machine holds the state of a run with another number of timesteps or "
+                    "networks, or of step and not infer. Call reset() first."
+                )
+            saved = active.saved()
+        if found is None or not fits:
+            found = self._backends[batch] = self._build(mode, timesteps, batch)
+        if saved is not None:
+            found.restore(saved)
+        elif host := self._hosts.get(batch):
+            host.reset(streaming=mode == "step")
+        return found
 
-    def _built(self, mode: RunMode, timesteps: int) -> Backend:
-        counting = self._ledger.keeps
-        # of a single timestep the membranes are those of now
-        trace = self._trace or (self._host is not None and timesteps > 1)
-        prepared = schedule(self.program, mode, timesteps, trace=trace, counting=counting)
-        built = self._backend_class(self.program, prepared, self.batch)
-        if isinstance(built, UpsetBackend) and self._seeds:
+    def _build(self, mode: RunMode, timesteps: int, batch: int) -> Backend:
+        program = self.program
+        if program.reads_membranes or program.outlets:
+            self._hosts.setdefault(batch, Host(program, batch))
+        schedule = Schedule(
+            mode=mode,
+            timesteps=timesteps,
+            steps=1 if mode == "step" else program.steps(timesteps),
+            delays=program.delays if mode == "step" else program.lags,
+            kept=mode != "window" or program.convention.state == "kept",
+            # of a single timestep the membranes are those of now
+            trace=self._trace or (batch in self._hosts and timesteps > 1),
+            counting=self._ledger.keeps,
+        )
+        built = self._backend_class(program, schedule, batch)
+        if isinstance(built, InterpreterBackend) and len(self._seeds) == batch:
             built.seed(self._seeds)
         return built
 
     def _run(self, backend: Backend, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:
         """Spikes (T, B, N) as they reach the readout; the ledger counts them."""
         presynaptic = backend.run(rows, step)
-        self._running = True
+        self._active = rows.shape[1]
         if self._ledger.keeps:
             backend.report(self._ledger)
         return presynaptic
 
     def _output(self, presynaptic: NDArray[Any]) -> Floats:
-        """Output (B, T, act) of the rows (T, B, N) that leave the chip."""
-        if self.program.outlets:
-            seen = {name: recording.spikes for name, recording in self.recordings.items()}
-            return leaving(self.program.outlets, seen)
+        """Output (..., act) of the rows (..., N) that leave the chip."""
         readout = self.program.readout
         # a readout copies; spikes may be memory of the backend
         spikes = presynaptic.astype(np.float64, copy=readout is None)
-        output = spikes if readout is None else readout(spikes)
+        return np.asarray(spikes if readout is None else readout(spikes))
+
+
+class Host:
+    """The host of a program, where its output is not the spikes of one layer alone.
+
+    Membranes of readout layers become floats again. Readout layers that the chip has no way out for
+    are integrated here, in float64, from the spikes of their sources, which leave the chip, and
+    those of the input, which the host has. Outlets add up spikes and membranes.
+    """
+
+    def __init__(self, program: Program, batch: int) -> None:
+        self._program, self._batch = program, batch
+        # name, weight (N, act) or None, lag, and the elements of the output that it adds to
+        self._terms: list[tuple[str, Floats | None, int, slice]] = []
+        first, biases = 0, []
+        for outlet in program.ways_out:
+            elements = slice(first, first + len(outlet.bias))
+            self._terms += [(tap.layer, tap.weight, tap.lag, elements) for tap in outlet.taps]
+            biases.append(outlet.bias)
+            first = elements.stop
+        self._bias = np.concatenate(biases)
+        self._sizes = program.sizes | {layer.name: layer.size for layer in program.host}
+        sources = {s.source for layer in program.host for s in layer.synapses}
+        self._hears_input = program.input in sources | {name for name, *_ in self._terms}
+        self.reset(streaming=False)
+
+    def reset(self, streaming: bool) -> None:
+        """Forget every current and membrane, and all rows that are still late.
+
+        streaming: whether single timesteps of the chip come, in which later layers are behind, and
+            not windows, in which rows of one number mean the same.
+        """
+        program, batch = self._program, self._batch
+        here = {layer.name: layer.start for layer in program.layers} if streaming else {}
+        starts = {name: here.get(name, 0) for name in (program.input, *program.sizes)}
+        latest = max(starts[name] for name in (program.input, *program.to_host))
+
+        def late(name: str, lag: int) -> _Late:
+            """What the host has integrated is as late as the last layer that leaves the chip."""
+            return _Late(latest - starts.get(name, latest) + lag, batch, self._sizes[name])
+
+        self._integrators = [
+            _Integrator(layer, batch, [late(s.source, s.delay) for s in layer.synapses], latest)
+            for layer in program.host
+        ]
+        self._late = [late(name, lag) for name, _, lag, _ in self._terms]
+
+    def output(self, raster: NDArray[Any], backend: Backend) -> Floats:
+        """Output (B, T, act) of the last window, whose input was the raster (T, B, M).
+
+        Of layers that run free, the T timesteps of their windows are heard.
+        """
+        rows = self._rows(raster, backend)
+        for integrator in self._integrators:
+            rows[integrator.layer.name] = integrator.run(rows)
+        output = np.empty((*raster.shape[:2], len(self._bias)))
+        output[...] = self._bias
+        for (name, weight, _, elements), late in zip(self._terms, self._late, strict=True):
+            arriving, total = late.through(rows[name]), output[..., elements]
+            np.add(total, arriving if weight is None else arriving @ weight, out=total)
         return np.asarray(output.swapaxes(0, 1))
 
-    def _write(self, presynaptic: NDArray[Any], out: Floats) -> Floats:
-        """The same of one row (B, N), into memory that is there."""
-        readout, spikes = self.program.readout, presynaptic.astype(np.float64, copy=False)
-        if readout is None:
-            np.copyto(out, spikes)
-        else:
-            np.dot(spikes, readout.weight, out)
-            np.add(out, readout.bias, out)
-        return out
+    def _rows(self, raster: NDArray[Any], backend: Backend) -> dict[str, Floats]:
+        """(T, B, N) of the input, where it is heard, and of all that leaves the chip."""
+        program = self._program
+        rows = {program.input: raster.astype(np.float64)} if self._hears_input else {}
+        single = backend.schedule.mode == "step"
+        for name in program.to_host:
+            layer = program.layer(name)
+            ran = backend.spikes(name) if layer.spiking else backend.membranes(name) * layer.scale
+            heard = ran if single else ran[program.window(layer, len(ran))]
+            rows[name] = heard.astype(np.float64, copy=False)
+        return rows
+
+
+class _Late:
+    """Rows that arrive some timesteps late."""
+
+    def __init__(self, delay: int, batch: int, size: int) -> None:
+        self._tail = np.zeros((delay, batch, size))
+
+    def through(self, rows: Floats) -> Floats:
+        """The rows (T, B, N) that arrive now."""
+        if not len(self._tail):
+            return rows
+        all_ = np.concatenate([self._tail, rows])
+        self._tail = all_[len(rows) :]
+        return all_[: len(rows)]
+
+
+class _Integrator:
+    """A readout layer in float64, as the float twin computes it."""
+
+    def __init__(self, layer: Layer, batch: int, late: Sequence[_Late], waits: int) -> None:
+        self.layer, self._late = layer, late
+        self._current = self._membrane = np.zeros((batch, layer.size))
+        # as a layer of the chip, it begins when what is late arrives
+        self._waits = waits
+
+    def run(self, rows: dict[str, Floats]) -> Floats:
+        """Membranes (T, B, N) after each timestep."""
+        layer = self.layer
+        arrived = [
+            late.through(rows[synapses.source]) @ synapses.weight
+            for synapses, late in zip(layer.synapses, self._late, strict=True)
+        ]
+        drive: Floats = sum(arrived, layer.bias)
+        membranes = np.zeros_like(drive)
+        if self._waits:
+            self._waits -= 1
+            return membranes
+        for t, arriving in enumerate(drive):
+            # I = a I + W s      V = b V + I + bias
+            self._current = layer.current_decay * self._current + arriving
+            self._membrane = (
+                layer.membrane_decay * self._membrane + self._current + layer.voltage_bias
+            )
+            membranes[t] = self._membrane
+        return membranes

@@ -1,7 +1,8 @@
-"""A network on a chip or in float: the one place that decides, and machines for any batch."""
+"""A network on a chip or in float: the one place that decides."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,20 +10,122 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.chip import chip as datasheet
-from spikedeploy.runtime.chips.damage import Damage, summed
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.backend import BackendName, Recording, joined
-from spikedeploy.runtime.emulator.float_machine import FloatMachine
+from spikedeploy.runtime.emulator.backend import BackendName, Recording
+from spikedeploy.runtime.emulator.interpreter import count
 from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows
-from spikedeploy.runtime.emulator.machine import Machine, SerialCalls, snapshot
-from spikedeploy.runtime.errors import ConfigError, ObservationError
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.faults import NONE, Faults, inject
-from spikedeploy.runtime.graph.ports import Port, check_unmasked
+from spikedeploy.runtime.float_model import FloatGraph
+from spikedeploy.runtime.graph.ports import Port, by_port
 
 _FLOAT = "float"
-# inferences that are computed at once: enough to fill matrix products, few enough for the cache
-CHUNK = 64
+
+
+class FloatMachine:
+    """The float twin with the calls of a Machine; it counts what a chip without rounding would do.
+
+    spikes: (B, T, *N) of each spiking node in the last inference.
+    """
+
+    def __init__(self, artifact: Artifact, ledger: Rows = "each") -> None:
+        self.graph = FloatGraph(artifact)
+        self.spikes: dict[str, NDArray[Any]] = {}
+        self._input: Mapping[str, NDArray[Any]] = {}
+        self._ledger: LedgerBuilder | None = None
+        self._has_numbers = False  # whether anything came in that is no spike
+        self._stateless: RuleError | None = None  # why no chip has its currents and membranes
+        try:
+            self._program: Program | RuleError = self._counted(artifact)
+        except RuleError as error:
+            # a graph that no chip can hold still runs in float; it only cannot be counted
+            self._program = error
+        else:
+            self._ledger = LedgerBuilder(self._program, ledger)
+
+    def _counted(self, artifact: Artifact) -> Program:
+        """The program without rounding; a reset that no chip has costs what another does."""
+        try:
+            return compile_program(artifact, datasheet("ideal"))
+        except RuleError as error:
+            if artifact.convention.reset in ("zero", "subtract"):
+                raise
+            self._stateless = error
+        other = artifact.convention.with_options({"reset": "subtract"})
+        return compile_program(replace(artifact, convention=other), datasheet("ideal"))
+
+    def reset(self) -> None:
+        """Forget every current, membrane and spike; the ledger stays."""
+        self.graph.reset()
+
+    def infer(self, spikes: NDArray[Any] | Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+        """Output (B, T, act) of the spikes (B, T, M); states as the convention says.
+
+        spikes: of several Input nodes one raster (B, T, *shape) for each, by name; any numbers,
+            but only spikes are counted. Several outputs come side by side.
+        """
+        self._input = rows = by_port(self.graph.inputs, spikes)
+        trace = self.graph.run(rows)
+        names = [port.name for port in self.graph.outputs]
+        outputs = [trace.pop(name) for name in (names if len(names) > 1 else ["output"])]
+        self.spikes = {name: np.asarray(rows) for name, rows in trace.items()}
+        if self._ledger is not None and self._ledger.keeps:
+            self._count(self._ledger, rows)
+        flat = [each.reshape(*each.shape[:2], -1).astype(np.float64) for each in outputs]
+        return np.concatenate(flat, axis=2)
+
+    @property
+    def ledger(self) -> Ledger:
+        """The events since the machine was made; every neuron-timestep is an update."""
+        if self._ledger is None or self._has_numbers:
+            why = "the input were no spikes, 0 or 1." if self._has_numbers else self._program
+            raise RuleError(f"events cannot be counted: {why}")
+        return self._ledger.ledger()
+
+    @property
+    def program(self) -> Program:
+        """The program without rounding whose events are counted."""
+        if isinstance(self._program, RuleError):
+            raise self._program
+        return self._program
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """The Output nodes side by side in the output."""
+        return self.graph.outputs
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Nothing: it does what the file says."""
+        return ()
+
+    @property
+    def recordings(self) -> Mapping[str, Recording]:
+        """Of the program without rounding, which runs the last raster once more from zero."""
+        if self._stateless is not None:
+            raise self._stateless
+        raster = self.program.joined(self._input)
+        machine = Machine(self.program, len(raster), ledger="none", trace=True)
+        machine.infer(raster)
+        return machine.recordings
+
+    def _count(self, ledger: LedgerBuilder, rows: Mapping[str, NDArray[Any]]) -> None:
+        if any(each.dtype.kind not in "bu" or each.max() > 1 for each in rows.values()):
+            self._has_numbers |= not all(np.isin(each, (0, 1)).all() for each in rows.values())
+        if self._has_numbers:
+            return
+        spikes: dict[str, NDArray[Any]] = {
+            name: each.reshape(*each.shape[:2], -1) for name, each in self.spikes.items()
+        }
+        raster = self.program.joined(rows).astype(np.uint8)
+        timesteps = raster.shape[1]
+        counts = count(self.program, {self.program.input: raster, **spikes})
+        ledger.add(counts, timesteps, self.program.steps(timesteps))
+
+
+RunningNetwork: TypeAlias = FloatMachine | Machine
 
 
 def chip_called(name: str) -> Chip | None:
@@ -30,170 +133,7 @@ def chip_called(name: str) -> Chip | None:
     return None if name == _FLOAT else datasheet(name)
 
 
-class RunningNetwork(Protocol):
-    """A network on a chip or in float: FloatMachine or MachinePool."""
-
-    def reset(self) -> None:
-        """Forget every current, membrane and spike; the ledger stays."""
-
-    def infer(self, spikes: NDArray[Any] | Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-        """Output (B, T, act) of the spikes (B, T, M), or of a raster for each Input node."""
-
-    @property
-    def program(self) -> Program:
-        """What runs; of the float twin the program without rounding. RuleError if none can."""
-
-    @property
-    def ledger(self) -> Ledger:
-        """What happened since it was made; RuleError where that cannot be counted."""
-
-    @property
-    def spikes(self) -> Mapping[str, NDArray[Any]]:
-        """(B, T, N) of each spiking node in the last inference, where it was traced."""
-
-    @property
-    def recordings(self) -> Mapping[str, Recording]:
-        """The same with currents and membranes."""
-
-    @property
-    def outputs(self) -> tuple[Port, ...]:
-        """The Output nodes side by side in the output."""
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Deviations of the chip from the file, one sentence each."""
-
-
-class MachinePool:
-    """A Machine for each batch size that comes along; copied and called as a Machine is.
-
-    program: what they run.
-    ledger: rows to keep, as in LedgerBuilder.
-    backend: what computes, as in Machine.
-    trace: whether `infer` leaves a Recording of each layer in `recordings`.
-    """
-
-    def __init__(
-        self,
-        program: Program,
-        ledger: Rows = "each",
-        backend: BackendName = "numpy",
-        trace: bool = False,
-    ) -> None:
-        self.program = program
-        self.recordings: dict[str, Recording] = {}
-        self._backend: BackendName = backend
-        self._trace = trace
-        self._ledger = LedgerBuilder(program, ledger)
-        self._machines: dict[int, Machine] = {}
-        self._calls = SerialCalls()
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Everything between two calls, so that a copy made during one is whole."""
-        with self._calls.lock:
-            machines = {size: each.without_ledger() for size, each in self._machines.items()}
-            ledger = snapshot(self._ledger, self.program)
-            return {**self.__dict__, "_machines": machines, "_ledger": ledger}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _machines={})
-        for size, saved in state["_machines"].items():
-            machine = Machine.__new__(Machine)
-            machine.__setstate__({**saved, "_ledger": self._ledger})
-            self._machines[size] = machine
-
-    def reset(self) -> None:
-        """Forget every current, membrane and spike; the ledger stays."""
-        with self._calls.lock:
-            for machine in self._machines.values():
-                machine.reset()
-
-    def infer(self, spikes: NDArray[Any] | Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-        """Output (B, T, act) of the spikes (B, T, M); states as the convention says.
-
-        States that are kept belong to a batch size: do not change it without `reset`.
-
-        spikes: or a raster (B, T, *shape) of each Input node, by name.
-        """
-        raster = spikes if isinstance(spikes, np.ndarray) else self._joined(spikes)
-        batch = len(raster)
-        with self._calls.lock:
-            kept = self.program.convention.state == "kept"
-            if batch <= CHUNK or kept or self.program.upsets is not None:
-                machine = self._machine(batch)
-                output = machine.infer(raster)
-                self.recordings = machine.recordings
-                return output
-            chunks = [raster[at : at + CHUNK] for at in range(0, batch, CHUNK)]
-            outputs, recorded = [], []
-            for chunk in chunks:
-                machine = self._machine(len(chunk))
-                outputs.append(machine.infer(chunk))
-                recorded.append(machine.recordings)
-            self.recordings = joined(recorded, axis=0)
-            return np.concatenate(outputs)
-
-    def seed(self, seeds: Sequence[int]) -> None:
-        """Start the chance of upsets anew for the episodes of B robots, if the chip has any."""
-        with self._calls.lock:
-            if self.program.upsets is not None:
-                self._machine(len(seeds)).seed(seeds)
-
-    @property
-    def damage(self) -> tuple[Damage, ...]:
-        """What faults of the chip have hit, those over time since the pool was made."""
-        with self._calls.lock:
-            each = [machine.damage for machine in self._machines.values()]
-        return (*self.program.damage, *summed([found for found in each if found]))
-
-    @property
-    def ledger(self) -> Ledger:
-        """What happened since the pool was made."""
-        with self._calls.lock:
-            return self._ledger.ledger()
-
-    @property
-    def spikes(self) -> dict[str, NDArray[Any]]:
-        """(B, T, N) of each spiking layer in the last inference, where it was traced."""
-        seen, layers = self.recordings, self.program.spiking
-        return {layer.name: seen[layer.name].spikes for layer in layers if layer.name in seen}
-
-    @property
-    def outputs(self) -> tuple[Port, ...]:
-        """The Output nodes side by side in the output."""
-        return self.program.outputs
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Deviations of the chip from the file, one sentence each."""
-        return self.program.remarks
-
-    def _machine(self, batch: int) -> Machine:
-        if batch not in self._machines:
-            self._machines[batch] = Machine(
-                self.program, batch, self._ledger, self._trace, self._backend
-            )
-        return self._machines[batch]
-
-    def _joined(self, spikes: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
-        for name, rows in spikes.items():
-            check_unmasked(rows)
-            if rows.dtype.kind not in "bu":
-                raise ObservationError(
-                    f"the raster of node {name!r} holds {_held(rows)}; a chip takes spikes, "
-                    "0 or 1. Encode them, or play them into --chip float."
-                )
-        return self.program.joined(spikes)
-
-
-def _held(rows: NDArray[Any]) -> str:
-    """What a raster holds instead of spikes: its range, or its type where all are 0 or 1."""
-    if rows.dtype.kind == "f" and rows.size and not np.isin(rows, (0, 1)).all():
-        return f"numbers from {rows.min():g} to {rows.max():g}"
-    return f"{rows.dtype} values"
-
-
-def running(
+def run_network(
     artifact: Artifact,
     chip: Chip | None,
     ledger: Rows = "each",
@@ -213,7 +153,7 @@ def running(
     """
     if chip is not None:
         program = inject(compile_program(artifact, chip, **options), faults)
-        return MachinePool(program, ledger, backend or "numpy", trace)
+        return Machine(program, None, ledger, trace, backend or "numpy")
     if backend is not None:
         raise ConfigError(
             f"--backend {backend} is for programs of a chip; float runs in NumPy. Leave it out, or "

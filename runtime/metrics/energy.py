@@ -1,26 +1,54 @@
-"""Energy and time of a ledger's events, by published tables of prices.
+"""Energy and time of a ledger's events by published tables of prices, term by term.
 
 No table includes transferring observations and actions, and none but `truenorth` static power: use
 them to compare networks, not to size batteries.
+
+The terms of an inference, on the chip and of the host beside it:
+
+operations  synaptic operations, which multiply where a spike is graded; of a float network
+            multiply-accumulates
+bias        the always-on axon that carries the biases; of a float network the addition of each
+updates     neurons with something to add up
+idle        neurons that a chip only looks at
+messages    packets between layers, and to the host
+spikes      what neurons pay for sending one, where a table prices that apart
+encoder     numbers to spikes; of a float network the reading of its observations
+readout     weights and constants that the host applies to what leaves the chip
+resets      states that are set to 0 between inferences
+activations units of a float network that are written and read between its layers
+
+What the host does (`encoder`, `readout`) has the same prices beside every table, as no table of a
+chip has any for it: those of Horowitz 2014 in `energy_tables`. The counts of these operations are
+derived, and the least that will do. The normalisation of observations folds into thresholds and
+weights, and tanh or argmax is the same for all policies: neither is counted.
 """
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metrics.energy_tables import (
+    ADDITION,
+    MULTIPLICATION,
     STATIC,
     TABLES,
     EnergyTable,
     StaticPower,
     Uncertainty,
+    sram,
 )
-from spikedeploy.runtime.metrics.traffic import Traffic
+from spikedeploy.runtime.metrics.traffic import MessageTraffic
 
-__all__ = ["STATIC", "TABLES", "EnergyEstimate", "EnergyTable", "StaticPower", "Uncertainty"]
+__all__ = ["ADDITION", "STATIC", "TABLES", "EnergyTable", "StaticPower", "Uncertainty"]
 
 
 @dataclass(frozen=True)
@@ -59,45 +87,13 @@ def describe_table(table: EnergyTable) -> str:
 def describe_certainty(table: EnergyTable) -> str:
     """How far the energies of the table may be from the truth, in a few words."""
     if table.least:
-        return f"{table.uncertainty.describe()}, of {' and '.join(_in_order(table.least))} alone"
+        # biases' operations are priced like the others
+        events = " and ".join(sorted(table.least - {"bias_sop"}))
+        return f"{table.uncertainty.describe()}, of {events} alone"
     return "between two figures" if table.upper_joules else table.uncertainty.describe()
 
 
-def _in_order(events: Iterable[str]) -> list[str]:
-    """Without the biases' operations, which are priced like the others."""
-    return sorted(set(events) - {"bias_sop"})
-
-
-def energy(ledger: Ledger, table: EnergyTable, traffic: Traffic | None = None) -> float:
-    """Energy of an inference [J].
-
-    traffic: of all inferences, between placed cores; replaces the ledger's count of messages.
-    """
-    return _cost(ledger, table.joules, traffic)
-
-
-def energy_estimate(
-    ledger: Ledger, table: EnergyTable, traffic: Traffic | None = None
-) -> EnergyEstimate:
-    """Energy of an inference [J], with its interval; arguments as for `energy`."""
-    joules = energy(ledger, table, traffic)
-    upper = _cost(ledger, {**table.joules, **table.upper_joules}, traffic)
-    low = joules * table.uncertainty.low if bounds(_counts(ledger, traffic), table) else 0.0
-    return EnergyEstimate(joules, low, _most(upper, table))
-
-
-def bounds(counts: Mapping[str, float], table: EnergyTable) -> bool:
-    """Whether the lower end of the table's uncertainty holds for these counts of events.
-
-    Where only some prices are the smallest of their process, nothing else may be added up.
-    """
-    priced = {event for event, count in counts.items() if count and event in table.joules}
-    return not table.least or priced <= table.least
-
-
-def static_energy(seconds: float, power: StaticPower) -> float:
-    """Energy [J] of a network's share of a static power over a time [s]."""
-    return seconds * power.watts * power.share
+# the energy and time of a ledger
 
 
 def event_counts(ledger: Ledger) -> dict[str, float]:
@@ -111,32 +107,21 @@ def event_counts(ledger: Ledger) -> dict[str, float]:
     return {**counts, "one_state_update": alone / max(ledger.inferences, 1)}
 
 
-def _counts(ledger: Ledger, traffic: Traffic | None) -> dict[str, float]:
-    counts = event_counts(ledger)
-    if traffic is not None:
-        inferences = max(ledger.inferences, 1)
-        counts |= {f.name: getattr(traffic, f.name) / inferences for f in fields(traffic)}
-    return counts
+def energy(ledger: Ledger, table: EnergyTable, traffic: MessageTraffic | None = None) -> float:
+    """Energy of an inference [J].
+
+    traffic: of all inferences, between placed cores; replaces the ledger's count of messages.
+    """
+    return _cost(_counts(ledger, traffic), table.joules)
 
 
-def _cost(ledger: Ledger, prices: Mapping[str, float], traffic: Traffic | None) -> float:
-    # E = sum over events of count * price
-    marginal = marginal_prices(prices)
+def energy_estimate(
+    ledger: Ledger, table: EnergyTable, traffic: MessageTraffic | None = None
+) -> EnergyEstimate:
+    """Energy of an inference [J], with its interval; arguments as for `energy`."""
     counts = _counts(ledger, traffic)
-    return sum(count * marginal.get(event, 0.0) for event, count in counts.items())
-
-
-def marginal_prices(prices: Mapping[str, float]) -> dict[str, float]:
-    """Prices [J] that add up: of events that others count too, what they cost more or less."""
-    found = {**prices, "graded_sop": multiplying(prices)}
-    whole = prices.get("neuron_update", 0.0)
-    return found | {"one_state_update": prices.get("one_state_update", whole) - whole}
-
-
-def multiplying(prices: Mapping[str, float]) -> float:
-    """What a synaptic operation costs more where it multiplies [J]: then it is a MAC, if priced."""
-    whole = prices.get("graded_sop", prices.get("mac"))
-    return 0.0 if whole is None else whole - prices.get("sop", 0.0)
+    upper = _cost(counts, {**table.joules, **table.upper_joules})
+    return _estimate(_cost(counts, table.joules), upper, counts, table)
 
 
 def mac_energy(macs: float, table: EnergyTable) -> float:
@@ -155,14 +140,12 @@ def mac_energy(macs: float, table: EnergyTable) -> float:
 def mac_energy_estimate(macs: float, table: EnergyTable) -> EnergyEstimate:
     """The same [J], with its interval."""
     joules = mac_energy(macs, table)
-    low = joules * table.uncertainty.low if bounds({"mac": macs}, table) else 0.0
-    return EnergyEstimate(joules, low, _most(joules, table))
+    return _estimate(joules, joules, {"mac": macs}, table)
 
 
-def _most(joules: float, table: EnergyTable) -> float:
-    """Upper end of an estimate [J]: infinity where nothing bounds it, of nothing too."""
-    factor = table.uncertainty.high
-    return factor if math.isinf(factor) else joules * factor
+def static_energy(seconds: float, power: StaticPower) -> float:
+    """Energy [J] of a network's share of a static power over a time [s]."""
+    return seconds * power.watts * power.share
 
 
 def latency(ledger: Ledger, table: EnergyTable) -> float:
@@ -183,3 +166,244 @@ def latency_estimate(ledger: Ledger, table: EnergyTable) -> EnergyEstimate:
     """Time of an inference [s], with its interval."""
     seconds, factor = latency(ledger, table), table.time_uncertainty
     return EnergyEstimate(seconds, seconds * factor.low, seconds * factor.high)
+
+
+def _counts(ledger: Ledger, traffic: MessageTraffic | None) -> dict[str, float]:
+    counts = event_counts(ledger)
+    if traffic is not None:
+        inferences = max(ledger.inferences, 1)
+        counts |= {f.name: getattr(traffic, f.name) / inferences for f in fields(traffic)}
+    return counts
+
+
+def _cost(counts: Mapping[str, float], prices: Mapping[str, float]) -> float:
+    # E = sum over events of count * price
+    marginal = _marginal_prices(prices)
+    return sum(count * marginal.get(event, 0.0) for event, count in counts.items())
+
+
+def _marginal_prices(prices: Mapping[str, float]) -> dict[str, float]:
+    """Prices [J] that add up: of events that others count too, what they cost more or less."""
+    # a synaptic operation that multiplies is a MAC, where that is priced
+    graded = prices.get("graded_sop", prices.get("mac"))
+    update = prices.get("neuron_update", 0.0)
+    return {
+        **prices,
+        "graded_sop": 0.0 if graded is None else graded - prices.get("sop", 0.0),
+        "one_state_update": prices.get("one_state_update", update) - update,
+    }
+
+
+def _estimate(
+    joules: float, upper: float, counts: Mapping[str, float], table: EnergyTable
+) -> EnergyEstimate:
+    """The energy with its interval, from what it is by the upper prices."""
+    # where only some prices are the least of their process, nothing else may be added up
+    priced = {event for event, count in counts.items() if count and event in table.joules}
+    low = joules * table.uncertainty.low if not table.least or priced <= table.least else 0.0
+    factor = table.uncertainty.high
+    return EnergyEstimate(joules, low, factor if math.isinf(factor) else upper * factor)
+
+
+# terms of the chip
+
+_EVENTS = {
+    "operations": ("sop", "graded_sop"),
+    "bias": ("bias_sop",),
+    "updates": ("neuron_update", "one_state_update"),
+    "idle": ("neuron_idle",),
+    "messages": ("message",),
+    "spikes": ("spike_out",),
+}
+ON_CHIP = tuple(_EVENTS)
+TERMS = (*ON_CHIP, "encoder", "readout", "resets", "activations")
+
+
+def chip_terms(counts: Mapping[str, float], table: EnergyTable) -> dict[str, float]:
+    """Energy [J] of each term of the chip, from the counts of its events; 0 without a price."""
+    prices = _marginal_prices(table.joules)
+    return {
+        term: sum(counts.get(event, 0.0) * prices.get(event, 0.0) for event in events)
+        for term, events in _EVENTS.items()
+    }
+
+
+def priced_terms(counts: Mapping[str, float], table: EnergyTable) -> dict[str, float]:
+    """The same without terms that are unknown, or part of another price."""
+    left_out = (*unpriced_terms(counts, table), *table.included)
+    return {term: j for term, j in chip_terms(counts, table).items() if term not in left_out}
+
+
+def unpriced_terms(counts: Mapping[str, float], table: EnergyTable) -> tuple[str, ...]:
+    """Terms of the chip that happened and have no price, neither their own nor within another."""
+    return tuple(
+        term
+        for term, (event, *_) in _EVENTS.items()
+        if counts.get(event, 0.0) > 0 and event not in table.joules and term not in table.included
+    )
+
+
+# terms of the host
+
+ACCESS = sram(16)
+INSTRUCTION = 70e-12  # of a simple processor, its cache and registers included (Horowitz 2014)
+_FETCHED_ADDITION = TABLES["horowitz45-int8"].joules["sop"]
+_FETCHED_MAC = TABLES["horowitz45-int8"].joules["mac"]
+
+
+def reading_energy(observations: float) -> float:
+    """Energy [J] of reading so many observations once."""
+    return observations * ACCESS
+
+
+def delta_encoder(observations: float, events: float, timesteps: int = 1) -> float:
+    """Energy [J] of a delta encoder in an inference.
+
+    For each observation its reading; in each timestep a subtraction, a comparison and the read of
+    its level; for each event an addition and the write of the level.
+
+    observations: that some synapse reads.
+    """
+    observed = observations * timesteps * (2 * ADDITION + ACCESS)
+    return reading_energy(observations) + observed + events * (ADDITION + ACCESS)
+
+
+def rate_encoder(observations: float, timesteps: int) -> float:
+    """Energy [J] of a regular rate encoder in an inference.
+
+    For each observation its reading, a multiplication and an addition that scale it to a rate; in
+    each timestep an addition, and the accumulator read and written.
+    """
+    scaled = observations * (MULTIPLICATION + ADDITION)
+    counted = observations * timesteps * (ADDITION + 2 * ACCESS)
+    return reading_energy(observations) + scaled + counted
+
+
+def addition_energy(constants: float) -> float:
+    """Energy [J] of adding so many constants, each of them fetched."""
+    return constants * _FETCHED_ADDITION
+
+
+def host_readout(additions: float, products: float, constants: float) -> float:
+    """Energy [J] of a readout that the host applies: weights added or multiplied, and constants."""
+    return addition_energy(additions) + products * _FETCHED_MAC + addition_energy(constants)
+
+
+def reset_energy(states: float, table: EnergyTable) -> float | None:
+    """Energy [J] of setting so many states to 0: a write each; None where nothing prices it.
+
+    Derived where a table prices memory; what it takes on a chip is not published.
+    """
+    if not states:
+        return 0.0
+    return states * table.joules["state_write"] if "state_write" in table.joules else None
+
+
+# break-even with a float network. Both by the same table, which has prices for synaptic operations
+# and multiply-accumulates. Yan et al. (arXiv 2409.08290, version 4) have a model of their own, with
+# data movement, and find 5.7 % at T = 5 under what they call typical neuromorphic hardware
+# conditions, against a network of 3 bits
+
+YAN2024 = 0.057  # spikes per neuron and timestep at T = 5
+BREAK_EVEN_TABLES = tuple(n for n, t in TABLES.items() if {"sop", "mac"} <= t.joules.keys())
+
+
+def break_even_rate(
+    table: EnergyTable, timesteps: int, fan_in: float | None = None, activity: float = 1.0
+) -> float:
+    """Spikes per presynaptic neuron and timestep below which spiking costs less.
+
+    Of two networks of one shape; a rate of 0 or less is never reached, one above 1 always.
+
+    timesteps: of the spiking network, T.
+    fan_in: synapses of a neuron, each of which shares its updates; None leaves updates out.
+    activity: share of the float network's inputs that are not 0, if it skips those; 1 is dense.
+
+    Raises ConfigError where the table lacks a price.
+    """
+    if table.name not in BREAK_EVEN_TABLES:
+        raise ConfigError(
+            f"energy table {table.name!r} has no price for both synaptic operations and "
+            f"multiply-accumulates. Choose one of {', '.join(BREAK_EVEN_TABLES)}."
+        )
+    prices = table.joules
+    update = 0.0 if fan_in is None else prices["neuron_update"] / fan_in
+    # per synapse and inference: T (rate sop + update / fan_in) = activity mac
+    return (activity * prices["mac"] / timesteps - update) / prices["sop"]
+
+
+def break_even_sops(
+    terms: Mapping[str, float], sops: float, total: float, table: EnergyTable
+) -> float:
+    """Synaptic operations of an inference at which a spiking policy would cost `total` [J].
+
+    Everything else of it stays as it is; below 0 where that alone costs more.
+
+    terms: of the policy [J].
+    sops: of it; where some multiply, the mean price stays.
+    """
+    operations = terms["operations"]
+    price = operations / sops if sops and operations else table.joules["sop"]
+    return (total - (sum(terms.values()) - operations)) / price
+
+
+# time of an inference on Xylo: clock cycles of its core, by rockpool's model. There is no energy:
+# for Xylo only the power of whole tasks is published, none of an operation
+
+# [clock cycles] rockpool 3.1, devices/xylo/syns61201 cycles_model; the same for all Xylos
+_INPUT_LOOP = 3.5
+_HIDDEN_UPDATE = 7
+_OUTPUT_UPDATE = 8
+_HIDDEN_FIXED = 19
+_OUTPUT_FIXED = 12
+_CLOCK = 50e6  # [Hz] rockpool's default for the core
+_MARGIN = 0.2  # safety margin of rockpool
+
+
+def xylo_time(
+    program: Program, spikes: Mapping[str, NDArray[Any]], clock: float = _CLOCK
+) -> EnergyEstimate:
+    """Time of an inference [s], up to that with rockpool's margin.
+
+    spikes: (B, T, N) of the input and of each layer.
+    clock: [Hz] frequency of the core.
+    """
+    timesteps = spikes[program.input].shape[1]
+    seconds = timesteps * xylo_clocks(program, spikes) / clock
+    return EnergyEstimate(seconds, seconds, seconds * (1 + _MARGIN))
+
+
+def xylo_clocks(program: Program, spikes: Mapping[str, NDArray[Any]]) -> float:
+    """Mean clock cycles of a timestep; several events of a neuron cost as much as one.
+
+    spikes: (B, T, N) of the input and of each layer.
+    """
+    outputs = program.layer(program.output).size
+    rates = {name: float(np.count_nonzero(rows) / rows.size) for name, rows in spikes.items()}
+    clocks = float(_OUTPUT_FIXED * outputs)
+    for layer in program.layers:
+        if layer.name == program.output:
+            continue
+        rate = rates[layer.name]
+        # in = Nin (3.5 p_in N + 1)      out = N p (1 + 8 Nout)
+        clocks += program.width * (_INPUT_LOOP * rates[program.input] * layer.size + 1)
+        clocks += layer.size * rate * (1 + _OUTPUT_UPDATE * outputs)
+        clocks += layer.size * _hidden_clocks(layer, rate)
+    return clocks
+
+
+def _hidden_clocks(layer: Layer, rate: float) -> float:
+    """Clock cycles of one hidden neuron, its recurrent synapses and its spikes."""
+    loops = [s for s in layer.synapses if s.source == layer.name and s.current == 0]
+    fan_out = sum(float(synapses.fan_out.mean()) for synapses in loops)
+    # aliases of a neuron, and neurons that have it as an alias: the same on average
+    alias = sum(map(len, layer.aliases)) / layer.size
+    both = alias * alias
+    spiking = 2 * max(rate, both) + 3 * max(rate * alias, both) + rate + max(rate, alias) * alias
+    return _HIDDEN_UPDATE * fan_out * rate + 3 + _HIDDEN_FIXED + spiking
+
+
+# name, as arithmetics give it -> [s] of an inference
+TIME_MODELS: dict[str, Callable[[Program, Mapping[str, NDArray[Any]]], EnergyEstimate]] = {
+    "xylo-clocks": xylo_time
+}

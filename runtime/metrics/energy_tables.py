@@ -45,8 +45,8 @@ class EnergyTable:
     name: as in TABLES.
     source: publication.
     provenance: how the numbers were obtained, and how certain they are.
-    joules: [J] per event: of EVENTS, "mac" for networks without spikes, "hop_x" and "hop_y" of a
-        Traffic, "one_state_update" for a neuron without a current, where it costs less than
+    joules: [J] per event: of EVENTS, "mac" for networks without spikes, "hop_x" and "hop_y" of
+        MessageTraffic, "one_state_update" for a neuron without a current, where it costs less than
         "neuron_update", and "state_write" for setting one state of a neuron to 0. A "graded_sop"
         without a price of its own costs a "mac".
     seconds: [s] per event, one after another.
@@ -54,7 +54,7 @@ class EnergyTable:
     uncertainty: of energies.
     time_uncertainty: of times.
     upper_joules: [J] per event where two sources disagree; `joules` holds the lower figure.
-    included: terms (energy_terms) that are part of another price, and so have none of their own.
+    included: terms of an energy that are part of another price, and so have none of their own.
     least: events whose price is the smallest that the source's process allows. An estimate is a
         lower bound where all that it adds up is among them; empty where `uncertainty` says it all.
     """
@@ -100,6 +100,12 @@ class StaticPower:
 _PICO = 1e-12
 _NANO = 1e-9
 
+
+def _sop(price: float) -> dict[str, float]:
+    """The price of a synaptic operation, biases' like the others."""
+    return {"sop": price, "bias_sop": price}
+
+
 _SERIAL = "one core, one event after another"
 _ALL_IN = ("updates", "idle", "messages", "spikes")  # where one number stands for everything
 
@@ -109,8 +115,7 @@ _DAVIES2018 = EnergyTable(
     provenance="pre-silicon SPICE minimum at 0.75 V; messages within a tile; the table itself is "
     "read in transcriptions that agree",
     joules={
-        "sop": 23.6 * _PICO,
-        "bias_sop": 23.6 * _PICO,
+        **_sop(23.6 * _PICO),
         "neuron_update": 81 * _PICO,
         "neuron_idle": 52 * _PICO,
         "message": 1.7 * _PICO,
@@ -118,8 +123,7 @@ _DAVIES2018 = EnergyTable(
         "hop_y": 4.0 * _PICO,
     },
     seconds={
-        "sop": 3.5 * _NANO,
-        "bias_sop": 3.5 * _NANO,
+        **_sop(3.5 * _NANO),
         "neuron_update": 8.4 * _NANO,
         "neuron_idle": 5.3 * _NANO,
         "message": 2.1 * _NANO,
@@ -145,8 +149,7 @@ _SANAFE = EnergyTable(
     provenance="fit to Nahuku silicon, model error on its authors' benchmarks <= 11.7 % in energy "
     "and 24.3 % in time; dense synapses; no hops without a layout, one tile",
     joules={
-        "sop": 35.5 * _PICO,
-        "bias_sop": 35.5 * _PICO,
+        **_sop(35.5 * _PICO),
         "neuron_update": (51.2 + 21.6) * _PICO,
         "neuron_idle": 51.2 * _PICO,
         "spike_out": 69.3 * _PICO,
@@ -155,8 +158,7 @@ _SANAFE = EnergyTable(
         "hop_y": 4.2 * _PICO,
     },
     seconds={
-        "sop": 3.8 * _NANO,
-        "bias_sop": 3.8 * _NANO,
+        **_sop(3.8 * _NANO),
         "neuron_update": (6.0 + 3.7) * _NANO,
         "neuron_idle": 6.0 * _NANO,
         "spike_out": 30 * _NANO,
@@ -177,16 +179,16 @@ _SANAFE_SPARSE = replace(
     _SANAFE,
     name="sanafe-sparse",
     provenance=_SANAFE.provenance.replace("dense", "sparse"),
-    joules={**_SANAFE.joules, "sop": 33.6 * _PICO, "bias_sop": 33.6 * _PICO},
-    seconds={**_SANAFE.seconds, "sop": 4.7 * _NANO, "bias_sop": 4.7 * _NANO},
+    joules={**_SANAFE.joules, **_sop(33.6 * _PICO)},
+    seconds={**_SANAFE.seconds, **_sop(4.7 * _NANO)},
 )
 
 _SANAFE_CONV = replace(
     _SANAFE,
     name="sanafe-conv",
     provenance=_SANAFE.provenance.replace("dense", "convolutional"),
-    joules={**_SANAFE.joules, "sop": 24.0 * _PICO, "bias_sop": 24.0 * _PICO},
-    seconds={**_SANAFE.seconds, "sop": 3.1 * _NANO, "bias_sop": 3.1 * _NANO},
+    joules={**_SANAFE.joules, **_sop(24.0 * _PICO)},
+    seconds={**_SANAFE.seconds, **_sop(3.1 * _NANO)},
 )
 
 _TRUENORTH = EnergyTable(
@@ -194,7 +196,7 @@ _TRUENORTH = EnergyTable(
     source="Merolla et al. 2014, Science 345, 668, as others quote it: 26 pJ per synaptic event",
     provenance="measured; the energy of the whole chip, static power included, divided by its "
     "synaptic events, at 20 Hz, 128 synapses, 0.775 V and 72 mW: nothing is to be added to it",
-    joules={"sop": 26 * _PICO, "bias_sop": 26 * _PICO},
+    joules=_sop(26 * _PICO),
     step=1e-3,
     uncertainty=Uncertainty(
         0.0, math.inf, "holds at the activity it was measured at: a quieter chip pays more an event"
@@ -208,7 +210,7 @@ ODIN = EnergyTable(
     source="Frenkel et al. 2018, IEEE TBioCAS, 10.1109/TBCAS.2018.2880425: 12.7 pJ per SOP",
     provenance="measured, 28 nm, the minimum at 0.55 V; the increment of one more SOP is 8.43 pJ, "
     "and at biological rates a SOP takes 54 pJ (both secondary)",
-    joules={"sop": 12.7 * _PICO, "bias_sop": 12.7 * _PICO},
+    joules=_sop(12.7 * _PICO),
     uncertainty=Uncertainty(
         8.43 / 12.7, 54 / 12.7, "8.43 pJ, one SOP more, to 54 pJ, all at biological rates"
     ),
@@ -219,7 +221,7 @@ _RECKON = EnergyTable(
     name="reckon",
     source="the README of ReckOn: 5.3 pJ per SOP",
     provenance="measured, 28 nm, at 0.5 V",
-    joules={"sop": 5.3 * _PICO, "bias_sop": 5.3 * _PICO},
+    joules=_sop(5.3 * _PICO),
     included=_ALL_IN,
 )
 
@@ -230,18 +232,18 @@ _SPINNAKER2 = EnergyTable(
     provenance="secondary, of little confidence: 450 pJ in one and 1.5 nJ in the other (the "
     "prototype) per synaptic event; both have 2.19 nJ per neuron update",
     joules={
-        "sop": 450 * _PICO,
-        "bias_sop": 450 * _PICO,
+        **_sop(450 * _PICO),
         "neuron_update": 2.19 * _NANO,
         "neuron_idle": 2.19 * _NANO,
     },
-    upper_joules={"sop": 1.5 * _NANO, "bias_sop": 1.5 * _NANO},
+    upper_joules=_sop(1.5 * _NANO),
     uncertainty=Uncertainty(1.0, 1.0, "both for a synaptic event, and neither has a source"),
 )
 
 # Horowitz 2014, ISSCC, 45 nm and 0.9 V [J]: arithmetic, and 10 pJ an access of 64 bits of an 8 KB
 # SRAM, of which a word of fewer bits pays its share
-_ADD32, _MULTIPLY8, _MULTIPLY32 = 0.1 * _PICO, 0.2 * _PICO, 3.1 * _PICO
+ADDITION, MULTIPLICATION = 0.1 * _PICO, 3.1 * _PICO  # 32-bit integers; a comparison subtracts
+_MULTIPLY8 = 0.2 * _PICO
 _FLOAT_ADD, _FLOAT_MULTIPLY = 0.9 * _PICO, 3.7 * _PICO
 
 
@@ -261,8 +263,7 @@ _HOROWITZ45 = EnergyTable(
     "four accesses",
     joules={
         "mac": _FLOAT_MULTIPLY + _FLOAT_ADD + sram(32),
-        "sop": _FLOAT_ADD + sram(32),
-        "bias_sop": _FLOAT_ADD + sram(32),
+        **_sop(_FLOAT_ADD + sram(32)),
         "neuron_update": 2 * _FLOAT_MULTIPLY + 3 * _FLOAT_ADD + 4 * sram(32),
         "state_write": sram(32),
     },
@@ -276,10 +277,9 @@ _HOROWITZ45_INT8 = replace(
     provenance="8-bit weights, 32-bit sums in registers, one weight fetched from an 8 KB SRAM per "
     "operation, the best case; neuron updates derived as for horowitz45, with 32-bit integers",
     joules={
-        "mac": _MULTIPLY8 + _ADD32 + sram(8),
-        "sop": _ADD32 + sram(8),
-        "bias_sop": _ADD32 + sram(8),
-        "neuron_update": 2 * _MULTIPLY32 + 3 * _ADD32 + 4 * sram(32),
+        "mac": _MULTIPLY8 + ADDITION + sram(8),
+        **_sop(ADDITION + sram(8)),
+        "neuron_update": 2 * MULTIPLICATION + 3 * ADDITION + 4 * sram(32),
         "state_write": sram(32),
     },
 )
@@ -304,12 +304,11 @@ def _scattered(bits: int) -> EnergyTable:
         f"its input of 8 bits and keeps its sum in a register; states of {bits} bits; all in an "
         "8 KB SRAM",
         joules={
-            "mac": _MULTIPLY8 + _ADD32 + sram(8) + index + sram(8),
-            "sop": _ADD32 + sram(8) + index + 2 * sram(bits),
-            "bias_sop": _ADD32 + sram(8) + index + 2 * sram(bits),
-            "graded_sop": _MULTIPLY8 + _ADD32 + sram(8) + index + 2 * sram(bits),
-            "neuron_update": 2 * _MULTIPLY32 + 2 * _ADD32 + 4 * sram(bits),
-            "one_state_update": _MULTIPLY32 + 2 * sram(bits),
+            "mac": _MULTIPLY8 + ADDITION + sram(8) + index + sram(8),
+            **_sop(ADDITION + sram(8) + index + 2 * sram(bits)),
+            "graded_sop": _MULTIPLY8 + ADDITION + sram(8) + index + 2 * sram(bits),
+            "neuron_update": 2 * MULTIPLICATION + 2 * ADDITION + 4 * sram(bits),
+            "one_state_update": MULTIPLICATION + 2 * sram(bits),
             "state_write": sram(bits),
         },
         uncertainty=Uncertainty(
@@ -320,8 +319,6 @@ def _scattered(bits: int) -> EnergyTable:
         least=frozenset(),
     )
 
-
-_HOROWITZ45_INT8_ACC16, _HOROWITZ45_INT8_ACC32 = _scattered(16), _scattered(32)
 
 TABLES: dict[str, EnergyTable] = {
     table.name: table
@@ -336,8 +333,8 @@ TABLES: dict[str, EnergyTable] = {
         _SPINNAKER2,
         _HOROWITZ45,
         _HOROWITZ45_INT8,
-        _HOROWITZ45_INT8_ACC16,
-        _HOROWITZ45_INT8_ACC32,
+        _scattered(16),
+        _scattered(32),
     )
 }
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.float_model import convolution
-from spikedeploy.runtime.metrics.memory import packed_bytes
+from spikedeploy.runtime.metrics.traffic import packed_bytes
 
 _WEIGHTED = (nir.Affine, nir.Linear, nir.Conv1d, nir.Conv2d)
 _FLOAT32 = 4  # [bytes]
@@ -98,13 +98,15 @@ def neurobench(
     spikes: (B, T, N) of the input and of each layer.
     membranes: (B, T, N) of each layer after each timestep, resets included.
     """
-    samples = len(spikes[program.input])
+    samples, timesteps, _ = spikes[program.input].shape
     acs, macs = _synaptic_operations(program, _sent(program, spikes, membranes))
-    timesteps = spikes[program.input].shape[1]
     layers = {layer.name: spikes[layer.name] for layer in program.spiking}
-    updates = _updates(membranes) if membranes is not None else None
-    operations = _neuron_operations(program)
-    each = {layer.name: timesteps * layer.size for layer in program.layers}
+    updates = operations = None
+    if membranes is not None:
+        changes = _updates(membranes)
+        updates = sum(changes.values()) / samples
+        operations = sum(n * _operations(program, name) for name, n in changes.items()) / samples
+    dense = sum(layer.size * _operations(program, layer.name) for layer in program.layers)
     return NeuroBench(
         parameter_count=parameter_count(graph),
         footprint=footprint(graph),
@@ -115,9 +117,9 @@ def neurobench(
         effective_macs=macs / samples,
         effective_acs=acs / samples,
         dense=float(dense_operations(graph) * timesteps),
-        membrane_updates=sum(updates.values()) / samples if updates else None,
-        effective_neuron_ops=_total(updates, operations) / samples if updates else None,
-        neuron_dense_ops=float(_total(each, operations)),
+        membrane_updates=updates,
+        effective_neuron_ops=operations,
+        neuron_dense_ops=float(timesteps * dense),
     )
 
 
@@ -202,36 +204,28 @@ def is_identity(weight: NDArray[Any]) -> bool:
     return square and np.array_equal(weight, np.eye(len(weight)))
 
 
-def _neuron_operations(program: Program) -> dict[str, int]:
-    """Operations of an update in each layer; a neuron whose current does not last is Leaky."""
-    reset = program.convention.reset
-    return {
-        layer.name: _NEURON_OPERATIONS["Synaptic" if layer.current_decay.any() else "Leaky"][reset]
-        for layer in program.layers
-    }
+def _operations(program: Program, layer: str) -> int:
+    """Operations of an update in a layer; a neuron whose current does not last is Leaky."""
+    kind = "Synaptic" if program.layer(layer).current_decay.any() else "Leaky"
+    return _NEURON_OPERATIONS[kind][program.convention.reset]
 
 
 def _presynaptic(
     program: Program, spikes: Mapping[str, NDArray[Any]]
 ) -> Iterator[tuple[NDArray[Any], NDArray[np.int64]]]:
     """Inputs (B, T - lag, M) of each matrix, and the non-zero weights (M,) of its rows."""
-    for layer, lags in zip(program.layers, program.lags, strict=True):
-        for synapses, lag in zip(layer.synapses, lags, strict=True):
-            rows = spikes[synapses.source]
-            yield rows[:, : rows.shape[1] - lag], synapses.fan_out
-    for layer in program.host:
-        for synapses in layer.synapses:
-            rows = spikes[synapses.source]
-            yield rows[:, : max(rows.shape[1] - synapses.delay, 0)], synapses.fan_out
-    for tap in (tap for outlet in program.outlets for tap in outlet.taps):
+    matrices = [
+        (synapses.source, synapses.fan_out, lag)
+        for layer, lags in zip(program.layers, program.lags, strict=True)
+        for synapses, lag in zip(layer.synapses, lags, strict=True)
+    ]
+    matrices += [(s.source, s.fan_out, s.delay) for layer in program.host for s in layer.synapses]
+    for tap in program.taps:
         if tap.weight is not None:
-            rows = spikes[tap.layer]
             fan_out = np.count_nonzero(tap.weight, axis=1).astype(np.int64)
-            yield rows[:, : max(rows.shape[1] - tap.lag, 0)], fan_out
-    if program.readout is not None:
-        rows = spikes[program.output]
-        fan_out = np.count_nonzero(program.readout.weight, axis=1).astype(np.int64)
-        yield rows[:, : rows.shape[1] - program.readout.lag], fan_out
+            matrices.append((tap.layer, fan_out, tap.lag))
+    for source, fan_out, lag in matrices:
+        yield spikes[source][:, : max(spikes[source].shape[1] - lag, 0)], fan_out
 
 
 def _updates(membranes: Mapping[str, NDArray[Any]]) -> dict[str, int]:
@@ -240,10 +234,6 @@ def _updates(membranes: Mapping[str, NDArray[Any]]) -> dict[str, int]:
         name: rows[:, 0].size + int(np.count_nonzero(rows[:, 1:] != rows[:, :-1]))
         for name, rows in membranes.items()
     }
-
-
-def _total(counts: Mapping[str, int], prices: Mapping[str, int]) -> int:
-    return sum(count * prices[name] for name, count in counts.items())
 
 
 def _products(name: str, node: nir.NIRNode) -> int:

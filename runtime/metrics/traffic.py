@@ -1,21 +1,85 @@
-"""Traffic between cores: the messages that spikes cause under a layout, and their distances.
+"""Traffic of a run: bits read and written, messages between cores, and the host's operations.
 
-A ledger counts one message for each spike and each postsynaptic layer, as if every layer were on a
-core of its own. With a layout of neurons on cores, a spike is one message to each core that holds a
-postsynaptic neuron, as in SANA-FE: layers on one core share it, a layer on several cores takes
+Memory follows from the ledger's events and the widths of the chip's registers; nothing is counted
+while a network runs. It is the least that the arithmetic needs: indices, whole words and routing
+tables, which differ between chips, are not included.
+
+Messages: a ledger counts one for each spike and each postsynaptic layer, as if every layer were on
+a core of its own. With a layout of neurons on cores, a spike is one message to each core that holds
+a postsynaptic neuron, as in SANA-FE: layers on one core share it, a layer on several cores takes
 several, and a spike without synapses takes none.
 """
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.ledger import Ledger
+from spikedeploy.runtime.emulator.ledger import EVENTS, Counts, Ledger
 
-Counts = NDArray[np.int64]
+
+@dataclass(frozen=True)
+class MemoryTraffic:
+    """Reads and writes of a layer in all inferences of a ledger.
+
+    weight_reads: one weight for each synaptic operation, those of biases included.
+    state_reads: every state variable of every neuron in every timestep.
+    state_writes: every state variable of every neuron that was updated.
+    read_bits, write_bits: the same [bits].
+    accumulator_accesses: reads and writes of the sums that synaptic operations add to, one of each,
+        where those are in memory and not in registers; the bits do not include them.
+    """
+
+    weight_reads: int
+    state_reads: int
+    state_writes: int
+    read_bits: int
+    write_bits: int
+    accumulator_accesses: int
+
+
+def memory_counts(ledger: Ledger, program: Program) -> Counts:
+    """Counts (S, L, K) of each row and layer of the ledger; K are the fields of MemoryTraffic."""
+    arithmetic = program.chip.arithmetic
+    states = arithmetic.state_bits
+    event = {name: ledger.counts[:, :, kind] for kind, name in enumerate(EVENTS)}
+    weights = event["sop"] + event["bias_sop"]
+    reads = event["neuron_update"] + event["neuron_idle"]
+    columns = {
+        "weight_reads": weights,
+        "state_reads": reads * len(states),
+        "state_writes": event["neuron_update"] * len(states),
+        "read_bits": weights * arithmetic.weight_bits + reads * sum(states),
+        "write_bits": event["neuron_update"] * sum(states),
+        "accumulator_accesses": 2 * weights,
+    }
+    return np.stack([columns[field.name] for field in fields(MemoryTraffic)], axis=2)
+
+
+def memory_traffic(ledger: Ledger, program: Program) -> dict[str, MemoryTraffic]:
+    """Reads and writes of each layer in all inferences."""
+    totals = memory_counts(ledger, program).sum(axis=0)
+    return {
+        name: MemoryTraffic(*row.tolist()) for name, row in zip(ledger.layers, totals, strict=True)
+    }
+
+
+def packed_bytes(program: Program) -> float:
+    """Size [bytes] of all weights, zeros included, and biases in the chip's widths.
+
+    The readout, which the host computes, is not included.
+    """
+    weights = 0
+    for layer in program.layers:
+        weights += sum(synapses.weight.size for synapses in layer.synapses)
+        weights += layer.size * bool(layer.bias.any() or layer.voltage_bias.any())
+    return weights * program.chip.arithmetic.weight_bits / 8
+
+
+# messages between cores
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +95,7 @@ class Layout:
 
 
 @dataclass(frozen=True)
-class Traffic:
+class MessageTraffic:
     """Messages between cores; spikes to the host are not included.
 
     message: packets.
@@ -43,8 +107,11 @@ class Traffic:
     hop_y: int
 
 
-def traffic(program: Program, spikes: Mapping[str, Counts], layout: Layout) -> Traffic:
-    """The traffic of spikes, given by their number (N,) for each neuron of the input and layers."""
+def traffic(program: Program, spikes: Mapping[str, Counts], layout: Layout) -> MessageTraffic:
+    """The messages of spikes, given by their number (N,) for each neuron of the input and layers.
+
+    Of several inferences, give the sums of their spikes.
+    """
     message = hop_x = hop_y = 0
     for source, reached in _reached_cores(program, layout).items():
         packets = spikes[source].astype(np.int64)[:, None] * reached
@@ -53,7 +120,7 @@ def traffic(program: Program, spikes: Mapping[str, Counts], layout: Layout) -> T
         message += int(packets.sum())
         hop_x += int((packets * across).sum())
         hop_y += int((packets * along).sum())
-    return Traffic(message, hop_x, hop_y)
+    return MessageTraffic(message, hop_x, hop_y)
 
 
 def placed_messages(ledger: Ledger, program: Program, cores: Mapping[str, int]) -> float:
@@ -72,12 +139,6 @@ def placed_messages(ledger: Ledger, program: Program, cores: Mapping[str, int]) 
     return found / max(ledger.inferences, 1)
 
 
-def total(parts: Iterable[Traffic]) -> Traffic:
-    """The sum of the parts."""
-    columns = zip(*((part.message, part.hop_x, part.hop_y) for part in parts), strict=True)
-    return Traffic(*map(sum, columns))
-
-
 def _reached_cores(program: Program, layout: Layout) -> dict[str, NDArray[np.bool_]]:
     """Whether each neuron of a source has synapses on each core, (N, K)."""
     reached = {
@@ -89,3 +150,43 @@ def _reached_cores(program: Program, layout: Layout) -> dict[str, NDArray[np.boo
                 on_core = layout.cores[layer.name] == core
                 reached[synapses.source][:, core] |= synapses.weight[:, on_core].any(axis=1)
     return reached
+
+
+# what the host computes for readout layers that a chip has no way out for
+
+
+@dataclass(frozen=True)
+class HostWork:
+    """Operations of the host, in float64; no table of energies has a price for them.
+
+    multiplications: a current or a membrane times its decay factor, where that is neither 0 nor 1,
+        and a weight times a graded spike.
+    additions: a weight for each spike and synapse, biases, and currents onto membranes.
+    """
+
+    multiplications: int
+    additions: int
+
+
+def host_work(program: Program, spikes: Mapping[str, NDArray[Any]]) -> HostWork | None:
+    """Of inferences; None where the host integrates nothing.
+
+    spikes: (B, T, N) of the input and of each layer that can spike.
+    """
+    if not program.host:
+        return None
+    batch, timesteps, _ = spikes[program.input].shape
+    multiplications = additions = 0
+    for layer in program.host:
+        # of all neurons in a timestep, whatever arrives
+        steady = (layer.bias, layer.voltage_bias, layer.current_decay)
+        additions += batch * timesteps * sum(int(np.count_nonzero(values)) for values in steady)
+        multiplications += batch * timesteps * layer.multiplications
+        for synapses in layer.synapses:
+            graded = synapses.source in program.graded
+            sent = spikes[synapses.source]
+            sent = (sent != 0 if graded else sent).sum(axis=(0, 1), dtype=np.int64)
+            arriving = int((sent * synapses.fan_out).sum())
+            additions += arriving
+            multiplications += arriving * graded
+    return HostWork(multiplications, additions)

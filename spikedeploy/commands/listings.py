@@ -156,7 +156,7 @@ def _break_even(json: bool, markdown: bool) -> None:
     """Print the break-even lines."""
     from spikedeploy.console import print_json
     from spikedeploy.reports import datasheets
-    from spikedeploy.runtime.metrics.break_even import YAN2024
+    from spikedeploy.runtime.metrics.energy import YAN2024
 
     if json:
         print_json({"rates": datasheets.break_even_list(), "yan2024": YAN2024})

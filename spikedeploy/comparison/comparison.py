@@ -16,8 +16,14 @@ from spikedeploy.policies.costs import FLOAT_TABLES, Costs, priced_by
 from spikedeploy.policies.registry import BASELINES, UNTRAINED
 from spikedeploy.runtime.chips.damage import summed
 from spikedeploy.runtime.emulator.network import chip_called
-from spikedeploy.runtime.metrics.break_even import BREAK_EVEN_TABLES, break_even_sops
-from spikedeploy.runtime.metrics.energy import STATIC, TABLES, EnergyEstimate, static_energy
+from spikedeploy.runtime.metrics.energy import (
+    BREAK_EVEN_TABLES,
+    STATIC,
+    TABLES,
+    EnergyEstimate,
+    break_even_sops,
+    static_energy,
+)
 
 # Where the energy of an inference goes, for a report: terms, totals, unknowns, br
 

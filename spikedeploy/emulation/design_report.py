@@ -10,9 +10,8 @@ from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip, listed
 from spikedeploy.runtime.compiler.compile import COMPILE, DesignCheck
 from spikedeploy.runtime.compiler.compile import check as check_on
-from spikedeploy.runtime.design_rules.mapping import of_mapping, of_placement
-from spikedeploy.runtime.design_rules.rule import RuleResult, Status
-from spikedeploy.runtime.design_rules.table import RULES
+from spikedeploy.runtime.compiler.mapping import of_mapping, of_placement
+from spikedeploy.runtime.compiler.rules import RULES, RuleResult, Status
 from spikedeploy.runtime.errors import ConfigError, ConventionError
 
 ALL = "all"

@@ -18,22 +18,21 @@ from spikedeploy.runtime.artifact.nir_data import write_nir_data
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
-from spikedeploy.runtime.emulator.network import RunningNetwork, chip_called, running
+from spikedeploy.runtime.emulator.network import RunningNetwork, chip_called, run_network
 from spikedeploy.runtime.errors import ArtifactError, ObservationError, RuleError
 from spikedeploy.runtime.graph.ports import Port, by_port, ports, split
 from spikedeploy.runtime.metrics.energy import (
     STATIC,
     TABLES,
+    TIME_MODELS,
     EnergyEstimate,
     energy_estimate,
     energy_table,
     latency_estimate,
     static_energy,
 )
-from spikedeploy.runtime.metrics.host_work import HostWork, host_work
-from spikedeploy.runtime.metrics.memory import MemoryTraffic, memory_traffic
 from spikedeploy.runtime.metrics.neurobench import NeuroBench, neurobench
-from spikedeploy.runtime.metrics.xylo_clocks import TIME_MODELS
+from spikedeploy.runtime.metrics.traffic import HostWork, MemoryTraffic, host_work, memory_traffic
 
 # Measurements of an inference: events, NeuroBench's numbers, memory traffic, late
 
@@ -267,7 +266,7 @@ def emulate_artifact(
     options: dict[str, Any] = {"backend": backend}
     if on is not None:
         options |= {"quantisation": quantisation, "limits": limits}
-    network = running(artifact, on, trace=True, **options)
+    network = run_network(artifact, on, trace=True, **options)
     if on is not None:
         _check_memory(network.program, rows)
     outputs = _outputs(network.outputs, network.infer(rows))

@@ -23,7 +23,7 @@ from spikedeploy.play.theme import (
 )
 from spikedeploy.policies.registry import Candidate
 from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.emulator.network import chip_called, running
+from spikedeploy.runtime.emulator.network import chip_called, run_network
 from spikedeploy.runtime.errors import ConfigError
 
 Floats = NDArray[np.float64]
@@ -63,7 +63,7 @@ class SpikeRecorder:
             raise ConfigError(f"{candidate.path} has no codec, so observations become no spikes")
         self._codec = artifact.codec
         self._graded = frozenset(artifact.sigma_delta)
-        self._network = running(artifact, chip_called(chip), "none", trace=True)
+        self._network = run_network(artifact, chip_called(chip), "none", trace=True)
 
     def record(self, observations: Floats, seed: int) -> InferenceTrace:
         """One inference for each observation (S, obs), in their order."""

@@ -20,7 +20,7 @@ energy_j, latency_s  by each energy table, with an interval; latency as if one c
 clock                how layers advance (runtime.convention.Clock), and whether that is assumed
 control_steps_late   from an observation to the first and the last action that it reaches; None
                      where states are reset, and it reaches its own
-energy_terms_j       by each table, then by term (runtime.metrics.energy_terms): those of the chip
+energy_terms_j       by each table, then by term (runtime.metrics.energy): those of the chip
                      add up to energy_j, or of a float network `operations` alone
 energy_unknown       by each table, terms that happen and that nothing prices
 energy_zero_skipping_j
@@ -49,26 +49,24 @@ from spikedeploy.runtime.emulator.ledger import Ledger, state_count
 from spikedeploy.runtime.metrics.energy import (
     TABLES,
     EnergyEstimate,
+    delta_encoder,
     energy_estimate,
     event_counts,
-    latency_estimate,
-)
-from spikedeploy.runtime.metrics.energy_tables import EnergyTable
-from spikedeploy.runtime.metrics.energy_terms import (
-    delta_encoder,
     host_readout,
+    latency_estimate,
     priced_terms,
     rate_encoder,
-    resets,
-    unpriced,
+    reset_energy,
+    unpriced_terms,
 )
-from spikedeploy.runtime.metrics.memory import packed_bytes
+from spikedeploy.runtime.metrics.energy_tables import EnergyTable
 from spikedeploy.runtime.metrics.neurobench import (
     connection_sparsity,
     dense_products,
     footprint,
     is_identity,
 )
+from spikedeploy.runtime.metrics.traffic import packed_bytes
 
 # of networks without spikes
 FLOAT_TABLES = tuple(name for name, table in TABLES.items() if "mac" in table.joules)
@@ -207,7 +205,7 @@ def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
             n: latency_estimate(ledger, table) for n, table in TABLES.items() if table.timed
         },
         energy_terms_j={name: priced_terms(counts, table) for name, table in TABLES.items()},
-        energy_unknown={name: unpriced(counts, table) for name, table in TABLES.items()},
+        energy_unknown={name: unpriced_terms(counts, table) for name, table in TABLES.items()},
     )
 
 
@@ -273,4 +271,6 @@ def _resetting(program: Program, table: EnergyTable) -> float | None:
     """Energy [J] of setting all states of the chip to 0 before an inference, if it is done."""
     if program.convention.state == "kept" or "resets" in table.included:
         return 0.0
-    return resets(sum(layer.size * state_count(layer, program) for layer in program.layers), table)
+    return reset_energy(
+        sum(layer.size * state_count(layer, program) for layer in program.layers), table
+    )

@@ -16,8 +16,13 @@ from spikedeploy.policies.registry import Candidate, Floats, Player, env_id
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.metrics.energy import TABLES, mac_energy, mac_energy_estimate
-from spikedeploy.runtime.metrics.energy_terms import added, reading
+from spikedeploy.runtime.metrics.energy import (
+    TABLES,
+    addition_energy,
+    mac_energy,
+    mac_energy_estimate,
+    reading_energy,
+)
 from spikedeploy.trainers.onnx_session import session
 
 KINDS = ("ann", "control")
@@ -127,8 +132,8 @@ class OnnxController(Player):
     def _terms_beside(self) -> tuple[dict[str, float], tuple[str, ...]]:
         """Terms [J] besides the operations, alike by every table; and the names of unknown ones."""
         prices = {
-            "bias": None if self.biases is None else added(self.biases),
-            "encoder": None if self.reads is None else reading(self.reads),
+            "bias": None if self.biases is None else addition_energy(self.biases),
+            "encoder": None if self.reads is None else reading_energy(self.reads),
         }
         known = {name: joules for name, joules in prices.items() if joules is not None}
         moved = ("activations",) if len(self._presynaptic) != 1 else ()

@@ -9,6 +9,7 @@ import time
 import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from ipaddress import IPv4Address
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,6 @@ from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger
-from spikedeploy.runtime.emulator.machine import snapshot
 from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.metrics.energy import TABLES, energy_estimate
@@ -136,18 +136,19 @@ class ServedPolicy:
         self.name, self.chip = candidate.name, str(chip or candidate.default_chip)
         on = chip_called(self.chip)
         options: dict[str, Any] = {"limits": limits} if on else {}
-        self._first = SpikingController(
-            load(candidate.path), on, "total", backend=backend, **options
+        artifact = load(candidate.path)
+        self._controller = partial(
+            SpikingController, artifact, on, "total", backend=backend, **options
         )
+        self._first = self._controller()
         self.observed = self._first.codec.encoder.observed
-        self._program = self._first.program if on else None
         self._tables = priced_by(on)
         self._actions = int(candidate.actions or 0)
         self._first.act([0.0] * self.observed)  # takes memory and may compile before clients come
 
     def episode(self) -> "ServedEpisode":
-        """A controller of its own for a client; the program is shared."""
-        return ServedEpisode(snapshot(self._first, self._program), self._tables)
+        """A controller of its own for a client."""
+        return ServedEpisode(self._controller(), self._tables)
 
     def info(self) -> dict[str, Any]:
         """What clients have to know."""

@@ -7,12 +7,14 @@ from typing import Any
 from spikedeploy.reports.columns import COMMON_TABLE
 from spikedeploy.reports.table import ABSENT, Table, format_si
 from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip
-from spikedeploy.runtime.metrics.break_even import BREAK_EVEN_TABLES, YAN2024, break_even_rate
 from spikedeploy.runtime.metrics.energy import (
+    BREAK_EVEN_TABLES,
     STATIC,
     TABLES,
+    YAN2024,
     EnergyTable,
     Uncertainty,
+    break_even_rate,
     describe_certainty,
 )
 

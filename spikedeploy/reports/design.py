@@ -11,13 +11,8 @@ from spikedeploy.reports.page import provenance, render
 from spikedeploy.reports.table import ABSENT, Table
 from spikedeploy.runtime.chips.chip import Limits
 from spikedeploy.runtime.compiler.compile import DesignCheck
-from spikedeploy.runtime.design_rules.mapping import (
-    CoreMapping,
-    Placement,
-    of_mapping,
-    of_placement,
-)
-from spikedeploy.runtime.design_rules.rule import RuleResult, text
+from spikedeploy.runtime.compiler.mapping import CoreMapping, Placement, of_mapping, of_placement
+from spikedeploy.runtime.compiler.rules import RuleResult, text
 
 LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"
 _MARKS = {"pass": "✓", "fail": "✗", "unknown": "?", "not applicable": "·"}

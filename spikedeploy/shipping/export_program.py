@@ -39,10 +39,10 @@ from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.compiler.compile import clock_on, compile_program
+from spikedeploy.runtime.compiler.mapping import CoreMapping
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.compiler.rules import place
 from spikedeploy.runtime.convention import Clock
-from spikedeploy.runtime.design_rules.mapping import CoreMapping
-from spikedeploy.runtime.design_rules.rule import design
 from spikedeploy.runtime.errors import ConfigError, TraceError
 from spikedeploy.runtime.traces.verify import Verdict, verify
 from spikedeploy.seeds import VALIDATION
@@ -210,7 +210,7 @@ def _check_delays(program: Program, tool: ChipTool) -> None:
 
 
 def _placement(artifact: Artifact, on: Chip) -> CoreMapping | None:
-    return design(artifact, on, on.limits).mapping if on.limits is not None else None
+    return place(artifact, on, on.limits).mapping if on.limits is not None else None
 
 
 def _read_raster(artifact: Artifact, path: Path, most: int) -> NDArray[np.uint8]:

@@ -1,8 +1,5 @@
 """Faults of chips: what they hit, and that nothing else changes."""
 
-import pickle
-from copy import deepcopy
-
 import nir
 import numpy as np
 import pytest
@@ -14,9 +11,8 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.backend import backend_class
 from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.emulator.interpreter import InterpreterBackend
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.network import MachinePool
-from spikedeploy.runtime.emulator.upset_backend import UpsetBackend
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import FAULTS, faults, inject
 from tests import graded
@@ -91,8 +87,8 @@ def test_every_chip_of_integers_runs_every_fault_and_counts_it(name, kind):
             inject(program, faults([f"{kind}:3"]))
         return
     number = 0.2  # of anything, so that small networks are hit
-    pool = MachinePool(inject(program, faults([f"{kind}={number}"])))
-    whole = MachinePool(program).infer(spikes())
+    pool = Machine(inject(program, faults([f"{kind}={number}"])), None)
+    whole = Machine(program, None).infer(spikes())
     assert not np.array_equal(pool.infer(spikes()), whole)
     (damage,) = pool.damage
     assert 0 < damage.hit <= damage.of
@@ -102,7 +98,7 @@ def test_every_chip_of_integers_runs_every_fault_and_counts_it(name, kind):
 @pytest.mark.parametrize("kind", FAULTS)
 def test_the_same_specimen_is_the_same_chip_and_another_is_another(kind):
     def output(specimen):
-        pool = MachinePool(inject(program_on("loihi1"), faults([f"{kind}=0.3"], specimen)))
+        pool = Machine(inject(program_on("loihi1"), faults([f"{kind}=0.3"], specimen)), None)
         return pool.infer(spikes())
 
     assert np.array_equal(output(0), output(0))
@@ -225,7 +221,7 @@ def test_mismatched_thresholds_are_multiples_of_the_chips_step_and_in_range():
 def test_upsets_run_on_the_interpreter_whatever_is_asked_for_and_numba_refuses():
     program = inject(program_on("loihi1"), faults(["lost-spikes:1"]))
     for name in ("numpy", "auto", "interpreter"):
-        assert backend_class(program, name) is UpsetBackend
+        assert backend_class(program, name) is InterpreterBackend
     with pytest.raises(ConfigError, match="drawn by the interpreter alone"):
         backend_class(program, "numba")
 
@@ -243,7 +239,7 @@ def test_a_chip_with_upsets_of_probability_nearly_0_does_what_a_whole_one_does(a
 
 
 def test_all_spikes_lost_is_silence_behind_them():
-    pool = MachinePool(inject(program_on("loihi1"), faults(["lost-spikes=1"])), trace=True)
+    pool = Machine(inject(program_on("loihi1"), faults(["lost-spikes=1"])), None, trace=True)
     pool.infer(spikes())
     (damage,) = pool.damage
     assert damage.hit == damage.of == spikes().sum()
@@ -251,14 +247,14 @@ def test_all_spikes_lost_is_silence_behind_them():
 
 
 def test_spurious_spikes_come_where_there_are_none_at_about_their_probability():
-    pool = MachinePool(inject(program_on("loihi1"), faults(["spurious-spikes=0.1"])))
+    pool = Machine(inject(program_on("loihi1"), faults(["spurious-spikes=0.1"])), None)
     pool.infer(np.zeros((20, 50, 8), np.uint8))
     (damage,) = pool.damage
     assert damage.hit / damage.of == pytest.approx(0.1, rel=0.05)
 
 
 def test_flipped_states_stay_in_the_register_of_the_membrane():
-    pool = MachinePool(inject(program_on("int"), faults(["state-flips=0.3"])), trace=True)
+    pool = Machine(inject(program_on("int"), faults(["state-flips=0.3"])), None, trace=True)
     pool.infer(spikes())
     limit = 1 << (program_on("int").chip.arithmetic.membrane.bits - 1)
     seen = [np.abs(each.membrane).max() for each in pool.recordings.values()]
@@ -294,20 +290,6 @@ def test_an_episode_has_its_upsets_whatever_was_before():
     assert not np.array_equal(first, other)
     assert np.array_equal(first, episode(5))
     assert policy.remembers
-
-
-@pytest.mark.parametrize("copied", [deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
-def test_copies_go_on_with_the_same_upsets(copied):
-    policy = SpikingController(event_driven(), chip("loihi1"), faults=faults(["lost-spikes=0.3"]))
-    rows = np.random.default_rng(0).normal(size=(8, 3))
-    policy.reset(3)
-    for row in rows[:4]:
-        policy.act(row)
-    other = copied(policy)
-    assert other.damage == policy.damage
-    for row in rows[4:]:
-        assert np.array_equal(policy.act(row), other.act(row))
-    assert other.damage == policy.damage
 
 
 def test_graded_spikes_are_lost_too():

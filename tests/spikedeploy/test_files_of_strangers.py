@@ -19,9 +19,8 @@ from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.network import MachinePool
+from spikedeploy.runtime.emulator.network import FloatMachine
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.trainers.config import resolve
@@ -82,8 +81,8 @@ def masked_inputs():
     spikes = np.ma.MaskedArray(np.ones((1, 5, artifact.codec.encoder.width), np.uint8), mask=True)
     yield "machine", lambda: Machine(program).infer(spikes)
     yield "step", lambda: Machine(program).step(spikes[:, 0])
-    yield "pool", lambda: MachinePool(program).infer(spikes)
-    yield "pool by name", lambda: MachinePool(program).infer({"input": spikes})
+    yield "pool", lambda: Machine(program, None).infer(spikes)
+    yield "pool by name", lambda: Machine(program, None).infer({"input": spikes})
     yield "float machine", lambda: FloatMachine(artifact).infer(spikes)
     yield "float", lambda: FloatGraph(artifact).run({"input": spikes})
     yield "list", lambda: as_raster(spikes[0])

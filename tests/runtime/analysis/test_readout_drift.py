@@ -9,7 +9,7 @@ from spikedeploy.runtime.analysis.calibration import tuned, with_calibrated_head
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.emulator.network import running
+from spikedeploy.runtime.emulator.network import run_network
 from tests.readouts import ACTIONS, HIDDEN, KINDS, events, network
 
 
@@ -76,7 +76,7 @@ def test_neurobench_takes_membranes_for_graded_and_readouts_for_no_spiking_layer
     # a matrix of two weights behind the readout, in place of the identity
     artifact.graph.nodes["affine"].weight[:] = [[0, 2, 0], [0, 0, 0], [0, 0, 3]]
     # free, layers run on behind their windows, and ledgers count that too
-    network_ = running(artifact, chip(name) if name else None, trace=True, **gated)
+    network_ = run_network(artifact, chip(name) if name else None, trace=True, **gated)
     network_.infer(events())
     found = measured(artifact, network_, events(), network_.ledger)
     spikes = network_.spikes["hidden"]

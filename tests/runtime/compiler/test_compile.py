@@ -9,7 +9,7 @@ import pytest
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Synapses, starting
-from spikedeploy.runtime.compiler import linear
+from spikedeploy.runtime.compiler import wiring
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
@@ -266,9 +266,9 @@ def test_more_delay_than_the_chip_has_is_refused():
 def test_matrices_may_take_exactly_so_many_bytes(monkeypatch):
     two = chain(affine(8, 6), cuba(6), affine(6, 5), cuba(5), width=8, act=5)
     took = 8 * (8 * 6 + 6 * 5 + 5 * 5)  # the last onto the output
-    monkeypatch.setattr(linear, "_LARGEST", took)
+    monkeypatch.setattr(wiring, "_MAX_BYTES", took)
     compile_program(Artifact(two, None, CONVENTION), chip("loihi1"))
-    monkeypatch.setattr(linear, "_LARGEST", took - 1)
+    monkeypatch.setattr(wiring, "_MAX_BYTES", took - 1)
     with pytest.raises(RuleError, match=f"the weights take {took} bytes by here"):
         compile_program(Artifact(two, None, CONVENTION), chip("loihi1"))
 
@@ -340,26 +340,26 @@ def test_a_bias_of_a_convolution_is_that_of_its_channel(shape):
 
 def test_impulses_are_sent_a_few_at_a_time_and_fill_no_more_memory_than_they_may(monkeypatch):
     sent = []
-    respond = linear.Linear._respond
+    respond = wiring.Matrices._respond
 
     def spied(self, region, start, biased=False):
         sent.extend(len(rows) for parts in start.values() for rows in parts.values())
         return respond(self, region, start, biased)
 
-    monkeypatch.setattr(linear.Linear, "_respond", spied)
+    monkeypatch.setattr(wiring.Matrices, "_respond", spied)
     nodes = [affine(7, 3), affine(3, 40), affine(40, 5)]
     artifact = Artifact(chain(*nodes, cuba(5), width=7, act=5), None, CONVENTION)
     (whole,) = compile_program(artifact, chip("ideal")).layers
     assert sent == [7, 5]
     # 40 numbers in the widest node for each impulse
     for enough, chunks in ((80, [2, 2, 2, 1]), (79, [1] * 7), (1, [1] * 7)):
-        monkeypatch.setattr(linear, "_ENOUGH", enough)
+        monkeypatch.setattr(wiring, "_MAX_IMPULSE_VALUES", enough)
         sent.clear()
         (few,) = compile_program(artifact, chip("ideal")).layers
         assert sent[: len(chunks)] == chunks
         np.testing.assert_allclose(few.synapses[0].weight, whole.synapses[0].weight)
-    monkeypatch.setattr(linear, "_ENOUGH", 1 << 22)
-    monkeypatch.setattr(linear, "_MOST", 3)
+    monkeypatch.setattr(wiring, "_MAX_IMPULSE_VALUES", 1 << 22)
+    monkeypatch.setattr(wiring, "_MAX_IMPULSES", 3)
     sent.clear()
     compile_program(artifact, chip("ideal"))
     assert sent[:3] == [3, 3, 1]
@@ -388,9 +388,9 @@ def test_finding_a_matrix_may_take_exactly_so_many_multiplications(monkeypatch):
     nodes = [convolution, nir.Flatten({"input": np.array([4, 3, 3])}, 0, -1), cuba(36)]
     artifact = Artifact(chain(*nodes, width=(1, 5, 5), act=36), None, CONVENTION)
     needed = 25 * (4 * 9 * 9 + 36)
-    monkeypatch.setattr(linear, "_HARDEST", needed)
+    monkeypatch.setattr(wiring, "_MAX_WORK", needed)
     compile_program(artifact, chip("ideal"))
-    monkeypatch.setattr(linear, "_HARDEST", needed - 1)
+    monkeypatch.setattr(wiring, "_MAX_WORK", needed - 1)
     with pytest.raises(RuleError, match=f"takes {needed} multiplications; at most {needed - 1}"):
         compile_program(artifact, chip("ideal"))
 

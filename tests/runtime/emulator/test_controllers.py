@@ -12,8 +12,8 @@ from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import Sampler, SpikingController
-from spikedeploy.runtime.emulator.float_machine import FloatMachine
-from spikedeploy.runtime.emulator.network import MachinePool
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.network import FloatMachine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
 from tests.networks import chain, cuba, event_driven, popsan, spiking_mlp
 
@@ -217,7 +217,7 @@ def test_a_kept_state_is_one_long_inference():
     raster = (np.random.default_rng(0).random((3, 32, 6)) < 0.4).astype(np.uint8)
     for make in (
         lambda: FloatMachine(policy),
-        lambda: MachinePool(compile_program(policy, LOIHI1, clock="gated")),
+        lambda: Machine(compile_program(policy, LOIHI1, clock="gated"), None),
     ):
         whole, parts = make(), make()
         halves = [parts.infer(raster[:, :16]), parts.infer(raster[:, 16:])]

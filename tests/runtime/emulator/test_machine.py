@@ -11,8 +11,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
-from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.network import CHUNK, MachinePool
+from spikedeploy.runtime.emulator.machine import CHUNK, Machine
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from tests.equality import check_like_the_interpreter, runs
 from tests.networks import popsan
@@ -83,7 +82,7 @@ def test_reset_forgets_what_was_kept():
 def test_a_batch_gives_what_single_inferences_give(name):
     program = compile_program(popsan(hidden=(210, 30)), chip(name))
     raster = rasters(program, CHUNK + 3, 5, 0.2, seed=1)[0]
-    together, alone = MachinePool(program), Machine(program)
+    together, alone = Machine(program, None), Machine(program)
     output = together.infer(raster)
     expected = np.concatenate([alone.infer(raster[i : i + 1]) for i in range(len(raster))])
     # the readout is float64 and may be summed in another order
@@ -188,7 +187,7 @@ def test_a_backend_shows_the_membranes_and_spikes_that_it_recorded(program, run)
     machine.infer(rasters(program, *run)[0])
     for name, found in machine.recordings.items():
         for shown, recorded in (
-            (machine._backend.membranes(name), found.membrane),
-            (machine._backend.spikes(name), found.spikes),
+            (machine._backends[run[0]].membranes(name), found.membrane),
+            (machine._backends[run[0]].spikes(name), found.spikes),
         ):
             np.testing.assert_array_equal(shown, recorded.swapaxes(0, 1))

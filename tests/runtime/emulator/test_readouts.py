@@ -1,8 +1,5 @@
 """Readout layers: neurons without a threshold whose membranes leave a chip, or run on the host."""
 
-import copy
-import pickle
-
 import nir
 import numpy as np
 import pytest
@@ -11,12 +8,11 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.emulator.float_machine import FloatMachine
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.network import MachinePool
+from spikedeploy.runtime.emulator.network import FloatMachine
 from spikedeploy.runtime.errors import ChipError, RuleError
 from spikedeploy.runtime.float_model import FloatGraph
-from spikedeploy.runtime.metrics.host_work import host_work
+from spikedeploy.runtime.metrics.traffic import host_work
 from tests.networks import chain, cuba
 from tests.readouts import ACTIONS, DT, HIDDEN, INPUTS, KINDS, SLOW, cubali, events, li, network
 
@@ -143,22 +139,6 @@ def test_a_reset_forgets_readouts_whatever_ran_before(name):
         np.testing.assert_array_equal(machine.infer(events()), whole)
 
 
-@pytest.mark.parametrize("name", ["loihi1", "ideal", "loihi1:membrane_output=none"])
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
-def test_copies_of_a_running_machine_go_on_alike(name, duplicate):
-    program = compile_program(network("second"), chip(name))
-    for machine in backends(program).values():
-        windows(machine, events(), 5)
-        twin = duplicate(machine)
-        expected = windows(machine, events(seed=2), 5)
-        np.testing.assert_array_equal(windows(twin, events(seed=2), 5), expected)
-        machine.reset()
-        twin.reset()
-        np.testing.assert_array_equal(
-            machine.infer(events(timesteps=5)), twin.infer(events(timesteps=5))
-        )
-
-
 @pytest.mark.parametrize("name", ["loihi1", "loihi1:membrane_output=none"])
 def test_each_robot_of_a_batch_has_its_own_readout(name):
     program = compile_program(network("second"), chip(name))
@@ -270,7 +250,7 @@ def test_the_float_twin_counts_what_ideal_counts(kind):
 
 
 def test_a_pool_traces_membranes_of_readouts_but_no_spikes():
-    pool = MachinePool(compile_program(network("same"), chip("loihi1")), trace=True)
+    pool = Machine(compile_program(network("same"), chip("loihi1")), None, trace=True)
     pool.infer(events())
     assert set(pool.spikes) == {"hidden"}
     assert pool.recordings["readout"].membrane.shape == (3, 25, ACTIONS)

@@ -14,8 +14,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.emulator.interpreter import trace
-from spikedeploy.runtime.emulator.ledger import count
+from spikedeploy.runtime.emulator.interpreter import count, trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ChipError
 from spikedeploy.runtime.float_model import FloatGraph
@@ -71,8 +70,7 @@ def test_every_one_of_them_is_fast_and_equal_to_the_interpreter(used, reset, see
     counts = count(
         program,
         {program.input: raster, **{name: t.spikes for name, t in traces.items()}},
-        {name: t.active for name, t in traces.items()},
-        {name: t.overflows for name, t in traces.items()},
+        traces,
     )
     np.testing.assert_array_equal(machine.ledger.counts, counts)
 

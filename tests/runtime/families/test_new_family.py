@@ -14,7 +14,7 @@ from spikedeploy.runtime.compiler.compile import check, compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError, RuleError
-from spikedeploy.runtime.metrics.memory import memory_traffic
+from spikedeploy.runtime.metrics.traffic import memory_traffic
 from tests.networks import chain, lif
 from tests.paths import ROOT
 

@@ -13,7 +13,7 @@ from spikedeploy.runtime.compiler.compile import check, compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.network import running
+from spikedeploy.runtime.emulator.network import run_network
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.faults import faults
 from tests.networks import chain, graph
@@ -180,6 +180,6 @@ def test_what_has_no_queue_is_refused_in_a_sentence():
         check_program(program)
     with pytest.raises(ConfigError, match="queue is 'on' and delay 1"):
         compile_program(layered(), chip("odin", queue="on", delay=1))
-    upset = running(layered(), chip("odin", queue="on"), faults=faults(["lost-spikes=0.1"]))
+    upset = run_network(layered(), chip("odin", queue="on"), faults=faults(["lost-spikes=0.1"]))
     with pytest.raises(ConfigError, match="queue is 'on': lost and spurious spikes"):
         upset.infer(raster(1))

@@ -14,8 +14,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import leaving
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.emulator.interpreter import trace
-from spikedeploy.runtime.emulator.ledger import count
+from spikedeploy.runtime.emulator.interpreter import count, trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.float_model import FloatGraph
@@ -171,8 +170,7 @@ def test_a_generated_network_on_a_chip_equals_the_interpreter(network, seed, nam
         counted = count(
             program,
             {program.input: raster, **{layer: t.spikes for layer, t in expected.items()}},
-            {layer: t.active for layer, t in expected.items()},
-            {layer: t.overflows for layer, t in expected.items()},
+            expected,
         )
         np.testing.assert_array_equal(machine.ledger.counts, counted)
 

@@ -3,12 +3,12 @@
 import pytest
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.metrics.break_even import (
+from spikedeploy.runtime.metrics.energy import (
     BREAK_EVEN_TABLES,
+    TABLES,
     break_even_rate,
     break_even_sops,
 )
-from spikedeploy.runtime.metrics.energy import TABLES
 
 INT8 = TABLES["horowitz45-int8"]
 

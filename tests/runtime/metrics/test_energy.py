@@ -26,7 +26,7 @@ from spikedeploy.runtime.metrics.energy import (
     static_energy,
 )
 from spikedeploy.runtime.metrics.energy_tables import Uncertainty
-from spikedeploy.runtime.metrics.traffic import Traffic
+from spikedeploy.runtime.metrics.traffic import MessageTraffic
 from tests.paths import GOLDEN
 from tests.programs import layer
 
@@ -241,7 +241,7 @@ def test_an_uncertainty_is_said_in_a_few_words(bounds, words):
 
 def test_hops_cost_what_their_direction_costs():
     # three packets; two steps along a row, one along a column, instead of the ledger's message
-    found = energy(ledger(message=9), TABLES["sanafe"], Traffic(message=3, hop_x=2, hop_y=1))
+    found = energy(ledger(message=9), TABLES["sanafe"], MessageTraffic(message=3, hop_x=2, hop_y=1))
     assert found == pytest.approx((3 * 111 + 2 * 3.0 + 4.2) * 1e-12)
 
 

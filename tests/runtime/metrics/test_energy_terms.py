@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
-from spikedeploy.runtime.metrics import energy_terms
-from spikedeploy.runtime.metrics.energy import TABLES, energy
-from spikedeploy.runtime.metrics.energy_terms import (
+from spikedeploy.runtime.metrics import energy as prices
+from spikedeploy.runtime.metrics.energy import (
     ON_CHIP,
+    TABLES,
     TERMS,
     chip_terms,
+    energy,
     priced_terms,
-    unpriced,
+    unpriced_terms,
 )
 
 COUNTS = {
@@ -42,18 +43,18 @@ def test_the_terms_of_a_chip_add_up_to_its_energy(name):
 @pytest.mark.parametrize("name", TABLES)
 def test_every_term_that_happens_has_a_price_or_is_named(name):
     table = TABLES[name]
-    said = {*priced_terms(COUNTS, table), *unpriced(COUNTS, table), *table.included}
+    said = {*priced_terms(COUNTS, table), *unpriced_terms(COUNTS, table), *table.included}
     assert said >= set(ON_CHIP)
     assert said <= set(TERMS)
-    assert not set(priced_terms(COUNTS, table)) & set(unpriced(COUNTS, table))
+    assert not set(priced_terms(COUNTS, table)) & set(unpriced_terms(COUNTS, table))
     assert all(joules > 0 for joules in priced_terms(COUNTS, table).values())
 
 
 def test_what_does_not_happen_is_not_unknown():
     quiet = {"sop": 10.0, "neuron_update": 3.0}
     int8 = TABLES["horowitz45-int8"]
-    assert unpriced(quiet, int8) == ()
-    assert unpriced({**quiet, "message": 1.0}, int8) == ("messages",)
+    assert unpriced_terms(quiet, int8) == ()
+    assert unpriced_terms({**quiet, "message": 1.0}, int8) == ("messages",)
     assert priced_terms(quiet, int8)["idle"] == 0
 
 
@@ -69,18 +70,18 @@ def test_a_neuron_update_of_the_int8_table_has_one_price_everywhere():
 
 
 def test_the_host_is_priced_by_additions_and_accesses():
-    assert energy_terms.reading(20) == pico(20 * 2.5)
+    assert prices.reading_energy(20) == pico(20 * 2.5)
     # as in the pareto experiment: read, subtract, compare, read the level; add and write an event
-    once = energy_terms.delta_encoder(20, 5)
+    once = prices.delta_encoder(20, 5)
     assert once == pico(20 * (2.5 + 0.1 + 0.1 + 2.5) + 5 * (0.1 + 2.5))
     # levels are compared in every timestep, observations read once
-    assert energy_terms.delta_encoder(20, 5, 3) - once == pico(20 * 2 * 2.7)
+    assert prices.delta_encoder(20, 5, 3) - once == pico(20 * 2 * 2.7)
     # read and scaled once; in each timestep added, the accumulator read and written
-    assert energy_terms.rate_encoder(20, 16) == pico(20 * (2.5 + 3.1 + 0.1 + 16 * 5.1))
-    assert energy_terms.host_readout(100, 10, 4) == pico(104 * 1.35 + 10 * 1.55)
+    assert prices.rate_encoder(20, 16) == pico(20 * (2.5 + 3.1 + 0.1 + 16 * 5.1))
+    assert prices.host_readout(100, 10, 4) == pico(104 * 1.35 + 10 * 1.55)
 
 
 def test_resets_have_a_price_where_arithmetic_has_one():
-    assert energy_terms.resets(10, TABLES["horowitz45-int8"]) == pico(50)
-    assert energy_terms.resets(10, TABLES["davies2018"]) is None
-    assert energy_terms.resets(0, TABLES["davies2018"]) == 0
+    assert prices.reset_energy(10, TABLES["horowitz45-int8"]) == pico(50)
+    assert prices.reset_energy(10, TABLES["davies2018"]) is None
+    assert prices.reset_energy(0, TABLES["davies2018"]) == 0

@@ -1,20 +1,13 @@
 """What a chip reads and writes, counted by hand."""
 
 import numpy as np
-import pytest
 
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.metrics.memory import (
-    MemoryTraffic,
-    Widths,
-    memory_counts,
-    memory_traffic,
-    widths,
-)
+from spikedeploy.runtime.metrics.traffic import MemoryTraffic, memory_counts, memory_traffic
 from tests.programs import layer
 
 
@@ -83,15 +76,3 @@ def test_fewer_bits_are_fewer_bits_to_read():
     network = program(weight_bits=4)
     found = memory_traffic(run(network, [[1, 1]]), network)["n"]
     assert (found.weight_reads, found.read_bits) == (5, 5 * 4 + 3 * 48)
-
-
-@pytest.mark.parametrize(
-    ("name", "wide"),
-    [
-        ("loihi1", Widths(8, (24, 24))),
-        ("xylo-a2", Widths(8, (16, 16, 16))),
-        ("ideal", Widths(32, (32, 32))),
-    ],
-)
-def test_widths_are_those_of_the_datasheet(name, wide):
-    assert widths(chip(name)) == wide

@@ -9,7 +9,6 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.metrics.memory import packed_bytes
 from spikedeploy.runtime.metrics.neurobench import (
     connection_sparsity,
     dense_operations,
@@ -17,6 +16,7 @@ from spikedeploy.runtime.metrics.neurobench import (
     neurobench,
     parameter_count,
 )
+from spikedeploy.runtime.metrics.traffic import packed_bytes
 from tests.measuring import DT, IDEAL, convolutions, measured, network, neurons_of, raster
 from tests.networks import chain, lif, popsan
 

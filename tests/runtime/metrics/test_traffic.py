@@ -3,19 +3,12 @@
 import numpy as np
 import pytest
 
-from lab.peers.sanafe_networks import one_core_each
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
-from spikedeploy.runtime.metrics.traffic import (
-    Layout,
-    Traffic,
-    placed_messages,
-    total,
-    traffic,
-)
+from spikedeploy.runtime.metrics.traffic import Layout, MessageTraffic, placed_messages, traffic
 from tests.programs import layer
 
 CHIP = chip("loihi1")
@@ -40,13 +33,14 @@ def _layer(name, size, wires):
     )
 
 
+APART = {"input": np.array([0, 0]), "a": np.array([1, 1]), "b": np.array([2])}
 SPIKES = {"input": np.array([10, 1]), "a": np.array([4, 4]), "b": np.array([2])}
 
 
 def test_a_spike_takes_a_message_to_each_core_that_it_reaches(network):
-    found = traffic(network, SPIKES, one_core_each(network))
+    found = traffic(network, SPIKES, Layout(APART, np.zeros((3, 2), np.int64)))
     # axon 0 reaches layer a, axon 1 both layers, the second layer itself; a's spikes nothing
-    assert found == Traffic(message=10 * 1 + 1 * 2 + 2 * 1, hop_x=0, hop_y=0)
+    assert found == MessageTraffic(message=10 * 1 + 1 * 2 + 2 * 1, hop_x=0, hop_y=0)
 
 
 def test_layers_that_share_a_core_share_a_message(network):
@@ -61,11 +55,7 @@ def test_a_layer_on_two_cores_takes_two_messages_and_their_hops(network):
     tiles = np.array([[0, 0], [2, 0], [0, 1]])
     found = traffic(network, SPIKES, Layout(spread, tiles))
     # axon 0 to cores 1 and 2; axon 1 to core 2 and its own
-    assert found == Traffic(message=10 * 2 + 1 * 2 + 2, hop_x=10 * 2, hop_y=10 + 1)
-
-
-def test_the_traffic_of_several_inferences_is_their_sum():
-    assert total([Traffic(1, 2, 3), Traffic(10, 20, 30)]) == Traffic(11, 22, 33)
+    assert found == MessageTraffic(message=10 * 2 + 1 * 2 + 2, hop_x=10 * 2, hop_y=10 + 1)
 
 
 def test_a_message_goes_to_every_core_of_a_layer_and_to_the_host_once(network):

@@ -7,7 +7,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.metrics.xylo_clocks import xylo_clocks, xylo_time
+from spikedeploy.runtime.metrics.energy import xylo_clocks, xylo_time
 
 
 def _layer(name, size, wires, aliases=()):

@@ -13,7 +13,7 @@ from spikedeploy.emulation.design_report import design_report, statuses, worst
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import CHIPS
-from spikedeploy.runtime.design_rules.table import RULES
+from spikedeploy.runtime.compiler.rules import RULES
 from tests import toy_stroll_env
 from tests.networks import chain, cuba, popsan
 

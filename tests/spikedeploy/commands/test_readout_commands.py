@@ -1,6 +1,5 @@
 """Files that end in readouts, on the command line: check, emulate, drift, and a robot's loop."""
 
-import copy
 import json
 
 import numpy as np
@@ -97,7 +96,7 @@ def policy():
 
 
 @pytest.mark.parametrize("name", ["float", "ideal", "loihi1", "loihi1:membrane_output=none"])
-def test_a_policy_of_one_timestep_acts_as_its_copies_and_its_file_do(name, tmp_path):
+def test_a_policy_of_one_timestep_acts_again_as_it_did(name, tmp_path):
     save(policy(), tmp_path / "p.nir")
     on = None if name == "float" else chip(name)
     rng = np.random.default_rng(0)
@@ -105,9 +104,7 @@ def test_a_policy_of_one_timestep_acts_as_its_copies_and_its_file_do(name, tmp_p
     controller = SpikingController(load(tmp_path / "p.nir"), on)
     controller.reset(7)
     first = [controller.act_batch(row) for row in observations[:10]]
-    twin = copy.deepcopy(controller)
     rest = [controller.act_batch(row) for row in observations[10:]]
-    np.testing.assert_array_equal([twin.act_batch(row) for row in observations[10:]], rest)
     controller.reset(7)
     np.testing.assert_array_equal(
         [controller.act_batch(row) for row in observations], [*first, *rest]

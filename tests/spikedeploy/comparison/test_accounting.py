@@ -11,8 +11,7 @@ from spikedeploy.envs import ENVS
 from spikedeploy.reports import comparison as report
 from spikedeploy.reports.columns import markdown_tables, tables
 from spikedeploy.reports.table import ABSENT
-from spikedeploy.runtime.metrics.energy import TABLES
-from spikedeploy.runtime.metrics.energy_terms import ON_CHIP
+from spikedeploy.runtime.metrics.energy import ON_CHIP, TABLES
 from tests import toy_stroll_env
 
 INT8 = "horowitz45-int8"

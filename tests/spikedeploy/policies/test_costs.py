@@ -16,8 +16,7 @@ from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import check as check_on
 from spikedeploy.runtime.emulator.ledger import state_count
-from spikedeploy.runtime.metrics.energy import TABLES, EnergyEstimate, mac_energy
-from spikedeploy.runtime.metrics.energy_terms import ON_CHIP, TERMS
+from spikedeploy.runtime.metrics.energy import ON_CHIP, TABLES, TERMS, EnergyEstimate, mac_energy
 from spikedeploy.runtime.metrics.neurobench import dense_operations
 from tests import toy_stroll_env
 

@@ -11,20 +11,21 @@ from hypothesis import strategies as st
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import LayerCore, SynapticMemory, chip
-from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.design_rules.core_memory import (
+from spikedeploy.runtime.compiler.mapping import (
     Entries,
-    assigned,
+    assign,
     axon_bits,
     entries,
     index_bits,
     list_bits,
     load,
+    map_to_cores,
+    of_mapping,
+    of_placement,
 )
-from spikedeploy.runtime.design_rules.mapping import mapping, of_mapping, of_placement
-from spikedeploy.runtime.design_rules.rule import design
-from spikedeploy.runtime.design_rules.table import judged
-from spikedeploy.runtime.design_rules.topology import topology
+from spikedeploy.runtime.compiler.rules import evaluate, place
+from spikedeploy.runtime.compiler.wiring import topology
+from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.graph.validate import check_graph
 from tests.networks import chain, cuba, graph, lif
 
@@ -35,7 +36,7 @@ WORDS = SynapticMemory(size=1 << 20, cost="words", weight_bits=8)
 
 def placed(network, on):
     check_graph(network)
-    return mapping(topology(network), on, network)
+    return map_to_cores(topology(network), on)
 
 
 def dense(*sizes, weight=None, bias=0.1):
@@ -124,7 +125,7 @@ def test_a_division_fits_and_none_into_fewer_cores_does(size, fan_in, room, full
     memory = SynapticMemory(size=64 * fan_in * 2 + 64 * room, cost="words", weight_bits=8)
     limits = replace(SPLIT.limits, memory=memory, neurons_per_core=100)
     (population,) = topology(network).populations
-    placement = mapping(topology(network), replace(SPLIT, limits=limits), network).placements[1]
+    placement = map_to_cores(topology(network), replace(SPLIT, limits=limits)).placements[1]
     assert (placement.cores - 1) * placement.block < size <= placement.cores * placement.block
     fits = [
         block
@@ -185,7 +186,7 @@ def test_a_convolution_has_less_synapses_at_its_edges():
     network = graph("input->c, c->n, n->output", c=node, n=neurons, **ends)
     check_graph(network)
     (population,) = topology(network).populations
-    into, out = population.presynaptic[0].fan.into, population.presynaptic[0].fan.out
+    into, out = population.presynaptic[0].map.into, population.presynaptic[0].map.out
     # corners see 2 x 2 pixels, edges 2 x 3, the middle 3 x 3, of 2 channels; each for 3 features
     assert into.reshape(3, 4, 4)[0, 0].tolist() == [8, 12, 12, 8]
     assert into.reshape(3, 4, 4)[2, 1].tolist() == [12, 18, 18, 12]
@@ -202,17 +203,17 @@ def test_strides_and_groups_count_what_the_kernel_touches():
     # nir takes the channels of one group for all of them
     network = nir.NIRGraph({"c": node, "n": neurons, **ends}, edges, type_check=False)
     check_graph(network)
-    fan = topology(network).populations[0].presynaptic[0].fan
-    assert fan.into.tolist() == [3] * 8
-    assert fan.out.reshape(2, 5).tolist() == [[2, 2, 4, 2, 2]] * 2
+    found = topology(network).populations[0].presynaptic[0].map
+    assert found.into.tolist() == [3] * 8
+    assert found.out.reshape(2, 5).tolist() == [[2, 2, 4, 2, 2]] * 2
 
 
 def test_two_maps_in_a_row_have_at_most_the_product_of_their_fans():
     network = chain(nir.Linear(np.eye(6)[:4]), nir.Linear(np.ones((2, 4))), lif(2), width=6, act=2)
     check_graph(network)
     (population,) = topology(network).populations
-    assert population.presynaptic[0].fan.most
-    assert (population.fan_in, population.presynaptic[0].fan.out.size) == (4, 6)
+    assert population.presynaptic[0].map.most
+    assert (population.fan_in, population.presynaptic[0].map.out.size) == (4, 6)
 
 
 def test_the_host_computes_what_no_neuron_follows():
@@ -303,11 +304,11 @@ def test_a_convolutional_network_finds_a_core_of_speck_for_each_layer():
 def test_a_convolutional_network_keeps_every_rule_of_speck():
     artifact = Artifact(neuromorphic_mnist(), None, Convention(1e-3, reset="subtract"))
     on = chip("speck2f")
-    assert [r for r in judged(design(artifact, on, on.limits)) if r.failed] == []
+    assert [r for r in evaluate(place(artifact, on, on.limits)) if r.failed] == []
 
 
 def test_a_layer_moves_on_when_another_needs_its_core():
     small, large = LayerCore(4, 4), LayerCore(8, 8)
     both = [Entries(2, 2), Entries(8, 8)]
-    assert assigned(both, [large, small]) == {0: 1, 1: 0}
-    assert assigned([Entries(8, 8)] * 2, [large, small]) is None
+    assert assign(both, [large, small]) == {0: 1, 1: 0}
+    assert assign([Entries(8, 8)] * 2, [large, small]) is None

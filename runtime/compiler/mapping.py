@@ -1,0 +1,435 @@
+"""The mapping of a network onto the cores of a chip.
+
+Populations take cores one after another, each its own. A population that is too large for a core
+is divided into blocks of neighbouring neurons, as large as each other but for the last; of all
+divisions that fit it takes the one into the fewest cores. Utilisation is what is taken of what
+there is.
+
+Loihi's synapses lie in words of 64 bits: the synapses of an axon in blocks of up to 64, each block
+with 10 bits of its own and rounded up to whole words (nengo-loihi 1.1.0, bits_per_axon). A sparse
+list names the neuron of each synapse, a dense one stores every weight of the core, zeros included.
+
+Where each core computes a layer (Speck), memories have entries, and every layer takes a core. A
+layer with a kernel of c channels, f features and kx ky taps takes c 2^(ceil(log2 kx ky) +
+ceil(log2 f)) entries of kernel memory, its f maps of y x neurons f 2^(ceil(log2 y) + ceil(log2 x))
+of neuron memory (sinabs 3.1.3, source read). A linear map behind a Flatten is a kernel as large as
+what is flattened.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from typing import NamedTuple, TypeAlias
+
+import nir
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.chips.chip import Chip, LayerCore, Limits, SynapticMemory
+from spikedeploy.runtime.compiler.wiring import Population, Topology
+from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE
+
+Counts: TypeAlias = NDArray[np.int64]
+
+_WORD = 64  # [bit]
+_BLOCK = 64  # synapses
+_OVERHEAD = 10  # [bit] of a block
+_INDEX_BITS = (6, 7, 8, 9, 10, 11, 12)
+_DELAY_BITS = 6
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A population, an input or the bias on its cores.
+
+    name: of the node.
+    kind: "input", "neurons" or "bias".
+    neurons: all of them.
+    synapses: that reach it.
+    fan_in, fan_out: the most of a neuron.
+    cores: it takes; 0 where the chip has none.
+    first: the number of its first core, from 0; None where it has none.
+    block: neurons of its fullest core, or entries of a neuron memory.
+    memory: synaptic memory of its fullest core, as in Load, or entries of a kernel memory.
+    axons_in: of its fullest core, as in Load.
+    axons_out: of its fullest core.
+    estimated: whether memory and axons are estimates, because the synapses are not listed.
+    """
+
+    name: str
+    kind: str
+    neurons: int
+    synapses: int
+    fan_in: int
+    fan_out: int
+    cores: int
+    first: int | None
+    block: int
+    memory: int | None
+    axons_in: int
+    axons_out: int
+    estimated: bool
+
+
+@dataclass(frozen=True)
+class CoreMapping:
+    """A network on the cores of a chip.
+
+    placements: inputs, populations and bias.
+    cores: all of them; None where the chip has none.
+    chips: as many as hold the cores; None where that is not known.
+    """
+
+    placements: tuple[Placement, ...]
+    cores: int | None
+    chips: int | None
+
+    @cached_property
+    def of_neurons(self) -> dict[str, Placement]:
+        """The placement of each population."""
+        return {each.name: each for each in self.placements if each.kind == "neurons"}
+
+
+def map_to_cores(network: Topology, chip: Chip) -> CoreMapping:
+    """The network on the chip; where a population does not fit, its smallest division."""
+    limits, populations = chip.limits, network.populations
+    if limits is not None and limits.layer_cores:
+        return _one_core_each(network, limits)
+    if limits is None or (limits.neurons_per_core is None and limits.memory is None):
+        return CoreMapping(tuple(_unplaced(network, p) for p in populations), None, None)
+
+    @cache
+    def weigh(population: Population, block: int) -> Load:
+        return load(population, limits, chip.arithmetic.weight_lists, block)
+
+    blocks = _divide(network, limits, weigh)
+    cores = {p.name: -(-p.size // blocks[p.name]) for p in populations}
+    placements = [
+        replace(
+            _unplaced(network, p),
+            cores=cores[p.name],
+            block=block,
+            memory=weigh(p, block).memory,
+            axons_in=weigh(p, block).axons_in,
+            axons_out=block * _target_cores(network, p.name, cores),
+            estimated=any(projection.map.weight is None for projection in p.presynaptic),
+        )
+        for p, block in zip(populations, blocks.values(), strict=True)
+    ]
+    if limits.input_cores:
+        placements = [*_inputs(network, limits, cores), *placements, *_bias(network, cores)]
+    first, numbered = 0, []
+    for placement in placements:
+        numbered.append(replace(placement, first=first))
+        first += placement.cores
+    return CoreMapping(tuple(numbered), first, limits.cores and -(-first // limits.cores))
+
+
+def _unplaced(network: Topology, population: Population) -> Placement:
+    """A population on a chip without cores that are known."""
+    return Placement(
+        name=population.name,
+        kind="neurons",
+        neurons=population.size,
+        synapses=population.synapses,
+        fan_in=population.fan_in,
+        fan_out=int(network.fan_out(population.name).max()),
+        cores=0,
+        first=None,
+        block=population.size,
+        memory=None,
+        axons_in=sum(projection.map.out.size for projection in population.presynaptic),
+        axons_out=0,
+        estimated=any(projection.map.most for projection in population.presynaptic),
+    )
+
+
+def _source(
+    name: str, kind: str, neurons: int, cores: int, targets: int, fan_out: int
+) -> Placement:
+    """Neurons without synapses on so many cores, whose axons go to so many others."""
+    block = -(-neurons // cores)
+    axons = block * targets
+    return Placement(name, kind, neurons, 0, 0, fan_out, cores, None, block, 0, 0, axons, False)
+
+
+def _inputs(network: Topology, limits: Limits, cores: Mapping[str, int]) -> Iterator[Placement]:
+    """Neurons that hand on the spikes of the inputs."""
+    for name, width in network.inputs.items():
+        targets = _target_cores(network, name, cores)
+        most = limits.neurons_per_core or width
+        if limits.axons_out is not None and targets:
+            most = max(min(most, limits.axons_out // targets), 1)
+        fan_out = int(network.fan_out(name).max())
+        yield _source(name, "input", width, -(-width // most), targets, fan_out)
+
+
+def _bias(network: Topology, cores: Mapping[str, int]) -> Iterator[Placement]:
+    """The one neuron that spikes in every timestep, if any layer has a bias."""
+    if biased := [p for p in network.populations if p.biased]:
+        targets = sum(cores[p.name] for p in biased)
+        yield _source("bias", "bias", 1, 1, targets, sum(p.size for p in biased))
+
+
+# the division of populations into blocks
+
+
+def _divide(
+    network: Topology, limits: Limits, weigh: "Callable[[Population, int], Load]"
+) -> dict[str, int]:
+    """The block of each population; a core has axons for so many target cores of its neurons."""
+    blocks = {p.name: p.size for p in network.populations}
+    cores = dict.fromkeys(blocks, 1)
+    for _ in range(len(blocks) + 2):
+        before = dict(blocks)
+        for population in reversed(network.populations):
+            targets = _target_cores(network, population.name, cores)
+            blocks[population.name] = _block(population, limits, weigh, targets)
+            cores[population.name] = -(-population.size // blocks[population.name])
+        if blocks == before:
+            break
+    return blocks
+
+
+def _target_cores(network: Topology, name: str, cores: Mapping[str, int]) -> int:
+    """Cores that a neuron of a population, or an input, projects to; at most its synapses."""
+    synapses: dict[str, int] = {}
+    for projection in network.leaving(name):
+        most = int(projection.map.out.max())
+        synapses[projection.target] = synapses.get(projection.target, 0) + most
+    return sum(min(cores[target], most) for target, most in synapses.items())
+
+
+def _block(
+    population: Population,
+    limits: Limits,
+    weigh: "Callable[[Population, int], Load]",
+    targets: int,
+) -> int:
+    """Neurons of a core when it takes the fewest cores; 1 where nothing fits."""
+    most = min(population.size, limits.neurons_per_core or population.size)
+    if limits.axons_out is not None and targets:
+        most = min(most, limits.axons_out // targets)
+    low, high = 0, most  # a block of low neurons fits, one of high + 1 does not
+    while low < high:
+        middle = (low + high + 1) // 2
+        fits = weigh(population, middle).fits(limits)
+        low, high = (middle, high) if fits else (low, middle - 1)
+    if not low:
+        return 1
+    # the registers of a core hold so many decays and thresholds
+    registers = ((population.decays, limits.decays), (population.thresholds, limits.thresholds))
+    cores = max(-(-population.size // low), *(-(-n // m) for n, m in registers if m is not None), 1)
+    even = -(-population.size // cores)
+    return even if weigh(population, even).fits(limits) else min(low, even)
+
+
+# what synapses take of the memory of a core
+
+
+class Load(NamedTuple):
+    """What one core of a division holds, where it is fullest.
+
+    memory: synaptic memory [bit], or None where the chip's is not known.
+    axons_in: different sources, the always-on axon of biases among them.
+    """
+
+    memory: int | None
+    axons_in: int
+
+    def fits(self, limits: Limits) -> bool:
+        """Whether a core has as much."""
+        memory = limits.memory is None or self.memory is None or self.memory <= limits.memory.size
+        return memory and (limits.axons_in is None or self.axons_in <= limits.axons_in)
+
+
+def load(population: Population, limits: Limits, lists: int, block: int) -> Load:
+    """What the fullest core holds when a core takes `block` neurons.
+
+    lists: that hold the weights of an axon; 2 where each sign has its own.
+    """
+    axons = bits = 0
+    for projection in population.presynaptic:
+        counts = projection.map.in_blocks(block, lists)
+        axons += int(np.count_nonzero(sum(counts), axis=0).max())
+        if limits.memory is not None:
+            delayed = projection.map.delayed
+            found = sum(list_bits(count, block, limits.memory, delayed) for count in counts)
+            bits += int(np.max(found))
+    if limits.input_cores and population.biased:
+        axons += 1
+        if limits.memory is not None:
+            bits += int(list_bits(np.array([[block]]), block, limits.memory, delayed=False)[0])
+    return Load(None if limits.memory is None else bits, axons)
+
+
+def list_bits(counts: Counts, neurons: int, memory: SynapticMemory, delayed: bool) -> Counts:
+    """What one list takes in each of k cores [bit].
+
+    counts: (M, k) synapses of each axon in each core.
+    neurons: of a core.
+    delayed: whether each synapse has a delay of its own.
+    """
+    if memory.cost == "bits":
+        return np.asarray(counts.sum(axis=0) * memory.weight_bits)
+    bits = memory.weight_bits + (_DELAY_BITS if delayed else 0)
+    sparse = axon_bits(counts, bits + index_bits(neurons)).sum(axis=0)
+    dense = np.count_nonzero(counts, axis=0) * axon_bits(np.array([neurons]), bits)
+    return np.asarray(np.minimum(sparse, dense))
+
+
+def axon_bits(synapses: Counts, bits: int) -> Counts:
+    """What an axon of so many synapses of so many bits takes in words [bit]."""
+    blocks, rest = np.divmod(synapses, _BLOCK)
+    full = _words(_BLOCK * bits + _OVERHEAD)
+    return np.asarray(blocks * full + np.where(rest, _words(rest * bits + _OVERHEAD), 0))
+
+
+def index_bits(neurons: int) -> int:
+    """What names one of so many neurons in a sparse list."""
+    needed = math.ceil(math.log2(neurons)) if neurons > 1 else 0
+    return next((bits for bits in _INDEX_BITS if bits >= needed), needed)
+
+
+def _words(bits: Counts | int) -> Counts:
+    return np.asarray(-(-np.asarray(bits) // _WORD) * _WORD)
+
+
+# layers that take a core each
+
+
+class Entries(NamedTuple):
+    """What a layer takes of the memories of its core."""
+
+    kernel: int
+    neurons: int
+
+
+def _one_core_each(network: Topology, limits: Limits) -> CoreMapping:
+    """A core for each layer; without numbers where they do not all find one."""
+    taken = [entries(network.graph, population) for population in network.populations]
+    cores = assign(taken, limits.layer_cores)
+    placements = tuple(
+        replace(
+            _unplaced(network, population),
+            cores=1,
+            first=None if cores is None else cores[place],
+            block=taken[place].neurons,
+            memory=taken[place].kernel,
+        )
+        for place, population in enumerate(network.populations)
+    )
+    return CoreMapping(placements, len(placements), None if cores is None else 1)
+
+
+def assign(layers: Sequence[Entries], cores: Sequence[LayerCore]) -> Mapping[int, int] | None:
+    """A core of its own for each layer, the first that serve; None where there are too few."""
+    holds: dict[int, int] = {}
+    if not all(_assign_one(layer, layers, cores, holds, set()) for layer in range(len(layers))):
+        return None
+    return {layer: core for core, layer in holds.items()}
+
+
+def _assign_one(
+    layer: int,
+    layers: Sequence[Entries],
+    cores: Sequence[LayerCore],
+    holds: dict[int, int],
+    tried: set[int],
+) -> bool:
+    """Give the layer a free core, or one whose layer can move on to another."""
+    kernel, neurons = layers[layer]
+    fitting = [
+        n for n, core in enumerate(cores) if kernel <= core.kernel and neurons <= core.neurons
+    ]
+    for core in sorted(fitting, key=lambda each: each in holds):
+        if core in tried:
+            continue
+        tried.add(core)
+        if core not in holds or _assign_one(holds[core], layers, cores, holds, tried):
+            holds[core] = layer
+            return True
+    return False
+
+
+def entries(graph: nir.NIRGraph, population: Population) -> Entries:
+    """The entries of a population, with the kernels of all that projects onto it."""
+    features, *space = population.shape
+    kernel = sum(_kernel_entries(graph, each.map.maps) for each in population.presynaptic)
+    return Entries(kernel, features * 2 ** sum(_log2(extent) for extent in space))
+
+
+def _kernel_entries(graph: nir.NIRGraph, maps: Sequence[str]) -> int:
+    """Entries of the kernels on one way."""
+    total, flattened = 0, None
+    for node in (graph.nodes[name] for name in maps):
+        if isinstance(node, nir.Flatten):
+            flattened = [int(n) for n in node.input_type["input"]]
+            continue
+        if isinstance(node, CONVOLUTIONS):
+            features, channels, *space = (int(n) for n in node.weight.shape)
+            channels *= int(node.groups)
+        elif isinstance(node, DENSE):
+            features = int(node.weight.shape[-2])
+            channels, *space = flattened or [int(node.weight.shape[-1])]
+        else:
+            continue
+        total += channels * 2 ** (_log2(math.prod(space)) + _log2(features))
+    return total
+
+
+def _log2(number: int) -> int:
+    """The binary logarithm, rounded up."""
+    return (number - 1).bit_length()
+
+
+# shares of what there is
+
+
+@dataclass(frozen=True)
+class Utilisation:
+    """Shares of 1; None where the chip has no such limit.
+
+    neurons: of the cores that are taken.
+    memory: of their synaptic memory, each counted as the fullest of its layer.
+    axons_in, axons_out: likewise.
+    """
+
+    neurons: float | None
+    memory: float | None
+    axons_in: float | None
+    axons_out: float | None
+
+
+def of_placement(placement: Placement, limits: Limits) -> Utilisation:
+    """Of the fullest core of a layer."""
+    if limits.layer_cores and placement.first is not None:
+        core = limits.layer_cores[placement.first]
+        memory = (placement.memory or 0) / core.kernel
+        return Utilisation(placement.block / core.neurons, memory, None, None)
+    return _shares([(1, placement)], limits, [placement.block])
+
+
+def of_mapping(mapping: CoreMapping, limits: Limits) -> Utilisation:
+    """Of all cores that are taken."""
+    placed = [(placement.cores, placement) for placement in mapping.placements]
+    return _shares(placed, limits, [placement.neurons for placement in mapping.placements])
+
+
+def _shares(
+    placed: list[tuple[int, Placement]], limits: Limits, neurons: Iterable[int]
+) -> Utilisation:
+    cores = sum(number for number, _ in placed)
+    size = None if limits.memory is None else limits.memory.size
+
+    def share(each: Iterable[int | None], most: int | None) -> float | None:
+        total = sum(found or 0 for found in each)
+        return total / (most * cores) if most and cores else None
+
+    return Utilisation(
+        neurons=share(neurons, limits.neurons_per_core),
+        memory=share(((p.memory or 0) * number for number, p in placed), size),
+        axons_in=share((p.axons_in * number for number, p in placed), limits.axons_in),
+        axons_out=share((p.axons_out * number for number, p in placed), limits.axons_out),
+    )
