@@ -26,13 +26,6 @@ from spikedeploy.reports.table import ABSENT, Column, Table, field_cell
 
 Record = dict[str, Any]
 PAGE, SHOWN, NUMBERS = "sweep.md", "sweep.html", "sweep.csv"
-_COLUMNS = (
-    "key", "env", "policy", "kind", "chip", "bits", "disturb", "fault", "specimen", "seed",
-    "episodes", "status", "return_mean", "success_rate", "spikes_per_inference",
-    "sops_per_inference", "macs_dense", "energy_table", "energy_per_inference_j", "returns",
-    "successes", "steps", "measured", "reason",
-)  # fmt: skip
-# means over inferences, of whole rows and of each energy table
 _PER_INFERENCE = ("spikes_per_inference", "sops_per_inference", "macs_dense")
 _ON_PAGES = ("episodes", "energy")  # for which a terminal is too narrow
 
@@ -122,9 +115,8 @@ def print_sweep(sweep: Sweep) -> None:
 def write_sweep(sweep: Sweep, folder: Path) -> list[Path]:
     """Write the page and the CSV of what is there; return both."""
     table = quoted_table([each.row for each in sweep.found])
-    numbers = write_rows(
-        (_line(sweep, job, table) for job in sweep.jobs), _COLUMNS, folder / NUMBERS
-    )
+    lines = [_line(sweep, job, table) for job in sweep.jobs]
+    numbers = write_rows(lines, list(lines[0]), folder / NUMBERS)
     page, shown = write_beside(folder / PAGE, "\n".join(_page(sweep)), {})
     return [page, numbers, shown]
 
@@ -189,24 +181,28 @@ def _difference_cell(row: Mapping[str, Any]) -> str:
 
 
 def _line(sweep: Sweep, job: JobSpecification, table: str) -> Record:
-    """A job in the CSV."""
+    """A job in the CSV, its columns in their order."""
     row = sweep.rows.get(job.key, {})
-    status = "done" if row else "failed" if job.key in sweep.failed else "missing"
     prices = row.get("energy_per_inference_j", {})
     return {
         "key": job.key,
-        **{name: getattr(job, name) for name in ("env", "policy", "bits", "seed", "episodes")},
-        "chip": job.chip,
+        "env": job.env,
+        "policy": job.policy,
         "kind": row.get("kind"),
+        "chip": job.chip,
+        "bits": job.bits,
         "disturb": " ".join(job.disturb),
         "fault": " ".join(job.fault),
         "specimen": job.specimen if job.fault else None,
-        "status": status,
-        **{n: row.get(n) for n in ("return_mean", "success_rate", "returns", "steps")},
-        **{n: row.get(n) for n in ("spikes_per_inference", "sops_per_inference", "macs_dense")},
-        "successes": [int(each) for each in row["successes"]] if row else None,
+        "seed": job.seed,
+        "episodes": job.episodes,
+        "status": "done" if row else "failed" if job.key in sweep.failed else "missing",
+        **{name: row.get(name) for name in ("return_mean", "success_rate", *_PER_INFERENCE)},
         "energy_table": table if table in prices else None,
         "energy_per_inference_j": prices.get(table),
+        "returns": row.get("returns"),
+        "successes": [int(each) for each in row["successes"]] if row else None,
+        "steps": row.get("steps"),
         "measured": row.get("measured"),
         "reason": sweep.failed.get(job.key),
     }
@@ -229,7 +225,7 @@ def _pooled(jobs: Sequence[JobRow]) -> Record:
     returns = [value for each in jobs for value in each.row["returns"]]
     successes = [value for each in jobs for value in each.row["successes"]]
     estimate, rate = bootstrap(returns, _rng()), share(successes) if successes else None
-    pooled = {
+    pooled: Record = {
         "env": of.env,
         "policy": of.policy,
         "kind": first["kind"],
@@ -245,22 +241,20 @@ def _pooled(jobs: Sequence[JobRow]) -> Record:
         "success_rate": rate.mean if rate else None,
         "success_ci95": rate.ci95 if rate else None,
         "foreign": first.get("foreign", False),
-        "measured": _asked(jobs),
         **({"gates": first["gates"]} if drives(first) else {}),  # so that tables speak of karts
     }
-    return pooled | _costs(jobs)
-
-
-def _costs(jobs: Sequence[JobRow]) -> Record:
-    """Means over all inferences of the jobs, of which each control step has one."""
-    steps = [sum(each.row["steps"]) for each in jobs]
     rows = [each.row for each in jobs]
-    found: Record = {name: _mean([row.get(name) for row in rows], steps) for name in _PER_INFERENCE}
+    # means over inferences, of which each control step has one; of metrics over episodes
+    steps = [sum(row["steps"]) for row in rows]
+    pooled |= {name: _mean([row.get(name) for row in rows], steps) for name in _PER_INFERENCE}
     for name in ("energy_per_inference_j", "energy_interval_j"):
-        found[name] = {
-            table: _price([row[name][table] for row in rows], steps) for table in rows[0][name]
-        }
-    return found
+        tables = first[name]
+        pooled[name] = {t: _price([row[name][t] for row in rows], steps) for t in tables}
+    measured = [row.get("measured", {}) for row in rows]
+    episodes = [each.of.episodes for each in jobs]
+    means = {name: _mean([row.get(name) for row in measured], episodes) for name in measured[0]}
+    pooled["measured"] = {name: mean for name, mean in means.items() if mean is not None}
+    return pooled
 
 
 def _price(values: Sequence[Any], weights: Sequence[int]) -> Any:  # noqa: ANN401
@@ -268,14 +262,6 @@ def _price(values: Sequence[Any], weights: Sequence[int]) -> Any:  # noqa: ANN40
     if isinstance(values[0], Sequence):
         return [_mean(bounds, weights) for bounds in zip(*values, strict=True)]
     return _mean(values, weights)
-
-
-def _asked(jobs: Sequence[JobRow]) -> dict[str, float]:
-    """Means over episodes of the metrics that were asked for."""
-    weights = [each.of.episodes for each in jobs]
-    rows = [each.row.get("measured", {}) for each in jobs]
-    found = {name: _mean([row.get(name) for row in rows], weights) for name in rows[0]}
-    return {name: value for name, value in found.items() if value is not None}
 
 
 def _mean(values: Sequence[float | None], weights: Sequence[int]) -> float | None:
