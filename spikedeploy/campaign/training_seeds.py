@@ -1,6 +1,5 @@
 """One recipe trained with several seeds, side by side, each as a command of its own would."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from spikedeploy.comparison.statistics import Estimate, bootstrap
-from spikedeploy.files import write_text
+from spikedeploy.files import read_json, write_text
 from spikedeploy.jobs import resumable
 from spikedeploy.jobs.resumable import Job, JobEnd
 from spikedeploy.policies.run_record import unfinished
@@ -125,7 +124,4 @@ def _ending(seed: int, end: JobEnd, place: Path) -> SeedTraining:
 
 def _best(run: Path) -> float | None:
     file = run / "checkpoints/best.json"
-    if not file.is_file():
-        return None
-    found: float | None = json.loads(file.read_text(encoding="utf-8")).get("eval_return")
-    return found
+    return read_json(file).get("eval_return") if file.is_file() else None

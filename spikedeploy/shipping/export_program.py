@@ -39,7 +39,6 @@ from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.compiler.compile import clock_on, compile_program
-from spikedeploy.runtime.compiler.mapping import CoreMapping
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.compiler.rules import place
 from spikedeploy.runtime.convention import Clock
@@ -125,7 +124,7 @@ def export_program(
     tool, on = tool_of(chip_name), _chip(chip_name)
     names = (PROGRAM, EXPECTED, README, HOST, tool.script, EPISODE)
     inputs = (file, policy, raster)
-    check_output_folder("-o", folder, names, inputs, force, _is_kit)
+    check_output_folder("-o", folder, names, inputs, force, lambda at: marked(at / PROGRAM, MARK))
     compiled = compile_program(artifact, on, clock=clock or _clock_of(artifact, on))
     if raster is not None:
         given = _read_raster(artifact, raster, steps)
@@ -138,7 +137,8 @@ def export_program(
     host = host_record(compiled, None if raster is not None else artifact.codec, run)
     named = zoo.called(str(file))
     origin = f"{named if named != str(file) else file.name}, sha256 {zoo.sha256(file)[:16]}"
-    text = program_text(run, compiled.clock, _placement(artifact, on), host, origin)
+    placement = place(artifact, on, on.limits).mapping if on.limits is not None else None
+    text = program_text(run, compiled.clock, placement, host, origin)
     said = f"expected by spikedeploy's emulation of {chip_name}, {source}"
     expected = expected_text(run, rows, text, said)
     readme = _readme(tool, run, compiled.clock, origin, source, episode, host)
@@ -146,7 +146,10 @@ def export_program(
     # first what says whose the folder is, last what names the program: a part is no kit
     write_text(folder / PROGRAM, text)
     if episode is not None:
-        _write_episode(folder / EPISODE, episode)
+        fields = ("observation", "action", "reward", "seed")  # what a closed loop is compared with
+        archive.write(
+            folder / EPISODE, {name: np.asarray(getattr(episode, name)) for name in fields}
+        )
     else:
         (folder / EPISODE).unlink(missing_ok=True)
     scripts = {HOST: script(HOST), tool.script: script(tool.script)}
@@ -169,11 +172,6 @@ def _verify_text(text: str, expected: str) -> Verdict:
     if not verdict.equal:
         raise TypeError(f"what was written is not what was compiled: {verdict.difference}")
     return verdict
-
-
-def _is_kit(folder: Path) -> bool:
-    """True where the folder has an earlier export."""
-    return marked(folder / PROGRAM, MARK)
 
 
 def _chip(name: str) -> Chip:
@@ -207,10 +205,6 @@ def _check_delays(program: Program, tool: ChipTool) -> None:
                     f"{synapses.delay} timesteps; {tool.name} delivers after {tool.delay}. Choose "
                     "--clock pipelined, or a chip of another tool."
                 )
-
-
-def _placement(artifact: Artifact, on: Chip) -> CoreMapping | None:
-    return place(artifact, on, on.limits).mapping if on.limits is not None else None
 
 
 def _read_raster(artifact: Artifact, path: Path, most: int) -> NDArray[np.uint8]:
@@ -260,19 +254,6 @@ def _episode(
     return np.concatenate(player.rows), played, source
 
 
-def _write_episode(path: Path, episode: Rollout) -> None:
-    """Write the reference of a closed loop: observations, actions, rewards and the seed."""
-    archive.write(
-        path,
-        {
-            "observation": episode.observation,
-            "action": episode.action,
-            "reward": episode.reward,
-            "seed": np.array(episode.seed),
-        },
-    )
-
-
 def _readme(
     tool: ChipTool,
     run: ChipRun,
@@ -283,7 +264,8 @@ def _readme(
     host: Mapping[str, Any],
 ) -> str:
     """The text of README.md."""
-    python = _python(tool)
+    # the interpreter of the environment that `install` makes
+    python = f"{tool.install.split(' -m venv ')[1].split()[0]}/bin/python"
     flags = " --sim" if "--sim" in tool.offline else ""
     closed = f"No loop: {host.get('missing', 'a raster')}."
     if episode is not None:
@@ -313,8 +295,3 @@ def _readme(
         name=tool.name,
         page=tool.page,
     )
-
-
-def _python(tool: ChipTool) -> str:
-    """The interpreter of the environment that `install` makes."""
-    return f"{tool.install.split(' -m venv ')[1].split()[0]}/bin/python"
