@@ -22,6 +22,8 @@ threshold after its reset spikes again only above twice the threshold.
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
+from operator import mul
 from typing import Any, TypeAlias
 
 import nir
@@ -32,7 +34,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.graph.neurons import GRADED_MOST, NEURONS, SPIKING, SigmaDelta, discretise
-from spikedeploy.runtime.graph.order import Edge, delay_timesteps, sources, timing
+from spikedeploy.runtime.graph.order import Edge, delay_timesteps, sources
 from spikedeploy.runtime.graph.ports import by_port, check_unmasked, ports
 from spikedeploy.runtime.graph.shapes import (
     CONVOLUTIONS,
@@ -54,29 +56,42 @@ CHUNK_VALUES = 1 << 22
 def build_node(name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike) -> Node:
     """The function that computes a node; ArtifactError for kinds that are not supported."""
     if isinstance(node, DENSE):
-        return _dense(node, dtype) if node.weight.ndim == 2 else _stacked(node, dtype)
+        return _dense_node(node, dtype)
     if isinstance(node, CONVOLUTIONS):
         return convolution(name, node, dtype)
     if isinstance(node, POOLS):
-        return _pool(name, node)
+        # a mean divides by the whole kernel, zeros of the padding included, which is the default of
+        # torch.nn.AvgPool2d; NIR leaves it open
+        window = pool_window(name, node)
+        size = math.prod(window.kernel) if isinstance(node, nir.AvgPool2d) else 1
+        return partial(_in_chunks, window, partial(_pool, size))
     if isinstance(node, nir.Delay):
         return Delay(name, delay_timesteps(name, node, convention))
     if isinstance(node, NEURONS):
         return FloatNeurons(name, node, convention, dtype)
     if isinstance(node, (nir.Input, nir.Output)):
-        return lambda x: x
+        return _identity
     if isinstance(node, nir.Scale):
-        scale = node.scale.astype(dtype)
-        return lambda x: x * scale
+        return partial(mul, node.scale.astype(dtype))
     if isinstance(node, nir.Threshold):
-        threshold = node.threshold.astype(dtype)
-        return lambda x: (x > threshold).astype(dtype)
+        return partial(_exceed, node.threshold.astype(dtype))
     if isinstance(node, nir.Flatten):
-        shape = tuple(int(n) for n in node.output_type["output"])
-        return lambda x: x.reshape(*x.shape[:2], *shape)
+        return partial(_reshape, tuple(int(n) for n in node.output_type["output"]))
     raise ArtifactError(
         f"node {name!r}: {type(node).__name__} is no primitive of NIR that is supported. Use one."
     )
+
+
+def _identity(x: Array) -> Array:
+    return x
+
+
+def _exceed(threshold: Array, x: Array) -> Array:
+    return (x > threshold).astype(threshold.dtype)
+
+
+def _reshape(shape: tuple[int, ...], x: Array) -> Array:
+    return x.reshape(*x.shape[:2], *shape)
 
 
 class Delay:
@@ -116,38 +131,30 @@ class Delay:
         return np.concatenate([past, x], axis=1)
 
 
-def _dense(node: nir.NIRNode, dtype: DTypeLike) -> Node:
-    """Affine or Linear: all timesteps in one product."""
+def _dense_node(node: nir.NIRNode, dtype: DTypeLike) -> Node:
+    """Affine or Linear."""
+    bias = node.bias.astype(dtype) if isinstance(node, nir.Affine) else None
+    if node.weight.ndim > 2:
+        return partial(_stacked, node.weight.astype(dtype), bias)
     # (M, N) in C order, which BLAS multiplies in half the time
-    weight = np.ascontiguousarray(node.weight.T, dtype=dtype)
-    bias = node.bias.astype(dtype) if isinstance(node, nir.Affine) else None
-
-    def dense(x: Array) -> Array:
-        rows = x.reshape(-1, x.shape[2])
-        # leaving out inputs that are 0 in every timestep halves the time at batch 1
-        (active,) = rows.any(axis=0).nonzero()
-        sparse = 2 * len(active) < len(weight)
-        # y = W x + b
-        y: Array = (
-            rows.take(active, axis=1) @ weight.take(active, axis=0) if sparse else rows @ weight
-        )
-        y = y.reshape(*x.shape[:2], -1)
-        return y if bias is None else y + bias
-
-    return dense
+    return partial(_dense, np.ascontiguousarray(node.weight.T, dtype=dtype), bias)
 
 
-def _stacked(node: nir.NIRNode, dtype: DTypeLike) -> Node:
-    """Affine or Linear with weights (..., N, M), a matrix for each row of the input (..., M)."""
-    weight = node.weight.astype(dtype)
-    bias = node.bias.astype(dtype) if isinstance(node, nir.Affine) else None
+def _dense(weight: Array, bias: Array | None, x: Array) -> Array:
+    """Y = W x + b with weights (M, N), all timesteps in one product."""
+    rows = x.reshape(-1, x.shape[2])
+    # leaving out inputs that are 0 in every timestep halves the time at batch 1
+    (active,) = rows.any(axis=0).nonzero()
+    sparse = 2 * len(active) < len(weight)
+    y: Array = rows.take(active, axis=1) @ weight.take(active, axis=0) if sparse else rows @ weight
+    y = y.reshape(*x.shape[:2], -1)
+    return y if bias is None else y + bias
 
-    def stacked(x: Array) -> Array:
-        # y = W x + b
-        y: Array = np.matmul(weight, x[..., None])[..., 0]
-        return y if bias is None else y + bias
 
-    return stacked
+def _stacked(weight: Array, bias: Array | None, x: Array) -> Array:
+    """Y = W x + b with weights (..., N, M), a matrix for each row of the input (..., M)."""
+    y: Array = np.matmul(weight, x[..., None])[..., 0]
+    return y if bias is None else y + bias
 
 
 def convolution(name: str, node: nir.NIRNode, dtype: DTypeLike) -> Node:
@@ -161,45 +168,36 @@ def convolution(name: str, node: nir.NIRNode, dtype: DTypeLike) -> Node:
     weight = node.weight.reshape(groups, len(node.weight) // groups, -1).swapaxes(1, 2)
     weight = np.ascontiguousarray(weight, dtype=dtype)
     bias = node.bias.astype(dtype).reshape(-1, *(1 for _ in window.kernel))
-    return _in_chunks(window, lambda windows: _product(windows, weight, window) + bias)
+    return partial(_in_chunks, window, partial(_convolve, weight, bias))
 
 
-def _pool(name: str, node: nir.NIRNode) -> Node:
-    """SumPool2d or AvgPool2d: output (B, T, C, *P) of x (B, T, C, *X).
-
-    A mean divides by the whole kernel, zeros of the padding included, which is the default of
-    torch.nn.AvgPool2d; NIR leaves it open.
-    """
-    window = pool_window(name, node)
-    size = math.prod(window.kernel) if isinstance(node, nir.AvgPool2d) else 1
-    return _in_chunks(window, lambda windows: windows.sum(axis=(-2, -1)) / size)
+def _pool(size: int, windows: Array) -> Array:
+    """Sums of windows (R, C, *P, *K), divided by `size`, as (R, C, *P)."""
+    return np.asarray(windows.sum(axis=(-2, -1)) / size)
 
 
-def _product(windows: Array, weight: Array, window: ConvWindow) -> Array:
-    """Windows (R, C, *P, *K) times weights (G, C/G K, N/G), as (R, N, *P)."""
-    groups, axes = len(weight), len(window.kernel)
+def _convolve(weight: Array, bias: Array, windows: Array) -> Array:
+    """Windows (R, C, *P, *K) times weights (G, C/G K, N/G), plus the bias, as (R, N, *P)."""
+    groups, axes = len(weight), bias.ndim - 1
     rows, channels, *positions = windows.shape[: 2 + axes]
     # (R, G, C/G, *P, *K), still a view
     split = windows.reshape(rows, groups, channels // groups, *windows.shape[2:])
     before, after = range(3, 3 + axes), range(3 + axes, 3 + 2 * axes)
     columns = split.transpose(0, 1, *before, 2, *after)
     columns = columns.reshape(rows, groups, math.prod(positions), -1)
-    return np.asarray((columns @ weight).swapaxes(2, 3).reshape(rows, -1, *positions))
+    product = (columns @ weight).swapaxes(2, 3).reshape(rows, -1, *positions)
+    return np.asarray(product + bias)
 
 
-def _in_chunks(window: ConvWindow, compute: Node) -> Node:
+def _in_chunks(window: ConvWindow, compute: Node, x: Array) -> Array:
     """The computation over chunks of rows whose windows hold at most CHUNK_VALUES values."""
-
-    def chunked(x: Array) -> Array:
-        # (R, C, *X)
-        rows = x.reshape(-1, *x.shape[2:])
-        values = x.shape[2] * math.prod(window.positions(x.shape[3:])) * math.prod(window.kernel)
-        size = max(1, CHUNK_VALUES // values)
-        parts = [compute(window.view(rows[i : i + size])) for i in range(0, len(rows), size)]
-        y = np.concatenate(parts)
-        return np.asarray(y.reshape(*x.shape[:2], *y.shape[1:]), dtype=x.dtype)
-
-    return chunked
+    # (R, C, *X)
+    rows = x.reshape(-1, *x.shape[2:])
+    values = x.shape[2] * math.prod(window.positions(x.shape[3:])) * math.prod(window.kernel)
+    size = max(1, CHUNK_VALUES // values)
+    parts = [compute(window.view(rows[i : i + size])) for i in range(0, len(rows), size)]
+    y = np.concatenate(parts)
+    return np.asarray(y.reshape(*x.shape[:2], *y.shape[1:]), dtype=x.dtype)
 
 
 # resets that act in the timestep after a spike, or already ahead of the next one
@@ -371,21 +369,11 @@ class FloatGraph:
         self.inputs, self.outputs = ports(self.graph.inputs), ports(self.graph.outputs)
         self.sigma_delta = artifact.sigma_delta
         self.spiking = _spiking(self.graph, self.sigma_delta)
-        self.timing = timing(self.graph, self.convention)
+        self.timing = artifact.timing
         self.sources = sources(self.graph)
-        self.nodes = self._built()
+        self.nodes = self._build()
         # what each node put out in the timestep before, (B, 1, *shape)
         self.before: dict[str, Array] = {}
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Nodes without a state are functions, which pickle does not take; copies build them."""
-        kinds = (FloatNeurons, Delay)
-        states = {name: node for name, node in self.nodes.items() if isinstance(node, kinds)}
-        return {**self.__dict__, "nodes": states}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self.nodes = {**self._built(), **state["nodes"]}
 
     def reset(self) -> None:
         """Set currents, membranes and all delayed values to 0."""
@@ -410,7 +398,10 @@ class FloatGraph:
         batch, timesteps = next(iter(x.values())).shape[:2]
         self._check_batch(batch)
         self._check_size(batch, timesteps)
-        parts = [_row(x, t) for t in range(timesteps)] if self.timing.loops else [x]
+        parts = [x]
+        if self.timing.loops:
+            rows = range(timesteps)
+            parts = [{name: each[:, t : t + 1] for name, each in x.items()} for t in rows]
         with np.errstate(over="ignore", invalid="ignore"):
             steps = [self._advance(part) for part in parts]
         self._check_finite()
@@ -423,8 +414,7 @@ class FloatGraph:
             trace["output" if len(self.outputs) == 1 else port.name] = values[port.name]
         return trace
 
-    def _built(self) -> dict[str, Node]:
-        """The nodes, without a state."""
+    def _build(self) -> dict[str, Node]:
         nodes = {
             name: build_node(name, self.graph.nodes[name], self.convention, self.dtype)
             for name in self.timing.names
@@ -517,7 +507,3 @@ def _spiking(graph: nir.NIRGraph, graded: Mapping[str, SigmaDelta]) -> list[str]
             "node 'output' spikes, but that name is reserved for the readout. Rename it."
         )
     return names
-
-
-def _row(x: Mapping[str, Array], t: int) -> dict[str, Array]:
-    return {name: rows[:, t : t + 1] for name, rows in x.items()}

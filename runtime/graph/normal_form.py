@@ -15,6 +15,7 @@ import copy
 from collections import defaultdict
 from collections.abc import Iterable
 from itertools import product
+from typing import TypeAlias
 
 import nir
 import numpy as np
@@ -24,6 +25,18 @@ from spikedeploy.runtime.graph.neurons import NEURONS
 from spikedeploy.runtime.graph.order import Edge
 from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, POOLS, whole_numbers
 from spikedeploy.runtime.graph.validate import MAX_EDGES, check_edges
+
+Nodes: TypeAlias = dict[str, nir.NIRNode]
+
+# kinds with one parameter for every value that they take
+_ELEMENTWISE = (*NEURONS, nir.Threshold, nir.Scale, nir.Delay)
+_PORTS = (nir.Input, nir.Output)
+# geometry of a convolution, which stays in whole numbers; types are derived
+_NO_PARAMETERS = {
+    "stride", "padding", "dilation", "groups", "input_shape", "input_type", "output_type",
+    "metadata",
+}  # fmt: skip
+_LARGEST_INTEGER = 1 << 53  # up to which float64 holds every whole number
 
 
 def flattened(graph: nir.NIRGraph, path: str = "") -> nir.NIRGraph:
@@ -37,42 +50,41 @@ def flattened(graph: nir.NIRGraph, path: str = "") -> nir.NIRGraph:
     if not inner:
         return graph
     nodes = {name: node for name, node in graph.nodes.items() if name not in inner}
-    edges = _Edges(graph.edges)
+    edges = _Edges()
+    edges.add(graph.edges)
     for name, node in sorted(inner.items()):
         _unpack(name, flattened(node, f"{path}{name}."), nodes, edges, f"{path}{name}")
-    return nir.NIRGraph(nodes, sorted(edges.all), metadata=graph.metadata, type_check=False)
+    return nir.NIRGraph(nodes, edges.sorted(), metadata=graph.metadata, type_check=False)
 
 
 class _Edges:
-    """Edges that change; all, and the neighbours of each node."""
+    """Edges that change, by the neighbours of each node."""
 
-    def __init__(self, edges: Iterable[Edge]) -> None:
-        self.all: set[Edge] = set()
-        self._before: defaultdict[str, set[str]] = defaultdict(set)
-        self._after: defaultdict[str, set[str]] = defaultdict(set)
-        self.add(edges)
+    def __init__(self) -> None:
+        self.before: defaultdict[str, set[str]] = defaultdict(set)
+        self.after: defaultdict[str, set[str]] = defaultdict(set)
 
     def add(self, edges: Iterable[Edge]) -> None:
         """Add edges."""
         for source, target in edges:
-            self.all.add((source, target))
-            self._before[target].add(source)
-            self._after[source].add(target)
+            self.before[target].add(source)
+            self.after[source].add(target)
 
-    def taken(self, name: str) -> tuple[set[str], set[str]]:
-        """The sources and targets of a node, whose edges are removed; its own is in both."""
-        before, after = self._before.pop(name, set()), self._after.pop(name, set())
+    def remove(self, name: str) -> tuple[set[str], set[str]]:
+        """Remove the edges of a node; its sources and targets, itself in both if it is its own."""
+        before, after = self.before.pop(name, set()), self.after.pop(name, set())
         for source in before - {name}:
-            self._after[source].discard(name)
+            self.after[source].discard(name)
         for target in after - {name}:
-            self._before[target].discard(name)
-        self.all -= {(source, name) for source in before} | {(name, target) for target in after}
+            self.before[target].discard(name)
         return before, after
 
+    def sorted(self) -> list[Edge]:
+        """All edges, sorted."""
+        return sorted((source, target) for source, found in self.after.items() for target in found)
 
-def _unpack(
-    outer: str, graph: nir.NIRGraph, nodes: dict[str, nir.NIRNode], edges: _Edges, path: str
-) -> None:
+
+def _unpack(outer: str, graph: nir.NIRGraph, nodes: Nodes, edges: _Edges, path: str) -> None:
     """Replace the node `outer` by the nodes and edges of its graph."""
     entry = _port(path, graph.inputs, "Input")
     exit_ = _port(path, graph.outputs, "Output")
@@ -83,36 +95,36 @@ def _unpack(
                 "is taken. Rename one of the two."
             )
         nodes[f"{outer}.{name}"] = node
-    before, after = edges.taken(outer)
+    before, after = edges.remove(outer)
     first, last = f"{outer}.{entry}", f"{outer}.{exit_}"
     edges.add((last if source == outer else source, first) for source in before)
     edges.add((last, first if target == outer else target) for target in after)
     edges.add((f"{outer}.{source}", f"{outer}.{target}") for source, target in graph.edges)
-    for port in (entry, exit_):
-        _bypass(f"{outer}.{port}", nodes, edges)
+    for port in (first, last):
+        _bypass(port, nodes, edges)
 
 
-def _bypass(port: str, nodes: dict[str, nir.NIRNode], edges: _Edges) -> None:
+def _bypass(port: str, nodes: Nodes, edges: _Edges) -> None:
     """Connect the sources of a port to its targets; keep it where an edge would double."""
-    sources, targets = edges.taken(port)
+    sources, targets = edges.remove(port)
     if len(sources) * len(targets) > MAX_EDGES:
         raise ArtifactError(
             f"node {port!r}: {len(sources)} edges lead to it and {len(targets)} from it, which "
             f"makes more than {MAX_EDGES} edges in one level. Put a node without effect between."
         )
-    through = set(product(sources, targets))
-    if port in sources or through & edges.all:
-        # NIR has no identity node; a Scale by one is one
-        stated = np.asarray(nodes[port].output_type["output"])
-        shape = whole_numbers(port, "shape", stated, stated.size, minimum=1)
-        nodes[port] = nir.Scale(np.ones(shape))
-        edges.add({(source, port) for source in sources} | {(port, target) for target in targets})
+    if port not in sources and not any(edges.after[source] & targets for source in sources):
+        del nodes[port]
+        edges.add(product(sources, targets))
         return
-    del nodes[port]
-    edges.add(through)
+    # NIR has no identity node; a Scale by one is one
+    stated = np.asarray(nodes[port].output_type["output"])
+    shape = whole_numbers(port, "shape", stated, stated.size, minimum=1)
+    nodes[port] = nir.Scale(np.ones(shape))
+    edges.add((source, port) for source in sources)
+    edges.add((port, target) for target in targets)
 
 
-def _port(path: str, found: dict[str, nir.NIRNode], kind: str) -> str:
+def _port(path: str, found: Nodes, kind: str) -> str:
     if len(found) != 1:
         raise ArtifactError(
             f"node {path!r}: the graph inside it has {len(found)} {kind} nodes "
@@ -122,67 +134,61 @@ def _port(path: str, found: dict[str, nir.NIRNode], kind: str) -> str:
     return next(iter(found))
 
 
-# kinds with parameters, which are arrays of numbers, one for each synapse or neuron
-_KINDS = (*DENSE, *CONVOLUTIONS, nir.Scale, nir.Threshold, nir.Delay, *NEURONS)
-# geometry of a convolution, which stays in whole numbers; types are derived
-_OTHERS = {
-    "stride", "padding", "dilation", "groups", "input_shape", "input_type", "output_type",
-    "metadata",
-}  # fmt: skip
-_LARGEST = 1 << 53
-
-
 def with_floats(graph: nir.NIRGraph) -> nir.NIRGraph:
     """The graph with whole parameters in float64; itself where there are none."""
-    nodes = {name: _node(name, node) for name, node in graph.nodes.items()}
+    kinds = (*DENSE, *CONVOLUTIONS, *_ELEMENTWISE)
+    return _replaced(
+        graph, {n: _in_floats(n, m) for n, m in graph.nodes.items() if isinstance(m, kinds)}
+    )
+
+
+def _replaced(graph: nir.NIRGraph, nodes: Nodes) -> nir.NIRGraph:
+    """The graph with other nodes; itself where they are its own."""
     if all(node is graph.nodes[name] for name, node in nodes.items()):
         return graph
-    return nir.NIRGraph(nodes, list(graph.edges), metadata=graph.metadata, type_check=False)
+    again = {**graph.nodes, **nodes}
+    return nir.NIRGraph(again, list(graph.edges), metadata=graph.metadata, type_check=False)
 
 
-def _node(name: str, node: nir.NIRNode) -> nir.NIRNode:
+def _in_floats(name: str, node: nir.NIRNode) -> nir.NIRNode:
     whole = {
         field: value
         for field, value in vars(node).items()
-        if field not in _OTHERS and isinstance(value, np.ndarray) and value.dtype.kind in "iu"
+        if field not in _NO_PARAMETERS
+        and isinstance(value, np.ndarray)
+        and value.dtype.kind in "iu"
     }
-    if not isinstance(node, _KINDS) or not whole:
+    if not whole:
         return node
     other = copy.copy(node)
     for field, value in whole.items():
         # max and min in Python, whose numbers do not wrap
-        if max(int(value.max()), -int(value.min())) > _LARGEST:
+        if max(int(value.max()), -int(value.min())) > _LARGEST_INTEGER:
             raise ArtifactError(
-                f"node {name!r}: {field} holds whole numbers beyond {_LARGEST}, which no float "
-                "holds. Scale them down."
+                f"node {name!r}: {field} holds whole numbers beyond {_LARGEST_INTEGER}, which no "
+                "float holds. Scale them down."
             )
         setattr(other, field, value.astype(np.float64))
     return other
 
 
-_ELEMENTWISE = (*NEURONS, nir.Threshold, nir.Scale, nir.Delay)
-_PORTS = (nir.Input, nir.Output)
-
-
 def without_batch_axis(graph: nir.NIRGraph) -> nir.NIRGraph:
     """The graph, ports and neurons without leading axes of 1 that its weights do not have."""
+    nodes = graph.nodes
     axes = _axes(graph)
-    nodes = {name: _stripped(node, axes.get(name)) for name, node in graph.nodes.items()}
-    if all(node is graph.nodes[name] for name, node in nodes.items()):
-        return graph
-    return nir.NIRGraph(nodes, list(graph.edges), metadata=graph.metadata, type_check=False)
+    return _replaced(graph, {n: _stripped(nodes[n], axes[n]) for n in axes if n in nodes})
 
 
 def _axes(graph: nir.NIRGraph) -> dict[str, int]:
     """Number of axes of what arrives at a node or leaves it, where the weights beside it say so."""
     known = {name: axes for name, node in graph.nodes.items() if (axes := _own_axes(node))}
     waiting = list(known)
-    near: dict[str, set[str]] = {}
+    near: defaultdict[str, set[str]] = defaultdict(set)
     for source, target in graph.edges:
-        near.setdefault(source, set()).add(target)
-        near.setdefault(target, set()).add(source)
+        near[source].add(target)
+        near[target].add(source)
     for here in waiting:
-        for name in sorted(near.get(here, ())):
+        for name in sorted(near[here]):
             node = graph.nodes.get(name)
             if name not in known and isinstance(node, (*_ELEMENTWISE, *_PORTS)):
                 known[name] = known[here]
@@ -199,9 +205,8 @@ def _own_axes(node: nir.NIRNode) -> int:
     return 3 if isinstance(node, (nir.Conv2d, *POOLS)) else 0
 
 
-def _stripped(node: nir.NIRNode, axes: int | None) -> nir.NIRNode:
-    if axes is None:
-        return node
+def _stripped(node: nir.NIRNode, axes: int) -> nir.NIRNode:
+    """The port or neurons without leading axes of 1 beyond these; another node itself."""
     if isinstance(node, _PORTS):
         shape = np.asarray(node.output_type["output"])
         extra = _extra(shape.tolist(), axes) if shape.ndim == 1 else 0
@@ -209,20 +214,19 @@ def _stripped(node: nir.NIRNode, axes: int | None) -> nir.NIRNode:
     if not isinstance(node, _ELEMENTWISE):
         return node
     arrays = {n: value for n, value in vars(node).items() if isinstance(value, np.ndarray)}
-    fewer_axes = {n: value[(0,) * _extra(value.shape, axes)] for n, value in arrays.items()}
-    if all(fewer_axes[n].ndim == value.ndim for n, value in arrays.items()):
+    stripped = {n: value[(0,) * _extra(value.shape, axes)] for n, value in arrays.items()}
+    if all(stripped[n].ndim == value.ndim for n, value in arrays.items()):
         return node
     other = copy.copy(node)
-    for n, value in fewer_axes.items():
-        setattr(other, n, value)
-    shape = np.array(next(iter(fewer_axes.values())).shape)
+    vars(other).update(stripped)
+    shape = np.array(next(iter(stripped.values())).shape)
     other.input_type, other.output_type = {"input": shape}, {"output": shape}
     return other
 
 
-def _extra(shape: Iterable[int], axes: int) -> int:
-    """How many leading axes are 1 and beyond these axes."""
-    lengths = list(shape)
+def _extra(lengths: Iterable[int], axes: int) -> int:
+    """Number of leading axes of length 1 beyond these axes."""
+    lengths = list(lengths)
     found = 0
     while len(lengths) - found > axes and lengths[found] == 1:
         found += 1

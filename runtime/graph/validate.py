@@ -6,6 +6,7 @@ back. Each message names the node or edge, what was found, and what to do.
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable
+from typing import Any
 
 import nir
 import numpy as np
@@ -13,7 +14,14 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.graph.neurons import CURRENT_BASED, LEAKY, NEURONS, SPIKING
-from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, POOLS, infer_shapes, whole_numbers
+from spikedeploy.runtime.graph.shapes import (
+    CONVOLUTIONS,
+    DENSE,
+    POOLS,
+    Shape,
+    infer_shapes,
+    whole_numbers,
+)
 
 # kinds whose fields are all arrays of numbers, except for those that nir derives
 _NUMERIC = (*DENSE, nir.Scale, nir.Threshold, nir.Delay, *NEURONS)
@@ -22,8 +30,6 @@ _KINDS = (nir.Input, nir.Output, *_NUMERIC, *CONVOLUTIONS, *POOLS, nir.Flatten)
 MAX_NODES = 1 << 12
 MAX_EDGES = 1 << 16
 DERIVED_FIELDS = ("input_type", "output_type", "metadata")
-_NODE_REMEDY = "Export the network again, or correct the node."
-_EDGE_REMEDY = "Export the network again, or correct the edge."
 
 
 def check_graph(graph: nir.NIRGraph) -> None:
@@ -34,10 +40,18 @@ def check_graph(graph: nir.NIRGraph) -> None:
             f"the graph has {len(graph.nodes)} nodes; at most {MAX_NODES}. Write the neurons of a "
             "layer as one node, or divide the network."
         )
-    for name in sorted(graph.nodes):
-        _check_name(name)
-        _check_node(name, graph.nodes[name])
-    _check_ports(graph)
+    for name, node in sorted(graph.nodes.items()):
+        if name in ("", ".") or set(name) & {"/", "\0"}:
+            raise ArtifactError(
+                f"node {name!r}: HDF5 cannot hold this name. Choose one that is not empty, not '.' "
+                "and has no '/' and no zero byte."
+            )
+        _check_node(name, node)
+    for kind, found in (("Input", graph.inputs), ("Output", graph.outputs)):
+        if not found:
+            raise ArtifactError(f"the graph has no {kind} node. Add one and an edge to it.")
+        for name, node in found.items():
+            _check_port(name, np.asarray(node.output_type["output"]))
     infer_shapes(graph)
     _check_connected(graph)
 
@@ -69,6 +83,28 @@ def check_edges(graph: nir.NIRGraph, path: str = "") -> None:
         )
 
 
+def _check_edge(graph: nir.NIRGraph, edge: object, where: str) -> None:
+    if not (isinstance(edge, tuple) and len(edge) == 2):
+        raise ArtifactError(
+            f"{where}edge {edge!r} is not a pair (source, target). Export the network again, or "
+            "correct the edge."
+        )
+    source, target = edge
+    shown = f"{where}edge {source!r} -> {target!r}"
+    for name in edge:
+        if name not in graph.nodes:
+            raise ArtifactError(
+                f"{shown}: there is no node {name!r}; the nodes are "
+                f"{', '.join(sorted(graph.nodes)[:50])}. Correct the edge or add the node."
+            )
+    if isinstance(graph.nodes[target], nir.Input):
+        raise ArtifactError(f"{shown} goes into an Input node. Let it end at the node after.")
+    if isinstance(graph.nodes[source], nir.Output):
+        raise ArtifactError(
+            f"{shown} comes out of an Output node. Let it start at the node before."
+        )
+
+
 def _check_connected(graph: nir.NIRGraph) -> None:
     """Raise ArtifactError where a node lies on no path from an Input to an Output."""
     backwards = [(target, source) for source, target in graph.edges]
@@ -86,128 +122,6 @@ def _check_connected(graph: nir.NIRGraph) -> None:
             )
 
 
-def _check_name(name: str) -> None:
-    if name in ("", ".") or set(name) & {"/", "\0"}:
-        raise ArtifactError(
-            f"node {name!r}: HDF5 cannot hold this name. Choose one that is not empty, not '.' "
-            "and has no '/' and no zero byte."
-        )
-
-
-def _check_node(name: str, node: nir.NIRNode) -> None:
-    if not isinstance(node, _KINDS):
-        raise ArtifactError(
-            f"node {name!r}: {type(node).__name__} is no primitive of NIR that is supported. "
-            f"Write it with {', '.join(kind.__name__ for kind in _KINDS)}."
-        )
-    numeric = set(vars(node)) - set(DERIVED_FIELDS) if isinstance(node, _NUMERIC) else set()
-    for field, value in sorted(vars(node).items()):
-        if isinstance(value, np.ndarray) or field in numeric:
-            _check_values(name, field, value)
-    if isinstance(node, DENSE):
-        _check_dense(name, node)
-    if isinstance(node, CONVOLUTIONS):
-        _check_convolution(name, node)
-    if isinstance(node, NEURONS):
-        _check_neurons(name, node)
-    if isinstance(node, nir.Delay) and node.delay.min() < 0:
-        raise ArtifactError(
-            f"node {name!r}: delay holds {node.delay.min():g} s; a delay must be 0 or more. "
-            f"{_NODE_REMEDY}"
-        )
-
-
-def _check_dense(name: str, node: nir.NIRNode) -> None:
-    if node.weight.ndim < 2:
-        raise ArtifactError(
-            f"node {name!r}: weight has shape {node.weight.shape}; it must be (N, M). "
-            f"{_NODE_REMEDY}"
-        )
-    if isinstance(node, nir.Affine):
-        _same_shape(name, "bias", node.bias.shape, node.weight.shape[:-1])
-
-
-def _check_convolution(name: str, node: nir.NIRNode) -> None:
-    axes = 3 if isinstance(node, nir.Conv1d) else 4
-    for field in ("weight", "bias"):
-        _check_values(name, field, getattr(node, field))
-    if node.weight.ndim != axes:
-        raise ArtifactError(
-            f"node {name!r}: weight has shape {node.weight.shape}; a {type(node).__name__} needs "
-            f"{axes} axes: features, channels of a group, kernel. {_NODE_REMEDY}"
-        )
-    (groups,) = whole_numbers(name, "groups", node.groups, 1, minimum=1)
-    if len(node.weight) % groups:
-        raise ArtifactError(
-            f"node {name!r}: {len(node.weight)} features cannot be divided into {groups} groups. "
-            f"{_NODE_REMEDY}"
-        )
-    _same_shape(name, "bias", node.bias.shape, node.weight.shape[:1])
-
-
-def _check_neurons(name: str, node: nir.NIRNode) -> None:
-    for field in sorted(set(vars(node)) - set(DERIVED_FIELDS)):
-        _same_shape(name, field, getattr(node, field).shape, node.r.shape)
-    taus = ("tau",) if isinstance(node, LEAKY) else ("tau_syn", "tau_mem")
-    for field in taus if isinstance(node, (*LEAKY, *CURRENT_BASED)) else ():
-        _check_time_constant(name, field, getattr(node, field))
-    if isinstance(node, SPIKING) and (node.v_threshold < node.v_reset).any():
-        low = node.v_threshold < node.v_reset
-        raise ArtifactError(
-            f"node {name!r}: v_threshold holds {node.v_threshold[low][0]:g}, below its v_reset "
-            f"{node.v_reset[low][0]:g}: each spike would cause another. {_NODE_REMEDY}"
-        )
-
-
-def _check_values(name: str, field: str, value: object) -> None:
-    found = np.asarray(value)
-    if found.dtype.kind not in "fiu":
-        raise ArtifactError(
-            f"node {name!r}: {field} holds {found.dtype}, not numbers. {_NODE_REMEDY}"
-        )
-    if found.ndim == 0:
-        raise ArtifactError(
-            f"node {name!r}: {field} is a single number without a shape. Give one value per neuron."
-        )
-    if not found.size:
-        raise ArtifactError(f"node {name!r}: {field} is empty, {found.shape}. {_NODE_REMEDY}")
-    if not np.isfinite(found).all():
-        index = tuple(int(i) for i in np.argwhere(~np.isfinite(found))[0])
-        raise ArtifactError(
-            f"node {name!r}: {field} holds {found[index]} at index {index}; every value must be "
-            f"finite. {_NODE_REMEDY}"
-        )
-
-
-def _same_shape(name: str, field: str, found: tuple[int, ...], wanted: tuple[int, ...]) -> None:
-    if found != wanted:
-        raise ArtifactError(
-            f"node {name!r}: {field} has shape {found}; the node's other parameters need "
-            f"{wanted}. {_NODE_REMEDY}"
-        )
-
-
-def _check_time_constant(name: str, field: str, tau: NDArray[np.generic]) -> None:
-    if tau.size and tau.min() <= 0:
-        raise ArtifactError(
-            f"node {name!r}: {field} holds {tau.min():g} s; a time constant must be above 0. "
-            f"{_NODE_REMEDY}"
-        )
-
-
-def _check_ports(graph: nir.NIRGraph) -> None:
-    for kind, found in (("Input", graph.inputs), ("Output", graph.outputs)):
-        if not found:
-            raise ArtifactError(f"the graph has no {kind} node. Add one and an edge to it.")
-    for name, node in {**graph.inputs, **graph.outputs}.items():
-        shape = np.asarray(node.output_type["output"])
-        if shape.dtype.kind not in "iu" or shape.ndim != 1 or not shape.size or shape.min() < 1:
-            raise ArtifactError(
-                f"node {name!r}: shape is {shape.tolist()}; it must be whole numbers above 0. "
-                f"{_NODE_REMEDY}"
-            )
-
-
 def _reached(starts: Iterable[str], edges: Iterable[tuple[str, str]]) -> set[str]:
     """The starts, and every node that edges lead to from them."""
     targets = defaultdict(list)
@@ -221,23 +135,87 @@ def _reached(starts: Iterable[str], edges: Iterable[tuple[str, str]]) -> set[str
     return reached
 
 
-def _check_edge(graph: nir.NIRGraph, edge: object, where: str) -> None:
-    if not (isinstance(edge, tuple) and len(edge) == 2):
-        raise ArtifactError(f"{where}edge {edge!r} is not a pair (source, target). {_EDGE_REMEDY}")
-    source, target = edge
-    for name in edge:
-        if name not in graph.nodes:
-            raise ArtifactError(
-                f"{where}edge {source!r} -> {target!r}: there is no node {name!r}; the nodes are "
-                f"{', '.join(sorted(graph.nodes)[:50])}. Correct the edge or add the node."
-            )
-    if isinstance(graph.nodes[target], nir.Input):
+def _fault(name: str, found: str) -> ArtifactError:
+    """The error of a node."""
+    return ArtifactError(f"node {name!r}: {found}. Export the network again, or correct the node.")
+
+
+def _check_port(name: str, shape: NDArray[Any]) -> None:
+    if shape.dtype.kind not in "iu" or shape.ndim != 1 or not shape.size or shape.min() < 1:
+        raise _fault(name, f"shape is {shape.tolist()}; it must be whole numbers above 0")
+
+
+def _check_node(name: str, node: nir.NIRNode) -> None:
+    if not isinstance(node, _KINDS):
         raise ArtifactError(
-            f"{where}edge {source!r} -> {target!r} goes into an Input node. Let it end at the "
-            "node after."
+            f"node {name!r}: {type(node).__name__} is no primitive of NIR that is supported. "
+            f"Write it with {', '.join(kind.__name__ for kind in _KINDS)}."
         )
-    if isinstance(graph.nodes[source], nir.Output):
+    numeric = set(vars(node)) - set(DERIVED_FIELDS) if isinstance(node, _NUMERIC) else set()
+    for field, value in sorted(vars(node).items()):
+        if isinstance(value, np.ndarray) or field in numeric:
+            _check_values(name, field, value)
+    if isinstance(node, DENSE):
+        if node.weight.ndim < 2:
+            raise _fault(name, f"weight has shape {node.weight.shape}; it must be (N, M)")
+        if isinstance(node, nir.Affine):
+            _check_shape(name, "bias", node.bias.shape, node.weight.shape[:-1])
+    if isinstance(node, CONVOLUTIONS):
+        _check_convolution(name, node)
+    if isinstance(node, NEURONS):
+        _check_neurons(name, node)
+    if isinstance(node, nir.Delay) and node.delay.min() < 0:
+        raise _fault(name, f"delay holds {node.delay.min():g} s; a delay must be 0 or more")
+
+
+def _check_convolution(name: str, node: nir.NIRNode) -> None:
+    axes = 3 if isinstance(node, nir.Conv1d) else 4
+    for field in ("weight", "bias"):
+        _check_values(name, field, getattr(node, field))
+    if node.weight.ndim != axes:
+        raise _fault(
+            name,
+            f"weight has shape {node.weight.shape}; a {type(node).__name__} needs {axes} axes: "
+            "features, channels of a group, kernel",
+        )
+    (groups,) = whole_numbers(name, "groups", node.groups, 1, minimum=1)
+    if len(node.weight) % groups:
+        raise _fault(name, f"{len(node.weight)} features cannot be divided into {groups} groups")
+    _check_shape(name, "bias", node.bias.shape, node.weight.shape[:1])
+
+
+def _check_neurons(name: str, node: nir.NIRNode) -> None:
+    for field in sorted(set(vars(node)) - set(DERIVED_FIELDS)):
+        _check_shape(name, field, getattr(node, field).shape, node.r.shape)
+    taus = ("tau",) if isinstance(node, LEAKY) else ("tau_syn", "tau_mem")
+    for field in taus if isinstance(node, (*LEAKY, *CURRENT_BASED)) else ():
+        if (tau := getattr(node, field)).min() <= 0:
+            raise _fault(name, f"{field} holds {tau.min():g} s; a time constant must be above 0")
+    if isinstance(node, SPIKING) and (low := node.v_threshold < node.v_reset).any():
+        raise _fault(
+            name,
+            f"v_threshold holds {node.v_threshold[low][0]:g}, below its v_reset "
+            f"{node.v_reset[low][0]:g}: each spike would cause another",
+        )
+
+
+def _check_values(name: str, field: str, value: object) -> None:
+    found = np.asarray(value)
+    if found.dtype.kind not in "fiu":
+        raise _fault(name, f"{field} holds {found.dtype}, not numbers")
+    if found.ndim == 0:
         raise ArtifactError(
-            f"{where}edge {source!r} -> {target!r} comes out of an Output node. Let it start "
-            "at the node before."
+            f"node {name!r}: {field} is a single number without a shape. Give one value per neuron."
         )
+    if not found.size:
+        raise _fault(name, f"{field} is empty, {found.shape}")
+    if not np.isfinite(found).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(found))[0])
+        raise _fault(
+            name, f"{field} holds {found[index]} at index {index}; every value must be finite"
+        )
+
+
+def _check_shape(name: str, field: str, found: Shape, wanted: Shape) -> None:
+    if found != wanted:
+        raise _fault(name, f"{field} has shape {found}; the node's other parameters need {wanted}")
