@@ -1,7 +1,7 @@
-"""The NumPy backend: every layer's window, one after another, or small layers in one stack."""
+"""The NumPy backend: every layer's window, one after another, and the events of windows."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,47 +21,7 @@ from spikedeploy.runtime.families.cuba.numpy_kernels import (
     LayerKernel,
     Raster,
     Scratch,
-    Wave,
-    suits,
 )
-
-
-class LayerWindow(Protocol):
-    """What is left of the window of a layer, as in LayerKernel."""
-
-    @property
-    def layer(self) -> Layer:
-        """Whose window it is."""
-
-    @property
-    def states(self) -> NDArray[Any]:
-        """(T + 1, 2, B, N)."""
-
-    @property
-    def spikes(self) -> NDArray[np.bool_]:
-        """(T, B, N)."""
-
-    @property
-    def ordinary(self) -> bool:
-        """Whether it ran, and not in the interpreter."""
-
-    @property
-    def waiting(self) -> bool:
-        """Whether the layer had not started."""
-
-    @property
-    def interpreted(self) -> bool:
-        """Whether the interpreter ran it."""
-
-    @property
-    def overflows(self) -> Any:  # noqa: ANN401
-        """(B,) numbers that did not fit, where it was interpreted."""
-
-    def saved(self) -> SavedState:
-        """Copies of the states."""
-
-    def restore(self, saved: SavedState) -> None:
-        """Continue from there."""
 
 
 class WindowStats(NamedTuple):
@@ -88,7 +48,7 @@ class EventCounter:
     """
 
     def __init__(
-        self, program: Program, kernels: Sequence[LayerWindow], steps: int, heard: Sequence[int]
+        self, program: Program, kernels: Sequence[LayerKernel], steps: int, heard: Sequence[int]
     ) -> None:
         self.steps = steps
         self._heard = heard
@@ -157,7 +117,7 @@ class EventCounter:
 class _ActiveCount:
     """Counts neuron-timesteps with a membrane, a current or a bias to add up."""
 
-    def __init__(self, kernel: LayerWindow) -> None:
+    def __init__(self, kernel: LayerKernel) -> None:
         self._kernel = kernel
         voltage_bias = kernel.layer.voltage_bias
         self._biased = voltage_bias != 0 if voltage_bias.any() else None
@@ -234,18 +194,16 @@ class NumpyPipeline:
         self._fixed = numbers if isinstance(numbers, CubaFixedPoint) else None
         # rows that a kernel runs at once
         self._rows = schedule.timesteps if schedule.mode == "window" else 1
-        self._wave = self._as_wave()
-        self._kernels = [] if self._wave else self._prepared()
-        self._windows: Sequence[LayerWindow] = self._wave.windows if self._wave else self._kernels
+        self._kernels = self._prepared()
         steps = schedule.steps if schedule.mode == "window" else 1
         heard = [len(range(self._rows)[self._biased(a)]) for a in program.layers]
-        self._counter = EventCounter(program, self._windows, steps, heard)
+        self._counter = EventCounter(program, self._kernels, steps, heard)
         self._output_spikes: dict[str, Raster] = {}
         self._lag = program.readout.lag if program.readout else 0
         # a layer's kernel, and the sources of its synapses with the rows that they are late
         self._route = [
             (kernel.layer, kernel, list(zip(_sources(kernel.layer), delays, strict=True)))
-            for kernel, delays in zip(self._kernels, schedule.delays, strict=False)
+            for kernel, delays in zip(self._kernels, schedule.delays, strict=True)
         ]
         longest = max(self._lag, *(max(delays) for delays in schedule.delays))
         self._buffer = _DelayBuffer(program.sizes, longest, batch)
@@ -300,7 +258,7 @@ class NumpyPipeline:
         if self._recorded:
             rows = [recording[layer].membrane[:, 0] for recording in self._recorded]
             return np.stack(rows)
-        return next(each.states[1:, 1] for each in self._windows if each.layer.name == layer)
+        return next(each.states[1:, 1] for each in self._kernels if each.layer.name == layer)
 
     def spikes(self, layer: str) -> NDArray[Any]:
         """Spikes (T, B, N) of a layer in the last window."""
@@ -311,13 +269,13 @@ class NumpyPipeline:
     def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
         """Current and membrane (B, N) of each layer."""
         dtype = np.int64 if self._fixed else np.float64
-        states = [(each.layer.name, each.states[-1].astype(dtype)) for each in self._windows]
+        states = [(each.layer.name, each.states[-1].astype(dtype)) for each in self._kernels]
         return {name: (both[0], both[1]) for name, both in states}
 
     def saved(self) -> SavedState:
         """Copies of all states, and of the spikes that have not arrived yet."""
         saved = {f"spikes of {name}": rows for name, rows in self._buffer.saved().items()}
-        for window in self._windows:
+        for window in self._kernels:
             for name, values in window.saved().items():
                 saved[f"{name} of {window.layer.name}"] = values
         return saved
@@ -325,17 +283,9 @@ class NumpyPipeline:
     def restore(self, saved: SavedState) -> None:
         """Continue from there."""
         self._buffer.restore({name: saved[f"spikes of {name}"] for name in self._program.sizes})
-        for window in self._windows:
+        for window in self._kernels:
             of = f" of {window.layer.name}"
             window.restore({name: saved[name + of] for name in window.saved()})
-
-    def _as_wave(self) -> Wave | None:
-        """All layers in one stack, where that is exact and faster."""
-        fixed, schedule = self._fixed, self.schedule
-        if fixed is None or schedule.kept:
-            return None
-        suitable = suits(self._program, fixed, schedule.timesteps, self._batch)
-        return Wave(self._program, fixed, schedule.timesteps) if suitable else None
 
     def _biased(self, layer: Layer) -> slice:
         """Rows of a kernel's window in which the bias axon of a layer spikes."""
@@ -357,11 +307,6 @@ class NumpyPipeline:
     def _window(self, rows: NDArray[Any], step: int | None) -> NDArray[Any]:
         """Run each layer once, for all rows."""
         output_spikes = {self._program.input: Raster(rows)}
-        if self._wave is not None:
-            self._wave.run(rows)
-            output_spikes |= {each.layer.name: Raster(each.spikes) for each in self._windows}
-            self._output_spikes = output_spikes
-            return self._windows[-1].spikes
         delayed, timesteps = self._buffer.delayed, self._rows
         for layer, kernel, synapses in self._route:
             if step is not None and step < layer.start:
@@ -396,7 +341,7 @@ class NumpyPipeline:
         """What each layer did when it last ran."""
         dtype = np.int64 if self._fixed else np.float64
         recordings = {}
-        for window in self._windows:
+        for window in self._kernels:
             # (T + 1, 2, B, N) to (2, B, T, N)
             current, membrane = window.states[1:].transpose(1, 2, 0, 3).astype(dtype)
             spikes = window.spikes.swapaxes(0, 1).astype(np.uint8)

@@ -1,29 +1,20 @@
 """The NumPy kernels: a layer's window of timesteps in few calls, equal to the interpreter.
 
 States are float64, which holds 24-bit states and their products with 12-bit decays exactly, and
-needs two calls where integers need five: trunc(x * decay) is the decay toward zero. Where decays
-are short, float32 does the same for smaller states, and is tried first: a sixth faster in a large
-batch (docs/performance.md). Overflow is not checked in every timestep: either the bounds prove
-that no number can be too large, or that so few spikes cannot make one, or the states are looked at
-afterwards. A window that did overflow, which is rare, is computed once more, in float64 or by the
-interpreter.
+needs two calls where integers need five: trunc(x * decay) is the decay toward zero. Overflow is not
+checked in every timestep: either the bounds prove that no number can be too large, or that so few
+spikes cannot make one, or the states are looked at afterwards. A window that did overflow, which is
+rare, is computed once more by the interpreter.
 
 Spikes become sums of weights in three ways. Which is fastest depends on how many spikes there are
 and where; a fixed rule on their density chooses. All ways sum whole numbers that their number type
 is proven to hold exactly, so they agree bit for bit, in any order of summation and on any BLAS.
 (`ideal` has no whole numbers and always multiplies in float64, timesteps and batch in one matrix.)
-
-Small layers one after another are advanced together in one stack, a Wave: a layer of a few neurons
-costs its calls and not its numbers. So chunk k of the window of layer l is computed at the same
-time as chunk k + 1 of the layer before it: one matrix product, and one set of calls per timestep,
-for all layers at once. A quarter faster for karts (docs/performance.md).
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from itertools import count, pairwise
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -31,9 +22,7 @@ from numpy.typing import DTypeLike, NDArray
 from spikedeploy.runtime.chips.layer import Layer, LayerState
 from spikedeploy.runtime.chips.registers import magnitude
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.backend import (
-    SavedState,
-)
+from spikedeploy.runtime.emulator.backend import SavedState
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.neurons import update
 from spikedeploy.runtime.families.cuba.quantise import (
@@ -41,13 +30,16 @@ from spikedeploy.runtime.families.cuba.quantise import (
     bounds,
     exact_ticks,
     register_limit,
-    single,
     spikes_without_overflow,
 )
 
+Floats = NDArray[Any]
+Weights = NDArray[Any]
+Bits = NDArray[np.bool_]
+
 
 class Raster:
-    """Spikes (T, B, M), and counts of them, each found once.
+    """Spikes (T, B, M) of one source in a window, and counts of them, each found once.
 
     rows: uint8 or bool, 0 or 1.
     bits: the same in bool, on which NumPy searches and counts faster than on numbers.
@@ -69,7 +61,7 @@ class Raster:
         return self._spikes
 
     def axons(self) -> NDArray[np.intp]:
-        """Which axons spiked at least once; batch 1."""
+        """Indices of the axons that spiked at least once; batch 1."""
         if self._axons is None:
             self._axons = np.logical_or.reduce(self.bits.squeeze(1), 0).nonzero()[0]
         return self._axons
@@ -81,6 +73,9 @@ class Raster:
             dtype = np.uint8 if len(self.rows) < 256 else np.int64
             self._per_axon = np.add.reduce(self.rows, 0, dtype)
         return self._per_axon
+
+
+# memory
 
 
 # [bytes] of a cache line; large arrays of NumPy begin 16 bytes after one, which costs a fifth
@@ -105,7 +100,7 @@ def as_aligned(values: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
 class Scratch:
     """Memory that one user after another fills; nothing in it lasts.
 
-    size: [bytes] of the largest array that anyone asks for.
+    size: [bytes] of the largest array that is needed.
     """
 
     def __init__(self, size: int) -> None:
@@ -116,12 +111,11 @@ class Scratch:
         return self._bytes[: array.nbytes].view(array.dtype).reshape(array.shape)
 
 
-Floats = NDArray[Any]
-Bits = NDArray[np.bool_]
-Weights = NDArray[Any]
+# from spikes to sums of weights
+
 
 # largest magnitudes up to which every whole number is held
-EXACT_FLOAT32 = 1 << 24
+_EXACT_FLOAT32 = 1 << 24
 EXACT_INT16 = (1 << 15) - 1
 
 # the rule, from the measurements in docs/performance.md: at batch 1, matrices of at least so many
@@ -133,17 +127,14 @@ FEW = 0.4
 # no more often in the mean
 LARGE, _SELDOM = 1 << 17, 2.5
 
-
-class _Sum(Protocol):
-    """What turns spikes into sums of weights, those of an axon that always spikes included."""
-
-    def __call__(self, raster: Raster) -> None:
-        """Write the sums, in state units, where they are wanted."""
+# fills the memory that it was made for with the sums of a raster, those of an axon that always
+# spikes included [state units]
+Summation: TypeAlias = Callable[[Raster], None]
 
 
 def summing(
     weight: Weights, bias: Weights, partial: int | None, unit: int, out: Floats, scratch: Scratch
-) -> _Sum:
+) -> Summation:
     """The exact way for a layer, or the choice among them.
 
     weight: (M, N).
@@ -153,7 +144,7 @@ def summing(
     out: (T, B, N) where the sums are wanted.
     scratch: for as many float64 as there are weights.
     """
-    exact32 = partial is not None and partial * unit < EXACT_FLOAT32
+    exact32 = partial is not None and partial * unit < _EXACT_FLOAT32
     dtype = np.float32 if exact32 else np.float64
     scaled, pull = as_aligned(weight * float(unit), dtype), (bias * float(unit)).astype(dtype)
     dense = Matmul(scaled, pull, out)
@@ -178,22 +169,33 @@ class Matmul:
     def __init__(self, weight: Weights, bias: Weights, out: Floats) -> None:
         self.weight = weight
         timesteps, batch, neurons = out.shape
-        axons = len(weight)
         # matrices over the same memory: BLAS wants two axes
-        self._spikes = aligned((timesteps, batch, axons), weight.dtype)
-        self._flat = self._spikes.reshape(-1, axons)
-        self._out = out.reshape(-1, neurons)
-        self._sums = _product(self._out, weight)
-        self._bias = _filled(self._sums, bias)
+        self._spikes = aligned((timesteps, batch, len(weight)), weight.dtype)
+        self._flat = self._spikes.reshape(-1, len(weight))
+        self._product = _Product(weight, bias, out.reshape(-1, neurons))
 
     def __call__(self, raster: Raster) -> None:
         """Write the sums."""
         np.copyto(self._spikes, raster.rows)
-        self._flat.dot(self.weight, self._sums)
-        if self._bias is not None:
-            np.add(self._sums, self._bias, self._sums)
-        if self._sums is not self._out:
-            np.copyto(self._out, self._sums)
+        self._product(self._flat, self.weight)
+
+
+class ActiveRows:
+    """Only the weights of axons that spiked at least once, in one small product; batch 1.
+
+    Best where the same axons spike again and again, as those of a population code do.
+    """
+
+    def __init__(self, weight: Weights, bias: Weights, out: Floats, scratch: Scratch) -> None:
+        self._weight, self._fetched = weight, scratch.like(weight)
+        self._product = _Product(weight, bias, out.squeeze(1))
+
+    def __call__(self, raster: Raster) -> None:
+        """Write the sums."""
+        axons = raster.axons()
+        spikes = raster.rows.squeeze(1).take(axons, 1).astype(self._weight.dtype)
+        # "clip" never has anything to clip here, and needs no second buffer
+        self._product(spikes, self._weight.take(axons, 0, self._fetched[: len(axons)], "clip"))
 
 
 class SparseSum:
@@ -206,8 +208,7 @@ class SparseSum:
         self, weight: Weights, bias: Weights, unit: int, out: Floats, scratch: Scratch
     ) -> None:
         self.weight = weight
-        self._out = out
-        self._unit = out.dtype.type(unit)
+        self._out, self._unit = out, out.dtype.type(unit)
         self._sums = aligned(out.shape, weight.dtype)
         self._bias = _filled(self._sums, bias)
         self._rows = list(self._sums.squeeze(1))
@@ -218,40 +219,14 @@ class SparseSum:
         take, add, fetched = self.weight.take, np.add.reduce, self._fetched
         for spikes, row in zip(raster.bits.squeeze(1), self._rows, strict=True):
             axons = spikes.nonzero()[0]
-            # "clip" never has anything to clip here, and needs no second buffer
             add(take(axons, 0, fetched[: len(axons)], "clip"), 0, None, row)
         if self._bias is not None:
             np.add(self._sums, self._bias, self._sums)
         np.multiply(self._sums, self._unit, self._out)
 
 
-class ActiveRows:
-    """Only the weights of axons that spiked at least once, in one small product; batch 1.
-
-    Best where the same axons spike again and again, as those of a population code do.
-    """
-
-    def __init__(self, weight: Weights, bias: Weights, out: Floats, scratch: Scratch) -> None:
-        self.weight = weight
-        # (T, N)
-        self._out = out.squeeze(1)
-        self._sums = _product(self._out, weight)
-        self._bias = _filled(self._sums, bias)
-        self._fetched = scratch.like(weight)
-
-    def __call__(self, raster: Raster) -> None:
-        """Write the sums."""
-        weight, axons = self.weight, raster.axons()
-        spikes = raster.rows.squeeze(1).take(axons, 1).astype(weight.dtype)
-        spikes.dot(weight.take(axons, 0, self._fetched[: len(axons)], "clip"), self._sums)
-        if self._bias is not None:
-            np.add(self._sums, self._bias, self._sums)
-        if self._sums is not self._out:
-            np.copyto(self._out, self._sums)
-
-
 class AutoSum:
-    """Takes the way that the density of the spikes asks for; batch 1.
+    """The way that the density of the spikes makes fastest; batch 1.
 
     gather: only where the matrix is large.
     """
@@ -271,9 +246,21 @@ class AutoSum:
             self.dense(raster)
 
 
-def _product(out: Floats, weight: Weights) -> Weights:
-    """Where a product goes: to the place itself if its number type is that of the weights."""
-    return out if out.dtype == weight.dtype else aligned(out.shape, weight.dtype)
+class _Product:
+    """A product of spikes and weights, with the bias, in memory `out` of another number type."""
+
+    def __init__(self, weight: Weights, bias: Weights, out: Floats) -> None:
+        self._out = out
+        # the place itself if its number type is that of the weights
+        self._sums = out if out.dtype == weight.dtype else aligned(out.shape, weight.dtype)
+        self._bias = _filled(self._sums, bias)
+
+    def __call__(self, spikes: Floats, weight: Weights) -> None:
+        spikes.dot(weight, self._sums)
+        if self._bias is not None:
+            np.add(self._sums, self._bias, self._sums)
+        if self._sums is not self._out:
+            np.copyto(self._out, self._sums)
 
 
 def _filled(like: Weights, bias: Weights) -> Weights | None:
@@ -286,178 +273,12 @@ def _filled(like: Weights, bias: Weights) -> Weights | None:
     return np.broadcast_to(bias, like.shape).astype(like.dtype)
 
 
+# from sums to spikes
+
+
 # from so many neurons on two calls without a branch are faster than putmask
 _WIDE = 4096
-
-
-class NeuronUpdate:
-    """The timesteps of a window, one after another.
-
-    drive: (T, B, N) what arrives [state units].
-    kept: whether there may be a state before the first timestep.
-    subtract: whether a spike takes the threshold off the membrane, and does not set it to 0.
-    """
-
-    def __init__(
-        self,
-        layer: Layer,
-        fixed: CubaFixedPoint | None,
-        states: Floats,
-        drive: Floats,
-        spikes: Bits,
-        kept: bool,
-        subtract: bool,
-    ) -> None:
-        self._drive, self._currents, self._kept = drive, states[1:, 0], kept
-        # where nothing stays of a current, it is what arrives, and only the membrane decays
-        self._first = 0 if layer.current_decay.any() else 1
-        # (2, 1, N): one multiplication decays currents and membranes
-        factors = np.stack([layer.current_decay, layer.membrane_decay])[self._first :, None]
-        one = float(fixed.decay_one if fixed else 1)
-        self._decay = (factors / one).astype(states.dtype)
-        # arrays of one shape take NumPy's shortest way; a (N,) beside a (1, N) costs half a us more
-        shape = spikes[0].shape
-        self._threshold = np.broadcast_to(layer.threshold.astype(states.dtype), shape).copy()
-        bias = np.broadcast_to(layer.voltage_bias.astype(states.dtype), shape).copy()
-        self._bias = bias if bias.any() else None
-        of = slice(self._first, 2)
-        exact = exact_ticks(layer, fixed) if fixed and not kept else -1
-        self._timesteps = [
-            (
-                states[t, of],
-                states[t + 1, of],
-                states[t + 1, 0],
-                states[t + 1, 1],
-                drive[t],
-                spike,
-                fixed is not None and t > exact,
-            )
-            for t, spike in enumerate(spikes)
-        ]
-        self._others = np.empty_like(spikes[0])
-        self._reset: Callable[[Floats, Bits, Floats], None] = np.putmask
-        self._to = np.zeros(1, states.dtype)
-        if subtract:
-            self._reset, self._to = _subtract, self._threshold
-        elif spikes[0].size >= _WIDE and fixed:
-            self._reset = self._silence
-
-    def __call__(self) -> None:
-        """Fill `states` and `spikes`."""
-        self.run(slice(None))
-        self.finish()
-
-    def run(self, rows: slice) -> None:
-        """The same for some of the timesteps; all of those before must have run."""
-        # names of the function are found faster than those of the module
-        multiply, trunc, add, greater = np.multiply, np.trunc, np.add, np.greater
-        decay, threshold, bias = self._decay, self._threshold, self._bias
-        reset, to, has_current = self._reset, self._to, not self._first
-        resting = not self._kept and not rows.start
-        for before, after, current, membrane, drive, spikes, rounded in self._timesteps[rows]:
-            if resting:
-                # from zero, both states become what arrives
-                np.copyto(after, drive)
-                resting = False
-            else:
-                multiply(before, decay, after)
-                if rounded:
-                    trunc(after, after)
-                if has_current:
-                    add(current, drive, current)
-                    add(membrane, current, membrane)
-                else:
-                    add(membrane, drive, membrane)
-            if bias is not None:
-                add(membrane, bias, membrane)
-            greater(membrane, threshold, spikes)
-            reset(membrane, spikes, to)
-
-    def finish(self) -> None:
-        """Write the currents, where nothing needed them before."""
-        if self._first:
-            np.copyto(self._currents, self._drive)
-
-    def _silence(self, membrane: Floats, spikes: Bits, _: Floats) -> None:
-        np.logical_not(spikes, self._others)
-        np.multiply(membrane, self._others, membrane)
-
-
-def _subtract(membrane: Floats, spikes: Bits, threshold: Floats) -> None:
-    np.subtract(membrane, threshold, out=membrane, where=spikes)
-
-
-class _OverflowCheck:
-    """Whether every number of a window fitted its register.
-
-    What the bounds prove costs nothing; where they leave something open, so few spikes may not be
-    able to overflow; else the largest and the smallest state are looked for, which may report an
-    overflow where there was none, and is fast.
-
-    fixed: the integers of the chip.
-    timesteps: of a window that starts from zero; None where states are kept.
-    most: largest magnitude for which the number type of the states is exact, if that is less than
-        the registers hold.
-    """
-
-    def __init__(
-        self,
-        layer: Layer,
-        fixed: CubaFixedPoint,
-        limits: Bounds,
-        timesteps: int | None,
-        most: int | None = None,
-    ) -> None:
-        self.fixed = fixed
-        current, membrane = register_limit(fixed.current), register_limit(fixed.membrane)
-        self._limit = min(current, membrane) if most is None else min(current, membrane, most)
-        self._push = float(layer.voltage_bias.max(initial=0))
-        self._open = limits.current > self._limit or max(limits.above, limits.below) > self._limit
-        # membranes that no spike resets are all kept, and looked at as they are
-        self._open_above = layer.spiking and limits.above > self._limit
-        pushed = min(limits.current, current) + magnitude(layer.voltage_bias)
-        # refractory, and accumulators and pushes that overflow, are left to the interpreter
-        self._never = (
-            fixed.refractory > 1
-            or limits.drive > register_limit(fixed.accumulator)
-            or pushed > register_limit(fixed.push)
-        )
-        self._safe_spikes = -1
-        if timesteps is not None:
-            self._safe_spikes = spikes_without_overflow(layer, fixed, timesteps, self._limit)
-
-    @property
-    def proven(self) -> bool:
-        """Whether there is nothing to look at."""
-        return not (self._never or self._open)
-
-    def passed(self, states: Floats, presynaptic: Sequence[Raster]) -> bool:
-        """Whether no register overflowed on the way to these states."""
-        if self._never or not self._open:
-            return not self._never
-        if self._safe_spikes >= 0:
-            spikes = sum([raster.spikes() for raster in presynaptic])
-            if spikes <= self._safe_spikes:
-                return True
-        # what max() and min() do, without their overhead in Python
-        highest = float(np.maximum.reduce(states, axis=None))
-        lowest = float(np.minimum.reduce(states, axis=None))
-        if self._open_above:
-            # a membrane before its reset is not kept, but cannot have been higher than this: what
-            # the one before left, and the current
-            highest = 2 * max(highest, 0.0) + self._push
-        return -self._limit <= lowest and highest <= self._limit
-
-
-def proven(program: Program, layer: Layer, fixed: CubaFixedPoint, timesteps: int) -> bool:
-    """Whether no spikes in a window from zero can make a number of the layer that does not fit."""
-    limits = bounds(program, layer, fixed, timesteps)
-    return _OverflowCheck(layer, fixed, limits, timesteps).proven
-
-
 _ALL = slice(None)
-# copies from which on the numbers, and not the calls, take the time
-_MANY = 4
 
 
 class LayerKernel:
@@ -482,18 +303,32 @@ class LayerKernel:
         scratch: Scratch,
         biased: slice = _ALL,
     ) -> None:
-        self._program, self.layer, self._fixed = program, layer, fixed
-        self._biased = biased
-        self._kept, self._scratch = kept, scratch
+        self._program, self.layer, self._fixed, self._kept = program, layer, fixed, kept
         timesteps, batch = shape
         self.spikes = np.zeros((timesteps, batch, layer.size), np.bool_)
         self.overflows = np.zeros(batch, np.int64)
         self.waiting = self.interpreted = False
+        self.states = aligned((timesteps + 1, 2, batch, layer.size), np.float64)
         self._refractory = np.zeros((batch, layer.size), np.int64)
-        # of a window from zero, or of states that are kept
-        self._window = None if kept else timesteps
-        self._limits = bounds(program, layer, fixed, self._window) if fixed else None
-        self._prepare(np.dtype(np.float32 if self._short() else np.float64))
+        self._sums = aligned(self.spikes.shape, np.float64)
+        self._check, partial = None, None
+        if fixed:
+            # of a window from zero, or of states that are kept
+            window = None if kept else timesteps
+            limits = bounds(program, layer, fixed, window)
+            self._check = _OverflowCheck(layer, fixed, limits, window)
+            partial = limits.partial
+        self._unit = unit = 1 << fixed.mantissa_shift if fixed else 1
+        self._more = aligned(self._sums.shape, np.float64)
+        biases = [_biases(layer, biased, timesteps), *[0 * layer.bias] * (len(layer.synapses) - 1)]
+        self._first, *self._others = (
+            summing(s.weight, bias, partial, unit, self._more if k else self._sums, scratch)
+            for k, (s, bias) in enumerate(zip(layer.synapses, biases, strict=True))
+        )
+        subtract = program.convention.reset == "subtract"
+        self._update = NeuronUpdate(
+            layer, fixed, self.states, self._sums, self.spikes, kept, subtract
+        )
 
     def reset(self) -> None:
         """Forget the state."""
@@ -510,10 +345,13 @@ class LayerKernel:
         self.waiting = self.interpreted = False
         if self._kept:
             self.states[0] = self.states[-1]
-        self._input(presynaptic)
+        self._first(presynaptic[0])
+        for index, summation in enumerate(self._others, start=1):
+            summation(presynaptic[index])
+            np.add(self._sums, self._more, self._sums)
         self._update()
         if self._check is not None and not self._check.passed(self.states, presynaptic):
-            return self._again(presynaptic)
+            self._interpret(self._check.fixed)
         return Raster(self.spikes)
 
     def wait(self) -> Raster:
@@ -528,100 +366,22 @@ class LayerKernel:
 
     def restore(self, saved: SavedState) -> None:
         """Continue from there."""
-        if saved["states"].dtype != self.states.dtype:
-            self._prepare(saved["states"].dtype)
         self.states[-1] = saved["states"]
         self._refractory = saved["refractory"].copy()
 
-    def _short(self) -> bool:
-        """Whether float32 is worth trying."""
-        fixed, (_, batch, _) = self._fixed, self.spikes.shape
-        # a membrane that just spikes must be well within what float32 holds
-        if not fixed or single(self.layer, fixed) <= 4 * self.layer.threshold.max():
-            return False
-        check = self._checked(np.dtype(np.float64))
-        return batch >= _MANY or not (check and check.proven)
-
-    def _checked(self, dtype: np.dtype[Any]) -> _OverflowCheck | None:
-        """What looks for overflows in states of this type; None where nothing is rounded."""
-        if not self._fixed or not self._limits:
-            return None
-        most = single(self.layer, self._fixed) if dtype == np.float32 else None
-        return _OverflowCheck(self.layer, self._fixed, self._limits, self._window, most)
-
-    def _prepare(self, dtype: np.dtype[Any]) -> None:
-        """Memory for states of this type, and what runs in it."""
-        layer, fixed, kept = self.layer, self._fixed, self._kept
-        timesteps, batch, neurons = self.spikes.shape
-        self.states = aligned((timesteps + 1, 2, batch, neurons), dtype)
-        sums = aligned(self.spikes.shape, dtype)
-        self._input = _SynapticInput(layer, fixed, self._limits, sums, self._biased, self._scratch)
-        subtract = self._program.convention.reset == "subtract"
-        self._update = NeuronUpdate(layer, fixed, self.states, sums, self.spikes, kept, subtract)
-        self._check = self._checked(dtype)
-
-    def _again(self, presynaptic: Sequence[Raster]) -> Raster:
-        """The window in float64, and from now on all; or by the specification."""
-        if self.states.dtype == np.float32:
-            before = self.states[0]
-            self._prepare(np.dtype(np.float64))
-            self.states[-1] = before
-            return self.run(presynaptic)
-        self.interpreted = True
-        if self._fixed is not None:
-            self._interpret(self._fixed)
-        return Raster(self.spikes)
-
     def _interpret(self, fixed: CubaFixedPoint) -> None:
         """The window once more, by the specification."""
+        self.interpreted = True
         before = self.states[0].astype(np.int64)
         state = LayerState(before[0], before[1], self._refractory)
         self.overflows.fill(0)
-        for row, weights in enumerate(self._input.weights()):
+        for row, weights in enumerate(np.asarray(self._sums / self._unit, np.int64)):
             result = update(fixed, self._program.convention, self.layer, weights, state)
             self.states[row + 1] = state.current, state.membrane
             self.spikes[row] = result.spikes
             self.overflows += result.overflows.sum(axis=1)
         if self._kept:
             self._refractory = state.refractory
-
-
-class _SynapticInput:
-    """What arrives at a layer in each timestep of a window: all synapses and the bias.
-
-    sums: (T, B, N) [state units].
-    biased: rows in which the bias axon spikes.
-    """
-
-    def __init__(
-        self,
-        layer: Layer,
-        fixed: CubaFixedPoint | None,
-        limits: Bounds | None,
-        sums: Floats,
-        biased: slice,
-        scratch: Scratch,
-    ) -> None:
-        self._sums = sums
-        self._more = aligned(sums.shape, sums.dtype)
-        self._unit = unit = 1 << fixed.mantissa_shift if fixed else 1
-        partial = limits.partial if limits else None
-        biases = [_biases(layer, biased, len(sums)), *[0 * layer.bias] * (len(layer.synapses) - 1)]
-        self._first, *self._others = (
-            summing(synapses.weight, bias, partial, unit, self._more if k else sums, scratch)
-            for k, (synapses, bias) in enumerate(zip(layer.synapses, biases, strict=True))
-        )
-
-    def __call__(self, presynaptic: Sequence[Raster]) -> None:
-        """Fill `sums`."""
-        self._first(presynaptic[0])
-        for index, summed in enumerate(self._others, start=1):
-            summed(presynaptic[index])
-            np.add(self._sums, self._more, self._sums)
-
-    def weights(self) -> NDArray[np.int64]:
-        """(T, B, N) the same in weight mantissas."""
-        return np.asarray(self._sums / self._unit, np.int64)
 
 
 def _biases(layer: Layer, biased: slice, timesteps: int) -> NDArray[Any]:
@@ -633,142 +393,132 @@ def _biases(layer: Layer, biased: slice, timesteps: int) -> NDArray[Any]:
     return biases
 
 
-# timesteps that are computed between two matrix products: fewer make more products, more let the
-# layers start later
-CHUNK = 4
+class NeuronUpdate:
+    """The neurons of a layer in the timesteps of a window, one after another, in few NumPy calls.
 
-# weights of all layers in one matrix, zeros included, above which the product is not worth it
-LARGEST = 50_000
-
-# windows that are shorter are over before the last layer starts
-SHORTEST = 4 * CHUNK
-
-
-@dataclass(frozen=True, eq=False)
-class _Strip:
-    """The window of one layer, a view of the stack; as in LayerWindow.
-
-    states: (T + 1, 2, 1, N).
-    spikes: (T, 1, N).
+    drive: (T, B, N) what arrives [state units].
+    kept: whether there may be a state before the first timestep.
+    subtract: whether a spike takes the threshold off the membrane, and does not set it to 0.
     """
 
-    layer: Layer
-    states: NDArray[np.float64]
-    spikes: Bits
-    ordinary: bool = True
-    waiting: bool = False
-    interpreted: bool = False
-    overflows: int = 0
-
-    def saved(self) -> SavedState:
-        """Copies of the states."""
-        return {"states": self.states[-1].copy()}
-
-    def restore(self, saved: SavedState) -> None:
-        """Show these states; the next window begins from zero."""
-        self.states[-1] = saved["states"]
-
-
-class Wave:
-    """All layers of a program in one stack, for windows of T timesteps of one copy.
-
-    windows: of the layers.
-    """
-
-    def __init__(self, program: Program, fixed: CubaFixedPoint, timesteps: int) -> None:
-        layers, width = program.layers, program.width
-        ends = [0, *np.cumsum([layer.size for layer in layers]).tolist()]
-        self._places = [slice(*edges) for edges in pairwise(ends)]
-        self._chunks = -(-timesteps // CHUNK) + len(layers) - 1
-        rows, neurons = self._chunks * CHUNK, ends[-1]
-        # a chunk of rows earlier than the others comes what the input did
-        self._output_spikes = np.zeros((CHUNK + rows, width + neurons), np.bool_)
-        self._input = self._output_spikes[:timesteps, :width]
-        self._states = np.zeros((rows + 1, 2, 1, neurons))
-        self._drive = np.empty((rows, 1, neurons))
-        self._block, bias = _block(program, fixed, self._places)
-        self._presynaptic = np.empty((CHUNK, len(self._block)), np.float32)
-        self._arrived = np.empty((CHUNK, neurons), np.float32)
-        self._bias = np.tile(bias, (CHUNK, 1)) if bias.any() else None
-        stack = _stacked(layers)
-        spikes = self._output_spikes[CHUNK:, None, width:]
-        subtract = program.convention.reset == "subtract"
-        self._update = NeuronUpdate(
-            stack, fixed, self._states, self._drive, spikes, False, subtract
-        )
-        self.windows = [
-            _Strip(
-                layer,
-                self._states[start : start + timesteps + 1, :, :, place],
-                spikes[start : start + timesteps, :, place],
-            )
-            for layer, place, start in zip(layers, self._places, count(0, CHUNK), strict=False)
+    def __init__(
+        self,
+        layer: Layer,
+        fixed: CubaFixedPoint | None,
+        states: Floats,
+        drive: Floats,
+        spikes: Bits,
+        kept: bool,
+        subtract: bool,
+    ) -> None:
+        self._drive, self._currents, self._kept = drive, states[1:, 0], kept
+        # where nothing stays of a current, it is what arrives, and only the membrane decays
+        self._first = 0 if layer.current_decay.any() else 1
+        of = slice(self._first, 2)
+        # (2, 1, N): one multiplication decays currents and membranes
+        factors = np.stack([layer.current_decay, layer.membrane_decay])[of, None]
+        self._decay = factors / float(fixed.decay_one if fixed else 1)
+        # arrays of one shape take NumPy's shortest way; a (N,) beside a (1, N) costs half a us more
+        shape = spikes[0].shape
+        self._threshold = np.broadcast_to(layer.threshold.astype(np.float64), shape).copy()
+        bias = np.broadcast_to(layer.voltage_bias.astype(np.float64), shape).copy()
+        self._bias = bias if bias.any() else None
+        exact = exact_ticks(layer, fixed) if fixed and not kept else -1
+        self._timesteps = [
+            (states[t, of], states[t + 1, of], *states[t + 1], drive[t], spike, fixed and t > exact)
+            for t, spike in enumerate(spikes)
         ]
+        self._others = np.empty_like(spikes[0])
+        self._reset: Callable[[Floats, Bits, Floats], None] = np.putmask
+        self._to = np.zeros(1)
+        if subtract:
+            self._reset, self._to = _subtract, self._threshold
+        elif spikes[0].size >= _WIDE and fixed:
+            self._reset = self._silence
 
-    def run(self, rows: NDArray[Any]) -> None:
-        """Fill the windows, given the spikes of the input (T, 1, M)."""
-        self._input[...] = rows[:, 0]
-        axons = len(self._block)
-        for chunk in range(self._chunks):
-            here = slice(chunk * CHUNK, (chunk + 1) * CHUNK)
-            np.copyto(self._presynaptic, self._output_spikes[here, :axons])
-            self._presynaptic.dot(self._block, self._arrived)
-            if self._bias is not None:
-                np.add(self._arrived, self._bias, self._arrived)
-            np.copyto(self._drive[here, 0], self._arrived)
-            if 0 < chunk < len(self._places):
-                # what a layer did before its window began is forgotten
-                self._states[here.start, :, :, self._places[chunk]] = 0.0
-            self._update.run(here)
-        self._update.finish()
+    def __call__(self) -> None:
+        """Fill the states and spikes that it was made for."""
+        # names of the function are found faster than those of the module
+        multiply, trunc, add, greater = np.multiply, np.trunc, np.add, np.greater
+        decay, threshold, bias = self._decay, self._threshold, self._bias
+        reset, to, has_current = self._reset, self._to, not self._first
+        resting = not self._kept
+        for before, after, current, membrane, drive, spikes, rounded in self._timesteps:
+            if resting:
+                # from zero, both states become what arrives
+                np.copyto(after, drive)
+                resting = False
+            else:
+                multiply(before, decay, after)
+                if rounded:
+                    trunc(after, after)
+                if has_current:
+                    add(current, drive, current)
+                    add(membrane, current, membrane)
+                else:
+                    add(membrane, drive, membrane)
+            if bias is not None:
+                add(membrane, bias, membrane)
+            greater(membrane, threshold, spikes)
+            reset(membrane, spikes, to)
+        if self._first:
+            np.copyto(self._currents, self._drive)
 
-
-def suits(program: Program, fixed: CubaFixedPoint, timesteps: int, batch: int) -> bool:
-    """Whether a wave computes the program, exactly and faster than its layers one by one."""
-    layers = program.layers
-    if batch > 1 or timesteps < SHORTEST or len(layers) < 2:
-        return False
-    neurons = sum(layer.size for layer in layers)
-    if (program.width + neurons) * neurons > LARGEST:
-        return False
-    sources = [program.input, *(layer.name for layer in layers)]
-    chained = all(
-        [s.source for s in layer.synapses] == [before]
-        for layer, before in zip(layers, sources, strict=False)
-    )
-    late = any(lag for lags in program.lags for lag in lags)
-    last = layers[-1].name == program.output
-    if not chained or late or not last or (program.readout and program.readout.lag):
-        return False
-    one = 1 << fixed.mantissa_shift
-    return all(
-        proven(program, layer, fixed, timesteps)
-        and bounds(program, layer, fixed, timesteps).partial * one < EXACT_FLOAT32
-        for layer in layers
-    )
+    def _silence(self, membrane: Floats, spikes: Bits, _: Floats) -> None:
+        np.logical_not(spikes, self._others)
+        np.multiply(membrane, self._others, membrane)
 
 
-def _block(
-    program: Program, fixed: CubaFixedPoint, places: list[slice]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Weights of every layer in one matrix, and all biases [state units]."""
-    width, unit = program.width, np.float32(1 << fixed.mantissa_shift)
-    block = np.zeros((width + places[-1].start, places[-1].stop), np.float32)
-    first = 0
-    for layer, place in zip(program.layers, places, strict=True):
-        weight = layer.synapses[0].weight
-        block[first : first + len(weight), place] = weight * unit
-        first += len(weight)
-    return block, np.concatenate([layer.bias for layer in program.layers]).astype(np.float32) * unit
+def _subtract(membrane: Floats, spikes: Bits, threshold: Floats) -> None:
+    np.subtract(membrane, threshold, out=membrane, where=spikes)
 
 
-def _stacked(layers: Sequence[Layer]) -> Layer:
-    """The neurons of all layers as those of one, without synapses."""
-    return replace(
-        layers[0],
-        synapses=(),
-        threshold=np.concatenate([layer.threshold for layer in layers]),
-        voltage_bias=np.concatenate([layer.voltage_bias for layer in layers]),
-        current_decay=np.concatenate([layer.current_decay for layer in layers]),
-        membrane_decay=np.concatenate([layer.membrane_decay for layer in layers]),
-    )
+class _OverflowCheck:
+    """Whether every number of a window fitted its register.
+
+    What the bounds prove costs nothing; where they leave something open, so few spikes may not be
+    able to overflow; else the largest and the smallest state are looked for, which may report an
+    overflow where there was none, and is fast.
+
+    fixed: the integers of the chip.
+    limits: of the layer's numbers.
+    timesteps: of a window that starts from zero; None where states are kept.
+    """
+
+    def __init__(
+        self, layer: Layer, fixed: CubaFixedPoint, limits: Bounds, timesteps: int | None
+    ) -> None:
+        self.fixed = fixed
+        current, membrane = register_limit(fixed.current), register_limit(fixed.membrane)
+        self._limit = min(current, membrane)
+        self._push = float(layer.voltage_bias.max(initial=0))
+        self._open = max(limits.current, limits.above, limits.below) > self._limit
+        # membranes that no spike resets are all kept, and looked at as they are
+        self._open_above = layer.spiking and limits.above > self._limit
+        pushed = min(limits.current, current) + magnitude(layer.voltage_bias)
+        # refractory, and accumulators and pushes that overflow, are left to the interpreter
+        self._never = (
+            fixed.refractory > 1
+            or limits.drive > register_limit(fixed.accumulator)
+            or pushed > register_limit(fixed.push)
+        )
+        self._safe_spikes = -1
+        if timesteps is not None:
+            self._safe_spikes = spikes_without_overflow(layer, fixed, timesteps, self._limit)
+
+    def passed(self, states: Floats, presynaptic: Sequence[Raster]) -> bool:
+        """Whether no register overflowed on the way to these states."""
+        if self._never or not self._open:
+            return not self._never
+        if self._safe_spikes >= 0:
+            spikes = sum([raster.spikes() for raster in presynaptic])
+            if spikes <= self._safe_spikes:
+                return True
+        # what max() and min() do, without their overhead in Python
+        highest = float(np.maximum.reduce(states, axis=None))
+        lowest = float(np.minimum.reduce(states, axis=None))
+        if self._open_above:
+            # a membrane before its reset is not kept, but cannot have been higher than this: what
+            # the one before left, and the current
+            highest = 2 * max(highest, 0.0) + self._push
+        return -self._limit <= lowest and highest <= self._limit

@@ -403,9 +403,6 @@ def _check_alive(layer: Layer, quantised: Layer, registers: CubaRegisters) -> No
 # largest magnitude for which float64 decays exactly: 2**53 less 12 decay bits, with one to spare
 _EXACT_STATE = 1 << 40
 
-# every whole number up to this is held by float32
-_SINGLE = 1 << 24
-
 # [timesteps] longer windows are treated as unbounded
 _LONG = 100
 
@@ -470,17 +467,6 @@ def spikes_without_overflow(
     left = most / _peak(layer, registers, timesteps) - timesteps * steady
     largest = max(_largest_integer(synapses.weight) for synapses in layer.synapses) * one
     return max(-1, int(left // largest)) if largest else -1
-
-
-def single(layer: Layer, registers: CubaRegisters) -> int:
-    """Largest state that float32 decays exactly, and holds even if another is added to it."""
-    thresholds = layer.threshold.astype(np.int64)
-    if _largest_integer(thresholds) >= _SINGLE or _largest_integer(layer.voltage_bias) >= _SINGLE:
-        return 0
-    factors = np.concatenate([layer.current_decay, layer.membrane_decay]).astype(np.int64)
-    # the odd part of a decay is what makes a product longer
-    odd = factors // np.maximum(factors & -factors, 1)
-    return _SINGLE // int(odd.max(initial=2))
 
 
 def exact_ticks(layer: Layer, registers: CubaRegisters) -> int:

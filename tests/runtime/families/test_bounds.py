@@ -18,7 +18,6 @@ from spikedeploy.runtime.families.cuba.quantise import (
     Bounds,
     bounds,
     exact_ticks,
-    single,
     spikes_without_overflow,
 )
 from tests.programs import layer, random_programs, rasters
@@ -115,30 +114,6 @@ def test_so_few_spikes_leave_every_state_within_the_limit(program, timesteps, se
 
 
 @pytest.mark.parametrize(
-    ("current", "membrane", "odd"),
-    [
-        (2048, 3072, 3),  # 1/2 and 3/4
-        (2048, 3686, 1843),  # 1843/2048
-        (0, 4096, 2),  # two such states still have a sum
-        (1, 4095, 4095),
-    ],
-)
-def test_float32_decays_states_while_it_holds_the_product_with_the_odd_part(current, membrane, odd):
-    a = the_layer(current_decay=np.array([current]), membrane_decay=np.array([membrane]))
-    most = single(a, WIDE.arithmetic)
-    assert most == (1 << 24) // odd
-    for keep in (current, membrane):
-        for x in range(most - 50, most + 1):
-            product = np.float32(x) * np.float32(keep / 4096)
-            assert int(np.trunc(product)) == x * keep >> 12
-            assert np.float32(x) + np.float32(x) == 2 * x
-
-
-def test_float32_is_not_for_thresholds_that_it_cannot_hold():
-    assert single(the_layer(threshold=np.array([1 << 24])), WIDE.arithmetic) == 0
-
-
-@pytest.mark.parametrize(
     ("fields", "ticks"),
     [
         ({}, 3),  # 3/4 takes two of six bits in each
@@ -168,13 +143,6 @@ def test_a_membrane_without_a_leak_is_bounded_below_only_if_nothing_pulls_it_dow
     kept = {"membrane_decay": np.array([4096]), "voltage_bias": np.array([bias])}
     pushed = replace(program.layers[0], **kept)
     assert bounds(program, pushed, WIDE.arithmetic, None).below == below
-
-
-@pytest.mark.parametrize("name", ["threshold", "voltage_bias"])
-@pytest.mark.parametrize("sign", [1, -1])
-def test_float32_is_for_thresholds_and_biases_below_two_to_the_24(name, sign):
-    assert single(the_layer(**{name: np.array([sign * ((1 << 24) - 1)])}), WIDE.arithmetic) > 0
-    assert single(the_layer(**{name: np.array([sign << 24])}), WIDE.arithmetic) == 0
 
 
 @pytest.mark.parametrize(("bias", "above"), [(-640, 1200 * 64), (640, 1210 * 64)])
@@ -265,7 +233,6 @@ def test_what_the_kernels_do_not_compute_never_passes(registers, never):
     a = program.layers[0]
     check = _OverflowCheck(a, used, bounds(program, a, used, None), None)
     assert seen(check, 0, 0) == (not never)
-    assert not (never and check.proven)
 
 
 @pytest.mark.parametrize("name", ["current", "above", "below"])
@@ -274,7 +241,7 @@ def test_bounds_that_fill_a_register_to_the_last_unit_are_proven(name):
     nothing = Bounds(partial=0, drive=0.0, current=0.0, above=0.0, below=0.0)
     for most, is_proven in ((float((1 << 23) - 1), True), (float(1 << 23), False)):
         limits = replace(nothing, **{name: most})
-        assert _OverflowCheck(the_layer(), narrow, limits, None).proven == is_proven
+        assert seen(_OverflowCheck(the_layer(), narrow, limits, None), 1e12, 0) == is_proven
 
 
 def test_the_neuron_with_the_highest_peak_says_how_many_spikes_are_few():

@@ -54,23 +54,5 @@ def kernel(batch, threshold, decays=(2047, 1024), weight=1):
     return LayerKernel(program, neuron, fixed, (5, batch), False, Scratch(8))
 
 
-# float32 decays states up to a third of 2**24 exactly
-FOURTH = (1 << 24) // 3 // 4
-
-
-@pytest.mark.parametrize(
-    ("batch", "threshold", "weight", "dtype"),
-    [
-        (4, FOURTH, 1, np.float32),
-        (4, FOURTH + 1, 1, np.float64),
-        (3, FOURTH, 1, np.float64),
-        # where nothing proves that the registers hold the states, in a batch of any size
-        (1, FOURTH, (1 << 15) - 1, np.float32),
-    ],
-)
-def test_states_are_short_where_many_or_unproven_ones_fit(batch, threshold, weight, dtype):
-    assert kernel(batch, threshold, weight=weight).states.dtype == dtype
-
-
 def test_a_layer_that_has_not_run_was_not_interpreted():
     assert kernel(1, 64).ordinary
