@@ -1,4 +1,4 @@
-"""What a chip is: a datasheet, the arithmetic that it names, and the layers that it computes.
+"""Chips: a datasheet, the arithmetic that it names, and the layers that it computes.
 
 CHIPS is the table of the chips that networks can be compiled for: name -> the file of the datasheet
 in datasheets/. ARITHMETICS are those that a datasheet can name: name -> "module:class".

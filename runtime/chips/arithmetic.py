@@ -38,7 +38,7 @@ class Description(NamedTuple):
 
 
 class ArithmeticDefaults(Protocol):
-    """What an arithmetic answers unless its family says otherwise; families inherit from it."""
+    """Answers of an arithmetic unless its family has others; families inherit from it."""
 
     @property
     def backends(self) -> Mapping[str, str]:
@@ -47,7 +47,7 @@ class ArithmeticDefaults(Protocol):
 
     @property
     def rounds(self) -> bool:
-        """Whether its numbers are others than those of the network in float."""
+        """True where its numbers differ from those of the network in float."""
         return True
 
     @property
@@ -62,12 +62,12 @@ class ArithmeticDefaults(Protocol):
 
     @property
     def weights_have_signs(self) -> bool:
-        """Whether one of a weight's bits is its sign; else a list or an axon has it."""
+        """True where one of a weight's bits is its sign; else a list or an axon has it."""
         return True
 
     @property
     def own_weights(self) -> bool:
-        """Whether every synapse has a weight of its own."""
+        """True where every synapse has a weight of its own."""
         return True
 
     @property
@@ -77,7 +77,7 @@ class ArithmeticDefaults(Protocol):
 
     @property
     def together(self) -> bool:
-        """Whether all layers advance as one, because spikes reach others in the same timestep."""
+        """True where all layers advance as one: spikes reach others in the same timestep."""
         return False
 
     def update_together(
@@ -148,19 +148,19 @@ class ArithmeticDefaults(Protocol):
         return []
 
     def carried(self, layers: Sequence[Layer], network_input: str) -> list[str]:
-        """Who brings spikes from neuron to neuron, where that is a choice: a sentence, or none."""
+        """A remark on what carries spikes from neuron to neuron, where that is a choice."""
         return []
 
     # what the design rules ask
 
     @property
     def spikes_at_threshold(self) -> bool:
-        """Whether a neuron spikes where its membrane is the threshold, and not only above it."""
+        """True where a neuron spikes at its threshold, and not only above it."""
         return False
 
     @property
     def spikes_and_floor(self) -> tuple[str, str] | None:
-        """What a convention must say of spikes and floor; None where no source says."""
+        """Spikes and floor that a convention must name; None where no source says."""
         return None
 
     @property

@@ -91,7 +91,7 @@ class LayerCore:
 
 @dataclass(frozen=True)
 class Convolutions:
-    """What a core that computes a layer can take for one.
+    """Layers that a core which computes one can take.
 
     kernel: largest extent of a kernel.
     strides: possible.
@@ -107,7 +107,7 @@ class Convolutions:
 
 @dataclass(frozen=True)
 class Limits:
-    """What fits on a chip; None, or nothing, is no limit that anyone published.
+    """Limits of what fits on a chip; None, or nothing, is none that anyone published.
 
     primitives: names of the NIR nodes that the chip has, maps without a state included.
     inputs: input channels of the chip.
@@ -376,7 +376,7 @@ def _datasheet(name: str, tables: Mapping[str, Any]) -> Chip:
 
 
 def _tables(path: Path) -> dict[str, Any]:
-    """What a file says, over what the datasheet says of the chip that it is like."""
+    """Tables of a file, over those of the datasheet that it is like."""
     tables = _checked(_toml(path))
     like: dict[str, str] = tables.pop("like", {})
     if not like:
@@ -475,7 +475,7 @@ def _values(kind: Any, entries: Mapping[str, Any], **given: Any) -> dict[str, An
 
 
 def _built(make: Any, *of: Any, **values: Any) -> Any:  # noqa: ANN401
-    """What is made of the values, which may not go together."""
+    """An object of these values; ChipError where they do not go together."""
     try:
         return make(*of, **values)
     except (ArithmeticError, ValueError) as error:

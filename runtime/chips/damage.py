@@ -1,4 +1,4 @@
-"""What is broken on a chip, counted, and what goes wrong by chance while it runs.
+"""Damage of a chip, counted, and upsets by chance while it runs.
 
 Draws of an upset are a hash of the specimen of the chip, the seed of the episode, the layer, the
 timestep and the neuron (splitmix64, Steele et al. 2014): the same whatever else is drawn, and for
@@ -19,7 +19,7 @@ _WORD = 1 << 64
 
 @dataclass(frozen=True)
 class Damage:
-    """What a fault hit.
+    """The parts that a fault hit.
 
     text: the fault as it was asked for.
     name: key of runtime.faults.FAULTS.
@@ -39,12 +39,12 @@ class Damage:
     over_time: bool = False
 
     def since(self, before: "Damage") -> "Damage":
-        """What came after an earlier count of the same."""
+        """The part after an earlier count of the same."""
         return replace(self, hit=self.hit - before.hit, of=self.of - before.of)
 
 
 def summed(each: Sequence[Sequence[Damage]]) -> tuple[Damage, ...]:
-    """What happened over time, of several runs of the same chip together."""
+    """Sums of the damage over time of several runs of the same chip."""
     return tuple(
         replace(same[0], hit=sum(d.hit for d in same), of=sum(d.of for d in same))
         for same in zip(*each, strict=True)

@@ -96,7 +96,7 @@ class Layer:
 
 
 class Network(Protocol):
-    """What an arithmetic may ask of the network that its layers belong to, as Program has it."""
+    """The network that layers belong to, as arithmetics see it; Program is one."""
 
     @property
     def convention(self) -> Convention:
@@ -116,12 +116,12 @@ class Network(Protocol):
 
     @property
     def output_apart(self) -> bool:
-        """Whether the output layer has hidden layers for sources and no targets, as on Xylo."""
+        """True where the output layer has hidden sources and no targets, as on Xylo."""
 
 
 @dataclass(eq=False)
 class LayerState:
-    """What a layer remembers between timesteps.
+    """The state of a layer between timesteps.
 
     current: (B, N) [state units]; (B, K, N) where neurons have K currents.
     membrane: (B, N) [state units].
@@ -146,7 +146,7 @@ class LayerState:
 
 @dataclass(frozen=True, eq=False)
 class StepResult:
-    """What a layer did in one timestep.
+    """The outcome of one timestep of a layer.
 
     spikes: (B, N); counts where neurons spike several times in a timestep, signed numbers of
         sigma-delta neurons.

@@ -1,4 +1,4 @@
-"""How a float network becomes integers: which neurons share a scale, rounding, headroom, tuning."""
+"""Choices of quantisation: which neurons share a scale, rounding, headroom, tuning."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ Headroom = Literal["none", "proven"]
 
 @dataclass(frozen=True)
 class Tuning:
-    """What calibration found for a layer (runtime.analysis.calibration).
+    """Factors that calibration found for a layer (runtime.analysis.calibration).
 
     clip_ratio: below 1, the part of the largest scale that is used, which leaves headroom; above 1,
         the largest weight over what the chip holds: it is clipped, so that the others keep more of
@@ -35,7 +35,7 @@ UNTUNED = Tuning()
 
 @dataclass(frozen=True)
 class Quantisation:
-    """How a chip's arithmetic rounds a float network.
+    """Choices of how a float network is rounded for a chip.
 
     granularity: "layer", one scale for all neurons of a layer (Tang et al. 2020, PopSAN);
         "channel", one for each neuron.

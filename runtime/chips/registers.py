@@ -26,13 +26,13 @@ _WORDS: dict[Overflow, str] = {
 
 
 def decay(x: Integers, factor: Integers, bits: int) -> Integers:
-    """What is left of x after a timestep: factor / 2**bits of it, rounded toward zero."""
+    """The part of x left after a timestep: factor / 2**bits of it, rounded toward zero."""
     # y = sign(x) * ((|x| * factor) >> bits)
     return cast("Integers", np.sign(x) * (np.abs(x) * factor >> bits))
 
 
 def shift_decay(x: Integers, shift: Integers) -> Integers:
-    """What x loses in a timestep: x >> shift, rounded down, and 1 toward zero where that is 0."""
+    """Loss of x in a timestep: x >> shift, rounded down, and 1 toward zero where that is 0."""
     lost = x >> shift
     return np.where(lost == 0, np.sign(x), lost)
 

@@ -45,7 +45,7 @@ _DELAYS = 1 << 12
 
 @dataclass(frozen=True)
 class _Form:
-    """How a family's registers are written and read.
+    """Writer and reader of a family's registers.
 
     written: the fields that stand beside those of all families.
     read: the same fields onto a layer that has only name and synapses yet.

@@ -310,7 +310,7 @@ def _depths(layers: Sequence[Layer]) -> dict[str, int]:
 
 
 def _obstacle(layers: Sequence[Layer], network_input: str, starts: dict[str, int]) -> str | None:
-    """Why layers that start one after another would not be what Xylo does."""
+    """The reason why layers cannot start one after another on Xylo; None where they can."""
     for layer in layers:
         name = layer.name
         if starts[name] and (layer.bias.any() or layer.voltage_bias.any()):
@@ -333,7 +333,7 @@ def _spike_remarks(registers: XyloRegisters, convention: Convention) -> Iterator
 
 
 def _remarks(layer: Layer, registers: XyloRegisters, convention: Convention) -> Iterator[str]:
-    """What of a layer is not as the file has it."""
+    """Deviations of a layer from the file."""
     if layer.current_decay.any() and layer.bias.any():
         yield (
             f"layer {layer.name!r}: its bias is added to the membrane, from the first timestep "

@@ -66,7 +66,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
 
     @property
     def weights_have_signs(self) -> bool:
-        """Whether one of a weight's bits is its sign; else its list has it."""
+        """True where one of a weight's bits is its sign; else its list has it."""
         return self.sign_mode == "mixed"
 
     def input_delay(self, delay: int) -> int:

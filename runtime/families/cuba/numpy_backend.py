@@ -90,7 +90,7 @@ class EventCounter:
     def _events(
         self, layer: Layer, spikes: Mapping[str, NDArray[Any]], heard: Counts
     ) -> dict[str, Counts]:
-        """What follows from the spikes (S, N) of each neuron, and the timesteps (S,) heard."""
+        """Events that follow from the spikes (S, N) of each neuron, and the timesteps (S,) heard."""
         presynaptic = [(synapses, spikes[synapses.source]) for synapses in layer.synapses]
         spike_in = sum(rows.sum(axis=1, dtype=np.int64) for _, rows in presynaptic)
         spike_out = spikes[layer.name].sum(axis=1, dtype=np.int64)
@@ -213,7 +213,7 @@ class NumpyPipeline:
 
     @staticmethod
     def obstacle(program: Program) -> str | None:
-        """Why it cannot compute the program."""
+        """The reason why it cannot compute the program; None where it can."""
         if program.clock == "free" and not program.feed_forward:
             for layer in program.layers:
                 if layer.bias.any() or not layer.spiking:
@@ -250,7 +250,7 @@ class NumpyPipeline:
         ledger.add(total, timesteps, steps)
 
     def recordings(self) -> dict[str, Recording]:
-        """What each layer did in the last window."""
+        """A recording of the last window of each layer."""
         return joined(self._recorded, axis=1) if self._recorded else self._recordings()
 
     def membranes(self, layer: str) -> NDArray[Any]:
@@ -338,7 +338,7 @@ class NumpyPipeline:
         return np.concatenate(presynaptic)
 
     def _recordings(self) -> dict[str, Recording]:
-        """What each layer did when it last ran."""
+        """A recording of each layer's last run."""
         dtype = np.int64 if self._fixed else np.float64
         recordings = {}
         for window in self._kernels:
@@ -354,7 +354,7 @@ def _sources(layer: Layer) -> list[str]:
 
 
 def unsupported_synapses(program: Program) -> str | None:
-    """Why no kernel can compute the synapses of the program; None where kernels can."""
+    """The reason why no kernel computes the program's synapses; None where kernels do."""
     for layer in program.layers:
         if layer.graded:
             return (

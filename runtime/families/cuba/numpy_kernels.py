@@ -55,7 +55,7 @@ class Raster:
         self._spikes = -1
 
     def spikes(self) -> int:
-        """How many there are in all."""
+        """Number of spikes."""
         if self._spikes < 0:
             self._spikes = int(np.count_nonzero(self.bits))
         return self._spikes
@@ -337,7 +337,7 @@ class LayerKernel:
 
     @property
     def ordinary(self) -> bool:
-        """Whether the last window ran, and not in the interpreter."""
+        """True where the last window ran, and not in the interpreter."""
         return not (self.waiting or self.interpreted)
 
     def run(self, presynaptic: Sequence[Raster]) -> Raster:
@@ -474,7 +474,7 @@ def _subtract(membrane: Floats, spikes: Bits, threshold: Floats) -> None:
 
 
 class _OverflowCheck:
-    """Whether every number of a window fitted its register.
+    """A test that every number of a window fitted its register.
 
     What the bounds prove costs nothing; where they leave something open, so few spikes may not be
     able to overflow; else the largest and the smallest state are looked for, which may report an
@@ -507,7 +507,7 @@ class _OverflowCheck:
             self._safe_spikes = spikes_without_overflow(layer, fixed, timesteps, self._limit)
 
     def passed(self, states: Floats, presynaptic: Sequence[Raster]) -> bool:
-        """Whether no register overflowed on the way to these states."""
+        """True where no register overflowed on the way to these states."""
         if self._never or not self._open:
             return not self._never
         if self._safe_spikes >= 0:

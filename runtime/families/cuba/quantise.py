@@ -77,7 +77,7 @@ def exponent_and_share(
 def range_of(
     layer: Layer, registers: CubaRegisters, timesteps: int | None, drifts: bool = True
 ) -> str:
-    """What registers hold of a quantised layer, in a sentence; "" where that is all, or it leaks.
+    """A sentence on what registers hold of a quantised layer; "" where that is all, or it leaks.
 
     Of layers that spike the current is looked at, where it hardly leaks: thresholds bound the rest.
     Nothing bounds what sigma-delta neurons add up. A graded spike counts as one, so that net spikes
@@ -116,7 +116,7 @@ def range_of(
 
 
 def _biased(layer: Layer, current: Floats, membrane: Floats, unit: int) -> Floats:
-    """What the biases (N,) add up to; without a leak over _LONG_BIAS timesteps."""
+    """Sums (N,) of the biases over time; without a leak over _LONG_BIAS timesteps."""
     # sigma-delta neurons add it once, when they read sigma
     kept = 1 - membrane if not layer.graded else np.ones(layer.size)
     pushed = np.abs(layer.voltage_bias) / np.maximum(kept, 1 / _LONG_BIAS)
@@ -150,7 +150,7 @@ def _reach(layer: Layer) -> Floats:
 
 
 def _steady(current: Floats, membrane: Floats) -> Floats:
-    """What 1 that arrives in every timestep adds up to; infinite without a leak."""
+    """Membrane after 1 has arrived in every timestep for ever; infinite without a leak."""
     with np.errstate(divide="ignore"):
         return np.asarray(1 / ((1 - current) * (1 - membrane)))
 
@@ -284,7 +284,7 @@ def quantise(
 
 
 def stored(weights: NDArray[Any], registers: CubaRegisters, exponent: int = 0) -> NDArray[np.int16]:
-    """What the chip stores of whole weights when it drops the bits below its weight step.
+    """Whole weights as the chip stores them, without the bits below its weight step.
 
     exponent: each weight then counts 2**this times, rounded down.
     """
@@ -367,7 +367,7 @@ def _voltage_bias(values: Floats, registers: CubaRegisters, rounding: Rounding) 
 
 
 def _decay_factor(layer: Layer, of: str, registers: CubaRegisters, rounding: Rounding) -> Integers:
-    """What is left after a timestep, of 2**decay_bits, as near as the decay's register allows."""
+    """Parts of 2**decay_bits left after a timestep, as near as the decay's register allows."""
     factor = layer.current_decay if of == "current" else layer.membrane_decay
     offset = registers.current_decay_offset if of == "current" else registers.membrane_decay_offset
     least, most = offset, registers.decay_max + offset
@@ -546,7 +546,7 @@ def with_headroom(
 def _overflow_ratio(
     network: Network, layer: Layer, registers: CubaRegisters, timesteps: int | None
 ) -> float:
-    """How many times the largest that fits its register a number of the layer can become."""
+    """Largest possible number of the layer over the largest that fits its register."""
     worst = bounds(network, layer, registers, timesteps)
     push = worst.current + magnitude(layer.voltage_bias)
     return max(

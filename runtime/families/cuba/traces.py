@@ -253,7 +253,7 @@ def _decay_factor(spec: Fields, state: str, arithmetic: CubaFixedPoint, size: in
 
 
 def _beyond_register(spec: Fields, part: _LoihiLayer) -> bool:
-    """Whether the register of the membrane's decay is given as more than the chip's holds."""
+    """True where the membrane's decay register is given as more than the chip's holds."""
     given, arithmetic = spec.name("dv", "decay_v"), part.chip.arithmetic
     lavas = isinstance(arithmetic, CubaFixedPoint) and arithmetic.exponents == _LAVAS
     return given is not None and lavas and not part.layer.membrane_decay.all()
@@ -341,7 +341,7 @@ def _recorded(spec: Fields, shape: tuple[int, int]) -> dict[str, Integers]:
 
 
 def _check_alike(fields: Fields, parts: list[_LoihiLayer]) -> None:
-    """What belongs to the chip and not to a layer must be the same for all layers."""
+    """Refuse layers that differ in what belongs to the chip."""
     for option in ("refractory", "membrane", "mantissa_shift"):
         if len({getattr(part.chip.arithmetic, option) for part in parts}) > 1:
             raise fields.wrong(option, "differs from layer to layer", "Split the trace in two.")

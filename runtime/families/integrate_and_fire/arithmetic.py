@@ -162,7 +162,7 @@ def quantise(
 
 
 def _scale(layer: Layer, bias: Floats, rules: IntegrateAndFireRules) -> float:
-    """What makes the largest weight, bias or threshold the largest that fits."""
+    """Factor that makes the largest weight, bias or threshold the largest that fits."""
     ranges = (
         *((s.weight, rules.weight_range) for s in layer.synapses),
         (bias, rules.bias_range),
@@ -263,12 +263,12 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
 
     @property
     def weights_have_signs(self) -> bool:
-        """Whether one of a weight's bits is its sign; else its axon has it."""
+        """True where one of a weight's bits is its sign; else its axon has it."""
         return self.signs == "weight"
 
     @property
     def own_weights(self) -> bool:
-        """Whether every synapse has a weight of its own."""
+        """True where every synapse has a weight of its own."""
         return self.axon_types == 0
 
     @property
@@ -278,12 +278,12 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
 
     @property
     def spikes_at_threshold(self) -> bool:
-        """Whether a neuron spikes where its membrane is the threshold, and not only above it."""
+        """True where a neuron spikes at its threshold, and not only above it."""
         return self.fires == "reached"
 
     @property
     def together(self) -> bool:
-        """Whether all layers advance as one, because spikes reach others in the same timestep."""
+        """True where all layers advance as one: spikes reach others in the same timestep."""
         return self.queue == "on"
 
     def prepare(
@@ -307,7 +307,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         return 0 if self.reset_at == "leak" else delay
 
     def carried(self, layers: Sequence[Layer], network_input: str) -> list[str]:
-        """Who brings spikes from neuron to neuron, on a chip with a queue for them."""
+        """A remark on what carries spikes from neuron to neuron, on a chip with a queue for them."""
         inside = [s for layer in layers for s in layer.synapses if s.source != network_input]
         if not (self.queue_entries and inside):
             return []

@@ -38,7 +38,7 @@ QueueHost = Literal["wait", "step"]
 
 @dataclass(frozen=True)
 class IntegrateAndFireRules:
-    """What integrate-and-fire neurons without a synaptic current do, and their registers.
+    """Rules and registers of integrate-and-fire neurons without a synaptic current.
 
     weight_bits: of a weight; with the sign, or of the magnitude where axons have the sign.
     signs: what has a sign of its own: each "weight", or each "axon" for all its weights.

@@ -54,7 +54,7 @@ class CrossbarNeurons:
 
 @dataclass(frozen=True, eq=False)
 class WorkedEvent:
-    """What one event did.
+    """The effect of one event.
 
     membrane: (N,) after it.
     spikes: neurons that spiked in it, by index.
@@ -178,7 +178,7 @@ def update_together(
 
 
 def _sent(wired: CrossbarNeurons, counts: Numbers) -> list[Event]:
-    """What the host sends in a timestep: inputs by index, and the biases at last."""
+    """Events that the host sends in a timestep: inputs by index, and the biases at last."""
     biases: list[Event] = [("bias", 0)] if "bias" in wired.weights else []
     return [*axons(counts), *biases]
 

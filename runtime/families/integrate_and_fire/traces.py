@@ -92,7 +92,7 @@ class RecordedEvents:
         return self._differs(place, None, "events in all", len(self.events), len(done))
 
     def _inside(self, place: int, found: WorkedEvent) -> Difference | None:
-        """What of one event differs: membranes, then spikes, then losses."""
+        """The first difference in one event: membranes, then spikes, then losses."""
         if self.membranes is not None:
             expected = self.membranes[place]
             if (wrong := np.flatnonzero(expected != found.membrane)).size:
@@ -239,7 +239,7 @@ class _Recorded:
 
 
 def crossbar_verdict(fields: Fields, chip: str) -> Verdict:
-    """Whether the neurons of the chip do what the file says, event by event and in timesteps."""
+    """Compare the chip's neurons with a recorded run, event by event and in timesteps."""
     spec = fields.under(fields.group("params"))
     recorded = _recorded(spec, chip)
     unread = spec.unread - PROSE - _REPEATED
@@ -348,7 +348,7 @@ def _neurons(spec: Fields, rules: IntegrateAndFireRules, size: int) -> Layer:
 def _sent(
     spec: Fields, counts: Integers, events: RecordedEvents | None, order: str
 ) -> list[list[Event]]:
-    """What the host sends in each timestep: by index, or in the order of the recorded events."""
+    """Events that the host sends in each timestep: by index, or in their recorded order."""
     sent = [axons(row) for row in counts]
     if events is None:
         if order == "random":
@@ -366,7 +366,7 @@ def _sent(
 
 
 def _replayed(spec: Fields, recorded: _Recorded) -> tuple[list[WorkedEvent], list[int], list[str]]:
-    """What every event did, the timestep of each, and remarks on how it was replayed."""
+    """The effect of every event, its timestep, and remarks on how it was replayed."""
     events, host = recorded.events, recorded.host
     if host == "relays":
         if events is None:
@@ -399,7 +399,7 @@ def _streamed(events: RecordedEvents | None) -> list[str]:
 
 
 def _as_modelled(recorded: _Recorded) -> tuple[list[WorkedEvent], list[int]]:
-    """What the chip does with what the host sends."""
+    """The events that the host sends, worked on as the chip does, and their timesteps."""
     crossbar, steps = _crossbar(recorded, recorded.wired), list[int]()
     waits, last = recorded.host == "wait", len(recorded.sent) - 1
     for t, sent in enumerate(recorded.sent):
@@ -417,7 +417,7 @@ def _crossbar(recorded: _Recorded, wired: CrossbarNeurons) -> Crossbar:
 def _as_recorded(
     recorded: _Recorded, events: RecordedEvents
 ) -> tuple[list[WorkedEvent], list[int]]:
-    """What the events do one after another, as they were recorded."""
+    """The events worked on one after another, as they were recorded."""
     crossbar = _crossbar(recorded, replace(recorded.wired, entries=0))
     for event in events.events:
         crossbar.work(event)
@@ -477,7 +477,7 @@ _MOST_NEURONS = 1 << 12
 
 
 def spiker_verdict(fields: Fields, chip: str) -> Verdict:
-    """Whether the layers do what the file says, in every timestep."""
+    """Compare the layers with a recorded run, in every timestep."""
     specs = _layers_of(fields)
     counts = table_of(specs[0], ("input_spikes",), 0, 255, index="input_spikes_index")
     program = _program(specs, datasheet(chip), counts.shape[1])
