@@ -500,8 +500,10 @@ def _typed(kind: Any, name: str, value: Any, present: Any = None) -> Any:  # noq
         return tuple(_typed(members[0], name, member) for member in each)
     if get_origin(kind) is Literal:
         if value not in members:
-            choices = ", ".join(map(repr, members))
-            raise ChipError(f"{name} {value!r} is unknown. Choose one of {choices}.")
+            choices = " or ".join(map(repr, members))
+            if len(members) > 2:
+                choices = f"one of {', '.join(map(repr, members))}"
+            raise ChipError(f"{name} {value!r} is unknown. Choose {choices}.")
         return value
     if isinstance(value, dict) and is_dataclass(kind):
         _check_names(f"part of {name}", value, [each.name for each in fields(kind)])

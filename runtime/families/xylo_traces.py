@@ -11,18 +11,29 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.families.xylo import XyloArithmetic, XyloRegisters
 from spikedeploy.runtime.traces.fields import Fields, Integers, Work
-from spikedeploy.runtime.traces.verify import PROSE, TraceFile, nothing_to_compare, table_of
+from spikedeploy.runtime.traces.verify import (
+    PROSE,
+    TraceFile,
+    nothing_to_compare,
+    recorded_tables,
+    table_of,
+)
 
 _HIDDEN, _OUTPUT = "hidden", "output"
-# layer -> quantity -> its name in the file
+_STATE = -1 << 16, 1 << 16
+# layer -> quantity -> its name in the file, and what it may be
 _RECORDED = {
     _HIDDEN: {
-        "current": "i_syn",
-        "current 2": "i_syn2",
-        "membrane": "v_mem",
-        "spikes": "hidden_spikes",
+        "current": (("i_syn",), *_STATE),
+        "current 2": (("i_syn2",), *_STATE),
+        "membrane": (("v_mem",), *_STATE),
+        "spikes": (("hidden_spikes",), *_STATE),
     },
-    _OUTPUT: {"current": "i_syn_out", "membrane": "v_mem_out", "spikes": "out_spikes"},
+    _OUTPUT: {
+        "current": (("i_syn_out",), *_STATE),
+        "membrane": (("v_mem_out",), *_STATE),
+        "spikes": (("out_spikes",), *_STATE),
+    },
 }
 _INPUT = ("input_counts", "input_spikes", "input")
 _SHIFTS = ("weight_shift_in", "weight_shift_rec", "weight_shift_out")
@@ -43,7 +54,10 @@ def xylo_trace(fields: Fields, chip: str) -> TraceFile:
     if (found := output.synapses[0].weight.shape[0]) != hidden.size:
         remedy = f"Write a row for each of the {hidden.size} hidden neurons."
         raise spec.wrong("weights_out", f"has {found} rows", remedy)
-    recorded = {layer.name: _recorded(spec, layer, len(counts)) for layer in (hidden, output)}
+    recorded = {
+        layer.name: recorded_tables(spec, _RECORDED[layer.name], (len(counts), layer.size))
+        for layer in (hidden, output)
+    }
     unread = spec.unread - PROSE - _REPEATED
     if not any(recorded.values()):
         raise nothing_to_compare(fields, unread, "v_mem or out_spikes")
@@ -151,16 +165,3 @@ def _weights(spec: Fields, name: str, place: int, registers: XyloRegisters) -> I
 def _dash(spec: Fields, name: str, registers: XyloRegisters, size: int) -> Integers:
     default = 0 if name == "dash_syn_2" else None
     return spec.row(name, size=size, default=default, least=0, most=registers.dash_max)
-
-
-def _recorded(spec: Fields, layer: Layer, steps: int) -> dict[str, Integers]:
-    """The tables (T, N) that are there, by quantity."""
-    recorded = {}
-    for quantity, name in _RECORDED[layer.name].items():
-        if spec.name(name) is None:
-            continue
-        recorded[quantity] = table = table_of(spec, (name,), -1 << 16, 1 << 16, index="trace_index")
-        if table.shape != (steps, layer.size):
-            remedy = f"The input and the weights ask for {steps, layer.size}."
-            raise spec.wrong(name, f"has shape {table.shape}", remedy)
-    return recorded

@@ -151,15 +151,15 @@ def weights_of(spec: Fields, name: str, least: int, most: int) -> Integers:
 
 
 def recorded_tables(
-    spec: Fields, ranges: Mapping[str, tuple[str, int, int]], shape: tuple[int, int]
+    spec: Fields, ranges: Mapping[str, tuple[tuple[str, ...], int, int]], shape: tuple[int, int]
 ) -> dict[str, Integers]:
     """The tables (T, N) that are there, by quantity.
 
-    ranges: quantity -> its name in the file, its least and its largest number.
+    ranges: quantity -> its names in files, its least and its largest number.
     """
     tables = {}
-    for quantity, (name, least, most) in ranges.items():
-        if spec.name(name) is None:
+    for quantity, (names, least, most) in ranges.items():
+        if (name := spec.name(*names)) is None:
             continue
         tables[quantity] = table = table_of(spec, (name,), least, most, index="trace_index")
         if table.shape != shape:

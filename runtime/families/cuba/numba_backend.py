@@ -45,7 +45,7 @@ class NumbaPipeline:
 
     @staticmethod
     def obstacle(program: Program) -> str | None:
-        """Why it cannot compute the program, and what to do."""
+        """The reason why it cannot compute the program; None where it can."""
         chip = program.chip
         if not isinstance(chip.arithmetic, CubaFixedPoint):
             return (
@@ -85,7 +85,7 @@ class NumbaPipeline:
         ledger.add(self._counts, self.schedule.timesteps, self.schedule.steps)
 
     def recordings(self) -> dict[str, Recording]:
-        """What each layer did in the last window."""
+        """A recording of the last window of each layer."""
         recordings = {}
         for k, layer in enumerate(self._program.layers):
             # (B, T + 1, 2, N) to (2, B, T, N)
@@ -131,7 +131,7 @@ class NumbaPipeline:
 
 
 def _has_unknown_registers(fixed: CubaFixedPoint) -> bool:
-    """Whether registers do what only the interpreter and the NumPy kernels compute."""
+    """True where registers do what only the interpreter and the NumPy kernels compute."""
     registers = fixed.accumulator, fixed.current, fixed.membrane
     odd = any(r.overflow not in OVERFLOWS or r.between is not None for r in registers)
     return odd or fixed.push.overflow != "none"

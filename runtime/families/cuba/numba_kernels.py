@@ -197,14 +197,14 @@ def active(bias: Array, before: Array, after: Array) -> int:
 
 @jit
 def _decayed(x: Number, factor: Number, bits: Number) -> Number:
-    """What the decay of runtime.chips.registers leaves."""
+    """As decay of runtime.chips.registers."""
     left = abs(x) * factor >> bits
     return left if x >= 0 else -left
 
 
 @jit
 def _fit(x: Number, register: Array) -> Number:
-    """What a Register holds of x."""
+    """As Register.fit."""
     overflow, half = register[0], np.int64(1) << (register[1] - 1)
     if overflow == WRAP:
         return (x + half) % (2 * half) - half
@@ -219,7 +219,7 @@ def _fit(x: Number, register: Array) -> Number:
 
 @jit
 def zero_or_one(constants: Array, memory: Array, batch: int, timesteps: int) -> bool:
-    """Whether all values of the input are 0 or 1."""
+    """True where all values of the input are 0 or 1."""
     source, all_ = constants.sources[0], 0
     first = source[RASTER] + source[REMEMBERS] * source[NEURONS]
     for b in range(batch):

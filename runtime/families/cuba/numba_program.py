@@ -71,7 +71,7 @@ class Constants(NamedTuple):
 
 
 class KernelMemory(NamedTuple):
-    """What a program remembers and works with, a row for each of the batch.
+    """Memory of a program, a row for each of the batch.
 
     rasters: (B, R) of each source the rows that are still on their way, then those of the window.
     lists: (B, R) of each of those rows the axons that spiked.
@@ -92,7 +92,7 @@ class KernelMemory(NamedTuple):
 
 
 class KernelNeurons(NamedTuple):
-    """What a timestep of a layer in float64 needs of Constants.real and Constants.rooms."""
+    """The part of Constants that a timestep of a layer in float64 needs."""
 
     decay_current: Array
     decay_membrane: Array
@@ -190,7 +190,7 @@ def _layers(program: Program, fixed: CubaFixedPoint, windows: bool) -> Integers:
 
 
 def _too_much(layer: Layer, fixed: CubaFixedPoint, drive: float) -> bool:
-    """Whether what is added in a timestep could overflow the accumulator, or hide an inexact decay.
+    """True where a timestep could overflow the accumulator, or hide an inexact decay.
 
     Where it cannot, a sum that float64 may hold was made from a decay that it computed exactly.
     """
@@ -307,7 +307,7 @@ class WindowMemory:
                 rows[:] = saved[f"{name} {source}"]
 
     def _late(self, source: int) -> dict[str, NDArray[Any]]:
-        """What is remembered of the rows of a source that have not arrived: views."""
+        """Views of the rows of a source that have not arrived."""
         _, past, _, at = self.constants.sources[source]
         return {
             "rasters": self._split(self.arrays.rasters, source)[:, :past],

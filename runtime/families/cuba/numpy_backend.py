@@ -90,7 +90,7 @@ class EventCounter:
     def _events(
         self, layer: Layer, spikes: Mapping[str, NDArray[Any]], heard: Counts
     ) -> dict[str, Counts]:
-        """Events that follow from the spikes (S, N) of each neuron, and the timesteps (S,) heard."""
+        """Events that follow from the spikes (S, N) of neurons, and the timesteps (S,) heard."""
         presynaptic = [(synapses, spikes[synapses.source]) for synapses in layer.synapses]
         spike_in = sum(rows.sum(axis=1, dtype=np.int64) for _, rows in presynaptic)
         spike_out = spikes[layer.name].sum(axis=1, dtype=np.int64)

@@ -14,7 +14,13 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.quantise import stored
 from spikedeploy.runtime.traces.fields import Fields, Integers, Work
-from spikedeploy.runtime.traces.verify import PROSE, TraceFile, nothing_to_compare, table_of
+from spikedeploy.runtime.traces.verify import (
+    PROSE,
+    TraceFile,
+    nothing_to_compare,
+    recorded_tables,
+    table_of,
+)
 
 _WEIGHTS = ("weights", "weight", "w", "weight_mant", "w_mant", "weights_mixed")
 _EXPONENTS = ("weight_exp", "weight_exponent", "w_exp", "wgt_exp")
@@ -260,14 +266,22 @@ def _beyond_register(spec: Fields, part: _LoihiLayer) -> bool:
 
 
 _INPUT = ("input_spikes", "input", "inputs", "in", "spikes_in", "s_in", "in_spikes")
-# quantity -> what emulators call it
-_RECORDED = {
-    "current": ("u", "current", "I", "i"),
-    "membrane": ("v", "voltage", "membrane", "v_mem"),
-    "spikes": ("s", "spikes", "s_out", "output_spikes", "out_spikes", "spk"),
-}
 # and what boards' probes are called, with one of these before or after
 _PROBES = ("hw", "chip", "board", "probe")
+
+
+def _probed(*names: str) -> tuple[str, ...]:
+    """The names, and those with the mark of a board's probe."""
+    marked = ((f"{name}_{mark}", f"{mark}_{name}") for name in names for mark in _PROBES)
+    return (*names, *(each for pair in marked for each in pair))
+
+
+# quantity -> what emulators call it, and what it may be
+_RECORDED = {
+    "current": (_probed("u", "current", "I", "i"), -_STATE, _STATE),
+    "membrane": (_probed("v", "voltage", "membrane", "v_mem"), -_STATE, _STATE),
+    "spikes": (_probed("s", "spikes", "s_out", "output_spikes", "out_spikes", "spk"), 0, 1),
+}
 # given twice in the file, or by the model
 _REPEATED = {
     "steps", "params", "layers", "dt", "exc_inh_split", "weights_effective_reported",
@@ -288,7 +302,7 @@ def loihi_trace(fields: Fields, chip: str) -> TraceFile:
         size = parts[-1].layer.size
     _check_alike(fields, parts)
     recorded = {
-        part.layer.name: _recorded(spec, (len(rows), part.layer.size))
+        part.layer.name: recorded_tables(spec, _RECORDED, (len(rows), part.layer.size))
         for part, spec in zip(parts, specs, strict=True)
     }
     unread = set.intersection(*(spec.unread for spec in specs)) - PROSE - _REPEATED
@@ -318,26 +332,6 @@ def _layers_of(fields: Fields) -> list[Fields]:
         shared.under(layer, layer.group("params"), where=layer.where)
         for layer in fields.groups("layers")
     ]
-
-
-def _probed(names: tuple[str, ...]) -> tuple[str, ...]:
-    """The names, and those with the mark of a board's probe."""
-    marked = ((f"{name}_{mark}", f"{mark}_{name}") for name in names for mark in _PROBES)
-    return (*names, *(each for pair in marked for each in pair))
-
-
-def _recorded(spec: Fields, shape: tuple[int, int]) -> dict[str, Integers]:
-    """The tables (T, N) that are there, by quantity."""
-    recorded = {}
-    for quantity, names in _RECORDED.items():
-        if (name := spec.name(*_probed(names))) is None:
-            continue
-        limits = (0, 1) if quantity == "spikes" else (-_STATE, _STATE)
-        recorded[quantity] = table = table_of(spec, (name,), *limits, index="trace_index")
-        if table.shape != shape:
-            remedy = f"The input and the weights ask for {shape}."
-            raise spec.wrong(name, f"has shape {table.shape}", remedy)
-    return recorded
 
 
 def _check_alike(fields: Fields, parts: list[_LoihiLayer]) -> None:

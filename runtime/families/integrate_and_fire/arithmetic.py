@@ -307,7 +307,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         return 0 if self.reset_at == "leak" else delay
 
     def carried(self, layers: Sequence[Layer], network_input: str) -> list[str]:
-        """A remark on what carries spikes from neuron to neuron, on a chip with a queue for them."""
+        """A remark on what carries spikes between neurons, on a chip with a queue for them."""
         inside = [s for layer in layers for s in layer.synapses if s.source != network_input]
         if not (self.queue_entries and inside):
             return []

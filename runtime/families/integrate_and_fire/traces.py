@@ -207,7 +207,7 @@ def _lost(spec: Fields, events: int, size: int) -> Sequence[tuple[int, ...]]:
 
 _NEURONS = "neurons"  # name of the one layer
 # quantity -> its name in the file, and what it may be
-_TABLES = {"membrane": ("v", -1 << 16, 1 << 20), "spikes": ("s", 0, 1 << 20)}
+_TABLES = {"membrane": (("v",), -1 << 16, 1 << 20), "spikes": (("s",), 0, 1 << 20)}
 _HOSTS = ("wait", "step", "stream", "relays")
 _ORDERS = ("index", "random")
 _ROWS = 256  # of the crossbar, of axons and of neurons
@@ -466,9 +466,9 @@ def _in_timesteps(
 _BEGUN = "membrane after fire or leak"
 # quantity -> its name in the file, and what it may be
 _SPIKER_TABLES = {
-    _BEGUN: ("v_begun", -1 << 32, 1 << 32),
-    "membrane": ("v", -1 << 32, 1 << 32),
-    "spikes": ("s", 0, 1),
+    _BEGUN: (("v_begun",), -1 << 32, 1 << 32),
+    "membrane": (("v",), -1 << 32, 1 << 32),
+    "spikes": (("s",), 0, 1),
 }
 # given twice in the file, or by the weights
 _SPIKER_REPEATED = {"params", "layers", "steps", "input_spikes", "chip"}
