@@ -65,6 +65,7 @@ def test_axes_take_one_value_or_many(tmp_path):
         ("policy = 'gap'", "env: Field required"),
         ("env = 3", r"env.0: Input should be a valid string, got 3"),
         ("env = []", "env is empty"),
+        ("seed = []", "seed is empty"),
         ("env = ['a', 'a']", "a is given twice"),
         ("bits = 'few'", "bits.0: .* integer, got 'few'"),
         ("bits = 0", "greater than or equal to 1, got 0"),
@@ -107,6 +108,13 @@ def test_what_is_wrong_is_named(text, words, tmp_path):
 def test_what_does_not_exist_is_refused_before_a_job_is_run(change, words):
     with pytest.raises((SpikedeployError, EnvError), match=words):
         expand(replace(SweepGrid("x", ("kart-grid",)), **change))
+
+
+def test_a_policy_that_was_trained_for_a_chip_is_swept_on_it_where_none_is_named():
+    grid = SweepGrid("x", ("CartPole-v1",), policy=("chips/CartPole-v1/tinyodin", "random"))
+    assert [job.chip for job in expand(grid).jobs] == ["tinyodin", None]
+    named = replace(grid, chip=("int",))
+    assert [job.chip for job in expand(named).jobs] == ["int", None]
 
 
 def test_combinations_that_mean_the_same_are_one_job():

@@ -31,14 +31,6 @@ def test_a_page_without_results_is_a_sweep_that_goes_on(tmp_path, command):
     assert is_sweep(tmp_path / "out")
 
 
-def test_a_specification_without_jobs_is_refused(tmp_path, command):
-    spec = tmp_path / "grid.toml"
-    spec.write_text(SPEC + "seed = []\n")
-    code, _, err = command("sweep", str(spec), "-o", str(tmp_path / "out"))
-    assert code == 2
-    assert "seed is empty" in " ".join(err.split())
-
-
 def test_notes_and_journals_of_somebody_else_are_no_search(tmp_path):
     (tmp_path / PAGE).write_text("my notes")
     assert not is_study(tmp_path)
