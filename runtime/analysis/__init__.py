@@ -2,10 +2,7 @@
 
 Everything here compares what a program does with what the network does in float.
 
-activity         spikes and membranes of every layer in float units, of the twin and of a chip
-drift            how far both are apart, and which kind of rounding causes it
-spike_distance   distances of spike trains
-readout_drift    membranes of readout layers, of a chip and of the twin
-diagnosis        layers that never spike or nearly always do, the cause, and the first difference
-calibration      scales and thresholds that are chosen on recorded inputs
+activity     spikes and membranes of every layer in float units, of both; distances of spike trains
+drift        how far both are apart, which kind of rounding causes it, and dead or saturated layers
+calibration  scales and thresholds that are chosen on recorded inputs
 """

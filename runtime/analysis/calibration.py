@@ -11,8 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.analysis.activity import activity, trains_of
-from spikedeploy.runtime.analysis.spike_distance import TAU, mean_distance
+from spikedeploy.runtime.analysis.activity import TAU, activity, mean_distance, trains_of
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation, Tuning

@@ -3,46 +3,34 @@
 The cause is found by ablation: the network is rounded step by step, one kind of number after
 another. Each step is computed in float64, on the chip's scale, so that what differs between two
 steps is the one thing that was rounded. The last step is the chip.
+
+Layers that never spike, or nearly always do, are findings: each has its likely cause.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.analysis.activity import Activity, activity, trains_of
-from spikedeploy.runtime.analysis.diagnosis import Divergence, Finding, diagnose, first
-from spikedeploy.runtime.analysis.readout_drift import ReadoutDrift, readout_drifts
-from spikedeploy.runtime.analysis.spike_distance import TAU, mean_distance
+from spikedeploy.runtime.analysis.activity import TAU, Activity, activity, mean_distance, trains_of
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import ObservationError
 
+Floats: TypeAlias = NDArray[np.float64]
+Health = Literal["dead", "saturated", ""]
+Cause = Literal[
+    "policy", "input", "counts", "weights", "thresholds", "decays", "states", "rounding"
+]
 
-def ablation_programs(floats: Program, program: Program) -> Iterator[tuple[str, Program]]:
-    """The programs from rounded weights to the chip, one kind of rounding after another.
-
-    floats: the same network on the ideal chip.
-    """
-    arithmetic = program.chip.arithmetic
-    # delays are the chip's in every step
-    ideal = replace(chip("ideal"), delay_max=program.chip.delay_max)
-    *steps, last = arithmetic.ablation_steps
-    for step in steps:
-        layers = tuple(
-            arithmetic.partly_rounded(floats.layer(layer.name), layer, step)
-            for layer in program.layers
-        )
-        yield step, replace(program, chip=ideal, layers=layers)
-    yield last, program
-
-
-Floats = NDArray[np.float64]
+# [spikes for each neuron and timestep] beyond it a rate carries little information
+_SATURATED = 0.9
 
 
 @dataclass(frozen=True)
@@ -74,6 +62,27 @@ class _LayerDrift:
 
 
 @dataclass(frozen=True)
+class _ReadoutDrift:
+    """How a readout layer's membranes differ from the float twin's.
+
+    name: of the node.
+    neurons: N.
+    rms: root of the mean square of the differences [float units].
+    range: largest magnitude in float [float units].
+    filled: largest part of a register that a current or membrane took on these inputs; None where
+        states are floats.
+    saturations: numbers that did not fit a register.
+    """
+
+    name: str
+    neurons: int
+    rms: float
+    range: float
+    filled: float | None
+    saturations: int
+
+
+@dataclass(frozen=True)
 class OutputDrift:
     """How far the outputs are apart.
 
@@ -89,17 +98,71 @@ class OutputDrift:
 
 
 @dataclass(frozen=True)
+class Divergence:
+    """Where a neuron's spikes differ, and its membranes before any reset [float units].
+
+    inference, timestep, neuron: counted from 0.
+    layer: name of the node.
+    float_spikes, chip_spikes: of the neuron in the timestep.
+    float_membrane, chip_membrane: NaN where a recording cannot tell.
+    float_threshold, chip_threshold: above which the neuron spikes.
+    """
+
+    inference: int
+    timestep: int
+    layer: str
+    neuron: int
+    float_spikes: int
+    chip_spikes: int
+    float_membrane: float
+    chip_membrane: float
+    float_threshold: float
+    chip_threshold: float
+
+    def describe(self) -> str:
+        """The same in words."""
+        membranes = [
+            "not known before its reset" if np.isnan(membrane) else f"{membrane:.6g}"
+            for membrane in (self.chip_membrane, self.float_membrane)
+        ]
+        return (
+            f"inference {self.inference}, timestep {self.timestep}, layer {self.layer!r}, neuron "
+            f"{self.neuron}; spikes on the chip: {self.chip_spikes} (membrane {membranes[0]}, "
+            f"threshold {self.chip_threshold:.6g}), in float: {self.float_spikes} ({membranes[1]}, "
+            f"{self.float_threshold:.6g})"
+        )
+
+
+@dataclass(frozen=True)
 class _AblationStep:
     """The network with some of the chip's roundings.
 
     name: of the rounding that was added last.
-    distance: layer -> of van Rossum, as in LayerDrift.
+    distance: layer -> of van Rossum, as in _LayerDrift.
     output: against the float twin.
     """
 
     name: str
     distance: Mapping[str, float]
     output: OutputDrift
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong with a layer on the chip.
+
+    layer: name.
+    health: "dead", not a spike; "saturated", more than 0.9 spikes for each neuron and timestep.
+    cause: "policy", it is so in float too; "input", nothing arrives; "counts", neurons send several
+        spikes in a timestep, and in float one; a rounding step, the first after which it is
+        so; "rounding", of a chip without ablation steps.
+    detail: the same with numbers.
+    """
+
+    layer: str
+    health: Health
+    cause: Cause
+    detail: str
 
 
 @dataclass(frozen=True)
@@ -130,7 +193,7 @@ class Drift:
     output: OutputDrift
     ablation: tuple[_AblationStep, ...]
     findings: tuple[Finding, ...]
-    readouts: tuple[ReadoutDrift, ...] = ()
+    readouts: tuple[_ReadoutDrift, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The fields, plain; the ablation is called rungs there."""
@@ -154,49 +217,46 @@ def drift(
     Where the convention keeps states, the inferences of an episode follow one another; else each
     begins anew.
     """
-    _check(artifact, raster, episodes)
+    _check_raster(artifact, raster, episodes)
     program = compile_program(artifact, on, quantisation, limits=limits)
-    clock = program.clock
-    staged = bool(on.arithmetic.ablation_steps)
-    floats = compile_program(artifact, chip("ideal"), clock=clock) if staged else None
-    twin, trains = activity(artifact, None, raster, episodes), trains_of(artifact, raster, episodes)
-    steps = ablation_programs(floats, program) if floats else [("chip", program)]
-    if floats and artifact.convention.state == "kept" and clock != own_clock(artifact.convention):
-        steps = [("clock", floats), *steps]
+    floats, steps = None, [("chip", program)]
+    if on.arithmetic.ablation_steps:
+        floats = compile_program(artifact, chip("ideal"), clock=program.clock)
+        steps = list(_ablation_programs(floats, program))
+        own = program.clock == own_clock(artifact.convention)
+        if artifact.convention.state == "kept" and not own:
+            steps = [("clock", floats), *steps]
+    trains = trains_of(artifact, raster, episodes)
+    twin = activity(artifact, None, raster, episodes)
     runs = {name: activity(artifact, step, raster, episodes) for name, step in steps}
-    seen = list(runs.values())[-1]
+    seen = runs[steps[-1][0]]
     names = [layer.name for layer in program.spiking]
+    differ = [(twin.spikes[name] != seen.spikes[name]).any(axis=(1, 2)) for name in names]
+    ablation = [
+        _AblationStep(
+            name,
+            {n: mean_distance(twin.spikes[n], rows, tau, trains) for n, rows in run.spikes.items()},
+            _output_drift(artifact, twin.output, run.output),
+        )
+        for name, run in (runs.items() if floats else ())
+    ]
     return Drift(
         chip=on.name,
         quantisation=quantisation.describe(),
         inferences=raster.shape[0],
         timesteps=raster.shape[1],
         tau=tau,
-        layers=tuple(_layer(name, twin, seen, tau, trains) for name in names),
-        diverged=_diverged(twin, seen, names),
-        first=first(twin, seen, names),
+        layers=tuple(_layer_drift(name, twin, seen, tau, trains) for name in names),
+        diverged=int(np.any(differ, axis=0).sum()) if names else 0,
+        first=first_divergence(twin, seen, names),
         output=_output_drift(artifact, twin.output, seen.output),
-        ablation=tuple(_step(artifact, name, twin, ran, tau, trains) for name, ran in runs.items())
-        if floats
-        else (),
+        ablation=tuple(ablation),
         findings=tuple(diagnose(floats, program, raster, twin, runs)),
-        readouts=readout_drifts(twin, seen),
+        readouts=tuple(_readout_drift(name, twin, seen) for name in seen.membranes),
     )
 
 
-def _output_drift(artifact: Artifact, before: Floats, after: Floats) -> OutputDrift:
-    """How far the outputs (B, T, act) of the float twin and of a chip are apart."""
-    codec = artifact.codec
-    if codec is None or codec.timesteps != before.shape[1]:
-        return _apart("output", after - before)
-    actions = codec.decode(before), codec.decode(after)
-    if codec.chooses:
-        share = float((actions[0] != actions[1]).mean())
-        return OutputDrift("choice", share, float(share > 0))
-    return _apart("action", actions[1] - actions[0])
-
-
-def _check(artifact: Artifact, raster: NDArray[Any], episodes: Sequence[int]) -> None:
+def _check_raster(artifact: Artifact, raster: NDArray[Any], episodes: Sequence[int]) -> None:
     width = int(np.prod(next(iter(artifact.graph.inputs.values())).input_type["input"]))
     if raster.ndim == 3 and raster.size and raster.shape[2] != width:
         raise ObservationError(
@@ -215,52 +275,215 @@ def _check(artifact: Artifact, raster: NDArray[Any], episodes: Sequence[int]) ->
         )
 
 
-def _apart(kind: Literal["action", "output"], difference: Floats) -> OutputDrift:
-    return OutputDrift(
-        kind, float(np.sqrt(np.mean(difference**2))), float(np.abs(difference).max())
-    )
+def _ablation_programs(floats: Program, program: Program) -> Iterator[tuple[str, Program]]:
+    """The programs from rounded weights to the chip, one kind of rounding after another.
+
+    floats: the same network on the ideal chip.
+    """
+    arithmetic = program.chip.arithmetic
+    # delays are the chip's in every step
+    ideal = replace(chip("ideal"), delay_max=program.chip.delay_max)
+    *steps, last = arithmetic.ablation_steps
+    for step in steps:
+        layers = tuple(
+            arithmetic.partly_rounded(floats.layer(layer.name), layer, step)
+            for layer in program.layers
+        )
+        yield step, replace(program, chip=ideal, layers=layers)
+    yield last, program
 
 
-def _layer(
+def _layer_drift(
     name: str, twin: Activity, seen: Activity, tau: float, trains: Sequence[int]
 ) -> _LayerDrift:
     before, after = twin.spikes[name], seen.spikes[name]
     spiked, spikes = before.any(axis=(0, 1)), after.any(axis=(0, 1))
-    different = np.argwhere(before != after)
     return _LayerDrift(
         name=name,
         neurons=before.shape[2],
         float_rate=float(before.mean()),
         chip_rate=float(after.mean()),
-        differing=len(different) / before.size,
+        differing=int(np.count_nonzero(before != after)) / before.size,
         distance=mean_distance(before, after, tau, trains),
         lost=int((spiked & ~spikes).sum()),
         woken=int((spikes & ~spiked).sum()),
         saturations=seen.saturations[name],
-        first=(int(different[0][0]), int(different[0][1]), int(different[0][2]))
-        if len(different)
-        else None,
+        first=_first_difference(twin, seen, name),
         filled=seen.filled.get(name),
     )
 
 
-def _diverged(twin: Activity, seen: Activity, names: list[str]) -> int:
-    if not names:
-        return 0
-    differ = [(twin.spikes[name] != seen.spikes[name]).any(axis=(1, 2)) for name in names]
-    return int(np.any(differ, axis=0).sum())
+def _readout_drift(name: str, twin: Activity, seen: Activity) -> _ReadoutDrift:
+    before, after = twin.membranes[name], seen.membranes[name]
+    return _ReadoutDrift(
+        name=name,
+        neurons=before.shape[2],
+        rms=float(np.sqrt(np.mean((after - before) ** 2))),
+        range=float(np.abs(before).max()),
+        filled=seen.filled.get(name),
+        saturations=seen.saturations[name],
+    )
 
 
-def _step(
-    artifact: Artifact,
-    name: str,
+def _output_drift(artifact: Artifact, before: Floats, after: Floats) -> OutputDrift:
+    """How far the outputs (B, T, act) of the float twin and of a chip are apart."""
+    codec = artifact.codec
+    kind: Literal["action", "output"] = "output"
+    if codec is not None and codec.timesteps == before.shape[1]:
+        kind, before, after = "action", codec.decode(before), codec.decode(after)
+        if codec.chooses:
+            share = float((before != after).mean())
+            return OutputDrift("choice", share, float(share > 0))
+    apart = after - before
+    return OutputDrift(kind, float(np.sqrt(np.mean(apart**2))), float(np.abs(apart).max()))
+
+
+def _first_difference(twin: Activity, seen: Activity, name: str) -> tuple[int, int, int] | None:
+    """(inference, timestep, neuron) of the first spike of a layer that differs, if one does."""
+    different = np.argwhere(twin.spikes[name] != seen.spikes[name])[:1].tolist()
+    return (different[0][0], different[0][1], different[0][2]) if different else None
+
+
+def first_divergence(twin: Activity, seen: Activity, layers: Iterable[str]) -> Divergence | None:
+    """The earliest of the first inference that differs; of one timestep the first layer's.
+
+    twin, seen: of the float twin and of the chip.
+    layers: in the order of the spikes.
+    """
+    found = [
+        (here[:2], place, name, here)
+        for place, name in enumerate(layers)
+        if (here := _first_difference(twin, seen, name))
+    ]
+    if not found:
+        return None
+    _, _, name, here = min(found)
+    return Divergence(
+        inference=here[0],
+        timestep=here[1],
+        layer=name,
+        neuron=here[2],
+        float_spikes=int(twin.spikes[name][here]),
+        chip_spikes=int(seen.spikes[name][here]),
+        float_membrane=float(twin.reached[name][here]),
+        chip_membrane=float(seen.reached[name][here]),
+        float_threshold=float(twin.thresholds[name][here[2]]),
+        chip_threshold=float(seen.thresholds[name][here[2]]),
+    )
+
+
+# dead and saturated layers
+
+
+def diagnose(
+    floats: Program | None,
+    program: Program,
+    raster: NDArray[Any],
     twin: Activity,
-    ran: Activity,
-    tau: float,
-    trains: Sequence[int],
-) -> _AblationStep:
-    distances = {
-        layer: mean_distance(twin.spikes[layer], spikes, tau, trains)
-        for layer, spikes in ran.spikes.items()
+    steps: Mapping[str, Activity],
+) -> list[Finding]:
+    """Findings of all layers of the program that can spike.
+
+    floats: the network on the ideal chip; None where there are no ablation steps but the chip.
+    twin: of the float twin on the raster.
+    steps: of each ablation step, the last of them the chip itself.
+    """
+    seen = list(steps.values())[-1]
+    spikes = {program.input: raster, **seen.spikes}
+    findings = []
+    for layer in program.spiking:
+        name = layer.name
+        if not (found := _health(seen.spikes[name])):
+            continue
+        cause, detail = _cause_beside(layer, found, spikes, twin)
+        if not cause and floats is None:
+            cause, detail = "rounding", _unexplained(seen.saturations[name])
+        elif not cause and floats is not None:
+            step = next(s for s, run in steps.items() if _health(run.spikes[name]) == found)
+            one = program.chip.arithmetic.decay_one
+            cause, detail = _cause_in(step, floats.layer(name), layer, one, seen.saturations[name])
+        findings.append(Finding(name, found, cause or "rounding", detail))
+    return findings
+
+
+def _health(spikes: NDArray[Any]) -> Health:
+    """Of a layer with these spikes (B, T, N)."""
+    rate = spikes.mean()
+    return "dead" if rate == 0 else "saturated" if rate > _SATURATED else ""
+
+
+def _cause_beside(
+    layer: Layer, found: Health, spikes: Mapping[str, NDArray[Any]], twin: Activity
+) -> tuple[Cause | None, str]:
+    """The cause where it is none of the chip's roundings."""
+    own = twin.spikes[layer.name]
+    alike = _health(own) == found
+    driven = layer.bias.any() or layer.voltage_bias.any()
+    driven = driven or any(spikes[s.source].any() for s in layer.synapses)
+    if found == "dead" and not driven:
+        of = ", ".join(repr(s.source) for s in layer.synapses)
+        also = ", in float too" if alike else ""
+        return "input", f"nothing arrives: {of} is silent and there is no bias{also}"
+    if alike:
+        return "policy", "it is so in float too: the policy itself, not the chip"
+    most, in_float = spikes[layer.name].max(), max(1, own.max())
+    if found == "saturated" and most > in_float:
+        return "counts", f"neurons send up to {most} spikes in a timestep, in float {in_float}"
+    return None, ""
+
+
+def _unexplained(saturations: int) -> str:
+    if saturations:
+        return f"{saturations} numbers overflow their registers: quantise with headroom"
+    return "numbers are rounded; which of them decides is known for Loihi's arithmetic only"
+
+
+def _cause_in(
+    step: str, before: Layer, after: Layer, decay_one: int, saturations: int
+) -> tuple[Cause, str]:
+    """The rounding step after which a layer is dead or saturated, with numbers."""
+    if step == "weights":
+        return "weights", _describe_weights(before, after)
+    if step == "thresholds":
+        return "thresholds", _describe_thresholds(before, after)
+    if step == "decays":
+        return "decays", _describe_decays(before, after, decay_one)
+    if saturations:
+        return "states", _unexplained(saturations)
+    return "states", "currents and membranes lose their fractions in every timestep: scale up"
+
+
+def _describe_weights(before: Layer, after: Layer) -> str:
+    held = np.concatenate([np.abs(s.weight) for s in before.synapses])
+    kept = np.concatenate([s.weight for s in after.synapses])
+    lost = (kept == 0) & (held > 0)
+    share = held[lost].sum() / held.sum()
+    return (
+        f"{lost.sum()} of {(held > 0).sum()} weights round to 0, {share:.0%} of all that they "
+        "weigh: more bits, or a scale for each channel"
+    )
+
+
+def _describe_thresholds(before: Layer, after: Layer) -> str:
+    held = np.where(before.threshold > 0, before.threshold, 1.0)
+    off = after.threshold * after.scale - before.threshold
+    n = int(np.argmax(np.abs(off) / held))
+    push = np.abs(after.voltage_bias * after.scale - before.voltage_bias).max()
+    return (
+        f"neuron {n}: the threshold {before.threshold[n]:.4g} becomes "
+        f"{(after.threshold * after.scale)[n]:.4g} beside the largest weight; biases move by up to "
+        f"{push:.4g}: a scale for each channel, or smaller weights"
+    )
+
+
+def _describe_decays(before: Layer, after: Layer, decay_one: int) -> str:
+    pairs = {
+        "current": (before.current_decay, after.current_decay / decay_one),
+        "membrane": (before.membrane_decay, after.membrane_decay / decay_one),
     }
-    return _AblationStep(name, distances, _output_drift(artifact, twin.output, ran.output))
+    kind, (held, kept) = max(pairs.items(), key=lambda each: np.abs(each[1][1] - each[1][0]).max())
+    n = int(np.argmax(np.abs(kept - held)))
+    return (
+        f"neuron {n}: the {kind} keeps {kept[n]:.6g} of itself, in float {held[n]:.6g}: choose a "
+        f"time constant that is a multiple of 1/{decay_one}"
+    )

@@ -14,10 +14,10 @@ from spikedeploy.emulation.rasters import in_batch, read_rasters
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.make_env import confirm, make_env
 from spikedeploy.policies.registry import FLOAT, Candidate, find, open_policy
+from spikedeploy.runtime.analysis.activity import TAU
 from spikedeploy.runtime.analysis.calibration import tuned, with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import Drift
 from spikedeploy.runtime.analysis.drift import drift as measured
-from spikedeploy.runtime.analysis.spike_distance import TAU
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation

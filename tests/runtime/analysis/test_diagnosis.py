@@ -6,8 +6,7 @@ import nir
 import numpy as np
 import pytest
 
-from spikedeploy.runtime.analysis.diagnosis import diagnose
-from spikedeploy.runtime.analysis.drift import activity, drift
+from spikedeploy.runtime.analysis.drift import activity, diagnose, drift
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import Quantisation

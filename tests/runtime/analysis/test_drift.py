@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.analysis.activity import Activity, chip_activity
-from spikedeploy.runtime.analysis.diagnosis import first
-from spikedeploy.runtime.analysis.drift import activity, drift
+from spikedeploy.runtime.analysis.drift import activity, drift, first_divergence
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import Quantisation, Tuning
@@ -74,10 +73,11 @@ def test_of_one_timestep_the_layer_that_hears_first_is_named():
     reset = ran(a=[1, 0, 0])
     reset = replace(reset, reached={"a": np.full((1, 3, 1), np.nan)})
     assert (
-        "(membrane not known before its reset, threshold 1)" in first(twin, reset, ["a"]).describe()
+        "(membrane not known before its reset, threshold 1)"
+        in first_divergence(twin, reset, ["a"]).describe()
     )
-    assert first(twin, ran(a=[0, 1, 0], b=[0, 1, 0]), ["b", "a"]).layer == "b"
-    assert first(twin, ran(a=[0, 1, 0], b=[0, 0, 1]), ["b", "a"]).layer == "a"
+    assert first_divergence(twin, ran(a=[0, 1, 0], b=[0, 1, 0]), ["b", "a"]).layer == "b"
+    assert first_divergence(twin, ran(a=[0, 1, 0], b=[0, 0, 1]), ["b", "a"]).layer == "a"
 
 
 def test_ablation_steps_add_one_rounding_after_another_and_end_on_the_chip():

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spikedeploy.runtime.analysis.spike_distance import mean_distance, van_rossum
+from spikedeploy.runtime.analysis.activity import mean_distance, van_rossum
 
 
 def train(*times, length=8):
