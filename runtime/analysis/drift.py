@@ -418,9 +418,8 @@ def _cause_beside(
     """The cause where it is none of the chip's roundings."""
     own = twin.spikes[layer.name]
     alike = _health(own) == found
-    driven = layer.bias.any() or layer.voltage_bias.any()
-    driven = driven or any(spikes[s.source].any() for s in layer.synapses)
-    if found == "dead" and not driven:
+    biased = bool(layer.bias.any() or layer.voltage_bias.any())
+    if found == "dead" and not (biased or any(spikes[s.source].any() for s in layer.synapses)):
         of = ", ".join(repr(s.source) for s in layer.synapses)
         also = ", in float too" if alike else ""
         return "input", f"nothing arrives: {of} is silent and there is no bias{also}"
