@@ -30,6 +30,7 @@ from typing import Any
 
 import numpy as np
 
+from spikedeploy.reports.table import markdown_text
 from spikedeploy.trainers import ALGORITHMS
 from spikedeploy.trainers.progress import Interrupt
 from spikedeploy.trainers.train import train
@@ -350,13 +351,11 @@ def _only(runs: Path) -> Path | None:
 def table(rows: list[Row]) -> str:
     """Return the rows as a table, and a line for each difference."""
     head = ("training", "recipe", "kills", "at a write", "stops", "chains", "equal", "files", "s")
-    cells = [head] + [
-        tuple(map(str, (
+    cells = [
+        list(map(str, (
             r.name, r.recipe, r.kills, r.writes, r.stops, r.chains,
             r.chains - len(r.differences), r.files, round(r.seconds))))
         for r in rows
     ]  # fmt: skip
-    widths = [max(len(row[k]) for row in cells) for k in range(len(head))]
-    lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) for row in cells]
     wrong = (difference for row in rows for difference in row.differences)
-    return "\n".join([*(line.rstrip() for line in lines), *wrong])
+    return "\n".join([markdown_text([list(head), *cells]), *wrong])

@@ -27,8 +27,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from spikedeploy.files import write_text
+from spikedeploy.reports.table import ABSENT, markdown_text
+
 ROOT = Path(__file__).resolve().parents[1]
-NOTHING = "–"
 _BLOCK = re.compile(r"(<!-- table: ([^>]*?) -->\n\n)((?:\|.*\n)*)(\n?<!-- end of table -->)")
 
 
@@ -74,7 +76,7 @@ def join_tables(found: list[Table], columns: list[str]) -> Table:
     missing = [head for head in columns if not any(head in row for row in cells.values())]
     if missing:
         raise TableError(f"there is no column {missing[0]!r}")
-    return Table(columns, [[row.get(head, NOTHING) for head in columns] for row in cells.values()])
+    return Table(columns, [[row.get(head, ABSENT) for head in columns] for row in cells.values()])
 
 
 def select(table: Table, rows: list[str], columns: list[str]) -> Table:
@@ -95,7 +97,7 @@ def fill(page: Table, source: Table, keep: list[str]) -> Table:
     found = {row[0]: dict(zip(source.heads, row, strict=True)) for row in source.rows}
     rows = [
         [
-            cell if k == 0 or head in keep else found.get(row[0], {}).get(head, NOTHING)
+            cell if k == 0 or head in keep else found.get(row[0], {}).get(head, ABSENT)
             for k, (head, cell) in enumerate(zip(page.heads, row, strict=True))
         ]
         for row in page.rows
@@ -127,8 +129,7 @@ def make_table(request: str, before: str) -> str:
     else:
         columns = options.get("columns") or found[0].heads
         made = select(join_tables(found, columns), options.get("rows", []), columns)
-    lines = [made.heads, ["---"] * len(made.heads), *made.rows]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    return markdown_text([made.heads, *made.rows]) + "\n"
 
 
 def fill_page(text: str) -> str:
@@ -161,9 +162,7 @@ def main() -> int:
             changed += 1
             print(f"{page.relative_to(ROOT)}: {'differs' if check else 'written'}")
             if not check:
-                part = page.with_name(f"{page.name}.part")
-                part.write_text(made, encoding="utf-8")
-                part.replace(page)
+                write_text(page, made)
     return int(check and changed > 0)
 
 

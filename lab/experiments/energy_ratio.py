@@ -124,30 +124,32 @@ def pairs(results: Path) -> Iterator[Pair]:
             yield _pair(env, f"{spiking.role}", "float MLP, pruned", spiking, best)
 
 
+# field of a pair -> columns of the rows that it is the sum of
+_MINE = {
+    "sops": ("operations", "bias_operations"),
+    "updates": ("neuron_updates",),
+    "one_state": ("readout_updates",),
+    "events": ("events",),
+    "observations": ("observations",),
+    "constants": ("constants",),
+}
+_OTHERS = {
+    "macs": ("operations",),
+    "baseline_observations": ("observations",),
+    "baseline_constants": ("constants",),
+}
+
+
 def _pair(
     task: str, name: str, baseline: str, mine: Point | TaskPoint, other: Point | TaskPoint
 ) -> Pair:
-    def count(point: Point | TaskPoint, field: str) -> float:
-        return point.mean(field) or 0.0
+    def sums(point: Point | TaskPoint, columns: Mapping[str, Sequence[str]]) -> dict[str, float]:
+        return {field: sum(point.mean(n) or 0.0 for n in of) for field, of in columns.items()}
 
-    return Pair(
-        task=task,
-        spiking=name,
-        baseline=baseline,
-        score=mine.of_teacher.mean,
-        baseline_score=other.of_teacher.mean,
-        seeds=len(mine.rows),
-        baseline_seeds=len(other.rows),
-        sops=count(mine, "operations") + count(mine, "bias_operations"),
-        updates=count(mine, "neuron_updates"),
-        one_state=count(mine, "readout_updates"),
-        events=count(mine, "events"),
-        observations=count(mine, "observations"),
-        constants=count(mine, "constants"),
-        macs=count(other, "operations"),
-        baseline_observations=count(other, "observations"),
-        baseline_constants=count(other, "constants"),
-    )
+    scores = mine.of_teacher.mean, other.of_teacher.mean
+    seeds = len(mine.rows), len(other.rows)
+    counts = sums(mine, _MINE) | sums(other, _OTHERS)
+    return Pair(task, name, baseline, *scores, *seeds, **counts)
 
 
 def encoding(pair: Pair, where: str) -> tuple[float, float]:
@@ -230,7 +232,7 @@ def rows(found: Sequence[Pair]) -> Iterator[Record]:
                     energies = Energies(pair, sums, where, clock)
                     for of in (*PUBLISHED, OWN):
                         x = energies.update_over_sop(of)
-                        yield _counts(pair) | {
+                        yield vars(pair) | {
                             "accumulator_bits": sums,
                             "encoder": where,
                             "clock": clock,
@@ -241,10 +243,6 @@ def rows(found: Sequence[Pair]) -> Iterator[Record]:
                             "ratio": energies.ratio(x),
                             "flips_at_update_over_sop": energies.flips_at,
                         }
-
-
-def _counts(pair: Pair) -> Record:
-    return dict(vars(pair))
 
 
 _TIMES = {
