@@ -222,12 +222,3 @@ def test_a_negative_return_counts_from_random_actions_on():
     assert shares["teacher"] == 1.0
     assert shares["tuned"] == pytest.approx(0.9)
     assert np.isclose(shares["random"], 0.0)
-
-
-def test_options_of_other_experiments_and_unknown_tasks_are_refused():
-    with pytest.raises(ConfigError, match="the experiment gymnasium has no finishes"):
-        GymnasiumDesign.of({"finishes": 3})
-    with pytest.raises(ConfigError, match="no task 'Walker2d-v5'; known: CartPole-v1"):
-        GymnasiumDesign.of({"env": "Walker2d-v5"})
-    with pytest.raises(ConfigError, match=r"--set budget=3: say of which trainings"):
-        GymnasiumDesign.of({"set": ("budget=3",)})

@@ -335,13 +335,6 @@ def test_a_first_look_trains_evaluates_and_writes_the_page(tmp_path, monkeypatch
     assert "| kart-gazebo | – | gap | – |" in page
 
 
-def test_options_of_other_experiments_are_refused():
-    with pytest.raises(ConfigError, match="the experiment kart has no levels"):
-        KartDesign.of({"levels": 3})
-    quick = KartDesign.of({"quick": True})
-    assert (quick.runs, quick.seeds) == ("runs/kart-quick", 1)
-
-
 # the published page
 
 

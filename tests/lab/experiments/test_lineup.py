@@ -134,12 +134,3 @@ def test_a_damaged_evaluation_is_named_and_no_table_written(damage, design, resu
     with pytest.raises(ConfigError, match=r"linear-s0\.json is damaged: put it back, or move it"):
         replace(design, runs=str(runs)).write(tmp_path / "results")
     assert not (tmp_path / "results").exists()
-
-
-def test_a_refusal_names_the_option_and_what_is_not_shipped():
-    with pytest.raises(ConfigError, match="the experiment lineup has no levels"):
-        LineupDesign.of({"levels": 3})
-    with pytest.raises(
-        ConfigError, match="no policy that was distilled is shipped for 'kart-grid'"
-    ):
-        LineupDesign.of({"env": "kart-grid"})

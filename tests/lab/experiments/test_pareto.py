@@ -202,24 +202,6 @@ def test_the_page_follows_from_its_table_without_the_runs(design, results, tmp_p
     }
 
 
-def test_options_of_other_experiments_are_refused():
-    with pytest.raises(ConfigError, match="the experiment pareto has no finishes"):
-        ParetoDesign.of({"env": "hexapod", "finishes": 3})
-    with pytest.raises(ConfigError, match="needs an environment: hexapod, hexapod-command"):
-        ParetoDesign.of({})
-    with pytest.raises(ConfigError, match="no environment 'hexapot'"):
-        ParetoDesign.of({"env": "hexapot"})
-
-
-def test_karts_drive_more_episodes_than_robots_walk():
-    assert (
-        ParetoDesign.of({"env": ENV}).episodes,
-        ParetoDesign.of({"env": "hexapod"}).episodes,
-    ) == (300, 100)
-    assert ParetoDesign.of({"env": ENV, "episodes": 7}).episodes == 7
-    assert ParetoDesign.of({"env": ENV, "quick": True}).seeds == 1
-
-
 def test_an_unknown_part_or_setting_is_refused_before_anything_runs(design, results, ran, tmp_path):
     count = len(ran)
     with pytest.raises(ConfigError, match="no part of the experiment begins with 'kart-grit'"):

@@ -13,7 +13,6 @@ from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.envs.disturbances import kinds_of
 from spikedeploy.jobs import resumable
-from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import FAULTS, faults
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.train import train
@@ -180,25 +179,6 @@ def test_a_policy_that_earns_nothing_keeps_no_share():
     rows = page.with_kept([nothing, nothing | {"part": "disturbance"}])
     assert all("kept" not in row for row in rows)
     assert page.kept(rows[1]) == "–"
-
-
-def test_options_of_other_experiments_are_refused():
-    with pytest.raises(ConfigError, match="robustness has no seeds"):
-        RobustnessDesign.of({"env": ENV, "seeds": 2})
-    with pytest.raises(ConfigError, match="needs an environment"):
-        RobustnessDesign.of({})
-    with pytest.raises(ConfigError, match="no environment 'moon'"):
-        RobustnessDesign.of({"env": "moon"})
-    with pytest.raises(ConfigError, match="CartPole-v1 are shipped: name yours"):
-        RobustnessDesign.of({"env": "CartPole-v1"})
-    with pytest.raises(ConfigError, match="--policies random is built in"):
-        RobustnessDesign.of({"env": "CartPole-v1", "policies": ["random"]})
-    with pytest.raises(ConfigError, match="was made for"):
-        RobustnessDesign.of({"env": "CartPole-v1", "policies": ["kart-grid/snn"]})
-    with pytest.raises(ConfigError, match="two are called snn"):
-        RobustnessDesign.of({"env": ENV, "policies": ["kart-grid/snn,kart-grid/snn"]})
-    assert RobustnessDesign.of({"env": ENV, "quick": True}).episodes == 2
-    assert RobustnessDesign.of({"env": ENV, "quick": True, "episodes": 4}).episodes == 4
 
 
 def test_shipped_policies_can_be_chosen():
