@@ -410,10 +410,10 @@ class _Bodies:
                 {
                     "kind": kinds[g],
                     "body": int(model.geom_bodyid[g]) - 1,
-                    "size": _rounded(model.geom_size[g]),
-                    "position": _rounded(model.geom_pos[g]),
-                    "quaternion": _rounded(model.geom_quat[g]),
-                    "colour": _rounded(self._colour(g)[:3]),
+                    "size": _round(model.geom_size[g]),
+                    "position": _round(model.geom_pos[g]),
+                    "quaternion": _round(model.geom_quat[g]),
+                    "colour": _round(self._colour(g)[:3]),
                 }
                 for g in shown
                 if kinds[g] not in _GROUND and model.geom_bodyid[g] > 0
@@ -466,8 +466,8 @@ class _Kart:
         track = self._env.track
         return {
             "kind": "track",
-            "walls": _rounded(track.walls, 1),
-            "gates": _rounded(track.gates, 1),
+            "walls": _round(track.walls, 1),
+            "gates": _round(track.gates, 1),
             "radius": RADIUS,
         }
 
@@ -476,7 +476,7 @@ class _Kart:
         return np.array([self._env.pose])
 
 
-def _rounded(values: Any, digits: int = 4) -> Any:  # noqa: ANN401
+def _round(values: Any, digits: int = 4) -> Any:  # noqa: ANN401
     return np.round(np.asarray(values, np.float64), digits).tolist()
 
 

@@ -62,7 +62,7 @@ class TrackDraft:
         """With gates next."""
         return replace(self, adding_gates=True)
 
-    def added(self, point: Point) -> "TrackDraft":
+    def with_point(self, point: Point) -> "TrackDraft":
         """With a point appended to the open line, unless it repeats the last one."""
         line = self.open_line
         if line and line[-1] == point:
@@ -72,24 +72,24 @@ class TrackDraft:
             return replace(self, gates=(*(self.gates[:-1] if line else self.gates), grown))
         return replace(self, walls=(*self.walls[:-1], grown))
 
-    def started(self, point: Point) -> "TrackDraft":
+    def with_start(self, point: Point) -> "TrackDraft":
         """With the start at a point."""
         return replace(self, start=point)
 
-    def turned(self, angle: float) -> "TrackDraft":
+    def with_turn(self, angle: float) -> "TrackDraft":
         """With the headings at the start turned by an angle [rad]."""
         low, high = (round(value + angle, 4) for value in self.heading)
         return replace(self, heading=(low, high))
 
-    def moved(self, old: Point, new: Point) -> "TrackDraft":
+    def with_point_moved(self, old: Point, new: Point) -> "TrackDraft":
         """With a point moved, in every line that has it and in the start."""
         start = new if self.start == old else self.start
-        return replace(self._mapped(lambda p: new if p == old else p), start=start)
+        return replace(self._map_points(lambda p: new if p == old else p), start=start)
 
     def without(self, old: Point) -> "TrackDraft":
         """Without a point, in every line and in the start."""
         start = None if self.start == old else self.start
-        return replace(self._mapped(lambda p: None if p == old else p), start=start)
+        return replace(self._map_points(lambda p: None if p == old else p), start=start)
 
     def near(self, place: Point, reach: float) -> Point | None:
         """The nearest point or start within `reach` [px]."""
@@ -97,7 +97,7 @@ class TrackDraft:
         found = min(points, key=lambda p: dist(p, place), default=None)
         return found if found is not None and dist(found, place) <= reach else None
 
-    def snapped(self, place: Point, reach: float) -> Point:
+    def snap(self, place: Point, reach: float) -> Point:
         """The point of a click: an existing point nearby, for gates a near wall, else whole px."""
         corner = min(self.points, key=lambda p: dist(p, place), default=None)
         if corner is not None and dist(corner, place) <= reach:
@@ -105,12 +105,12 @@ class TrackDraft:
         walls = [_foot(place, a, b) for line in self.walls for a, b in pairwise(line)]
         foot = min(walls, key=lambda p: dist(p, place), default=None)
         if self.adding_gates and foot is not None and dist(foot, place) <= reach:
-            return _rounded(foot)
-        return _rounded(place)
+            return _round(foot)
+        return _round(place)
 
-    def _mapped(self, to: Callable[[Point], Point | None]) -> "TrackDraft":
-        gates = tuple(gate for gate in _mapped(self.gates, to) if gate)
-        return replace(self, walls=_mapped(self.walls, to), gates=gates)
+    def _map_points(self, to: Callable[[Point], Point | None]) -> "TrackDraft":
+        gates = tuple(gate for gate in _map_points(self.gates, to) if gate)
+        return replace(self, walls=_map_points(self.walls, to), gates=gates)
 
 
 @dataclass(frozen=True)
@@ -126,28 +126,28 @@ class History:
     past: tuple[TrackDraft, ...] = ()
     future: tuple[TrackDraft, ...] = ()
 
-    def did(self, draft: TrackDraft) -> "History":
+    def record(self, draft: TrackDraft) -> "History":
         """After a change, which can be undone; unchanged without one."""
         return self if draft == self.now else History(draft, (*self.past, self.now))
 
-    def chose(self, draft: TrackDraft) -> "History":
+    def replace_now(self, draft: TrackDraft) -> "History":
         """After a change that undo passes over, such as walls or gates next."""
         return replace(self, now=draft)
 
-    def undone(self) -> "History":
+    def undo(self) -> "History":
         """After undo."""
         if not self.past:
             return self
         return History(self.past[-1], self.past[:-1], (self.now, *self.future))
 
-    def redone(self) -> "History":
+    def redo(self) -> "History":
         """After redo."""
         if not self.future:
             return self
         return History(self.future[0], (*self.past, self.now), self.future[1:])
 
 
-def _mapped(lines: tuple[Line, ...], to: Callable[[Point], Point | None]) -> tuple[Line, ...]:
+def _map_points(lines: tuple[Line, ...], to: Callable[[Point], Point | None]) -> tuple[Line, ...]:
     """Lines with mapped points; finished lines with fewer than two points are dropped."""
     found = []
     for index, line in enumerate(lines):
@@ -166,7 +166,7 @@ def _foot(place: Point, a: Point, b: Point) -> Point:
     return a[0] + share * dx, a[1] + share * dy
 
 
-def _rounded(place: Point) -> Point:
+def _round(place: Point) -> Point:
     return float(round(place[0])), float(round(place[1]))
 
 

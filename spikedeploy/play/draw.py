@@ -28,21 +28,20 @@ from spikedeploy.play.theme import (
     DIM,
     GREEN,
     HEIGHT,
-    PANEL,
     RED,
     TEXT,
     Colour,
+    draw_panel,
     font,
     heading,
-    keycaps,
     write,
 )
+from spikedeploy.play.window import App
 
 _REACH = 12.0  # [screen px] within which a click snaps to an existing point
 _TURN = pi / 12  # [rad] of the start with each key press
 _ZOOM = 1.15
 _WIDTH = 340
-_PAD = 26
 _GRID: Colour = (24, 28, 39)
 _METRE = 100.0  # [px]
 _VIEW = 1000.0  # [px] shown of an empty draft
@@ -63,10 +62,9 @@ _KEYS = [
 ]
 
 
-class TrackEditor:
+class TrackEditor(App):
     """The app: a draft of a track under the pointer.
 
-    title, name, fps  as of a window.App
     path     of the file that it is saved to
     history  the draft and its undo history
     held     the point that is being moved
@@ -111,22 +109,22 @@ class TrackEditor:
         elif event.key in (pygame.K_z, pygame.K_y):
             self.held = None
             undo = event.key == pygame.K_z
-            self.history = self.history.undone() if undo else self.history.redone()
+            self.history = self.history.undo() if undo else self.history.redo()
         elif event.key in (pygame.K_w, pygame.K_g):
             wall = event.key == pygame.K_w
             new = self.draft.new_wall() if wall else self.draft.new_gate()
-            self.history = self.history.chose(new)
+            self.history = self.history.replace_now(new)
         elif event.key == pygame.K_s:
-            self._change(self.draft.started(self._target(0.0)))
+            self._change(self.draft.with_start(self._target(0.0)))
         elif event.key in (pygame.K_q, pygame.K_e):
-            self._change(self.draft.turned(_TURN if event.key == pygame.K_e else -_TURN))
+            self._change(self.draft.with_turn(_TURN if event.key == pygame.K_e else -_TURN))
         elif event.key == pygame.K_m:
             self.held = None if self.held else self._near()
 
     def point(self, event: pygame.Event) -> None:
         """Handle a mouse move, click or wheel event."""
         if event.type == pygame.MOUSEWHEEL:
-            self._view = self._view.zoomed(_ZOOM**event.y, self._pointer)
+            self._view = self._view.zoom(_ZOOM**event.y, self._pointer)
             return
         if self._on_track(event.pos):
             self._pointer = event.pos
@@ -135,16 +133,13 @@ class TrackEditor:
             elif event.type == pygame.MOUSEBUTTONDOWN and event.button == 3 and self._near():
                 self._change(self.draft.without(self._near() or (0.0, 0.0)))
 
-    def tick(self) -> None:
-        """Nothing: time has no effect."""
-
     def draw(self) -> pygame.Surface:
         """The draft with a preview of the next line, and the panel."""
         target = self._target()
-        shown = self.draft.moved(self.held, target) if self.held else self.draft
+        shown = self.draft.with_point_moved(self.held, target) if self.held else self.draft
         surface = draw_draft(shown, self._view, target, bool(self.held))
         file = f"{self.path.name} •" if self.changed else self.path.name
-        draw_panel(surface, file, shown, target, bool(self.held), self.message)
+        _draw_facts(surface, file, shown, target, bool(self.held), self.message)
         return surface
 
     def close(self) -> Path | None:
@@ -156,24 +151,28 @@ class TrackEditor:
 
     def _click(self) -> None:
         target = self._target()
-        new = self.draft.moved(self.held, target) if self.held else self.draft.added(target)
+        new = (
+            self.draft.with_point_moved(self.held, target)
+            if self.held
+            else self.draft.with_point(target)
+        )
         self.held = None
         self._change(new)
 
     def _change(self, draft: TrackDraft) -> None:
-        self.history = self.history.did(draft)
+        self.history = self.history.record(draft)
         self.message = (DIM, "Not saved yet." if self.changed else "")
 
     def _save(self) -> None:
         """Write the track, or if it is invalid its draft, and set the message."""
         try:
-            self.message = self._written()
+            self.message = self._save_or_keep()
         except OSError as error:
             self.message = (RED, f"{self.path}: {error.strerror}; nothing was saved.")
         else:
             self._saved_text = as_text(self.draft)
 
-    def _written(self) -> tuple[Colour, str]:
+    def _save_or_keep(self) -> tuple[Colour, str]:
         try:
             save(self.draft, self.path)
         except EnvError as error:
@@ -185,11 +184,11 @@ class TrackEditor:
     def _target(self, reach: float = _REACH) -> Point:
         """The point that a click would set."""
         rest = self.draft.without(self.held) if self.held else self.draft
-        return rest.snapped(self._view.under(self._pointer), reach / self._view.scale)
+        return rest.snap(self._view.point_under(self._pointer), reach / self._view.scale)
 
     def _near(self) -> Point | None:
         """The point under the pointer."""
-        return self.draft.near(self._view.under(self._pointer), _REACH / self._view.scale)
+        return self.draft.near(self._view.point_under(self._pointer), _REACH / self._view.scale)
 
     def _on_track(self, place: Point) -> bool:
         return 0 <= place[0] < HEIGHT and 0 <= place[1] < HEIGHT
@@ -214,17 +213,17 @@ class View:
         found: NDArray[np.float64] = (np.asarray(points, np.float64) - self.corner) * self.scale
         return found
 
-    def under(self, place: Point) -> Point:
+    def point_under(self, place: Point) -> Point:
         """The point of the world under a screen point."""
         return (
             self.corner[0] + place[0] / self.scale,
             self.corner[1] + place[1] / self.scale,
         )
 
-    def zoomed(self, factor: float, place: Point) -> "View":
+    def zoom(self, factor: float, place: Point) -> "View":
         """Zoomed about a screen point."""
         scale = min(max(self.scale * factor, 0.1), 8.0)
-        x, y = self.under(place)
+        x, y = self.point_under(place)
         return View((x - place[0] / scale, y - place[1] / scale), scale)
 
 
@@ -262,7 +261,7 @@ def draw_draft(draft: TrackDraft, view: View, target: Point, moving: bool) -> py
     return surface
 
 
-def draw_panel(
+def _draw_facts(
     surface: pygame.Surface,
     file: str,
     draft: TrackDraft,
@@ -272,10 +271,7 @@ def draw_panel(
 ) -> None:
     """Draw the panel: the next click, facts, the last message, and the keys."""
     place = pygame.Rect(HEIGHT, 0, _WIDTH, HEIGHT)
-    pygame.draw.rect(surface, PANEL, place)
-    inner = place.inflate(-2 * _PAD, -2 * _PAD)
-    write(surface, file, inner.topleft, 20, TEXT, "bold")
-    write(surface, "draw a track", (inner.left, inner.top + 28), 12, DIM)
+    inner = draw_panel(surface, place, file, "draw a track", _KEYS, 4)
     y = inner.top + 66
     heading(surface, "next click", (inner.left, y))
     does = "puts the point down" if moving else _next(draft)
@@ -288,9 +284,8 @@ def draw_panel(
         y += 26
     y += 16
     colour, text = message
-    for row in _wrapped(text, inner.width):
+    for row in _wrap(text, inner.width):
         y = write(surface, row, (inner.left, y), 13, colour).bottom + 4
-    keycaps(surface, _KEYS, (inner.left, inner.bottom - 134), inner.width)
 
 
 def _next(draft: TrackDraft) -> str:
@@ -313,7 +308,7 @@ def _metres(point: Point) -> str:
     return f"{point[0] / _METRE:.2f}, {point[1] / _METRE:.2f} m"
 
 
-def _wrapped(text: str, width: int) -> list[str]:
+def _wrap(text: str, width: int) -> list[str]:
     """The text wrapped to a width [px]."""
     rows = [""]
     for word in text.split():

@@ -31,14 +31,15 @@ from spikedeploy.play.theme import (
     Colour,
     banner,
     bar,
+    draw_panel,
     env_picture,
     heading,
     is_kart,
-    keycaps,
     picture_size,
     signed_bar,
     write,
 )
+from spikedeploy.play.window import App
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import Candidate, Player, find
@@ -414,11 +415,8 @@ def _shipped(env: str) -> Candidate:
 # the app
 
 
-class DriveApp:
-    """A session in a window, and its panel.
-
-    title, name, fps  as of a window.App
-    """
+class DriveApp(App):
+    """A session in a window, and its panel."""
 
     def __init__(self, session: Session, env: str) -> None:
         self.session = session
@@ -467,15 +465,12 @@ class DriveApp:
 # its panel
 
 _WIDTH = 400
-_PAD = 26
 _TOPS = {"up": 4.0, "forward": 4.4, "accelerate": 5.99}  # action of one kind of kart -> [m/s]
 
 
 def _draw_panel(surface: pygame.Surface, place: pygame.Rect, session: Session, title: str) -> None:
-    pygame.draw.rect(surface, PANEL, place)
-    inner = place.inflate(-2 * _PAD, -2 * _PAD)
-    write(surface, title, inner.topleft, 20, TEXT, "bold")
-    write(surface, session.driver.name, (inner.left, inner.top + 28), 13, DIM)
+    keys = [*session.driver.legend, ("R", "restart"), ("P", "picture"), ("ESC", "leave")]
+    inner = draw_panel(surface, place, title, session.driver.name, keys, 1)
     y = inner.top + 66
     if not isinstance(session.world, AdaptedEnv):
         y = _speed(surface, inner, y, session)
@@ -486,8 +481,6 @@ def _draw_panel(surface: pygame.Surface, place: pygame.Rect, session: Session, t
     if session.driver.network is not None:
         y = _network(surface, inner, y + 24, session.driver.network, session.period)
     _rewards(surface, inner, y + 24, session)
-    legend = [*session.driver.legend, ("R", "restart"), ("P", "picture"), ("ESC", "leave")]
-    keycaps(surface, legend, (inner.left, inner.bottom - 50), inner.width)
 
 
 def _speed(surface: pygame.Surface, inner: pygame.Rect, y: int, session: Session) -> int:

@@ -28,14 +28,15 @@ from spikedeploy.play.theme import (
     TEXT,
     Colour,
     bar,
+    draw_panel,
     env_picture,
-    fitting,
     heading,
     is_kart,
-    keycaps,
     picture_size,
+    shorten,
     write,
 )
+from spikedeploy.play.window import App
 from spikedeploy.policies.registry import check_fit, find
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.video import gif, mp4
@@ -283,7 +284,6 @@ class Playback:
 # the app
 
 _WIDTH = 340  # of the panel
-_PAD = 26
 _KEYS = [
     ("SPACE", "pause"),
     ("← →", "seek"),
@@ -295,11 +295,10 @@ _KEYS = [
 ]
 
 
-class ReplayApp:
+class ReplayApp(App):
     """The app: one source, or several on one track.
 
-    title, name, fps  as of a window.App
-    playback          position and speed
+    playback  position and speed
     """
 
     fps = 60.0
@@ -394,13 +393,9 @@ class ReplayApp:
 
     def _draw_panel(self, surface: pygame.Surface, place: pygame.Rect) -> None:
         """Name, position in time, and the facts of the view."""
-        pygame.draw.rect(surface, PANEL, place)
-        inner = place.inflate(-2 * _PAD, -2 * _PAD)
         track = f" · {self._world.track.name}" if is_kart(self._world) else ""
-        write(surface, self.name + track, inner.topleft, 20, TEXT, "bold")
-        write(surface, self._heading, (inner.left, inner.top + 28), 12, DIM)
+        inner = draw_panel(surface, place, self.name + track, self._heading, _KEYS, 3)
         self._draw_facts(surface, inner, self._draw_time(surface, inner, inner.top + 66))
-        keycaps(surface, _KEYS, (inner.left, inner.bottom - 106), inner.width)
 
     def _draw_facts(self, surface: pygame.Surface, inner: pygame.Rect, y: int) -> None:
         """Names and values, in smaller type where there are several sources."""
@@ -409,7 +404,7 @@ class ReplayApp:
         for name, value in self.view.facts(self.playback.now):
             if name in legend:
                 pygame.draw.aacircle(surface, legend[name], (inner.left + 6, y + 8), 6)
-                text = fitting(name, inner.width - 20, size, "bold")
+                text = shorten(name, inner.width - 20, size, "bold")
                 write(surface, text, (inner.left + 20, y), size, TEXT, "bold")
             else:
                 write(surface, name, (inner.left + 20 * bool(legend), y), size, DIM)

@@ -48,7 +48,7 @@ def write(
     return surface.blit(drawn, place)
 
 
-def fitting(text: str, width: int, size: int = 15, face: str = "plain") -> str:
+def shorten(text: str, width: int, size: int = 15, face: str = "plain") -> str:
     """The text, or its end after an ellipsis, within a width [px]."""
     cut = text
     while font(size, face).size(cut)[0] > width and len(cut) > 2:
@@ -99,6 +99,23 @@ def keycaps(
         write(surface, meaning, (place.right + 7, place.centery), 12, DIM, anchor="midleft")
         x = place.right + 7 + label + 18
     return y + 28
+
+
+def draw_panel(
+    surface: pygame.Surface,
+    place: pygame.Rect,
+    title: str,
+    subtitle: str,
+    keys: list[tuple[str, str]],
+    rows: int,
+) -> pygame.Rect:
+    """Draw a panel with its title and, in rows at its end, the keys; return the space inside."""
+    pygame.draw.rect(surface, PANEL, place)
+    inner = place.inflate(-52, -52)
+    write(surface, title, inner.topleft, 20, TEXT, "bold")
+    write(surface, subtitle, (inner.left, inner.top + 28), 12, DIM)
+    keycaps(surface, keys, (inner.left, inner.bottom - 22 - 28 * rows), inner.width)
+    return inner
 
 
 def banner(surface: pygame.Surface, place: pygame.Rect, text: str, colour: Colour) -> None:

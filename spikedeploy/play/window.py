@@ -2,7 +2,6 @@
 
 import itertools
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import pygame
 
@@ -15,7 +14,7 @@ MAX_TICKS = 25.0  # ticks between two frames
 _MOUSE = (pygame.MOUSEMOTION, pygame.MOUSEBUTTONDOWN, pygame.MOUSEWHEEL)
 
 
-class _App(Protocol):
+class App:
     """An app that a window can show; it draws itself without one too.
 
     title   of the window
@@ -33,25 +32,21 @@ class _App(Protocol):
     def tick(self) -> None:
         """Advance by one frame."""
 
-    def draw(self) -> pygame.Surface:
-        """The frame, always of the same size."""
-
-
-@runtime_checkable
-class _MouseApp(Protocol):
-    """An app that handles the mouse as well."""
-
     def point(self, event: pygame.Event) -> None:
         """Handle a mouse move, click or wheel event; positions are those of the frame."""
 
+    def draw(self) -> pygame.Surface:
+        """The frame, always of the same size."""
+        raise NotImplementedError
 
-def show(app: _App, screenshots: Path = _SCREENSHOTS) -> None:
+
+def show(app: App, screenshots: Path = _SCREENSHOTS) -> None:
     """Show the app until its window is closed or ESC is pressed; P takes a screenshot."""
     screen = _open(app)
     clock = pygame.time.Clock()
     due, size = 1.0, screen.get_size()
     try:
-        while not _handled(app, screenshots, size):
+        while not _handle_events(app, screenshots, size):
             for _ in range(int(due)):
                 app.tick()
             frame = app.draw()
@@ -64,7 +59,7 @@ def show(app: _App, screenshots: Path = _SCREENSHOTS) -> None:
         pygame.display.quit()
 
 
-def _screenshot(app: _App, folder: Path = _SCREENSHOTS) -> Path:
+def _screenshot(app: App, folder: Path = _SCREENSHOTS) -> Path:
     """Write the current frame to the first free file name; return the path."""
     folder.mkdir(parents=True, exist_ok=True)
     names = (folder / f"{app.name}-{number}.png" for number in itertools.count(1))
@@ -73,7 +68,7 @@ def _screenshot(app: _App, folder: Path = _SCREENSHOTS) -> Path:
     return path
 
 
-def _open(app: _App) -> pygame.Surface:
+def _open(app: App) -> pygame.Surface:
     check_display()
     try:
         pygame.display.init()
@@ -88,7 +83,7 @@ def _open(app: _App) -> pygame.Surface:
     return screen
 
 
-def _handled(app: _App, screenshots: Path, size: tuple[int, int]) -> bool:
+def _handle_events(app: App, screenshots: Path, size: tuple[int, int]) -> bool:
     """Pass pending events to the app; return whether one of them closes the window."""
     for event in pygame.event.get():
         escape = event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE
@@ -98,7 +93,7 @@ def _handled(app: _App, screenshots: Path, size: tuple[int, int]) -> bool:
             _screenshot(app, screenshots)
         elif event.type in (pygame.KEYDOWN, pygame.KEYUP):
             app.handle(event)
-        elif event.type in _MOUSE and isinstance(app, _MouseApp):
+        elif event.type in _MOUSE:
             app.point(_on_frame(event, size))
     return False
 

@@ -78,13 +78,13 @@ def _convention(candidate: Candidate) -> str:
 def _remarks(comparison: Comparison, rows: Sequence[Row]) -> dict[str, list[str]]:
     """Label of a row -> remarks of the compiler, and what faults of the chip hit."""
     remarks = {
-        row.entry.label: [*row.episodes[0].remarks, *map(_hit, found.get("faults", ()))]
+        row.entry.label: [*row.episodes[0].remarks, *map(_describe_hit, found.get("faults", ()))]
         for row, found in zip(comparison.rows, rows, strict=True)
     }
     return {label: lines for label, lines in remarks.items() if lines}
 
 
-def _hit(fault: Mapping[str, Any]) -> str:
+def _describe_hit(fault: Mapping[str, Any]) -> str:
     """`fault dead-neurons:2 (0.05) hits 60 of 1,204 neurons`."""
     hit, of = f"{fault['hit']:,}", f"{fault['of']:,}"
     return f"fault {fault['text']} ({fault['number']:g}) hits {hit} of {of} {fault['what']}"
@@ -182,7 +182,7 @@ def comparison_page(
         meanings={column.title: column.meaning for column in columns},
         energy_tables=document["energy_tables"],
         steps=_steps(document),
-        made=_made(document),
+        made=_provenance(document),
     )
 
 
@@ -235,7 +235,7 @@ def _steps(document: Document) -> list[tuple[str, str]]:
     return [*document["conventions"].items(), *remarks]
 
 
-def _made(document: Document) -> list[tuple[str, str]]:
+def _provenance(document: Document) -> list[tuple[str, str]]:
     """How the report was made."""
     first, count = document["seeds"]["first"], document["seeds"]["count"]
     facts = {

@@ -46,7 +46,7 @@ def key_names():
     return None
 
 
-class Script:
+class Script(window.App):
     """Posts events into a window, so many frames after it opened."""
 
     def __init__(self, app, **events):

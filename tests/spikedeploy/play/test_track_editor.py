@@ -38,7 +38,7 @@ def dummy(monkeypatch):
 def drawn(*points, draft=None):
     draft = draft or TrackDraft("a")
     for point in points:
-        draft = draft.added(point)
+        draft = draft.with_point(point)
     return draft
 
 
@@ -48,13 +48,13 @@ def drawn(*points, draft=None):
 def test_two_points_are_a_gate_and_the_next_begins_another():
     draft = drawn((0, 0), (0, 9), (5, 0), draft=TrackDraft("a").new_gate())
     assert draft.gates == (((0, 0), (0, 9)), ((5, 0),))
-    assert draft.added((5, 9)).open_line == ()
+    assert draft.with_point((5, 9)).open_line == ()
 
 
 def test_the_ends_of_gates_mean_the_wall_nearby():
     draft = drawn((10.0, 10.0), (90.0, 10.0)).new_gate()
-    assert draft.snapped((50.4, 12.3), 5.0) == (50.0, 10.0)
-    assert draft.snapped((50.4, 20.0), 5.0) == (50.0, 20.0)
+    assert draft.snap((50.4, 12.3), 5.0) == (50.0, 10.0)
+    assert draft.snap((50.4, 20.0), 5.0) == (50.0, 20.0)
 
 
 def test_a_removed_point_takes_lines_of_no_length_with_it():
@@ -69,21 +69,21 @@ def test_a_removed_point_takes_lines_of_no_length_with_it():
 def test_undo_goes_back_to_the_beginning_and_redo_to_the_end():
     history = History(TrackDraft("a"))
     for number in range(50):
-        history = history.did(history.now.added((number, 0)))
+        history = history.record(history.now.with_point((number, 0)))
     end = history.now
     for _ in range(60):
-        history = history.undone()
+        history = history.undo()
     assert history.now == TrackDraft("a")
     for _ in range(60):
-        history = history.redone()
+        history = history.redo()
     assert history.now == end
 
 
 def test_undo_does_not_stop_at_choices():
-    history = History(TrackDraft("a")).did(drawn((0, 0)))
-    history = history.chose(history.now.new_gate())
-    assert history.undone().now == TrackDraft("a")
-    assert not history.undone().now.adding_gates
+    history = History(TrackDraft("a")).record(drawn((0, 0)))
+    history = history.replace_now(history.now.new_gate())
+    assert history.undo().now == TrackDraft("a")
+    assert not history.undo().now.adding_gates
 
 
 # files
@@ -104,8 +104,8 @@ def test_a_sketch_that_the_validator_agrees_to_is_a_track(tmp_path):
     [
         (TrackDraft("a"), "there is no start; S places it"),
         (LANE.without((0.0, 0.0)), "the walls are open"),
-        (LANE.new_gate().added((60.0, 0.0)), "gate 3: 1 point; a line needs two"),
-        (LANE.started((5.0, 50.0)), "can start 5.0 px from a wall"),
+        (LANE.new_gate().with_point((60.0, 0.0)), "gate 3: 1 point; a line needs two"),
+        (LANE.with_start((5.0, 50.0)), "can start 5.0 px from a wall"),
     ],
 )
 def test_what_is_no_track_is_refused_with_the_validators_words(draft, line, tmp_path):
@@ -128,7 +128,12 @@ def test_a_shipped_track_is_copied_and_written_as_it_is(name, tmp_path):
 
 @pytest.mark.parametrize(
     "draft",
-    [TrackDraft("a"), drawn((1.5, 2)), drawn((1, 2), draft=LANE.new_gate()), LANE.turned(1.0)],
+    [
+        TrackDraft("a"),
+        drawn((1.5, 2)),
+        drawn((1, 2), draft=LANE.new_gate()),
+        LANE.with_turn(1.0),
+    ],
 )
 def test_a_draft_loses_nothing(draft, tmp_path):
     path = tmp_path / "a.json"
