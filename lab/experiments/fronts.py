@@ -14,7 +14,7 @@ from lab.experiments.pareto import FLOAT, LABELS, LEVELS, REWARD, SPIKING, STUDE
 from lab.experiments.ratios import nested_ratio
 from lab.experiments.training import Record, read_rows
 from spikedeploy.comparison.statistics import Estimate, ReturnEstimates, stratified
-from spikedeploy.reports.csv_rows import write_rows
+from spikedeploy.reports.table import write_rows
 
 _FIRST = (
     "env", "student", "trained_by", "seed", "level", "place", "part", "episodes", "return_mean",

@@ -36,9 +36,8 @@ from lab.experiments.training import (
 from spikedeploy import zoo
 from spikedeploy.comparison.statistics import Estimate, stratified
 from spikedeploy.files import as_text, read_json, write_text
-from spikedeploy.reports.csv_rows import write_rows
 from spikedeploy.reports.plots import BLUE, VERMILION, save
-from spikedeploy.reports.table import ABSENT
+from spikedeploy.reports.table import ABSENT, write_rows
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig

@@ -26,8 +26,7 @@ from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows
 from spikedeploy import zoo
 from spikedeploy.comparison.statistics import Estimate, stratified
 from spikedeploy.files import read_json
-from spikedeploy.reports.csv_rows import write_rows
-from spikedeploy.reports.table import ABSENT
+from spikedeploy.reports.table import ABSENT, write_rows
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.trainers.recipes import RECIPES

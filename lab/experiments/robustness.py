@@ -29,9 +29,8 @@ from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.make_env import make_env, parse_options
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.registry import BUILT_IN, Candidate, check_fit, find
-from spikedeploy.reports.csv_rows import write_rows
 from spikedeploy.reports.plots import BLUE, VERMILION, save
-from spikedeploy.reports.table import ABSENT
+from spikedeploy.reports.table import ABSENT, write_rows
 from spikedeploy.requests import LEVELS
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip

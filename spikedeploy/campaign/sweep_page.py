@@ -20,9 +20,8 @@ from spikedeploy.reports.columns import (
     measured_columns,
     quoted_table,
 )
-from spikedeploy.reports.csv_rows import write_rows
 from spikedeploy.reports.page import write_beside
-from spikedeploy.reports.table import ABSENT, Column, Table, field_cell
+from spikedeploy.reports.table import ABSENT, Column, Table, field_cell, write_rows
 
 Record = dict[str, Any]
 PAGE, SHOWN, NUMBERS = "sweep.md", "sweep.html", "sweep.csv"

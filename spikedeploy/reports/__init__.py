@@ -2,7 +2,7 @@
 
 Nothing is computed here that is not in the data; the same tables serve terminal, page and Markdown.
 
-table       a table and its three forms: terminal, Markdown, HTML
+table       a table and its forms: terminal, Markdown, HTML, CSV
 columns     the tables of a comparison, column by column; one of 80 columns; a row in one line
 headline    the row that a page is about, and three numbers of it
 plots       figures by matplotlib: returns, energies, learning curves, spikes; as PNG and SVG
@@ -14,5 +14,4 @@ drift       drift by layer and by rounding
 runs        training runs: scores, list, page
 datasheets  chips, energy tables, break-even lines, shipped policies
 terminal    what commands print of comparisons, emulations, files and traces
-csv_rows    rows as CSV, and read again
 """

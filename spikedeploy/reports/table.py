@@ -1,13 +1,17 @@
 """Tables on the terminal (rich), in Markdown and on pages, and the formats of their cells."""
 
+import csv
+import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spikedeploy.console import console
+from spikedeploy.files import replacing
 
 if TYPE_CHECKING:
     import rich.table
@@ -133,6 +137,24 @@ def _has_words(cells: Sequence[str]) -> bool:
 def markdown_text(lines: Sequence[Sequence[str]]) -> str:
     """The Markdown of a table whose first line is its head."""
     return Table(lines[0], lines[1:]).markdown()
+
+
+def write_rows(records: Iterable[Row], columns: Sequence[str], path: Path) -> Path:
+    """Write records as CSV; missing fields stay empty, a field without a column raises ValueError.
+
+    Floats have 10 digits; a list is JSON, with 7 digits.
+    """
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n", extrasaction="raise")
+        writer.writeheader()
+        writer.writerows({name: _csv_cell(value) for name, value in row.items()} for row in records)
+    return path
+
+
+def _csv_cell(value: object) -> object:
+    if isinstance(value, list):
+        return json.dumps([float(f"{each:.7g}") for each in value], separators=(",", ":"))
+    return f"{value:.10g}" if isinstance(value, float) else value
 
 
 def escape_markdown(name: str) -> str:
