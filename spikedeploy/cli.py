@@ -7,29 +7,30 @@ from typing import Annotated
 
 import typer
 
+from spikedeploy.commands.options import with_groups
 from spikedeploy.console import discard_output, name_program, prepare_streams
 from spikedeploy.user_errors import BAD_INPUT, exit_code, one_line
 
 # panel of the help -> command -> its module in spikedeploy/commands
 COMMANDS = {
     "Deploy": {
-        "demo": "demo",
+        "demo": "closed_loop",
         "compare": "closed_loop",
         "run": "closed_loop",
-        "serve": "serving",
+        "serve": "closed_loop",
         "emulate": "open_loop",
-        "check": "checks",
+        "check": "open_loop",
         "drift": "open_loop",
-        "verify": "replays",
-        "reproduce": "evidence",
+        "verify": "open_loop",
+        "reproduce": "closed_loop",
     },
     "Make": {
         "train": "training",
-        "tune": "tuning",
-        "distill": "distillation",
+        "tune": "training",
+        "distill": "training",
         "export": "exporting",
         "publish": "exporting",
-        "sweep": "sweeps",
+        "sweep": "training",
         "draw": "windows",
     },
     "Look": {
@@ -41,8 +42,8 @@ COMMANDS = {
         "energy": "listings",
         "envs": "listings",
         "recipes": "listings",
-        "runs": "runs",
-        "doctor": "checks",
+        "runs": "training",
+        "doctor": "listings",
     },
 }
 _MOVED = ("experiment", "interop")  # to lab/, which is not installed
@@ -61,7 +62,7 @@ app = typer.Typer(
 for _panel, _verbs in COMMANDS.items():
     for _verb, _module in _verbs.items():
         _command = getattr(import_module(f"spikedeploy.commands.{_module}"), _verb)
-        app.command(_verb, rich_help_panel=_panel)(_command)
+        app.command(_verb, rich_help_panel=_panel)(with_groups(_command))
 
 
 def _print_version(wanted: bool) -> None:

@@ -31,7 +31,7 @@ from spikedeploy.play.display import has_desktop
 from spikedeploy.policies.costs import FLOAT_TABLES, priced_by
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import Candidate, Player
-from spikedeploy.realtime.paced_loop import TIMES, PacedLoop, paced, pacing
+from spikedeploy.realtime.paced_loop import TIMES, PacedLoop, paced
 from spikedeploy.recordings import (
     Floats,
     Inference,
@@ -58,19 +58,14 @@ _POLICY = TIMES.index("policy")
 
 
 @contextmanager
-def loop_of_run(
-    watch: bool,
+def watched_loop(
     port: int | None,
     rate: float | None,
     deadline: str | None,
     lasting: str | None,
     tables: Sequence[str],
-) -> Iterator[PacedLoop | None]:
-    """The loop that `run` plays in: by --watch, by --rate, or None; arguments as of WatchedLoop."""
-    if not watch:
-        pace = pacing(rate, deadline, lasting)
-        yield PacedLoop(pace) if pace else None
-        return
+) -> Iterator["WatchedLoop"]:
+    """The loop of `run --watch`, whose page is opened; arguments as of WatchedLoop."""
     view = LiveView(port or 0)
     try:
         loop = WatchedLoop(view, rate, deadline, lasting, tables)

@@ -1,18 +1,16 @@
 """`export` and `publish`: from a run folder to a file, a card, or a shipped policy."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
 from spikedeploy.commands.options import (
     Dt,
-    For,
     Force,
     From,
     Json,
-    NirCompat,
     Reset,
     States,
     Workers,
@@ -101,8 +99,19 @@ def export(
     film: Annotated[
         bool, typer.Option("--film", help="With --to card: replay.mp4 of one greedy episode.")
     ] = False,
-    for_: For = None,
-    nir_compat: NirCompat = None,
+    for_: Annotated[
+        str | None,
+        typer.Option(
+            "--for",
+            metavar="TOOL",
+            help="In the scaling that the import of norse, rockpool, snntorch or spikingjelly "
+            "accepts; nir only.",
+        ),
+    ] = None,
+    nir_compat: Annotated[
+        str | None,
+        typer.Option("--nir-compat", metavar="RELEASE", help="Release of nir that opens the file."),
+    ] = None,
     from_: From = None,
     dt: Dt = None,
     reset: Reset = None,
@@ -113,32 +122,55 @@ def export(
 
     --to card makes the run folder ready for upload: the policy, card.md, curve.svg, report.html.
     """
+    from spikedeploy import zoo
+    from spikedeploy.runtime.errors import ConfigError
+
     if film and to != "card":
         raise typer.BadParameter("--film goes with --to card")
-    _check_file(run)
-    given = {"written_by": from_, "dt": dt, "reset": reset}
+    if run.endswith(zoo.SUFFIXES) and zoo.resolve(run) is None:
+        raise ConfigError(f"{run}: no such file")  # as a run folder it would be missed elsewhere
+    reading = {"written_by": from_, "dt": dt, "reset": reset}
+    played = {"raster": raster, "env": env, "clock": clock}
     if for_ or nir_compat:
-        options = {**given, "state": state}
-        _export_for(run, to, output, for_, nir_compat, observations, options, force, json)
-        return
+        from spikedeploy.shipping.export_file import export_nir
+
+        if to not in (None, "nir"):
+            raise typer.BadParameter(f"--for and --nir-compat write nir, not {to}")
+        options = {**reading, "state": state}
+        checked = export_nir(run, output, for_, nir_compat, observations, options, force)
+        _end_with(checked, json, list(checked.remarks), remarks=list(checked.remarks))
     if to == "program":
-        played = {"raster": raster, "env": env, "clock": clock, "options": given}
-        _export_program(run, chip, output, observations, played, force, json)
+        from spikedeploy.shipping.export_program import export_program
+
+        _print_files(
+            export_program(run, chip, output, observations, options=reading, force=force, **played),
+            json,
+        )
         return
-    if any(value is not None for value in (raster, env, clock)):
+    if any(value is not None for value in played.values()):
         raise typer.BadParameter("--input, --env and --clock go with --to program")
     if to == "xylo":
-        _export_xylo(run, chip, output, observations, given, force, json)
-        return
-    if any(value is not None for value in given.values()):
+        from spikedeploy.shipping.export_file import export_xylo
+
+        specified = export_xylo(run, chip, output, observations, reading, force)
+        _end_with(specified, json, list(specified.remarks), remarks=list(specified.remarks))
+    if any(value is not None for value in reading.values()):
         raise typer.BadParameter(
             "--from, --dt and --reset go with --for, --nir-compat, --to program or --to xylo"
         )
     if to == "c":
-        _export_c(run, chip, output, observations, prefix, force, json)
+        from spikedeploy.shipping.export_c import export_c
+
+        _print_files(export_c(run, chip, output, observations, prefix, force), json)
         return
     if to == "card":
-        _export_card(run, output, checkpoint, film, force, json)
+        from spikedeploy.shipping.run_card import export_card
+
+        if output is not None or checkpoint is not None:
+            raise typer.BadParameter(
+                "--to card is of the run folder: leave -o and --checkpoint out"
+            )
+        _name_files(export_card(run, film, force), json)
         return
     from spikedeploy.shipping.export_file import export_onnx, is_nir_file
     from spikedeploy.shipping.export_run import export_run
@@ -153,97 +185,10 @@ def export(
     _end_with(written, json, [f"its training is unfinished: stopped at {late}"] if late else [])
 
 
-def _check_file(reference: str) -> None:
-    """Refuse a file that does not exist: as a run folder it would be missed in the wrong place."""
-    from spikedeploy import zoo
-    from spikedeploy.runtime.errors import ConfigError
-
-    if reference.endswith(zoo.SUFFIXES) and zoo.resolve(reference) is None:
-        raise ConfigError(f"{reference}: no such file")
-
-
-def _export_c(
-    policy: str,
-    chip: str | None,
-    folder: Path | None,
-    observations: int,
-    prefix: str,
-    force: bool,
-    json: bool,
-) -> None:
-    """Write a policy as C, of a chip if it spikes, and say what that takes."""
-    from spikedeploy.console import print_json
-    from spikedeploy.shipping import export_c as shipping
-
-    written = shipping.export_c(policy, chip, folder, observations, prefix, force)
-    if json:
-        print_json(written.record())
-        return
-    for line in written.lines:
-        typer.echo(line)
-
-
-def _export_program(
-    policy: str,
-    chip: str | None,
-    folder: Path | None,
-    steps: int,
-    played: Mapping[str, Any],
-    force: bool,
-    json: bool,
-) -> None:
-    """Write the kit of a chip, and say what to type next."""
-    from spikedeploy.console import print_json
-    from spikedeploy.shipping import export_program as shipping
-
-    written = shipping.export_program(policy, chip, folder, steps, force=force, **played)
-    if json:
-        print_json(written.record())
-        return
-    for line in written.lines:
-        typer.echo(line)
-
-
-def _export_for(
-    policy: str,
-    to: str | None,
-    output: Path | None,
-    tool: str | None,
-    older: str | None,
-    timesteps: int,
-    options: Mapping[str, Any],
-    force: bool,
-    json: bool,
-) -> None:
-    """Write the file, and say whether it is the same network."""
-    from spikedeploy.shipping.export_file import export_nir
-
-    if to not in (None, "nir"):
-        raise typer.BadParameter(f"--for and --nir-compat write nir, not {to}")
-    written = export_nir(policy, output, tool, older, timesteps, options, force)
-    remarks = list(written.remarks)
-    _end_with(written, json, remarks, remarks=remarks)
-
-
-def _export_xylo(
-    policy: str,
-    chip: str | None,
-    output: Path | None,
-    timesteps: int,
-    options: Mapping[str, Any],
-    force: bool,
-    json: bool,
-) -> None:
-    """Write the specification, and say whether it computes the same."""
-    from spikedeploy.shipping.export_file import export_xylo
-
-    written = export_xylo(policy, chip, output, timesteps, options, force)
-    remarks = list(written.remarks)
-    _end_with(written, json, remarks, remarks=remarks)
-
-
-def _end_with(written: "CheckedFile", json: bool, said: Sequence[str], **more: object) -> None:
-    """Say what was written and whether it passed; `more` is for JSON. Exit 1 where it did not."""
+def _end_with(
+    written: "CheckedFile", json: bool, remarks: Sequence[str], **more: object
+) -> NoReturn:
+    """Print the file and its checks, `more` in JSON; exit 1 where one failed."""
     from spikedeploy.console import print_json, say
     from spikedeploy.reports.terminal import print_checks
 
@@ -254,21 +199,18 @@ def _end_with(written: "CheckedFile", json: bool, said: Sequence[str], **more: o
     else:
         print_checks(written.checks)
         typer.echo(f"wrote {written.path}")
-        for line in said:
+        for line in remarks:
             say(line)
     raise typer.Exit(0 if written.passed else 1)
 
 
-def _export_card(
-    run: str, output: Path | None, checkpoint: str | None, film: bool, force: bool, json: bool
-) -> None:
-    """Write what shows a run beside its policy into its folder, and say what."""
-    from spikedeploy.shipping import run_card
+def _print_files(written: Any, json: bool) -> None:  # noqa: ANN401 - with record() and lines
+    from spikedeploy.console import print_json
 
-    if output is not None or checkpoint is not None:
-        raise typer.BadParameter("--to card is of the run folder: leave -o and --checkpoint out")
-    files = run_card.export_card(run, film, force)
-    _name_files(files, json)
+    if json:
+        print_json(written.record())
+    else:
+        typer.echo("\n".join(written.lines))
 
 
 def publish(

@@ -1,13 +1,21 @@
-"""Options that several commands share."""
+"""Options that several commands share, one by one and in groups.
 
+A command takes a group as a parameter, a dataclass of options; `with_groups` makes the function
+that typer understands, with a parameter for each field.
+"""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
+from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import typer
 
 if TYPE_CHECKING:
     from spikedeploy.runtime.chips.quantisation import Quantisation
-
+    from spikedeploy.runtime.faults import Faults
 
 # The choices of the runtime, which takes numpy to load; tests/spikedeploy/commands/test_options.py
 # holds them to the originals.
@@ -27,9 +35,43 @@ Encoders = Literal["population", "rate", "delta"]
 SpikeCount = Literal["above", "reached", "many"]
 LowestMembrane = Literal["none", "zero", "threshold"]
 
+_READING, _CHIP, _WORLD = "How FILE is read", "The emulated chip", "The environment"
+_reading = partial(typer.Option, rich_help_panel=_READING)
+_unread = partial(_reading, show_default="from the file")
+_chip = partial(typer.Option, rich_help_panel=_CHIP)
+_world = partial(typer.Option, rich_help_panel=_WORLD)
+
+
+def with_groups(
+    command: Callable[..., Any], call: Callable[..., object] | None = None
+) -> Callable[..., Any]:
+    """The command with an option for each field of the groups that it takes.
+
+    call  is called in place of the command
+    """
+    hints = get_type_hints(command, include_extras=True)
+    groups = {
+        name: hint for name, hint in hints.items() if isinstance(hint, type) and is_dataclass(hint)
+    }
+    parameters: list[inspect.Parameter] = []
+    for name, own in inspect.signature(command).parameters.items():
+        members = inspect.signature(groups[name]).parameters if name in groups else {name: own}
+        parameters += [each.replace(kind=own.KEYWORD_ONLY) for each in members.values()]
+
+    @wraps(command)
+    def run(**given: Any) -> object:  # noqa: ANN401
+        for name, group in groups.items():
+            given[name] = group(**{each.name: given.pop(each.name) for each in fields(group)})
+        return (call or command)(**given)
+
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {each.name: each.annotation for each in parameters}
+    return run
+
+
 LimitsOption = Annotated[
     Switch,
-    typer.Option(
+    _chip(
         "--limits",
         help="Refuse what breaks a design rule of the chip; 'off' emulates its arithmetic alone.",
     ),
@@ -49,46 +91,15 @@ Seed = Annotated[
 ]
 EnvOptions = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set", metavar="OPTION=VALUE", help="Option of the environment: --set track=small_S."
+    _world(
+        "--set",
+        metavar="OPTION=VALUE",
+        help="Option of the environment: --set track=small_S.",
     ),
 ]
-Success = Annotated[
-    str | None,
-    typer.Option(
-        metavar="KEY",
-        help="Key of the step infos that says success, of an environment that is not ours.",
-        show_default="its registered reward threshold",
-    ),
-]
-Metrics = Annotated[
+Settings = Annotated[
     list[str] | None,
-    typer.Option(
-        "--metric",
-        metavar="NAME:mean|last|max",
-        help="A number of the step infos as a column, as in x_velocity:mean, may be repeated.",
-    ),
-]
-Disturb = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--disturb",
-        metavar="NAME:LEVEL",
-        help="Disturbance of the world at level 1 to 3, or NAME=NUMBER, may be repeated; "
-        "docs/robustness.md lists them.",
-    ),
-]
-FaultsOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--fault",
-        metavar="NAME:LEVEL",
-        help="Fault of the chip at level 1 to 3, or NAME=NUMBER, may be repeated; "
-        "docs/robustness.md lists them.",
-    ),
-]
-Specimen = Annotated[
-    int, typer.Option(min=0, help="Which faulty chip: decides which parts --fault hits.")
+    typer.Option("--set", metavar="KEY=VALUE", help="One setting, as in --set updates=8000."),
 ]
 Energy = Annotated[
     list[str] | None,
@@ -105,6 +116,7 @@ Tables = Annotated[
         "--tables", help="Print one table of 80 columns, or all: agreement, sizes, energies."
     ),
 ]
+Markdown = Annotated[bool, typer.Option("--markdown", help="Print the tables as Markdown.")]
 Workers = Annotated[
     int | None, typer.Option(min=1, help="Processes that play episodes.", show_default="all cores")
 ]
@@ -117,143 +129,193 @@ PolicyChip = Annotated[
     ),
 ]
 Backend = Annotated[
-    Computes, typer.Option(help="What computes a chip; numba needs the extra fast.")
+    Computes,
+    _chip(help="What computes a chip; numba needs the extra fast."),
 ]
-
-Rate = Annotated[
+Dt = Annotated[
     float | None,
-    typer.Option(
-        help=r"Control steps per second \[Hz] by the clock; missed deadlines are counted.",
-        show_default="as fast as it can",
-    ),
+    _unread(help=r"Timestep \[s]."),
 ]
-Deadline = Annotated[
-    str | None,
-    typer.Option(
-        metavar="TIME", help="With --rate: 20ms; of a control step.", show_default="the period"
-    ),
-]
-Lasting = Annotated[
-    str | None,
-    typer.Option(
-        "--duration",
-        metavar="TIME",
-        help="With --rate: 60s; episodes are played until it has passed, the last to its end.",
-    ),
-]
-
-Watch = Annotated[
-    bool,
-    typer.Option(
-        "--watch", help="Show robot, spikes, energy, deadlines in a browser of this machine."
-    ),
-]
-WatchPort = Annotated[
-    int | None,
-    typer.Option(min=1, max=65535, help="With --watch: TCP port.", show_default="one that is free"),
-]
-
-# what NIR leaves open: these take precedence over the file
-FROM_FILE = "from the file"
-Dt = Annotated[float | None, typer.Option(help=r"Timestep \[s].", show_default=FROM_FILE)]
 Reset = Annotated[
     AfterSpike | None,
-    typer.Option(
+    _unread(
         help="Membrane after a spike: v_reset, or less that distance, at once or in the next "
         "timestep; docs/own-network.md has the equations.",
-        show_default=FROM_FILE,
-    ),
-]
-Integrator = Annotated[
-    Decays | None,
-    typer.Option(help="Decays: 1 - dt/tau, or exp(-dt/tau).", show_default=FROM_FILE),
-]
-Delay = Annotated[
-    int | None,
-    typer.Option(min=0, max=1, help="Timesteps between layers.", show_default=FROM_FILE),
-]
-State = Annotated[
-    States | None,
-    typer.Option(help="States at the next inference.", show_default=FROM_FILE),
-]
-Spikes = Annotated[
-    SpikeCount | None,
-    typer.Option(
-        help="One above the threshold, one when it is reached, or as many as fit.",
-        show_default=FROM_FILE,
-    ),
-]
-Floor = Annotated[
-    LowestMembrane | None,
-    typer.Option(help="Lowest membrane: none, 0, or -threshold.", show_default=FROM_FILE),
-]
-Like = Annotated[
-    str | None,
-    typer.Option(
-        metavar="TOOL",
-        help="Read the file as the import of lava, nengo, norse, rockpool, sinabs, snntorch or "
-        "spikingjelly does.",
     ),
 ]
 From = Annotated[
     str | None,
-    typer.Option(
+    _reading(
         "--from",
         metavar="TOOL",
         help="Read the file as its author meant it, who exported it from snntorch, norse, "
         "spikingjelly, sinabs, rockpool or lava.",
     ),
 ]
-For = Annotated[
-    str | None,
-    typer.Option(
-        "--for",
-        metavar="TOOL",
-        help="In the scaling that the import of norse, rockpool, snntorch or spikingjelly accepts; "
-        "nir only.",
-    ),
-]
-NirCompat = Annotated[
-    str | None,
-    typer.Option("--nir-compat", metavar="RELEASE", help="Release of nir that opens the file."),
-]
-Quantise = Annotated[
-    Granularity, typer.Option("--quantise", help="One scale for a layer, or for each neuron.")
-]
-Rounding = Annotated[
-    Fraction | None,
-    typer.Option(
-        "--rounding",
-        help="Rounding of weights, thresholds and decays.",
-        show_default="the chip's own",
-    ),
-]
-Headroom = Annotated[
-    HeadroomChoice,
-    typer.Option(
-        "--headroom",
-        help="Fill the range of weights, or leave enough that nothing overflows.",
-    ),
-]
-Thresholds = Annotated[
-    int | None,
-    typer.Option(
-        "--thresholds", min=1, help="Most distinct thresholds of a layer, with --quantise channel."
-    ),
-]
-WeightShift = Annotated[
-    int, typer.Option("--weight-shift", min=0, help="Bits that a Xylo shifts weights to the left.")
-]
 
 
-def quantisation(
-    quantise: Granularity,
-    rounding: Fraction | None,
-    headroom: HeadroomChoice,
-    thresholds: int | None,
-    weight_shift: int,
-) -> "Quantisation":
-    """The quantisation that the five options ask for."""
-    from spikedeploy.runtime.chips.quantisation import Quantisation
+@dataclass(frozen=True)
+class Reading:
+    """Options for what NIR leaves open; they take precedence over the file."""
 
-    return Quantisation(quantise, rounding, headroom, thresholds, weight_shift=weight_shift)
+    dt: Dt = None
+    reset: Reset = None
+    integrator: Annotated[
+        Decays | None,
+        _unread(
+            help="Decays: 1 - dt/tau, or exp(-dt/tau).",
+        ),
+    ] = None
+    delay: Annotated[
+        int | None,
+        _unread(
+            min=0,
+            max=1,
+            help="Timesteps between layers.",
+        ),
+    ] = None
+    spikes: Annotated[
+        SpikeCount | None,
+        _unread(
+            help="One above the threshold, one when it is reached, or as many as fit.",
+        ),
+    ] = None
+    floor: Annotated[
+        LowestMembrane | None,
+        _unread(
+            help="Lowest membrane: none, 0, or -threshold.",
+        ),
+    ] = None
+    state: Annotated[
+        States | None,
+        _unread(
+            help="States at the next inference.",
+        ),
+    ] = None
+    like: Annotated[
+        str | None,
+        _reading(
+            metavar="TOOL",
+            help="Read the file as the import of lava, nengo, norse, rockpool, sinabs, snntorch or "
+            "spikingjelly does.",
+        ),
+    ] = None
+    from_: From = None
+
+    def arguments(self) -> dict[str, Any]:
+        """Arguments of `artifact.load`."""
+        return {"written_by" if n == "from_" else n: value for n, value in vars(self).items()}
+
+
+@dataclass(frozen=True)
+class OnChip:
+    """Options for how a network is put on a chip."""
+
+    limits: LimitsOption = "on"
+    quantise: Annotated[
+        Granularity,
+        _chip(help="One scale for a layer, or for each neuron."),
+    ] = "layer"
+    rounding: Annotated[
+        Fraction | None,
+        _chip(
+            help="Rounding of weights, thresholds and decays.",
+            show_default="the chip's own",
+        ),
+    ] = None
+    headroom: Annotated[
+        HeadroomChoice,
+        _chip(
+            help="Fill the range of weights, or leave enough that nothing overflows.",
+        ),
+    ] = "none"
+    thresholds: Annotated[
+        int | None,
+        _chip(
+            min=1,
+            help="Most distinct thresholds of a layer, with --quantise channel.",
+        ),
+    ] = None
+    weight_shift: Annotated[
+        int,
+        _chip(min=0, help="Bits that a Xylo shifts weights to the left."),
+    ] = 0
+
+    def quantisation(self) -> "Quantisation":
+        """The quantisation of the five options."""
+        from spikedeploy.runtime.chips.quantisation import Quantisation
+
+        return Quantisation(
+            self.quantise,
+            self.rounding,
+            self.headroom,
+            self.thresholds,
+            weight_shift=self.weight_shift,
+        )
+
+    def arguments(self) -> dict[str, Any]:
+        """Quantisation, and whether design rules are enforced."""
+        return {"limits": self.limits == "on", "quantisation": self.quantisation()}
+
+
+@dataclass(frozen=True)
+class World:
+    """Options for an environment, and for what is measured in it."""
+
+    set_: EnvOptions = None
+    success: Annotated[
+        str | None,
+        _world(
+            metavar="KEY",
+            help="Key of the step infos that says success, of an environment that is not ours.",
+            show_default="its registered reward threshold",
+        ),
+    ] = None
+    metric: Annotated[
+        list[str] | None,
+        _world(
+            metavar="NAME:mean|last|max",
+            help="A number of the step infos as a column, as in x_velocity:mean, may be repeated.",
+        ),
+    ] = None
+    disturb: Annotated[
+        list[str] | None,
+        _world(
+            metavar="NAME:LEVEL",
+            help="Disturbance of the world at level 1 to 3, or NAME=NUMBER, may be repeated; "
+            "docs/robustness.md lists them.",
+        ),
+    ] = None
+
+    def options(self) -> dict[str, Any]:
+        """Options of `make_env`."""
+        from spikedeploy.make_env import parse_options
+
+        return parse_options(self.set_ or (), self.disturb or (), self.success)
+
+
+@dataclass(frozen=True)
+class Damaged:
+    """Options for faults of the chip."""
+
+    fault: Annotated[
+        list[str] | None,
+        _chip(
+            metavar="NAME:LEVEL",
+            help="Fault of the chip at level 1 to 3, or NAME=NUMBER, may be repeated; "
+            "docs/robustness.md lists them.",
+        ),
+    ] = None
+    specimen: Annotated[
+        int,
+        _chip(
+            min=0,
+            help="Which faulty chip: decides which parts --fault hits.",
+        ),
+    ] = 0
+
+    def faults(self) -> "Faults":
+        """The faults, parsed."""
+        from spikedeploy.runtime.faults import faults
+
+        return faults(self.fault or (), self.specimen)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy import envs
-from spikedeploy.comparison.metrics import asked, measure
+from spikedeploy.comparison.metrics import measure, measure_named
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.costs import Costs
@@ -147,11 +147,10 @@ def play(job: EpisodeJob) -> Episode:
         played.save(job.record)
     others = {name: Rollout.load(path) for name, path in job.others.items()}
     foreign = envs.spec(job.env).foreign
-    return summarise(job.candidate, player, played, others, job.metrics, foreign)
+    return summarise(player, played, others, job.metrics, foreign)
 
 
 def summarise(
-    candidate: Candidate,
     player: Player,
     played: Rollout,
     others: Mapping[str, Rollout] = MappingProxyType({}),
@@ -173,7 +172,7 @@ def summarise(
         agreement={name: agreement(player, played, other) for name, other in others.items()},
         remarks=player.remarks,
         damage=damage,
-        measured=asked(played.info, metrics),
+        measured=measure_named(played.info, metrics),
     )
 
 

@@ -3,7 +3,8 @@
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
@@ -12,7 +13,7 @@ from typing import Any
 from spikedeploy import envs
 from spikedeploy.comparison.comparison import Comparison, Row
 from spikedeploy.comparison.episodes import Episode, EpisodeJob, play, summarise
-from spikedeploy.comparison.lineup import Entry, on_another_chip
+from spikedeploy.comparison.lineup import Entry, remark_on_chip
 from spikedeploy.console import progress, say
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.jobs.pool import local_backend
@@ -27,10 +28,7 @@ from spikedeploy.policies.registry import (
 )
 from spikedeploy.realtime.paced_loop import PacedLoop
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
-from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.faults import NONE, Faults
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.video import Frame, Pace, add_caption, mp4
 
@@ -43,7 +41,7 @@ def compare_policies(
     options: Mapping[str, Any] = MappingProxyType({}),
     metrics: Sequence[str] = (),
 ) -> Comparison:
-    """Play every entry on every seed.
+    """Play every entry on every seed, in parallel, references before those that refer to them.
 
     env        short name or id of the environment
     entries    of lineup.line_up; the reference of an entry is an entry too
@@ -53,65 +51,32 @@ def compare_policies(
     metrics    of its step infos, `name:mean|last|max`
     """
     period = _check(env, options, entries, seeds)
+    as_json, references = json.dumps(dict(options)), [id(entry.reference) for entry in entries]
     played: dict[Entry, list[Episode]] = {}
     with (
         TemporaryDirectory() as folder,
         local_backend(processes) as pool,
         progress(f"{env}: {len(entries)} policies", len(entries) * len(seeds)) as done,
     ):
-        plan = _Plan(env, json.dumps(dict(options)), entries, seeds, Path(folder), tuple(metrics))
-        for group in plan.rounds():
-            todo = [job for entry in group for job in plan.jobs(entry)]
-            episodes = pool.in_order(play, todo, done)
-            for place, entry in enumerate(group):
-                played[entry] = episodes[place * len(seeds) : (place + 1) * len(seeds)]
-    rows = [Row(entry, played[entry]) for entry in entries]
-    spec, disturb = envs.spec(env), disturbed_by(options)
-    return Comparison(spec.id, seeds, rows, (), disturb, spec.foreign, period)
 
+        def file(entry: Entry, seed: int) -> Path:
+            return Path(folder) / f"{entries.index(entry)}-{seed}.npz"
 
-@dataclass(frozen=True)
-class _Plan:
-    """The jobs of a comparison, in rounds.
-
-    env      short name or id
-    options  of the environment, as JSON
-    seeds    (n,)
-    folder   for the rollouts of entries that are references
-    metrics  of the step infos
-    """
-
-    env: str
-    options: str
-    entries: Sequence[Entry]
-    seeds: Sequence[int]
-    folder: Path
-    metrics: tuple[str, ...] = ()
-
-    def rounds(self) -> list[list[Entry]]:
-        """The entries, references before those that refer to them."""
-        ranks = range(1 + max(entry.rank for entry in self.entries))
-        return [[entry for entry in self.entries if entry.rank == rank] for rank in ranks]
-
-    def jobs(self, entry: Entry) -> list[EpisodeJob]:
-        """The jobs of an entry, one for each seed."""
-        referred = any(entry is other.reference for other in self.entries)
-        return [
-            EpisodeJob(
-                env=self.env,
-                options=self.options,
-                candidate=entry.candidate,
-                chip=entry.chip,
-                seed=seed,
-                others={other.label: self._rollout(other, seed) for other in entry.references},
-                record=self._rollout(entry, seed) if referred else None,
-                metrics=self.metrics,
+        def job(entry: Entry, seed: int) -> EpisodeJob:
+            others = {other.label: file(other, seed) for other in entry.references}
+            record = file(entry, seed) if id(entry) in references else None
+            return EpisodeJob(
+                env, as_json, entry.candidate, entry.chip, seed, others, record, tuple(metrics)
             )
-            for seed in self.seeds
-        ]
 
-    def _rollout(self, entry: Entry, seed: int) -> Path:
-        return self.folder / f"{self.entries.index(entry)}-{seed}.npz"
+        for rank in range(1 + max(entry.rank for entry in entries)):
+            group = [entry for entry in entries if entry.rank == rank]
+            todo = [job(entry, seed) for entry in group for seed in seeds]
+            found = iter(pool.in_order(play, todo, done))
+            for entry in group:
+                played[entry] = list(islice(found, len(seeds)))
+    spec, rows = envs.spec(env), [Row(entry, played[entry]) for entry in entries]
+    return Comparison(spec.id, seeds, rows, (), disturbed_by(options), spec.foreign, period)
 
 
 def _check(
@@ -143,12 +108,9 @@ def run_policy(
     video: Path | None = None,
     sampled: bool = False,
     options: Mapping[str, Any] = MappingProxyType({}),
-    limits: bool = True,
-    quantisation: Quantisation = PLAIN,
-    faults: Faults = NONE,
     metrics: Sequence[str] = (),
     loop: PacedLoop | None = None,
-    backend: BackendName = "numpy",
+    **on_chip: Any,  # noqa: ANN401
 ) -> Comparison:
     """One row: the policy on every seed.
 
@@ -160,23 +122,18 @@ def run_policy(
     video      MP4 of the first episode
     sampled    draw one of several actions by its probability, instead of taking the likeliest
     options    of the environment
-    limits     refuse what breaks a design rule of the chip
-    quantisation  of a spiking policy on a chip
-    faults     of that chip
     metrics    of the step infos, `name:mean|last|max`
     loop       paces it by the clock, and says which seeds are played; None plays as fast as it can
-    backend    of a spiking policy on a chip
+    on_chip    fields of its candidate: limits, quantisation, faults, backend
     """
-    candidate = replace(
-        find(reference), limits=limits, quantisation=quantisation, faults=faults, backend=backend
-    )
+    candidate = replace(find(reference), **on_chip)
     entry = Entry(candidate, chip or candidate.default_chip)
-    if faults and entry.chip in (None, FLOAT):
+    if candidate.faults and entry.chip in (None, FLOAT):
         raise ConfigError(
             f"--fault is of chips, and {entry.label} runs in float. Leave it out, or run a spiking "
             "policy on a chip."
         )
-    if remark := on_another_chip(entry):
+    if remark := remark_on_chip(entry):
         say(remark)
     mode = "rgb_array" if video else None
     name = env or _made_for(candidate)
@@ -193,7 +150,7 @@ def run_policy(
                     played = rollout(world, player, seed, on_frame, pace.every)
                 else:
                     played = loop.rollout(world, player, seed)
-            episodes.append(summarise(candidate, player, played, {}, metrics, foreign))
+            episodes.append(summarise(player, played, {}, metrics, foreign))
             done()
     world.close()
     rows, disturb = [Row(entry, episodes)], disturbed_by(options)

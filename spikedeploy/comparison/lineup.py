@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from spikedeploy import envs, zoo
 from spikedeploy.policies.registry import FLOAT, Candidate, find
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.faults import NONE, Faults
 
 # of the shipped policies, in table order: the more a control sees and can compute, the later
 _CONTROLS = (
@@ -67,20 +67,17 @@ def line_up(
     env: str,
     files: Sequence[str],
     chips: Sequence[str] | None,
-    limits: bool = True,
-    quantisation: Quantisation = PLAIN,
-    faults: Faults = NONE,
     teacher: Candidate | None = None,
+    quantisation: Quantisation = PLAIN,
+    **on_chip: Any,  # noqa: ANN401
 ) -> list[Entry]:
     """Float ANNs, float SNNs, each SNN on each chip, built-in players and the shipped controls.
 
     env     short name or id of the environment
     files   policies to compare; none stands for the shipped ones of the environment
     chips   for those that spike; None stands for that which each was trained for, or the default
-    limits  refuse what breaks a design rule of a chip
-    quantisation  of the SNNs on chips
-    faults  of those chips
     teacher  a row beside the files; one that is a network is the float ANN
+    quantisation, on_chip  fields of the candidates that spike: limits and faults of the chips
     """
     spec = envs.spec(env)
     short = spec.short
@@ -101,11 +98,10 @@ def line_up(
     ann = entries[0] if entries else None
     entries[1:] = [Entry(entry.candidate, None, ann) for entry in entries[1:]]
     for candidate in _of_kind("snn", chosen):
-        candidate = replace(candidate, quantisation=quantisation)
+        twin = replace(candidate, quantisation=quantisation)
         exported = candidate.format == ".nir"  # a run folder is torch, which no chip runs
-        bound = replace(candidate, limits=limits, faults=faults)
         on = ([candidate.default_chip] if chips is None else chips) if exported else ()
-        entries += _on_chips(bound, candidate, on, ann)
+        entries += _on_chips(replace(twin, **on_chip), twin, on, ann)
     built_in = [find(name) for name in spec.controls]
     rest = [c for c in _controls([*chosen, *shipped]) if c not in built_in]
     return entries + [Entry(candidate, None, ann) for candidate in [*built_in, *rest]]
@@ -153,8 +149,8 @@ def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
     ]
 
 
-def on_another_chip(entry: Entry) -> str:
-    """What to say of a policy on another chip than it was trained for; nothing on its own."""
+def remark_on_chip(entry: Entry) -> str:
+    """The remark on a policy on another chip than it was trained for; empty on its own."""
     trained = entry.candidate.chip
     if trained is None or entry.chip in (None, trained) or trained == entry.chip.split(":")[0]:
         return ""

@@ -1,12 +1,13 @@
 """Metrics of an episode from its step infos.
 
-Adding a metric is one line in `WALKING` or `DRIVING`; a metric whose signal an environment does not
-report is left out of its rows. Of any environment, `asked` reduces infos that the user names.
+Adding a metric is one line in `WALKING` or `DRIVING`; one whose signal an environment does not
+report is left out of its rows. `measure_named` reduces numbers that the user names.
 """
 
 import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ class _Metric:
 
     name      field of a report's rows
     signal    key of the step infos that it is made from
-    reduce    (S,) -> number
+    reduce    key of _OF_OURS
     title     head of its column, with its unit
     meaning   what it is, for a report
     form      format specification of a cell
@@ -32,7 +33,7 @@ class _Metric:
 
     name: str
     signal: str
-    reduce: Callable[[Signal], float]
+    reduce: str
     title: str
     meaning: str
     form: str
@@ -45,43 +46,25 @@ class _Metric:
         return present and (self.after is None or bool(infos[self.after][-1]))
 
 
-def _last(signal: Signal) -> float:
-    """The value at the last control step."""
-    return float(signal[-1])
-
-
-def _largest(signal: Signal) -> float:
-    """The largest value of any control step."""
-    return float(signal.max())
-
-
-def mean(signal: Signal) -> float:
-    """The mean over the control steps."""
-    return float(signal.mean())
-
-
-def _mean_size(signal: Signal) -> float:
-    """The mean of the absolute value over the control steps."""
-    return float(np.abs(signal).mean())
-
-
-def _root_mean_square(signal: Signal) -> float:
-    """The root of the mean square over the control steps."""
-    return float(np.sqrt(np.square(signal).mean()))
-
-
-def _ever(signal: Signal) -> float:
-    """1 if the signal is raised at any control step, else 0."""
-    return float(signal.any())
-
+REDUCTIONS: dict[str, Callable[[Signal], Any]] = {
+    "mean": np.mean,
+    "last": lambda signal: signal[-1],
+    "max": np.max,
+}
+_OF_OURS: dict[str, Callable[[Signal], Any]] = {
+    **REDUCTIONS,
+    "mean size": lambda signal: np.abs(signal).mean(),
+    "root mean square": lambda signal: np.sqrt(np.square(signal).mean()),
+    "ever": np.any,  # 1 if the signal is raised at any control step, else 0
+}
 
 WALKING = (
-    _Metric("speed", "speed", mean, "m/s", "mean forward speed [m/s]", ".3f"),
-    _Metric("cot", "cot", _last, "CoT", "cost of transport: energy / (m g distance)", ".2f"),
+    _Metric("speed", "speed", "mean", "m/s", "mean forward speed [m/s]", ".3f"),
+    _Metric("cot", "cot", "last", "CoT", "cost of transport: energy / (m g distance)", ".2f"),
     _Metric(
         "heading_error",
         "heading",
-        _mean_size,
+        "mean size",
         "heading",
         "mean absolute heading [rad]; straight ahead is 0",
         ".3f",
@@ -90,7 +73,7 @@ WALKING = (
     _Metric(
         "speed_rmse",
         "speed_error",
-        _root_mean_square,
+        "root mean square",
         "speed err.",
         "RMSE of the forward speed to the command [m/s]",
         ".3f",
@@ -98,12 +81,12 @@ WALKING = (
     _Metric(
         "turn_rmse",
         "turn_error",
-        _root_mean_square,
+        "root mean square",
         "turn err.",
         "RMSE of the turn rate to the command [rad/s]",
         ".3f",
     ),
-    _Metric("falls", "fall", _ever, "falls", "episodes with a fall", ".0%"),
+    _Metric("falls", "fall", "ever", "falls", "episodes with a fall", ".0%"),
 )
 
 
@@ -111,16 +94,16 @@ DRIVING = (
     _Metric(
         "lap_time",
         "lap_time",
-        _last,
+        "last",
         "lap [s]",
         "time of the finished episodes [s]",
         ".2f",
         after="finish",
     ),
-    _Metric("crashes", "crash", _ever, "crashes", "episodes that end at a wall", ".0%"),
-    _Metric("stalls", "stalled", _ever, "stalls", "episodes that end without progress", ".0%"),
-    _Metric("gates", "gates", _last, "gates", "gates passed, in order", ".1f"),
-    _Metric("speed", "speed", mean, "px/s", "mean speed [px/s]; 100 px are 1 m", ".0f"),
+    _Metric("crashes", "crash", "ever", "crashes", "episodes that end at a wall", ".0%"),
+    _Metric("stalls", "stalled", "ever", "stalls", "episodes that end without progress", ".0%"),
+    _Metric("gates", "gates", "last", "gates", "gates passed, in order", ".1f"),
+    _Metric("speed", "speed", "mean", "px/s", "mean speed [px/s]; 100 px are 1 m", ".0f"),
 )
 
 
@@ -132,13 +115,10 @@ def drives(signals: Iterable[str]) -> bool:
 def measure(infos: Mapping[str, Signal]) -> dict[str, float]:
     """The metrics of one episode from its infos, each (S,)."""
     return {
-        metric.name: metric.reduce(np.asarray(infos[metric.signal], dtype=np.float64))
+        metric.name: float(_OF_OURS[metric.reduce](np.asarray(infos[metric.signal], np.float64)))
         for metric in (DRIVING if drives(infos) else WALKING)
         if metric.applies(infos)
     }
-
-
-REDUCTIONS = {"mean": mean, "last": _last, "max": _largest}
 
 
 def checked_metrics(texts: Sequence[str]) -> tuple[str, ...]:
@@ -153,7 +133,7 @@ def checked_metrics(texts: Sequence[str]) -> tuple[str, ...]:
     return tuple(texts)
 
 
-def asked(infos: Mapping[str, Signal], texts: Iterable[str]) -> dict[str, float]:
+def measure_named(infos: Mapping[str, Signal], texts: Iterable[str]) -> dict[str, float]:
     """Text `name:reduction` -> that of the infos, each (S,), at the steps that have the number."""
     found = {}
     for text in texts:
@@ -163,5 +143,5 @@ def asked(infos: Mapping[str, Signal], texts: Iterable[str]) -> dict[str, float]
             hint = f"did you mean {close[0]!r}?" if close else f"numbers: {', '.join(infos)}"
             raise ConfigError(f"--metric {text}: no number {name!r} in the step infos; {hint}")
         known = infos[name][~np.isnan(infos[name])]
-        found[text] = REDUCTIONS[reduction](known)
+        found[text] = float(REDUCTIONS[reduction](known))
     return found

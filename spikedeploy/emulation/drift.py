@@ -1,4 +1,7 @@
-"""Inputs for a drift: a raster file, random spikes, or the observations of a policy, encoded."""
+"""Drift of a chip from the float twin, with or without calibration before it, and its inputs.
+
+Inputs are a raster file, random spikes, or the observations of a policy, encoded.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy import zoo
 from spikedeploy.emulation.rasters import in_batch, read_rasters
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.make_env import confirm, make_env
@@ -24,8 +26,6 @@ from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.ports import by_port, ports
-
-# Inputs for a drift: a raster file, random spikes, or the observations of a polic
 
 Raster = NDArray[np.uint8]
 
@@ -57,11 +57,6 @@ class DriftInputs:
         part = np.concatenate(pieces)
         lengths = tuple(map(len, pieces)) if self.episodes else ()
         return DriftInputs(part, f"{self.source}, {len(part)} of them", lengths)
-
-
-def path_of(reference: str) -> Path:
-    """The .nir file at a path, or of a shipped policy; the path as given where neither exists."""
-    return zoo.resolve(reference) or Path(reference)
 
 
 def choose_inputs(
@@ -164,9 +159,6 @@ def _seeds(seeds: Sequence[int]) -> str:
     return f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
 
 
-# Drift of a chip from the float twin, with or without calibration before it.
-
-
 @dataclass(frozen=True)
 class DriftReport:
     """A drift, and what it was measured on.
@@ -200,11 +192,11 @@ def drift_report(
     artifact: Artifact,
     on: Chip,
     inputs: DriftInputs,
-    quantisation: Quantisation = PLAIN,
     headroom: bool = False,
     tune: bool = False,
     tau: float = TAU,
     limits: bool = True,
+    quantisation: Quantisation = PLAIN,
 ) -> DriftReport:
     """Calibrate on half of the inputs and measure on the rest; without calibration on all.
 

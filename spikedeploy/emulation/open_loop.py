@@ -1,4 +1,4 @@
-"""Measurements of an inference: events, NeuroBench's numbers, memory traffic, latency."""
+"""Open loop: rasters into a network; spikes, outputs, events, measurements and costs out of it."""
 
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ from spikedeploy.emulation.rasters import Raster, in_batch
 from spikedeploy.files import replacing
 from spikedeploy.outputs import mark
 from spikedeploy.policies.costs import priced_by
-from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.artifact.nir_data import write_nir_data
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.program import Program
@@ -34,7 +34,16 @@ from spikedeploy.runtime.metrics.energy import (
 from spikedeploy.runtime.metrics.neurobench import NeuroBench, neurobench
 from spikedeploy.runtime.metrics.traffic import HostWork, MemoryTraffic, host_work, memory_traffic
 
-# Measurements of an inference: events, NeuroBench's numbers, memory traffic, late
+# bytes of a neuron in a timestep: current, membrane and spike, while running and recorded
+_STATE = 48
+LARGEST = 1 << 32
+NIR_DATA = (".h5", ".hdf5")
+_UNLIMITED = "limits off: `spikedeploy check` says whether the chip has room for this network"
+# networks of other tools are often silent because they mean other units
+SILENT = (
+    "no neuron spikes: unless the input is too weak, time constants or thresholds are read "
+    "otherwise than meant; --from names the tool that wrote the file"
+)
 
 
 @dataclass(frozen=True)
@@ -69,7 +78,7 @@ class Measures:
         }
 
 
-def measured(
+def measure_inference(
     artifact: Artifact, network: RunningNetwork, raster: NDArray[Any], ledger: Ledger
 ) -> Measures:
     """Of the last inference of a network with a trace, which was of the raster (B, T, M)."""
@@ -103,20 +112,6 @@ def _latencies(
         return {model: TIME_MODELS[model](program, spikes)}
     tables = [TABLES[name] for name in program.chip.energy_tables]
     return {table.name: latency_estimate(ledger, table) for table in tables if table.timed}
-
-
-# Open loop: rasters into a network; spikes, outputs, events and costs out of it.
-
-# bytes of a neuron in a timestep: current, membrane and spike, while running and recorded
-_STATE = 48
-LARGEST = 1 << 32
-NIR_DATA = (".h5", ".hdf5")
-_UNLIMITED = "limits off: `spikedeploy check` says whether the chip has room for this network"
-# networks of other tools are often silent because they mean other units
-SILENT = (
-    "no neuron spikes: unless the input is too weak, time constants or thresholds are read "
-    "otherwise than meant; --from names the tool that wrote the file"
-)
 
 
 @dataclass(frozen=True)
@@ -230,27 +225,6 @@ class Emulation:
         return {name: energy_estimate(self.ledger, energy_table(name)) for name in names}
 
 
-def emulate_file(
-    path: Path,
-    chip: str,
-    rasters: Raster | Mapping[str, Raster],
-    backend: str | None = None,
-    limits: bool = True,
-    quantisation: Quantisation = PLAIN,
-    **convention: Any,  # noqa: ANN401
-) -> Emulation:
-    """The network of a file on a raster (T, *shape), or one for each Input node, from zero states.
-
-    A chip takes spikes only; in float any numbers will do.
-
-    backend     as Machine takes it; None for its default
-    limits      refuse what breaks a design rule of the chip
-    quantisation  on a chip
-    convention  options of artifact.load, which take precedence over the file where not None
-    """
-    return emulate_artifact(load(path, **convention), chip, rasters, backend, limits, quantisation)
-
-
 def emulate_artifact(
     artifact: Artifact,
     chip: str,
@@ -259,7 +233,14 @@ def emulate_artifact(
     limits: bool = True,
     quantisation: Quantisation = PLAIN,
 ) -> Emulation:
-    """The same with a network that is loaded already."""
+    """A network on a raster (T, *shape), or one for each Input node, from zero states.
+
+    A chip takes spikes only; in float any numbers will do.
+
+    backend     as Machine takes it; None for its default
+    limits      refuse what breaks a design rule of the chip
+    quantisation  on a chip
+    """
     rows = by_port(ports(artifact.graph.inputs), in_batch(rasters))
     on = chip_called(chip)
     # the machine refuses names of backends that it does not know
@@ -284,7 +265,7 @@ def emulate_artifact(
     emulation = Emulation(artifact, chip, spikes, outputs, None, remarks=remarks, clock=clock)
     try:
         raster, ledger = network.program.joined(rows), network.ledger
-        measures = measured(artifact, network, raster, ledger)
+        measures = measure_inference(artifact, network, raster, ledger)
     except RuleError as error:  # a graph or a raster that no chip could take
         return replace(emulation, uncounted=str(error))
     return replace(emulation, ledger=ledger, measures=measures)

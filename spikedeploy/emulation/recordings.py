@@ -1,11 +1,16 @@
-"""The first difference between a recording and the float twin, and its likeliest cause.
+"""Recorded spikes against ours: those of the author's framework, and those of silicon.
 
-Other conventions are tried, in the order in which they are usually to blame: reset, delay, dt,
-threshold rule, then integrator, the tool that wrote the file, and rounding; then two of them
-together.
+`against_recorded` compares the float twin of an exported file with what the framework computed.
+Where they differ other conventions are tried, in the order in which they are usually to blame:
+reset, delay, dt, threshold rule, then integrator, the tool that wrote the file, and rounding; then
+two of them together.
+
+`against_activity` compares an emulated chip with spikes of layers that a chip was seen to send, in
+the arrays of the NIR paper: (T, N) of one sample, (N, T) by one of its tools, and spike counts
+(bins, B, *N) of several samples where a chip's events had no timesteps.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations, islice
 from pathlib import Path
@@ -24,9 +29,8 @@ from spikedeploy.runtime.errors import ObservationError, SpikedeployError
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import Port, ports
 
-# The first difference between a recording and the float twin, and its likeliest c
-
-Changes = dict[str, Any]
+Options = dict[str, Any]  # of artifact.load
+Counts = NDArray[np.int64]
 
 # of membranes, which no spike rounds, beside their largest: float32 against float64
 _TOLERANCE = 1e-4
@@ -40,7 +44,9 @@ _CHOICES: dict[str, tuple[Any, ...]] = {
     "integrator": get_args(Integrator),
     "written_by": tuple(WRITERS),
 }
-_OPTIONS = {"written_by": "from"}
+_MOST = 2**31  # spikes of a neuron in a row, which no recording reaches; sums stay below 2**63
+_COUNTED = "times are not compared: the file has fewer rows than the input has timesteps"
+_TURNED = "read as (neurons, timesteps)"
 
 
 @dataclass(frozen=True)
@@ -64,108 +70,6 @@ class RecordedDifference:
             f"inference {self.inference}, timestep {self.timestep}, neuron {neuron}: your "
             f"framework {self.expected:g}, our float {self.found:g}"
         )
-
-
-def difference(
-    artifact: Artifact,
-    inputs: Raster,
-    outputs: Raster,
-    dtype: type[np.floating[Any]] = np.float64,
-) -> RecordedDifference | None:
-    """The first difference in time."""
-    found = FloatGraph(artifact, dtype).run(inputs)["output"]
-    apart = _apart(found, outputs)
-    if not apart.any():
-        return None
-    places = np.argwhere(apart)
-    first = places[np.lexsort((places[:, 0], places[:, 1]))[0]]
-    place = tuple(int(n) for n in first)
-    return RecordedDifference(
-        place[0],
-        place[1],
-        place[2:],
-        float(outputs[place]),
-        float(found[place]),
-        int(apart.sum()),
-    )
-
-
-def _apart(found: NDArray[Any], wanted: NDArray[Any]) -> NDArray[np.bool_]:
-    whole = all(np.array_equal(rows, np.rint(rows)) for rows in (found, wanted))
-    tolerance = 0.0 if whole else _TOLERANCE * float(np.abs(wanted).max())
-    return np.asarray(np.abs(found - wanted.astype(np.float64)) > tolerance)
-
-
-def likeliest_cause(
-    path: Path,
-    given: Changes,
-    artifact: Artifact,
-    inputs: Raster,
-    outputs: Raster,
-    first: RecordedDifference,
-) -> tuple[tuple[str, ...], tuple[str, int] | None]:
-    """The options that make both equal; or else the nearest one, and how many outputs differ."""
-    counts: dict[str, int] = {}
-    singles = list(_singles(given, artifact))
-    for changes in singles:
-        if (other := read_with(path, given, changes)) is None:
-            continue
-        found = difference(other, inputs, outputs)
-        if found is None:
-            return _words(changes), None
-        counts[_words(changes)[0]] = found.count
-    if difference(artifact, inputs, outputs, np.float32) is None:
-        return ("rounding to float32",), None
-    # most pairs fail at the timestep of the first difference already
-    upto = first.timestep + 1
-    for one, two in combinations(singles, 2):
-        if one.keys() & two.keys() or (other := read_with(path, given, one | two)) is None:
-            continue
-        if difference(other, inputs[:, :upto], outputs[:, :upto]) is None and (
-            difference(other, inputs, outputs) is None
-        ):
-            return _words(one | two), None
-    nearest = min(counts, key=lambda words: counts[words], default=None)
-    better = nearest is not None and counts[nearest] < first.count
-    return (), (nearest, counts[nearest]) if nearest is not None and better else None
-
-
-def _singles(given: Changes, artifact: Artifact) -> Iterator[Changes]:
-    """Every other choice of every option, one at a time."""
-    for option, choices in _CHOICES.items():
-        if option == "written_by" and {"like", "written_by"} & given.keys():
-            continue
-        now = given.get(option, getattr(artifact.convention, option, None))
-        yield from ({option: choice} for choice in choices if choice != now)
-
-
-def read_with(path: Path, given: Changes, changes: Changes) -> Artifact | None:
-    """The file read with other options; None where they contradict it, or one another."""
-    try:
-        return load(path, **{**given, **changes})
-    except SpikedeployError:
-        pass
-    # what no option of the tool says can still be to blame; dt and gains go together
-    late = {name: value for name, value in changes.items() if name not in ("dt", "written_by")}
-    early = {name: value for name, value in changes.items() if name not in late}
-    try:
-        read = load(path, **{**given, **early})
-        return replace(read, convention=read.convention.with_options(late)) if late else None
-    except SpikedeployError:
-        return None
-
-
-def _words(changes: Changes) -> tuple[str, ...]:
-    """Options as they are typed."""
-    return tuple(
-        f"--{_OPTIONS.get(name, name)} {value:g}"
-        if isinstance(value, float)
-        else f"--{_OPTIONS.get(name, name)} {value}"
-        for name, value in changes.items()
-    )
-
-
-# Spikes that the author's framework recorded, against the float twin of the expor
 
 
 @dataclass(frozen=True)
@@ -198,9 +102,7 @@ class RecordedAgreement:
         found = self.difference
         return {
             "equal": self.equal,
-            "convention": self.convention,
-            "compared": self.compared,
-            "spikes": self.spikes,
+            **vars(self),
             "difference": found and {**vars(found), "neuron": list(found.neuron)},
             "cause": list(self.cause),
             "nearest": self.nearest and {"option": self.nearest[0], "differ": self.nearest[1]},
@@ -208,7 +110,7 @@ class RecordedAgreement:
         }
 
     def lines(self) -> Iterator[str]:
-        """What to print."""
+        """Lines for a terminal."""
         yield self.convention
         if self.unread:
             yield f"not compared: {', '.join(self.unread)}"
@@ -222,13 +124,13 @@ class RecordedAgreement:
         yield f"{self.difference.count:,} of {self.compared:,} outputs differ"
         if self.cause:
             yield f"likeliest cause: {' and '.join(self.cause)}, with which all are equal"
-        else:
-            near = self.nearest
-            nearest = f"; {near[0]} comes nearest, {near[1]:,} differ" if near else ""
-            yield (
-                f"no option makes both equal{nearest}. Was the input the same, from zero states, "
-                "and the file exported from this network?"
-            )
+            return
+        near = self.nearest
+        nearest = f"; {near[0]} comes nearest, {near[1]:,} differ" if near else ""
+        yield (
+            f"no option makes both equal{nearest}. Was the input the same, from zero states, "
+            "and the file exported from this network?"
+        )
 
 
 def against_recorded(path: Path, recorded: Path, **options: Any) -> RecordedAgreement:  # noqa: ANN401
@@ -241,27 +143,20 @@ def against_recorded(path: Path, recorded: Path, **options: Any) -> RecordedAgre
     try:
         artifact = load(path, **given)
     except SpikedeployError as error:
-        hint = _equal_from(path, given, recorded)
+        hint = _writer_hint(path, given, recorded)
         raise type(error)(f"{error}{hint}") from error
     inputs, outputs, unread = read_recorded(recorded, artifact)
-    said = artifact.convention.describe()
-    spikes = int(np.count_nonzero(outputs))
-    first = difference(artifact, inputs, outputs)
-    if first is None:
-        return RecordedAgreement(said, outputs.size, spikes, unread=unread)
-    cause, nearest = likeliest_cause(path, given, artifact, inputs, outputs, first)
-    return RecordedAgreement(said, outputs.size, spikes, first, cause, nearest, unread)
-
-
-def _equal_from(path: Path, given: Changes, recorded: Path) -> str:
-    """A sentence on the tool with whose meaning the file equals the recording, if there is one."""
-    for tool in () if {"like", "written_by"} & given.keys() else WRITERS:
-        artifact = read_with(path, given, {"written_by": tool})
-        if artifact is not None:
-            inputs, outputs, _ = read_recorded(recorded, artifact)
-            if difference(artifact, inputs, outputs) is None:
-                return f" With --from {tool} your framework = our float: equal."
-    return ""
+    first = find_difference(artifact, inputs, outputs)
+    cause, nearest = _find_cause(path, given, artifact, inputs, outputs, first)
+    return RecordedAgreement(
+        artifact.convention.describe(),
+        outputs.size,
+        int(np.count_nonzero(outputs)),
+        first,
+        cause,
+        nearest,
+        unread,
+    )
 
 
 def read_recorded(path: Path, artifact: Artifact) -> tuple[Raster, Raster, tuple[str, ...]]:
@@ -273,51 +168,146 @@ def read_recorded(path: Path, artifact: Artifact) -> tuple[Raster, Raster, tuple
             f"{path} holds {found}; needed are `input` and `output`. Write it with "
             "np.savez(path, input=…, output=…)."
         )
-    rows = [
-        _batch(f"{path}: {name}", arrays[name], _single(name, nodes))
+    inputs, outputs = (
+        _batch(path, name, arrays[name], ports(nodes))
         for name, nodes in (("input", artifact.graph.inputs), ("output", artifact.graph.outputs))
-    ]
-    if rows[0].shape[:2] != rows[1].shape[:2]:
+    )
+    if inputs.shape[:2] != outputs.shape[:2]:
         raise ObservationError(
-            f"{path}: input has (B, T) = {rows[0].shape[:2]}, output {rows[1].shape[:2]}. Record "
+            f"{path}: input has (B, T) = {inputs.shape[:2]}, output {outputs.shape[:2]}. Record "
             "both over the same timesteps."
         )
-    return rows[0], rows[1], tuple(sorted(arrays.keys() - {"input", "output"}))
+    return inputs, outputs, tuple(sorted(arrays.keys() - {"input", "output"}))
 
 
-def _single(name: str, nodes: Mapping[str, Any]) -> Port:
-    found = ports(nodes)
-    if len(found) != 1:
-        names = ", ".join(port.name for port in found)
+def _batch(path: Path, name: str, rows: Raster, nodes: tuple[Port, ...]) -> Raster:
+    """(B, T, *shape) of the one node, for rows that may have no axis for the batch."""
+    if len(nodes) != 1:
+        names = ", ".join(port.name for port in nodes)
         raise ObservationError(
             f"the network has the {name}s {names}; only networks with one of each are compared "
             "with a recording. Use emulate, and compare its files."
         )
-    return found[0]
-
-
-def _batch(where: str, rows: Raster, port: Port) -> Raster:
-    """(B, T, *shape) of what may have no axis for the batch."""
+    (port,) = nodes
     wanted = rows[None] if rows.ndim == len(port.shape) + 1 else rows
     shape = ", ".join(map(str, port.shape))
     if wanted.ndim != len(port.shape) + 2 or wanted.shape[2:] != port.shape:
         raise ObservationError(
-            f"{where} has shape {rows.shape}; node {port.name!r} needs (T, {shape}) or "
+            f"{path}: {name} has shape {rows.shape}; node {port.name!r} needs (T, {shape}) or "
             f"(B, T, {shape}). Reshape it, or give the recording of this network."
         )
     if wanted.shape[1] == 1 and len(wanted) > 1:
         raise ObservationError(
-            f"{where} has shape {rows.shape}, that is {len(wanted)} inferences of one timestep. If "
-            f"its first axis is time, give (T, {shape})."
+            f"{path}: {name} has shape {rows.shape}, that is {len(wanted)} inferences of one "
+            f"timestep. If its first axis is time, give (T, {shape})."
         )
     return wanted
 
 
-# Spikes of layers that were recorded on silicon, against the same network on an e
+def find_difference(
+    artifact: Artifact,
+    inputs: Raster,
+    outputs: Raster,
+    dtype: type[np.floating[Any]] = np.float64,
+) -> RecordedDifference | None:
+    """The first difference in time; membranes are compared within a tolerance."""
+    found = FloatGraph(artifact, dtype).run(inputs)["output"]
+    spiking = all(np.array_equal(rows, np.rint(rows)) for rows in (found, outputs))
+    tolerance = 0.0 if spiking else _TOLERANCE * float(np.abs(outputs).max())
+    places = np.argwhere(np.abs(found - outputs.astype(np.float64)) > tolerance)
+    if not len(places):
+        return None
+    place = tuple(int(n) for n in _first_in_time(places))
+    return RecordedDifference(
+        place[0], place[1], place[2:], float(outputs[place]), float(found[place]), len(places)
+    )
 
-_MOST = 2**31  # spikes of a neuron in a row, which no recording reaches; sums stay below 2**63
-_COUNTED = "times are not compared: the file has fewer rows than the input has timesteps"
-_TURNED = "read as (neurons, timesteps)"
+
+def _first_in_time(places: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The place of the smallest timestep, the second axis, of places (n, axes)."""
+    first: NDArray[np.intp] = places[np.lexsort((places[:, 0], places[:, 1]))[0]]
+    return first
+
+
+def _find_cause(
+    path: Path,
+    given: Options,
+    artifact: Artifact,
+    inputs: Raster,
+    outputs: Raster,
+    first: RecordedDifference | None,
+) -> tuple[tuple[str, ...], tuple[str, int] | None]:
+    """The options that make both equal; or else the nearest one, and how many outputs differ."""
+    if first is None:
+        return (), None
+    counts: dict[str, int] = {}
+    singles = list(_single_changes(given, artifact))
+    for changes in singles:
+        if (other := _read_with(path, given, changes)) is None:
+            continue
+        found = find_difference(other, inputs, outputs)
+        if found is None:
+            return _as_typed(changes), None
+        counts[_as_typed(changes)[0]] = found.count
+    if find_difference(artifact, inputs, outputs, np.float32) is None:
+        return ("rounding to float32",), None
+    # most pairs fail at the timestep of the first difference already
+    upto = first.timestep + 1
+    for one, two in combinations(singles, 2):
+        if one.keys() & two.keys() or (other := _read_with(path, given, one | two)) is None:
+            continue
+        if find_difference(other, inputs[:, :upto], outputs[:, :upto]) is None and (
+            find_difference(other, inputs, outputs) is None
+        ):
+            return _as_typed(one | two), None
+    nearest = min(counts, key=lambda words: counts[words], default=None)
+    better = nearest is not None and counts[nearest] < first.count
+    return (), (nearest, counts[nearest]) if nearest is not None and better else None
+
+
+def _single_changes(given: Options, artifact: Artifact) -> Iterator[Options]:
+    """Every other choice of every option, one at a time."""
+    for option, choices in _CHOICES.items():
+        if option == "written_by" and {"like", "written_by"} & given.keys():
+            continue
+        now = given.get(option, getattr(artifact.convention, option, None))
+        yield from ({option: choice} for choice in choices if choice != now)
+
+
+def _read_with(path: Path, given: Options, changes: Options) -> Artifact | None:
+    """The file read with other options; None where they contradict it, or one another."""
+    try:
+        return load(path, **{**given, **changes})
+    except SpikedeployError:
+        pass
+    # what no option of the tool says can still be to blame; dt and gains go together
+    late = {name: value for name, value in changes.items() if name not in ("dt", "written_by")}
+    early = {name: value for name, value in changes.items() if name not in late}
+    try:
+        read = load(path, **{**given, **early})
+        return replace(read, convention=read.convention.with_options(late)) if late else None
+    except SpikedeployError:
+        return None
+
+
+def _as_typed(changes: Options) -> tuple[str, ...]:
+    """Options as they are typed."""
+    return tuple(
+        f"--{'from' if name == 'written_by' else name} "
+        f"{f'{value:g}' if isinstance(value, float) else value}"
+        for name, value in changes.items()
+    )
+
+
+def _writer_hint(path: Path, given: Options, recorded: Path) -> str:
+    """A sentence on the tool with whose meaning the file equals the recording, if there is one."""
+    for tool in () if {"like", "written_by"} & given.keys() else WRITERS:
+        artifact = _read_with(path, given, {"written_by": tool})
+        if artifact is not None:
+            inputs, outputs, _ = read_recorded(recorded, artifact)
+            if find_difference(artifact, inputs, outputs) is None:
+                return f" With --from {tool} your framework = our float: equal."
+    return ""
 
 
 @dataclass(frozen=True)
@@ -389,22 +379,20 @@ def against_activity(
     layer      of a .npy, without it the only one of that shape; or the only one of a .npz
     convention  options of artifact.load
     """
-    wanted = _wanted(recording, _recorded(recording), layer)
+    wanted = _read_layers(recording, layer)
     artifact = load(network, **convention)
-    samples = _samples(inputs, artifact)
     played = [
         emulate_artifact(artifact, chip, rows, limits=limits, quantisation=quantisation)
-        for rows in samples
+        for rows in _read_samples(inputs, artifact)
     ]
-    names = played[0].spikes
-    spikes = {name: np.stack([each.spikes[name] for each in played]) for name in names}
-    first, *others = (_layer(recording, chip, name, rows, spikes) for name, rows in wanted)
+    spikes = {name: np.stack([each.spikes[name] for each in played]) for name in played[0].spikes}
+    first, *others = (_beside(recording, chip, n, rows, spikes) for n, rows in wanted.items())
     # of the network, so once
     return [replace(first, reading=(*first.reading, *played[0].remarks)), *others]
 
 
-def _recorded(path: Path) -> Raster | dict[str, Raster]:
-    """The arrays of a recording, whose numbers are spikes or counts of them."""
+def _read_layers(path: Path, layer: str | None) -> Mapping[str | None, Raster]:
+    """Recorded spikes, or counts of them, by the name of a layer; None where the shape tells it."""
     found = read_rasters(path)
     for rows in found.values() if isinstance(found, dict) else [found]:
         wrong = rows[(rows < 0) | (rows > _MOST) | (rows != np.rint(rows))]
@@ -413,26 +401,19 @@ def _recorded(path: Path) -> Raster | dict[str, Raster]:
                 f"{path} holds numbers such as {wrong[0]:g}; spikes are 0, 1 or counts of them, "
                 f"at most {_MOST:,}"
             )
-    return found
-
-
-def _wanted(
-    path: Path, found: Raster | dict[str, Raster], layer: str | None
-) -> Sequence[tuple[str | None, Raster]]:
-    """The arrays to be compared, by the name of a layer; None where the shape has to tell it."""
     if not isinstance(found, dict):
-        return [(layer, found)]
+        return {layer: found}
     if layer is None:
-        return list(found.items())
+        return {name: rows for name, rows in found.items()}
     if layer not in found:
-        first = ", ".join(islice(found, 8))
         raise ObservationError(
-            f"{path}: no array is called {layer!r}, as --layer says; it begins with {first}"
+            f"{path}: no array is called {layer!r}, as --layer says; it begins with "
+            f"{', '.join(islice(found, 8))}"
         )
-    return [(layer, found[layer])]
+    return {layer: found[layer]}
 
 
-def _samples(path: Path, artifact: Artifact) -> Raster:
+def _read_samples(path: Path, artifact: Artifact) -> Raster:
     """(B, T, *shape) of the network's one Input."""
     found = ports(artifact.graph.inputs)
     rows = read_inputs(path, artifact)
@@ -444,7 +425,7 @@ def _samples(path: Path, artifact: Artifact) -> Raster:
     return rows[None] if rows.ndim == len(found[0].shape) + 1 else rows
 
 
-def _layer(
+def _beside(
     path: Path, chip: str, name: str | None, rows: Raster, spikes: Mapping[str, NDArray[Any]]
 ) -> RecordedActivity:
     """A recorded array beside the layer of that name, or beside the only one that it fits."""
@@ -458,74 +439,73 @@ def _layer(
         if name in (None, layer) and (pair := next(_readings(rows, seen), None))
     ]
     if len(fits) != 1:
-        raise ObservationError(_unclear(path, name, rows, spikes, [layer for layer, *_ in fits]))
+        raise ObservationError(_ambiguity(path, name, rows, spikes, [layer for layer, *_ in fits]))
     layer, there, here, reading = fits[0]
-    seen = spikes[layer]
+    samples, timesteps, *shape = spikes[layer].shape
     return RecordedActivity(
         path,
         chip,
         layer,
-        len(seen),
-        seen.shape[1],
-        int(np.prod(seen.shape[2:])),
-        there.size,
-        int((there == here).sum()),
-        int(there.sum()),
-        int(here.sum()),
-        int(np.minimum(there, here).sum()),
-        _first(there, here),
-        reading,
+        samples,
+        timesteps,
+        neurons=int(np.prod(shape)),
+        numbers=there.size,
+        agree=int((there == here).sum()),
+        recorded=int(there.sum()),
+        emulated=int(here.sum()),
+        common=int(np.minimum(there, here).sum()),
+        difference=_describe_first(there, here),
+        reading=reading,
     )
 
 
-def _readings(
-    rows: Raster, seen: NDArray[Any]
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], tuple[str, ...]]]:
+def _readings(rows: Raster, seen: NDArray[Any]) -> Iterator[tuple[Counts, Counts, tuple[str, ...]]]:
     """Recorded and emulated (B, T, N), or counts (B, 1, N), in the ways in which shapes fit."""
     samples, timesteps, *shape = seen.shape
     neurons = int(np.prod(shape))
     flat = seen.reshape(samples, timesteps, neurons).astype(np.int64)
     counts = flat.sum(axis=1, keepdims=True)
     whole, single = rows.astype(np.int64), samples == 1
-    for tail in (tuple(shape), (neurons,)):
-        if rows.shape == (samples, timesteps, *tail) or (
-            single and rows.shape == (timesteps, *tail)
-        ):
-            yield whole.reshape(flat.shape), flat, ()
+    tails = (tuple(shape), (neurons,))
+    fitting = {(samples, timesteps, *tail) for tail in tails}
+    if rows.shape in fitting or (single and (1, *rows.shape) in fitting):
+        yield whole.reshape(flat.shape), flat, ()
     if single and rows.shape == (neurons, timesteps):
         yield whole.T[None], flat, (_TURNED,)
-    for tail in (tuple(shape), (neurons,)):
-        batched = rows.shape[1:] == (samples, *tail)
-        if rows.shape[0] < timesteps and (batched or (single and rows.shape[1:] == tail)):
-            yield whole.sum(axis=0).reshape(counts.shape), counts, (_COUNTED,)
+    batched = {(samples, *tail) for tail in tails}
+    if rows.shape[0] < timesteps and (
+        rows.shape[1:] in batched or (single and (1, *rows.shape[1:]) in batched)
+    ):
+        yield whole.sum(axis=0).reshape(counts.shape), counts, (_COUNTED,)
 
 
-def _first(there: NDArray[np.int64], here: NDArray[np.int64]) -> str:
-    """The first difference in time."""
+def _describe_first(there: Counts, here: Counts) -> str:
+    """The first difference in time; empty where there is none."""
     places = np.argwhere(there != here)
     if not len(places):
         return ""
-    sample, t, n = places[np.lexsort((places[:, 0], places[:, 1]))[0]]
+    sample, t, n = _first_in_time(places)
     when = f"timestep {t}, " if there.shape[1] > 1 else ""
     which = f"sample {sample}, " if len(there) > 1 else ""
     both = f"recorded {there[sample, t, n]}, emulated {here[sample, t, n]}"
     return f"{which}{when}neuron {n}: {both}"
 
 
-def _unclear(
+def _ambiguity(
     path: Path,
     name: str | None,
     rows: Raster,
     spikes: Mapping[str, NDArray[Any]],
     fits: list[str],
 ) -> str:
+    """The sentence on an array that fits no layer, or several."""
     if fits:
         return f"{path}: {' and '.join(fits)} have that shape. Name one with --layer."
     known = spikes if name is None else {name: spikes[name]}
     shapes = ", ".join(f"{each} {seen.shape}" for each, seen in known.items())
-    told = "and no layer fits" if name is None else f"which layer {name!r} does not have"
+    missing = "and no layer fits" if name is None else f"which layer {name!r} does not have"
     return (
-        f"{path} has shape {rows.shape}, {told}; emulated, as (samples, timesteps, "
+        f"{path} has shape {rows.shape}, {missing}; emulated, as (samples, timesteps, "
         f"neurons): {shapes}. Record the layer over the input's timesteps, a row for each, or its "
         "counts as (bins, samples, neurons)."
     )

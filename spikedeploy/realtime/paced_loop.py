@@ -1,4 +1,13 @@
-"""A fixed rate: how it is given, and how the loop waits for its next period."""
+"""Episodes at a fixed rate, and how long each control step took.
+
+A control step begins with its period. The loop wakes, the policy acts on the latest observation,
+and the environment takes its step. Times of a step:
+
+late        from the beginning of the period until the loop woke: the jitter
+policy      from an observation to its action, by the wall clock: the runtime's own work
+policy_cpu  CPU time of the loop's thread in it: less than `policy` where it waited for a core
+step        from the beginning of the period until the environment had stepped
+"""
 
 import gc
 import itertools
@@ -18,8 +27,6 @@ from numpy.typing import NDArray
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.policies.registry import Candidate, Player, open_policy
 from spikedeploy.runtime.errors import ConfigError
-
-# ---- pacing.py: A fixed rate: how it is given, and how the loop waits for its next period.
 
 _UNITS = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
 _LOWEST, _HIGHEST = 0.01, 10_000.0  # [Hz]
@@ -128,8 +135,6 @@ def without_collections() -> Iterator[None]:
         if enabled:
             gc.enable()
 
-
-# ---- paced_loop.py: Episodes at a fixed rate, and how long each control step took.
 
 TIMES = ("late", "policy", "policy_cpu", "step")
 _PERCENTILES = (50, 95, 99)

@@ -12,7 +12,7 @@ import typer
 
 from lab.experiments import EXPERIMENTS
 from spikedeploy import cli, envs
-from spikedeploy.commands.evidence import settings
+from spikedeploy.commands.closed_loop import settings
 from spikedeploy.runtime.chips.chip import listed
 from spikedeploy.shipping.cards import recorded
 from tests.paths import ROOT

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 import spikedeploy as sd
-from spikedeploy.emulation.open_loop import emulate_file
+from spikedeploy.emulation.open_loop import emulate_artifact
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.files import as_text
+from spikedeploy.runtime.artifact.artifact import load as load_artifact
 from spikedeploy.runtime.errors import (
     ArtifactError,
     ChipError,
@@ -49,7 +50,7 @@ def test_every_public_name_exists_and_no_other():
 
 
 def test_a_run_is_what_emulate_gives(out):
-    expected = emulate_file(NET, "loihi1", np.load(RASTER), dt=1e-3)
+    expected = emulate_artifact(load_artifact(NET, dt=1e-3), "loihi1", np.load(RASTER))
     assert out.spikes.keys() == expected.spikes.keys()
     for name, rows in expected.spikes.items():
         np.testing.assert_array_equal(out.spikes[name], rows)

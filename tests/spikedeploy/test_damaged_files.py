@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from spikedeploy import zoo
-from spikedeploy.commands.evidence import settings as settings_of
+from spikedeploy.commands.closed_loop import settings as settings_of
 from spikedeploy.emulation.open_loop import emulate_artifact
 from spikedeploy.emulation.rasters import read_inputs
 from spikedeploy.envs.errors import EnvError

@@ -10,7 +10,7 @@ from lab.experiments import chip_policies
 from spikedeploy import envs, zoo
 from spikedeploy.commands.training import train
 from spikedeploy.comparison.evaluation import run_policy
-from spikedeploy.comparison.lineup import line_up, on_another_chip
+from spikedeploy.comparison.lineup import line_up, remark_on_chip
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips import CHIPS
@@ -71,9 +71,9 @@ def test_it_runs_on_its_chip_where_none_is_named_and_says_so_where_another_is(fi
     entries = line_up(env, [str(file)], None)
     assert [e.chip for e in entries if e.candidate.kind == "snn"] == [file.stem]
     assert run_policy(policy, None, None, range(1)).rows[0].entry.chip == file.stem
-    assert not on_another_chip(entries[0])
+    assert not remark_on_chip(entries[0])
     beside = line_up(env, [str(file)], ["int"])[0]
-    assert f"was trained for {file.stem}, and runs on int here" in on_another_chip(beside)
+    assert f"was trained for {file.stem}, and runs on int here" in remark_on_chip(beside)
 
 
 def test_chips_are_separated_by_commas_or_given_again(command):

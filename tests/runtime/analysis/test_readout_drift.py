@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spikedeploy.emulation.open_loop import measured
+from spikedeploy.emulation.open_loop import measure_inference
 from spikedeploy.runtime.analysis.activity import chip_activity, float_activity
 from spikedeploy.runtime.analysis.calibration import tuned, with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import drift
@@ -78,7 +78,7 @@ def test_neurobench_takes_membranes_for_graded_and_readouts_for_no_spiking_layer
     # free, layers run on behind their windows, and ledgers count that too
     network_ = run_network(artifact, chip(name) if name else None, trace=True, **gated)
     network_.infer(events())
-    found = measured(artifact, network_, events(), network_.ledger)
+    found = measure_inference(artifact, network_, events(), network_.ledger)
     spikes = network_.spikes["hidden"]
     assert found.neurobench.activation_sparsity_by_layer.keys() == {"hidden"}
     assert found.neurobench.activation_sparsity == 1 - spikes.mean()

@@ -264,7 +264,7 @@ def test_the_command_runs_shows_and_goes_on(spec, serial, command):
 def test_the_back_ends_of_the_command_are_those_that_exist():
     from typing import get_args
 
-    from spikedeploy.commands.sweeps import BackendName
+    from spikedeploy.commands.training import BackendName
     from spikedeploy.jobs import BACKENDS
 
     assert get_args(BackendName) == BACKENDS

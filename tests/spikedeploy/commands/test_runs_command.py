@@ -6,8 +6,8 @@ import socket
 
 import pytest
 
-from spikedeploy.commands.runs import SortKey
-from spikedeploy.reports.run_table import SORTS
+from spikedeploy.commands.training import SortKey
+from spikedeploy.reports.runs import SORTS
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.exported_run import runnable, trained_in
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig

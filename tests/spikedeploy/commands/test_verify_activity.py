@@ -7,7 +7,8 @@ import nir
 import numpy as np
 import pytest
 
-from spikedeploy.emulation.open_loop import emulate_file
+from spikedeploy.emulation.open_loop import emulate_artifact
+from spikedeploy.runtime.artifact.artifact import load as load_artifact
 from tests.networks import cuba, graph, lif
 from tests.paths import GOLDEN
 
@@ -40,7 +41,7 @@ def saved(path, rows):
 
 
 def spikes(network, raster, chip="spinnaker2"):
-    return emulate_file(network, chip, raster, dt=1e-4, reset="zero").spikes
+    return emulate_artifact(load_artifact(network, dt=1e-4, reset="zero"), chip, raster).spikes
 
 
 def verify(command, recording, network, source, *more, chip="spinnaker2"):
@@ -123,7 +124,9 @@ def test_counts_of_several_samples_are_compared_without_their_times(command, tmp
     raster = (rng.random((2, 20, 2, 4, 4)) < 0.3).astype(np.uint8)
     words = ("--chip", "speck2f", "--input", saved(tmp_path / "input.npy", raster))
     seen = [
-        emulate_file(tmp_path / "scnn.nir", "speck2f", rows, reset="subtract").spikes["spikes"]
+        emulate_artifact(
+            load_artifact(tmp_path / "scnn.nir", reset="subtract"), "speck2f", rows
+        ).spikes["spikes"]
         for rows in raster
     ]
     bins = np.stack([[rows[:12].sum(axis=0), rows[12:].sum(axis=0)] for rows in seen], axis=1)

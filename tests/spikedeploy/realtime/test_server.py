@@ -8,15 +8,12 @@ import socket
 import subprocess
 import sys
 import threading
-import time
-from contextlib import suppress
 
 import numpy as np
 import pytest
 
 from spikedeploy.api import load
 from spikedeploy.realtime.server import (
-    SPARED,
     Clients,
     Request,
     RequestError,
@@ -200,51 +197,6 @@ def test_messages_of_several_frames_and_of_dealers_are_answered(connect):
     assert (empty, "one frame" in json.loads(answer)["error"]) == (b"", True)
 
 
-# ZMTP 3.0: a greeting without security, a READY command of a DEALER, and frames with more to come
-GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32)
-READY = b"\x05READY" + b"\x0bSocket-Type" + b"\0\0\0\x06" + b"DEALER"
-FRAME = b"\x03" + (2000).to_bytes(8, "big") + bytes(2000)
-
-
-def send_without_end(port, enough):
-    """Send frames of one message until the connection is closed, or there were enough."""
-    with socket.create_connection(("127.0.0.1", port), timeout=5) as raw:
-        raw.sendall(GREETING + b"\x04" + bytes([len(READY)]) + READY)
-        with suppress(OSError):
-            for _ in range(enough // (500 * len(FRAME))):
-                raw.sendall(500 * FRAME)
-
-
-def test_a_message_without_an_end_loses_its_connection_before_it_takes_all_memory(
-    monkeypatch, policy, capsys
-):
-    # what the process has: as much as at the beginning, until frames without an end have come
-    taken = threading.Event()
-    resident = lambda: (1 << 40) * (taken.is_set() and not running.reopened)  # noqa: E731
-    monkeypatch.setattr("spikedeploy.realtime.server._resident", resident)
-    running, stop, context = PolicyServer(policy, clients=1), threading.Event(), zmq.Context()
-    thread = threading.Thread(target=running.serve, args=(stop,))
-    thread.start()
-    try:
-        send_without_end(int(running.endpoint.rpartition(":")[2]), enough=1 << 22)
-        taken.set()
-        until = time.monotonic() + 20
-        while not running.reopened and time.monotonic() < until:
-            time.sleep(0.01)
-        assert running.reopened
-        with context.socket(zmq.REQ) as client:
-            client.setsockopt(zmq.LINGER, 0)
-            client.setsockopt(zmq.RCVTIMEO, 20_000)
-            client.connect(running.endpoint)
-            assert ask(client, do="reset")["ok"]
-        assert "all connections were closed: messages without an end" in capsys.readouterr().err
-    finally:
-        stop.set()
-        thread.join()
-        running.close()
-        context.term()
-
-
 def test_a_client_that_floods_and_reads_nothing_keeps_nobody_from_answers(policy, connect):
     flooding, other = connect(zmq.DEALER), connect()
     for _ in range(3000):
@@ -280,22 +232,6 @@ def test_clients_are_few_and_idle_ones_are_forgotten(policy):
     clients.answer(b"c", reset, 11)
     clients.answer(b"c", Request("bye"), 12)
     clients.answer(b"a", reset, 12)
-
-
-def test_a_newcomer_takes_the_place_of_whoever_asked_nothing_for_longest(policy):
-    """Those who hold places and ask nothing keep nobody out for longer than SPARED."""
-    clients, reset = Clients(policy, most=3, idle=60), Request("reset")
-    act = Request("act", observation=[0.0] * policy.observed)
-    for client, now in ((b"holds", 0), (b"holds too", 1), (b"acts", 2)):
-        clients.answer(client, reset, now)
-    clients.answer(b"acts", act, SPARED)
-    with pytest.raises(RequestError, match=f"was idle for {SPARED:g} s"):
-        clients.answer(b"new", reset, SPARED)
-    clients.answer(b"new", reset, SPARED + 0.1)
-    with pytest.raises(RequestError, match="send reset first"):
-        clients.answer(b"holds", act, SPARED + 0.2)
-    assert clients.answer(b"acts", act, SPARED + 0.3)["step"] == 2
-    assert clients.answer(b"holds too", act, SPARED + 0.4)["step"] == 1
 
 
 def test_a_client_that_connects_and_asks_for_no_episode_takes_no_place(policy):

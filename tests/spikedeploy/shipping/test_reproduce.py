@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from spikedeploy import zoo
-from spikedeploy.commands.evidence import settings
+from spikedeploy.commands.closed_loop import settings
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.cards import check_rewritable, recorded
 from spikedeploy.shipping.publish_run import publish_run
@@ -204,7 +204,7 @@ class Blocked:
         if name.partition(".")[0] in ("torch", "snntorch", "safetensors", "onnx"):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Blocked())
-from spikedeploy.commands.evidence import settings
+from spikedeploy.commands.closed_loop import settings
 from spikedeploy.shipping.cards import recorded
 from spikedeploy.shipping.reproduce import reproduce
 print(reproduce(recorded("kart-steer/linear", settings), 1, 1).verdict)
