@@ -130,7 +130,7 @@ def export(
     if run.endswith(zoo.SUFFIXES) and zoo.resolve(run) is None:
         raise ConfigError(f"{run}: no such file")  # as a run folder it would be missed elsewhere
     reading = {"written_by": from_, "dt": dt, "reset": reset}
-    played = {"raster": raster, "env": env, "clock": clock}
+    played: dict[str, Any] = {"raster": raster, "env": env, "clock": clock}
     if for_ or nir_compat:
         from spikedeploy.shipping.export_file import export_nir
 
@@ -185,9 +185,7 @@ def export(
     _end_with(written, json, [f"its training is unfinished: stopped at {late}"] if late else [])
 
 
-def _end_with(
-    written: "CheckedFile", json: bool, remarks: Sequence[str], **more: object
-) -> NoReturn:
+def _end_with(written: "CheckedFile", json: bool, lines: Sequence[str], **more: object) -> NoReturn:
     """Print the file and its checks, `more` in JSON; exit 1 where one failed."""
     from spikedeploy.console import print_json, say
     from spikedeploy.reports.terminal import print_checks
@@ -199,7 +197,7 @@ def _end_with(
     else:
         print_checks(written.checks)
         typer.echo(f"wrote {written.path}")
-        for line in remarks:
+        for line in lines:
             say(line)
     raise typer.Exit(0 if written.passed else 1)
 
