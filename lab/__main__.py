@@ -37,7 +37,7 @@ COMMANDS = {
     "live-peers": "lab.peers.live_peers",
     "record-traces": "lab.peers.record_traces",
     "rsl-rl-policy": "lab.peers.rsl_rl_policy",
-    "sanafe-energy": "lab.peers.sanafe_energy",
+    "sanafe-energy": "lab.peers.sanafe_networks",
     "sb3-models": "lab.peers.sb3_models",
     "kill": "lab.kill",
     "walk": "lab.walk",

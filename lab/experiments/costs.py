@@ -50,19 +50,19 @@ _COLUMNS = {
 LEAN_UPDATE = 5 * ADDITION + 4 * ACCESS
 
 
-def spikes(row: Mapping[str, Any]) -> bool:
+def is_spiking(row: Mapping[str, Any]) -> bool:
     """Return whether a row is of a spiking policy."""
     return row.get("neuron_updates") is not None
 
 
-def priced(row: Mapping[str, Any], table: str) -> bool:
+def has_price(row: Mapping[str, Any], table: str) -> bool:
     """Return whether a table prices a row: a float network needs multiply-accumulates.
 
     What a host integrates is not counted, so a row with readouts there has no price.
     """
     if row.get("operations") is None or row.get("on_host"):
         return False
-    return spikes(row) or "mac" in TABLES[table].joules
+    return is_spiking(row) or "mac" in TABLES[table].joules
 
 
 def terms(row: Mapping[str, Any], table: str, lean: bool = False) -> dict[str, float]:
@@ -72,7 +72,7 @@ def terms(row: Mapping[str, Any], table: str, lean: bool = False) -> dict[str, f
         chips they cannot be chosen
     """
     constants = addition_energy(row["constants"])
-    if not spikes(row):
+    if not is_spiking(row):
         operations = row["operations"] * TABLES[table].joules.get("mac", 0.0)
         return _named(operations, 0.0, 0.0, reading_energy(row["observations"]), constants)
     on_chip = chip_terms(_counts(row), TABLES[table])
@@ -110,9 +110,9 @@ def energies(row: Mapping[str, Any]) -> dict[str, float]:
     """All totals of a row [J], and the terms by horowitz45-int8."""
     found: dict[str, float] = {}
     for table in TABLE_NAMES:
-        if priced(row, table):
+        if has_price(row, table):
             found |= {column(table, of): total(row, table, of) for of in TOTALS}
-    if priced(row, INT8):
+    if has_price(row, INT8):
         found |= {f"term_{name}_j": joules for name, joules in terms(row, INT8).items()}
         found |= {column(INT8, of, True): total(row, INT8, of, True) for of in TOTALS}
     return found

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lab.experiments.costs import INT8, TERMS, energies, spikes, terms, total
+from lab.experiments.costs import INT8, TERMS, energies, is_spiking, terms, total
 from lab.experiments.pages import grouped, mean
 from lab.experiments.pareto import FLOAT, LABELS, LEVELS, REWARD, SPIKING, STUDENTS
 from lab.experiments.ratios import nested_ratio
@@ -112,7 +112,7 @@ class Point:
     @property
     def is_spiking(self) -> bool:
         """Return whether it spikes, or is delta-coded."""
-        return spikes(self.rows[0])
+        return is_spiking(self.rows[0])
 
 
 def return_estimates(rows: Sequence[Record]) -> ReturnEstimates | None:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from lab.experiments import pages
-from lab.experiments.costs import INT8, column, energies, spikes
+from lab.experiments.costs import INT8, column, energies, is_spiking
 from lab.experiments.networks import FLOAT, Played, network, play, random_actions
 from lab.experiments.pages import grouped, mean, number, share
 from lab.experiments.ratios import nested_ratio
@@ -546,7 +546,7 @@ def _task_table(env: str, rows: Sequence[Record], chip: str) -> list[list[str]]:
 
 def _line(point: TaskPoint, dense: Reference) -> list[str]:
     operations, joules = point.mean("operations"), point.mean(ENERGY)
-    unit = "SOPs" if spikes(point.rows[0]) else "MACs"
+    unit = "SOPs" if is_spiking(point.rows[0]) else "MACs"
     counted = ABSENT if operations is None else f"{operations:,.0f} {unit}"
     part = ABSENT if operations is None else f"{operations / dense.operations:.2%}"
     return [

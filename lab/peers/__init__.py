@@ -1,10 +1,9 @@
 """Golden traces, exports and kits, recorded with the tools that they come from.
 
 live_peers         all comparisons, each tool in an environment of its own
-record_traces      golden traces recorded again; traces/ has a file for each tool
-random_networks    random networks of several layers, as traces yet to be recorded
+record_traces      golden traces recorded again, and random ones; traces/ has a file for each tool
 exported_networks  networks exported by the tools themselves
 kits               kits of `export --to program`, run with the tools that they are for
 rsl_rl_policy, sb3_models    policies of other trainers, for the tests of teachers
-sanafe_energy, sanafe_networks  energies of random networks against SANA-FE
+sanafe_networks    energies of random networks against SANA-FE
 """

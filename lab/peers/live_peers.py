@@ -25,8 +25,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
 
-from lab.peers.random_networks import SOURCES
-from lab.peers.record_traces import NOTHING_RECORDED
+from lab.peers.record_traces import NOTHING_RECORDED, SOURCES
 from spikedeploy.runtime.traces.verify import verify
 
 if sys.version_info >= (3, 11):

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from lab.peers.random_networks import SIZES, random_trace
+from lab.peers.record_traces import SIZES, random_trace
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.traces.verify import verify
