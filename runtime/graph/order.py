@@ -42,7 +42,7 @@ class Timing:
     names: of all nodes, each after its sources of the same timestep.
     late: edges that deliver in the next timestep.
     delays: of each Delay node, (*N) timesteps besides the one of its late edges.
-    loops: whether the graph has a loop.
+    loops: True if the graph has a loop.
     """
 
     names: tuple[str, ...]
@@ -66,10 +66,11 @@ def timing(graph: nir.NIRGraph, convention: Convention) -> Timing:
     delaying = {name for name, timesteps in delays.items() if timesteps.min() >= 1}
     late = {edge for edge in graph.edges if edge[1] in delaying}
     if convention.delay:
-        late |= _into_weights(graph)
+        weights = (nir.Affine, nir.Linear, *CONVOLUTIONS)
+        late |= {edge for edge in graph.edges if isinstance(graph.nodes[edge[1]], weights)}
     if pipelined := convention.clock == "pipelined":
         late = _out_of_spikes(graph)  # of a Delay the timesteps come on top
-    stepwise, loops = order(graph, late), _has_loop(graph)
+    stepwise, loops = order(graph, late), len(in_waves(graph.nodes, graph.edges)) < len(graph.nodes)
     return Timing(
         # without loops a node runs for all timesteps at once, after its late sources too
         names=stepwise.names if loops else order(graph).names,
@@ -116,8 +117,11 @@ def order(graph: nir.NIRGraph, late: Iterable[Edge] = ()) -> _Order:
         done += ready
         pending.difference_update(ready)
         if pending:
-            work += len(prompt)
-            _check_loops(work, pending)
+            if (work := work + len(prompt)) > _MOST_LOOP_WORK:
+                raise ArtifactError(
+                    f"the loops through {len(pending)} nodes are too many to open one by one. Join "
+                    "nodes that are connected both ways into one recurrent layer."
+                )
             delayed |= _feedback(graph, pending, delayed)
     return _Order(tuple(done), frozenset(delayed))
 
@@ -152,30 +156,12 @@ def _targets(edges: Iterable[Edge]) -> dict[str, list[str]]:
     return found
 
 
-def _check_loops(work: int, pending: set[str]) -> None:
-    if work > _MOST_LOOP_WORK:
-        raise ArtifactError(
-            f"the loops through {len(pending)} nodes are too many to open one by one. Join nodes "
-            "that are connected both ways into one recurrent layer."
-        )
-
-
-def _has_loop(graph: nir.NIRGraph) -> bool:
-    """Whether any node reaches itself over the edges."""
-    return len(in_waves(graph.nodes, graph.edges)) < len(graph.nodes)
-
-
 def sources(graph: nir.NIRGraph) -> dict[str, list[str]]:
     """Names of the nodes with an edge to each, sorted, which fixes the order of summation."""
     found: dict[str, list[str]] = {name: [] for name in graph.nodes}
     for source, target in sorted(graph.edges):
         found[target].append(source)
     return found
-
-
-def _into_weights(graph: nir.NIRGraph) -> set[Edge]:
-    kinds = (nir.Affine, nir.Linear, *CONVOLUTIONS)
-    return {edge for edge in graph.edges if isinstance(graph.nodes[edge[1]], kinds)}
 
 
 def _out_of_spikes(graph: nir.NIRGraph) -> set[Edge]:
@@ -202,14 +188,11 @@ def _feedback(graph: nir.NIRGraph, pending: set[str], delayed: set[Edge]) -> set
     for first in sorted(neurons, key=lambda name: (depth.get(name, len(graph.nodes)), name)):
         if returning := set(_returning(graph, first, loops[first], before)):
             return returning
+    more = f" and {len(loops) - 20} more" if len(loops) > 20 else ""
     raise ArtifactError(
-        f"the loop through {_few(sorted(loops))} has no neuron in it, so that a value would "
-        "depend on itself within one timestep. Put a neuron into the loop or open it."
+        f"the loop through {', '.join(sorted(loops)[:20])}{more} has no neuron in it, so that a "
+        "value would depend on itself within one timestep. Put a neuron into the loop or open it."
     )
-
-
-def _few(names: list[str]) -> str:
-    return ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
 
 
 def _loops(

@@ -69,18 +69,6 @@ def check_unmasked(raster: object) -> None:
         )
 
 
-def _check_rasters(all_: Sequence[Port], rows: Mapping[str, Rows]) -> None:
-    """Raise ObservationError where the rasters (B, T, *shape) do not fit the ports."""
-    if names := sorted({port.name for port in all_} ^ set(rows)):
-        raise ObservationError(
-            f"the network has the inputs {', '.join(port.name for port in all_)}, found rasters "
-            f"for {', '.join(sorted(rows))}. Give one raster for each input; "
-            f"{names[0]} has no match."
-        )
-    for port in all_:
-        _check(port, rows[port.name], rows[all_[0].name].shape[:2])
-
-
 def concatenate(all_: Sequence[Port], rows: Mapping[str, Rows]) -> Rows:
     """One raster (B, T, M) of those of the ports (B, T, *shape), each in C order, ports by name."""
     _check_rasters(all_, rows)
@@ -95,6 +83,18 @@ def split(all_: Sequence[Port], rows: Rows) -> dict[str, Rows]:
         port.name: part.reshape(*part.shape[:2], *port.shape)
         for port, part in zip(all_, np.split(rows, ends, axis=2), strict=True)
     }
+
+
+def _check_rasters(all_: Sequence[Port], rows: Mapping[str, Rows]) -> None:
+    """Raise ObservationError where the rasters (B, T, *shape) do not fit the ports."""
+    if names := sorted({port.name for port in all_} ^ set(rows)):
+        raise ObservationError(
+            f"the network has the inputs {', '.join(port.name for port in all_)}, found rasters "
+            f"for {', '.join(sorted(rows))}. Give one raster for each input; "
+            f"{names[0]} has no match."
+        )
+    for port in all_:
+        _check(port, rows[port.name], rows[all_[0].name].shape[:2])
 
 
 def _check(port: Port, rows: Rows, leading: tuple[int, ...]) -> None:

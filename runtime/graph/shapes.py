@@ -207,9 +207,10 @@ def _check_work(graph: nir.NIRGraph, shapes: Mapping[str, tuple[Shape, Shape]]) 
             )
         if not isinstance(node, CONVOLUTIONS):
             continue
-        if (found := _window_values(node, takes, puts)) > _MAX_WINDOW_VALUES:
+        windows = takes[0] * math.prod(puts[1:]) * math.prod(node.weight.shape[2:])
+        if windows > _MAX_WINDOW_VALUES:
             raise ArtifactError(
-                f"node {name!r}: its windows hold {found} values; at most {_MAX_WINDOW_VALUES}. "
+                f"node {name!r}: its windows hold {windows} values; at most {_MAX_WINDOW_VALUES}. "
                 "Correct its kernel or its shape."
             )
 
@@ -223,11 +224,6 @@ def multiplications(name: str, node: nir.NIRNode, puts: Shape) -> int:
     if isinstance(node, POOLS):
         return math.prod(puts) * math.prod(pool_window(name, node).kernel)
     return math.prod(puts)
-
-
-def _window_values(node: nir.NIRNode, takes: Shape, puts: Shape) -> int:
-    """Values of all windows of a convolution together."""
-    return int(takes[0] * math.prod(puts[1:]) * math.prod(node.weight.shape[2:]))
 
 
 def _shapes(
@@ -259,7 +255,11 @@ def _stated(name: str, node: nir.NIRNode) -> Shape | None:
     if isinstance(node, POOLS):
         return None
     if isinstance(node, CONVOLUTIONS):
-        return _channels_first(name, node)
+        if node.input_shape is None:
+            return None
+        axes = 1 if isinstance(node, nir.Conv1d) else 2
+        extents = whole_numbers(name, "input_shape", node.input_shape, axes, minimum=1)
+        return _channels(node), *extents
     if isinstance(node, DENSE):
         return tuple(map(int, (*node.weight.shape[:-2], node.weight.shape[-1])))
     if isinstance(node, (nir.Input, nir.Output, nir.Flatten)):
@@ -267,23 +267,9 @@ def _stated(name: str, node: nir.NIRNode) -> Shape | None:
         if stated is None:
             return None
         return whole_numbers(name, "shape", np.asarray(stated), np.size(stated), minimum=1)
-    return _elementwise(node)
-
-
-def _elementwise(node: nir.NIRNode) -> Shape:
-    """The shape of a node with one parameter for every value that it takes."""
+    # one parameter for every value
     fields = {nir.Scale: "scale", nir.Threshold: "threshold", nir.Delay: "delay"}
-    (field,) = [name for kind, name in fields.items() if isinstance(node, kind)] or ["r"]
-    return tuple(map(int, getattr(node, field).shape))
-
-
-def _channels_first(name: str, node: nir.NIRNode) -> Shape | None:
-    """The input shape (C, *X) of a convolution, where the node states X."""
-    axes = 1 if isinstance(node, nir.Conv1d) else 2
-    if node.input_shape is None:
-        return None
-    extents = whole_numbers(name, "input_shape", node.input_shape, axes, minimum=1)
-    return _channels(node), *extents
+    return tuple(map(int, getattr(node, fields.get(type(node), "r")).shape))
 
 
 def _channels(node: nir.NIRNode) -> int:

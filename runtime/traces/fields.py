@@ -1,6 +1,6 @@
 """A JSON object of another program, read by name, with errors that name the field.
 
-How much a replay computes, summed up layer by layer before anything of it is allocated.
+`Work` sums up what a replay computes, layer by layer, before anything of it is allocated.
 """
 
 import json
@@ -74,7 +74,7 @@ class Fields:
         return str(self._found.get(name, ""))
 
     def filled(self, name: str) -> bool:
-        """Whether there is anything in the field; an empty list is nothing."""
+        """True if there is anything in the field; an empty list is nothing."""
         self.unread.discard(name)
         return bool(self._found.get(name))
 
@@ -90,7 +90,7 @@ class Fields:
     def group(self, name: str) -> "Fields":
         """The object called `name`; empty where there is none."""
         found = self._taken(name) if name in self._found else {}
-        return self._sharing(found, f"{self.where}: {name}")
+        return self._nested(found, f"{self.where}: {name}")
 
     def groups(self, name: str) -> list["Fields"]:
         """The list of objects called `name`."""
@@ -99,14 +99,14 @@ class Fields:
             raise self.wrong(name, f"is {_short(found)}", "Write a list of objects.")
         if len(found) > _MOST_LAYERS:
             raise self.wrong(name, f"has {len(found)}", f"Write {_MOST_LAYERS} at most.")
-        return [self._sharing(each, f"{self.where}: {name}[{k}]") for k, each in enumerate(found)]
+        return [self._nested(each, f"{self.where}: {name}[{k}]") for k, each in enumerate(found)]
 
     def under(self, *others: "Fields", where: str = "") -> "Fields":
         """These fields and those of the others, which go before."""
         everything: dict[str, object] = {}
         for each in (self, *others):
             everything.update(each._found)
-        return self._sharing(everything, where or self.where)
+        return self._nested(everything, where or self.where)
 
     def whole(self, *names: str, default: int, least: int, most: int) -> int:
         """A single whole number within its range."""
@@ -175,7 +175,7 @@ class Fields:
         """The error of a field."""
         return TraceError(f"{self.where}: {name} {found}. {remedy}")
 
-    def _sharing(self, found: object, where: str) -> "Fields":
+    def _nested(self, found: object, where: str) -> "Fields":
         """Another object of the same file."""
         made = Fields(found, where)
         made._read = self._read
@@ -229,7 +229,7 @@ class Fields:
 
 
 def _counted(value: object) -> int | None:
-    """How many numbers are in lists of lists; None where there is anything else.
+    """Number of numbers in lists of lists; None where there is anything else.
 
     NumPy gives every text of an array the length of the longest, which may be terabytes.
     """
@@ -244,7 +244,7 @@ def _counted(value: object) -> int | None:
 
 
 def shown(text: str, most: int = 80) -> str:
-    """A text of a stranger's file on one line of a terminal: nothing in it is obeyed there."""
+    """An untrusted text on one line of a terminal, control characters escaped."""
     line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: most + 1])
     return line if len(line) <= most else f"{line[:most]}…"
 

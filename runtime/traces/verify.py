@@ -1,11 +1,8 @@
-"""Trace files: what an emulator or a chip did, with everything that is needed to do it again.
+"""Trace files: recorded runs of emulators or chips, replayed on our arithmetic and compared.
 
 The format is in docs/traces.md. It follows what four emulators write, so quantities have several
-names, and a file names its maker in prose. A verdict is the result of replaying a trace.
-
-A recorded run once more on our arithmetic, and the first number that differs.
-
-SANA-FE's energies of the network named in a trace, compared with the ledger's.
+names, and a file names its maker in prose. A verdict is the result of replaying a trace: the first
+number that differs, or, of SANA-FE, whether the energies of a network are those of the ledger.
 """
 
 import math
@@ -14,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +78,7 @@ class TraceFile:
         of the B inferences begins from zero states.
     recorded: layer -> quantity -> (B T, N), one inference behind the other; quantities as in
         QUANTITIES.
-    blind_at_spikes: whether membranes are not to be compared in timesteps with a spike.
+    blind_at_spikes: True if membranes are not to be compared in timesteps with a spike.
     unread: fields that the reader does not use.
     remarks: as in Verdict.
     """
@@ -95,36 +92,23 @@ class TraceFile:
     remarks: tuple[str, ...] = ()
 
 
-Reader: TypeAlias = Callable[[Fields, str], TraceFile]
-
-
-def own_verdict(fields: Fields, chip: str) -> "Verdict | None":
-    """The verdict on a trace of a chip that is replayed in a way of its own; None of the others."""
-    if chip not in _VERDICTS:
-        return None
-    module, attribute = _VERDICTS[chip].split(":")
-    verdict: Verdict = getattr(import_module(module), attribute)(fields, chip)
-    return verdict
+def _load(entry: str) -> Callable[..., Any]:
+    """The reader of an entry "module:name" of the tables."""
+    module, attribute = entry.split(":")
+    found: Callable[..., Any] = getattr(import_module(module), attribute)
+    return found
 
 
 def trace_in(fields: Fields, stem: str) -> TraceFile:
     """The trace in the fields of a file of that name."""
-    chip = maker(fields, stem)
-    if chip not in _READERS:
-        hint = "can be run but has no trace format" if chip in CHIPS else "is not known"
+    name = maker(fields, stem)
+    if name not in _READERS:
+        hint = "can be run but has no trace format" if name in CHIPS else "is not known"
         raise TraceError(
-            f"{fields.where}: chip {chip[:40]!r} {hint}. Traces may be of "
+            f"{fields.where}: chip {name[:40]!r} {hint}. Traces may be of "
             f"{', '.join((*_READERS, *_VERDICTS))}."
         )
-    module, attribute = _READERS[chip].split(":")
-    reader: Reader = getattr(import_module(module), attribute)
-    return reader(fields, chip)
-
-
-def program_trace_in(fields: Fields, folder: Path) -> TraceFile:
-    """The trace in the fields of a file in that folder, where the file of its program lies too."""
-    module, attribute = _OF_PROGRAMS.split(":")
-    found: TraceFile = getattr(import_module(module), attribute)(fields, folder)
+    found: TraceFile = _load(_READERS[name])(fields, name)
     return found
 
 
@@ -246,7 +230,7 @@ class Verdict:
 
     @property
     def equal(self) -> bool:
-        """Whether every compared number is as recorded."""
+        """True if every compared number is as recorded."""
         return self.difference is None
 
     def as_json(self) -> dict[str, Any]:
@@ -261,11 +245,13 @@ def verify(path: Path) -> Verdict:
     """Replay a trace file by the specification of the arithmetic."""
     fields = read_json(path)
     if fields.name("program") is not None:
-        return _verdict(program_trace_in(fields, path.parent))
-    if (chip := maker(fields, path.stem)) == MAKER:
+        # beside the file of its program
+        return _verdict(_load(_OF_PROGRAMS)(fields, path.parent))
+    if (name := maker(fields, path.stem)) == MAKER:
         return energy_verdict(fields)
-    if (verdict := own_verdict(fields, chip)) is not None:
-        return verdict
+    if name in _VERDICTS:
+        found: Verdict = _load(_VERDICTS[name])(fields, name)
+        return found
     return _verdict(trace_in(fields, path.stem))
 
 
@@ -358,7 +344,7 @@ _TOLERANCE = 1e-6
 
 
 def energy_verdict(fields: Fields) -> Verdict:
-    """Whether our ledger and its table give SANA-FE's counts and energies."""
+    """The verdict on SANA-FE's counts and energies of a network, by our ledger and its table."""
     setup = _SETUP.fullmatch(fields.text("setup").strip())
     if setup is None:
         raise TraceError(

@@ -46,11 +46,6 @@ def test_given_options_win_and_say_so():
     assert convention.source == "delay, reset given, otherwise as trained"
 
 
-def test_a_given_option_is_checked_too():
-    with pytest.raises(ConventionError, match="reset 'soft' is unknown"):
-        Convention(1e-3).with_options({"reset": "soft"})
-
-
 def test_a_convention_survives_its_record():
     before = Convention(2e-4, "subtract", "exponential", 1, "kept", source="as trained")
     after = Convention.from_record(Record(before.to_record(), "convention"))

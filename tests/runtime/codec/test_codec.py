@@ -87,11 +87,6 @@ def test_a_choice_is_the_action_with_the_largest_mean_and_the_first_of_equals():
     assert not codec(2).chooses
 
 
-def test_scores_are_what_is_squashed():
-    output = np.random.default_rng(0).normal(size=(3, 5, 2))
-    np.testing.assert_array_equal(np.tanh(codec(2).scores(output)), codec(2).decode(output))
-
-
 def test_float32_encodes_in_float32_and_differs_in_few_spikes():
     obs = np.random.default_rng(0).normal(size=(300, 20))
     double, single = codec(20), codec(20).astype(np.float32)

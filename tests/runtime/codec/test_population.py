@@ -46,7 +46,3 @@ def test_edges_are_exact_to_the_last_bit(threshold, timesteps, dtype):
     np.testing.assert_array_equal(
         spike_patterns(drive, threshold, timesteps), integrate(drive, threshold, timesteps)
     )
-
-
-def test_popsans_five_timesteps_have_few_patterns():
-    assert 6 < pattern_table(0.999, 5, "<f8").spikes.shape[1] < 16
