@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.mapping import CoreMapping
-from spikedeploy.runtime.compiler.program import Program, Readout
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import State
 from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
 from spikedeploy.runtime.errors import ConfigError
@@ -396,23 +396,16 @@ def missing_of(program: Program, codec: Codec | None) -> str:
         return "its encoder draws random numbers, which host.py does not"
     if program.host:
         return "its host integrates readouts in float64, which host.py does not"
-    if program.readout is not None and program.readout.lag:
-        return "its readout is late, which host.py does not know"
-    if any(tap.lag for outlet in program.outlets for tap in outlet.taps):
+    if any(tap.lag for tap in program.taps):
         return "its readouts are late, which host.py does not know"
     return ""
 
 
 def _taps(program: Program) -> tuple[list[dict[str, Any]], list[float]]:
     """Return the terms that the host adds up, in its order, and the bias that it starts with."""
-    if not program.outlets:
-        size = program.layer(program.output).size
-        readout = program.readout or Readout(np.eye(size), np.zeros(size), 0)
-        weight = None if program.readout is None else readout.weight
-        return [_tap(program, program.output, weight, 0)], readout.bias.tolist()
     taps: list[dict[str, Any]] = []
     bias: list[float] = []
-    for outlet in program.outlets:
+    for outlet in program.ways_out:
         taps += [_tap(program, tap.layer, tap.weight, len(bias)) for tap in outlet.taps]
         bias += outlet.bias.tolist()
     return taps, bias

@@ -207,31 +207,20 @@ class Plan:
     @property
     def terms(self) -> tuple[ReadoutTerm, ...]:
         """All that the host receives, of one Output after another."""
-        program = self.program
-        if program.outlets:
-            return tuple(tap for outlet in program.outlets for tap in outlet.taps)
-        readout = program.readout
-        weight, lag = (None, 0) if readout is None else (readout.weight, readout.lag)
-        return (ReadoutTerm(program.output, weight, lag),)
+        return self.program.taps
 
     @cached_property
     def bias(self) -> NDArray[np.float64]:
         """(scores,) bias of the output in every timestep."""
-        program = self.program
-        if program.outlets:
-            return np.concatenate([outlet.bias for outlet in program.outlets])
-        if program.readout is None:
-            return np.zeros(self.sizes[program.output])
-        return program.readout.bias
+        return np.concatenate([outlet.bias for outlet in self.program.ways_out])
 
     @cached_property
     def score_weights(self) -> list[tuple[int, NDArray[np.float64]]]:
         """Of each term: the first score that it adds to, and its weights (N, its scores)."""
-        outlets = [(outlet.port.size, len(outlet.taps)) for outlet in self.program.outlets]
         firsts, first = [], 0
-        for size, taps in outlets or [(len(self.bias), 1)]:
-            firsts += [first] * taps
-            first += size
+        for outlet in self.program.ways_out:
+            firsts += [first] * len(outlet.taps)
+            first += len(outlet.bias)
         return [(at, self._weights(term)) for at, term in zip(firsts, self.terms, strict=True)]
 
     def _weights(self, term: ReadoutTerm) -> NDArray[np.float64]:

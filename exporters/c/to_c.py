@@ -21,7 +21,7 @@ from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.backend import Recording, joined
+from spikedeploy.runtime.emulator.backend import Recording, concatenate_recordings
 from spikedeploy.runtime.emulator.machine import Machine
 
 # numbers of a self-test, about; at least two inferences are recorded
@@ -56,7 +56,7 @@ def record_observations(plan: Plan, observation: NDArray[np.float64]) -> Recorde
         actions.append(plan.codec.decode(machine.infer(rows[None])).reshape(-1))
         found.append(machine.recordings)
     action = np.array(actions, np.float64)
-    return Recorded(observation, raster, joined(found, axis=0), action)
+    return Recorded(observation, raster, concatenate_recordings(found, axis=0), action)
 
 
 def record_raster(plan: Plan, raster: NDArray[np.uint8]) -> Recorded:
@@ -66,7 +66,7 @@ def record_raster(plan: Plan, raster: NDArray[np.uint8]) -> Recorded:
     for rows in raster:
         machine.infer(rows[None])
         found.append(machine.recordings)
-    return Recorded(None, raster, joined(found, axis=0), None)
+    return Recorded(None, raster, concatenate_recordings(found, axis=0), None)
 
 
 def count_inferences(plan: Plan, timesteps: int) -> int:

@@ -402,8 +402,8 @@ class Utilisation:
     axons_out: float | None
 
 
-def of_placement(placement: Placement, limits: Limits) -> Utilisation:
-    """Of the fullest core of a layer."""
+def placement_utilisation(placement: Placement, limits: Limits) -> Utilisation:
+    """The utilisation of the fullest core of a layer."""
     if limits.layer_cores and placement.first is not None:
         core = limits.layer_cores[placement.first]
         memory = (placement.memory or 0) / core.kernel
@@ -411,8 +411,8 @@ def of_placement(placement: Placement, limits: Limits) -> Utilisation:
     return _shares([(1, placement)], limits, [placement.block])
 
 
-def of_mapping(mapping: CoreMapping, limits: Limits) -> Utilisation:
-    """Of all cores that are taken."""
+def mapping_utilisation(mapping: CoreMapping, limits: Limits) -> Utilisation:
+    """The utilisation of all cores that are taken."""
     placed = [(placement.cores, placement) for placement in mapping.placements]
     return _shares(placed, limits, [placement.neurons for placement in mapping.placements])
 

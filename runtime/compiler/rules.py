@@ -118,15 +118,15 @@ class RuleResult:
         """One line on a failure: the rule, the node, what was found, the limit, the remedy."""
         where = "the network" if self.node is None else f"node {self.node!r}"
         if self.limit is None:
-            found = text(self.found).rstrip(".")
+            found = format_value(self.found).rstrip(".")
             if found.startswith("rule "):  # the compiler names one of its own
                 return f"{self.rule}: {found}."
             return f"rule {self.rule}: {where}: {found}. {self.remedy}".rstrip()
         has = "at most " if isinstance(self.limit, int | float) else ""
         unit = f" {self.unit}" if self.unit else ""
         return (
-            f"rule {self.rule}: {where} has {text(self.found)}{unit}; {chip} has "
-            f"{has}{text(self.limit)}. {self.remedy}"
+            f"rule {self.rule}: {where} has {format_value(self.found)}{unit}; {chip} has "
+            f"{has}{format_value(self.limit)}. {self.remedy}"
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -134,7 +134,7 @@ class RuleResult:
         return {**vars(self), "remedy": self.remedy if self.failed else ""}
 
 
-def text(value: Value) -> str:
+def format_value(value: Value) -> str:
     """A number with its thousands apart, or the words."""
     if isinstance(value, int):
         return f"{value:,}"

@@ -55,7 +55,9 @@ class Recording:
         return replace(self, **parts)
 
 
-def joined(parts: Sequence[Mapping[str, Recording]], axis: int) -> dict[str, Recording]:
+def concatenate_recordings(
+    parts: Sequence[Mapping[str, Recording]], axis: int
+) -> dict[str, Recording]:
     """Recordings of the same layers as one: axis 0 is the batch, 1 the timesteps."""
     return {
         name: Recording(

@@ -16,7 +16,7 @@ from spikedeploy.runtime.emulator.backend import (
     RunMode,
     Schedule,
     backend_class,
-    joined,
+    concatenate_recordings,
     not_spikes,
 )
 from spikedeploy.runtime.emulator.interpreter import Interpreter, InterpreterBackend
@@ -93,7 +93,7 @@ class Machine:
         for first in range(0, len(raster), CHUNK):
             outputs.append(self._infer(raster[first : first + CHUNK]))
             recorded.append(self.recordings)
-        self.recordings = joined(recorded, axis=0)
+        self.recordings = concatenate_recordings(recorded, axis=0)
         return np.concatenate(outputs)
 
     def step(self, spikes: NDArray[Any], out: Floats | None = None) -> Floats:

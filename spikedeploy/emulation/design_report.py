@@ -10,7 +10,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip, listed
 from spikedeploy.runtime.compiler.compile import COMPILE, DesignCheck
 from spikedeploy.runtime.compiler.compile import check as check_on
-from spikedeploy.runtime.compiler.mapping import of_mapping, of_placement
+from spikedeploy.runtime.compiler.mapping import mapping_utilisation, placement_utilisation
 from spikedeploy.runtime.compiler.rules import RULES, RuleResult, Status
 from spikedeploy.runtime.errors import ConfigError, ConventionError
 
@@ -130,7 +130,7 @@ def _chip(found: DesignCheck) -> dict[str, Any]:
     placements = [
         {
             **asdict(placement),
-            "utilisation": limits and asdict(of_placement(placement, limits)),
+            "utilisation": limits and asdict(placement_utilisation(placement, limits)),
         }
         for placement in found.mapping.placements
     ]
@@ -147,7 +147,7 @@ def _chip(found: DesignCheck) -> dict[str, Any]:
         "mapping": {
             "cores": found.mapping.cores,
             "chips": found.mapping.chips,
-            "utilisation": limits and asdict(of_mapping(found.mapping, limits)),
+            "utilisation": limits and asdict(mapping_utilisation(found.mapping, limits)),
             "layers": placements,
         },
         "limits": limits and asdict(limits),

@@ -11,8 +11,13 @@ from spikedeploy.reports.page import provenance, render
 from spikedeploy.reports.table import ABSENT, Table
 from spikedeploy.runtime.chips.chip import Limits
 from spikedeploy.runtime.compiler.compile import DesignCheck
-from spikedeploy.runtime.compiler.mapping import CoreMapping, Placement, of_mapping, of_placement
-from spikedeploy.runtime.compiler.rules import RuleResult, text
+from spikedeploy.runtime.compiler.mapping import (
+    CoreMapping,
+    Placement,
+    mapping_utilisation,
+    placement_utilisation,
+)
+from spikedeploy.runtime.compiler.rules import RuleResult, format_value
 
 LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"
 _MARKS = {"pass": "✓", "fail": "✗", "unknown": "?", "not applicable": "·"}
@@ -113,13 +118,19 @@ def _rule(check: DesignCheck, rule: str) -> tuple[str, ...]:
     node = "" if result.status == "not applicable" else result.node or ""
     if result.status == "pass" and result.node and isinstance(result.found, str):
         passed = [each for each in results if each.status == "pass"]
-        found = ", ".join(sorted({text(each.found) for each in passed}))
-        return rule, mark, found, text(result.limit), f"{len(passed)} nodes"
-    return rule, mark, _found(result), "" if result.limit is None else text(result.limit), node
+        found = ", ".join(sorted({format_value(each.found) for each in passed}))
+        return rule, mark, found, format_value(result.limit), f"{len(passed)} nodes"
+    return (
+        rule,
+        mark,
+        _found(result),
+        "" if result.limit is None else format_value(result.limit),
+        node,
+    )
 
 
 def _found(result: RuleResult) -> str:
-    return "" if result.found is None else f"{text(result.found)} {result.unit}".rstrip()
+    return "" if result.found is None else f"{format_value(result.found)} {result.unit}".rstrip()
 
 
 def _layers(check: DesignCheck, limits: Limits) -> Table:
@@ -130,7 +141,7 @@ def _layers(check: DesignCheck, limits: Limits) -> Table:
         neurons, synapses = (
             sum(getattr(p, k) for p in placements) for k in ("neurons", "synapses")
         )
-        shares = of_mapping(check.mapping, limits)
+        shares = mapping_utilisation(check.mapping, limits)
         total = (f"{neurons:,}", "", "", f"{synapses:,}", f"{cores:,}", "")
         rows.append(("total", *total, *_percent(shares)))
     heads = ("layer", "neurons", "fan-in", "fan-out", "synapses", "cores", "per core")
@@ -141,7 +152,7 @@ def _layers(check: DesignCheck, limits: Limits) -> Table:
 def _layer(placement: Placement, limits: Limits) -> tuple[str, ...]:
     counts = (placement.neurons, placement.fan_in, placement.fan_out, placement.synapses)
     cores = (_cores(placement), f"{placement.block:,}") if placement.cores else (ABSENT, ABSENT)
-    shares = _percent(of_placement(placement, limits))
+    shares = _percent(placement_utilisation(placement, limits))
     return placement.name, *(f"{count:,}" for count in counts), *cores, *shares
 
 
@@ -265,7 +276,7 @@ def core_fills(mapping: CoreMapping, limits: Limits) -> Iterator[CoreFill]:
     for placement in mapping.placements:
         if placement.first is None:
             continue
-        fullest = of_placement(placement, limits)
+        fullest = placement_utilisation(placement, limits)
         for place in range(placement.cores):
             neurons = min(placement.block, placement.neurons - place * placement.block)
             part = neurons / placement.block

@@ -13,7 +13,7 @@ from spikedeploy.runtime.emulator.backend import (
     SavedState,
     Schedule,
     check_counts,
-    joined,
+    concatenate_recordings,
 )
 from spikedeploy.runtime.emulator.ledger import EVENTS, Counts, LedgerBuilder
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
@@ -251,7 +251,9 @@ class NumpyPipeline:
 
     def recordings(self) -> dict[str, Recording]:
         """A recording of the last window of each layer."""
-        return joined(self._recorded, axis=1) if self._recorded else self._recordings()
+        return (
+            concatenate_recordings(self._recorded, axis=1) if self._recorded else self._recordings()
+        )
 
     def membranes(self, layer: str) -> NDArray[Any]:
         """Membranes (T, B, N) of a layer after each timestep of the last window [state units]."""

@@ -20,8 +20,8 @@ from spikedeploy.runtime.compiler.mapping import (
     list_bits,
     load,
     map_to_cores,
-    of_mapping,
-    of_placement,
+    mapping_utilisation,
+    placement_utilisation,
 )
 from spikedeploy.runtime.compiler.rules import evaluate, place
 from spikedeploy.runtime.compiler.wiring import topology
@@ -228,12 +228,12 @@ def test_the_host_computes_what_no_neuron_follows():
 def test_utilisation_is_what_is_taken_of_what_there_is():
     found = placed(dense(770, 512, 512, 180), MIXED)
     layer = next(p for p in found.placements if p.name == "n4")
-    shares = of_placement(layer, MIXED.limits)
+    shares = placement_utilisation(layer, MIXED.limits)
     assert shares.neurons == 171 / 1024
     assert shares.memory == 513 * 192 / (128 * 1024)
     assert shares.axons_in == 513 / 4096
     # 770 encoders, 1204 neurons and the bias in ten cores
-    assert of_mapping(found, MIXED.limits).neurons == pytest.approx(1975 / 10240)
+    assert mapping_utilisation(found, MIXED.limits).neurons == pytest.approx(1975 / 10240)
 
 
 def test_entries_of_speck_are_powers_of_two():
