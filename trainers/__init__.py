@@ -3,7 +3,7 @@
 `train.train` trains a recipe with an algorithm of the table ALGORITHMS; nothing heavy is imported
 before. Configurations are pydantic models, checkpoints safetensors and JSON.
 
-recipes.py       tables of recipes: what to train, as differences from an algorithm's defaults
+recipes.py       recipes, of the tables in recipes.toml: what to train, as differences from defaults
 config.py        models of the configuration; recipe, TOML file and overrides combined
 train.py         from the name of a recipe to a run folder
 runner.py        what all algorithms share: loop, validation, metrics, checkpoints, resuming
@@ -20,10 +20,8 @@ distill/         distillation of a teacher by DAgger
 sparse/          imitation through whole walks, pruned by operations; then reward
 policies/        torch policies: MLP, PopSAN, spiking MLP, event-driven and pruned ones
 
-An algorithm is a subclass of Runner and a line in ALGORITHMS; a recipe is an entry in RECIPES.
+An algorithm is a subclass of Runner and a line in ALGORITHMS; a recipe is an entry in recipes.toml.
 """
-
-from spikedeploy.trainers.recipes import RECIPES, Recipe
 
 ALGORITHMS: dict[str, str] = {
     "sac": "spikedeploy.trainers.sac.sac:Sac",
@@ -32,5 +30,3 @@ ALGORITHMS: dict[str, str] = {
     "sparse": "spikedeploy.trainers.sparse.sparse:Sparse",
     "sparse-ppo": "spikedeploy.trainers.sparse.ppo:SparsePpo",
 }
-
-__all__ = ["ALGORITHMS", "RECIPES", "Recipe"]

@@ -1,4 +1,7 @@
-"""How a recipe, a TOML file and `--set` are combined into a configuration."""
+"""Configuration of a run: models that all algorithms share; recipe, TOML file, `--set` combined.
+
+Each algorithm adds its own settings to RunConfig.
+"""
 
 import difflib
 import json
@@ -12,14 +15,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.recipes import RECIPES, merged
 
-# -- Configuration of a run: the models that all algorithms share.
-#
-# Each algorithm adds its own settings to RunConfig, in <algorithm>/config.py; resolve.py combines
-# recipe, TOML file and `--set`.
-
-_LONGEST = 10**12  # steps; a number beyond it is a mistake, and none that arrays can hold
-Positive = Annotated[int, Field(gt=0, le=_LONGEST)]
-Count = Annotated[int, Field(ge=0, le=_LONGEST)]
+_MAX_STEPS = 10**12  # steps; a number beyond it is a mistake, and none that arrays can hold
+Positive = Annotated[int, Field(gt=0, le=_MAX_STEPS)]
+Count = Annotated[int, Field(ge=0, le=_MAX_STEPS)]
 # what is allocated at once: units of a layer, samples of a batch, transitions that are kept
 Width = Annotated[int, Field(gt=0, le=16_384)]
 Batch = Annotated[int, Field(gt=0, le=1 << 20)]
@@ -27,16 +25,18 @@ Kept = Annotated[int, Field(gt=0, le=10**8)]
 Copies = Annotated[int, Field(gt=0, le=4096)]
 Rate = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
-_MOST = 256  # as runtime.codec.delta has it, which is not imported for a number
+_MAX_EVENTS = 256  # as runtime.codec.delta has it, which is not imported for a number
 
 
-def _few(events: int) -> int:
-    if not 1 <= events <= _MOST:
-        raise ValueError(f"must be from 1 to {_MOST} events of an observation in a control step")
+def _checked_events(events: int) -> int:
+    if not 1 <= events <= _MAX_EVENTS:
+        raise ValueError(
+            f"must be from 1 to {_MAX_EVENTS} events of an observation in a control step"
+        )
     return events
 
 
-Events = Annotated[int, AfterValidator(_few)]
+Events = Annotated[int, AfterValidator(_checked_events)]
 
 
 class _Section(BaseModel):
@@ -250,6 +250,11 @@ class ValidationConfig(_Section):
     first_seed: int = Field(default=5_000, ge=5_000, lt=9_000)
     limit: Positive | None = None
 
+    @property
+    def seeds(self) -> list[int]:
+        """One for each episode."""
+        return list(range(self.first_seed, self.first_seed + self.episodes))
+
 
 class RunConfig(_Section):
     """Settings that every algorithm has."""
@@ -266,14 +271,12 @@ class RunConfig(_Section):
 C = TypeVar("C", bound=RunConfig)
 
 
-# -- How a recipe, a TOML file and `--set` are combined into a configuration.
+# -- a recipe, a TOML file and `--set` combined into a configuration
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
-
-_RENAMED = {"hoist": "support_force"}  # settings of version 0.1, accepted under their old names
 
 
 def resolve(
@@ -299,9 +302,9 @@ def amended(base: C, *, file: str | Path | None = None, overrides: Iterable[str]
     """Return a configuration changed by the file and then by the overrides."""
     settings = base.model_dump(mode="json")
     if file is not None:
-        settings = _overlaid(settings, _renamed(_read_toml(file)), str(file))
+        settings = _overlaid(settings, _read_toml(file), str(file))
     for text in overrides:
-        settings = _overlaid(settings, _renamed(parse_override(text)), f"--set {text}")
+        settings = _overlaid(settings, parse_override(text), f"--set {text}")
     return validated(type(base), settings, f"recipe {base.recipe}")
 
 
@@ -397,15 +400,10 @@ def _overlaid(
 def validated(model: type[C], settings: Mapping[str, Any], source: str) -> C:
     """Return the settings as a model, or raise ConfigError that names every wrong one."""
     try:
-        return model.model_validate(_renamed(settings))
+        return model.model_validate(settings)
     except ValidationError as error:
         faults = "; ".join(_fault(**fault) for fault in error.errors())
         raise ConfigError(f"{source}: {faults}") from error
-
-
-def _renamed(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings under their present names."""
-    return {_RENAMED.get(key, key): value for key, value in settings.items()}
 
 
 def _fault(loc: tuple[int | str, ...], msg: str, input: object, **_: object) -> str:

@@ -1,15 +1,51 @@
-"""Critics: float networks that estimate the discounted return."""
+"""What learners share: Adam, networks and optimisers by name for checkpoints, critics."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
-from spikedeploy.trainers.policies.policy import full_precision
+from spikedeploy.trainers.policies.policy import Policy, full_precision
 
-# -- Adam, the optimiser of all algorithms, with its state as named tensors for
-#    checkpoints.
+
+class Learner:
+    """Networks and optimisers of an algorithm, which its checkpoints hold.
+
+    policy: what is validated and saved
+    modules, optimizers: by their names in checkpoints, the policy left out
+    """
+
+    policy: Policy
+    modules: dict[str, nn.Module]
+    optimizers: dict[str, torch.optim.Adam]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return all tensors of a checkpoint except the policy's, by name."""
+        groups: dict[str, Mapping[str, Tensor]] = {}
+        groups |= {name: module.state_dict() for name, module in self.modules.items()}
+        for name, optimizer in self.optimizers.items():  # nothing before its first step
+            states = optimizer.state_dict()["state"].items()
+            groups[name] = {f"{n}.{key}": t for n, state in states for key, t in state.items()}
+        return {f"{name}.{key}": t for name, group in groups.items() for key, t in group.items()}
+
+    def load(self, named: Mapping[str, Tensor]) -> None:
+        """Restore the tensors of a checkpoint, the policy's under "policy." included."""
+        self.policy.load_state_dict(with_prefix("policy", named))
+        for name, module in self.modules.items():
+            module.load_state_dict(with_prefix(name, named))
+        for name, optimizer in self.optimizers.items():
+            state: dict[int, dict[str, Tensor]] = {}
+            for place, value in with_prefix(name, named).items():
+                index, key = place.split(".")
+                state.setdefault(int(index), {})[key] = value
+            optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
+
+
+def with_prefix(prefix: str, named: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return the tensors whose names start with the prefix and a dot, with these removed."""
+    start = f"{prefix}."
+    return {name[len(start) :]: t for name, t in named.items() if name.startswith(start)}
 
 
 def adam(module: nn.Module, learning_rate: float) -> torch.optim.Adam:
@@ -20,28 +56,20 @@ def adam(module: nn.Module, learning_rate: float) -> torch.optim.Adam:
     return torch.optim.Adam(parameters, lr=learning_rate, fused=True, capturable=captured)
 
 
-def adam_tensors(optimizer: torch.optim.Adam) -> dict[str, Tensor]:
-    """Return Adam's state by name; empty before its first step."""
-    states = optimizer.state_dict()["state"].items()
-    return {f"{index}.{key}": value for index, state in states for key, value in state.items()}
+def set_rate(optimizer: torch.optim.Adam, learning_rate: float) -> None:
+    """Set the learning rate of all parameters."""
+    for group in optimizer.param_groups:
+        group["lr"] = learning_rate
 
 
-def load_adam(optimizer: torch.optim.Adam, named: dict[str, Tensor]) -> None:
-    """Restore the state that `adam_tensors` returned."""
-    state: dict[int, dict[str, Tensor]] = {}
-    for name, value in named.items():
-        index, key = name.split(".")
-        state.setdefault(int(index), {})[key] = value
-    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
-
-
-def under(prefix: str, named: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Return the tensors whose names start with the prefix and a dot, with these removed."""
-    start = f"{prefix}."
-    return {name[len(start) :]: t for name, t in named.items() if name.startswith(start)}
-
-
-# -- Critics: float networks that estimate the discounted return.
+def descend(
+    optimizer: torch.optim.Adam, module: nn.Module, loss: Tensor, gradient_norm: float
+) -> None:
+    """Take one gradient step of a module, with a limit on the gradient's norm."""
+    optimizer.zero_grad()
+    loss.backward()  # type: ignore[no-untyped-call]
+    nn.utils.clip_grad_norm_(module.parameters(), gradient_norm)
+    optimizer.step()
 
 
 class Critic(nn.Module):
@@ -50,8 +78,7 @@ class Critic(nn.Module):
     def __init__(self, size: int, hidden: Sequence[int]) -> None:
         super().__init__()
         widths = (size, *hidden)
-        pairs = pairwise(widths)
-        self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairs)
+        self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairwise(widths))
         self.value = nn.Linear(widths[-1], 1)
 
     def forward(self, inputs: Tensor) -> Tensor:
@@ -59,24 +86,3 @@ class Critic(nn.Module):
         for layer in self.layers:
             inputs = torch.relu(layer(inputs))
         return full_precision(self.value, inputs).squeeze(-1)
-
-
-class TwinCritic(nn.Module):
-    """Two critics of observation and action, used by their minimum (Fujimoto et al. 2018)."""
-
-    def __init__(self, observations: int, actions: int, hidden: Sequence[int]) -> None:
-        super().__init__()
-        self.pair = nn.ModuleList(Critic(observations + actions, hidden) for _ in range(2))
-
-    def forward(self, observation: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """Return both estimates (B,) for a normalised observation and an action."""
-        inputs = torch.cat([observation, action], dim=1)
-        first, second = (critic(inputs) for critic in self.pair)
-        return first, second
-
-
-@torch.no_grad()
-def move_towards(target: nn.Module, source: nn.Module, tau: float) -> None:
-    """Move the target's parameters towards the source's by the share tau."""
-    # target = target + tau (source - target)
-    torch._foreach_lerp_(list(target.parameters()), list(source.parameters()), tau)

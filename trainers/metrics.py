@@ -1,11 +1,10 @@
-"""Tables that a training appends to, checked against a checkpoint before it goes on."""
+"""Tables of numbers that a training appends to, as CSV files, and the learning curve of one."""
 
 import csv
 import io
 import math
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,53 +12,86 @@ from spikedeploy.files import flush, replacing
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.run_folder import write_errors
 
-# -- Metrics of a run: CSV file, and learning curve drawn from it.
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_RENAMED = {"hoist": "support_force"}  # columns of version 0.1
 _CURVES = {"episode_return": "training", "eval_return": "validation"}
-_LARGEST = 100_000_000  # [bytes] of a table, of which a training writes a thousandth
+_MAX_BYTES = 100_000_000  # of a table, of which a training writes a thousandth
 _OPERATIONS = "eval_operations"  # pruning lowers the return, too
 
 
 class Metrics:
     """A CSV file to which rows are appended; columns that a row lacks stay empty.
 
-    path: the file
+    path: of the file
     columns: names, of which the first is the step
+    key: of a checkpoint's state; there stands the step of the last row, None before there is one
     """
 
-    def __init__(self, path: Path, columns: tuple[str, ...]) -> None:
-        self.path = path
-        self.columns = columns
-        if not path.exists():
+    def __init__(self, path: Path, columns: tuple[str, ...], key: str = "logged") -> None:
+        self.path, self.columns, self.key = path, columns, key
+
+    def begin(self) -> None:
+        """Write a file without rows, unless there is a file."""
+        if not self.path.exists():
             self._write([])
 
     def add(self, row: Mapping[str, float]) -> None:
         """Append one row."""
-        with (
-            write_errors(self.path),
-            self.path.open("a", newline="", encoding="utf-8") as file,
-        ):
+        with write_errors(self.path), self.path.open("a", newline="", encoding="utf-8") as file:
             csv.DictWriter(file, self.columns).writerow(_rounded(row))
 
     def rewind(self, step: float) -> None:
         """Drop the rows after a step, which a resumed run writes again."""
+        self._write([row for row in _rows(self._lines()) if row[self.columns[0]] <= step])
+
+    def _lines(self) -> str:
+        """Return the file without a last line that a full disk has cut off."""
         text = self.path.read_text(encoding="utf-8")
-        whole = text[: text.rfind("\n") + 1]  # a full disk may have cut the last line off
-        self._write([row for row in _rows(whole) if row[self.columns[0]] <= step])
+        return text[: text.rfind("\n") + 1]
 
     def clear(self) -> None:
-        """Drop all rows, whatever the file holds."""
-        self._write([])
+        """Drop all rows, whatever the file holds; before it is made, do nothing."""
+        if self.path.is_file():
+            self._write([])
 
-    def _write(self, rows: list[dict[str, float]]) -> None:
+    def flush(self) -> None:
+        """Put the rows onto the disk, before a checkpoint relies on them."""
+        if self.path.is_file():
+            flush(self.path)
+
+    def check(self, step: float, state: Mapping[str, Any]) -> None:
+        """Refuse a run to be resumed at `step` where rows before are damaged or lost."""
+        logged, unit = state[self.key], self.columns[0].replace("_", " ")
+        if self.path.is_file() and (fault := self._fault(logged)):
+            raise ConfigError(
+                f"{self.path} is damaged: {fault}. Put it back, or move it away: then a new one "
+                f"begins at {step:g} {unit}. The policy is not affected."
+            )
+        if logged is not None and not (self.path.is_file() and read(self.path)):
+            print(f"{self.path} has no rows: they begin at {step:g} {unit}", file=sys.stderr)
+
+    def _fault(self, logged: float | None) -> str:
+        """Return what is wrong with the file; nothing where its rows go to `logged`."""
+        try:
+            rows = _rows(self._lines())
+            names, *cells = csv.reader(self._lines().splitlines())
+        except (ValueError, TypeError, csv.Error):
+            return "it is no table of numbers"
+        if unknown := [name for name in names if name not in self.columns]:
+            return f"its first line is not the names of columns, it has {unknown[0]!r:.60}"
+        steps = [row.get(self.columns[0], math.nan) for row in rows]
+        if not all(map(math.isfinite, steps)) or any(len(each) != len(names) for each in cells):
+            return f"a row has no {self.columns[0]}, or is cut off"
+        if steps and logged is not None and max(steps) < logged:
+            return f"its rows end at {max(steps):g}, and were written up to {logged:g}"
+        return ""
+
+    def _write(self, rows: Iterable[Mapping[str, float]]) -> None:
         with (
             write_errors(self.path),
-            replacing(self.path) as temporary,
-            temporary.open("w", newline="", encoding="utf-8") as file,
+            replacing(self.path) as part,
+            part.open("w", newline="", encoding="utf-8") as file,
         ):
             writer = csv.DictWriter(file, self.columns)
             writer.writeheader()
@@ -67,9 +99,9 @@ class Metrics:
 
 
 def read(path: Path) -> list[dict[str, float]]:
-    """Return the rows of a metrics file, without empty values and under present names."""
-    if (size := path.stat().st_size) > _LARGEST:
-        raise ConfigError(f"{path} has {size:,} bytes; at most {_LARGEST:,}. Move it away.")
+    """Return the rows of a metrics file, without empty values."""
+    if (size := path.stat().st_size) > _MAX_BYTES:
+        raise ConfigError(f"{path} has {size:,} bytes; at most {_MAX_BYTES:,}. Move it away.")
     try:
         return _rows(path.read_text(encoding="utf-8"))
     except (ValueError, TypeError, csv.Error) as error:  # bytes, words, or more cells than columns
@@ -85,16 +117,10 @@ def spike_rate(row: Mapping[str, Any]) -> float | None:
 
 
 def _rows(text: str) -> list[dict[str, float]]:
-    return [_numbers(row) for row in csv.DictReader(io.StringIO(text, newline=""))]
-
-
-def renamed(name: str) -> str:
-    """Return the present name of a column."""
-    return _RENAMED.get(name, name)
-
-
-def _numbers(row: Mapping[str, str]) -> dict[str, float]:
-    return {renamed(key): float(value) for key, value in row.items() if value}
+    return [
+        {key: float(value) for key, value in row.items() if value}
+        for row in csv.DictReader(io.StringIO(text, newline=""))
+    ]
 
 
 def _rounded(row: Mapping[str, float]) -> dict[str, str]:
@@ -117,19 +143,17 @@ def draw_curve(metrics: Path, picture: Path, title: str) -> bool:
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.add_subplot()
     for name, label in _CURVES.items():
-        points = [(row[steps], row[name]) for row in rows if name in row]
-        if points:
-            axes.plot(
-                *zip(*points, strict=True), label=label, marker="." if len(points) < 80 else ""
-            )
+        if points := [(row[steps], row[name]) for row in rows if name in row]:
+            marker = "." if len(points) < 80 else ""
+            axes.plot(*zip(*points, strict=True), label=label, marker=marker)
     axes.set(xlabel=steps.replace("_", " "), ylabel="return", title=title)
     axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
     axes.grid(alpha=0.3)
     _draw_operations(axes, [(r[steps], r[_OPERATIONS]) for r in rows if _OPERATIONS in r])
     axes.legend()
-    with replacing(picture) as temporary:
+    with replacing(picture) as part:
         FigureCanvasAgg(figure)
-        figure.savefig(temporary, format="png", dpi=120)
+        figure.savefig(part, format="png", dpi=120)
     return True
 
 
@@ -142,77 +166,3 @@ def _draw_operations(axes: "Axes", points: list[tuple[float, float]]) -> None:
     right.set_ylabel("operations of a control step (dashed)", color=grey)
     right.set_ylim(0, 1.15 * max(count for _, count in points) or 1.0)
     right.tick_params(axis="y", colors=grey)
-
-
-# -- Tables that a training appends to, checked against a checkpoint before it goes on.
-
-
-@dataclass(frozen=True)
-class Table:
-    """A CSV file of a run.
-
-    path: of the file
-    columns: names, of which the first is the step
-    key: of a checkpoint's state; there stands the step of the last row, None before there is one
-    """
-
-    path: Path
-    columns: tuple[str, ...]
-    key: str
-
-    def flush(self) -> None:
-        """Put the rows onto the disk, before a checkpoint relies on them."""
-        if self.path.is_file():
-            flush(self.path)
-
-    def clear(self) -> None:
-        """Drop all rows, whatever the file holds; before it is made, do nothing."""
-        if self.path.is_file():
-            Metrics(self.path, self.columns).clear()
-
-    def check(self, step: float, state: Mapping[str, Any]) -> None:
-        """Refuse a run to be resumed at `step` where rows before are damaged or lost."""
-        known = self.key in state  # not in checkpoints of before
-        logged = state.get(self.key)
-        unit = self.columns[0].replace("_", " ")
-        if fault := self._fault(logged, known):
-            raise ConfigError(
-                f"{self.path} is damaged: {fault}. Put it back, or move it away: then a new one "
-                f"begins at {step:g} {unit}. The policy is not affected."
-            )
-        if logged is not None and not (self.path.is_file() and read(self.path)):
-            print(f"{self.path} has no rows: they begin at {step:g} {unit}", file=sys.stderr)
-
-    def _fault(self, logged: float | None, known: bool) -> str:
-        """Return what is wrong; nothing where the file is whole or missing."""
-        if not self.path.is_file():
-            return ""
-        try:
-            lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
-            cells = list(csv.reader(lines))
-            rows = read(self.path)
-        except (ConfigError, ValueError, csv.Error):
-            return "it is no table of numbers"
-        head = [renamed(name) for name in (cells[0] if cells else [])]
-        if fault := self._head_fault(head):
-            return fault
-        cut = not lines[-1].endswith("\n")
-        steps = [row.get(self.columns[0], math.nan) for row in rows[: -1 if cut else None]]
-        reached = logged is None or max(steps, default=-math.inf) >= logged
-        if cut and not (known and reached):
-            return "a line is cut off"
-        if any(len(each) != len(head) for each in (cells[:-1] if cut else cells)):
-            return "a line is cut off"
-        if not all(map(math.isfinite, steps)):
-            return f"a row has no {self.columns[0]}"
-        if logged is not None and steps and not reached:
-            return f"its rows end at {max(steps):g}, and were written up to {logged:g}"
-        return ""
-
-    def _head_fault(self, head: list[str]) -> str:
-        """Return what is wrong with the names of the columns."""
-        if self.columns[0] not in head:
-            return f"its first line is not the names of columns, of which {self.columns[0]} is one"
-        if other := sorted(set(head) - set(self.columns)):
-            return f"it has a column {other[0]}, which this recipe does not write"
-        return ""

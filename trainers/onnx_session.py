@@ -18,13 +18,6 @@ import onnxruntime
 
 from spikedeploy.runtime.errors import ArtifactError
 
-# -- The operators and constants of an ONNX file, read from its bytes before anything is run.
-#
-# An ONNX file is a protobuf message: fields of a number and a value, which is a varint, eight
-# bytes,
-# a length and as many bytes, or four bytes. Only the few fields that are needed are known here
-# (onnx/onnx.proto3), so that a policy runs where the package `onnx` is not installed.
-
 # fields of ModelProto, GraphProto, NodeProto, AttributeProto and TensorProto
 _GRAPH, _FUNCTIONS = 7, 25
 _NODE, _INITIALIZER = 1, 5
@@ -133,8 +126,6 @@ def _varint(message: bytes, at: int) -> tuple[int, int]:
             return value, at + place + 1
     raise ValueError("a number is longer than ten bytes")
 
-
-# -- ONNX Runtime session of a float network, on one thread and without torch.
 
 _ERRORS_ONLY = 3  # ONNX Runtime's severity level; failures raise exceptions anyway
 _BYTES = 512 << 20  # that a trial may take, and for each byte of the file

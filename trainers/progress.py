@@ -1,11 +1,11 @@
-"""Journal of a run: rows of metrics, to CSV file, TensorBoard and progress bar."""
+"""Progress of a training: a bar on a terminal, a journal of metrics, signals that ask to stop."""
 
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from datetime import timedelta
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,8 +18,6 @@ from rich.text import Text
 
 from spikedeploy.trainers.metrics import Metrics, spike_rate
 from spikedeploy.trainers.run_folder import RunFolder
-
-# -- Progress of a training, for people: a bar on a terminal, lines elsewhere.
 
 # metrics below the bar, and their formats, the most wanted first
 _SHOWN = {
@@ -35,7 +33,8 @@ _SHOWN = {
     "operations": "{:,.0f} operations",
 }
 PAUSE = 10.0  # seconds between two lines where there is no terminal
-_WIDTH = 80  # of a pipe
+# SIGTERM is what schedulers and `kill` send, SIGHUP a terminal that is closed; Windows lacks both
+_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class _Bar(Progress):
@@ -56,7 +55,7 @@ class ProgressBar:
         self._title, self._quiet = title, quiet
         self._screen = console or Console(stderr=True, highlight=False)
         self._latest: dict[str, float] = {}
-        self._step, self._total, self._said = 0, 0, time.monotonic()
+        self._printed = time.monotonic()
         self._bar = _Bar(
             TextColumn("{task.fields[count]}", markup=False),
             TextColumn("{task.percentage:>3.0f} %"),
@@ -69,8 +68,7 @@ class ProgressBar:
         self._task = self._bar.add_task("", total=None, count="")
 
     def __enter__(self) -> "ProgressBar":
-        if not self._quiet:
-            self.say(self._title)
+        self.say(self._title)
         self._bar.start()
         return self
 
@@ -80,127 +78,43 @@ class ProgressBar:
 
     def say(self, line: str) -> None:
         """Write a line above the bar."""
-        self._screen.print(line, markup=False, soft_wrap=True)
-
-    def at(self, step: int, total: int) -> None:
-        """Set the bar to a step."""
-        self._step, self._total = step, total
-        count = f"{step:,} / {total:,}"
-        with suppress(OSError):
-            self._bar.update(self._task, completed=step, total=total, count=count)
-            self._bar.note = self._note()
-            if not self._quiet and not self._screen.is_terminal:
-                self._log()
+        if not self._quiet:
+            self._screen.print(line, markup=False, soft_wrap=True)
 
     def show(self, row: Mapping[str, float]) -> None:
         """Show the returns and speed of a row of metrics."""
         self._latest.update({key: row[key] for key in _SHOWN if key in row})
 
+    def at(self, step: int, total: int) -> None:
+        """Set the bar to a step."""
+        count = f"{step:,} / {total:,}"
+        with suppress(OSError):
+            self._bar.update(self._task, completed=step, total=total, count=count)
+            self._bar.note = self._note()
+            paused = time.monotonic() - self._printed >= PAUSE
+            if paused and not (self._quiet or self._screen.is_terminal):
+                self._printed = time.monotonic()
+                left = self._bar.tasks[self._task].time_remaining
+                time_left = "" if left is None else f"{timedelta(seconds=round(left))} left"
+                parts = count, f"{100 * step / total:.0f} %", time_left, self._bar.note
+                print("  ".join(filter(None, parts)), file=sys.stderr, flush=True)
+
     def _note(self) -> str:
-        latest = {**self._latest, **self._speed()}
+        """Return the latest numbers, with the speed of the last half minute where it is known."""
+        speed, latest = self._bar.tasks[self._task].speed, dict(self._latest)
+        if speed is not None:  # a row's is of the steps before that row
+            latest |= {name: speed for name in latest if name.endswith("_per_s")}
         return "  ".join(_SHOWN[key].format(latest[key]) for key in _SHOWN if key in latest)
-
-    def _speed(self) -> dict[str, float]:
-        """The speed of the last half minute; a row's is of the steps before that row."""
-        speed = self._bar.tasks[self._task].speed
-        names = [name for name in self._latest if name.endswith("_per_s")]
-        return {} if speed is None else dict.fromkeys(names, speed)
-
-    def _left(self) -> str:
-        """The time left, at the speed of the last half minute; empty where that is not known."""
-        left = self._bar.tasks[self._task].time_remaining
-        return "" if left is None else f"{timedelta(seconds=round(left))} left"
-
-    def _log(self) -> None:
-        """A line, unless the last one was just written."""
-        if time.monotonic() - self._said < PAUSE:
-            return
-        self._said = time.monotonic()
-        share = 100 * self._step / self._total
-        parts = f"{self._step:,} / {self._total:,}", f"{share:.0f} %", self._left(), self._note()
-        line = "  ".join(filter(None, parts))
-        print(line, file=sys.stderr, flush=True)
-
-
-# -- Signals that ask a training to stop: at a checkpoint, so that it can be resumed.
-
-# SIGTERM is what schedulers and `kill` send, SIGHUP a terminal that is closed; Windows lacks both
-_NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
-
-
-class Interrupt:
-    """While entered, Ctrl-C (SIGINT), SIGTERM and SIGHUP request a stop; a second one ends at once.
-
-    requested: number of the signal that came, 0 for none
-    share: part of the training that is done, where it stopped before its end
-    """
-
-    def __init__(self) -> None:
-        self.requested = 0
-        self.share: float | None = None
-        self._before: dict[int, Any] = {}
-        self._say: Callable[[str], None] | None = None
-
-    def __call__(self) -> bool:
-        """Return whether a stop was requested."""
-        return bool(self.requested)
-
-    @property
-    def exit_code(self) -> int:
-        """What shells return for the signal: 130, 143 or 129."""
-        return 128 + (self.requested or signal.SIGINT)
-
-    @contextmanager
-    def acknowledged(self, bar: ProgressBar, quiet: bool) -> Iterator[None]:
-        """Say beside the bar that it was pressed, at once."""
-        self._say = None if quiet else bar.say
-        with self:
-            yield
-        self._say = None
-
-    def __enter__(self) -> "Interrupt":
-        if threading.current_thread() is threading.main_thread():  # elsewhere Python forbids it
-            for number in _heard():
-                self._before[number] = signal.signal(number, self._request)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, before in self._before.items():
-            signal.signal(number, before)
-        self._before = {}
-
-    def _request(self, number: int, frame: FrameType | None) -> None:
-        if self.requested:
-            raise KeyboardInterrupt
-        self.requested = number
-        if self._say is not None:
-            with suppress(OSError):  # of a terminal that was closed
-                self._say("stopping after this step … (Ctrl-C again stops at once)")
-
-
-def _heard() -> list[int]:
-    """The signals to listen to; SIGHUP is not one where nohup has it ignored."""
-    found = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
-    ignored = signal.Handlers.SIG_IGN
-    return [
-        number
-        for number in found
-        if signal.getsignal(number) is not None
-        and (number == signal.SIGINT or signal.getsignal(number) != ignored)
-    ]
-
-
-# -- Journal of a run: rows of metrics, to CSV file, TensorBoard and progress bar.
 
 
 class Journal:
-    """What an algorithm reports to while it learns."""
+    """Rows of metrics, to CSV file, TensorBoard and progress bar, while an algorithm learns."""
 
     def __init__(
         self,
         run: RunFolder,
         columns: tuple[str, ...],
-        bar: "ProgressBar",
+        bar: ProgressBar,
         watch: Callable[[Path], None] | None = None,
         film: Callable[[Path, int, int], None] | None = None,
     ) -> None:
@@ -211,6 +125,7 @@ class Journal:
         self._path, self._watch, self._film = run.path, watch, film
         self._progress = 0, 1
         self.metrics = Metrics(run.metrics, columns)
+        self.metrics.begin()
         self.board = _TensorBoardLog(run.path)
         self.bar = bar
 
@@ -223,9 +138,9 @@ class Journal:
         """Report one row of metrics; values without a column are dropped."""
         known = {name: row[name] for name in self.metrics.columns if name in row}
         self.metrics.add(known)
-        seen = _seen(row)
-        self.board.add(int(row[self.metrics.columns[0]]), {**known, **seen})
-        self.bar.show({**row, **seen})
+        shown = _success_and_spike_rate(row)
+        self.board.add(int(row[self.metrics.columns[0]]), {**known, **shown})
+        self.bar.show({**row, **shown})
         if self._watch is not None:
             self._watch(self._path)
         if self._film is not None:
@@ -241,14 +156,14 @@ class Journal:
         self.board.close()
 
 
-def _seen(row: Mapping[str, float]) -> dict[str, float]:
-    """Success and spike rate of a validation, for TensorBoard and people; the CSV has neither."""
-    seen = {}
-    if success := [row[name] for name in ("eval_success", "eval_finish") if name in row]:
-        seen["eval_success"] = success[0]
+def _success_and_spike_rate(row: Mapping[str, float]) -> dict[str, float]:
+    """Return what TensorBoard and people see of a validation, and the CSV has not."""
+    shown = {}
+    if (success := row.get("eval_success", row.get("eval_finish"))) is not None:
+        shown["eval_success"] = success
     if (rate := spike_rate(row)) is not None:
-        seen["spike_rate"] = rate
-    return seen
+        shown["spike_rate"] = rate
+    return shown
 
 
 class _TensorBoardLog:
@@ -281,3 +196,57 @@ class _TensorBoardLog:
         """Flush and close the file."""
         if self._writer is not None:
             self._writer.close()
+
+
+class Interrupt:
+    """While entered, Ctrl-C (SIGINT), SIGTERM and SIGHUP request a stop; a second one ends at once.
+
+    requested: number of the signal that came, 0 for none
+    share: part of the training that is done, where it stopped before its end
+    bar: where it is acknowledged at once; None for nowhere
+    """
+
+    def __init__(self) -> None:
+        self.requested = 0
+        self.share: float | None = None
+        self.bar: ProgressBar | None = None
+        self._before: dict[int, Any] = {}
+
+    def __call__(self) -> bool:
+        """Return whether a stop was requested."""
+        return bool(self.requested)
+
+    @property
+    def exit_code(self) -> int:
+        """What shells return for the signal: 130, 143 or 129."""
+        return 128 + (self.requested or signal.SIGINT)
+
+    def __enter__(self) -> "Interrupt":
+        if threading.current_thread() is threading.main_thread():  # elsewhere Python forbids it
+            for number in _signals():
+                self._before[number] = signal.signal(number, self._request)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, before in self._before.items():
+            signal.signal(number, before)
+        self._before, self.bar = {}, None
+
+    def _request(self, number: int, frame: FrameType | None) -> None:
+        if self.requested:
+            raise KeyboardInterrupt
+        self.requested = number
+        if self.bar is not None:
+            with suppress(OSError):  # of a terminal that was closed
+                self.bar.say("stopping after this step … (Ctrl-C again stops at once)")
+
+
+def _signals() -> list[int]:
+    """Return the signals to listen to; SIGHUP is not one where nohup has it ignored."""
+    found = [getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)]
+    return [
+        number
+        for number in found
+        if (handler := signal.getsignal(number)) is not None
+        and (number == signal.SIGINT or handler != signal.Handlers.SIG_IGN)
+    ]

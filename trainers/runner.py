@@ -1,10 +1,11 @@
-"""Runner: what all algorithms share, from the training loop to checkpoints and resuming."""
+"""Runner: what all algorithms share, from the training loop to validation and resuming."""
 
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, Protocol
+from functools import cached_property
+from typing import Any, ClassVar, Generic
 
 import numpy as np
 import torch
@@ -12,16 +13,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from spikedeploy import envs
-from spikedeploy.trainers.config import C, EnvConfig, PolicyConfig, RunConfig, ValidationConfig
+from spikedeploy.trainers.config import C, EnvConfig, RunConfig, ValidationConfig
 from spikedeploy.trainers.env_batch import EnvBatch
-from spikedeploy.trainers.learner import under
-from spikedeploy.trainers.metrics import Table
+from spikedeploy.trainers.learner import Learner, with_prefix
+from spikedeploy.trainers.metrics import Metrics
 from spikedeploy.trainers.policies import Policy
 from spikedeploy.trainers.policies.policy import Moments
 from spikedeploy.trainers.progress import Journal
 from spikedeploy.trainers.run_folder import RunFolder
-
-# -- Validation: deterministic episodes without support force, which choose the best checkpoint.
 
 # info of the environment -> metric: mean over steps, root mean square, and value at the end
 _MEANS = {"speed": "eval_speed"}
@@ -35,101 +34,11 @@ _LASTS = {
 }
 
 
-@dataclass
-class _Episode:
-    """An unfinished episode."""
-
-    env: Any
-    observation: Any
-    total: float = 0.0
-    infos: list[dict[str, Any]] = field(default_factory=list)
-
-    def step(self, action: Any) -> bool:  # noqa: ANN401
-        """Step, and return whether the episode continues."""
-        self.observation, reward, terminated, truncated, info = self.env.step(action)
-        self.total += reward
-        self.infos.append(info)
-        return not (terminated or truncated)
-
-
-class Validator:
-    """Runs a policy on the validation seeds, with all episodes as one batch."""
-
-    def __init__(self, env: EnvConfig, config: ValidationConfig) -> None:
-        self._config = config
-        self._envs = [envs.make(env.name, **env.options) for _ in range(config.episodes)]
-
-    @torch.no_grad()
-    def __call__(self, policy: Policy) -> dict[str, float]:
-        """Return means: return, speed, cost of transport, falls, success, errors, sparsity."""
-        episodes = [
-            _Episode(env, env.reset(seed=self._config.first_seed + k)[0])
-            for k, env in enumerate(self._envs)
-        ]
-        rates = []
-        running = episodes
-        while running:
-            observation = np.stack([episode.observation for episode in running])
-            latent = policy.latent(torch.from_numpy(observation).float())
-            chosen = policy.decide(latent.mean)
-            actions = (chosen.double() if chosen.is_floating_point() else chosen).numpy()
-            rates.append([float(rate) for rate in latent.rates])
-            running = [
-                episode
-                for episode, action in zip(running, actions, strict=True)
-                if episode.step(action) and len(episode.infos) != self._config.limit
-            ]
-        return {**_metrics(episodes), **_sparsity(rates)}
-
-
-def _metrics(episodes: list[_Episode]) -> dict[str, float]:
-    """Return the metrics of the episodes, as far as the environment's infos have them."""
-    result = {"eval_return": float(np.mean([episode.total for episode in episodes]))}
-    steps = [info for episode in episodes for info in episode.infos]
-    ends = [episode.infos[-1] for episode in episodes]
-    for name, column in _MEANS.items():
-        if name in ends[0]:
-            result[column] = float(np.mean([info[name] for info in steps]))
-    for name, column in _SQUARES.items():
-        if name in ends[0]:
-            result[column] = float(np.sqrt(np.mean([info[name] ** 2 for info in steps])))
-    for name, column in _LASTS.items():
-        if name in ends[0]:
-            result[column] = float(np.mean([info[name] for info in ends]))
-    if all("success" in info for info in ends):  # other people's say it at the end alone
-        result["eval_success"] = float(np.mean([info["success"] for info in ends]))
-    return result
-
-
-def sparsities(policy: PolicyConfig) -> tuple[str, ...]:
-    """Return the names of the sparsity metrics of a policy's spiking layers."""
-    return tuple(f"sparsity_lif{k}" for k in range(1, policy.spiking_layers + 1))
-
-
-def _sparsity(rates: list[list[float]]) -> dict[str, float]:
-    """Return the sparsity of each spiking layer: the share of neuron timesteps without a spike."""
-    means = np.mean(rates, axis=0)
-    return {f"sparsity_lif{k}": 1.0 - float(rate) for k, rate in enumerate(means, start=1)}
-
-
-# -- Runner: what all algorithms share, from the training loop to checkpoints and resuming.
-
-
-class _Learner(Protocol):
-    """Networks and optimisers of an algorithm, which checkpoints hold."""
-
-    def tensors(self) -> dict[str, Tensor]:
-        """Return all tensors of a checkpoint except the policy's, by name."""
-
-    def load(self, named: dict[str, Tensor]) -> None:
-        """Restore the tensors of a checkpoint, the policy's under "policy." included."""
-
-
 class Runner(ABC, Generic[C]):
     """One run of an algorithm.
 
     Config: model of the configuration
-    COLUMNS: names of the metrics, of which the first is the step
+    COLUMNS: names of the metrics, of which the first is the step; those of spiking layers follow
     COUNTERS: attributes saved in checkpoints, of which the first is the step
     SPEED: name of the metric of steps per second
     VALIDATES_AT_END: whether the last policy is validated, even if it is not due
@@ -143,21 +52,26 @@ class Runner(ABC, Generic[C]):
     SPEED: ClassVar[str] = "steps_per_s"
     VALIDATES_AT_END: ClassVar[bool] = True
     policy: Policy
-    learner: _Learner
+    learner: Learner
 
     @classmethod
     def columns(cls, config: RunConfig) -> tuple[str, ...]:
         """Return the names of the metrics, of which the first is the step."""
-        return (*cls.COLUMNS, *sparsities(config.policy))
+        layers = range(1, config.policy.spiking_layers + 1)
+        return (*cls.COLUMNS, *(f"sparsity_lif{k}" for k in layers))
+
+    @classmethod
+    def tables(cls, run: RunFolder, config: RunConfig) -> list[Metrics]:
+        """Return the tables that training appends to, and a checkpoint must agree with."""
+        return [Metrics(run.metrics, cls.columns(config))]
 
     def __init__(
-        self, config: C, run: RunFolder, *, total: int, log_every: int, checkpoint_every: int
+        self, config: C, run: RunFolder, total: int, checkpoint_every: int, log_every: int = 1
     ) -> None:
         self._config, self._run = config, run
         self._total, self._log_every, self._checkpoint_every = total, log_every, checkpoint_every
         torch.manual_seed(config.seed)
         self._rng = np.random.default_rng(config.seed)
-        self._validator = Validator(config.env, config.validation)
         self.best = -np.inf
         self._returns: list[float] = []  # of the episodes since the last row of metrics
         self._logged: float | None = None  # step of the last row of metrics
@@ -221,11 +135,6 @@ class Runner(ABC, Generic[C]):
         for table in self.tables(self._run, self._config):
             table.clear()
 
-    @classmethod
-    def tables(cls, run: RunFolder, config: RunConfig) -> list[Table]:
-        """Return the tables that training appends to, and a checkpoint must agree with."""
-        return [Table(run.metrics, cls.columns(config), "logged")]
-
     def _state(self) -> dict[str, Any]:
         """Return more numbers for the checkpoint "last"."""
         return {}
@@ -239,6 +148,10 @@ class Runner(ABC, Generic[C]):
         return self._validator(self.policy)
 
     # What they share.
+
+    @cached_property
+    def _validator(self) -> "Validator":
+        return Validator(self._config.env, self._config.validation)
 
     def _due(self, every: int, before: int) -> bool:
         """Return whether a multiple of `every` was reached since step `before`."""
@@ -265,9 +178,13 @@ class Runner(ABC, Generic[C]):
         """Validate the policy, and save it as "best" if it is."""
         row = self._evaluate()
         if row["eval_return"] >= self.best:
-            self.best = row["eval_return"]
-            self._run.save("best", self.policy, {**self._counters(), **row})
+            self._save_best(self.policy, row)
         return row
+
+    def _save_best(self, policy: Policy, row: Mapping[str, float]) -> None:
+        """Save what a validation found to be the best policy so far."""
+        self.best = row["eval_return"]
+        self._run.save("best", policy, {**self._counters(), **row})
 
     def _row(self) -> dict[str, float]:
         """Return the metrics of training since the last row."""
@@ -296,13 +213,11 @@ class Runner(ABC, Generic[C]):
         state, tensors = self._run.load("last")
         self.learner.load(tensors)
         self.best = -np.inf if state["best"] is None else state["best"]
-        self._logged = state.get("logged")
-        self._returns = state.get("returns", [])
+        self._logged, self._returns = state["logged"], state["returns"]
         self._rng.bit_generator.state = state["rng"]
         self._restore(state, tensors)
-        if "torch_rng" in tensors:  # last, as restoring may draw; distillation lacked it before
-            torch.set_rng_state(tensors["torch_rng"])
-        self._run.settle("last", state)
+        torch.set_rng_state(tensors["torch_rng"])  # last, as restoring may draw
+        self._run.write_numbers("last", state)  # a kill may have come before them
 
 
 class EnvRunner(Runner[C]):
@@ -312,13 +227,11 @@ class EnvRunner(Runner[C]):
     """
 
     def __init__(
-        self, config: C, run: RunFolder, *, total: int, log_every: int, checkpoint_every: int
+        self, config: C, run: RunFolder, total: int, checkpoint_every: int, log_every: int = 1
     ) -> None:
-        super().__init__(
-            config, run, total=total, log_every=log_every, checkpoint_every=checkpoint_every
-        )
+        super().__init__(config, run, total, checkpoint_every, log_every)
         self._envs = EnvBatch(config.env, self._rng)
-        self._moments = Moments.empty(self._envs.observation.shape[1])
+        self._moments = Moments.empty(self._envs.sizes[0])
         self.env_steps = self.episodes = 0
 
     def _count_episodes(self) -> None:
@@ -344,5 +257,73 @@ class EnvRunner(Runner[C]):
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         self.env_steps, self.episodes = state["env_steps"], state["episodes"]
         self._moments = Moments.restored(tensors, state["observed"])
-        if "under_way" in state:  # in checkpoints of before, episodes under way were not kept
-            self._envs.restore(state["under_way"], under("under_way", dict(tensors)), self)
+        self._envs.restore(
+            state["under_way"],
+            with_prefix("under_way", tensors),
+            self.episode_begun,
+            self.step_repeated,
+        )
+
+
+@dataclass
+class _Episode:
+    """An unfinished episode of a validation."""
+
+    env: Any
+    observation: Any
+    total: float = 0.0
+    infos: list[dict[str, Any]] = field(default_factory=list)
+
+    def step(self, action: Any) -> bool:  # noqa: ANN401
+        """Step, and return whether the episode continues."""
+        self.observation, reward, terminated, truncated, info = self.env.step(action)
+        self.total += reward
+        self.infos.append(info)
+        return not (terminated or truncated)
+
+
+class Validator:
+    """Deterministic episodes without support force, all as one batch, on the validation seeds."""
+
+    def __init__(self, env: EnvConfig, config: ValidationConfig) -> None:
+        self._config = config
+        self._envs = [envs.make(env.name, **env.options) for _ in range(config.episodes)]
+
+    @torch.no_grad()
+    def __call__(self, policy: Policy) -> dict[str, float]:
+        """Return means: return, speed, cost of transport, falls, success, errors, sparsity."""
+        episodes = [
+            _Episode(env, env.reset(seed=self._config.first_seed + k)[0])
+            for k, env in enumerate(self._envs)
+        ]
+        rates = []
+        running = episodes
+        while running:
+            observation = np.stack([episode.observation for episode in running])
+            latent = policy.latent(torch.from_numpy(observation).float())
+            actions = policy.env_action(latent.mean)
+            rates.append([float(rate) for rate in latent.rates])
+            running = [
+                episode
+                for episode, action in zip(running, actions, strict=True)
+                if episode.step(action) and len(episode.infos) != self._config.limit
+            ]
+        # the sparsity of a layer is the share of neuron timesteps without a spike
+        means = enumerate(np.mean(rates, axis=0), start=1)
+        sparsity = {f"sparsity_lif{k}": 1.0 - float(rate) for k, rate in means}
+        return {**_metrics(episodes), **sparsity}
+
+
+def _metrics(episodes: list[_Episode]) -> dict[str, float]:
+    """Return the metrics of the episodes, as far as the environment's infos have them."""
+    result = {"eval_return": float(np.mean([episode.total for episode in episodes]))}
+    steps = [info for episode in episodes for info in episode.infos]
+    ends = [episode.infos[-1] for episode in episodes]
+    for names, infos, power in ((_MEANS, steps, 1), (_SQUARES, steps, 2), (_LASTS, ends, 1)):
+        for name, column in names.items():
+            if name in ends[0]:
+                mean = np.mean([info[name] ** power for info in infos])
+                result[column] = float(mean if power == 1 else np.sqrt(mean))
+    if all("success" in info for info in ends):  # other people's have it in the last info alone
+        result["eval_success"] = float(np.mean([info["success"] for info in ends]))
+    return result

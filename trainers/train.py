@@ -16,18 +16,13 @@ import torch
 
 from spikedeploy import envs
 from spikedeploy.envs.foreign import is_target
+from spikedeploy.files import write_json
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, metrics
-from spikedeploy.trainers.config import RunConfig, amended, known, resolve
+from spikedeploy.trainers.config import C, RunConfig, amended, known, resolve
 from spikedeploy.trainers.progress import Interrupt, Journal, ProgressBar
 from spikedeploy.trainers.recipes import RECIPES
-from spikedeploy.trainers.run_folder import (
-    RunFolder,
-    is_beginning,
-    locked,
-    write_errors,
-    write_summed,
-)
+from spikedeploy.trainers.run_folder import RunFolder, is_beginning, write_errors
 from spikedeploy.trainers.runner import Runner
 from spikedeploy.trainers.sparse.config import with_budget
 
@@ -73,77 +68,61 @@ def train(
     world = f". To train in it: `spikedeploy train {recipe} --recipe ppo-snn`"
     remedy = world if ":" in recipe or re.search(r"-v\d+$", recipe) else ""
     kind = algorithm(RECIPES[known(recipe, RECIPES, "recipe", remedy)].algorithm)
-    overrides = [*_named(recipe, env), *overrides]
+    changes: dict[str, Any] = {"file": config_file, "overrides": [*_named(recipe, env), *overrides]}
     if resume is not None:
         run = RunFolder.find(resume, runs, recipe)
-        with locked(run.path):
-            runner, config = _resumed(run, kind, recipe, env, config_file, overrides, budget)
+        with run.locked():
+            before = run.settings()
+            if before["recipe"] != recipe:
+                raise ConfigError(f"{run.path} is a run of '{before['recipe']}', not of '{recipe}'")
+            if env not in (None, there := before["env"]["name"]):
+                raise ConfigError(f"{run.path} was trained in {there}, not in {env}: name the run")
+            config = _budgeted(amended(run.config(kind.Config), **changes), budget)
+            run.sweep()
+            _check_left(run, kind, config)
+            with _written(run, config):
+                runner = kind(config, run)
             _learn(runner, config, run, quiet, stopped, watch, film)
         return run.path
-    config = resolve(kind.Config, recipe, file=config_file, overrides=overrides, seed=seed)
-    config = config if budget is None else with_budget(config, budget)
-    _check_env(config)
-    config = _by_name(config)
+    config = _budgeted(resolve(kind.Config, recipe, seed=seed, **changes), budget)
+    if not config.env.name:
+        raise ConfigError(
+            f"{recipe} trains in any environment: name one, as in "
+            f"`spikedeploy train CartPole-v1 --recipe {recipe}`"
+        )
+    envs.spec(config.env.name)  # refused where it is unknown
+    config = _with_paths(config)
     run = RunFolder.create(runs, config)
-    with locked(run.path), _removed_if_refused(run):
+    with run.locked(), _removed_if_refused(run):
         _learn(kind(config, run), config, run, quiet, stopped, watch, film)
     return run.path
-
-
-def _resumed(
-    run: RunFolder,
-    kind: Any,  # noqa: ANN401 - see `algorithm`
-    recipe: str,
-    env: str | None,
-    file: str | Path | None,
-    overrides: Iterable[str],
-    budget: str | None,
-) -> tuple[Runner[Any], RunConfig]:
-    """Return the runner of a run to be resumed, and its configuration, which is written."""
-    if (recipe_of_run := run.settings()["recipe"]) != recipe:
-        raise ConfigError(f"{run.path} is a run of '{recipe_of_run}', not of '{recipe}'")
-    if env not in (None, there := run.settings()["env"]["name"]):
-        raise ConfigError(f"{run.path} was trained in {there}, not in {env}: name the run")
-    config = amended(run.config(kind.Config), file=file, overrides=overrides)
-    config = config if budget is None else with_budget(config, budget)
-    run.sweep()
-    _check_left(run, kind, config)
-    with _written(run, config):
-        return kind(config, run), config
 
 
 def _named(recipe: str, env: str | None) -> list[str]:
     """Return the override that names the environment of a recipe for any."""
     if env is None:
         return []
-    if not RECIPES[recipe].any_env:
-        theirs = RECIPES[recipe].settings.get("env", {}).get("name")
+    theirs = RECIPES[recipe].settings.get("env", {}).get("name")
+    if theirs != env and not RECIPES[recipe].any_env:
         some = ", ".join(name for name, entry in RECIPES.items() if entry.any_env)
-        if theirs != env:
-            raise ConfigError(
-                f"{recipe} is made for {theirs}, not for {env}; recipes for any environment: {some}"
-            )
+        raise ConfigError(
+            f"{recipe} is made for {theirs}, not for {env}; recipes for any environment: {some}"
+        )
     return [f"env.name={json.dumps(env)}"]
 
 
-def _check_env(config: RunConfig) -> None:
-    """Refuse an environment that is unknown, or was not named."""
-    if not config.env.name:
-        raise ConfigError(
-            f"{config.recipe} trains in any environment: name one, as in "
-            f"`spikedeploy train CartPole-v1 --recipe {config.recipe}`"
-        )
-    envs.spec(config.env.name)
+def _budgeted(config: C, budget: str | None) -> C:
+    return config if budget is None else with_budget(config, budget)
 
 
-def _by_name(config: RunConfig) -> RunConfig:
+def _with_paths(config: C) -> C:
     """Return it with the folders of the runs that are meant now; later names may mean others."""
     names = ((key, str(getattr(config, key, ""))) for key in ("teacher", "start", "pool"))
-    found = {key: str(RunFolder.find(name).path) for key, name in names if _abbreviated(name)}
+    found = {key: str(RunFolder.find(name).path) for key, name in names if _is_short(name)}
     return config.model_copy(update=found)
 
 
-def _abbreviated(name: str) -> bool:
+def _is_short(name: str) -> bool:
     """Return whether this is "last", or the beginning of a run's name and nothing else."""
     if name == "last":
         return True
@@ -167,20 +146,19 @@ def _removed_if_refused(run: RunFolder) -> Iterator[None]:
 @contextmanager
 def _written(run: RunFolder, config: RunConfig) -> Iterator[None]:
     """Write the configuration of a run to be resumed; the former one where it is refused."""
-    file = run.path / "config.json"
-    before = file.read_bytes()
+    before = run.settings()
     run.write_config(config)
     try:
         yield
     except Exception:
-        write_summed(file, before)
+        write_json(run.path / "config.json", before)
         raise
 
 
 def _check_left(run: RunFolder, kind: type[Runner[Any]], config: RunConfig) -> None:
     """Refuse a run to be resumed whose tables are damaged, or whose last weights are missing.
 
-    One without a checkpoint starts anew.
+    One without a checkpoint starts from the beginning.
     """
     run.check_weights("last")
     if run.checkpoint("last").is_file():
@@ -199,8 +177,8 @@ def _learn(
     film: Callable[[Path, int, int], None] | None,
 ) -> None:
     """Run the algorithm under a progress bar until it ends or is stopped, then draw its curve."""
-    with ProgressBar(run.path.name, quiet) as bar, stopped.acknowledged(bar, quiet):
-        journal = Journal(run, runner.columns(config), bar, watch, film)
+    with ProgressBar(run.path.name, quiet) as stopped.bar, stopped:
+        journal = Journal(run, runner.columns(config), stopped.bar, watch, film)
         try:
             runner.learn(journal, stopped)
             if film is not None and runner.finished:  # the last row may be from before the end
@@ -208,5 +186,5 @@ def _learn(
         finally:
             journal.close()
     stopped.share = None if runner.finished else runner.share
-    with write_errors(run.path / "curve.png"):
-        metrics.draw_curve(run.metrics, run.path / "curve.png", run.path.name)
+    with write_errors(run.path / "curve.png") as picture:
+        metrics.draw_curve(run.metrics, picture, run.path.name)

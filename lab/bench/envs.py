@@ -58,21 +58,20 @@ def rollouts(recipe: str, options: dict[str, Any], steps: int) -> tuple[Act, int
     import torch
 
     from spikedeploy.trainers.config import resolve
-    from spikedeploy.trainers.ppo import EpisodeLog, Ppo, PpoConfig
+    from spikedeploy.trainers.ppo import Ppo, PpoConfig
     from spikedeploy.trainers.run_folder import RunFolder
 
     torch.set_num_threads(1)
     folder = Path(tempfile.mkdtemp())
     settings = [f"env.options.{name}={value}" for name, value in options.items()]
-    config = resolve(PpoConfig, recipe, overrides=settings)
+    config = resolve(PpoConfig, recipe, overrides=[*settings, "ghosts=false"])
     learner = Ppo(config, RunFolder.create(folder, config))
-    log = EpisodeLog(folder / "episodes.csv", config.env.count)
     each = config.horizon * config.env.count
     repeats = max(1, steps // each)
 
     def collect() -> None:
         for _ in range(repeats):
-            learner.collect(log)
+            learner.collect()
 
     return collect, repeats * each
 

@@ -37,7 +37,7 @@ from spikedeploy.trainers.policies import Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.pool import BatchController, Episodes, Stateless, Walk
-from spikedeploy.trainers.sparse.student import in_float
+from spikedeploy.trainers.sparse.student import FloatController
 
 FLOAT = "float"  # the place of a float network that computes as it was trained
 Counts = dict[str, float | None]
@@ -66,7 +66,7 @@ def network(run: Path, level: str, place: str, stem: Path) -> PlacedNetwork:
     """
     policy = RunFolder(run).policy(level)
     if place == FLOAT:
-        return PlacedNetwork(in_float(policy), lambda walks: _dense_counts(policy, walks))
+        return PlacedNetwork(FloatController(policy), lambda walks: _dense_counts(policy, walks))
     origin = run_record.origin(run, level)
     stem.parent.mkdir(parents=True, exist_ok=True)
     if policy.kind in SPIKING:

@@ -1,9 +1,10 @@
 import pytest
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers import ALGORITHMS, RECIPES
-from spikedeploy.trainers.config import Ramp, differences, parse_override, resolve, validated
+from spikedeploy.trainers import ALGORITHMS
+from spikedeploy.trainers.config import Ramp, differences, parse_override, resolve
 from spikedeploy.trainers.ppo import PpoConfig
+from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.sac.learner import SacConfig
 from spikedeploy.trainers.sparse.config import SparseConfig, with_budget
 from spikedeploy.trainers.sparse.ppo import SparsePpoConfig
@@ -105,14 +106,6 @@ def test_differences_from_a_recipe_rebuild_the_configuration():
     assert sorted(found) == sorted([*chosen[:2], 'env.name="elsewhere"', chosen[3]])
     assert resolve(SacConfig, "smoke", overrides=found, seed=3) == config
     assert differences(resolve(SacConfig, "smoke")) == []
-
-
-def test_settings_of_version_0_1_are_accepted_under_their_old_names():
-    config = resolve(SacConfig, "smoke", overrides=["hoist.finish=7"])
-    assert config.support_force.finish == 7
-    written = config.model_dump(mode="json")
-    written["hoist"] = written.pop("support_force")
-    assert validated(SacConfig, written, "an old run folder") == config
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from safetensors import SafetensorError
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.metrics import read
-from spikedeploy.trainers.run_folder import RunFolder, load_policy, locked
+from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import PointingEnv
 from tests.trainers.test_resume import KART, SAC, After, resumed
@@ -76,15 +76,11 @@ def test_a_damaged_replay_is_named_and_the_policies_are_whole(damage, run):
     load_policy(run)
 
 
-@pytest.mark.parametrize(
-    "damage", [lambda text: text.replace('"lr', '"Lr'), lambda text: text[:99]]
-)
-def test_a_configuration_that_was_changed_or_cut_off_is_refused(damage, run):
+def test_a_configuration_that_was_cut_off_is_refused(run):
     file = run / "config.json"
-    changed = damage(file.read_text()).replace('"seed": 0', '"seed": 1')
-    file.write_text(changed)
+    file.write_text(changed := file.read_text()[:99])
     for use in (resumed, lambda run: RunFolder(run).settings()):
-        with pytest.raises(ConfigError, match=r"config\.json is damaged, or was changed by hand"):
+        with pytest.raises(ConfigError, match=r"cannot read .*config\.json"):
             use(run)
     assert file.read_text() == changed
 
@@ -136,7 +132,7 @@ def test_what_a_kill_left_of_unfinished_files_is_deleted_and_exports_stay(run):
 
 
 def test_a_run_that_is_trained_can_be_read_and_not_resumed(run):
-    with locked(run):
+    with RunFolder(run).locked():
         with pytest.raises(ConfigError, match=rf"is being trained .*process {os.getpid()} on"):
             resumed(run)
         load_policy(run)

@@ -167,23 +167,6 @@ def test_episodes_begin_anew_in_an_environment_that_was_exchanged(sac, tmp_path,
     assert capsys.readouterr().err == ""
 
 
-def test_a_checkpoint_of_before_is_resumed(sac, tmp_path):
-    path = train("smoke", overrides=SAC, runs=tmp_path, quiet=True, interrupt=After(43))
-    run = RunFolder(path)
-    state, tensors = run.load("last")
-    for key in ("under_way", "losses", "returns", "replay_sha256", "sha256"):
-        del state[key]
-    others = {
-        key: tensor
-        for key, tensor in tensors.items()
-        if not key.startswith(("policy.", "under_way."))
-    }
-    run.save("last", run.policy("last"), state, others)
-    (path / "SHA256SUMS").unlink()
-    resumed(path)
-    assert json.loads((path / "checkpoints" / "last.json").read_text())["finished"]
-
-
 def test_a_training_that_is_really_killed_ends_with_the_same_files():
     done = subprocess.run(
         [sys.executable, "-m", "lab", "kill", "--kills", "2", "--only", "ppo-mlp", "distill-snn",

@@ -7,7 +7,6 @@ learns from all that were collected so far (Ross et al. 2011).
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -16,7 +15,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import (
     Batch,
     Kept,
@@ -27,17 +25,15 @@ from spikedeploy.trainers.config import (
     Share,
     ValidationConfig,
 )
-from spikedeploy.trainers.distill.teacher import FloatArray, Teacher, surprise
+from spikedeploy.trainers.distill.teacher import FloatArray, surprise
 from spikedeploy.trainers.distill.teachers import of_policy, score, teacher
 from spikedeploy.trainers.env_batch import EnvBatch
-from spikedeploy.trainers.learner import adam, adam_tensors, load_adam, under
+from spikedeploy.trainers.learner import Learner, adam, set_rate
 from spikedeploy.trainers.policies import Policy, PopsanPolicy, from_config
 from spikedeploy.trainers.policies.neurons import excess_rate, firing_rates, mean_rate
 from spikedeploy.trainers.policies.policy import Moments
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Runner
-
-# -- Configuration of distillation.
 
 
 class DistillConfig(RunConfig):
@@ -83,9 +79,6 @@ class DistillConfig(RunConfig):
     checkpoint_every: Positive = 1_000
 
 
-# -- Data of DAgger: states that teacher and student visit, labelled with the teacher's actions.
-
-
 class DaggerDataset:
     """A growing set of labelled states, in float32.
 
@@ -112,71 +105,12 @@ class DaggerDataset:
 
     def tensors(self) -> dict[str, Tensor]:
         """Return everything by name, for a checkpoint."""
-        # "lessons" is the dataset's name in the checkpoints of all versions
         return {"lessons.observation": self.observation, "lessons.action": self.action}
 
     def load(self, tensors: Mapping[str, Tensor]) -> None:
         """Restore the dataset of a checkpoint."""
         self.observation = tensors["lessons.observation"]
         self.action = tensors["lessons.action"]
-
-
-@dataclass(frozen=True)
-class _Collected:
-    """Labelled states of one iteration.
-
-    observation: (n, obs) of every state
-    label: (n, act) the teacher's action in it, or its logits
-    returns: of the episodes that ended
-    """
-
-    observation: FloatArray
-    label: FloatArray
-    returns: list[float]
-
-
-def iteration_envs(config: DistillConfig, iteration: int) -> EnvBatch:
-    """Return the environments of an iteration, the same ones for a run resumed there."""
-    return EnvBatch(config.env, np.random.default_rng((config.seed, iteration)))
-
-
-def collect(
-    config: DistillConfig,
-    iteration: int,
-    teacher: Teacher,
-    student: Teacher,
-    stopped: Callable[[], bool],
-) -> _Collected | None:
-    """Collect the labelled states of an iteration; None if stopped before its end."""
-    envs = iteration_envs(config, iteration)
-    visited: list[FloatArray] = []
-    labels: list[FloatArray] = []
-    rng = np.random.default_rng((config.seed, iteration, 1))
-    share = config.mixing**iteration  # of the teacher's actions; 1 in iteration 0
-    while len(visited) * len(envs) < config.states:
-        if stopped():
-            return None
-        visited.append(envs.observation)
-        labels.append(teacher.act_all(envs.observation))
-        taught = rng.random(len(envs)) < share
-        action = labels[-1] if taught.all() else student.act_all(envs.observation)
-        action = np.where(taught[:, None], labels[-1], action)
-        envs.step(_executed(action, envs.head == "discrete", config.noise, rng))
-    return _Collected(np.concatenate(visited), np.concatenate(labels), envs.returns)
-
-
-def _executed(
-    action: FloatArray, discrete: bool, noise: float, rng: np.random.Generator
-) -> NDArray[Any]:
-    """Return actions (B, act) with noise, or the choices (B,) of logits, some of them drawn."""
-    if not discrete:
-        return np.clip(action + noise * rng.standard_normal(action.shape), -1.0, 1.0)
-    drawn = rng.integers(action.shape[1], size=len(action))
-    return np.where(rng.random(len(action)) < noise, drawn, action.argmax(-1))
-
-
-# -- Distillation by DAgger: a student learns what its teacher would do in the student's own
-#    states.
 
 
 class Distill(Runner[DistillConfig]):
@@ -189,43 +123,22 @@ class Distill(Runner[DistillConfig]):
 
     Config = DistillConfig
     COLUMNS: ClassVar[tuple[str, ...]] = (
-        "updates",
-        "env_steps",
-        "iteration",
-        "loss",
-        "rate_penalty",
-        "updates_per_s",
-        "episode_return",
-        "eval_return",
-        "eval_of_teacher",
-        "eval_speed",
-        "eval_cot",
-        "eval_falls",
-        "eval_speed_rmse",
-        "eval_turn_rmse",
-    )
+        "updates", "env_steps", "iteration", "loss", "rate_penalty", "updates_per_s",
+        "episode_return", "eval_return", "eval_of_teacher", "eval_speed", "eval_cot", "eval_falls",
+        "eval_speed_rmse", "eval_turn_rmse",
+    )  # fmt: skip
     COUNTERS = ("updates", "env_steps", "iterations", "teacher_return", "best")
     SPEED = "updates_per_s"
     learner: "DistillLearner"
 
     def __init__(self, config: DistillConfig, run: RunFolder) -> None:
-        super().__init__(
-            config,
-            run,
-            total=config.updates,
-            log_every=config.log_every,
-            checkpoint_every=config.checkpoint_every,
-        )
+        super().__init__(config, run, config.updates, config.checkpoint_every, config.log_every)
         self._teacher = teacher(
             config.teacher, config.env.name, config.env.options, config.teacher_units
         )
-        envs = iteration_envs(config, 0)
-        sizes = envs.observation.shape[1], envs.actions
-        if sizes != (self._teacher.observations, self._teacher.actions):
-            raise ConfigError(
-                f"the teacher {config.teacher} takes {self._teacher.observations} observations and "
-                f"gives {self._teacher.actions} actions; {config.env.name} has {sizes}"
-            )
+        envs = self._iteration_envs(0)
+        sizes = envs.sizes
+        self._teacher.check_sizes(config.teacher, config.env.name, sizes)
         self.policy = from_config(
             config.policy, *sizes, config.normaliser.clip, envs.columns, envs.head
         )
@@ -255,17 +168,44 @@ class Distill(Runner[DistillConfig]):
         done = self.updates * self._config.iterations // self._config.updates
         return self.iterations <= done
 
+    def _iteration_envs(self, iteration: int) -> EnvBatch:
+        """Return the environments of an iteration, the same ones for a run resumed there."""
+        rng = np.random.default_rng((self._config.seed, iteration))
+        return EnvBatch(self._config.env, rng)
+
     def _collect(self, stopped: Callable[[], bool]) -> bool:
         """Collect the labelled states of an iteration; return whether it was not stopped."""
-        student = of_policy(self.policy)
-        found = collect(self._config, self.iterations, self._teacher, student, stopped)
-        if found is None:
-            return False
-        self.dataset.add(found.observation, found.label)
-        self._returns = found.returns
+        config, envs, student = (
+            self._config,
+            self._iteration_envs(self.iterations),
+            of_policy(self.policy),
+        )
+        visited: list[FloatArray] = []
+        labels: list[FloatArray] = []
+        rng = np.random.default_rng((config.seed, self.iterations, 1))
+        share = config.mixing**self.iterations  # of the teacher's actions; 1 in iteration 0
+        while len(visited) * len(envs) < config.states:
+            if stopped():
+                return False
+            visited.append(envs.observation)
+            labels.append(self._teacher.act_all(envs.observation))
+            taught = rng.random(len(envs)) < share
+            action = labels[-1] if taught.all() else student.act_all(envs.observation)
+            action = np.where(taught[:, None], labels[-1], action)
+            envs.step(self._executed(action, rng))
+        self.dataset.add(np.concatenate(visited), np.concatenate(labels))
+        self._returns = envs.returns
         self.iterations += 1
         self._fit_normaliser()
         return True
+
+    def _executed(self, action: FloatArray, rng: np.random.Generator) -> NDArray[Any]:
+        """Return actions (B, act) with noise, or choices (B,) of logits, some of them drawn."""
+        noise = self._config.noise
+        if self.policy.head == "continuous":
+            return np.clip(action + noise * rng.standard_normal(action.shape), -1.0, 1.0)
+        drawn = rng.integers(action.shape[1], size=len(action))
+        return np.where(rng.random(len(action)) < noise, drawn, action.argmax(-1))
 
     @torch.no_grad()
     def _fit_normaliser(self) -> None:
@@ -273,9 +213,7 @@ class Distill(Runner[DistillConfig]):
         if self.iterations > 1 and self.env_steps > self._config.normaliser.finish:
             return
         seen = self.policy.features_of(self.dataset.observation.double()).numpy()
-        moments = Moments.empty(seen.shape[1])
-        moments.add(seen)
-        self.policy.normalizer.adopt(moments)
+        self.policy.normalizer.adopt(Moments.of(seen))
 
     def _update(self) -> None:
         """Take one gradient step on a random batch of the dataset."""
@@ -306,16 +244,15 @@ class Distill(Runner[DistillConfig]):
         self.teacher_return = state["teacher_return"]
 
 
-class DistillLearner:
+class DistillLearner(Learner):
     """A student, and gradient updates of it towards its teacher.
 
-    student: the policy that learns
+    policy: the student
     """
 
-    def __init__(self, config: DistillConfig, student: Policy) -> None:
-        self._config = config
-        self.student = student
-        self.optimizer = adam(student, config.learning_rate)
+    def __init__(self, config: DistillConfig, policy: Policy) -> None:
+        self._config, self.policy, self.modules = config, policy, {}
+        self.optimizers = {"adam": adam(policy, config.learning_rate)}
 
     def update(self, observation: Tensor, label: Tensor, progress: float) -> dict[str, Tensor]:
         """Take one gradient step towards labels (B, act) at a `progress` from 0 to 1.
@@ -323,30 +260,29 @@ class DistillLearner:
         label: the teacher's actions, or its logits of discrete ones
         """
         # lr = lr_0 (1 + cos(pi progress)) / 2
-        rate = self._config.learning_rate * 0.5 * (1 + math.cos(math.pi * progress))
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
+        optimizer = self.optimizers["adam"]
+        set_rate(optimizer, self._config.learning_rate * 0.5 * (1 + math.cos(math.pi * progress)))
         found, penalty = self._act(observation)
-        if self.student.head == "discrete":
+        if self.policy.head == "discrete":
             error = surprise(found, label, self._config.sharpness).mean()
         else:
             error = (found - label).square().mean()
-        self.optimizer.zero_grad()
+        optimizer.zero_grad()
         (error + penalty).backward()  # type: ignore[no-untyped-call]
-        self.optimizer.step()
+        optimizer.step()
         return {"loss": error.detach(), "rate_penalty": penalty.detach()}
 
     def _act(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Return the student's actions or logits (B, act), and the penalty of its firing rates."""
         enabled = self._config.precision == "bfloat16"
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=enabled):
-            if not isinstance(self.student, PopsanPolicy):
-                latent = self.student.latent(observation)
-                discrete = self.student.head == "discrete"
-                found = latent.mean if discrete else self.student.decide(latent.mean)
+            if not isinstance(self.policy, PopsanPolicy):
+                latent = self.policy.latent(observation)
+                discrete = self.policy.head == "discrete"
+                found = latent.mean if discrete else self.policy.decide(latent.mean)
                 return found, self._penalty((), latent.rates)
-            spikes = self.student.spikes(observation)
-            action = torch.tanh(self.student.decode(firing_rates(spikes[-1])))
+            spikes = self.policy.spikes(observation)
+            action = torch.tanh(self.policy.decode(firing_rates(spikes[-1])))
         encoder, *layers = (mean_rate(raster) for raster in spikes)
         return action, self._penalty([encoder], layers)
 
@@ -355,13 +291,3 @@ class DistillLearner:
         config = self._config
         inputs = config.input_penalty * excess_rate(encoders, config.input_target)
         return inputs + config.rate_penalty * excess_rate(layers, config.rate_target)
-
-    def tensors(self) -> dict[str, Tensor]:
-        """Return all tensors of a checkpoint except the student's, by name."""
-        state = adam_tensors(self.optimizer)
-        return {f"adam.{name}": value for name, value in state.items()}
-
-    def load(self, named: dict[str, Tensor]) -> None:
-        """Restore the tensors of a checkpoint, the student's under "policy." included."""
-        self.student.load_state_dict(under("policy", named))
-        load_adam(self.optimizer, under("adam", named))

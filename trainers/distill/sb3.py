@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,15 +23,9 @@ from torch import Tensor, nn
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.distill.teacher import FloatArray, OwnSpaces, Teacher, certain
 
-# -- Stable-Baselines3's .zip files, read without unpickling anything that could run code.
-#
-#     data        JSON; what JSON cannot say is pickled and base64 inside it, and stays unread
-#     policy.pth  the state dict, a zip of torch's that its reader of weights alone accepts
-#
-# Sizes are bounded before anything is decompressed.
-
-_LARGEST = {"data": 2**24, "policy.pth": 2**28}  # bytes when decompressed: 16 and 256 MiB
-_ZIP = (zipfile.BadZipFile, NotImplementedError, ValueError)  # of a damaged archive
+_MAX_BYTES = {"data": 2**24, "policy.pth": 2**28}  # when decompressed: 16 and 256 MiB
+# what zipfile raises depends on the damage; ValueError of names that are no text
+_DAMAGES = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, RuntimeError, OSError)
 # Stable-Baselines3 compresses nothing, and weights hardly compress
 _FREE, _RATIO = 2**20, 16  # bytes that any file may unpack to, and more for each that it takes
 
@@ -38,6 +33,9 @@ _FREE, _RATIO = 2**20, 16  # bytes that any file may unpack to, and more for eac
 @dataclass(frozen=True)
 class Sb3File:
     """A saved model.
+
+        data        JSON; what JSON cannot say is pickled and base64 inside it, and stays unread
+        policy.pth  the state dict, a zip of torch's that its reader of weights alone accepts
 
     path: of the file
     data: its JSON
@@ -51,6 +49,8 @@ class Sb3File:
 
 def read_sb3(path: str) -> Sb3File:
     """Return what a .zip file of Stable-Baselines3 says, or raise ConfigError."""
+    if not Path(path).is_file():
+        raise ConfigError(f"there is no teacher at {path}")
     raw = _members(path)
     try:
         data = json.loads(raw["data"])
@@ -62,49 +62,47 @@ def read_sb3(path: str) -> Sb3File:
 
 
 def _members(path: str) -> dict[str, bytes]:
-    """Return the bytes of the two files that are read."""
+    """Return the bytes of the two files that are read, unless they are too large."""
     try:
         with zipfile.ZipFile(path) as archive:
-            if missing := sorted(_LARGEST.keys() - set(archive.namelist())):
+            if missing := sorted(_MAX_BYTES.keys() - set(archive.namelist())):
                 raise ConfigError(
                     f"{path} is no model of Stable-Baselines3: it has no {' and no '.join(missing)}"
                 )
-            return {name: _bounded(path, archive, name) for name in _LARGEST}
-    # ValueError of names that are no text; what zipfile raises besides depends on the damage
-    except (*_ZIP, zlib.error, EOFError, RuntimeError, OSError) as error:
-        if isinstance(error, OSError) and error.filename is not None:
-            raise  # there is no such file
+            for name, limit in _MAX_BYTES.items():
+                _check_sizes(path, name, [archive.getinfo(name)], limit)
+            return {name: archive.read(name) for name in _MAX_BYTES}
+    except _DAMAGES as error:
         raise _damaged(path, str(error)) from error
 
 
-def _bounded(path: str, archive: zipfile.ZipFile, name: str) -> bytes:
-    """Return a file's bytes; more of them than the limit are neither read nor decompressed."""
-    limit, member = _LARGEST[name], archive.getinfo(name)
-    if member.file_size > limit:
+def _check_sizes(path: str, name: str, members: Sequence[zipfile.ZipInfo], limit: int) -> None:
+    """Refuse, by declared sizes, what would unpack to too much, or to far more than it takes."""
+    packed = sum(each.compress_size for each in members)
+    unpacked = sum(each.file_size for each in members)
+    if unpacked > limit:
         raise ConfigError(
             f"{path}: {name} has more than {limit >> 20} MiB; larger ones are not read. Export "
             "the policy to ONNX"
         )
-    _check_ratio(path, name, [member])
-    with archive.open(member) as file:
-        return file.read(limit)  # which ends where the header says
-
-
-def _check_ratio(path: str, name: str, members: Sequence[zipfile.ZipInfo]) -> None:
-    """Refuse what would unpack to far more than it takes."""
-    packed = sum(each.compress_size for each in members)
-    whole = sum(each.file_size for each in members)
-    if whole > _FREE + _RATIO * packed:
+    if unpacked > _FREE + _RATIO * packed:
         raise _damaged(
             path,
-            f"{name} would unpack from {packed:,} to {whole:,} bytes, more than {_RATIO} times as "
-            "many. Save the model again without compression",
+            f"{name} would unpack from {packed:,} to {unpacked:,} bytes, more than {_RATIO} times "
+            "as many. Save the model again without compression",
         )
 
 
 def _tensors(path: str, raw: bytes) -> dict[str, Tensor]:
     """Return the state dict, read by torch's reader that runs no code."""
-    _check_inside(path, raw)
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            members = archive.infolist()
+    except _DAMAGES as error:
+        raise _damaged(path, "policy.pth is in the format of torch before 1.6") from error
+    if any(each.filename.endswith("constants.pkl") for each in members):
+        raise _damaged(path, "policy.pth is a script of torch, which runs code")
+    _check_sizes(path, "policy.pth", members, _MAX_BYTES["policy.pth"])
     try:
         found = torch.load(io.BytesIO(raw), map_location="cpu", weights_only=True)
     except Exception as error:  # whatever a damaged file makes of torch's reader
@@ -113,38 +111,17 @@ def _tensors(path: str, raw: bytes) -> dict[str, Tensor]:
     if not isinstance(found, dict) or not all(isinstance(each, Tensor) for each in found.values()):
         raise _damaged(path, "policy.pth is no state dict")
     for name, each in found.items():
-        _check_plain(path, str(name), each)
-    if sum(each.numel() for each in found.values()) > _LARGEST["policy.pth"] // 4:
+        special = each.is_nested or each.is_quantized or each.device.type != "cpu"
+        if special or each.layout != torch.strided:
+            raise _damaged(path, f"its tensor {name!s:.60} is sparse, nested, quantised or empty")
+    if sum(each.numel() for each in found.values()) > _MAX_BYTES["policy.pth"] // 4:
         raise _damaged(path, "policy.pth has tensors larger than their file")
     return {str(name): tensor for name, tensor in found.items()}
-
-
-def _check_plain(path: str, name: str, tensor: Tensor) -> None:
-    """Refuse tensors that are no arrays of numbers: sparse, nested, quantised or without data."""
-    special = tensor.is_nested or tensor.is_quantized or tensor.device.type != "cpu"
-    if special or tensor.layout != torch.strided:
-        raise _damaged(path, f"its tensor {name:.60} is sparse, nested, quantised or without data")
-
-
-def _check_inside(path: str, raw: bytes) -> None:
-    """Refuse what torch would read by other ways than as weights: scripts, and its old format."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-            members = archive.infolist()
-    except _ZIP as error:
-        raise _damaged(path, "policy.pth is in the format of torch before 1.6") from error
-    if any(each.filename.endswith("constants.pkl") for each in members):
-        raise _damaged(path, "policy.pth is a script of torch, which runs code")
-    if sum(each.file_size for each in members) > _LARGEST["policy.pth"]:
-        raise _damaged(path, "policy.pth says that it is larger than 256 MiB")
-    _check_ratio(path, "policy.pth", members)
 
 
 def _damaged(path: str, what: str) -> ConfigError:
     return ConfigError(f"{path} cannot be read as a model of Stable-Baselines3: {what}")
 
-
-# -- Teachers from Stable-Baselines3: PPO, A2C, SAC, TD3, DDPG and DQN with MlpPolicy.
 
 REMEDY = (
     "Export the policy to ONNX, or name a function of yours that acts with it: "

@@ -1,8 +1,4 @@
-"""What an environment observes and takes as its author wrote it, for teachers that know it so.
-
-Policies of ours see vectors and act in [-1, 1], or choose from 0; other people's teachers see the
-environment's own observations and give its own actions. This is the way between the two.
-"""
+"""What a teacher is, and an environment's observations and actions as its author has them."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,8 +15,6 @@ from torch.nn import functional
 from spikedeploy import envs
 from spikedeploy.envs.foreign import AdaptedEnv
 from spikedeploy.runtime.errors import ConfigError
-
-# -- Teacher: a policy to imitate, whatever it was read from.
 
 FloatArray = NDArray[np.float64]
 _CERTAIN = 20.0  # logit of a choice whose alternatives have 0: its softmax is 1 within 1e-8
@@ -39,6 +33,14 @@ class Teacher:
     observations: int
     actions: int
     env: str = ""
+
+    def check_sizes(self, path: str, env: str, sizes: tuple[int, int]) -> None:
+        """Refuse a teacher of other numbers of observations and actions than an environment's."""
+        if sizes != (self.observations, self.actions):
+            raise ConfigError(
+                f"the teacher {path} takes {self.observations} observations and gives "
+                f"{self.actions} actions; {env} has {sizes}"
+            )
 
     def reset(self, seed: int) -> None:
         """Do nothing: teachers have no state."""
@@ -65,15 +67,15 @@ def surprise(mean: Tensor, label: Tensor, sharpness: float) -> Tensor:
     return -(target * functional.log_softmax(mean, -1)).sum(-1)
 
 
-# -- What an environment observes and takes as its author wrote it, for teachers that know it
-#    so.
-
 Units = Literal["own", "scaled"]
 
 
 @dataclass(frozen=True)
 class OwnSpaces:
-    """Spaces of an environment before it is adapted.
+    """Spaces of an environment before it is adapted, for teachers that know it so.
+
+    Policies of ours see vectors and act in [-1, 1], or choose from 0; other people's teachers see
+    the environment's own observations and give its own actions. This is the way between the two.
 
     name: of the environment
     observation, action: Box or Discrete

@@ -23,16 +23,11 @@ from spikedeploy.trainers.onnx_session import says_how_it_acts, session
 from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 
-# -- Teachers that are Python functions: my_module:act, from an observation to an action.
-#
-# It is the user's own code and runs in the user's process. The module that is named is imported,
-# and
-# nothing else.
-
 
 def own_function(name: str, spaces: OwnSpaces, units: Units) -> Teacher:
     """Return the teacher module:function, which takes the environment's own observations.
 
+    It is the user's own code and runs in the user's process: the module that is named is imported.
     Where the function has the attribute `vectorised`, and it is true, it takes a batch of them.
     """
     module, _, within = name.partition(":")
@@ -51,17 +46,16 @@ def own_function(name: str, spaces: OwnSpaces, units: Units) -> Teacher:
     return Teacher(act_all, spaces.observations, spaces.actions)
 
 
-# -- Teachers from ONNX files: ours, whose metadata name the environment, and anybody's.
-#
-# Anybody's has one input, the observation, and one output, or one that is named action or actions,
-# as rsl_rl and Isaac Lab export it ("obs" to "actions", a batch of one, normaliser inside).
-
 _TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 _NAMES = ("action", "actions")
 
 
 def onnx_teacher(path: str, spaces: Callable[[], OwnSpaces], units: Units | None) -> Teacher:
     """Return the teacher in a file; units None are those that its kind has.
+
+    Metadata of our files name the environment. Others have one input, the observation, and one
+    output, or one that is named action or actions, as rsl_rl and Isaac Lab export it ("obs" to
+    "actions", a batch of one, normaliser inside).
 
     spaces: called for files that are not ours
     """
@@ -150,8 +144,6 @@ def _exit(path: str, network: Any) -> Any:  # noqa: ANN401
         )
     return found[0]
 
-
-# -- Teachers by name: run folders, files, functions and shipped policies.
 
 __all__ = ["FloatArray", "Teacher", "of_policy", "opened", "same_teacher", "score", "teacher"]
 

@@ -44,8 +44,9 @@ from spikedeploy.runtime.families.cuba.numba_kernels import jit
 from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
 from spikedeploy.runtime.families.xylo import XyloRegisters
 from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.policies.delta import DT
 from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
-from spikedeploy.trainers.policies.policy import Head
+from spikedeploy.trainers.policies.policy import Head, to_array
 from spikedeploy.trainers.policies.spiking import (
     Coding,
     PopsanPolicy,
@@ -54,19 +55,16 @@ from spikedeploy.trainers.policies.spiking import (
     TorchRateEncoder,
 )
 
-# -- Neurons that look at their threshold after every event, as loops that Numba compiles.
-#
-# They compute what `runtime.families.integrate_and_fire.neurons.update` computes with NumPy, for
-# chains of layers without biases whose spikes reset to 0 (ODIN, tinyODIN), with the same integers:
-# the interpreter takes a hundred microseconds for each event, too long for training.
-
 Integers = NDArray[np.integer[Any]]
 
 
 def recorded(program: Program, raster: NDArray[np.uint8]) -> Mapping[str, LayerTrace]:
-    """What every layer does with the raster (B, T, M) from zero states, as the interpreter has it.
+    """Return what layers do with the raster (B, T, M) from zero states, as the interpreter has it.
 
-    Where the compiled loops compute it, overflows and activity are left out.
+    For chains of layers without biases that look at their threshold after every event and whose
+    spikes reset to 0 (ODIN, tinyODIN), loops that Numba compiles compute it with the same integers:
+    the interpreter takes a hundred microseconds for each event. Where the compiled loops compute
+    it, overflows and activity are left out.
     """
     return (
         _by_events(program, raster) if _COMPILED and _computes(program) else trace(program, raster)
@@ -158,15 +156,7 @@ def _integrate_events(
 _COMPILED = hasattr(_integrate_events, "py_func")  # without Numba, the loops stay Python
 
 
-# -- The network of a ChipSnnPolicy as a NIR graph with its codec: exported, and compiled to
-#    learn.
-#
-#     input (M) -> fc1 -> lif1 -> ... -> fcL -> lifL -> readout -> output (act)
-#
-# The neurons are those that the chip computes natively: IF, LIF or CubaLIF, with gains of 1.
-
 THRESHOLD = 1.0  # of every neuron; the compiler scales it with the weights
-DT = 1e-3  # [s] one timestep; the policy has no unit of time, and chips run near this value
 
 Array = NDArray[np.float64]
 
@@ -244,7 +234,7 @@ def codec_of(policy: SpikingMlpPolicy | PopsanPolicy) -> Codec:
     """Return normaliser, encoder and decoder, as a file holds them."""
     normalizer = policy.normalizer
     return Codec(
-        Normaliser(array(normalizer.mean), array(normalizer.std), normalizer.clip),
+        Normaliser(to_array(normalizer.mean), to_array(normalizer.std), normalizer.clip),
         _encoder(policy.encoder),
         policy.timesteps,
         "argmax" if policy.head == "discrete" else "tanh",
@@ -253,20 +243,11 @@ def codec_of(policy: SpikingMlpPolicy | PopsanPolicy) -> Codec:
 
 def _encoder(encoder: nn.Module) -> Encoder:
     if isinstance(encoder, TorchRateEncoder):
-        return RateEncoder(array(encoder.low), array(encoder.high), encoder.mode)
+        return RateEncoder(to_array(encoder.low), to_array(encoder.high), encoder.mode)
     if isinstance(encoder, TorchPopulationEncoder):
-        return PopulationEncoder(array(encoder.mean), array(encoder.std), encoder.threshold)
+        return PopulationEncoder(to_array(encoder.mean), to_array(encoder.std), encoder.threshold)
     raise ConfigError(f"{type(encoder).__name__} has no form in a file; add it to {__name__}")
 
-
-def array(tensor: Tensor) -> Array:
-    """Return a tensor in float64."""
-    numbers: Array = tensor.detach().cpu().numpy().astype(np.float64)
-    return numbers
-
-
-# -- Spiking multilayer perceptron in the integers of a chip, whose forward pass is the chip's
-#    own.
 
 _OVERLAP = 0.6  # initial width of a receptive field, over the distance to the next
 _FIELDS = 8  # of an observation, unless the chip has too few inputs
@@ -332,7 +313,8 @@ class ChipSnnPolicy(SpikingMlpPolicy):
             # few fields: wide enough that no number between two of them is unseen
             spacing = 2 * reach / max(self.populations - 1, 1)
             nn.init.constant_(self.encoder.log_std, math.log(_OVERLAP * spacing))
-        self._given = {"chip": chip, "alpha": alpha, "beta": beta}
+        self.chip, self.outputs = chip, outputs
+        self._wanted = {"alpha": alpha, "beta": beta}  # None where the chip's own are taken
         arithmetic = target.arithmetic
         self.types = 0 if arithmetic.own_weights else int(getattr(arithmetic, "axon_types", 0))
         self.signed_axons = bool(target.limits and target.limits.axon_signs)
@@ -384,8 +366,8 @@ class ChipSnnPolicy(SpikingMlpPolicy):
     def artifact(self, origin: Provenance | None = None, dt: float = DT) -> Artifact:
         """Return the policy as an artifact, every number in float64."""
         neurons = ChipNeurons(self.target, self.alpha, self.beta, dt)
-        readout = nir.Affine(array(self.readout.weight), array(self.readout.bias))
-        weights = [array(weight) for weight in self.weights()]
+        readout = nir.Affine(to_array(self.readout.weight), to_array(self.readout.bias))
+        weights = [to_array(weight) for weight in self.weights()]
         return chip_artifact(neurons, weights, readout, codec_of(self), origin)
 
     def program(self) -> Program:
@@ -462,15 +444,7 @@ class ChipSnnPolicy(SpikingMlpPolicy):
 
     def spec(self) -> dict[str, Any]:
         """Return the arguments from which `build` makes an equal policy, for JSON."""
-        found = {
-            **super().spec(),
-            **self._given,
-            "limit": self.limit,
-            "populations": self.populations,
-        }
-        found |= {"hidden": list(self.hidden[:-1]), "outputs": self.hidden[-1]}
-        del found["threshold"]
-        return found
+        return {**super().spec(), **self._wanted, "hidden": list(self.hidden[:-1])}
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "ChipSnnPolicy":
         """Return a copy with the same weights; it compiles its own program."""

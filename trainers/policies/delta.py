@@ -1,15 +1,23 @@
-"""The network of an event-driven policy as a NIR graph with its codec: exported, and validated.
+"""Event-driven policies: delta code, a layer of LIF or sigma-delta neurons, leaky readout.
 
-    input (M) -> fc1 -> lif1 -> fc2 -> readout -> action -> output (act)
-    input (M) ------> skip ----------> readout, or integral -> action
+    n     signed events of the observation              (runtime.codec.delta)
+    I     = a I + W (step n)                            a just below 1: W times the observation
+    V     = beta V + I + b ;  s = V > 1 ;  V = (1 - s) V
+    y     = gamma y + Wo s + Ws (step n)                the events also reach the readout directly
+    action = tanh(y + c)
 
-`lif1` is a CubaLIF whose synaptic current hardly decays, `readout` and `integral` are LI, all with
-gains of 1.
-`action` adds the constant c to each readout. Channels of the encoder carry their own weights, so
-event k of a one-hot code weighs k times as much.
+An integrated skip has readouts of its own, which hardly decay, so that they hold what the
+observation is and not only how it moved lately:
 
-Of a DeltaMlpPolicy the neurons are `sd1`, sigma-delta neurons (runtime.graph.neurons), and the
-readout is an I. fc2 weighs each graded spike with the threshold that it counts.
+    y     = gamma y + Wo s ;  z = a z + Ws (step n) ;  action = tanh(y + z + c)
+
+One timestep per control step; currents, membranes and readouts live on from one to the next.
+
+The equations are those of a gated clock. Pipelined, as on a chip whose cores all advance in each
+timestep, everything takes one timestep to arrive: events reach currents and readouts one control
+step late, and hidden spikes the readout one later still (runtime.convention.Clock):
+
+    I[t] = a I[t-1] + W (step n[t-1]) ;  y[t] = gamma y[t-1] + Wo s[t-1] + Ws (step n[t-1])
 """
 
 from copy import deepcopy
@@ -29,36 +37,22 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.graph.neurons import SigmaDelta
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies.neurons import surrogate
-from spikedeploy.trainers.policies.policy import Head, Latent, Policy, TorchNormaliser
+from spikedeploy.trainers.policies.policy import (
+    Head,
+    Latent,
+    Policy,
+    TorchNormaliser,
+    to_array,
+)
 from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight
 
-# -- Event-driven spiking policy: delta code, one layer of LIF neurons, leaky integrator
-#    readout.
-#
-#     n     signed events of the observation              (runtime.codec.delta)
-#     I     = a I + W (step n)                            a just below 1: I is W times the
-# observation
-#     V     = beta V + I + b ;  s = V > 1 ;  V = (1 - s) V
-#     y     = gamma y + Wo s + Ws (step n)                the events also reach the readout directly
-#     action = tanh(y + c)
-#
-# An integrated skip has readouts of its own, which hardly decay, so that they hold what the
-# observation is and not only how it moved lately:
-#
-#     y     = gamma y + Wo s ;  z = a z + Ws (step n) ;  action = tanh(y + z + c)
-#
-# One timestep per control step; currents, membranes and readouts live on from one to the next.
-#
-# The equations are those of a gated clock. Pipelined, as on a chip whose cores all advance in each
-# timestep, everything takes one timestep to arrive: events reach currents and readouts one control
-# step late, and hidden spikes the readout one later still (runtime.convention.Clock):
-#
-#     I[t] = a I[t-1] + W (step n[t-1]) ;  y[t] = gamma y[t-1] + Wo s[t-1] + Ws (step n[t-1])
+Array = NDArray[np.float64]
 
 # Loihi's slowest decay: what lava and nengo-loihi make of a decay register of 0
 CURRENT_DECAY = 4095 / 4096
 _THRESHOLD = 1.0
 _BETA, _GAMMA = 0.6, 0.5  # initial decay factors of membranes and readouts
+DT = 1e-3  # [s] one timestep; policies have no unit of time, and chips run near this value
 
 
 @dataclass
@@ -229,17 +223,13 @@ class DeltaSnnPolicy(Policy):
             mean = seen @ weights.past.T + self.action_bias
             return mean, mean.new_zeros(*mean.shape[:2], 0)
         hidden, actions = (seen.new_zeros(len(seen), n) for n in (self.hidden, self.actions))
-        states: tuple[Tensor, ...] = hidden, actions, hidden
-        before: list[Tensor] = []
-        if burn_in:  # a window without gradient brings the states up
-            runs_on = 1 - begins[:, None].to(seen.dtype)
-            with torch.no_grad():
-                first = seen[:, :burn_in], moved[:, :burn_in]
-                states, *before = self._window(*first, weights, states)
-                states = tuple(state * runs_on for state in states)
+        runs_on = 1 - begins[:, None].to(seen.dtype)
+        with torch.no_grad():  # a window without gradient brings the states up
+            first = seen[:, :burn_in], moved[:, :burn_in]
+            states, *before = self._window(*first, weights, (hidden, actions, hidden))
+            states = tuple(state * runs_on for state in states)
         _, *after = self._window(seen[:, burn_in:], moved[:, burn_in:], weights, states)
-        parts = zip(before, after, strict=True) if burn_in else ([each] for each in after)
-        mean, spikes = (torch.cat(list(part), 1) for part in parts)
+        mean, spikes = (torch.cat(parts, 1) for parts in zip(before, after, strict=True))
         # the integrals hold what currents would hold
         return mean + seen @ weights.past.T if self.integrated else mean, spikes
 
@@ -251,24 +241,21 @@ class DeltaSnnPolicy(Policy):
         states: membranes (B, H), readouts (B, act) and spikes (B, H) of the control step before
         """
         membrane, readout, emitted = states
-        raster = [emitted]
+        raster, means = [emitted], [readout]
         for drive in (seen @ weights.into.T + weights.bias).unbind(1):
             membrane = weights.beta * membrane + drive
             spikes = _Spike.apply(membrane - weights.threshold, self._gradient)  # type: ignore[no-untyped-call]
             # no gradient through the reset
             membrane = membrane * (1 - spikes.detach())
             raster.append(spikes)
-        emitted, *spiked = raster
-        arriving = torch.stack(raster[:-1] if self.delay else spiked, 1)
-        onto = arriving @ weights.out.T
+        spiked = torch.stack(raster, 1)
+        onto = (spiked[:, :-1] if self.delay else spiked[:, 1:]) @ weights.out.T
         if self.skip and not self.integrated:
             onto = onto + moved @ weights.past.T
-        means = []
         for drive in onto.unbind(1):
             readout = weights.gamma * readout + drive
             means.append(readout + self.action_bias)
-        after = membrane, readout, raster[-1]
-        return after, torch.stack(means, 1), torch.stack(spiked, 1)
+        return (membrane, readout, raster[-1]), torch.stack(means, 1)[:, 1:], spiked[:, 1:]
 
     def weights(self) -> "DeltaWeights":
         """Return what `unrolled` computes with, masks and decay factors applied."""
@@ -282,22 +269,9 @@ class DeltaSnnPolicy(Policy):
 
     def spec(self) -> dict[str, Any]:
         """Return the arguments from which `build` makes an equal policy, for JSON."""
-        return {
-            "kind": self.kind,
-            "observations": self.observations,
-            "actions": self.actions,
-            "hidden": self.hidden,
-            "skip": self.skip,
-            "integrated": self.integrated,
-            "most": self.most,
-            "code": self.code,
-            "events_above": self.events_above,
-            "current_decay": self.current_decay,
-            "surrogate_width": self.surrogate_width,
-            "clip": self.normalizer.clip,
-            "head": self.head,
-            "clock": self.clock,
-        }
+        settings = super().spec()
+        settings.pop("step", None)  # it is among the tensors
+        return settings
 
 
 @dataclass(frozen=True)
@@ -341,24 +315,18 @@ def _logit(share: float) -> float:
     return float(torch.logit(torch.tensor(share)))
 
 
-# -- Delta network: delta code, a layer of sigma-delta ReLU neurons, integrating readout.
-#
-#     n     signed events of the observation              (runtime.codec.delta)
-#     sigma = sigma + W (step n)                          W times the levels of the code
-#     a     = max(sigma + b, 0)
-#     e     = a / threshold - q ;  k = sign(e) floor(|e| + 1/2) where |e| >= 1 ;  q = q + k
-#     y     = y + Wo (threshold k) + Ws (step n)          an MLP of rounded numbers
-#     action = tanh(y + c)
-#
-# One timestep per control step. What is sent are changes alone, so that numbers which stay cost
-# nothing (O'Connor and Welling 2017; runtime.graph.neurons). It is a baseline for the spiking
-# policies: the same code, and a float network's activations.
-
-
 class DeltaMlpPolicy(DeltaSnnPolicy):
-    """Signed events into a layer of sigma-delta neurons and, past it, into the readout.
+    """Delta network: signed events into a layer of sigma-delta ReLU neurons, and past it.
 
-    In its DeltaState `current` is sigma, and `membrane` q. Nothing decays.
+        sigma = sigma + W (step n)                      W times the levels of the code
+        a     = max(sigma + b, 0)
+        e     = a / threshold - q ;  k = sign(e) floor(|e| + 1/2) where |e| >= 1 ;  q = q + k
+        y     = y + Wo (threshold k) + Ws (step n)      an MLP of rounded numbers
+
+    What is sent are changes alone, so that numbers which stay cost nothing (O'Connor and Welling
+    2017; runtime.graph.neurons). It is a baseline for the spiking policies: the same code, and a
+    float network's activations. In its DeltaState `current` is sigma, and `membrane` q. Nothing
+    decays.
 
     hidden, skip, most, code, events_above: as in DeltaSnnPolicy
     share: thresholds are to be so many standard deviations of their neuron's activation
@@ -468,30 +436,30 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
 
     def spec(self) -> dict[str, Any]:
         """Return the arguments from which `build` makes an equal policy, for JSON."""
-        settings = super().spec()
-        del settings["current_decay"], settings["surrogate_width"], settings["integrated"]
-        return {**settings, "threshold": self.share}
-
-
-# -- The network of an event-driven policy as a NIR graph with its codec: exported, and
-#    validated.
-
-_DT = 1e-3  # [s] one timestep; the policy has no unit of time, and chips run near this value
-
-Array = NDArray[np.float64]
+        return {**super().spec(), "threshold": self.share}
 
 
 def delta_artifact(
-    policy: DeltaSnnPolicy, origin: Provenance | None = None, dt: float = _DT
+    policy: DeltaSnnPolicy, origin: Provenance | None = None, dt: float = DT
 ) -> Artifact:
     """Return the policy as an artifact, every number in float64; its states are kept.
 
-    Hidden neurons without synapses on one of their sides are left out.
+        input (M) -> fc1 -> lif1 -> fc2 -> readout -> action -> output (act)
+        input (M) ------> skip ----------> readout, or integral -> action
+
+    `lif1` is a CubaLIF whose synaptic current hardly decays, `readout` and `integral` are LI, all
+    with gains of 1; `action` adds the constant c to each readout. Channels of the encoder carry
+    their own weights, so event k of a one-hot code weighs k times as much. Of a DeltaMlpPolicy the
+    neurons are `sd1`, sigma-delta neurons, and the readout is an I; fc2 weighs each graded spike
+    with the threshold that it counts. Hidden neurons without synapses on one of their sides are
+    left out.
     """
     precise = deepcopy(policy).double()
     convention = Convention(dt=dt, source="as trained", state="kept", clock=policy.clock)
-    graph = _graph(precise, dt)
-    graded = _sigma_delta(precise) if "sd1" in graph.nodes else {}
+    graph, graded, live = _graph(precise, dt), {}, live_neurons(precise)
+    if "sd1" in graph.nodes:
+        numbers = _spike_size(precise)[live], precise.bias[live]
+        graded["sd1"] = SigmaDelta(*map(to_array, numbers))
     return Artifact(graph, delta_codec(precise), convention, origin, graded)
 
 
@@ -499,7 +467,7 @@ def delta_codec(policy: DeltaSnnPolicy) -> Codec:
     """Return normaliser, encoder and decoder, as a file holds them."""
     normalizer = policy.normalizer
     return Codec(
-        Normaliser(_array(normalizer.mean), _array(normalizer.std), normalizer.clip),
+        Normaliser(to_array(normalizer.mean), to_array(normalizer.std), normalizer.clip),
         delta_encoder(policy),
         policy.timesteps,
         "argmax" if policy.head == "discrete" else "tanh",
@@ -508,7 +476,7 @@ def delta_codec(policy: DeltaSnnPolicy) -> Codec:
 
 def delta_encoder(policy: DeltaSnnPolicy) -> DeltaEncoder:
     """Return the encoder; observations that no synapse reads send nothing."""
-    step = np.where(_used(policy).numpy(), _array(policy.step), np.inf)
+    step = np.where(_used(policy).numpy(), to_array(policy.step), np.inf)
     return DeltaEncoder(step, policy.most, policy.code, policy.events_above)
 
 
@@ -524,7 +492,7 @@ def channel_weights(policy: DeltaSnnPolicy, weight: Array) -> Array:
     k = np.arange(1, policy.most + 1)
     each = k if policy.code == "one-hot" else np.ones_like(k)
     signed = np.concatenate([each, -each])  # the K channels of rising values, then of falling ones
-    moved: Array = weight * _array(policy.step)
+    moved: Array = weight * to_array(policy.step)
     return np.reshape(moved[:, :, None] * signed, (len(weight), -1))
 
 
@@ -549,16 +517,16 @@ def _graph(policy: DeltaSnnPolicy, dt: float) -> nir.NIRGraph:
     edges: list[tuple[str, str]] = []
     live = live_neurons(policy)
     if bool(live.any()):
-        into = channel_weights(policy, _array(policy.into()[live]))
+        into = channel_weights(policy, to_array(policy.into()[live]))
         name = hidden_node(policy)
         nodes["fc1"] = nir.Linear(into)
         nodes[name] = _neurons(policy, live, dt)
-        nodes["fc2"] = nir.Linear(_array((policy.out() * _spike(policy))[:, live]))
+        nodes["fc2"] = nir.Linear(to_array((policy.out() * _spike_size(policy))[:, live]))
         edges += [("input", "fc1"), ("fc1", name), (name, "fc2"), ("fc2", "readout")]
     integral = np.full(policy.actions, policy.current_decay)
     past = policy.past() if policy.skip else policy.step.new_zeros(policy.actions, len(policy.step))
     if not edges or bool(past.any()):  # the input is read, if only with weights of 0
-        nodes["skip"] = nir.Linear(channel_weights(policy, _array(past)))
+        nodes["skip"] = nir.Linear(channel_weights(policy, to_array(past)))
         edges.append(("input", "skip"))
         if policy.integrated and "lif1" in nodes:
             nodes["integral"] = _readout(policy, integral, dt)
@@ -566,8 +534,8 @@ def _graph(policy: DeltaSnnPolicy, dt: float) -> nir.NIRGraph:
         else:
             edges.append(("skip", "readout"))
     alone = policy.integrated and "lif1" not in nodes  # the readout is then the integral
-    nodes["readout"] = _readout(policy, integral if alone else _array(policy.gamma), dt)
-    nodes["action"] = nir.Affine(np.eye(policy.actions), _array(policy.action_bias))
+    nodes["readout"] = _readout(policy, integral if alone else to_array(policy.gamma), dt)
+    nodes["action"] = nir.Affine(np.eye(policy.actions), to_array(policy.action_bias))
     nodes["output"] = nir.Output({"output": np.array([policy.actions])})
     edges += [("readout", "action"), ("action", "output")]
     return nir.NIRGraph(nodes, edges)
@@ -578,23 +546,18 @@ def hidden_node(policy: DeltaSnnPolicy) -> str:
     return "sd1" if isinstance(policy, DeltaMlpPolicy) else "lif1"
 
 
-def _spike(policy: DeltaSnnPolicy) -> Tensor:
+def _spike_size(policy: DeltaSnnPolicy) -> Tensor:
     """Return what a spike of each hidden neuron (H,) stands for."""
     if isinstance(policy, DeltaMlpPolicy):
         return policy.threshold
     return torch.ones_like(policy.bias)
 
 
-def _sigma_delta(policy: DeltaSnnPolicy) -> dict[str, SigmaDelta]:
-    live = live_neurons(policy)
-    return {"sd1": SigmaDelta(_array(_spike(policy)[live]), _array(policy.bias[live]))}
-
-
 def _neurons(policy: DeltaSnnPolicy, live: Tensor, dt: float) -> nir.CubaLIF | nir.I:
     """Return the hidden neurons; the bias of LIF neurons is their resting membrane."""
     if isinstance(policy, DeltaMlpPolicy):
         return nir.I(np.full(int(live.sum()), 1 / dt))
-    beta, bias = _array(policy.beta[live]), _array(policy.bias[live])
+    beta, bias = to_array(policy.beta[live]), to_array(policy.bias[live])
     # tau = dt / (1 - decay) ; gains of 1 ; V = beta V + I + (1 - beta) v_leak
     tau_mem, tau_syn = dt / (1 - beta), np.full(beta.size, dt / (1 - policy.current_decay))
     return nir.CubaLIF(
@@ -603,7 +566,7 @@ def _neurons(policy: DeltaSnnPolicy, live: Tensor, dt: float) -> nir.CubaLIF | n
         r=tau_mem / dt,
         v_leak=bias / (1 - beta),
         v_reset=np.zeros(beta.size),
-        v_threshold=_array(policy.threshold[live]),
+        v_threshold=to_array(policy.threshold[live]),
         w_in=tau_syn / dt,
     )
 
@@ -613,8 +576,3 @@ def _readout(policy: DeltaSnnPolicy, decay: Array, dt: float) -> nir.LI | nir.I:
         return nir.I(np.full(policy.actions, 1 / dt))
     tau = dt / (1 - decay)
     return nir.LI(tau=tau, r=tau / dt, v_leak=np.zeros(tau.size))
-
-
-def _array(tensor: Tensor) -> Array:
-    array: Array = tensor.detach().cpu().numpy().astype(np.float64)
-    return array

@@ -1,4 +1,4 @@
-"""Float policy: a multilayer perceptron, or a linear map."""
+"""Float policy: a multilayer perceptron or a linear map, of all observations or of features."""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations_with_replacement, pairwise
@@ -17,12 +17,55 @@ from spikedeploy.trainers.policies.policy import (
     full_precision,
 )
 
-# -- Features: the inputs of a float policy, all observations or those of a control.
-
 _FEATURES = ("all", "phase", "bilinear", "fourier")
 _HARMONICS = {"bilinear": 2, "fourier": 3}
 # what the body should do is this minus what it does, or this: on the course and under commands
 _ERRORS = ("heading", "turn_error", "speed", "speed_error", "lateral", "lateral_velocity")
+
+
+class MlpPolicy(Policy):
+    """A float network with ReLU; without hidden layers, a linear policy.
+
+    hidden: widths of the hidden layers
+    features: its inputs; None for all observations
+    layers: the nn.Linear of each hidden layer, then that of the mean
+    """
+
+    kind = "mlp"
+
+    def __init__(
+        self,
+        observations: int,
+        actions: int,
+        hidden: Sequence[int] = (512, 512),
+        features: "Features | None" = None,
+        clip: float = 4.0,
+        head: Head = "continuous",
+    ) -> None:
+        super().__init__()
+        self.head = head
+        self.observations, self.actions, self.hidden = observations, actions, tuple(hidden)
+        self.features = features or Features("all", observations, [], [])
+        self.normalizer = TorchNormaliser(self.features.size, clip)
+        widths = (self.features.size, *hidden, actions)
+        self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairwise(widths))
+        self.latent_size = widths[-2]
+
+    def features_of(self, observation: Tensor) -> Tensor:
+        """Return the features (B, F) of raw observations."""
+        features: Tensor = self.features(observation)
+        return features
+
+    def latent(self, observation: Tensor) -> Latent:
+        """Return mean and last hidden activations."""
+        hidden = self.normalizer(self.features_of(observation))
+        for layer in self.layers[:-1]:
+            hidden = torch.relu(layer(hidden))
+        return Latent(full_precision(self.layers[-1], hidden), hidden)
+
+    def spec(self) -> dict[str, Any]:
+        """Return the arguments from which `build` makes an equal policy, for JSON."""
+        return {**super().spec(), "features": self.features.spec()}
 
 
 class Features(nn.Module):
@@ -37,7 +80,7 @@ class Features(nn.Module):
     phase: columns of sine and cosine
     command: columns of the commands; none on a task without commands
     errors: columns of the errors of heading, turn rate, speed and side that "fourier" multiplies
-    scales: those of commands and errors
+    scales: columns of commands and errors
     pairs: columns of the two factors of each product and square
     """
 
@@ -68,16 +111,13 @@ class Features(nn.Module):
         if self.name == "all":
             return observation
         phase = observation[:, self.phase]
-        return phase if self.name == "phase" else self._products(phase, observation)
-
-    def _products(self, phase: Tensor, observation: Tensor) -> Tensor:
+        if self.name == "phase":
+            return phase
         one = torch.ones_like(phase[:, :1])
+        pairs = [observation[:, [a]] * observation[:, [b]] for a, b in self.pairs]
         waves = torch.cat([one, *_waves(phase, self.harmonics)], dim=1)
-        scales = torch.cat([one, observation[:, self.scales], *self._pairs(observation)], dim=1)
+        scales = torch.cat([one, observation[:, self.scales], *pairs], dim=1)
         return (scales[:, :, None] * waves[:, None, :]).flatten(1)[:, 1:]
-
-    def _pairs(self, observation: Tensor) -> list[Tensor]:
-        return [observation[:, [one]] * observation[:, [other]] for one, other in self.pairs]
 
     def spec(self) -> dict[str, Any]:
         """Return the arguments that rebuild these features, for JSON."""
@@ -86,7 +126,7 @@ class Features(nn.Module):
 
 
 def _waves(phase: Tensor, harmonics: int) -> list[Tensor]:
-    """Sine and cosine (B, 1) of the phase, of its double and so on, by angle addition."""
+    """Return sine and cosine (B, 1) of the phase, of its double and so on, by angle addition."""
     sine, cosine = phase[:, :1], phase[:, 1:]
     # sin 2p = 2 sin p cos p ; cos 2p = cos^2 p - sin^2 p
     waves = [sine, cosine, 2 * sine * cosine, cosine**2 - sine**2]
@@ -107,59 +147,3 @@ def features(name: str, observations: int, columns: Mapping[str, slice] | None =
         return [column for each in found for column in each]
 
     return Features(name, observations, of("phase"), of("command"), of(*_ERRORS))
-
-
-# -- Float policy: a multilayer perceptron, or a linear map.
-
-
-class MlpPolicy(Policy):
-    """A float network with ReLU; without hidden layers, a linear policy.
-
-    hidden: widths of the hidden layers
-    features: its inputs; None for all observations
-    layers: the nn.Linear of each hidden layer, then that of the mean
-    """
-
-    kind = "mlp"
-
-    def __init__(
-        self,
-        observations: int,
-        actions: int,
-        hidden: Sequence[int] = (512, 512),
-        features: Features | None = None,
-        clip: float = 4.0,
-        head: Head = "continuous",
-    ) -> None:
-        super().__init__()
-        self.head = head
-        self.observations, self.actions, self.hidden = observations, actions, tuple(hidden)
-        self.features = features or Features("all", observations, [], [])
-        self.normalizer = TorchNormaliser(self.features.size, clip)
-        widths = (self.features.size, *hidden, actions)
-        self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairwise(widths))
-        self.latent_size = widths[-2]
-
-    def features_of(self, observation: Tensor) -> Tensor:
-        """Return the features (B, F) of raw observations."""
-        features: Tensor = self.features(observation)
-        return features
-
-    def latent(self, observation: Tensor) -> Latent:
-        """Return mean and last hidden activations."""
-        hidden = self.normalizer(self.features_of(observation))
-        for layer in self.layers[:-1]:
-            hidden = torch.relu(layer(hidden))
-        return Latent(full_precision(self.layers[-1], hidden), hidden)
-
-    def spec(self) -> dict[str, Any]:
-        """Return the arguments from which `build` makes an equal policy, for JSON."""
-        return {
-            "kind": self.kind,
-            "observations": self.observations,
-            "actions": self.actions,
-            "hidden": list(self.hidden),
-            "features": self.features.spec(),
-            "clip": self.normalizer.clip,
-            "head": self.head,
-        }

@@ -1,8 +1,9 @@
-"""Policy: the deployable part of what is trained, from observation to action."""
+"""Policy: the deployable part of what is trained, from observation to action; its normalisation."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from inspect import signature
 from typing import Any, Literal
 
 import numpy as np
@@ -10,9 +11,100 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-# -- Observation normalisation: the module of a policy, and running statistics.
+Head = Literal["continuous", "discrete"]
+_MIN_STD = 0.01  # observations are of order one; a constant one must not be amplified
 
-_SMALLEST_STD = 0.01  # observations are of order one; a constant one must not be amplified
+
+@dataclass(frozen=True)
+class Latent:
+    """Output of a policy before an action is chosen.
+
+    mean: (B, act) action before tanh, or the logit of each action
+    hidden: (B, H) last activations, the input of an algorithm's own heads
+    rates: mean firing rate of each spiking layer, none in a float network [spikes / timestep]
+    """
+
+    mean: Tensor
+    hidden: Tensor
+    rates: tuple[Tensor, ...] = ()
+
+
+class Policy(nn.Module):
+    """Maps observations (B, obs) to deterministic actions.
+
+    observations, actions: their numbers
+    head: "continuous", actions (B, act) in [-1, 1], or "discrete", the index (B,) of an action
+    normalizer: shift, scale and clip of the observations, part of the policy
+    latent_size: width H of `Latent.hidden`
+    """
+
+    kind: str
+    observations: int
+    actions: int
+    latent_size: int
+    normalizer: "TorchNormaliser"  # the name is that of its tensors in checkpoints
+    head: Head = "continuous"
+
+    @abstractmethod
+    def latent(self, observation: Tensor) -> Latent:
+        """Return the output before an action is chosen."""
+
+    @property
+    def clip(self) -> float:
+        """Limit of normalised observations [standard deviations]."""
+        return self.normalizer.clip
+
+    def spec(self) -> dict[str, Any]:
+        """Return the arguments from which `build` makes an equal policy, for JSON."""
+        found = {name: getattr(self, name) for name in signature(type(self)).parameters}
+        lists = {name: list(value) for name, value in found.items() if isinstance(value, tuple)}
+        return {"kind": self.kind, **found, **lists}
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Return the deterministic action: (B, act), or (B,) int64 of a discrete head."""
+        return self.decide(self.latent(observation).mean)
+
+    def scores(self, observation: Tensor) -> Tensor:
+        """Return the action before tanh, or the logits (B, act)."""
+        return self.latent(observation).mean
+
+    def decide(self, mean: Tensor) -> Tensor:
+        """Return the deterministic action of `Latent.mean`."""
+        return mean.argmax(-1) if self.head == "discrete" else torch.tanh(mean)
+
+    def env_action(self, mean: Tensor) -> NDArray[Any]:
+        """Return the deterministic action of `Latent.mean` as environments take it."""
+        action = self.decide(mean)
+        return (action.double() if action.is_floating_point() else action).numpy()
+
+    def sample_encoding(self, observation: Tensor) -> Tensor:
+        """Return spikes (B, ...) drawn by a random encoder; without one, the observation.
+
+        Algorithms store it, so that they learn from the same spikes that were acted on.
+        """
+        return observation
+
+    def forward_encoded(self, encoded: Tensor) -> Latent:
+        """Return the output for what sample_encoding returned."""
+        return self.latent(encoded)
+
+    def features_of(self, observation: Tensor) -> Tensor:
+        """Return the inputs (B, F) of the normaliser for raw observations."""
+        return observation
+
+
+def full_precision(layer: nn.Module, hidden: Tensor) -> Tensor:
+    """Return the layer's output, computed without autocast."""
+    # bfloat16 has 8 bits of precision: enough inside a network, too few for its output
+    with torch.autocast("cpu", enabled=False):
+        output: Tensor = layer(hidden.float() if hidden.dtype == torch.bfloat16 else hidden)
+    return output
+
+
+def to_array(tensor: Tensor) -> NDArray[np.float64]:
+    """Return a tensor in float64."""
+    array: NDArray[np.float64] = tensor.detach().cpu().numpy().astype(np.float64)
+    return array
 
 
 class TorchNormaliser(nn.Module):
@@ -60,23 +152,28 @@ class Moments:
         return cls(np.zeros(size), np.zeros(size))
 
     @classmethod
+    def of(cls, batch: NDArray[np.float64]) -> "Moments":
+        """Return the moments of observations (B, obs)."""
+        moments = cls.empty(batch.shape[1])
+        moments.add(batch)
+        return moments
+
+    @classmethod
     def restored(cls, named: Mapping[str, Tensor], count: int) -> "Moments":
         """Return the moments of a checkpoint, from `tensors` and the count."""
         return cls(named["moments.mean"].numpy(), named["moments.square"].numpy(), count)
 
     def tensors(self) -> dict[str, Tensor]:
         """Return the arrays by name, for a checkpoint."""
-        return {
-            "moments.mean": torch.from_numpy(self.mean),
-            "moments.square": torch.from_numpy(self.square),
-        }
+        arrays = {"mean": self.mean, "square": self.square}
+        return {f"moments.{name}": torch.from_numpy(array) for name, array in arrays.items()}
 
     @property
     def std(self) -> NDArray[np.float64]:
-        """Standard deviation (obs,), at least SMALLEST_STD; 1 before there are data."""
+        """Standard deviation (obs,), at least 0.01; 1 before there are data."""
         if self.count < 2:
             return np.ones_like(self.mean)
-        return np.maximum(np.sqrt(self.square / self.count), _SMALLEST_STD)
+        return np.maximum(np.sqrt(self.square / self.count), _MIN_STD)
 
     def add(self, batch: NDArray[np.float64]) -> None:
         """Add a batch of observations (B, obs)."""
@@ -86,82 +183,3 @@ class Moments:
         self.square += ((batch - mean) ** 2).sum(0) + delta**2 * (self.count * count / total)
         self.mean += delta * (count / total)
         self.count = total
-
-
-# -- Policy: the deployable part of what is trained, from observation to action.
-
-Head = Literal["continuous", "discrete"]
-
-
-@dataclass(frozen=True)
-class Latent:
-    """Output of a policy before an action is chosen.
-
-    mean: (B, act) action before tanh, or the logit of each action
-    hidden: (B, H) last activations, the input of an algorithm's own heads
-    rates: mean firing rate of each spiking layer, none in a float network [spikes / timestep]
-    """
-
-    mean: Tensor
-    hidden: Tensor
-    rates: tuple[Tensor, ...] = ()
-
-
-class Policy(nn.Module):
-    """Maps observations (B, obs) to deterministic actions.
-
-    observations, actions: their numbers
-    head: "continuous", actions (B, act) in [-1, 1], or "discrete", the index (B,) of an action
-    normalizer: shift, scale and clip of the observations, part of the policy
-    latent_size: width H of `Latent.hidden`
-    """
-
-    kind: str
-    observations: int
-    actions: int
-    latent_size: int
-    normalizer: TorchNormaliser  # the name is that of its tensors in checkpoints
-    head: Head = "continuous"
-
-    @abstractmethod
-    def latent(self, observation: Tensor) -> Latent:
-        """Return the output before an action is chosen."""
-
-    @abstractmethod
-    def spec(self) -> dict[str, Any]:
-        """Return the arguments from which `build` makes an equal policy, for JSON."""
-
-    def forward(self, observation: Tensor) -> Tensor:
-        """Return the deterministic action: (B, act), or (B,) int64 of a discrete head."""
-        return self.decide(self.latent(observation).mean)
-
-    def scores(self, observation: Tensor) -> Tensor:
-        """Return the action before tanh, or the logits (B, act)."""
-        return self.latent(observation).mean
-
-    def decide(self, mean: Tensor) -> Tensor:
-        """Return the deterministic action of `Latent.mean`."""
-        return mean.argmax(-1) if self.head == "discrete" else torch.tanh(mean)
-
-    def sample_encoding(self, observation: Tensor) -> Tensor:
-        """Return spikes (B, ...) drawn by a random encoder; without one, the observation.
-
-        Algorithms store it, so that they learn from the same spikes that were acted on.
-        """
-        return observation
-
-    def forward_encoded(self, encoded: Tensor) -> Latent:
-        """Return the output for what sample_encoding returned."""
-        return self.latent(encoded)
-
-    def features_of(self, observation: Tensor) -> Tensor:
-        """Return the inputs (B, F) of the normaliser for raw observations."""
-        return observation
-
-
-def full_precision(layer: nn.Module, hidden: Tensor) -> Tensor:
-    """Return the layer's output, computed without autocast."""
-    # bfloat16 has 8 bits of precision: enough inside a network, too few for its output
-    with torch.autocast("cpu", enabled=False):
-        output: Tensor = layer(hidden.float() if hidden.dtype == torch.bfloat16 else hidden)
-    return output

@@ -1,9 +1,8 @@
-"""Small float policy with a skip connection and pruned weights: the baseline of spiking ones."""
+"""Weights with masks, and a small float network of them: the baseline of spiking policies."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -15,8 +14,6 @@ from spikedeploy.trainers.policies.policy import (
     TorchNormaliser,
     full_precision,
 )
-
-# -- Weights with masks: what pruning takes out stays out.
 
 
 class PrunedWeight(nn.Module):
@@ -60,9 +57,6 @@ class SynapseGroup:
         """Mean number of operations in a control step, a scalar."""
         # sum_j rate_j fan-out_j
         return (self.rate * self.matrix.fan_out).sum()
-
-
-# -- Small float policy with a skip connection and pruned weights: the baseline of spiking ones.
 
 
 class PrunedMlpPolicy(Policy):
@@ -116,18 +110,6 @@ class PrunedMlpPolicy(Policy):
         """Return mean and last hidden activations."""
         mean, inputs = self.activations(observation)
         return Latent(full_precision(nn.Identity(), mean), inputs[-1])
-
-    def spec(self) -> dict[str, Any]:
-        """Return the arguments from which `build` makes an equal policy, for JSON."""
-        return {
-            "kind": self.kind,
-            "observations": self.observations,
-            "actions": self.actions,
-            "hidden": list(self.hidden),
-            "skip": self.skip,
-            "clip": self.normalizer.clip,
-            "head": self.head,
-        }
 
 
 def _matrix(inputs: int, outputs: int) -> PrunedWeight:

@@ -8,6 +8,7 @@ when a transfer of the parameters has ended, a few updates late.
 """
 
 import copy
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -50,9 +51,9 @@ class CudaReplay(ReplayBuffer):
         torch.index_select(self._copy, 0, places, out=self._drawn)
         return self.split(self._drawn)
 
-    def load(self, path: Path) -> None:
-        """Load the transitions of a file; if there are too many, the newest."""
-        super().load(path)
+    def load(self, path: Path, checksum: str) -> None:
+        """Load the transitions of a file with this checksum; the newest where they are too many."""
+        super().load(path, checksum)
         self._copy.copy_(torch.from_numpy(self.rows))
 
 
@@ -65,7 +66,7 @@ class CudaLearner(SacLearner):
         super().__init__(config, policy)
         self._mean_policy = copy.deepcopy(policy).to("cuda")
         self._acting = _Follower(self.actor)
-        for module in self._modules().values():
+        for module in self.modules.values():
             module.to("cuda")
         self._optimise()
         self._scheduled = torch.zeros((), device="cuda")
@@ -128,7 +129,7 @@ class CudaLearner(SacLearner):
         """Return all tensors of a checkpoint except the policy's, by name, on the CPU."""
         return {name: tensor.cpu() for name, tensor in super().tensors().items()}
 
-    def load(self, named: dict[str, Tensor]) -> None:
+    def load(self, named: Mapping[str, Tensor]) -> None:
         """Restore the tensors of a checkpoint, the policy's under "policy." included."""
         super().load(named)
         self._mean_policy.load_state_dict(self.policy.state_dict())

@@ -1,7 +1,8 @@
-"""The gradient updates of soft actor-critic, and the networks that it learns."""
+"""Soft actor-critic: settings, replay buffer, networks and their gradient update."""
 
 import copy
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -27,19 +28,13 @@ from spikedeploy.trainers.config import (
     Share,
     Width,
 )
-from spikedeploy.trainers.learner import (
-    TwinCritic,
-    adam,
-    adam_tensors,
-    load_adam,
-    move_towards,
-    under,
-)
+from spikedeploy.trainers.learner import Critic, Learner, adam
 from spikedeploy.trainers.policies.neurons import excess_rate
 from spikedeploy.trainers.policies.policy import Latent, Moments, Policy, full_precision
-from spikedeploy.trainers.run_folder import of_file, write_errors
+from spikedeploy.trainers.run_folder import file_sha256, write_errors
 
-# -- Configuration of soft actor-critic.
+_AVERAGED = 10  # at first the averaged policy spans the last 1/10 of the updates
+_LOG_STD = (-20.0, 2.0)  # limits (Haarnoja et al. 2018)
 
 
 class SacConfig(RunConfig):
@@ -114,9 +109,6 @@ class SacConfig(RunConfig):
         return self
 
 
-# -- Replay buffer: a preallocated ring of transitions, one row of memory for each.
-
-
 @dataclass(frozen=True)
 class ReplayBatch:
     """Transitions drawn at random.
@@ -183,21 +175,30 @@ class ReplayBuffer:
         with write_errors(path):
             with replacing(path) as temporary:
                 save_file({"rows": held, "next": np.array([self.next])}, temporary)
-            return of_file(path)
+            return file_sha256(path)
 
-    def load(self, path: Path) -> None:
-        """Load the transitions of a file; if there are too many, the newest."""
+    def load(self, path: Path, checksum: str) -> None:
+        """Load the transitions of a file with this checksum; the newest where they are too many."""
         if not path.is_file():
             raise ConfigError(
                 f"{path} is missing: resuming a run needs its replay, which a finished run no "
                 "longer has. Start a new run with more steps."
             )
-        held, place = _read(path)
-        if held.shape[1] != self.rows.shape[1]:
+        try:
+            if file_sha256(path) != checksum:
+                raise ValueError("its content does not have the checksum in checkpoints/last")
+            arrays = load_file(path)
+            held, place = arrays["rows"], int(arrays["next"][0])
+            if held.dtype != np.float32 or held.shape[1:] != self.rows.shape[1:]:
+                raise ValueError(
+                    f"its transitions are {held.dtype} {held.shape}, and this task has "
+                    f"{self.rows.shape[1]} numbers in each"
+                )
+        except (SafetensorError, OSError, KeyError, ValueError) as error:
             raise ConfigError(
-                f"{path} holds transitions of {held.shape[1]} numbers, this task has "
-                f"{self.rows.shape[1]}: was it written for another environment?"
-            )
+                f"{path} is damaged: {error}. The run cannot go on without it: put it back, or "
+                f"train again; its policies are whole: `spikedeploy export {path.parent}`."
+            ) from error
         capacity = len(self.rows)
         held = held[-capacity:]
         # in a full ring each transition takes its place again, as updates draw places
@@ -206,32 +207,6 @@ class ReplayBuffer:
         self.rows[first : len(held)] = held[: len(held) - first]
         self.rows[:first] = held[len(held) - first :]
         self.size = len(held)
-
-
-def _read(path: Path) -> tuple[NDArray[np.float32], int]:
-    """Return the rows of a file, and the place of the next one; 0 in files of before."""
-    try:
-        arrays = load_file(path)
-        rows = arrays["rows"]
-        if rows.ndim != 2 or rows.dtype != np.float32:
-            raise ValueError(f"its rows are {rows.dtype} {rows.shape}")
-        return rows, int(arrays["next"][0]) if "next" in arrays else 0
-    except (SafetensorError, OSError, KeyError, ValueError) as error:
-        raise ConfigError(damaged(path, str(error))) from error
-
-
-def damaged(path: Path, why: str) -> str:
-    """Return what to say of a replay that is damaged."""
-    return (
-        f"{path} is damaged: {why}. The run cannot go on without it: put it back, or train again; "
-        f"its policies are whole: `spikedeploy export {path.parent}`."
-    )
-
-
-# -- The gradient updates of soft actor-critic, and the networks that it learns.
-
-_AVERAGED = 10  # at first the averaged policy spans the last 1/10 of the updates
-_LOG_STD = (-20.0, 2.0)  # limits (Haarnoja et al. 2018)
 
 
 class GaussianActor(nn.Module):
@@ -259,6 +234,27 @@ class GaussianActor(nn.Module):
         return action, (density - correction).sum(-1), latent
 
 
+class TwinCritic(nn.Module):
+    """Two critics of observation and action, used by their minimum (Fujimoto et al. 2018)."""
+
+    def __init__(self, observations: int, actions: int, hidden: Sequence[int]) -> None:
+        super().__init__()
+        self.pair = nn.ModuleList(Critic(observations + actions, hidden) for _ in range(2))
+
+    def forward(self, observation: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        """Return both estimates (B,) for a normalised observation and an action."""
+        inputs = torch.cat([observation, action], dim=1)
+        first, second = (critic(inputs) for critic in self.pair)
+        return first, second
+
+
+@torch.no_grad()
+def move_towards(target: nn.Module, source: nn.Module, tau: float) -> None:
+    """Move the target's parameters towards the source's by the share tau."""
+    # target = target + tau (source - target)
+    torch._foreach_lerp_(list(target.parameters()), list(source.parameters()), tau)
+
+
 class Temperature(nn.Module):
     """Weight of the entropy, learned (Haarnoja et al. 2018, "Algorithms and Applications").
 
@@ -280,7 +276,7 @@ class Temperature(nn.Module):
         return self.logarithm.exp() * (entropy - self.target)
 
 
-class SacLearner:
+class SacLearner(Learner):
     """Actor, twin critics, their targets and optimisers.
 
     policy: running average of the actor's policy, which is saved and deployed
@@ -301,11 +297,12 @@ class SacLearner:
 
     def _optimise(self) -> None:
         """Make the optimisers of the networks where they are."""
-        rate = self._config.learning_rate
-        self.actor_optimizer = adam(self.actor, rate)
-        self.critic_optimizer = adam(self.critic, rate)
+        self.modules = {"actor": self.actor, "critic": self.critic, "target": self.target}
         if self.temperature is not None:
-            self.temperature_optimizer = adam(self.temperature, rate)
+            self.modules["temperature"] = self.temperature
+        rate = self._config.learning_rate
+        learned = {name: module for name, module in self.modules.items() if name != "target"}
+        self.optimizers = {f"{name}_adam": adam(module, rate) for name, module in learned.items()}
 
     @property
     def _averaged(self) -> Policy:
@@ -350,15 +347,23 @@ class SacLearner:
         # separate contexts, because each caches low-precision copies of the weights
         with self._autocast():
             critic_loss = self._critic_loss(observation, batch.action, goal)
-        _descend(critic_loss, self.critic, self.critic_optimizer)
+        self._descend("critic", critic_loss)
         with self._autocast():
             actor_loss, entropy = self._actor_loss(observation, batch, temperature)
-        _descend(actor_loss, self.actor, self.actor_optimizer)
+        self._descend("actor", actor_loss)
         if self.temperature is not None:
-            _descend(self.temperature.loss(entropy), self.temperature, self.temperature_optimizer)
+            self._descend("temperature", self.temperature.loss(entropy))
         move_towards(self.target, self.critic, self._config.tau)
         losses = {"critic_loss": critic_loss, "actor_loss": actor_loss, "entropy": entropy}
         return {name: loss.detach() for name, loss in losses.items()}
+
+    def _descend(self, name: str, loss: Tensor) -> None:
+        """Take one gradient step on the loss, in the parameters of a network only."""
+        parameters = list(self.modules[name].parameters())
+        gradients = torch.autograd.grad(loss, parameters)
+        for parameter, gradient in zip(parameters, gradients, strict=True):
+            parameter.grad = gradient
+        self.optimizers[f"{name}_adam"].step()
 
     def _normalized(self, observation: Tensor) -> Tensor:
         normalized: Tensor = self.actor.policy.normalizer(observation)
@@ -408,35 +413,3 @@ class SacLearner:
     def _autocast(self) -> torch.autocast:
         enabled = self._config.precision == "bfloat16"
         return torch.autocast("cpu", dtype=torch.bfloat16, enabled=enabled)
-
-    def tensors(self) -> dict[str, Tensor]:
-        """Return all tensors of a checkpoint except the policy's, by name."""
-        groups = {name: module.state_dict() for name, module in self._modules().items()}
-        groups |= {name: adam_tensors(optimizer) for name, optimizer in self._optimizers().items()}
-        return {f"{name}.{key}": t for name, group in groups.items() for key, t in group.items()}
-
-    def load(self, named: dict[str, Tensor]) -> None:
-        """Restore the tensors of a checkpoint, the policy's under "policy." included."""
-        self.policy.load_state_dict(under("policy", named))
-        for name, module in self._modules().items():
-            module.load_state_dict(under(name, named))
-        for name, optimizer in self._optimizers().items():
-            load_adam(optimizer, under(name, named))
-
-    def _modules(self) -> dict[str, nn.Module]:
-        found = {"actor": self.actor, "critic": self.critic, "target": self.target}
-        return found if self.temperature is None else {**found, "temperature": self.temperature}
-
-    def _optimizers(self) -> dict[str, torch.optim.Adam]:
-        found = {"actor_adam": self.actor_optimizer, "critic_adam": self.critic_optimizer}
-        if self.temperature is None:
-            return found
-        return {**found, "temperature_adam": self.temperature_optimizer}
-
-
-def _descend(loss: Tensor, module: nn.Module, optimizer: torch.optim.Adam) -> None:
-    """Take one gradient step on the loss, in the parameters of the module only."""
-    parameters = list(module.parameters())
-    for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
-        parameter.grad = gradient
-    optimizer.step()

@@ -1,7 +1,7 @@
 """Soft actor-critic (Haarnoja et al. 2018): a run of it."""
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,50 +14,10 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.env_batch import Steps
 from spikedeploy.trainers.policies import from_config
-from spikedeploy.trainers.run_folder import RunFolder, of_file, write_errors
+from spikedeploy.trainers.run_folder import RunFolder, file_sha256, write_errors
 from spikedeploy.trainers.runner import EnvRunner
 from spikedeploy.trainers.sac.cuda import CudaLearner, CudaReplay
-from spikedeploy.trainers.sac.learner import ReplayBuffer, SacConfig, SacLearner, damaged
-
-# -- Shaping: extra weights of reward terms in training, beside the reward that is reported.
-
-
-def check_shaping(weights: Mapping[str, float], env: EnvConfig) -> None:
-    """Raise ConfigError if the environment's reward lacks one of the terms."""
-    if not weights:
-        return
-    terms = _terms(env)
-    unknown = sorted(set(weights) - set(terms))
-    if unknown:
-        raise ConfigError(
-            f"shaping names {', '.join(unknown)}, which the reward of {env.name} does not have: "
-            + (f"its terms are {', '.join(terms)}" if terms else "it has no named terms")
-        )
-
-
-def shaped(weights: Mapping[str, float], steps: Steps) -> NDArray[np.float64]:
-    """Return the reward of each step (B,) with the extra weights."""
-    # r' = r + sum over terms of weight x term
-    extra = [_weighted(weights, info["reward_terms"]) for info in steps.infos] if weights else 0.0
-    return steps.reward + extra
-
-
-def _weighted(weights: Mapping[str, float], terms: Mapping[str, float]) -> float:
-    return sum(weight * terms[name] for name, weight in weights.items())
-
-
-def _terms(env: EnvConfig) -> Iterable[str]:
-    """Return the names of the reward's terms, which the info of a first step has."""
-    probe = envs.make(env.name, **env.options)
-    probe.reset(seed=0)
-    found: Mapping[str, float] = probe.step(np.zeros(probe.action_space.shape))[4].get(
-        "reward_terms", {}
-    )
-    probe.close()
-    return list(found)
-
-
-# -- Soft actor-critic (Haarnoja et al. 2018): a run of it.
+from spikedeploy.trainers.sac.learner import ReplayBuffer, SacConfig, SacLearner
 
 
 class Sac(EnvRunner[SacConfig]):
@@ -68,38 +28,23 @@ class Sac(EnvRunner[SacConfig]):
 
     Config = SacConfig
     COLUMNS: ClassVar[tuple[str, ...]] = (
-        "env_steps",
-        "updates",
-        "episodes",
-        "episode_return",
-        "support_force",
-        "temperature",
-        "actor_loss",
-        "critic_loss",
-        "entropy",
-        "steps_per_s",
-        "eval_return",
-        "eval_speed",
-        "eval_cot",
-        "eval_falls",
-        "eval_speed_rmse",
-        "eval_turn_rmse",
-    )
+        "env_steps", "updates", "episodes", "episode_return", "support_force", "temperature",
+        "actor_loss", "critic_loss", "entropy", "steps_per_s", "eval_return", "eval_speed",
+        "eval_cot", "eval_falls", "eval_speed_rmse", "eval_turn_rmse",
+    )  # fmt: skip
     COUNTERS = ("env_steps", "updates", "episodes", "best")
     VALIDATES_AT_END = False
     learner: SacLearner
 
     def __init__(self, config: SacConfig, run: RunFolder) -> None:
-        super().__init__(
-            config,
-            run,
-            total=config.steps,
-            log_every=config.log_every,
-            checkpoint_every=config.checkpoint_every,
-        )
-        self._envs.require_continuous("sac")
+        super().__init__(config, run, config.steps, config.checkpoint_every, config.log_every)
+        sizes = self._envs.sizes
+        if self._envs.head == "discrete":
+            raise ConfigError(
+                f"sac learns continuous actions, and {self._envs.env_id} takes one of {sizes[1]} "
+                "discrete ones: train it with a recipe of ppo"
+            )
         check_shaping(config.shaping, config.env)
-        sizes = self._envs.observation.shape[1], self._envs.actions
         self.policy = from_config(config.policy, *sizes, config.normaliser.clip, self._envs.columns)
         gpu = config.device == "cuda"
         self.learner = (CudaLearner if gpu else SacLearner)(config, self.policy)
@@ -127,19 +72,16 @@ class Sac(EnvRunner[SacConfig]):
     def _collect(self) -> None:
         """Take one step in every environment, and store it."""
         self._envs.support_force(self._support_force)
-        steps = self._envs.step(self._actions())
+        warming_up = self.env_steps < self._config.warm_up
+        explore = self.learner.explore
+        actions = self._envs.uniform() if warming_up else explore(self._envs.observation)
+        steps = self._envs.step(actions)
         reward = shaped(self._config.shaping, steps)
         self._buffer.add(steps.observation, steps.action, reward, steps.terminated, steps.following)
         if self.env_steps < self._config.normaliser.finish:
             self._moments.add(steps.observation)
             self.learner.adopt(self._moments)
         self.env_steps += len(self._envs)
-
-    def _actions(self) -> NDArray[np.float64]:
-        """Return exploring actions (B, act): uniform during warm-up, then the actor's."""
-        if self.env_steps < self._config.warm_up:
-            return self._envs.uniform()
-        return self.learner.explore(self._envs.observation)
 
     def _update(self) -> None:
         """Make the updates that are due after the steps so far."""
@@ -187,20 +129,42 @@ class Sac(EnvRunner[SacConfig]):
         with write_errors(run.replay):
             if checksum is None:
                 run.replay.unlink(missing_ok=True)
-            elif run.next_replay.is_file() and of_file(run.next_replay) == checksum:
+            elif run.next_replay.is_file() and file_sha256(run.next_replay) == checksum:
                 os.replace(run.next_replay, run.replay)
                 flush(run.path)
             run.next_replay.unlink(missing_ok=True)
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         super()._restore(state, tensors)
-        self.updates, self._losses = state["updates"], state.get("losses", {})
-        checksum = state.get("replay_sha256")
-        if "replay_sha256" in state:  # not in checkpoints of before
-            self._take_replay(checksum)
+        self.updates, self._losses = state["updates"], state["losses"]
+        checksum = state["replay_sha256"]
+        self._take_replay(checksum)
         if self.finished:
             return
-        if checksum and self._run.replay.is_file() and of_file(self._run.replay) != checksum:
-            why = "its content does not have the checksum in checkpoints/last"
-            raise ConfigError(damaged(self._run.replay, why))
-        self._buffer.load(self._run.replay)
+        self._buffer.load(self._run.replay, checksum)
+
+
+def check_shaping(weights: Mapping[str, float], env: EnvConfig) -> None:
+    """Raise ConfigError if the environment's reward lacks one of the terms."""
+    if not weights:
+        return
+    probe = envs.make(env.name, **env.options)
+    probe.reset(seed=0)
+    info = probe.step(np.zeros(probe.action_space.shape))[4]  # the first has all terms
+    probe.close()
+    terms = list(info.get("reward_terms", {}))
+    if unknown := sorted(set(weights) - set(terms)):
+        raise ConfigError(
+            f"shaping names {', '.join(unknown)}, which the reward of {env.name} does not have: "
+            + (f"its terms are {', '.join(terms)}" if terms else "it has no named terms")
+        )
+
+
+def shaped(weights: Mapping[str, float], steps: Steps) -> NDArray[np.float64]:
+    """Return the reward of each step (B,) with the extra weights."""
+    # r' = r + sum over terms of weight x term
+    extra = np.zeros(len(steps.reward))
+    if weights:
+        each = (info["reward_terms"] for info in steps.infos)
+        extra += [sum(weight * terms[name] for name, weight in weights.items()) for terms in each]
+    return steps.reward + extra

@@ -1,7 +1,6 @@
-"""Phases of training: dense, levels of pruning, polish."""
+"""Settings of sparse policies, the budget as the command line takes it, and the phases."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,8 +20,6 @@ from spikedeploy.trainers.config import (
     validated,
 )
 from spikedeploy.trainers.recipes import RECIPES
-
-# -- Configuration of sparse policies: imitation through time, with pruning by operations.
 
 
 class SparseConfig(RunConfig):
@@ -126,9 +123,6 @@ class SparseConfig(RunConfig):
         return (*sorted((x for x in levels if x > self.budget), reverse=True), self.budget)
 
 
-# -- Budgets as the command line takes them: sops=480 of a spiking policy, macs=500 of a float
-#    one.
-
 # what the operations of each kind of policy are called
 _UNITS = {"delta-snn": "sops", "pruned-mlp": "macs"}
 
@@ -155,9 +149,6 @@ def with_budget(config: C, text: str) -> C:
     ratio = found.budget / config.budget
     levels = [level * ratio for level in config.levels]
     return validated(type(found), found.model_dump() | {"levels": levels}, f"--budget {text}")
-
-
-# -- Phases of training: dense, levels of pruning, polish.
 
 
 @dataclass(frozen=True)
@@ -205,27 +196,19 @@ class Phase:
 
 def phases(config: SparseConfig) -> list[Phase]:
     """Return the phases of a run, in order."""
-    return list(_phases(config))
+    found: list[Phase] = []
 
+    def add(length: int, last: float | None, high: float, low: float, until: float) -> None:
+        begin = found[-1].end if found else 0
+        found.append(Phase(begin, begin + length, last, high, high * low, until))
 
-def _phases(config: SparseConfig) -> Iterator[Phase]:
-    update = 0
-    each = math.ceil(config.dense_updates / config.dense_rounds)
     for k in range(config.dense_rounds):
-        final = k == config.dense_rounds - 1
-        low = config.learning_rate * (0.05 if final else 0.3)
-        yield Phase(update, update + each, None, config.learning_rate, low, 0.0)
-        update += each
+        length = math.ceil(config.dense_updates / config.dense_rounds)
+        low = 0.05 if k == config.dense_rounds - 1 else 0.3
+        add(length, None, config.learning_rate, low, 0.0)
     for level in config.rounds:
-        yield Phase(
-            update, update + config.level_updates, level,
-            config.level_rate, config.level_rate * 0.1, config.prune_until,
-        )  # fmt: skip
-        update += config.level_updates
+        add(config.level_updates, level, config.level_rate, 0.1, config.prune_until)
     for _ in range(config.polish):
         # new events may cost a little more than before: prune what is above the budget at once
-        yield Phase(
-            update, update + config.polish_updates, config.budget,
-            config.polish_rate, config.polish_rate * 0.05, config.prune_until,
-        )  # fmt: skip
-        update += config.polish_updates
+        add(config.polish_updates, config.budget, config.polish_rate, 0.05, config.prune_until)
+    return found

@@ -1,10 +1,18 @@
-"""Episodes of students: in float for collection, on the chip for validation."""
+"""Students: their loss on walks, their synapses ranked, and their numbers as the chip has them.
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+The channels of an observation must weigh exactly 1, 2 ... K times the same integer. Rounded each by
+itself, three events up and one event down three times would not cancel, and currents that hardly
+decay would drift away from the observation. So the weight of one event is rounded, and a policy
+with rounded weights has multiples of it on all channels, which the quantiser then leaves as they
+are: its scale is that of the largest weight, which is 255 on Loihi and a multiple of K for 3 and 5.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,13 +21,11 @@ from torch import Tensor
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip, chip
-from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.distill.teacher import surprise
-from spikedeploy.trainers.learner import under
+from spikedeploy.trainers.learner import with_prefix
 from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.delta import (
     DeltaWeights,
@@ -30,256 +36,97 @@ from spikedeploy.trainers.policies.delta import (
 )
 from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight, SynapseGroup
 from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.pool import BatchController, Stateless, WalkPool
+from spikedeploy.trainers.sparse.pool import BatchController, WalkPool, Windows
 
-# -- Pruning by operations: one ranking over all synapses, and whole neurons as units of it.
-
-_TINY = 1e-12
-
-
-def operations(synapses: Sequence[SynapseGroup]) -> float:
-    """Mean number of operations in a control step, over all synapses."""
-    return float(sum(float(each.operations) for each in synapses))
-
-
-@torch.no_grad()
-def prune(
-    synapses: Sequence[SynapseGroup], squares: Mapping[PrunedWeight, Tensor], target: float
-) -> int:
-    """Take out the synapses that matter least for each operation; return how many.
-
-    squares: Adam's second moment of each weight
-
-    A synapse is worth w^2 sqrt(v) / rate: what the loss would gain by it, about (LeCun et al.
-    1989, with Adam's v for the curvature), over the operations that it takes.
-    """
-    excess = operations(synapses) - target
-    if excess <= 0:
-        return 0
-    worth = torch.cat([_worth(each, squares).flatten() for each in synapses])
-    rates = torch.cat([each.rate.expand_as(each.matrix.mask).flatten() for each in synapses])
-    order = worth.argsort()
-    taken = int((rates[order].cumsum(0) < excess).sum()) + 1
-    taken = min(taken, int(torch.isfinite(worth).sum()))
-    drop = torch.zeros_like(worth)
-    drop[order[:taken]] = 1.0
-    parts = torch.split(drop, [each.matrix.mask.numel() for each in synapses])
-    for each, part in zip(synapses, parts, strict=True):
-        each.matrix.mask[part.view_as(each.matrix.mask) > 0] = 0.0
-    return taken
-
-
-def saliency(synapses: SynapseGroup, squares: Mapping[PrunedWeight, Tensor]) -> Tensor:
-    """Return what the loss would gain by each synapse (N, M), about; 0 where it is out."""
-    matrix = synapses.matrix
-    return matrix.weight.square() * (squares[matrix].sqrt() + _TINY) * matrix.mask
-
-
-def _worth(synapses: SynapseGroup, squares: Mapping[PrunedWeight, Tensor]) -> Tensor:
-    worth = saliency(synapses, squares) / (synapses.rate + 1e-4)
-    return torch.where(synapses.matrix.mask > 0, worth, torch.inf)
-
-
-@torch.no_grad()
-def remove_neurons(
-    into: SynapseGroup,
-    out: SynapseGroup,
-    squares: Mapping[PrunedWeight, Tensor],
-    neuron_cost: float,
-    most: int,
-) -> int:
-    """Remove hidden neurons that are worth less than the average operation; return how many.
-
-    neuron_cost: operations that an update of a neuron counts for
-    most: how many to remove at once
-
-    Neurons without synapses on the outgoing side lose those on the other one.
-    """
-    idle = ~out.matrix.mask.any(0)
-    into.matrix.mask[idle] = 0.0
-    cost = into.matrix.mask @ into.rate + out.rate * out.matrix.fan_out + neuron_cost
-    gain = saliency(into, squares).sum(1) + saliency(out, squares).sum(0)
-    live = ~idle
-    if not neuron_cost or int(live.sum()) < 2:
-        return 0
-    # less than a tenth of what the others bring for the same operations
-    share = gain / cost
-    weak = live & (share < 0.1 * gain[live].sum() / cost[live].sum())
-    chosen = torch.where(weak, share, torch.inf).argsort()[:most]
-    chosen = chosen[weak[chosen]]
-    into.matrix.mask[chosen] = 0.0
-    out.matrix.mask[:, chosen] = 0.0
-    return len(chosen)
-
-
-# -- Rounding in training: what a chip's own quantiser makes of a policy's numbers.
-#
-# Decay factors, biases and thresholds of LIF neurons are those of the chip's registers.
-#
-# The channels of an observation must weigh exactly 1, 2 ... K times the same integer. Rounded
-# each by
-# itself, three events up and one event down three times would not cancel, and currents that hardly
-# decay would drift away from the observation. So the weight of one event is rounded, and a policy
-# with rounded weights has multiples of it on all channels, which the quantiser then leaves as they
-# are: its scale is that of the largest weight, which is 255 on Loihi and a multiple of K for 3
-# and 5.
-
-Array = NDArray[np.float64]
-_STEP = "weights"  # the kind of rounding, as an arithmetic's `ablation_steps` name it
-
-
-def check_rounding(target: Chip) -> None:
-    """Refuse chips whose rounding of weights alone is not defined."""
-    if _STEP not in target.arithmetic.ablation_steps:
-        raise ConfigError(
-            f"rounding: the weights of {target.name} cannot be rounded by themselves, which "
-            "training with rounding needs. Set rounding=false, or choose chip=loihi1 or int."
-        )
-
-
-def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
-    """Return what rounding adds to each field of DeltaWeights, by name.
-
-    That of an observation is the error of the channel of one event. Of sigma-delta neurons only
-    weights are rounded here.
-    """
-    artifact = delta_artifact(policy)
-    exact = compile_program(artifact, chip("ideal"), limits=False)
-    rounded = compile_program(artifact, target, limits=False)
-    offsets = {
-        name: torch.zeros_like(getattr(policy, name).weight) for name in ("into", "out", "past")
-    }
-    hidden = torch.nonzero(live_neurons(policy)).ravel()
-    for before, after in zip(exact.layers, rounded.layers, strict=True):
-        for name, source, error in _errors(exact, before, after, target):
-            added = _per_observation(policy, error) if source == exact.input else error
-            if name == "out" and isinstance(policy, DeltaMlpPolicy):  # by what a spike counts
-                added = added / policy.threshold[hidden].double().numpy()[:, None]
-            rows = hidden if name == "into" else torch.arange(policy.actions)
-            columns = hidden if name == "out" else torch.arange(policy.observations)
-            offsets[name][rows[:, None], columns[None]] = torch.from_numpy(added.T).float()
-    # what pruning took out stays out
-    offsets = {name: added * getattr(policy, name).mask for name, added in offsets.items()}
-    if isinstance(policy, DeltaMlpPolicy):
-        return offsets
-    layers = zip(exact.layers, rounded.layers, strict=True)
-    return offsets | _neuron_offsets(policy, hidden, layers, target)
-
-
-@torch.no_grad()
-def _neuron_offsets(
-    policy: DeltaSnnPolicy, hidden: Tensor, layers: Iterable[tuple[Layer, Layer]], target: Chip
-) -> dict[str, Tensor]:
-    """Return what rounding adds to decay factors, biases and thresholds."""
-    offsets = {"gamma": torch.zeros_like(policy.gamma)}
-    offsets |= {name: torch.zeros_like(policy.bias) for name in ("beta", "bias", "threshold")}
-    for before, after in layers:
-        decay = torch.from_numpy(after.membrane_decay / target.arithmetic.decay_one)
-        if before.name == "readout" and policy.hidden:
-            offsets["gamma"] = decay.float() - policy.gamma
-        if before.spiking:
-            offsets["beta"][hidden] = decay.float() - policy.beta[hidden]
-            for name, exact, rounded in (
-                ("bias", before.voltage_bias, after.voltage_bias),
-                ("threshold", before.threshold, after.threshold),
-            ):
-                offsets[name][hidden] = torch.from_numpy(rounded * after.scale - exact).float()
-    return offsets
-
-
-@torch.no_grad()
-def add_offsets(policy: DeltaSnnPolicy, offsets: Mapping[str, Tensor]) -> None:
-    """Add what rounding adds, so that the policy computes with the numbers of the chip."""
-    for name in ("into", "out", "past"):
-        if name in offsets:
-            getattr(policy, name).weight += offsets[name]
-    if "beta" in offsets:
-        policy.set_decays(policy.beta + offsets["beta"], policy.gamma + offsets["gamma"])
-        policy.bias.add_(offsets["bias"])
-        policy.threshold.add_(offsets["threshold"])
-
-
-@torch.no_grad()
-def deployed(policy: Policy, target: Chip, rounding: bool) -> Policy:
-    """Return the policy with the numbers that the chip holds; a float policy as it is.
-
-    rounding: whether they are rounded; weights that round to 0 are taken out
-    """
-    if not rounding or not isinstance(policy, DeltaSnnPolicy):
-        return policy
-    copy = deepcopy(policy)
-    add_offsets(copy, rounding_offsets(policy, target))
-    for matrix in (copy.into, copy.out, copy.past):
-        matrix.mask *= matrix.weight != 0
-    return copy
-
-
-def _errors(
-    program: Program, before: Layer, after: Layer, target: Chip
-) -> Iterator[tuple[str, str, Array]]:
-    """Name of each kind of weights onto a layer, their source, and their errors (M, N)."""
-    units = target.arithmetic.partly_rounded(before, after, _STEP)
-    for exact, rounded in zip(before.synapses, units.synapses, strict=True):
-        kind = "into" if before.spiking else "past" if exact.source == program.input else "out"
-        yield kind, exact.source, rounded.weight * after.scale - exact.weight
-
-
-def _per_observation(policy: DeltaSnnPolicy, error: Array) -> Array:
-    """Error (obs, N) of one event of each observation, from those of all channels (M, N)."""
-    first = error.reshape(policy.observations, 2 * policy.most, -1)[:, 0]
-    return np.asarray(first / policy.step.double().numpy()[:, None])
-
-
-# -- What the algorithm asks of a student: the loss of a batch, and its synapses with their
-#    rates.
-
+FloatArray = NDArray[np.float64]
 _SMOOTHING = 0.02  # weight of the newest batch in mean rates of hidden neurons
+_TINY = 1e-12
+_WEAK = 0.1  # of what the others bring for the same operations: neurons below are removed
+_STEP = "weights"  # the kind of rounding, as an arithmetic's `ablation_steps` name it
+_WINDOWS = 256  # on which sensitivities are measured
+_PROJECTIONS = 8
+_MIN_STEP, _MAX_STEP = 0.1, 4.0  # [standard deviations]
+_MIN_SPREAD = 1e-3  # standard deviation of an activation that hardly varies
+_SAMPLE = 20_000  # states that show whether an observation is binary
+_RARE = 2  # states: a value that fewer have is an outlier, as of a force that is nearly always zero
+_SWING = 1e-2  # between two values; below it they are one value with noise
 
 
-class Student(Protocol):
-    """A policy that learns from walks."""
+class Student(ABC):
+    """A policy that learns from walks, and is pruned.
+
+    policy: what is trained
+    readout: names of the parameters behind the last hidden layer, and past it
+    """
+
+    policy: Policy
+    readout: frozenset[str]
 
     @property
-    def policy(self) -> Policy:
-        """What is trained."""
-
-    @property
+    @abstractmethod
     def neurons(self) -> int:
         """Hidden neurons that are left."""
 
-    def prepare(self, pool: WalkPool) -> None:
-        """Take over new walks."""
-
+    @abstractmethod
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Return the error of a batch, and the hidden neurons' operations in a control step."""
 
-    def synapses(self) -> list[SynapseGroup]:
-        """Return all synapses."""
-
+    @abstractmethod
     def hidden_layers(self) -> list[tuple[SynapseGroup, SynapseGroup]]:
         """Return the synapses onto and from the neurons of each hidden layer."""
 
+    @abstractmethod
+    def synapses(self) -> list[SynapseGroup]:
+        """Return all synapses."""
+
+    @abstractmethod
+    def replay(self, windows: Windows, burn_in: int) -> tuple[Tensor, list[Tensor]]:
+        """Return means (B, L, act) and hidden activities (B, L, H) of windows, layer by layer."""
+
+    @abstractmethod
+    def hidden_operations(self, activities: list[Tensor]) -> Tensor:
+        """Return the hidden neurons' operations for activities (n, H), with a gradient."""
+
+    @abstractmethod
+    def adopt_rates(self, activities: list[Tensor]) -> None:
+        """Take over how often hidden neurons act, from activities (n, H)."""
+
+    @abstractmethod
     def tensors(self) -> dict[str, Tensor]:
         """Return what a checkpoint holds beside the policy, by name."""
 
+    @abstractmethod
     def load(self, named: Mapping[str, Tensor]) -> None:
         """Restore what `tensors` returned."""
 
+    def prepare(self, pool: WalkPool) -> None:  # noqa: B027
+        """Take over new walks, from which `loss` draws."""
 
-def imitation(mean: Tensor, label: Tensor, policy: Policy, sharpness: float) -> Tensor:
-    """Return the error of means (..., act) against the teacher's actions or logits (..., act)."""
-    if policy.head == "continuous":
-        return (torch.tanh(mean) - label).square().mean(-1)
-    return surprise(mean, label, sharpness)
+    def prepare_windows(self, pool: WalkPool) -> None:
+        """Take over new walks, of which `replay` is given windows."""
+        self.prepare(pool)
+
+    def round(self, target: Chip) -> None:  # noqa: B027
+        """Compute with the numbers that the chip would have now; float ones are not rounded."""
+
+    def acting(self) -> Policy:
+        """Return the policy with the numbers that are computed with."""
+        return self.policy
+
+    def operations(self) -> float:
+        """Return the mean number of operations in a control step, over all synapses."""
+        return operations(self.synapses())
 
 
-class DeltaStudent:
+class DeltaStudent(Student):
     """A DeltaSnnPolicy, which learns from windows of walks.
 
     hidden_rate: (H,) mean spikes of the hidden neurons in a control step
-    offsets: what rounding by the chip adds to each field of DeltaWeights; none before it is asked
-        for
+    offsets: what rounding by the chip adds to each field of DeltaWeights; none before `round`
     """
+
+    policy: DeltaSnnPolicy
+    readout = frozenset({"out.weight", "past.weight", "action_bias", "_gamma"})
 
     def __init__(self, policy: DeltaSnnPolicy, config: SparseConfig) -> None:
         self.policy = policy
@@ -303,9 +150,7 @@ class DeltaStudent:
         batch = pool.sample(
             rng, c.batch, c.window, c.burn_in, c.first_windows, c.crash_windows, c.crash_steps
         )
-        mean, spikes = self.policy.unrolled(
-            batch.seen, batch.moved, self.weights(), c.burn_in, batch.begins
-        )
+        mean, (spikes,) = self.replay(batch, c.burn_in)
         after = mean[:, c.burn_in :], batch.label[:, c.burn_in :]
         error = imitation(*after, self.policy, c.sharpness).mean()
         rate = spikes[:, c.burn_in :].mean((0, 1))
@@ -313,13 +158,35 @@ class DeltaStudent:
         excess = (rate.sum() / max(len(rate), 1) - c.rate_target).relu()
         return error, (rate * self.policy.out.fan_out).sum() + c.rate_cost * excess
 
+    def replay(self, windows: Windows, burn_in: int) -> tuple[Tensor, list[Tensor]]:
+        """Return means (B, L, act) and hidden spikes (B, L, H) of windows."""
+        mean, spikes = self.policy.unrolled(
+            windows.seen, windows.moved, self.weights(), burn_in, windows.begins
+        )
+        return mean, [spikes]
+
     def weights(self) -> DeltaWeights:
         """Return what is computed with: the policy's weights, as the chip rounds them."""
         weights = self.policy.weights()
-        if not self.offsets:
-            return weights
         kinds = {name: getattr(weights, name) + added for name, added in self.offsets.items()}
         return replace(weights, **kinds)
+
+    def round(self, target: Chip) -> None:
+        """Compute with the numbers that the chip would have now, if the configuration says so."""
+        if self._config.rounding:
+            self.offsets = rounding_offsets(self.policy, target)
+
+    def acting(self) -> Policy:
+        """Return the policy with the numbers that are computed with."""
+        return with_offsets(self.policy, self.offsets)
+
+    def hidden_operations(self, activities: list[Tensor]) -> Tensor:
+        """Return the hidden neurons' operations for spikes (n, H), with a gradient."""
+        return (activities[0].mean(0) * self.policy.out.fan_out).sum()
+
+    def adopt_rates(self, activities: list[Tensor]) -> None:
+        """Take over how often hidden neurons spike, from spikes (n, H)."""
+        self.hidden_rate = activities[0].mean(0)
 
     @property
     def neurons(self) -> int:
@@ -334,10 +201,9 @@ class DeltaStudent:
 
     def hidden_layers(self) -> list[tuple[SynapseGroup, SynapseGroup]]:
         """Return the synapses onto and from the neurons of the layer, if there is one."""
-        policy = self.policy
-        into = SynapseGroup(policy.into, self._event_rate)
-        out = SynapseGroup(policy.out, self.hidden_rate)
-        return [(into, out)] if policy.hidden else []
+        into = SynapseGroup(self.policy.into, self._event_rate)
+        out = SynapseGroup(self.policy.out, self.hidden_rate)
+        return [(into, out)] if self.policy.hidden else []
 
     def tensors(self) -> dict[str, Tensor]:
         """Return rates and offsets of rounding, by name."""
@@ -347,38 +213,55 @@ class DeltaStudent:
     def load(self, named: Mapping[str, Tensor]) -> None:
         """Restore what `tensors` returned."""
         self.hidden_rate = named["hidden_rate"]
-        self.offsets = under("offsets", dict(named))
+        self.offsets = with_prefix("offsets", named)
 
 
-class MlpStudent:
-    """A PrunedMlpPolicy, which learns from single states."""
+class MlpStudent(Student):
+    """A PrunedMlpPolicy, which learns from single states: windows are observations alone."""
+
+    policy: PrunedMlpPolicy
 
     def __init__(self, policy: PrunedMlpPolicy, config: SparseConfig) -> None:
         self.policy = policy
         self._config = config
         # share of control steps in which each neuron is not 0, of each hidden layer
         self._rates = [torch.full((width,), 0.5) for width in policy.hidden]
+        last = len(policy.matrices) - 1
+        self.readout = frozenset({f"matrices.{last}.weight", f"biases.{last}", "past.weight"})
 
-    def prepare(self, pool: WalkPool) -> None:
-        """Do nothing: states are drawn from the walks as they are."""
+    def prepare_windows(self, pool: WalkPool) -> None:
+        """Take the observations as they are."""
+        pool.take_observations()
 
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Return the error of states, and the hidden neurons' operations in a control step."""
         c = self._config
         count = c.batch * (c.window - c.burn_in)
         observation, label = pool.states(rng, count, c.crash_windows, c.crash_steps)
-        mean, inputs = self.policy.activations(observation)
-        rates = [(hidden > 0).float().mean(0) for hidden in inputs[1:]]
-        self._rates = [
-            torch.lerp(a, b, _SMOOTHING) for a, b in zip(self._rates, rates, strict=True)
-        ]
-        # the share of active neurons has no gradient; their activations stand for it
-        costs = [
-            (hidden.mean(0) * matrix.fan_out).sum()
-            for hidden, matrix in zip(inputs[1:], self.policy.layers[1:], strict=True)
-        ]
+        mean, (_, *hidden) = self.policy.activations(observation)
+        pairs = zip(self._rates, _active(hidden), strict=True)
+        self._rates = [torch.lerp(before, rate, _SMOOTHING) for before, rate in pairs]
         error = imitation(mean, label, self.policy, c.sharpness).mean()
-        return error, sum(costs, start=torch.zeros(()))
+        return error, self.hidden_operations(hidden)
+
+    def replay(self, windows: Windows, burn_in: int) -> tuple[Tensor, list[Tensor]]:
+        """Return means (B, L, act) and hidden activations (B, L, H) of windows."""
+        count, length = windows.seen.shape[:2]
+        mean, (_, *hidden) = self.policy.activations(windows.seen.flatten(0, 1))
+        return mean.view(count, length, -1), [x.view(count, length, -1) for x in hidden]
+
+    def hidden_operations(self, activities: list[Tensor]) -> Tensor:
+        """Return the mean of activations (n, H) times their fan-outs, which stands for operations.
+
+        The share of active neurons has no gradient.
+        """
+        pairs = zip(activities, self.policy.layers[1:], strict=True)
+        costs = [(hidden.mean(0) * matrix.fan_out).sum() for hidden, matrix in pairs]
+        return sum(costs, start=torch.zeros(()))
+
+    def adopt_rates(self, activities: list[Tensor]) -> None:
+        """Take over how often hidden neurons are not 0, from activations (n, H)."""
+        self._rates = _active(activities)
 
     @property
     def neurons(self) -> int:
@@ -408,6 +291,11 @@ class MlpStudent:
         self._rates = [named[f"rate{number}"] for number in range(len(self._rates))]
 
 
+def _active(activations: Sequence[Tensor]) -> list[Tensor]:
+    """Return the share of rows in which each neuron (H,) is not 0, layer by layer."""
+    return [(hidden > 0).float().mean(0) for hidden in activations]
+
+
 def student(policy: Policy, config: SparseConfig) -> Student:
     """Return what the algorithm needs of a policy."""
     if isinstance(policy, DeltaSnnPolicy):
@@ -420,36 +308,209 @@ def student(policy: Policy, config: SparseConfig) -> Student:
     )
 
 
-# -- Steps of the delta encoder, by how much each observation matters and how often it moves.
-#
-# Thresholds of a delta network, by how much each neuron's activation varies.
-
-_WINDOWS = 256  # on which sensitivities are measured
-_PROJECTIONS = 8
-_SMALLEST, _LARGEST = 0.1, 4.0  # steps [standard deviations]
-_STILL = 1e-3  # standard deviation of an activation that hardly varies
-_SAMPLE = 20_000  # states that show whether an observation is binary
-_RARE = 2  # states: a value that fewer have is an outlier, as of a force that is nearly always zero
-_SWING = 1e-2  # between two values; below it they are one value with noise
+def imitation(mean: Tensor, label: Tensor, policy: Policy, sharpness: float) -> Tensor:
+    """Return the error of means (..., act) against the teacher's actions or logits (..., act)."""
+    if policy.head == "continuous":
+        return (torch.tanh(mean) - label).square().mean(-1)
+    return surprise(mean, label, sharpness)
 
 
-def binary_columns(observation: NDArray[np.float64]) -> NDArray[np.bool_]:
+# -- pruning by operations: one ranking over all synapses, and whole neurons as units of it
+
+
+def operations(synapses: Sequence[SynapseGroup]) -> float:
+    """Mean number of operations in a control step, over all synapses."""
+    return float(sum(float(each.operations) for each in synapses))
+
+
+@torch.no_grad()
+def prune(
+    synapses: Sequence[SynapseGroup], squares: Mapping[PrunedWeight, Tensor], target: float
+) -> int:
+    """Take out the synapses that matter least for each operation; return how many.
+
+    squares: Adam's second moment of each weight
+
+    A synapse is worth w^2 sqrt(v) / rate: what the loss would gain by it, about (LeCun et al.
+    1989, with Adam's v for the curvature), over the operations that it takes.
+    """
+    excess = operations(synapses) - target
+    if excess <= 0:
+        return 0
+    worth = torch.cat([_worth(each, squares).flatten() for each in synapses])
+    rates = torch.cat([each.rate.expand_as(each.matrix.mask).flatten() for each in synapses])
+    order = worth.argsort()
+    count = int((rates[order].cumsum(0) < excess).sum()) + 1
+    count = min(count, int(torch.isfinite(worth).sum()))
+    drop = torch.zeros_like(worth)
+    drop[order[:count]] = 1.0
+    parts = torch.split(drop, [each.matrix.mask.numel() for each in synapses])
+    for each, part in zip(synapses, parts, strict=True):
+        each.matrix.mask[part.view_as(each.matrix.mask) > 0] = 0.0
+    return count
+
+
+def _saliency(synapses: SynapseGroup, squares: Mapping[PrunedWeight, Tensor]) -> Tensor:
+    """Return what the loss would gain by each synapse (N, M), about; 0 where it is out."""
+    matrix = synapses.matrix
+    return matrix.weight.square() * (squares[matrix].sqrt() + _TINY) * matrix.mask
+
+
+def _worth(synapses: SynapseGroup, squares: Mapping[PrunedWeight, Tensor]) -> Tensor:
+    worth = _saliency(synapses, squares) / (synapses.rate + 1e-4)
+    return torch.where(synapses.matrix.mask > 0, worth, torch.inf)
+
+
+@torch.no_grad()
+def remove_neuron(
+    into: SynapseGroup,
+    out: SynapseGroup,
+    squares: Mapping[PrunedWeight, Tensor],
+    neuron_cost: float,
+) -> int:
+    """Remove the hidden neuron that is worth least, where that is far less than the others.
+
+    neuron_cost: operations that an update of a neuron counts for; 0 removes none
+
+    Neurons without synapses on the outgoing side lose those on the other one. Returns how many
+    were removed: 0 or 1.
+    """
+    idle = ~out.matrix.mask.any(0)
+    into.matrix.mask[idle] = 0.0
+    cost = into.matrix.mask @ into.rate + out.rate * out.matrix.fan_out + neuron_cost
+    gain = _saliency(into, squares).sum(1) + _saliency(out, squares).sum(0)
+    live = ~idle
+    if not neuron_cost or int(live.sum()) < 2:
+        return 0
+    share = gain / cost
+    weak = live & (share < _WEAK * gain[live].sum() / cost[live].sum())
+    chosen = torch.where(weak, share, torch.inf).argsort()[:1]
+    chosen = chosen[weak[chosen]]
+    into.matrix.mask[chosen] = 0.0
+    out.matrix.mask[:, chosen] = 0.0
+    return len(chosen)
+
+
+# -- rounding: what a chip's own quantiser makes of a policy's numbers
+
+
+def check_rounding(target: Chip) -> None:
+    """Refuse chips whose rounding of weights alone is not defined."""
+    if _STEP not in target.arithmetic.ablation_steps:
+        raise ConfigError(
+            f"rounding: the weights of {target.name} cannot be rounded by themselves, which "
+            "training with rounding needs. Set rounding=false, or choose chip=loihi1 or int."
+        )
+
+
+@torch.no_grad()
+def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
+    """Return what rounding adds to each field of DeltaWeights, by name.
+
+    That of an observation is the error of the channel of one event. Decay factors, biases and
+    thresholds of LIF neurons are those of the chip's registers; of sigma-delta neurons only weights
+    are rounded here.
+    """
+    artifact = delta_artifact(policy)
+    exact = compile_program(artifact, chip("ideal"), limits=False)
+    rounded = compile_program(artifact, target, limits=False)
+    offsets = {name: torch.zeros_like(t) for name, t in vars(policy.weights()).items()}
+    live = torch.nonzero(live_neurons(policy)).ravel()
+    graded = isinstance(policy, DeltaMlpPolicy)
+    for before, after in zip(exact.layers, rounded.layers, strict=True):
+        units = target.arithmetic.partly_rounded(before, after, _STEP)
+        for old, new in zip(before.synapses, units.synapses, strict=True):
+            name = "into" if before.spiking else "past" if old.source == exact.input else "out"
+            error = new.weight * after.scale - old.weight
+            if old.source == exact.input:
+                error = _per_observation(policy, error)
+            elif graded:  # by what a spike counts
+                error = error / policy.threshold[live].double().numpy()[:, None]
+            rows = live if name == "into" else torch.arange(policy.actions)
+            columns = live if name == "out" else torch.arange(policy.observations)
+            offsets[name][rows[:, None], columns[None]] = torch.from_numpy(error.T).float()
+        if not graded:
+            _add_neuron_offsets(offsets, policy, live, before, after, target)
+    # what pruning took out stays out
+    masks = {name: getattr(policy, name).mask for name in ("into", "out", "past")}
+    matrices = {name: offsets[name] * mask for name, mask in masks.items()}
+    return matrices if graded else offsets | matrices
+
+
+def _add_neuron_offsets(
+    offsets: dict[str, Tensor],
+    policy: DeltaSnnPolicy,
+    live: Tensor,
+    before: Any,  # noqa: ANN401
+    after: Any,  # noqa: ANN401
+    target: Chip,
+) -> None:
+    """Write what rounding adds to decay factors, biases and thresholds of a layer."""
+    decay = torch.from_numpy(after.membrane_decay / target.arithmetic.decay_one).float()
+    if before.name == "readout" and policy.hidden:
+        offsets["gamma"] = decay - policy.gamma
+    if before.spiking:
+        offsets["beta"][live] = decay - policy.beta[live]
+        bias = after.voltage_bias * after.scale - before.voltage_bias
+        threshold = after.threshold * after.scale - before.threshold
+        offsets["bias"][live] = torch.from_numpy(bias).float()
+        offsets["threshold"][live] = torch.from_numpy(threshold).float()
+
+
+def _per_observation(policy: DeltaSnnPolicy, error: FloatArray) -> FloatArray:
+    """Return the error (obs, N) of one event of each observation, of those of channels (M, N)."""
+    first = error.reshape(policy.observations, 2 * policy.most, -1)[:, 0]
+    return np.asarray(first / policy.step.double().numpy()[:, None])
+
+
+@torch.no_grad()
+def with_offsets(policy: DeltaSnnPolicy, offsets: Mapping[str, Tensor]) -> DeltaSnnPolicy:
+    """Return a copy that computes with the numbers of the chip: those of the policy and these."""
+    copy = deepcopy(policy)
+    for name in ("into", "out", "past"):
+        if name in offsets:
+            getattr(copy, name).weight += offsets[name]
+    if "beta" in offsets:
+        copy.set_decays(copy.beta + offsets["beta"], copy.gamma + offsets["gamma"])
+        copy.bias.add_(offsets["bias"])
+        copy.threshold.add_(offsets["threshold"])
+    return copy
+
+
+@torch.no_grad()
+def deployed(policy: Policy, target: Chip, rounding: bool) -> Policy:
+    """Return the policy with the numbers that the chip holds; a float policy as it is.
+
+    rounding: whether they are rounded; weights that round to 0 are taken out
+    """
+    if not rounding or not isinstance(policy, DeltaSnnPolicy):
+        return policy
+    copy = with_offsets(policy, rounding_offsets(policy, target))
+    for matrix in (copy.into, copy.out, copy.past):
+        matrix.mask *= matrix.weight != 0
+    return copy
+
+
+# -- steps of the encoder, by how much each observation matters and how often it moves
+
+
+def binary_columns(observation: FloatArray) -> NDArray[np.bool_]:
     """Which observations (obs,) take exactly two values, as contacts do, and each repeatedly."""
     some = observation[:: max(1, len(observation) // _SAMPLE)]
-    found = np.array([_two_values(column) for column in some.T], np.bool_)
+    found = np.array([_is_binary(column) for column in some.T], np.bool_)
     # a sample may lack the rest of the values
-    found[found] = [_two_values(column) for column in observation.T[found]]
+    found[found] = [_is_binary(column) for column in observation.T[found]]
     return found
 
 
-def _two_values(column: NDArray[np.float64]) -> bool:
+def _is_binary(column: FloatArray) -> bool:
     values, counts = np.unique(column, return_counts=True)
     return len(values) == 2 and counts.min() >= _RARE and values[1] - values[0] >= _SWING
 
 
 def retuned(
     policy: DeltaSnnPolicy, pool: WalkPool, binary: NDArray[np.bool_], config: SparseConfig
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return steps (obs,) of equal marginal cost, with the configured geometric mean.
 
     An event costs its fan-out F, and E|dx| / step of them are sent; the error of the actions grows
@@ -459,7 +520,7 @@ def retuned(
 
     Steps of binary observations, and of those that nothing reads, stay as they are.
     """
-    step: NDArray[np.float64] = policy.step.double().numpy().copy()
+    step: FloatArray = policy.step.double().numpy().copy()
     fan_out = policy.into.fan_out + policy.past.fan_out if policy.skip else policy.into.fan_out
     matters = _sensitivity(policy, pool, config)
     cost = fan_out.numpy() * pool.mean_move
@@ -468,31 +529,13 @@ def retuned(
         return step
     wanted = np.cbrt(cost[chosen] / matters[chosen])
     wanted *= config.step / np.exp(np.log(wanted).mean())
-    step[chosen] = np.clip(wanted, _SMALLEST, _LARGEST)
+    step[chosen] = np.clip(wanted, _MIN_STEP, _MAX_STEP)
     return step
 
 
-@torch.no_grad()
-def tuned_thresholds(policy: DeltaMlpPolicy, pool: WalkPool, config: SparseConfig) -> Tensor:
-    """Return thresholds (H,), the policy's share of the standard deviation of each activation.
-
-    That of a neuron whose activation hardly varies stays as it is.
-    """
-    batch = pool.sample(
-        np.random.default_rng(0), _WINDOWS, config.window, config.burn_in, 0.0, 0.0, 1
-    )
-    seen = batch.seen[:, config.burn_in :]
-    spread = torch.relu(seen @ policy.into().T + policy.bias).std((0, 1))
-    return torch.where(spread > _STILL, policy.share * spread, policy.threshold)
-
-
-def _sensitivity(
-    policy: DeltaSnnPolicy, pool: WalkPool, config: SparseConfig
-) -> NDArray[np.float64]:
+def _sensitivity(policy: DeltaSnnPolicy, pool: WalkPool, config: SparseConfig) -> FloatArray:
     """Mean squared gradient H (obs,) of the actions, from random projections of them."""
-    batch = pool.sample(
-        np.random.default_rng(0), _WINDOWS, config.window, config.burn_in, 0.0, 0.0, 1
-    )
+    batch = pool.sample(np.random.default_rng(0), _WINDOWS, config.window, config.burn_in)
     seen = batch.seen.clone().requires_grad_(True)
     moved = batch.moved.clone().requires_grad_(True)
     mean, _ = policy.unrolled(seen, moved, policy.weights(), 0, batch.begins)
@@ -508,38 +551,43 @@ def _sensitivity(
     return (total / (_PROJECTIONS * action.shape[0] * action.shape[1])).double().numpy()
 
 
-# -- Episodes of students: in float for collection, on the chip for validation.
+@torch.no_grad()
+def tuned_thresholds(policy: DeltaMlpPolicy, pool: WalkPool, config: SparseConfig) -> Tensor:
+    """Return thresholds (H,), the policy's share of the standard deviation of each activation.
 
-FloatArray = NDArray[np.float64]
+    That of a neuron whose activation hardly varies stays as it is.
+    """
+    batch = pool.sample(np.random.default_rng(0), _WINDOWS, config.window, config.burn_in)
+    seen = batch.seen[:, config.burn_in :]
+    spread = torch.relu(seen @ policy.into().T + policy.bias).std((0, 1))
+    return torch.where(spread > _MIN_SPREAD, policy.share * spread, policy.threshold)
 
 
-class DeltaController:
-    """A DeltaSnnPolicy in torch as a BatchController."""
+# -- episodes: in float for collection, on the chip for validation
 
-    def __init__(self, policy: DeltaSnnPolicy) -> None:
-        self._policy = policy
+
+class FloatController:
+    """A policy in torch as a BatchController."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.policy = policy
 
     def reset(self, robots: int) -> None:
         """Start an episode of each."""
-        self._state = self._policy.rest(robots)
+        if isinstance(self.policy, DeltaSnnPolicy):
+            self._state = self.policy.rest(robots)
 
     @torch.no_grad()
+    def mean(self, observation: FloatArray) -> Tensor:
+        """Take one control step: return the mean (B, act) of each robot's action."""
+        seen = torch.from_numpy(observation).float()
+        if isinstance(self.policy, DeltaSnnPolicy):
+            return self.policy.advance(seen, self._state)[0]
+        return self.policy.scores(seen)
+
     def act_batch(self, observation: FloatArray) -> NDArray[Any]:
         """Return actions (B, act), or (B,) if discrete."""
-        mean, _, _ = self._policy.advance(torch.from_numpy(observation).float(), self._state)
-        return _numbers(self._policy.decide(mean))
-
-
-def in_float(policy: Policy) -> BatchController:
-    """Return the policy in torch."""
-    if isinstance(policy, DeltaSnnPolicy):
-        return DeltaController(policy)
-
-    @torch.no_grad()
-    def act(observation: FloatArray) -> NDArray[Any]:
-        return _numbers(policy(torch.from_numpy(observation).float()))
-
-    return Stateless(act)
+        return self.policy.env_action(self.mean(observation))
 
 
 class ChipController:
@@ -558,8 +606,4 @@ def on_chip(policy: Policy, chip: Chip) -> BatchController:
     """Return the policy as the chip runs it; a float policy as it is."""
     if isinstance(policy, DeltaSnnPolicy):
         return ChipController(delta_artifact(policy), chip)
-    return in_float(policy)
-
-
-def _numbers(action: torch.Tensor) -> NDArray[Any]:
-    return (action.double() if action.is_floating_point() else action).numpy()
+    return FloatController(policy)

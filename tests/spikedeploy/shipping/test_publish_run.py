@@ -77,7 +77,6 @@ def test_a_card_names_no_folder_of_the_machine_that_made_it(monkeypatch, tmp_pat
     settings = json.loads((run / "config.json").read_text())
     settings["env"]["options"] = {"teacher": str(run), "twice": [str(run)]}
     (run / "config.json").write_text(json.dumps(settings))
-    (run / "SHA256SUMS").unlink()  # changed on purpose
     monkeypatch.setattr(RunFolder, "config", lambda *_: SacConfig(algorithm="sac", recipe="smoke"))
     monkeypatch.setattr("spikedeploy.shipping.export_run.recorded", lambda *_: np.zeros((2, 3)))
     monkeypatch.chdir(tmp_path)

@@ -4,7 +4,7 @@ import pytest
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.sparse.pool import Episodes, Stateless
-from spikedeploy.trainers.sparse.student import in_float, on_chip
+from spikedeploy.trainers.sparse.student import FloatController, on_chip
 from tests import toy_race_env, toy_stroll_env
 from tests.delta_policies import delta_policy, pruned_mlp
 
@@ -60,7 +60,7 @@ def test_an_end_that_is_no_success_is_a_crash(monkeypatch):
 @pytest.mark.parametrize("target", ["ideal", "loihi1"])
 def test_a_policy_walks_on_the_chip_as_in_float_or_nearly(target):
     policy, played = delta_policy(obs=3, left=1.0), episodes()
-    by_torch = played.play([1, 2, 3], in_float(policy), label)[0]
+    by_torch = played.play([1, 2, 3], FloatController(policy), label)[0]
     by_chip = played.play([1, 2, 3], on_chip(policy, chip(target)), label)[0]
     tolerance = 1e-5 if target == "ideal" else 0.2
     for one, other in zip(by_torch, by_chip, strict=True):
@@ -71,6 +71,6 @@ def test_a_float_policy_walks_as_it_is():
     policy = pruned_mlp(obs=3)
     one, other = (
         episodes().play([1], each, label)[0][0].observation
-        for each in (in_float(policy), on_chip(policy, chip("loihi1")))
+        for each in (FloatController(policy), on_chip(policy, chip("loihi1")))
     )
     np.testing.assert_array_equal(one, other)

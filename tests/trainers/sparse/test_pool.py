@@ -131,7 +131,7 @@ def test_states_are_drawn_with_their_labels_and_near_crashes(pool):
 def test_walks_are_read_as_they_were_written(pool, tmp_path):
     path = tmp_path / "pool" / "000.safetensors"
     save_walks(pool.walks, path)
-    for one, other in zip(pool.walks, load_walks(path), strict=True):
+    for one, other in zip(pool.walks, load_walks(path, (3, 1)), strict=True):
         np.testing.assert_array_equal(one.observation, other.observation)
         np.testing.assert_array_equal(one.label, other.label)
         assert (one.crashed, type(other.crashed)) == (other.crashed, bool)
@@ -155,5 +155,5 @@ def test_a_damaged_file_is_refused_in_one_sentence(damage, pool, tmp_path):
     with pytest.raises(
         ConfigError, match=r"000\.safetensors holds no walks .* train again"
     ) as error:
-        load_walks(path)
+        load_walks(path, (3, 1))
     assert "\n" not in str(error.value)

@@ -7,7 +7,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.trainers.policies.delta import delta_artifact, live_neurons
 from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight, SynapseGroup
-from spikedeploy.trainers.sparse.student import DeltaStudent, operations, prune, remove_neurons
+from spikedeploy.trainers.sparse.student import DeltaStudent, operations, prune, remove_neuron
 from tests.delta_policies import delta_policy, followed, walk
 from tests.trainers.sparse.toy import settings
 
@@ -54,10 +54,10 @@ def test_the_curvature_is_the_root_of_the_second_moment():
 def test_a_removed_neuron_is_one_that_brings_little_for_all_that_it_costs():
     # gain 2, 0.2, 2 over cost 1 + 2 + 1, so shares 0.5, 0.05 and 0.5: above a tenth of the mean
     into, out = group([[1.0], [0.1**0.5], [1.0]], [1.0]), group([[1.0, 0.1**0.5, 1.0]], [2.0] * 3)
-    assert remove_neurons(into, out, squares(into, out), 1.0, 3) == 0
+    assert remove_neuron(into, out, squares(into, out), 1.0) == 0
     # many outgoing operations make the same neuron too dear: share 0.2 / 62, mean about 0.33
     out = SynapseGroup(out.matrix, torch.tensor([2.0, 60.0, 2.0]))
-    assert remove_neurons(into, out, squares(into, out), 1.0, 3) == 1
+    assert remove_neuron(into, out, squares(into, out), 1.0) == 1
     assert out.matrix.mask.tolist() == [[1, 0, 1]]
 
 
@@ -94,17 +94,17 @@ def test_a_neuron_goes_when_its_update_costs_more_than_it_brings():
     into, out = group(weights[0], [1.0, 1.0]), group(weights[1], [0.5, 0.5, 0.5])
     out.matrix.mask[0, 2] = 0.0
     worths = squares(into, out)
-    assert remove_neurons(into, out, worths, 0.0, 1) == 0  # updates are free
+    assert remove_neuron(into, out, worths, 0.0) == 0  # updates are free
     assert into.matrix.mask.tolist() == [[1, 1], [1, 1], [0, 0]]
-    assert remove_neurons(into, out, worths, 10.0, 1) == 1
+    assert remove_neuron(into, out, worths, 10.0) == 1
     assert into.matrix.mask.tolist() == [[1, 1], [0, 0], [0, 0]]
     assert out.matrix.mask.tolist() == [[1, 0, 0]]
-    assert remove_neurons(into, out, worths, 10.0, 1) == 0  # the last one stays
+    assert remove_neuron(into, out, worths, 10.0) == 0  # the last one stays
 
 
 def test_equal_neurons_stay():
     into, out = group([[1.0]] * 3, [1.0]), group([[1.0] * 3], [0.5] * 3)
-    assert remove_neurons(into, out, squares(into, out), 10.0, 3) == 0
+    assert remove_neuron(into, out, squares(into, out), 10.0) == 0
 
 
 @pytest.mark.parametrize("code", ["one-hot", "unary"])

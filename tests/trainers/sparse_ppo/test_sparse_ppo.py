@@ -14,6 +14,7 @@ from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import Episodes, WalkPool
 from spikedeploy.trainers.sparse.ppo import (
+    Exploring,
     SparsePpoConfig,
     SparsePpoLearner,
     find_start,
@@ -47,11 +48,10 @@ def played(start):
     config = resolve(SparsePpoConfig, "smoke-sparse-tuned", overrides=["batch=3"])
     learner = SparsePpoLearner(config, source, run.policy("best").requires_grad_(True))
     learner.student.round(chip(source.chip))
-    controller = learner.exploring()
+    controller = Exploring(learner.student.acting(), learner.head)
     episodes = Episodes(config.env, 2, 40)
     walks, _, _ = episodes.play([1, 2], controller, lambda seen: np.zeros((len(seen), 18)))
-    pool = WalkPool()
-    pool.add(walks)
+    pool = WalkPool(walks)
     learner.operations(pool)
     return learner, pool, torch.stack(controller.drawn), episodes.earned
 
@@ -175,7 +175,7 @@ def test_the_ratio_is_one_before_the_first_update(played):
     found = tiles(pool, 16, 4)
     trials = learner.trials(found, drawn, torch.randn(drawn.shape[:2]))
     for part in trials.minibatches(3):
-        mean, _ = learner._replayed(part.windows)
+        mean, _ = learner._replayed(part)
         again = learner.log_probability(mean, part.drawn)
         # matrix products of other batch sizes add in another order
         torch.testing.assert_close(again, part.before, rtol=1e-4, atol=1e-4)
@@ -186,7 +186,7 @@ def test_the_ratio_is_one_before_the_first_update(played):
 
 def test_replayed_windows_have_the_log_probabilities_of_what_was_executed(played):
     learner, pool, drawn, _ = played
-    policy = learner.exploring().means.policy
+    policy = learner.student.acting()
     observation = torch.from_numpy(np.stack([walk.observation for walk in pool.walks], 1))
     state = policy.rest(2)
     executed = torch.stack(
@@ -195,7 +195,7 @@ def test_replayed_windows_have_the_log_probabilities_of_what_was_executed(played
     )  # fmt: skip
     whole = tiles(pool, 44, 4)  # a window of each walk, from its beginning
     trials = learner.trials(whole, drawn, torch.randn(drawn.shape[:2]))
-    assert len(trials) == 2
+    assert len(trials.drawn) == 2
     torch.testing.assert_close(trials.before, executed.T.contiguous(), rtol=1e-3, atol=1e-3)
 
 
@@ -216,7 +216,7 @@ def test_exploration_and_replay_compute_with_the_weights_of_the_chip(played):
     assert any(added.abs().max() > 0 for added in offsets.values())
     for name, added in offsets.items():
         plain = getattr(learner.student.policy.weights(), name)
-        exploring = learner.exploring().means.policy.weights()
+        exploring = learner.student.acting().weights()
         torch.testing.assert_close(getattr(exploring, name), plain + added)
         torch.testing.assert_close(getattr(learner.student.student.weights(), name), plain + added)
 
