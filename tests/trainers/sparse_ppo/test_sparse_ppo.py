@@ -218,7 +218,7 @@ def test_exploration_and_replay_compute_with_the_weights_of_the_chip(played):
         plain = getattr(learner.student.policy.weights(), name)
         exploring = learner.student.acting().weights()
         torch.testing.assert_close(getattr(exploring, name), plain + added)
-        torch.testing.assert_close(getattr(learner.student.student.weights(), name), plain + added)
+        torch.testing.assert_close(getattr(learner.student.weights(), name), plain + added)
 
 
 def test_noise_falls_to_its_last_value(played):
