@@ -25,7 +25,7 @@ from spikedeploy.trainers.config import (
     Share,
     ValidationConfig,
 )
-from spikedeploy.trainers.distill.teacher import FloatArray, surprise
+from spikedeploy.trainers.distill.teacher import FloatArray, Teacher, surprise
 from spikedeploy.trainers.distill.teachers import of_policy, score, teacher
 from spikedeploy.trainers.env_batch import EnvBatch
 from spikedeploy.trainers.learner import Learner, adam, set_rate
@@ -113,6 +113,45 @@ class DaggerDataset:
         self.action = tensors["lessons.action"]
 
 
+def iteration_envs(config: DistillConfig, iteration: int) -> EnvBatch:
+    """Return the environments of an iteration, the same ones for a run resumed there."""
+    return EnvBatch(config.env, np.random.default_rng((config.seed, iteration)))
+
+
+def collect(
+    config: DistillConfig,
+    iteration: int,
+    teacher: Teacher,
+    student: Teacher,
+    stopped: Callable[[], bool],
+) -> tuple[FloatArray, FloatArray, list[float]] | None:
+    """Collect the states of an iteration; None if stopped before its end.
+
+    Returns observations (n, obs), labels (n, act), and the returns of the episodes that ended.
+    """
+    envs = iteration_envs(config, iteration)
+    visited: list[FloatArray] = []
+    labels: list[FloatArray] = []
+    rng = np.random.default_rng((config.seed, iteration, 1))
+    share = config.mixing**iteration  # of the teacher's actions; 1 in iteration 0
+    while len(visited) * len(envs) < config.states:
+        if stopped():
+            return None
+        visited.append(envs.observation)
+        labels.append(teacher.act_all(envs.observation))
+        taught = rng.random(len(envs)) < share
+        action = labels[-1] if taught.all() else student.act_all(envs.observation)
+        action = np.where(taught[:, None], labels[-1], action)
+        if envs.head == "discrete":  # the choices of logits, some of them drawn
+            drawn = rng.integers(action.shape[1], size=len(action))
+            chosen = np.where(rng.random(len(action)) < config.noise, drawn, action.argmax(-1))
+            envs.step(chosen)
+        else:
+            noise = config.noise * rng.standard_normal(action.shape)
+            envs.step(np.clip(action + noise, -1.0, 1.0))
+    return np.concatenate(visited), np.concatenate(labels), envs.returns
+
+
 class Distill(Runner[DistillConfig]):
     """One run of distillation.
 
@@ -136,7 +175,7 @@ class Distill(Runner[DistillConfig]):
         self._teacher = teacher(
             config.teacher, config.env.name, config.env.options, config.teacher_units
         )
-        envs = self._iteration_envs(0)
+        envs = iteration_envs(config, 0)
         sizes = envs.sizes
         self._teacher.check_sizes(config.teacher, config.env.name, sizes)
         self.policy = from_config(
@@ -168,44 +207,17 @@ class Distill(Runner[DistillConfig]):
         done = self.updates * self._config.iterations // self._config.updates
         return self.iterations <= done
 
-    def _iteration_envs(self, iteration: int) -> EnvBatch:
-        """Return the environments of an iteration, the same ones for a run resumed there."""
-        rng = np.random.default_rng((self._config.seed, iteration))
-        return EnvBatch(self._config.env, rng)
-
     def _collect(self, stopped: Callable[[], bool]) -> bool:
         """Collect the labelled states of an iteration; return whether it was not stopped."""
-        config, envs, student = (
-            self._config,
-            self._iteration_envs(self.iterations),
-            of_policy(self.policy),
-        )
-        visited: list[FloatArray] = []
-        labels: list[FloatArray] = []
-        rng = np.random.default_rng((config.seed, self.iterations, 1))
-        share = config.mixing**self.iterations  # of the teacher's actions; 1 in iteration 0
-        while len(visited) * len(envs) < config.states:
-            if stopped():
-                return False
-            visited.append(envs.observation)
-            labels.append(self._teacher.act_all(envs.observation))
-            taught = rng.random(len(envs)) < share
-            action = labels[-1] if taught.all() else student.act_all(envs.observation)
-            action = np.where(taught[:, None], labels[-1], action)
-            envs.step(self._executed(action, rng))
-        self.dataset.add(np.concatenate(visited), np.concatenate(labels))
-        self._returns = envs.returns
+        student = of_policy(self.policy)
+        found = collect(self._config, self.iterations, self._teacher, student, stopped)
+        if found is None:
+            return False
+        observation, label, self._returns = found
+        self.dataset.add(observation, label)
         self.iterations += 1
         self._fit_normaliser()
         return True
-
-    def _executed(self, action: FloatArray, rng: np.random.Generator) -> NDArray[Any]:
-        """Return actions (B, act) with noise, or choices (B,) of logits, some of them drawn."""
-        noise = self._config.noise
-        if self.policy.head == "continuous":
-            return np.clip(action + noise * rng.standard_normal(action.shape), -1.0, 1.0)
-        drawn = rng.integers(action.shape[1], size=len(action))
-        return np.where(rng.random(len(action)) < noise, drawn, action.argmax(-1))
 
     @torch.no_grad()
     def _fit_normaliser(self) -> None:

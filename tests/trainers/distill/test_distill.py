@@ -129,11 +129,11 @@ def test_iteration_zero_acts_as_the_teacher_and_the_next_as_the_student():
     previous = envs.make("hexapod").unwrapped.OBSERVATION["previous"]
     with_teacher = collect(settings, 0, one, other, never)
     with_student = collect(settings, 1, one, other, never)
-    assert with_teacher.observation.shape == (20, 77)
-    np.testing.assert_array_equal(with_student.label, np.full((20, 18), 0.5))
+    assert with_teacher[0].shape == (20, 77)
+    np.testing.assert_array_equal(with_student[1], np.full((20, 18), 0.5))
     # the filtered command follows what was executed
-    assert with_teacher.observation[-1, previous].mean() > 0.1
-    assert with_student.observation[-1, previous].mean() < -0.1
+    assert with_teacher[0][-1, previous].mean() > 0.1
+    assert with_student[0][-1, previous].mean() < -0.1
 
 
 def test_mixing_lets_the_teacher_execute_some_actions():
@@ -142,7 +142,7 @@ def test_mixing_lets_the_teacher_execute_some_actions():
     steps = []
     student = Teacher(lambda o: steps.append(len(o)) or np.full((2, 18), -0.5), 77, 18)
     found = collect(settings, 1, labelled, student, never)
-    previous = found.observation[-10:, envs.make("hexapod").unwrapped.OBSERVATION["previous"]]
+    previous = found[0][-10:, envs.make("hexapod").unwrapped.OBSERVATION["previous"]]
     assert -0.2 < previous.mean() < 0.2
     assert steps
 
@@ -150,9 +150,9 @@ def test_mixing_lets_the_teacher_execute_some_actions():
 def test_an_iteration_visits_the_same_states_when_it_is_repeated():
     settings = config(env=EnvConfig(count=2), states=20, noise=0.1)
     still = constant(np.zeros(18))
-    first, second = (collect(settings, 1, still, still, never).observation for _ in range(2))
+    first, second = (collect(settings, 1, still, still, never)[0] for _ in range(2))
     np.testing.assert_array_equal(first, second)
-    other = collect(settings, 2, still, still, never).observation
+    other = collect(settings, 2, still, still, never)[0]
     assert not np.array_equal(first, other)
 
 
@@ -334,10 +334,10 @@ def test_discrete_actions_are_executed_as_choices_of_which_noise_draws_some():
     settings = config(env=EnvConfig(name=LEVELS, count=2), states=40)
     labels = Teacher(lambda seen: 9.0 * np.eye(3, 4)[seen.argmax(-1)], 3, 4)
     found = collect(settings, 0, labels, labels, never)
-    assert found.label.shape == (40, 4)
-    assert set(found.returns) == {5.0}
+    assert found[1].shape == (40, 4)
+    assert set(found[2]) == {5.0}
     noisy = collect(settings.model_copy(update={"noise": 0.5}), 0, labels, labels, never)
-    assert 0.0 < np.mean(noisy.returns) < 5.0
+    assert 0.0 < np.mean(noisy[2]) < 5.0
 
 
 def test_a_student_of_choices_earns_what_its_teacher_earns(tmp_path):
