@@ -108,7 +108,7 @@ def test_ghosts_and_episodes_go_on_where_a_kart_was(tmp_path):
 # two files cannot be replaced at once: the replay first has another name
 @pytest.mark.parametrize(
     "place",
-    [(RunFolder, "save"), (Sac, "_take_replay"), (RunFolder, "settle")],
+    [(RunFolder, "save"), (Sac, "_take_replay"), (RunFolder, "write_numbers")],
     ids=["before-the-checkpoint", "before-its-replay-is-renamed", "while-resuming"],
 )
 def test_a_kill_while_a_checkpoint_is_written_loses_nothing(place, sac, tmp_path, monkeypatch):
@@ -116,7 +116,7 @@ def test_a_kill_while_a_checkpoint_is_written_loses_nothing(place, sac, tmp_path
     runs = tmp_path / "part"
     train("smoke", overrides=SAC, runs=runs, quiet=True, interrupt=After(50))
     (part,) = runs.iterdir()
-    for count in (1, 1, 2) if place[1] != "settle" else (1, 1):
+    for count in (1, 1, 2) if place[1] != "write_numbers" else (1, 1):
         kill(lambda: resumed(part), monkeypatch, place, count)
     resumed(part)
     assert differences(whole, part) == []

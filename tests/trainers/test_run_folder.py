@@ -236,7 +236,7 @@ def test_a_path_that_is_no_run_is_named(tmp_path):
     with pytest.raises(ConfigError, match="no run of recipe smoke"):
         RunFolder.find("last", tmp_path, "smoke")
     with pytest.raises(ConfigError, match="no checkpoint 'best'"):
-        RunFolder.create(tmp_path, resolve(SacConfig, "smoke")).policy()
+        RunFolder.create(tmp_path, resolve(SacConfig, "smoke")).policy("best")
 
 
 def test_a_broken_checkpoint_is_named(tmp_path):

@@ -84,7 +84,7 @@ def test_the_learning_rate_falls_as_half_a_cosine():
     rates = []
     for progress in (0.0, 0.5, 1.0):
         learner.update(torch.randn(4, 6), torch.zeros(4, 2), progress)
-        rates.append(learner.optimizer.param_groups[0]["lr"])
+        rates.append(learner.optimizers["adam"].param_groups[0]["lr"])
     assert rates == pytest.approx([0.01, 0.005, 0.0])
 
 

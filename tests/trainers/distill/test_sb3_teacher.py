@@ -137,7 +137,7 @@ def test_nothing_in_a_file_is_run(tmp_path, monkeypatch):
 
 
 def test_sizes_are_bounded_before_anything_is_decompressed(tmp_path, monkeypatch):
-    monkeypatch.setattr(sb3, "_LARGEST", {"data": 2**20, "policy.pth": 2**20})
+    monkeypatch.setattr(sb3, "_MAX_BYTES", {"data": 2**20, "policy.pth": 2**20})
     bomb = rewritten("ppo", tmp_path / "bomb.zip", data=b" " * 2**23)
     with pytest.raises(ConfigError, match="data has more than 1 MiB"):
         teacher(bomb, CARTPOLE)
@@ -154,7 +154,7 @@ def test_sizes_are_bounded_before_anything_is_decompressed(tmp_path, monkeypatch
 def test_a_bomb_is_refused_by_its_header_alone(tmp_path, monkeypatch):
     bomb = rewritten("ppo", tmp_path / "bomb.zip", policy_pth=bytes(2**24))
     order = dict.fromkeys(("policy.pth", "data"), 2**28)  # the bomb is looked at first
-    monkeypatch.setattr(sb3, "_LARGEST", order)
+    monkeypatch.setattr(sb3, "_MAX_BYTES", order)
     monkeypatch.setattr(zipfile.ZipFile, "open", lambda *_: pytest.fail("was decompressed"))
     with pytest.raises(ConfigError, match=r"policy\.pth would unpack from [\d,]+ to 16,777,216"):
         _members(bomb)
@@ -249,7 +249,7 @@ def weights(**changes):
         ({"action_net__bias": torch.zeros(2).to(torch.float8_e4m3fn)}, "torch.float8_e4m3fn"),
         ({"action_net__bias": torch.zeros(2, dtype=torch.int64)}, "torch.int64, no floats"),
         ({"action_net__weight": torch.eye(2).to_sparse()}, "action_net.weight is sparse"),
-        ({"action_net__bias": torch.zeros(2, device="meta")}, "without data"),
+        ({"action_net__bias": torch.zeros(2, device="meta")}, "quantised or empty"),
         ({f"mlp_extractor__policy_net__{'9' * 5_000}__weight": torch.ones(2)}, "not an MLP's"),
         ({"mlp_extractor__policy_net__0__scale": torch.ones(2)}, r"policy_net\.0\.scale: not"),
     ],

@@ -138,7 +138,7 @@ def assert_same(one, other):
 
 def walks_in(run):
     files = sorted((run.path / "pool").iterdir())
-    walks = [walk for path in files for walk in load_walks(path)]
+    walks = [walk for path in files for walk in load_walks(path, (3, 2))]
     return Counter(walk.observation.tobytes() for walk in walks)
 
 
@@ -192,11 +192,11 @@ def with_nan(walks):
 DAMAGES = [
     (lambda path: path.unlink(), r"001\.safetensors is missing: .* train again"),
     (lambda path: path.write_bytes(path.read_bytes()[:99]), r"001\.safetensors holds no walks"),
-    (lambda path: save_walks(of_width(load_walks(path), 4, 2), path),
-     r"001\.safetensors has walks of 4 observations and 2 actions, expected 3 and 2"),
-    (lambda path: save_walks(of_width(load_walks(path), 3, 1), path), "3 observations and 1 act"),
-    (lambda path: save_walks(with_nan(load_walks(path)), path),
-     r"001\.safetensors has an observation or label that is no finite number"),
+    (lambda path: save_walks(of_width(load_walks(path, (3, 2)), 4, 2), path),
+     r"001\.safetensors holds no walks of this task .*observation is float32 \(\d+, 4\)"),
+    (lambda path: save_walks(of_width(load_walks(path, (3, 2)), 3, 1), path), r"label is float32 \(\d+, 1\)"),
+    (lambda path: save_walks(with_nan(load_walks(path, (3, 2))), path),
+     r"001\.safetensors holds no walks .*expected finite float32"),
 ]  # fmt: skip
 
 

@@ -233,12 +233,12 @@ def test_the_learning_rate_follows_the_divergence(played):
     learner, pool, drawn, _ = played
     found = tiles(pool, 16, 4)
     trials = learner.trials(found, drawn, torch.randn(drawn.shape[:2]))
-    learner.rate, row = 1e-6, {}
-    learner._improve(trials, row)
+    learner.rate = 1e-6
+    row = learner._improve(trials)
     assert row["kl"] < 0.005
     assert row["learning_rate"] == pytest.approx(1e-6 * 1.5**2)  # after two passes
-    learner.rate, row = 0.3, {}
-    learner._improve(trials, row)
+    learner.rate = 0.3
+    row = learner._improve(trials)
     assert row["kl"] > 0.02
     assert row["learning_rate"] == pytest.approx(0.2)  # after one
 
