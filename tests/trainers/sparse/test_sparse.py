@@ -194,7 +194,8 @@ DAMAGES = [
     (lambda path: path.write_bytes(path.read_bytes()[:99]), r"001\.safetensors holds no walks"),
     (lambda path: save_walks(of_width(load_walks(path, (3, 2)), 4, 2), path),
      r"001\.safetensors holds no walks of this task .*observation is float32 \(\d+, 4\)"),
-    (lambda path: save_walks(of_width(load_walks(path, (3, 2)), 3, 1), path), r"label is float32 \(\d+, 1\)"),
+    (lambda path: save_walks(of_width(load_walks(path, (3, 2)), 3, 1), path),
+     r"label is float32 \(\d+, 1\)"),
     (lambda path: save_walks(with_nan(load_walks(path, (3, 2))), path),
      r"001\.safetensors holds no walks .*expected finite float32"),
 ]  # fmt: skip
