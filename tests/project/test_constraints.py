@@ -7,7 +7,7 @@ import pytest
 
 from lab import constraints
 from spikedeploy import tested_set
-from spikedeploy.commands import checks
+from spikedeploy.commands import listings
 from tests.paths import ROOT
 
 if sys.version_info >= (3, 11):
@@ -70,9 +70,9 @@ def versions(monkeypatch):
 
 
 def test_doctor_says_which_versions_differ_from_the_tested_set(versions):
-    assert "no version differs" in checks._tested().detail
+    assert "no version differs" in listings._tested().detail
     versions["numpy"], versions["h5py"] = "1.99.0", None  # what is missing differs from nothing
-    found = checks._tested()
+    found = listings._tested()
     assert found.ok is None
     assert found.detail.startswith("1 differ: numpy 1.99.0 (tested: ")
     assert "pip install -c constraints.txt" in found.detail
