@@ -126,7 +126,7 @@ def in_trains(rows: NDArray[Any], lengths: Sequence[int]) -> list[NDArray[Any]]:
 def float_activity(artifact: Artifact, raster: NDArray[Any]) -> Activity:
     """The activity of the float twin on the raster (B, T, M), from zero states."""
     # one timestep after another, so that the membranes between them can be read
-    kept = replace(artifact, convention=replace(artifact.convention, state="kept"))
+    kept = artifact.with_convention(replace(artifact.convention, state="kept"))
     graph = FloatGraph(kept)
     shape = next(iter(artifact.graph.inputs.values())).input_type["input"]
     x = raster.reshape(*raster.shape[:2], *map(int, shape))

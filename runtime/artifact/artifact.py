@@ -55,7 +55,7 @@ class Artifact:
     convention: Convention
     provenance: Provenance | None = None
     sigma_delta: Mapping[str, SigmaDelta] = field(default_factory=dict)
-    neurons: Mapping[str, DiscreteNeuron] = field(init=False, repr=False)
+    neurons: dict[str, DiscreteNeuron] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "graph", flattened(self.graph))

@@ -24,7 +24,7 @@ from spikedeploy.runtime.compiler.rules import (
 from spikedeploy.runtime.compiler.wiring import LayerGraph, wiring
 from spikedeploy.runtime.convention import Clock, Convention
 from spikedeploy.runtime.errors import RuleError, SpikedeployError
-from spikedeploy.runtime.graph.neurons import DiscreteNeuron, discretise
+from spikedeploy.runtime.graph.neurons import DiscreteNeuron
 
 # [timesteps] beyond any network's longest path
 _ENDLESS = 1 << 30
@@ -104,7 +104,7 @@ def _with_delays_of(clock: Clock, artifact: Artifact) -> Artifact:
     """The artifact with the delays of the clock; a convention's own delay is a pipeline already."""
     delays = clock == "pipelined" and not artifact.convention.delay
     stated = replace(artifact.convention, clock="pipelined" if delays else "gated")
-    return replace(artifact, convention=stated)
+    return artifact.with_convention(stated)
 
 
 def _check_reset(artifact: Artifact, chip: Chip) -> None:
@@ -212,7 +212,7 @@ def _layer(artifact: Artifact, graph: LayerGraph, name: str) -> Layer:
 
     Gains of the neuron are folded into the weights, which is exact.
     """
-    neuron = discretise(name, artifact.graph.nodes[name], artifact.convention).flat()
+    neuron = artifact.neurons[name].flat()
     graded = artifact.sigma_delta.get(name)
     threshold = _threshold(name, neuron) if graded is None else graded.threshold.ravel()
     current_decay = neuron.current_decay

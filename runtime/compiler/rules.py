@@ -18,7 +18,7 @@ from spikedeploy.runtime.chips.chip import READOUTS, Chip, Limits
 from spikedeploy.runtime.compiler.mapping import CoreMapping, Placement, map_to_cores
 from spikedeploy.runtime.compiler.wiring import Population, Topology, topology
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.graph.neurons import NEURONS, SPIKING, DiscreteNeuron, discretise
+from spikedeploy.runtime.graph.neurons import SPIKING, DiscreteNeuron
 from spikedeploy.runtime.graph.order import delay_timesteps
 from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, convolution_window
 
@@ -78,11 +78,7 @@ def place(artifact: Artifact, chip: Chip, limits: Limits) -> PlacedNetwork:
         chip=chip,
         limits=limits,
         network=topology(graph, membranes, frozenset(artifact.sigma_delta)),
-        neurons={
-            name: discretise(name, node, artifact.convention)
-            for name, node in graph.nodes.items()
-            if isinstance(node, NEURONS)
-        },
+        neurons=artifact.neurons,
     )
 
 

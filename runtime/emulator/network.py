@@ -1,7 +1,6 @@
 """A network on a chip or in float: the one place that decides."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -54,7 +53,7 @@ class FloatMachine:
                 raise
             self._stateless = error
         other = artifact.convention.with_options({"reset": "subtract"})
-        return compile_program(replace(artifact, convention=other), datasheet("ideal"))
+        return compile_program(artifact.with_convention(other), datasheet("ideal"))
 
     def reset(self) -> None:
         """Forget every current, membrane and spike; the ledger stays."""

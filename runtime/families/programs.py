@@ -88,11 +88,11 @@ def program_in(fields: Fields, work: Work) -> Program:
     chip = _chip_of(fields)
     form = _form(chip)
     source = fields.group("input")
-    name, width = source.text("name"), source.whole("width", default=0, least=1, most=_MOST_WIDTH)
+    name, width = source.text("name"), source.integer("width", default=0, least=1, most=_MOST_WIDTH)
     specs = fields.groups("layers")
     sizes = {name: width}
     for spec in specs:
-        sizes[spec.text("name")] = spec.whole("neurons", default=0, least=1, most=_MOST_WIDTH)
+        sizes[spec.text("name")] = spec.integer("neurons", default=0, least=1, most=_MOST_WIDTH)
     if len(sizes) != len(specs) + 1:
         raise fields.wrong("layers", "share a name", "Give each layer a name of its own.")
     layers = []
@@ -186,13 +186,13 @@ def _synapses_read(spec: Fields, sizes: Mapping[str, int], size: int) -> Synapse
     if weights.shape != (sizes[source], size):
         remedy = f"Write {sizes[source]} rows of {size} weights."
         raise spec.wrong("weights", f"has shape {weights.shape}", remedy)
-    weights = weights << spec.whole("exponent", default=0, least=0, most=15)
+    weights = weights << spec.integer("exponent", default=0, least=0, most=15)
     return Synapses(
         source,
         weights.astype(np.int32),
-        spec.whole("delay", default=0, least=0, most=_DELAYS),
-        spec.whole("shift", default=0, least=0, most=15),
-        spec.whole("current", default=0, least=0, most=1),
+        spec.integer("delay", default=0, least=0, most=_DELAYS),
+        spec.integer("shift", default=0, least=0, most=15),
+        spec.integer("current", default=0, least=0, most=1),
     )
 
 
@@ -201,7 +201,7 @@ def _layer_read(spec: Fields, sizes: Mapping[str, int], chip: Chip, form: _Form)
     size, spiking = sizes[name], spec.flag("spiking")
     zero = np.zeros(size, np.int64)
     synapses = tuple(_synapses_read(each, sizes, size) for each in spec.groups("synapses"))
-    spec.whole("refractory", default=1, least=1, most=64)
+    spec.integer("refractory", default=1, least=1, most=64)
     bare = Layer(name, synapses, zero, zero, zero, zero, zero, 1.0, 0, spiking=spiking is not False)
     return form.read(spec, bare, chip.arithmetic)
 
@@ -343,7 +343,7 @@ _USE = {
 def program_trace(fields: Fields, folder: Path) -> TraceFile:
     """The trace in the fields of a file in that folder."""
     beside = _program_fields(fields, folder)
-    timesteps = fields.whole("timesteps", default=0, least=1, most=_MOST_TIMESTEPS)
+    timesteps = fields.integer("timesteps", default=0, least=1, most=_MOST_TIMESTEPS)
     inference = _inference(beside.group("control_step"), fields, timesteps)
     program = program_in(beside, Work(beside, timesteps, inference))
     groups = fields.group("recorded")
@@ -370,7 +370,7 @@ def _inference(step: Fields, fields: Fields, timesteps: int) -> int:
     """Timesteps from zero states to the next reset, or to the end of the trace."""
     if step.text("state") != "reset":
         return timesteps
-    length = step.whole("timesteps", default=0, least=1, most=_MOST_TIMESTEPS)
+    length = step.integer("timesteps", default=0, least=1, most=_MOST_TIMESTEPS)
     if timesteps % length:
         limit = f"States are reset every {length} timesteps: record whole control steps."
         raise fields.wrong("timesteps", f"holds {timesteps}", limit)
@@ -402,7 +402,7 @@ def _program_fields(fields: Fields, folder: Path) -> Fields:
 def _raster(fields: Fields, program: Program, timesteps: int) -> NDArray[np.uint8]:
     """(T, M) spikes; an event that is listed n times is n of them."""
     counts = np.zeros((timesteps, program.width), np.int64)
-    if fields.filled("input_events"):
+    if fields.has_content("input_events"):
         events = fields.array("input_events", axes=2, least=0, most=_MOST_EVENTS)
         if events.ndim != 2 or events.shape[1] != 2:
             found = f"has shape {events.shape}"

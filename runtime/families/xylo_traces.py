@@ -42,7 +42,7 @@ _REPEATED = {"chip", "steps", "params"}
 
 def xylo_trace(fields: Fields, chip: str) -> TraceFile:
     """The trace in the fields: hidden neurons with recurrent synapses, and output neurons."""
-    spec = fields.under(fields.group("params"))
+    spec = fields.merged_with(fields.group("params"))
     used = datasheet(chip)
     registers = used.arithmetic
     if not isinstance(registers, XyloArithmetic):
@@ -78,7 +78,7 @@ def _program(chip: Chip, width: int, hidden: Layer, output: Layer) -> Program:
 
 def _aliases(spec: Fields, size: int) -> tuple[tuple[int, ...], ...]:
     """The neurons that each neuron's spikes are counted for too."""
-    if not spec.filled("aliases"):
+    if not spec.has_content("aliases"):
         return ()
     rows = spec.lists("aliases", least=0, most=size - 1)
     if len(rows) != size:
@@ -98,7 +98,7 @@ def _hidden(spec: Fields, registers: XyloRegisters, width: int, work: Work) -> L
     axons = weights.shape[2] * width + sum(map(len, aliases), len(aliases))
     count = weights.size
     synapses = [Synapses("input", weights[:, :, k], 0, current=k) for k in range(weights.shape[2])]
-    if spec.filled("weights_rec"):
+    if spec.has_content("weights_rec"):
         recurrent = _weights(spec, "weights_rec", 1, registers)
         if recurrent.shape[:2] != (size, size):
             remedy = f"Write {size} rows of {size} neurons."

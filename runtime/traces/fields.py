@@ -73,7 +73,7 @@ class Fields:
         self.unread.discard(name)
         return str(self._found.get(name, ""))
 
-    def filled(self, name: str) -> bool:
+    def has_content(self, name: str) -> bool:
         """True if there is anything in the field; an empty list is nothing."""
         self.unread.discard(name)
         return bool(self._found.get(name))
@@ -101,14 +101,14 @@ class Fields:
             raise self.wrong(name, f"has {len(found)}", f"Write {_MOST_LAYERS} at most.")
         return [self._nested(each, f"{self.where}: {name}[{k}]") for k, each in enumerate(found)]
 
-    def under(self, *others: "Fields", where: str = "") -> "Fields":
+    def merged_with(self, *others: "Fields", where: str = "") -> "Fields":
         """These fields and those of the others, which go before."""
         everything: dict[str, object] = {}
         for each in (self, *others):
             everything.update(each._found)
         return self._nested(everything, where or self.where)
 
-    def whole(self, *names: str, default: int, least: int, most: int) -> int:
+    def integer(self, *names: str, default: int, least: int, most: int) -> int:
         """A single whole number within its range."""
         name = self.name(*names)
         return default if name is None else int(self._ranged(name, 0, least, most))
@@ -243,7 +243,7 @@ def _counted(value: object) -> int | None:
     return None if None in counts else sum(each or 1 for each in counts)
 
 
-def shown(text: str, most: int = 80) -> str:
+def escaped(text: str, most: int = 80) -> str:
     """An untrusted text on one line of a terminal, control characters escaped."""
     line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: most + 1])
     return line if len(line) <= most else f"{line[:most]}…"
@@ -252,7 +252,7 @@ def shown(text: str, most: int = 80) -> str:
 def shown_names(names: Sequence[str], most: int = 5) -> str:
     """The first names, and how many more there are."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(shown(name) for name in names[:most]) + more
+    return ", ".join(escaped(name) for name in names[:most]) + more
 
 
 def _short(value: object) -> str:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.runtime.traces.fields import shown, shown_names
+from spikedeploy.runtime.traces.fields import escaped, shown_names
 from spikedeploy.runtime.traces.verify import Verdict
 from spikedeploy.runtime.traces.verify import verify as verdict_of
 from spikedeploy.user_errors import one_line
@@ -41,7 +41,7 @@ class ReplayedTrace:
         what = f"{found.compared:,} numbers of {found.steps} timesteps"
         if found.difference is not None:
             return f"differs on {found.chip}: {found.difference.describe()}"
-        return f"equal on {found.chip}: {what}; recorded by {shown(found.source, 200)}"
+        return f"equal on {found.chip}: {what}; recorded by {escaped(found.source, 200)}"
 
     def remarks(self) -> list[str]:
         """What was not compared, and why; and how it was replayed where that is not plain."""

@@ -143,11 +143,11 @@ def _skip(
 def _delay(spec: Fields, chip: Chip, source: str) -> int:
     """Delay from spikes of a source [timesteps], that of the tool where none is given."""
     least = chip.arithmetic.input_delay(chip.delay) if source == "input" else chip.delay
-    return spec.whole("delay", default=least, least=0, most=chip.delay_max)
+    return spec.integer("delay", default=least, least=0, most=chip.delay_max)
 
 
 def _weights(spec: Fields, arithmetic: CubaFixedPoint, fan_in: int) -> _Weights:
-    exponent = spec.whole(*_EXPONENTS, default=0, least=-8, most=7)
+    exponent = spec.integer(*_EXPONENTS, default=0, least=-8, most=7)
     lists = [name for name in ("weights_exc", "weights_inh") if spec.name(name)]
     if lists:
         tables = [_matrix(spec, name, fan_in) for name in lists]
@@ -184,11 +184,13 @@ def _matrix(spec: Fields, name: str, fan_in: int, unit: int = 1) -> Integers:
 
 
 def _with_options(spec: Fields, arithmetic: CubaFixedPoint, weights: _Weights) -> CubaFixedPoint:
-    refractory = spec.whole(*_REFRACTORY, default=arithmetic.refractory, least=1, most=64)
+    refractory = spec.integer(*_REFRACTORY, default=arithmetic.refractory, least=1, most=64)
     return replace(
         arithmetic,
         sign_mode="mixed" if weights.mixed else "split",
-        weight_bits=spec.whole("num_weight_bits", default=arithmetic.weight_bits, least=0, most=8),
+        weight_bits=spec.integer(
+            "num_weight_bits", default=arithmetic.weight_bits, least=0, most=8
+        ),
         refractory=refractory,
         mantissa_shift=_mantissa_shift(spec, arithmetic, weights.exponent),
         membrane=_membrane(spec, arithmetic.membrane),
@@ -206,8 +208,8 @@ def _mantissa_shift(spec: Fields, arithmetic: CubaFixedPoint, exponent: int) -> 
 def _membrane(spec: Fields, register: Register) -> Register:
     if spec.name("vmin", "vmax") is None:
         return register
-    least = spec.whole("vmin", default=-register.limit, least=-_STATE, most=0)
-    most = spec.whole("vmax", default=register.limit, least=0, most=_STATE)
+    least = spec.integer("vmin", default=-register.limit, least=-_STATE, most=0)
+    most = spec.integer("vmax", default=register.limit, least=0, most=_STATE)
     return replace(register, between=(least, most))
 
 
@@ -325,11 +327,11 @@ def loihi_trace(fields: Fields, chip: str) -> TraceFile:
 
 def _layers_of(fields: Fields) -> list[Fields]:
     """The fields of each layer, then those that the file gives for all layers."""
-    shared = fields.under(fields.group("params"))
+    shared = fields.merged_with(fields.group("params"))
     if fields.name("layers") is None:
         return [shared]
     return [
-        shared.under(layer, layer.group("params"), where=layer.where)
+        shared.merged_with(layer, layer.group("params"), where=layer.where)
         for layer in fields.groups("layers")
     ]
 

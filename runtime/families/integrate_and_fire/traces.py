@@ -240,7 +240,7 @@ class _Recorded:
 
 def crossbar_verdict(fields: Fields, chip: str) -> Verdict:
     """Compare the chip's neurons with a recorded run, event by event and in timesteps."""
-    spec = fields.under(fields.group("params"))
+    spec = fields.merged_with(fields.group("params"))
     recorded = _recorded(spec, chip)
     unread = spec.unread - PROSE - _REPEATED
     if recorded.events is None and not recorded.tables:
@@ -508,11 +508,11 @@ def spiker_verdict(fields: Fields, chip: str) -> Verdict:
 
 def _layers_of(fields: Fields) -> list[Fields]:
     """The fields of each layer, then those that the file gives for all."""
-    shared = fields.under(fields.group("params"))
+    shared = fields.merged_with(fields.group("params"))
     if fields.name("layers") is None:
         return [shared]
     layers = fields.groups("layers")
-    return [shared.under(layer, layer.group("params"), where=layer.where) for layer in layers]
+    return [shared.merged_with(layer, layer.group("params"), where=layer.where) for layer in layers]
 
 
 def _program(specs: list[Fields], chip: Chip, width: int) -> Program:
@@ -540,7 +540,7 @@ def _program(specs: list[Fields], chip: Chip, width: int) -> Program:
 
 def _same(specs: list[Fields], name: str, default: int, most: int) -> int:
     """A width that all layers share."""
-    found = {spec.whole(name, default=default, least=2, most=most) for spec in specs}
+    found = {spec.integer(name, default=default, least=2, most=most) for spec in specs}
     if len(found) > 1:
         raise specs[0].wrong(name, "differs from layer to layer", "Split the trace in two.")
     return found.pop()
