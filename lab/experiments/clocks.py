@@ -120,7 +120,7 @@ def _result(task: str, kind: str, rows: Sequence[Row], reference: Row) -> Result
     returns = np.array([row.returns for row in rows])
     found = [costs.mean([e.costs for e in r.episodes], [e.steps for e in r.episodes]) for r in rows]
     earned = stratified(returns, np.random.default_rng(0)).mean
-    of = nested_ratio(returns, np.array(reference.returns), np.random.default_rng(0))
+    of = nested_ratio(returns, np.array(reference.returns))
     clocks = {each.clock for each in found}
     if len(clocks) != 1:
         raise ValueError(f"{task}, {kind}: the policies run by clocks {sorted(map(str, clocks))}")

@@ -78,7 +78,7 @@ class Point:
 
     def _of(self, reference: Sequence[float]) -> Estimate:
         scores = [row["scores"] for row in self.rows]
-        return nested_ratio(scores, reference, np.random.default_rng(0))
+        return nested_ratio(scores, reference)
 
     @property
     def single(self) -> list[float]:

@@ -277,7 +277,7 @@ class GymnasiumDesign(Design):
 
     def rows(self, training: TaskTraining) -> list[StoredRow]:
         """The rows of a training that has ended."""
-        digest = zoo.sha256(training.made / "checkpoints" / "best.safetensors")
+        digest = zoo.sha256(training.existing_run / "checkpoints" / "best.safetensors")
         return [
             StoredRow(
                 Path(self.runs) / "evaluations" / f"{training.name}@{place}.json",
@@ -312,7 +312,7 @@ class GymnasiumDesign(Design):
             return facts | _outcomes(play(env, self.episodes, actions, self.limit))
         file = Path(self.runs) / "policies" / training.name
         try:
-            made = network(training.made, "best", place, file)
+            made = network(training.existing_run, "best", place, file)
         except RuleError as error:
             return facts | {"refusal": str(error)}
         played = play(env, self.episodes, made.controller, self.limit)
@@ -358,7 +358,7 @@ def _write(design: GymnasiumDesign, results: Path) -> list[Path]:
     table, made = results / "gymnasium.csv", results / "gymnasium.json"
     rows = _merged(list(design.all_rows()), read_table(table) if table.is_file() else [])
     write_table(rows, table)
-    write_text(made, as_text(_made(design)))
+    write_text(made, as_text(_facts(design)))
     # as they stand in the table, so that the page can be written again from it
     by_task = {env: [r for r in read_table(table) if r["env"] == env] for env in TASKS}
     found = {env: points(of) for env, of in by_task.items()}
@@ -404,7 +404,7 @@ def _merged(new: Sequence[Record], old: Sequence[Record]) -> list[Record]:
     return [row for env in TASKS for row in rows if row["env"] == env]
 
 
-def _made(design: GymnasiumDesign) -> Record:
+def _facts(design: GymnasiumDesign) -> Record:
     """Facts on the making of the page."""
     trainings = design.trainings()
     names = design.tasks if len(design.tasks) == 1 else ()
@@ -471,7 +471,7 @@ class TaskPoint:
     def of_teacher(self) -> Estimate:
         """Score in parts of the teacher's; the interval covers trainings and episodes."""
         scores = np.array([row["scores"] for row in self.rows]) - self.lowest
-        return nested_ratio(scores, np.array(self.teacher) - self.lowest, np.random.default_rng(0))
+        return nested_ratio(scores, np.array(self.teacher) - self.lowest)
 
     @cached_property
     def earned(self) -> Estimate:
@@ -662,7 +662,7 @@ def _panel(axes: "Axes", env: str, found: Sequence[TaskPoint], chip: str) -> Non
     axes.axhline(100 * ENOUGH, color=_GREY, linewidth=0.8, linestyle=":")
     for point in found:
         operations = point.mean("operations")
-        if point.role in _LOOKS and operations and _drawn(point, chip):
+        if point.role in _LOOKS and operations and _is_drawn(point, chip):
             colour, marker = _LOOKS[point.role]
             estimate = point.of_teacher
             low, high = (100 * abs(end - estimate.mean) for end in estimate.ci95)
@@ -676,6 +676,6 @@ def _panel(axes: "Axes", env: str, found: Sequence[TaskPoint], chip: str) -> Non
     pages.plain(axes)
 
 
-def _drawn(point: TaskPoint, chip: str) -> bool:
+def _is_drawn(point: TaskPoint, chip: str) -> bool:
     """Return whether a point is drawn: spiking policies on the chip, float ones where they are."""
     return point.place == chip or point.role in (TEACHER, MLP)

@@ -390,7 +390,7 @@ def finish_share(finished: Sequence[Sequence[int]]) -> Estimate:
     each = np.asarray(finished, np.float64)
     if (each == each[0]).all():
         return wilson(each[0])
-    return nested_ratio(each, np.ones(each.shape[1]), np.random.default_rng(0))
+    return nested_ratio(each, np.ones(each.shape[1]))
 
 
 def on_unseen(rows: Sequence[Record], world: str, policy: str, preset: str = CORRIDOR) -> Shares:

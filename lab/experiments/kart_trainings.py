@@ -1,4 +1,4 @@
-"""Archives of what the trainings of the kart experiment left, so that nobody need train again.
+"""Archives of what the trainings of the kart experiment left, so that no one trains again.
 
     python -m lab kart-trainings pack --runs runs/experiment-kart
     python -m lab kart-trainings unpack --runs runs/experiment-kart
@@ -58,7 +58,7 @@ def _files(trial: KartTraining) -> list[Path]:
 
 
 def _check_kept(archive: Path, names: set[str]) -> None:
-    """Refuse to write an archive anew without what it holds: nobody trained that again."""
+    """Refuse to write an archive anew without what it holds: it was not trained again."""
     if not archive.is_file():
         return
     with ZipFile(archive) as zipped:

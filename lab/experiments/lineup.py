@@ -153,7 +153,7 @@ class LineupDesign(Design):
     def check(self, results: Path) -> None:
         """Refuse unknown settings, and a table that the rows cannot stand in."""
         super().check(results)
-        self.kept(results / TABLE)
+        self.read_kept(results / TABLE)
 
     def parts(self) -> list[Part]:
         """Each policy with a seed: its training and its evaluation."""
@@ -178,7 +178,7 @@ class LineupDesign(Design):
         if member.training is None:
             policy = zoo.sha256(member.shipped)
         else:
-            policy = zoo.sha256(member.training.made / "checkpoints" / "best.safetensors")
+            policy = zoo.sha256(member.training.existing_run / "checkpoints" / "best.safetensors")
         made = {"policy": policy, "episodes": self.episodes, "chip": self.chip}
         return StoredRow(Path(self.runs) / "evaluations" / f"{member.name}.json", made)
 
@@ -206,7 +206,7 @@ class LineupDesign(Design):
             if (row := self.result(member)) is not None:
                 yield row | {"versions": _versions(member)}
 
-    def kept(self, table: Path) -> list[Record]:
+    def read_kept(self, table: Path) -> list[Record]:
         """The rows of the table so far; ConfigError where they cannot stand beside its own.
 
         That is where they have other episodes, another chip, or quick trainings.
@@ -224,7 +224,7 @@ class LineupDesign(Design):
 
     def write_table(self, table: Path) -> None:
         """Write the complete rows, and those of the table so far that have no new one."""
-        new, old = list(self.all_rows()), self.kept(table)
+        new, old = list(self.all_rows()), self.read_kept(table)
         here = {key(row) for row in new}
         rows = [*new, *(row for row in old if key(row) not in here)]
         # by weights, which are the same for all trainings of a policy
@@ -310,7 +310,7 @@ def _file(member: Member) -> str:
     """The policy's file: the shipped one, or what is exported from the run."""
     if member.training is None:
         return str(member.shipped)
-    return runnable(str(member.training.made))
+    return runnable(str(member.training.existing_run))
 
 
 _SPARSE = "sparse-gated"
@@ -407,7 +407,7 @@ def _of(returns: Sequence[Sequence[float]], teacher: Sequence[Sequence[float]]) 
     """`104.2% [103.1, 105.3]` of the teacher; a dash for itself, and without it."""
     if not teacher or returns == teacher:
         return ABSENT
-    return _percent(nested_ratio(returns, teacher, np.random.default_rng(0)))
+    return _percent(nested_ratio(returns, teacher))
 
 
 def _returns(rows: Sequence[Record], policy: str) -> list[list[float]]:
@@ -444,8 +444,7 @@ def verdicts(rows: Sequence[Record]) -> list[str]:
 def _smallest(
     rows: Sequence[Record], controls: Sequence[str], other: str, beside: list[list[float]]
 ) -> str:
-    rng = np.random.default_rng
-    shares = {policy: nested_ratio(_returns(rows, policy), beside, rng(0)) for policy in controls}
+    shares = {policy: nested_ratio(_returns(rows, policy), beside) for policy in controls}
     equal = [policy for policy in controls if shares[policy].ci95[1] >= 1]
     if not equal:
         return f"All of these float policies are shown to earn less than `{other}`."

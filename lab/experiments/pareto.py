@@ -246,7 +246,7 @@ class ParetoDesign(Design):
         return [self._row(training, level, place, last) for level in found for place in places]
 
     def _row(self, training: StudentTraining, level: str, place: str, last: bool) -> StoredRow:
-        checkpoint = training.made / "checkpoints" / f"{level}.safetensors"
+        checkpoint = training.existing_run / "checkpoints" / f"{level}.safetensors"
         made = {
             "recipe": training.recipe,
             "seed": training.seed,
@@ -289,7 +289,7 @@ class ParetoDesign(Design):
         }
         try:
             file = Path(self.runs) / "policies" / f"{training.name}-{level}"
-            made = network(training.made, level, place, file)
+            made = network(training.existing_run, level, place, file)
         except RuleError as error:
             return facts | {"refusal": str(error)}
         played = play(training.config.env, row.of["episodes"], made.controller, self.limit)

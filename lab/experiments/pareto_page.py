@@ -54,7 +54,7 @@ def write(design: ParetoDesign, results: Path) -> list[Path]:
     table = folder / f"{design.env}.csv"
     if found or not table.is_file():
         write_table(found, table)
-        write_text(table.with_suffix(".json"), as_text(_made(design)))
+        write_text(table.with_suffix(".json"), as_text(_facts(design)))
     tables = {env: folder / f"{env}.csv" for env in ENVS if (folder / f"{env}.csv").is_file()}
     rows = {env: read_table(path) for env, path in tables.items()}
     drawn = {f"pareto/{env}.png": front_figure(env, points(of)) for env, of in rows.items()}
@@ -91,7 +91,7 @@ def _task(rows: list[Record], made: Record) -> Record:
     }
 
 
-def _made(design: ParetoDesign) -> Record:
+def _facts(design: ParetoDesign) -> Record:
     """Facts on the making of a table."""
     sizes = ["seeds", "episodes", "chip_episodes"]
     limit = f", of at most {design.limit} control steps" if design.limit else ""

@@ -152,7 +152,7 @@ def measure(student: PhaseTable, episodes: int) -> dict[str, Any]:
     world, seeds = envs.make("hexapod"), range(EVALUATION, EVALUATION + episodes)
     played = [rollout(world, Player(student), seed) for seed in seeds]
     returns = [each.total for each in played]
-    of_sac = nested_ratio([returns], _sac()[:episodes], np.random.default_rng(0))
+    of_sac = nested_ratio([returns], _sac()[:episodes])
     joules = student.joules()
     return {
         "macs": int(np.count_nonzero(student.weight)),

@@ -32,7 +32,7 @@ def ratio_of(
     return Estimate(float(middle(left) / middle(right)), _interval(tops[usable] / bottoms[usable]))
 
 
-def nested_ratio(values: ArrayLike, reference: ArrayLike, rng: np.random.Generator) -> Estimate:
+def nested_ratio(values: ArrayLike, reference: ArrayLike) -> Estimate:
     """Mean of values (S, n) of S trainings in n episodes / mean of a reference in the same.
 
     reference  (n,), or (R, n) of R trainings
@@ -40,6 +40,7 @@ def nested_ratio(values: ArrayLike, reference: ArrayLike, rng: np.random.Generat
     A resample draws trainings of both, then episodes, the same for all of them; the `mean` of the
     estimate is the ratio of the sample itself. NaN where the reference is 0.
     """
+    rng = np.random.default_rng(0)
     each = np.asarray(values, np.float64)
     beside = np.atleast_2d(np.asarray(reference, np.float64))
     if not beside.any():
@@ -53,9 +54,7 @@ def nested_ratio(values: ArrayLike, reference: ArrayLike, rng: np.random.Generat
     return Estimate(float(each.mean() / beside.mean()), _interval(np.concatenate(ratios)))
 
 
-def grouped_ratio(
-    values: ArrayLike, reference: ArrayLike, groups: ArrayLike, rng: np.random.Generator
-) -> Estimate:
+def grouped_ratio(values: ArrayLike, reference: ArrayLike, groups: ArrayLike) -> Estimate:
     """Mean of values (n,) / mean of a reference (n,) in the same episodes, with its interval.
 
     groups  (n,) of each episode: a resample draws groups, then pairs within each, so that an
@@ -63,6 +62,7 @@ def grouped_ratio(
 
     The `mean` of the estimate is the ratio of the sample itself. NaN where the reference is 0.
     """
+    rng = np.random.default_rng(0)
     left, right = np.asarray(values, np.float64), np.asarray(reference, np.float64)
     if not right.any():
         return Estimate(math.nan, (math.nan, math.nan))

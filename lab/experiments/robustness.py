@@ -376,7 +376,7 @@ def _write(design: RobustnessDesign, results: Path) -> list[Path]:
     table = folder / f"{file_name(design.env)}.csv"
     if found or not table.is_file():
         write_table(found, table)
-        write_text(table.with_suffix(".json"), as_text(_made(design)))
+        write_text(table.with_suffix(".json"), as_text(_facts(design)))
     others = sorted(path.stem for path in folder.glob("*.csv") if path.stem not in ENVS)
     tables = {env: folder / f"{env}.csv" for env in (*ENVS, *others)}
     rows = {env: read_table(path) for env, path in tables.items() if path.is_file()}
@@ -409,7 +409,7 @@ def _task(env: str, rows: list[Record], made: Record) -> Record:
     }
 
 
-def _made(design: RobustnessDesign) -> Record:
+def _facts(design: RobustnessDesign) -> Record:
     """Facts on the making of a table."""
     left, of = sum(map(design.is_missing, design.names)), len(design.names)
     limit = f", of at most {design.limit} control steps" if design.limit else ""
@@ -444,14 +444,13 @@ def read_table(path: Path) -> list[Record]:
 def with_kept(rows: Sequence[Record]) -> list[Record]:
     """The rows with the share of the undisturbed return that is kept, and its interval."""
     calm = {row["policy"]: row for row in rows if row["part"] == UNDISTURBED}
-    return [row | _kept(row, calm.get(row["policy"])) for row in rows]
+    return [row | _share_kept(row, calm.get(row["policy"])) for row in rows]
 
 
-def _kept(row: Mapping[str, Any], calm: Mapping[str, Any] | None) -> Record:
+def _share_kept(row: Mapping[str, Any], calm: Mapping[str, Any] | None) -> Record:
     if calm is None or row["part"] == UNDISTURBED or np.sum(calm["returns"]) <= 0:
         return {}
-    rng = np.random.default_rng(0)
-    found = grouped_ratio(row["returns"], calm["returns"], row["groups"], rng)
+    found = grouped_ratio(row["returns"], calm["returns"], row["groups"])
     return {"kept": found.mean, "kept_low": found.ci95[0], "kept_high": found.ci95[1]}
 
 
@@ -480,12 +479,12 @@ def _kept_table(rows: Sequence[Record], part: str) -> list[list[str]]:
     for (name, level), each in by_condition.items():
         first = next(iter(each.values()))
         hit = [_hit(each)] if part == FAULT else []
-        cells = [kept(each.get(policy)) for policy in names]
+        cells = [kept_text(each.get(policy)) for policy in names]
         lines.append([f"{name}:{level}", f"{first['number']:g} [{first['unit']}]", *hit, *cells])
     return lines if found else []
 
 
-def kept(row: Record | None) -> str:
+def kept_text(row: Record | None) -> str:
     """`97% [95, 99]`; the return itself where it is a loss; a dash where there is no row."""
     if row is None:
         return ABSENT
@@ -520,7 +519,7 @@ def sentences(rows: Sequence[Record]) -> list[str]:
 
 def _kept_of(policy: str, rows: Sequence[Record], word: str) -> str:
     enough = [row["name"] for row in rows if row["kept"] >= ENOUGH]
-    less = [f"{row['name']} {kept(row)}" for row in rows if row["kept"] < ENOUGH]
+    less = [f"{row['name']} {kept_text(row)}" for row in rows if row["kept"] < ENOUGH]
     rest = f"; less under {', '.join(less)}" if less else ""
     return (
         f"**{policy}** keeps {ENOUGH:.0%} or more of its own undisturbed return under "
@@ -555,7 +554,7 @@ def _worse(
     if not pairs:
         return f"Wherever {ann} keeps {ENOUGH:.0%} at level {MIDDLE}, {policy} does."
     said = ", ".join(
-        f"{own['name']} ({kept(own)} against {kept(of)}"
+        f"{own['name']} ({kept_text(own)} against {kept_text(of)}"
         + "".join(f"; {control}" for control in controls.get(own["name"], ()))
         + ")"
         for own, of in pairs

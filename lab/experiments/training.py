@@ -54,7 +54,7 @@ class TrainingJob:
         return next(filter(self._is_finished, runs), runs[-1] if runs else None)
 
     @property
-    def made(self) -> Path:
+    def existing_run(self) -> Path:
         """Its run folder, which must be there."""
         if (run := self.run) is None:
             raise ConfigError(f"{self.name} has no run folder")

@@ -178,7 +178,7 @@ def test_a_policy_that_earns_nothing_keeps_no_share():
     nothing = {"policy": "p", "part": UNDISTURBED, "returns": [0.0, 0.0], "groups": [0, 1]}
     rows = page.with_kept([nothing, nothing | {"part": "disturbance"}])
     assert all("kept" not in row for row in rows)
-    assert page.kept(rows[1]) == "–"
+    assert page.kept_text(rows[1]) == "–"
 
 
 def test_shipped_policies_can_be_chosen():
