@@ -228,6 +228,8 @@ def test_a_track_is_drawn_with_mouse_and_keys_and_saved(tmp_path):
     play(app, *lane(app), press("RETURN"))
     assert app.message[1] == "lane.json is saved: a kart can drive it."
     assert app.close() is None
+    start = tuple(round(each) for each in app._view.at((60.0, 50.0)))
+    assert app.draw().get_at(start) != app.draw().get_at((5, 5))  # a kart stands there
     track = load(tmp_path / "lane.json")
     np.testing.assert_array_equal(track.polylines[0], BOX)
     np.testing.assert_array_equal(track.gates, GATES)
