@@ -26,7 +26,7 @@ _SPIKES = "spikes"
 
 
 def is_nir_data(path: Path) -> bool:
-    """Whether a file is HDF5 and so may hold NIRData."""
+    """True if a file is HDF5 and so may hold NIRData."""
     return bool(h5py.is_hdf5(path))
 
 
@@ -56,7 +56,7 @@ def read_nir_data(
             "the network needs some. Name it so."
         )
     return {
-        name: _grid(f"{path}: node {name!r}", nodes[name], dt, shape, most)
+        name: _node_grid(f"{path}: node {name!r}", nodes[name], dt, shape, most)
         for name, shape in shapes.items()
     }
 
@@ -77,7 +77,9 @@ def write_nir_data(
             file.attrs["remark"] = remark
 
 
-def _grid(where: str, node: object, dt: float, shape: tuple[int, ...], most: int) -> NDArray[Any]:
+def _node_grid(
+    where: str, node: object, dt: float, shape: tuple[int, ...], most: int
+) -> NDArray[Any]:
     """(T, *shape) of the spikes of a node, or of its only observable, in at most so many bytes."""
     found = getattr(node, "observables", {})
     name = _SPIKES if _SPIKES in found else next(iter(found), "")
@@ -87,8 +89,9 @@ def _grid(where: str, node: object, dt: float, shape: tuple[int, ...], most: int
             f"play {_SPIKES!r}."
         )
     data = found[name]
-    rows = data.data if isinstance(data, nir.TimeGriddedData) else _of_events(where, data, dt, most)
-    if isinstance(data, nir.TimeGriddedData) and not np.isclose(data.dt, dt, rtol=1e-3):
+    gridded = isinstance(data, nir.TimeGriddedData)
+    rows = data.data if gridded else _events_grid(where, data, dt, most)
+    if gridded and not np.isclose(data.dt, dt, rtol=1e-3):
         raise ObservationError(
             f"{where} has a grid of dt = {data.dt:g} s, the network {dt:g} s. Give that dt to the "
             "network with --dt, or write the data anew."
@@ -101,7 +104,7 @@ def _grid(where: str, node: object, dt: float, shape: tuple[int, ...], most: int
     return np.asarray(rows[0].reshape(-1, *shape))
 
 
-def _of_events(where: str, data: nir.EventData, dt: float, most: int) -> NDArray[Any]:
+def _events_grid(where: str, data: nir.EventData, dt: float, most: int) -> NDArray[Any]:
     """(1, T, N) of events, or of their values, of one sample."""
     values = data.value if isinstance(data, nir.ValuedEventData) else None
     _check_events(where, data.idx, data.time, *(() if values is None else (values,)))
@@ -124,11 +127,11 @@ def _of_events(where: str, data: nir.EventData, dt: float, most: int) -> NDArray
             "Correct the events."
         )
     cells = step.astype(np.int64) * data.n_neurons + neuron
-    rows = _added(cells, None if values is None else values[0][there], size)
+    rows = _add_up(cells, None if values is None else values[0][there], size)
     return rows.reshape(1, timesteps, data.n_neurons)
 
 
-def _added(cells: NDArray[Any], values: NDArray[Any] | None, size: int) -> NDArray[Any]:
+def _add_up(cells: NDArray[Any], values: NDArray[Any] | None, size: int) -> NDArray[Any]:
     """(size,) of what is in each cell; several events of a neuron in a timestep add up."""
     most = np.unique(cells, return_counts=True)[1].max(initial=0) if values is None else size
     rows = np.zeros(size, np.uint8 if values is None and most <= 255 else np.float64)
@@ -137,17 +140,17 @@ def _added(cells: NDArray[Any], values: NDArray[Any] | None, size: int) -> NDArr
 
 
 def _check_events(where: str, *arrays: NDArray[Any]) -> None:
-    """Refuse arrays of events that are no numbers, or too long."""
+    """Refuse arrays of events, (samples, events) each, that are no numbers, or too long."""
     kinds = ("iu", "iuf", "iuf")  # of neurons, times and values
-    shapes = {np.shape(each) for each in arrays}
-    known = all(np.asarray(a).dtype.kind in k for a, k in zip(arrays, kinds, strict=False))
-    if not known or len(shapes) != 1 or arrays[0].ndim != 2:
-        found = ", ".join(f"{np.asarray(each).dtype} {np.shape(each)}" for each in arrays)
+    found = [np.asarray(each) for each in arrays]
+    known = all(each.dtype.kind in kind for each, kind in zip(found, kinds, strict=False))
+    if not known or len({each.shape for each in found}) != 1 or found[0].ndim != 2:
+        shown = ", ".join(f"{each.dtype} {each.shape}" for each in found)
         raise ObservationError(
-            f"{where} holds events of {found}; needed are whole numbers of neurons, times and "
+            f"{where} holds events of {shown}; needed are whole numbers of neurons, times and "
             "values (samples, events). Write it with nir.write_data."
         )
-    if (found_bytes := sum(each.nbytes for each in arrays)) > _EVENT_BYTES:
+    if (size := sum(each.nbytes for each in found)) > _EVENT_BYTES:
         raise ObservationError(
-            f"{where} holds {found_bytes} bytes of events; at most {_EVENT_BYTES}. Split it."
+            f"{where} holds {size} bytes of events; at most {_EVENT_BYTES}. Split it."
         )
