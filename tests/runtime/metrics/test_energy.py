@@ -1,4 +1,4 @@
-"""Energy and time are one dot product over the ledger, and one example is SANA-FE's."""
+"""Energy and time: one dot product over the ledger, term by term; one example is SANA-FE's."""
 
 import json
 import math
@@ -7,23 +7,38 @@ import numpy as np
 import pytest
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.layer import Synapses
+from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metrics.energy import (
+    BREAK_EVEN_TABLES,
+    ON_CHIP,
     STATIC,
     TABLES,
+    TERMS,
+    break_even_rate,
+    break_even_sops,
+    chip_terms,
+    delta_encoder,
     energy,
     energy_estimate,
     energy_table,
+    host_readout,
     latency,
     latency_estimate,
     mac_energy,
     mac_energy_estimate,
+    priced_terms,
+    rate_encoder,
+    reading_energy,
+    reset_energy,
     static_energy,
+    unpriced_terms,
+    xylo_clocks,
+    xylo_time,
 )
 from spikedeploy.runtime.metrics.energy_tables import Uncertainty
 from spikedeploy.runtime.metrics.traffic import MessageTraffic
@@ -255,3 +270,185 @@ def test_a_table_without_macs_or_times_says_so():
         mac_energy(1, TABLES["sanafe"])
     with pytest.raises(ConfigError, match="has no times"):
         latency(ledger(), TABLES["horowitz45"])
+
+
+# terms of the chip and of the host
+
+COUNTS = {
+    "sop": 1013.0, "graded_sop": 13.0, "bias_sop": 57.0, "neuron_update": 211.0,
+    "neuron_idle": 97.0, "message": 71.0, "spike_out": 31.0, "spike_in": 40.0, "saturation": 3.0,
+}  # fmt: skip
+
+
+def pico(joules):
+    return pytest.approx(joules * 1e-12)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_terms_of_a_chip_add_up_to_its_energy(name):
+    table = TABLES[name]
+    whole = energy(ledger(**COUNTS), table)
+    assert sum(chip_terms(COUNTS, table).values()) == pytest.approx(whole, rel=1e-12)
+    assert sum(priced_terms(COUNTS, table).values()) == pytest.approx(whole, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_every_term_that_happens_has_a_price_or_is_named(name):
+    table = TABLES[name]
+    said = {*priced_terms(COUNTS, table), *unpriced_terms(COUNTS, table), *table.included}
+    assert said >= set(ON_CHIP)
+    assert said <= set(TERMS)
+    assert not set(priced_terms(COUNTS, table)) & set(unpriced_terms(COUNTS, table))
+    assert all(joules > 0 for joules in priced_terms(COUNTS, table).values())
+
+
+def test_what_does_not_happen_is_not_unknown():
+    quiet = {"sop": 10.0, "neuron_update": 3.0}
+    int8 = TABLES["horowitz45-int8"]
+    assert unpriced_terms(quiet, int8) == ()
+    assert unpriced_terms({**quiet, "message": 1.0}, int8) == ("messages",)
+    assert priced_terms(quiet, int8)["idle"] == 0
+
+
+def test_graded_operations_are_multiply_accumulates():
+    found = chip_terms(COUNTS, TABLES["horowitz45-int8"])
+    assert found["operations"] == pico(1000 * 1.35 + 13 * 1.55)
+    assert found["updates"] == pico(211 * 26.5)
+
+
+def test_a_neuron_update_of_the_int8_table_has_one_price_everywhere():
+    # two multiplications, three additions, four accesses of 32 of 64 bits
+    assert TABLES["horowitz45-int8"].joules["neuron_update"] == pico(2 * 3.1 + 3 * 0.1 + 4 * 5)
+
+
+def test_the_host_is_priced_by_additions_and_accesses():
+    assert reading_energy(20) == pico(20 * 2.5)
+    # as in the pareto experiment: read, subtract, compare, read the level; add and write an event
+    once = delta_encoder(20, 5)
+    assert once == pico(20 * (2.5 + 0.1 + 0.1 + 2.5) + 5 * (0.1 + 2.5))
+    # levels are compared in every timestep, observations read once
+    assert delta_encoder(20, 5, 3) - once == pico(20 * 2 * 2.7)
+    # read and scaled once; in each timestep added, the accumulator read and written
+    assert rate_encoder(20, 16) == pico(20 * (2.5 + 3.1 + 0.1 + 16 * 5.1))
+    assert host_readout(100, 10, 4) == pico(104 * 1.35 + 10 * 1.55)
+
+
+def test_resets_have_a_price_where_arithmetic_has_one():
+    assert reset_energy(10, TABLES["horowitz45-int8"]) == pico(50)
+    assert reset_energy(10, TABLES["davies2018"]) is None
+    assert reset_energy(0, TABLES["davies2018"]) == 0
+
+
+# break-even lines: at the line both networks cost the same, worked out by hand
+
+INT8 = TABLES["horowitz45-int8"]
+
+
+def test_the_tables_are_those_that_price_both_kinds():
+    int8 = "horowitz45-int8"
+    assert ("horowitz45", int8, f"{int8}-acc16", f"{int8}-acc32") == BREAK_EVEN_TABLES
+    with pytest.raises(ConfigError, match="no price for both"):
+        break_even_rate(TABLES["davies2018"], 5)
+
+
+def test_a_rate_is_the_ratio_of_the_prices_over_the_timesteps():
+    # 1.55 pJ / (5 x 1.35 pJ)
+    assert break_even_rate(INT8, 5) == pytest.approx(1.55 / 1.35 / 5)
+    # half of the inputs skipped
+    assert break_even_rate(INT8, 5, activity=0.5) == pytest.approx(0.5 * 1.55 / 1.35 / 5)
+
+
+@pytest.mark.parametrize("timesteps", [1, 5, 16])
+@pytest.mark.parametrize("activity", [1.0, 0.3])
+def test_at_the_rate_two_layers_of_one_shape_cost_the_same(timesteps, activity):
+    fan_in, neurons = 400, 30
+    rate = break_even_rate(INT8, timesteps, fan_in, activity)
+    prices = INT8.joules
+    spiking = timesteps * neurons * (rate * fan_in * prices["sop"] + prices["neuron_update"])
+    assert spiking == pytest.approx(activity * neurons * fan_in * prices["mac"])
+
+
+def test_updates_alone_can_cost_more_than_a_float_network():
+    # 16 x 26.5 pJ for each neuron, against 32 x 1.55 pJ
+    assert break_even_rate(INT8, 16, 32) < 0
+    assert break_even_rate(INT8, 16) > 0
+
+
+def test_at_the_operations_a_row_costs_what_the_other_costs():
+    terms = {"operations": 100 * 1.35e-12, "updates": 200e-12, "encoder": 50e-12}
+    sops = break_even_sops(terms, 100, 520e-12, INT8)
+    assert sops * 1.35e-12 + 250e-12 == pytest.approx(520e-12)
+    assert break_even_sops(terms, 100, sum(terms.values()), INT8) == pytest.approx(100)
+    assert break_even_sops(terms, 100, 200e-12, INT8) < 0
+    # a silent policy has the table's price, graded operations their own
+    assert break_even_sops({"operations": 0.0}, 0, 1.35e-12, INT8) == pytest.approx(1)
+    assert break_even_sops({"operations": 155e-12}, 100, 1.55e-12, INT8) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("sums", "active", "least"),
+    # F (MAC d_a - SOP d_s) > update, d_s = 5 %, as docs/energy.md says
+    [("", 0.5, 38), ("", 0.1, 303), ("-acc16", 0.5, 10), ("-acc16", 0.1, 656),
+     ("-acc32", 0.5, 19)],
+)  # fmt: skip
+def test_a_layer_of_that_fan_in_is_the_first_that_costs_less_when_it_spikes(sums, active, least):
+    table = TABLES[f"horowitz45-int8{sums}"]
+    assert break_even_rate(table, 1, least, active) >= 0.05 - 1e-9
+    assert break_even_rate(table, 1, least - 1, active) < 0.05
+
+
+def test_spikes_as_frequent_as_a_third_of_the_inputs_never_pay_with_sums_of_32_bits():
+    assert break_even_rate(TABLES["horowitz45-int8-acc32"], 1, 10**9, 0.1) < 0.05
+
+
+# Xylo's clocks, worked out by hand from rockpool's formula
+
+
+def _layer(name, size, wires, aliases=()):
+    synapses = tuple(Synapses(source, np.array(w, np.int64), 1) for source, w in wires)
+    zero = np.zeros(size, np.int64)
+    return Layer(name, synapses, zero, zero, zero + 10, zero[None], zero, 1.0, 0, aliases)
+
+
+def _program(aliases=()):
+    """Two inputs, four hidden neurons of which each reaches two others, and one output."""
+    loop = np.array([[0, 1, 1, 0], [0, 0, 1, 1], [1, 0, 0, 1], [1, 1, 0, 0]])
+    hidden = _layer("hidden", 4, [("input", np.ones((2, 4))), ("hidden", loop)], aliases)
+    output = _layer("output", 1, [("hidden", np.ones((4, 1)))])
+    convention = Convention(1e-3, reset="subtract", delay=1)
+    return Program(chip("xylo-a2"), convention, "input", 2, (hidden, output), "output", None)
+
+
+QUIET = {
+    "input": np.zeros((1, 10, 2)),
+    "hidden": np.zeros((1, 10, 4)),
+    "output": np.zeros((1, 10, 1)),
+}
+
+
+def test_a_network_without_spikes_takes_its_fixed_clocks():
+    # 2 inputs; 4 hidden neurons of 3 + 19; 1 output of 12
+    assert xylo_clocks(_program(), QUIET) == 2 + 4 * 22 + 12
+
+
+def test_a_spike_takes_clocks_for_each_postsynaptic_neuron():
+    busy = {**QUIET, "input": QUIET["input"].copy(), "hidden": QUIET["hidden"].copy()}
+    busy["input"][0, :5] = 3  # half of the timesteps; that they are three is all the same
+    busy["hidden"][0, ::4] = 1  # of 10 timesteps 3
+    inputs = 2 * (3.5 * 0.5 * 4 + 1)
+    synapses = 4 * (2 * 7 * 0.3 + 3)
+    outputs = 4 * 0.3 * (1 + 1 * 8)
+    neurons = 4 * (19 + 2 * 0.3 + 0.3)
+    wanted = inputs + synapses + outputs + neurons + 12
+    assert xylo_clocks(_program(), busy) == pytest.approx(wanted)
+
+
+def test_aliases_take_clocks_too():
+    # every neuron has an alias and is one: 2 + 3 + 1 clocks a neuron more, spikes or not
+    everyone = ((1,), (2,), (3,), (0,))
+    assert xylo_clocks(_program(everyone), QUIET) == 2 + 4 * (22 + 2 + 3 + 1) + 12
+
+
+def test_time_is_clocks_over_the_clock_and_at_most_a_fifth_more():
+    found = xylo_time(_program(), QUIET, clock=1e6)
+    assert (found.value, found.low, found.high) == pytest.approx((1020e-6, 1020e-6, 1224e-6))
