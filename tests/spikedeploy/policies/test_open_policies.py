@@ -8,7 +8,7 @@ import pytest
 
 from spikedeploy import envs, zoo
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.play.spike_recorder import SpikeRecorder
+from spikedeploy.play.spikes import SpikeRecorder
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.registry import FORMATS, Candidate, find, open_policy
 from spikedeploy.runtime.artifact.artifact import load, save

@@ -9,7 +9,7 @@ import pytest
 from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.to_nir import to_nir
-from spikedeploy.play.spike_recorder import SpikeRecorder
+from spikedeploy.play.spikes import SpikeRecorder
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.policies.run import TorchController
 from spikedeploy.runtime.artifact.artifact import load
