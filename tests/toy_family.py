@@ -12,7 +12,7 @@ import numpy as np
 
 from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
 from spikedeploy.runtime.chips.layer import StepResult
-from spikedeploy.runtime.chips.registers import Register, rounded
+from spikedeploy.runtime.chips.registers import Register, round_values
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,14 @@ class LeakySixBits(ArithmeticDefaults):
         return replace(
             layer,
             synapses=tuple(
-                replace(s, weight=rounded(s.weight * scale, rounding).astype(np.int16))
+                replace(s, weight=round_values(s.weight * scale, rounding).astype(np.int16))
                 for s in layer.synapses
             ),
             bias=zeros,
             voltage_bias=zeros,
-            threshold=np.minimum(rounded(layer.threshold * scale, rounding), self.membrane.limit),
+            threshold=np.minimum(
+                round_values(layer.threshold * scale, rounding), self.membrane.limit
+            ),
             current_decay=zeros,
             membrane_decay=zeros + 2,
             scale=1 / scale,

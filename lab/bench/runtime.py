@@ -27,7 +27,7 @@ from lab.bench.peers import peers
 from lab.bench.turns import Act, interleave, parser_of, report
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.families.cuba.numpy_kernels import Scratch, gathering
+from spikedeploy.runtime.families.cuba.numpy_kernels import Scratch, make_gather
 from spikedeploy.runtime.families.cuba.quantise import bounds
 
 INPUTS = 20  # rasters of a round at batch 1
@@ -155,7 +155,7 @@ def gatherer(net: Net, raster: Raster) -> Machine:
         layer, arriving = kernel.layer, kernel._input
         partial = bounds(net.program, layer, net.program.chip.arithmetic, net.timesteps).partial
         weight = layer.synapses[0].weight
-        arriving._first = gathering(
+        arriving._first = make_gather(
             weight, layer.bias, partial, 1 << SHIFT, arriving._sums, Scratch(8 * weight.size)
         )
     return machine

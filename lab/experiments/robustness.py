@@ -34,7 +34,7 @@ from spikedeploy.reports.table import ABSENT, write_rows
 from spikedeploy.requests import LEVELS
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.damage import Damage, summed
+from spikedeploy.runtime.chips.damage import Damage, sum_damage
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import FAULTS, faults
@@ -348,7 +348,7 @@ class RobustnessDesign(Design):
 
 def _hits(damages: Sequence[Sequence[Damage]]) -> Record:
     """Parts of all specimens together, or what happened in all episodes."""
-    found = summed(damages)
+    found = sum_damage(damages)
     return {"hit": found[0].hit, "of": found[0].of, "what": found[0].what} if found else {}
 
 

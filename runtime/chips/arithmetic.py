@@ -17,7 +17,7 @@ from spikedeploy.runtime.chips.layer import (
     Network,
     Numbers,
     StepResult,
-    starting,
+    with_starts,
 )
 from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.convention import Convention
@@ -130,7 +130,7 @@ class ArithmeticDefaults(Protocol):
         differs = convention.spikes == "reached" and not self.spikes_at_threshold
         remarks = [_AT_THRESHOLD] if differs else []
         input_delay = self.input_delay(delay)
-        return starting(layers, network_input, delay, stagger, input_delay), remarks
+        return with_starts(layers, network_input, delay, stagger, input_delay), remarks
 
     def input_delay(self, delay: int) -> int:
         """Delay of the network's input [timesteps] on a chip with this delay of spikes."""
@@ -147,7 +147,7 @@ class ArithmeticDefaults(Protocol):
         """
         return []
 
-    def carried(self, layers: Sequence[Layer], network_input: str) -> list[str]:
+    def transport_remarks(self, layers: Sequence[Layer], network_input: str) -> list[str]:
         """A remark on what carries spikes from neuron to neuron, where that is a choice."""
         return []
 

@@ -243,22 +243,22 @@ def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
             raise ChipError(f"{path}: {called!r} is the name of another chip. Rename the file.")
     else:
         raise ChipError(
-            f"there is no chip {place!r}{_close(place, CHIPS)}. Known: {', '.join(CHIPS)}; or "
+            f"there is no chip {place!r}{_suggest(place, CHIPS)}. Known: {', '.join(CHIPS)}; or "
             "name a datasheet, which ends in .toml."
         )
     try:
-        datasheet = _loaded(path, called, path.stat().st_mtime_ns)
+        datasheet = _load(path, called, path.stat().st_mtime_ns)
     except OSError as error:
         raise ChipError(
             f"chip {place!r}: its datasheet cannot be read ({error.strerror}). Name another file."
         ) from error
     try:
-        return _overridden(datasheet, {**_spelled(datasheet, options), **overrides})
+        return _override(datasheet, {**_parse_options(datasheet, options), **overrides})
     except ChipError as error:
         raise ChipError(f"chip {called!r}: {error}") from None
 
 
-def listed(text: str) -> list[str]:
+def split_names(text: str) -> list[str]:
     """The chips in a text like "loihi1,int:weight_bits=4,membrane=12,odin", options included."""
     names: list[str] = []
     for part in filter(None, (part.strip() for part in text.split(","))):
@@ -282,29 +282,29 @@ _NAME = re.compile(r"(.*?\.toml(?=:|$)|[^:]*):?(.*)", re.DOTALL)
 _NO_TEXT = ("name", "arithmetic", "sources", "clocks", "limits")
 
 
-def _overridden(datasheet: Chip, overrides: Mapping[str, Any]) -> Chip:
+def _override(datasheet: Chip, overrides: Mapping[str, Any]) -> Chip:
     """The datasheet with these fields of it, or of its arithmetic, replaced."""
     arithmetic = datasheet.arithmetic
     inner: dict[str, Any] = {}
     outer: dict[str, Any] = {}
     for key, value in overrides.items():
-        wanted = _field(datasheet, key)
+        wanted = _find_field(datasheet, key)
         inside = any(each is wanted for each in fields(arithmetic))
         present = getattr(arithmetic if inside else datasheet, key)
-        (inner if inside else outer)[key] = _typed(wanted.type, key, value, present)
-    arithmetic = _built(replace, arithmetic, **inner) if inner else arithmetic
-    return cast("Chip", _built(replace, datasheet, **{"arithmetic": arithmetic, **outer}))
+        (inner if inside else outer)[key] = _convert(wanted.type, key, value, present)
+    arithmetic = _build(replace, arithmetic, **inner) if inner else arithmetic
+    return cast("Chip", _build(replace, datasheet, **{"arithmetic": arithmetic, **outer}))
 
 
-def _field(datasheet: Chip, key: str) -> "Field[Any]":
+def _find_field(datasheet: Chip, key: str) -> "Field[Any]":
     every = (*fields(datasheet), *fields(datasheet.arithmetic))
     known = {f.name: f for f in every if f.init}
     if key not in known:
-        raise ChipError(f"it has no option {key!r}{_close(key, known)}.")
+        raise ChipError(f"it has no option {key!r}{_suggest(key, known)}.")
     return known[key]
 
 
-def _spelled(datasheet: Chip, text: str) -> dict[str, Any]:
+def _parse_options(datasheet: Chip, text: str) -> dict[str, Any]:
     """The options in a text like "weight_bits=4,membrane=12-wrap"."""
     options: dict[str, Any] = {}
     for part in filter(None, text.split(",")):
@@ -317,7 +317,7 @@ def _spelled(datasheet: Chip, text: str) -> dict[str, Any]:
             )
         if key in options:
             raise ChipError(f"option {key!r} is given twice. Leave one of them out.")
-        if _field(datasheet, key).name in _NO_TEXT:
+        if _find_field(datasheet, key).name in _NO_TEXT:
             raise ChipError(f"{key!r} cannot be given as text.")
         members = [int(each) if _WHOLE.fullmatch(each) else each for each in value.split("/")]
         options[key] = members if len(members) > 1 else members[0]
@@ -344,18 +344,18 @@ _LIKE = ("chip", "source", "limits")
 
 
 @lru_cache(maxsize=64)
-def _loaded(path: Path, name: str, changed: int) -> Chip:
+def _load(path: Path, name: str, changed: int) -> Chip:
     """The chip of a datasheet's file, read again when the file has changed."""
     try:
-        return _datasheet(name, _tables(path))
+        return _make_chip(name, _read_tables(path))
     except ChipError as error:
         raise ChipError(f"{path}: {error}") from None
 
 
-def _datasheet(name: str, tables: Mapping[str, Any]) -> Chip:
+def _make_chip(name: str, tables: Mapping[str, Any]) -> Chip:
     """The chip that the tables of a file describe."""
     entries, limits = tables.get("fields", {}), tables.get("limits", {})
-    family = _imported(tables.get("arithmetic", ""))
+    family = _find_arithmetic(tables.get("arithmetic", ""))
     known = {each.name for each in (*fields(Chip), *fields(family))} - {"name", *_TABLES, "sources"}
     _check_names("field", entries, known | {"arithmetic"})
     _check_names("limit", limits, {each.name for each in fields(Limits)} - {"sources"})
@@ -364,35 +364,35 @@ def _datasheet(name: str, tables: Mapping[str, Any]) -> Chip:
         "name": name,
         "summary": tables.get("summary", ""),
         "evidence": tables.get("evidence", "compared with nothing"),
-        "arithmetic": _built(family, **_values(family, entries)),
+        "arithmetic": _build(family, **_convert_entries(family, entries)),
         "energy_tables": tuple(map(str, tables.get("energy_tables", ()))),
         "sources": sources,
         "limits": None,
     }
     if limits:
-        found = _values(Limits, limits, sources=_sources(limits, tables))
-        rest["limits"] = _built(Limits, **found)
-    return cast("Chip", _built(Chip, **_values(Chip, entries, **rest)))
+        found = _convert_entries(Limits, limits, sources=_sources(limits, tables))
+        rest["limits"] = _build(Limits, **found)
+    return cast("Chip", _build(Chip, **_convert_entries(Chip, entries, **rest)))
 
 
-def _tables(path: Path) -> dict[str, Any]:
+def _read_tables(path: Path) -> dict[str, Any]:
     """Tables of a file, over those of the datasheet that it is like."""
-    tables = _checked(_toml(path))
+    tables = _check_tables(_read_toml(path))
     like: dict[str, str] = tables.pop("like", {})
     if not like:
         return tables
     _check_names("entry of like", like, _LIKE)
     other = like.get("chip", "")
     if CHIPS.get(other) in (None, path):
-        raise ChipError(f"like.chip is {other!r}{_close(other, CHIPS)}. Name one of the chips.")
-    base = _tables(CHIPS[other])
+        raise ChipError(f"like.chip is {other!r}{_suggest(other, CHIPS)}. Name one of the chips.")
+    base = _read_tables(CHIPS[other])
     references = base.get("references", {}) | tables.get("references", {})
-    of_fields = _inherited(base, tables, "fields", like.get("source", "{source}"))
-    of_limits = _inherited(base, tables, "limits", like.get("limits", "{source}"))
+    of_fields = _inherit(base, tables, "fields", like.get("source", "{source}"))
+    of_limits = _inherit(base, tables, "limits", like.get("limits", "{source}"))
     return {**base, **tables, "references": references, "fields": of_fields, "limits": of_limits}
 
 
-def _inherited(
+def _inherit(
     base: Mapping[str, Any], tables: Mapping[str, Any], table: str, source: str
 ) -> dict[str, Any]:
     """Entries of a chip over those of the one that it is like, with what is said of these."""
@@ -404,7 +404,7 @@ def _inherited(
     return taken | {name: {**taken.get(name, {}), **entry} for name, entry in own.items()}
 
 
-def _toml(path: Path) -> dict[str, Any]:
+def _read_toml(path: Path) -> dict[str, Any]:
     if path.stat().st_size > _MOST_BYTES:
         raise ChipError(f"it has more than {_MOST_BYTES} bytes, which no datasheet needs.")
     try:
@@ -414,7 +414,7 @@ def _toml(path: Path) -> dict[str, Any]:
     return tables
 
 
-def _checked(tables: dict[str, Any]) -> dict[str, Any]:
+def _check_tables(tables: dict[str, Any]) -> dict[str, Any]:
     """The tables, if all are known and every entry of fields and limits has a source."""
     _check_names("table", tables, _TABLES)
     for name, table in tables.items():
@@ -451,30 +451,30 @@ def _sources(entries: Mapping[str, Any], tables: Mapping[str, Any]) -> dict[str,
 _REFERENCE = re.compile(r"\{(\w+)\}")
 
 
-def _imported(arithmetic: str) -> Any:  # noqa: ANN401
+def _find_arithmetic(arithmetic: str) -> Any:  # noqa: ANN401
     if arithmetic not in ARITHMETICS:
         raise ChipError(
-            f"arithmetic {arithmetic!r} is unknown{_close(arithmetic, ARITHMETICS)}. Choose one of "
-            f"{', '.join(ARITHMETICS)}."
+            f"arithmetic {arithmetic!r} is unknown{_suggest(arithmetic, ARITHMETICS)}. Choose one "
+            f"of {', '.join(ARITHMETICS)}."
         )
     module, name = ARITHMETICS[arithmetic].split(":")
     return getattr(import_module(module), name)
 
 
-def _values(kind: Any, entries: Mapping[str, Any], **given: Any) -> dict[str, Any]:  # noqa: ANN401
+def _convert_entries(kind: Any, entries: Mapping[str, Any], **given: Any) -> dict[str, Any]:  # noqa: ANN401
     """Values of entries, by the types of the fields of a dataclass, beside those given."""
     values = dict(given)
     for each in fields(kind):
         if each.name in given or not each.init:
             continue
         if "value" in (entry := entries.get(each.name, {})):
-            values[each.name] = _typed(each.type, each.name, entry["value"])
+            values[each.name] = _convert(each.type, each.name, entry["value"])
         elif each.default is MISSING and each.default_factory is MISSING:
             raise ChipError(f"{each.name} has no value. Write it with its source.")
     return values
 
 
-def _built(make: Any, *of: Any, **values: Any) -> Any:  # noqa: ANN401
+def _build(make: Any, *of: Any, **values: Any) -> Any:  # noqa: ANN401
     """An object of these values; ChipError where they do not go together."""
     try:
         return make(*of, **values)
@@ -484,7 +484,7 @@ def _built(make: Any, *of: Any, **values: Any) -> Any:  # noqa: ANN401
         raise ChipError(f"its numbers do not go together ({error}).") from None
 
 
-def _typed(kind: Any, name: str, value: Any, present: Any = None) -> Any:  # noqa: ANN401
+def _convert(kind: Any, name: str, value: Any, present: Any = None) -> Any:  # noqa: ANN401
     """The value of a field in a file, a text or from Python, by the field's type.
 
     present: the value now, for a register of which only the bits are given.
@@ -492,12 +492,12 @@ def _typed(kind: Any, name: str, value: Any, present: Any = None) -> Any:  # noq
     members = get_args(kind)
     if type(None) in members:
         kind = next(each for each in members if each is not type(None))
-        return None if value in (None, "none") else _typed(kind, name, value, present)
+        return None if value in (None, "none") else _convert(kind, name, value, present)
     if kind is Register:
         return _register(name, value, present)
     if get_origin(kind) is tuple:
         each = value if isinstance(value, list | tuple) else [value]
-        return tuple(_typed(members[0], name, member) for member in each)
+        return tuple(_convert(members[0], name, member) for member in each)
     if get_origin(kind) is Literal:
         if value not in members:
             choices = " or ".join(map(repr, members))
@@ -507,7 +507,9 @@ def _typed(kind: Any, name: str, value: Any, present: Any = None) -> Any:  # noq
         return value
     if isinstance(value, dict) and is_dataclass(kind):
         _check_names(f"part of {name}", value, [each.name for each in fields(kind)])
-        return _built(kind, **_values(kind, {part: {"value": v} for part, v in value.items()}))
+        return _build(
+            kind, **_convert_entries(kind, {part: {"value": v} for part, v in value.items()})
+        )
     if kind is int and (isinstance(value, bool) or not isinstance(value, int | np.integer)):
         raise ChipError(f"{name} must be a whole number, found {value!r}.")
     if kind is int and abs(value) > _LARGEST:
@@ -540,10 +542,10 @@ def _register(name: str, value: Any, present: Register | None) -> Register:  # n
 def _check_names(what: str, found: Iterable[str], known: Iterable[str]) -> None:
     for name in found:
         if name not in known:
-            raise ChipError(f"there is no {what} {name!r}{_close(name, known)}.")
+            raise ChipError(f"there is no {what} {name!r}{_suggest(name, known)}.")
 
 
-def _close(name: str, known: Iterable[str]) -> str:
+def _suggest(name: str, known: Iterable[str]) -> str:
     """A hint at what may have been meant."""
     close = difflib.get_close_matches(name, list(known), n=2)
     return f"; did you mean {' or '.join(map(repr, close))}" if close else ""

@@ -43,7 +43,7 @@ class Damage:
         return replace(self, hit=self.hit - before.hit, of=self.of - before.of)
 
 
-def summed(each: Sequence[Sequence[Damage]]) -> tuple[Damage, ...]:
+def sum_damage(each: Sequence[Sequence[Damage]]) -> tuple[Damage, ...]:
     """Sums of the damage over time of several runs of the same chip."""
     return tuple(
         replace(same[0], hit=sum(d.hit for d in same), of=sum(d.of for d in same))
@@ -84,7 +84,7 @@ class Upsets:
 
 def keys(specimen: int, seeds: Sequence[int]) -> Keys:
     """A key (B,) for each robot, of its seed."""
-    numbers = [_mixed(_mixed(specimen + 1) ^ (seed % _WORD)) for seed in seeds]
+    numbers = [_mix(_mix(specimen + 1) ^ (seed % _WORD)) for seed in seeds]
     return np.array(numbers, np.uint64)
 
 
@@ -92,7 +92,7 @@ def uniform(of: Keys, place: Sequence[int], size: int) -> NDArray[np.float64]:
     """Uniform numbers (B, size) in [0, 1) for the keys (B,), others at another place."""
     at = 0
     for number in place:
-        at = _mixed(at ^ (number % _WORD))
+        at = _mix(at ^ (number % _WORD))
     steps = np.arange(1, size + 1, dtype=np.uint64) * np.uint64(_GOLDEN)
     x = (of ^ np.uint64(at))[:, None] + steps
     x = (x ^ (x >> np.uint64(30))) * np.uint64(_MIX)
@@ -101,7 +101,7 @@ def uniform(of: Keys, place: Sequence[int], size: int) -> NDArray[np.float64]:
     return np.asarray((x >> np.uint64(11)) * 2.0**-53)
 
 
-def _mixed(x: int) -> int:
+def _mix(x: int) -> int:
     """splitmix64 of one number."""
     x = (x + _GOLDEN) % _WORD
     x = (x ^ (x >> 30)) * _MIX % _WORD

@@ -161,7 +161,7 @@ class StepResult:
     lost: NDArray[np.int64] | None = None
 
 
-def starting(
+def with_starts(
     layers: Sequence[Layer],
     network_input: str,
     delay: int,

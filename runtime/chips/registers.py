@@ -120,7 +120,7 @@ _OVERFLOWS: dict[Overflow, Callable[[Integers, int], Integers]] = {
 Rounding = Literal["nearest", "truncate"]
 
 
-def rounded(values: NDArray[Any], rounding: Rounding) -> NDArray[np.int64]:
+def round_values(values: NDArray[Any], rounding: Rounding) -> NDArray[np.int64]:
     """The values as whole numbers: the nearest, half to even; or without their fractions."""
     if rounding not in get_args(Rounding):
         raise ConfigError(f"rounding {rounding!r} is unknown. Choose 'nearest' or 'truncate'.")

@@ -149,7 +149,7 @@ def float_program(artifact: Artifact, chip: Chip, graph: LayerGraph, clock: Cloc
     layers, remarks = arithmetic.prepare(
         here, graph.input, convention, chip.delay, clock != "pipelined"
     )
-    remarks += arithmetic.carried(layers, graph.input)
+    remarks += arithmetic.transport_remarks(layers, graph.input)
     remarks += [_describe_host(layer, chip) for layer in host]
     if arithmetic.rounds:
         remarks += [_describe_readout(layer, chip) for layer in here if not layer.spiking]
@@ -314,7 +314,7 @@ def check(artifact: Artifact, on: Chip) -> DesignCheck:
         return DesignCheck(on, (*rulings, ruling), placed.mapping)
     arithmetic, layers = program.chip.arithmetic, program.layers
     ranges = arithmetic.ranges(layers, _rows(artifact, program))
-    carried = arithmetic.carried(layers, program.input)
-    note = "; ".join(program.remarks if program.reads_membranes else (*carried, *ranges))
+    transport = arithmetic.transport_remarks(layers, program.input)
+    note = "; ".join(program.remarks if program.reads_membranes else (*transport, *ranges))
     ruling = RuleResult(COMPILE, None, "pass", "a program", note=note)
     return DesignCheck(on, (*rulings, ruling), placed.mapping, program)

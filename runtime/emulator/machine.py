@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.damage import Damage, summed
+from spikedeploy.runtime.chips.damage import Damage, sum_damage
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import (
@@ -131,7 +131,7 @@ class Machine:
         """Hits of faults, those over time since the machine was made."""
         backends = self._backends.values()
         each = [b.damage for b in backends if isinstance(b, InterpreterBackend) and b.damage]
-        return (*self.program.damage, *summed(each))
+        return (*self.program.damage, *sum_damage(each))
 
     @property
     def ledger(self) -> Ledger:

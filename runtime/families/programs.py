@@ -350,7 +350,7 @@ def program_trace(fields: Fields, folder: Path) -> TraceFile:
     recorded = {}
     for layer in program.layers:
         if groups.name(layer.name) is not None:
-            recorded[layer.name] = _recorded(groups.group(layer.name), layer, timesteps)
+            recorded[layer.name] = _read_tables(groups.group(layer.name), layer, timesteps)
     raster = _raster(fields, program, timesteps).reshape(-1, inference, program.width)
     fields.text("chip")
     unread = (fields.unread - PROSE - _USE) | groups.unread | (beside.unread - PROSE - _USE)
@@ -418,7 +418,7 @@ def _raster(fields: Fields, program: Program, timesteps: int) -> NDArray[np.uint
     return counts.astype(np.uint8)
 
 
-def _recorded(spec: Fields, layer: Layer, timesteps: int) -> dict[str, Integers]:
+def _read_tables(spec: Fields, layer: Layer, timesteps: int) -> dict[str, Integers]:
     """The tables (T, N) that are there, by quantity."""
     tables = {}
     for quantity in QUANTITIES:

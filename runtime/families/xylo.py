@@ -37,7 +37,13 @@ from spikedeploy.runtime.chips.layer import (
     Synapses,
 )
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
-from spikedeploy.runtime.chips.registers import Register, Rounding, magnitude, rounded, shift_decay
+from spikedeploy.runtime.chips.registers import (
+    Register,
+    Rounding,
+    magnitude,
+    round_values,
+    shift_decay,
+)
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError, RuleError
 
@@ -86,7 +92,7 @@ def update(
     state: LayerState,
 ) -> StepResult:
     """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
-    current, lost = _arrived(registers, network, layer, presynaptic, state.current)
+    current, lost = _add_events(registers, network, layer, presynaptic, state.current)
     # I = I - dec(I)      V = V + (sum I - dec(V) + bias)      each sum as its register holds it
     current = current - shift_decay(current, layer.current_decay)
     # the lowest membrane with a dash of 0 leaks what does not fit: it stays where it is (xylosim)
@@ -104,7 +110,7 @@ def update(
     return StepResult(spikes, active, lost + low + turned + high)
 
 
-def _arrived(
+def _add_events(
     registers: XyloRegisters,
     network: Network,
     layer: Layer,
@@ -123,13 +129,15 @@ def _arrived(
             current[:, fed] += events @ weight
             continue
         for index, axon in np.argwhere(events):
-            added = _added(registers, current[index, fed], weight[axon], int(events[index, axon]))
+            added = _add_axon(
+                registers, current[index, fed], weight[axon], int(events[index, axon])
+            )
             current[index, fed], over = added
             lost[index] += over
     return current, lost
 
 
-def _added(
+def _add_axon(
     registers: XyloRegisters, current: Numbers, weight: Numbers, count: int
 ) -> tuple[Numbers, Numbers]:
     """Currents (N,) after so many events of one axon, and how many additions saturated."""
@@ -150,19 +158,19 @@ def _spikes(layer: Layer, membrane: Numbers, most: int) -> tuple[Numbers, Number
     """Spikes (B, N) of the membranes, and what they leave of them; at most so many of a neuron."""
     budget = np.full(membrane.shape, most)
     if not layer.aliases:
-        return _fired(membrane, layer.threshold, budget)
+        return _fire(membrane, layer.threshold, budget)
     membrane, spikes = membrane.copy(), 0 * budget
     for n, others in enumerate(layer.aliases):
         # spikes that were counted for a neuron before its turn use up its budget
         left = budget[:, n] - spikes[:, n]
-        own, membrane[:, n] = _fired(membrane[:, n], layer.threshold[n], left)
+        own, membrane[:, n] = _fire(membrane[:, n], layer.threshold[n], left)
         spikes[:, n] += own
         for other in others:
             spikes[:, other] = np.minimum(spikes[:, other] + spikes[:, n], most)
     return spikes, membrane
 
 
-def _fired(membrane: Numbers, threshold: Numbers, budget: Numbers) -> tuple[Numbers, Numbers]:
+def _fire(membrane: Numbers, threshold: Numbers, budget: Numbers) -> tuple[Numbers, Numbers]:
     """Spikes while there is a threshold to take off the membrane, and what is left of it."""
     spikes = 0 * budget
     for _ in range(budget.max()):
@@ -381,7 +389,7 @@ def quantise(
     scales = _scales(network, registers, quantisation.granularity, one)
     rounding = quantisation.rounding or "nearest"
     return [
-        _quantised_layer(layer, scales[layer.name], registers, rounding, one)
+        _quantise_layer(layer, scales[layer.name], registers, rounding, one)
         for layer in network.layers
     ]
 
@@ -391,7 +399,9 @@ def _scales(
 ) -> dict[str, Floats]:
     """Weights per float unit (N,) of each layer; a weight of 1 is worth so many state units."""
     biases_too = granularity == "layer"
-    each = {layer.name: _fitting(layer, registers, one, biases_too) for layer in network.layers}
+    each = {
+        layer.name: _largest_scales(layer, registers, one, biases_too) for layer in network.layers
+    }
     if granularity == "channel":
         return each
     outputs = {network.output} if network.output_apart else set()
@@ -402,7 +412,7 @@ def _scales(
     return common
 
 
-def _fitting(layer: Layer, registers: XyloRegisters, one: int, biases_too: bool) -> Floats:
+def _largest_scales(layer: Layer, registers: XyloRegisters, one: int, biases_too: bool) -> Floats:
     """(N,) largest scale at which the weights, the bias and the threshold of each neuron fit.
 
     biases_too: whether biases, which have 16 bits, are to be no larger than weights all the same.
@@ -426,12 +436,10 @@ def _check_thresholds(layer: Layer) -> None:
         )
 
 
-def _quantised_layer(
+def _quantise_layer(
     layer: Layer, scale: Floats, registers: XyloRegisters, rounding: Rounding, one: int
 ) -> Layer:
-    synapses = tuple(
-        _quantised_synapses(s, scale, registers, rounding, one) for s in layer.synapses
-    )
+    synapses = tuple(_quantise_synapses(s, scale, registers, rounding, one) for s in layer.synapses)
     states = scale * one
     threshold = _threshold(layer, states, rounding)
     if (lost := threshold < 1).any():
@@ -446,7 +454,7 @@ def _quantised_layer(
         layer,
         synapses=synapses,
         bias=np.zeros(layer.size, np.int64),
-        voltage_bias=rounded(layer.voltage_bias * states, rounding),
+        voltage_bias=round_values(layer.voltage_bias * states, rounding),
         threshold=threshold,
         scale=layer.scale / (states[0] if np.ptp(states) == 0 else states),
     )
@@ -455,14 +463,14 @@ def _quantised_layer(
 def _threshold(layer: Layer, states: Floats, rounding: Rounding) -> NDArray[np.int64]:
     if not layer.spiking:
         return np.full(layer.size, NEVER)
-    return rounded(layer.threshold * states, rounding)
+    return round_values(layer.threshold * states, rounding)
 
 
-def _quantised_synapses(
+def _quantise_synapses(
     synapses: Synapses, scale: Floats, registers: XyloRegisters, rounding: Rounding, one: int
 ) -> Synapses:
     most = registers.weight_max
-    weight = rounded(synapses.weight * scale, rounding).clip(-most, most)
+    weight = round_values(synapses.weight * scale, rounding).clip(-most, most)
     return replace(synapses, weight=(weight * one).astype(np.int32))
 
 

@@ -327,7 +327,7 @@ def compare(
     from spikedeploy.console import say
     from spikedeploy.policies.scripts import teacher_candidate
     from spikedeploy.reports.terminal import print_comparison
-    from spikedeploy.runtime.chips.chip import listed
+    from spikedeploy.runtime.chips.chip import split_names
     from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable
 
@@ -340,7 +340,7 @@ def compare(
     on = {"faults": damaged.faults(), **on_chip.arguments()}
     policies = [runnable(file) for file in files or ()]
     taught = teacher_candidate(runnable(teacher), teacher_units) if teacher else None
-    entries = line_up(env, policies, listed(",".join(chips)) if chips else None, taught, **on)
+    entries = line_up(env, policies, split_names(",".join(chips)) if chips else None, taught, **on)
     for remark in filter(None, map(remark_on_chip, entries)):
         say(remark)
     options = world.options()

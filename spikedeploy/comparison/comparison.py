@@ -20,7 +20,7 @@ from spikedeploy.comparison.statistics import bootstrap, paired_difference, shar
 from spikedeploy.policies import costs
 from spikedeploy.policies.costs import FLOAT_TABLES, Costs, priced_by
 from spikedeploy.policies.registry import BASELINES, UNTRAINED
-from spikedeploy.runtime.chips.damage import summed
+from spikedeploy.runtime.chips.damage import sum_damage
 from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.metrics.energy import (
     BREAK_EVEN_TABLES,
@@ -101,7 +101,7 @@ class Row:
             for name in names
         }
         # faults of the chip, of those over time in all episodes
-        over_time = summed([[d for d in e.damage if d.over_time] for e in self.episodes])
+        over_time = sum_damage([[d for d in e.damage if d.over_time] for e in self.episodes])
         damage = (*(d for d in self.episodes[0].damage if not d.over_time), *over_time)
         if damage:
             found["faults"] = [asdict(each) for each in damage]

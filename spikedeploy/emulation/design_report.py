@@ -7,7 +7,7 @@ from typing import Any
 
 from spikedeploy import zoo
 from spikedeploy.runtime.artifact.artifact import Artifact, load
-from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip, listed
+from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip, split_names
 from spikedeploy.runtime.compiler.compile import COMPILE, DesignCheck
 from spikedeploy.runtime.compiler.compile import check as check_on
 from spikedeploy.runtime.compiler.mapping import mapping_utilisation, placement_utilisation
@@ -68,7 +68,7 @@ def design_report(reference: str, chips: Sequence[str], **convention: Any) -> De
 
 def report_of(reference: str, artifact: Artifact, chips: Sequence[str]) -> DesignReport:
     """The design rules of chips on a network that was read from a file."""
-    named = [name for text in chips for name in listed(text)]
+    named = [name for text in chips for name in split_names(text)]
     names = tuple(CHIPS) if ALL in named else tuple(dict.fromkeys(named))
     # with its options, in which two chips of a report may differ
     checks = [check_on(artifact, replace(chip(name), name=name)) for name in names]

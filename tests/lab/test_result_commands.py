@@ -13,7 +13,7 @@ import typer
 from lab.experiments import EXPERIMENTS
 from spikedeploy import cli, envs
 from spikedeploy.commands.closed_loop import settings
-from spikedeploy.runtime.chips.chip import listed
+from spikedeploy.runtime.chips.chip import split_names
 from spikedeploy.shipping.cards import recorded
 from tests.paths import ROOT
 
@@ -72,7 +72,7 @@ def test_a_command_is_understood_today(line):
     given = parsed(words)
     if words[0] == "compare":
         envs.spec(given["env"])
-        listed(",".join(given["chips"] or ()))
+        split_names(",".join(given["chips"] or ()))
         settings(line)
 
 

@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
 from spikedeploy.runtime.chips.quantisation import Quantisation
-from spikedeploy.runtime.chips.registers import Rounding, decay, magnitude, rounded
+from spikedeploy.runtime.chips.registers import Rounding, decay, magnitude, round_values
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ChipError, RuleError
 from spikedeploy.runtime.families.cuba.neurons import (
     CubaRegisters,
-    arriving,
     float_sigma_delta,
     float_update,
     sigma_delta,
+    sum_arriving,
     update,
 )
 from spikedeploy.runtime.families.cuba.quantise import quantise, range_of, with_headroom
@@ -116,7 +116,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
     ) -> StepResult:
         """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
-        return update(self, network.convention, layer, arriving(layer, presynaptic), state)
+        return update(self, network.convention, layer, sum_arriving(layer, presynaptic), state)
 
     def partly_rounded(self, before: Layer, after: Layer, step: str) -> Layer:
         """The layer in float64 and state units, rounded up to one of the ablation steps."""
@@ -174,7 +174,7 @@ class CubaGradedSpikes(CubaFixedPoint):
     ) -> StepResult:
         """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
         if layer.graded:
-            weights = arriving(layer, presynaptic)
+            weights = sum_arriving(layer, presynaptic)
             return sigma_delta(self, _GRADED_BITS, layer, weights, state)
         return super().update(network, layer, presynaptic, state)
 
@@ -322,7 +322,7 @@ class CubaFloat64(ArithmeticDefaults):
         self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
     ) -> StepResult:
         """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
-        weights = arriving(layer, presynaptic)
+        weights = sum_arriving(layer, presynaptic)
         if layer.graded:
             return float_sigma_delta(self.graded_bits, layer, weights, state)
         return float_update(network.convention, layer, weights, state)
@@ -375,31 +375,31 @@ class CubaFloat32(ArithmeticDefaults):
     ) -> Sequence[Layer]:
         """The float layers with whole weights, and everything else in float32."""
         rounding = quantisation.rounding or "nearest"
-        return [_quantised(layer, self.weight_max, rounding) for layer in network.layers]
+        return [_quantise_float32(layer, self.weight_max, rounding) for layer in network.layers]
 
     def update(
         self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
     ) -> StepResult:
         """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
-        return float_update(network.convention, layer, arriving(layer, presynaptic), state)
+        return float_update(network.convention, layer, sum_arriving(layer, presynaptic), state)
 
     def describe(self) -> Description:
         """Neurons, weights and membrane in a few words each."""
         return Description("CuBa-LIF", f"{self.weight_bits} bits with the sign", "float32")
 
 
-def _quantised(layer: Layer, weight_max: int, rounding: Rounding) -> Layer:
+def _quantise_float32(layer: Layer, weight_max: int, rounding: Rounding) -> Layer:
     """The layer with whole weights; its states and thresholds grow as the weights do."""
     scale = _scale(layer, weight_max)
     return replace(
         layer,
         synapses=tuple(
-            replace(s, weight=rounded(s.weight * scale, rounding).astype(np.int16))
+            replace(s, weight=round_values(s.weight * scale, rounding).astype(np.int16))
             for s in layer.synapses
         ),
-        bias=_single(layer, "bias", scale),
-        voltage_bias=_single(layer, "voltage_bias", scale),
-        threshold=_single(layer, "threshold", scale),
+        bias=_as_float32(layer, "bias", scale),
+        voltage_bias=_as_float32(layer, "voltage_bias", scale),
+        threshold=_as_float32(layer, "threshold", scale),
         current_decay=layer.current_decay.astype(np.float32),
         membrane_decay=layer.membrane_decay.astype(np.float32),
         scale=layer.scale / scale,
@@ -419,7 +419,7 @@ def _scale(layer: Layer, weight_max: int) -> float:
     return scale
 
 
-def _single(layer: Layer, name: str, scale: float) -> NDArray[np.float32]:
+def _as_float32(layer: Layer, name: str, scale: float) -> NDArray[np.float32]:
     """(N,) the layer's numbers of that name, scaled, in float32."""
     if name == "threshold" and not layer.spiking:
         return layer.threshold.astype(np.float32)

@@ -110,7 +110,7 @@ class CubaRegisters:
         return 1 << self.decay_bits
 
 
-def arriving(layer: Layer, presynaptic: Sequence[Numbers]) -> Numbers:
+def sum_arriving(layer: Layer, presynaptic: Sequence[Numbers]) -> Numbers:
     """Sum of the weights (B, N) that arrive, those of the bias included."""
     total = layer.bias.astype(layer.threshold.dtype)
     for synapses, spikes in zip(layer.synapses, presynaptic, strict=True):

@@ -79,7 +79,7 @@ def jit(function: Function) -> Function:
     Without Numba the function itself: the module can then be read and imported, and NumbaPipeline
     refuses to run it, for it would take a thousand times longer.
     """
-    return _compiled(function, cache=False)
+    return _compile(function, cache=False)
 
 
 def kept_on_disk(function: Function) -> Function:
@@ -92,13 +92,13 @@ def kept_on_disk(function: Function) -> Function:
     digest = sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
     function.__qualname__ = f"{function.__qualname__}_{digest[:12]}"
     try:
-        return _compiled(function, cache=True)
+        return _compile(function, cache=True)
     except RuntimeError:
         # neither the package nor the user's cache folder can be written: compiled in every process
-        return _compiled(function, cache=False)
+        return _compile(function, cache=False)
 
 
-def _compiled(function: Function, *, cache: bool) -> Function:
+def _compile(function: Function, *, cache: bool) -> Function:
     try:
         import numba
     except ImportError:
@@ -168,10 +168,10 @@ def integer_step(
         wide = sums[n] << chip[SHIFT]
         drive = _fit(wide, registers[0])
         lost += drive != wide
-        wide = _decayed(was_current, decay_current[n], bits) + drive
+        wide = _decay(was_current, decay_current[n], bits) + drive
         current = _fit(wide, registers[1])
         lost += current != wide
-        wide = _decayed(was_membrane, decay_membrane[n], bits) + current + bias
+        wide = _decay(was_membrane, decay_membrane[n], bits) + current + bias
         membrane = _fit(wide, registers[2])
         lost += membrane != wide
         held = refractory[n] > 0
@@ -196,7 +196,7 @@ def active(bias: Array, before: Array, after: Array) -> int:
 
 
 @jit
-def _decayed(x: Number, factor: Number, bits: Number) -> Number:
+def _decay(x: Number, factor: Number, bits: Number) -> Number:
     """As decay of runtime.chips.registers."""
     left = abs(x) * factor >> bits
     return left if x >= 0 else -left

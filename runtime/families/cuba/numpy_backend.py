@@ -120,7 +120,7 @@ class _ActiveCount:
     def __init__(self, kernel: LayerKernel) -> None:
         self._kernel = kernel
         voltage_bias = kernel.layer.voltage_bias
-        self._biased = voltage_bias != 0 if voltage_bias.any() else None
+        self._bias_rows = voltage_bias != 0 if voltage_bias.any() else None
         self._nonzero = np.empty(kernel.states.shape, np.bool_)
         self._current, self._membrane_before = self._nonzero[1:, 0], self._nonzero[:-1, 1]
         self._active = np.empty_like(kernel.spikes)
@@ -130,8 +130,8 @@ class _ActiveCount:
         active = self._active
         np.not_equal(self._kernel.states, 0.0, self._nonzero)
         np.logical_or(self._current, self._membrane_before, active)
-        if self._biased is not None:
-            np.logical_or(active, self._biased, active)
+        if self._bias_rows is not None:
+            np.logical_or(active, self._bias_rows, active)
         if active.shape[1] == 1:
             return np.count_nonzero(active)
         return np.count_nonzero(active, axis=(0, 2))
@@ -157,7 +157,7 @@ class _DelayBuffer:
             for tail in self._tails.values():
                 tail.fill(0)
 
-    def delayed(
+    def late_rows(
         self, source: str, delay: int, output_spikes: dict[str, Raster], timesteps: int
     ) -> Raster:
         """The T rows of a source that arrive in this window, at least one row late."""
@@ -194,9 +194,9 @@ class NumpyPipeline:
         self._fixed = numbers if isinstance(numbers, CubaFixedPoint) else None
         # rows that a kernel runs at once
         self._rows = schedule.timesteps if schedule.mode == "window" else 1
-        self._kernels = self._prepared()
+        self._kernels = self._make_kernels()
         steps = schedule.steps if schedule.mode == "window" else 1
-        heard = [len(range(self._rows)[self._biased(a)]) for a in program.layers]
+        heard = [len(range(self._rows)[self._bias_rows(a)]) for a in program.layers]
         self._counter = EventCounter(program, self._kernels, steps, heard)
         self._output_spikes: dict[str, Raster] = {}
         self._lag = program.readout.lag if program.readout else 0
@@ -289,19 +289,25 @@ class NumpyPipeline:
             of = f" of {window.layer.name}"
             window.restore({name: saved[name + of] for name in window.saved()})
 
-    def _biased(self, layer: Layer) -> slice:
+    def _bias_rows(self, layer: Layer) -> slice:
         """Rows of a kernel's window in which the bias axon of a layer spikes."""
         whole = self.schedule.mode == "window"
         return self._program.window(layer, self._rows) if whole else slice(None)
 
-    def _prepared(self) -> list[LayerKernel]:
+    def _make_kernels(self) -> list[LayerKernel]:
         """A kernel for each layer; they share the memory that is needed only for a moment."""
         program, shape = self._program, (self._rows, self._batch)
         largest = max(s.weight.size for layer in program.layers for s in layer.synapses)
         scratch = Scratch(largest * np.dtype(np.float64).itemsize)
         return [
             LayerKernel(
-                program, layer, self._fixed, shape, self.schedule.kept, scratch, self._biased(layer)
+                program,
+                layer,
+                self._fixed,
+                shape,
+                self.schedule.kept,
+                scratch,
+                self._bias_rows(layer),
             )
             for layer in program.layers
         ]
@@ -309,21 +315,23 @@ class NumpyPipeline:
     def _window(self, rows: NDArray[Any], step: int | None) -> NDArray[Any]:
         """Run each layer once, for all rows."""
         output_spikes = {self._program.input: Raster(rows)}
-        delayed, timesteps = self._buffer.delayed, self._rows
+        late_rows, timesteps = self._buffer.late_rows, self._rows
         for layer, kernel, synapses in self._route:
             if step is not None and step < layer.start:
                 output_spikes[layer.name] = kernel.wait()
                 continue
             # in most networks nothing is late
             presynaptic = [
-                delayed(source, delay, output_spikes, timesteps) if delay else output_spikes[source]
+                late_rows(source, delay, output_spikes, timesteps)
+                if delay
+                else output_spikes[source]
                 for source, delay in synapses
             ]
             output_spikes[layer.name] = kernel.run(presynaptic)
         self._output_spikes = output_spikes
         spikes = output_spikes[self._program.output]
         if self._lag:
-            spikes = delayed(self._program.output, self._lag, output_spikes, timesteps)
+            spikes = late_rows(self._program.output, self._lag, output_spikes, timesteps)
         self._buffer.keep(output_spikes)
         return spikes.rows
 

@@ -132,7 +132,7 @@ LARGE, _SELDOM = 1 << 17, 2.5
 Summation: TypeAlias = Callable[[Raster], None]
 
 
-def summing(
+def choose_summation(
     weight: Weights, bias: Weights, partial: int | None, unit: int, out: Floats, scratch: Scratch
 ) -> Summation:
     """The exact way for a layer, or the choice among them.
@@ -151,11 +151,11 @@ def summing(
     if partial is None or out.shape[1] > 1 or weight.size < SMALL:
         return dense
     large = weight.size >= LARGE
-    gather = gathering(weight, bias, partial, unit, out, scratch) if large else None
+    gather = make_gather(weight, bias, partial, unit, out, scratch) if large else None
     return AutoSum(gather, ActiveRows(scaled, pull, out, scratch), dense)
 
 
-def gathering(
+def make_gather(
     weight: Weights, bias: Weights, partial: int, unit: int, out: Floats, scratch: Scratch
 ) -> "SparseSum":
     """Gather with numbers as small as the bounds allow; arguments as in summing."""
@@ -210,7 +210,7 @@ class SparseSum:
         self.weight = weight
         self._out, self._unit = out, out.dtype.type(unit)
         self._sums = aligned(out.shape, weight.dtype)
-        self._bias = _filled(self._sums, bias)
+        self._bias = _spread_bias(self._sums, bias)
         self._rows = list(self._sums.squeeze(1))
         self._fetched = scratch.like(weight)
 
@@ -253,7 +253,7 @@ class _Product:
         self._out = out
         # the place itself if its number type is that of the weights
         self._sums = out if out.dtype == weight.dtype else aligned(out.shape, weight.dtype)
-        self._bias = _filled(self._sums, bias)
+        self._bias = _spread_bias(self._sums, bias)
 
     def __call__(self, spikes: Floats, weight: Weights) -> None:
         spikes.dot(weight, self._sums)
@@ -263,7 +263,7 @@ class _Product:
             np.copyto(self._out, self._sums)
 
 
-def _filled(like: Weights, bias: Weights) -> Weights | None:
+def _spread_bias(like: Weights, bias: Weights) -> Weights | None:
     """The bias on every row: arrays of one shape are added in half the time; None adds nothing."""
     if not bias.any():
         return None
@@ -322,7 +322,9 @@ class LayerKernel:
         self._more = aligned(self._sums.shape, np.float64)
         biases = [_biases(layer, biased, timesteps), *[0 * layer.bias] * (len(layer.synapses) - 1)]
         self._first, *self._others = (
-            summing(s.weight, bias, partial, unit, self._more if k else self._sums, scratch)
+            choose_summation(
+                s.weight, bias, partial, unit, self._more if k else self._sums, scratch
+            )
             for k, (s, bias) in enumerate(zip(layer.synapses, biases, strict=True))
         )
         subtract = program.convention.reset == "subtract"
@@ -350,7 +352,7 @@ class LayerKernel:
             summation(presynaptic[index])
             np.add(self._sums, self._more, self._sums)
         self._update()
-        if self._check is not None and not self._check.passed(self.states, presynaptic):
+        if self._check is not None and not self._check.fits(self.states, presynaptic):
             self._interpret(self._check.fixed)
         return Raster(self.spikes)
 
@@ -506,7 +508,7 @@ class _OverflowCheck:
         if timesteps is not None:
             self._safe_spikes = spikes_without_overflow(layer, fixed, timesteps, self._limit)
 
-    def passed(self, states: Floats, presynaptic: Sequence[Raster]) -> bool:
+    def fits(self, states: Floats, presynaptic: Sequence[Raster]) -> bool:
         """True where no register overflowed on the way to these states."""
         if self._never or not self._open:
             return not self._never

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import NEVER, Layer, Network, Synapses
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
-from spikedeploy.runtime.chips.registers import Register, Rounding, magnitude, rounded
+from spikedeploy.runtime.chips.registers import Register, Rounding, magnitude, round_values
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
 
@@ -68,7 +68,7 @@ def exponent_and_share(
     if filled > 1:
         return 0, 1 / filled
     # whatever arrives at once is to fit the accumulator, or kernels would be slow
-    filled = max(filled, magnitude(_arriving(layer) * unit) / registers.accumulator.limit)
+    filled = max(filled, magnitude(_largest_arrival(layer) * unit) / registers.accumulator.limit)
     widest = int(np.log2(_WIDEST // registers.weight_max))
     most = min(registers.weight_exponent_max, widest)
     return (int(np.clip(np.floor(np.log2(1 / filled)), 0, most)) if filled else 0), 1.0
@@ -94,10 +94,10 @@ def range_of(
             return ""
         membrane, states = 0 * membrane, states[:2]
     unit, held = 1 << registers.mantissa_shift, min(states)
-    positive, negative, heaviest = _weighed(layer)
+    positive, negative, heaviest = _weight_sums(layer)
     each, bias = (
         heaviest * unit * _peak_response(current, membrane),
-        _biased(layer, current, membrane, unit),
+        _bias_sums(layer, current, membrane, unit),
     )
     largest, steady = np.maximum(positive, negative) * unit, _steady(current, membrane)
     if timesteps is not None:
@@ -115,7 +115,7 @@ def range_of(
     )
 
 
-def _biased(layer: Layer, current: Floats, membrane: Floats, unit: int) -> Floats:
+def _bias_sums(layer: Layer, current: Floats, membrane: Floats, unit: int) -> Floats:
     """Sums (N,) of the biases over time; without a leak over _LONG_BIAS timesteps."""
     # sigma-delta neurons add it once, when they read sigma
     kept = 1 - membrane if not layer.graded else np.ones(layer.size)
@@ -125,28 +125,28 @@ def _biased(layer: Layer, current: Floats, membrane: Floats, unit: int) -> Float
     )
 
 
-def _weighed(layer: Layer) -> tuple[Floats, Floats, Floats]:
+def _weight_sums(layer: Layer) -> tuple[Floats, Floats, Floats]:
     """Sums of the positive and of the negative weights of each neuron, and its heaviest (N,)."""
     weights = np.concatenate([s.weight.astype(np.float64) for s in layer.synapses])
     heaviest = np.abs(weights).max(axis=0, initial=0.0)
     return weights.clip(min=0).sum(axis=0), -weights.clip(max=0).sum(axis=0), heaviest
 
 
-def _arriving(layer: Layer) -> Floats:
+def _largest_arrival(layer: Layer) -> Floats:
     """The most that arrives in a timestep (N,)."""
-    positive, negative, _ = _weighed(layer)
+    positive, negative, _ = _weight_sums(layer)
     return np.asarray(np.maximum(positive, negative) + np.abs(layer.bias))
 
 
 def _reach(layer: Layer) -> Floats:
     """Estimate of the largest current or membrane (N,) of a float layer [float units]."""
-    positive, negative, heaviest = _weighed(layer)
+    positive, negative, heaviest = _weight_sums(layer)
     current, membrane = layer.current_decay, layer.membrane_decay
     steady, largest = _steady(current, membrane), np.maximum(positive, negative)
     events = NET_EVENTS * heaviest * _peak_response(current, membrane)
     bounded = np.isfinite(steady)
     proven = np.multiply(largest, steady, out=events.copy(), where=bounded)
-    return np.asarray(np.minimum(events, proven) + _biased(layer, current, membrane, 1))
+    return np.asarray(np.minimum(events, proven) + _bias_sums(layer, current, membrane, 1))
 
 
 def _steady(current: Floats, membrane: Floats) -> Floats:
@@ -209,7 +209,7 @@ def _largest(arrays: Sequence[Floats]) -> Floats:
 _ROUNDS = 60
 
 
-def levelled(scale: Floats, thresholds: Floats, most: int) -> Floats:
+def share_thresholds(scale: Floats, thresholds: Floats, most: int) -> Floats:
     """Scales (N,), at most as large, at which so many distinct threshold mantissas are enough.
 
     The scale that loses most loses as little as possible.
@@ -267,7 +267,7 @@ def quantise(
         exponent, part = exponent_and_share(layer, registers, untuned)
         scale = scale * part
     elif quantisation.thresholds is not None:
-        scale = levelled(np.asarray(scale), tuned.threshold, quantisation.thresholds)
+        scale = share_thresholds(np.asarray(scale), tuned.threshold, quantisation.thresholds)
     one = 1 << (registers.mantissa_shift + exponent)
     quantised = replace(
         layer,
@@ -283,7 +283,9 @@ def quantise(
     return quantised
 
 
-def stored(weights: NDArray[Any], registers: CubaRegisters, exponent: int = 0) -> NDArray[np.int16]:
+def drop_low_bits(
+    weights: NDArray[Any], registers: CubaRegisters, exponent: int = 0
+) -> NDArray[np.int16]:
     """Whole weights as the chip stores them, without the bits below its weight step.
 
     exponent: each weight then counts 2**this times, rounded down.
@@ -321,7 +323,7 @@ def _weights(
     weights: Floats, scale: Scale, registers: CubaRegisters, rounding: Rounding
 ) -> Integers:
     """Multiples of the chip's weight step; what a clip ratio above 1 sends further is clipped."""
-    steps = rounded(weights * scale / registers.weight_step, rounding)
+    steps = round_values(weights * scale / registers.weight_step, rounding)
     return np.clip(steps * registers.weight_step, -registers.weight_max, registers.weight_max)
 
 
@@ -332,7 +334,7 @@ def _thresholds(
     if not layer.spiking:
         return np.full(layer.size, NEVER)
     if layer.graded:  # a state of the neuron's program, not a mantissa
-        return np.maximum(rounded(layer.threshold * scale * one, rounding), 1)
+        return np.maximum(round_values(layer.threshold * scale * one, rounding), 1)
     return _threshold(layer, scale, registers, rounding) * one
 
 
@@ -345,7 +347,7 @@ def _threshold(
             "below 0; the chip's thresholds are unsigned. Train with positive thresholds."
         )
     exact = layer.threshold * scale
-    mantissa = rounded(exact, rounding)
+    mantissa = round_values(exact, rounding)
     lost = (mantissa == 0) & (layer.threshold > 0)
     if lost.any():
         raise RuleError(
@@ -361,7 +363,7 @@ def _voltage_bias(values: Floats, registers: CubaRegisters, rounding: Rounding) 
     over = np.maximum(np.abs(values) / max(registers.bias_mantissa_max, 1), 1.0)
     exponent = np.ceil(np.log2(over)).astype(np.int64)
     exponent = np.minimum(exponent, registers.bias_exponent_max)
-    mantissa = rounded(values / 2.0**exponent, rounding)
+    mantissa = round_values(values / 2.0**exponent, rounding)
     limit = registers.bias_mantissa_max
     return np.clip(mantissa, -limit, limit) << exponent
 
@@ -378,7 +380,7 @@ def _decay_factor(layer: Layer, of: str, registers: CubaRegisters, rounding: Rou
             f"{least} to {most} of {registers.decay_one} in each timestep. Choose another time "
             "constant."
         )
-    decays = rounded((1 - factor) * registers.decay_one, rounding)
+    decays = round_values((1 - factor) * registers.decay_one, rounding)
     return registers.decay_one - np.clip(decays, least, most)
 
 
@@ -477,13 +479,15 @@ def exact_ticks(layer: Layer, registers: CubaRegisters) -> int:
     to two, and Loihi's states are multiples of 2**6: three decays round nothing.
     """
     added = [1 << registers.mantissa_shift, *layer.voltage_bias.tolist(), *layer.threshold.tolist()]
-    shift = min(_trailing(int(value)) for value in added)
+    shift = min(_count_trailing_zeros(int(value)) for value in added)
     factors = [*layer.current_decay.tolist(), *layer.membrane_decay.tolist()]
-    bits = max(max(registers.decay_bits - _trailing(int(factor)), 0) for factor in factors)
+    bits = max(
+        max(registers.decay_bits - _count_trailing_zeros(int(factor)), 0) for factor in factors
+    )
     return shift // bits if bits else _LONG
 
 
-def _trailing(value: int) -> int:
+def _count_trailing_zeros(value: int) -> int:
     """Zeros at the end of a binary number; for 0, _LONG."""
     return (value & -value).bit_length() - 1 if value else _LONG
 
@@ -513,8 +517,8 @@ def _leaky(
     membrane_factor = layer.membrane_decay / float(registers.decay_one)
     push = bias.clip(min=0).astype(np.float64)
     if timesteps is None or timesteps > _LONG:
-        current = _unbounded(drive, current_factor)
-        return current, _unbounded(current + push, membrane_factor)
+        current = _limit_of_leak(drive, current_factor)
+        return current, _limit_of_leak(current + push, membrane_factor)
     current = membrane = np.zeros(layer.size)
     for _ in range(timesteps):
         current = current_factor * current + drive
@@ -522,7 +526,7 @@ def _leaky(
     return current, membrane
 
 
-def _unbounded(drive: Floats, factor: Floats) -> Floats:
+def _limit_of_leak(drive: Floats, factor: Floats) -> Floats:
     """Limit of x = factor x + drive: drive / (1 - factor), and infinite without a leak."""
     unbounded = np.where(drive > 0, np.inf, 0.0)
     return np.divide(drive, 1 - factor, out=unbounded, where=factor < 1)
@@ -540,7 +544,9 @@ def with_headroom(
 
     timesteps: T of an inference; None is a state that is never reset.
     """
-    return [_proven(network, a, registers, quantisation, timesteps) for a in network.layers]
+    return [
+        _quantise_proven(network, a, registers, quantisation, timesteps) for a in network.layers
+    ]
 
 
 def _overflow_ratio(
@@ -558,7 +564,7 @@ def _overflow_ratio(
     )
 
 
-def _proven(
+def _quantise_proven(
     network: Network,
     layer: Layer,
     registers: CubaRegisters,
@@ -569,7 +575,7 @@ def _proven(
     share = np.ones(layer.size if each else 1)
     for _ in range(_HEADROOM_ROUNDS):
         quantised = quantise(layer, registers, quantisation, share if each else float(share[0]))
-        parts = [_alone(quantised, n) for n in range(layer.size)] if each else [quantised]
+        parts = [_select_neuron(quantised, n) for n in range(layer.size)] if each else [quantised]
         over = np.array([_overflow_ratio(network, part, registers, timesteps) for part in parts])
         if (over <= 1).all():
             return quantised
@@ -582,7 +588,7 @@ def _proven(
     )
 
 
-def _alone(layer: Layer, n: int) -> Layer:
+def _select_neuron(layer: Layer, n: int) -> Layer:
     """The layer with one of its neurons."""
     return replace(
         layer,

@@ -12,7 +12,7 @@ from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
-from spikedeploy.runtime.families.cuba.quantise import stored
+from spikedeploy.runtime.families.cuba.quantise import drop_low_bits
 from spikedeploy.runtime.traces.fields import Fields, Integers, Work
 from spikedeploy.runtime.traces.verify import (
     PROSE,
@@ -104,7 +104,9 @@ def _synapses(
     source = f"layer{place - 1}" if place else "input"
     if spec.name("delays") is None:
         delay = _delay(spec, chip, source)
-        return [Synapses(source, w, delay, shift) for w, shift in _lists(weights, arithmetic)]
+        return [
+            Synapses(source, w, delay, shift) for w, shift in _stored_lists(weights, arithmetic)
+        ]
     delays = spec.array("delays", axes=2, least=0, most=chip.delay_max)
     delays = delays.T if spec.text("index").startswith("[pre]") else delays
     if delays.shape != weights.mantissa.shape:
@@ -113,7 +115,7 @@ def _synapses(
     return [
         Synapses(source, w, int(delay), shift)
         for delay in np.unique(delays)
-        for w, shift in _lists(
+        for w, shift in _stored_lists(
             replace(weights, mantissa=np.where(delays == delay, weights.mantissa, 0)), arithmetic
         )
     ]
@@ -135,7 +137,7 @@ def _skip(
             f"has shape {mantissa.shape}",
             "Write it for layers behind the first, with a row for each neuron.",
         )
-    lists = _lists(replace(weights, mantissa=mantissa), arithmetic)
+    lists = _stored_lists(replace(weights, mantissa=mantissa), arithmetic)
     delay = _delay(spec, chip, "input")
     return [Synapses("input", w, delay, shift) for w, shift in lists]
 
@@ -159,13 +161,13 @@ def _weights(spec: Fields, arithmetic: CubaFixedPoint, fan_in: int) -> _Weights:
         return _Weights(_matrix(spec, effective, fan_in, 1 << _SHIFT) >> _SHIFT, False, 0)
     name = spec.name(*_WEIGHTS) or _WEIGHTS[0]
     mantissa = _matrix(spec, name, fan_in)
-    mixed = name == "weights_mixed" or spec.flag("exc_inh_split") is False or _said_mixed(spec)
+    mixed = name == "weights_mixed" or spec.flag("exc_inh_split") is False or _is_mixed(spec)
     # lava looks at the weights: a list of one sign spends no bit on it (its weightutils)
     one_sign = arithmetic.exponents == "sum" and (mantissa.min() >= 0 or mantissa.max() <= 0)
     return _Weights(mantissa, mixed and not one_sign, exponent)
 
 
-def _said_mixed(spec: Fields) -> bool:
+def _is_mixed(spec: Fields) -> bool:
     return "mixed" in spec.text("sign_mode").lower()
 
 
@@ -213,15 +215,17 @@ def _membrane(spec: Fields, register: Register) -> Register:
     return replace(register, between=(least, most))
 
 
-def _lists(weights: _Weights, arithmetic: CubaFixedPoint) -> list[tuple[NDArray[np.int16], int]]:
+def _stored_lists(
+    weights: _Weights, arithmetic: CubaFixedPoint
+) -> list[tuple[NDArray[np.int16], int]]:
     """The lists of weights (M, N) that the chip stores, and the bits that each one's sum loses."""
     axons, exponent = weights.mantissa.T, weights.exponent
     if exponent >= 0 or arithmetic.exponents == "weight":
-        return [(stored(axons, arithmetic, exponent), 0)]
+        return [(drop_low_bits(axons, arithmetic, exponent), 0)]
     if arithmetic.exponents == "exact":
-        return [(stored(axons, arithmetic), 0)]
+        return [(drop_low_bits(axons, arithmetic), 0)]
     signs = [axons] if weights.mixed else [axons.clip(min=0), axons.clip(max=0)]
-    return [(stored(sign, arithmetic), -exponent) for sign in signs]
+    return [(drop_low_bits(sign, arithmetic), -exponent) for sign in signs]
 
 
 def _threshold(spec: Fields, arithmetic: CubaFixedPoint, size: int) -> Integers:
@@ -272,7 +276,7 @@ _INPUT = ("input_spikes", "input", "inputs", "in", "spikes_in", "s_in", "in_spik
 _PROBES = ("hw", "chip", "board", "probe")
 
 
-def _probed(*names: str) -> tuple[str, ...]:
+def _with_probes(*names: str) -> tuple[str, ...]:
     """The names, and those with the mark of a board's probe."""
     marked = ((f"{name}_{mark}", f"{mark}_{name}") for name in names for mark in _PROBES)
     return (*names, *(each for pair in marked for each in pair))
@@ -280,9 +284,9 @@ def _probed(*names: str) -> tuple[str, ...]:
 
 # quantity -> what emulators call it, and what it may be
 _RECORDED = {
-    "current": (_probed("u", "current", "I", "i"), -_STATE, _STATE),
-    "membrane": (_probed("v", "voltage", "membrane", "v_mem"), -_STATE, _STATE),
-    "spikes": (_probed("s", "spikes", "s_out", "output_spikes", "out_spikes", "spk"), 0, 1),
+    "current": (_with_probes("u", "current", "I", "i"), -_STATE, _STATE),
+    "membrane": (_with_probes("v", "voltage", "membrane", "v_mem"), -_STATE, _STATE),
+    "spikes": (_with_probes("s", "spikes", "s_out", "output_spikes", "out_spikes", "spk"), 0, 1),
 }
 # given twice in the file, or by the model
 _REPEATED = {

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
 from spikedeploy.runtime.chips.quantisation import Quantisation
-from spikedeploy.runtime.chips.registers import Rounding, magnitude, rounded
+from spikedeploy.runtime.chips.registers import Rounding, magnitude, round_values
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules, update
@@ -142,19 +142,19 @@ def quantise(
     bias = layer.bias + layer.voltage_bias
     scale = _scale(layer, bias, rules)
     low, high = rules.weight_range
-    whole_bias = np.clip(rounded(bias * scale, rounding), *rules.bias_range)
+    whole_bias = np.clip(round_values(bias * scale, rounding), *rules.bias_range)
     nothing = np.zeros_like(whole_bias)
     quantised = replace(
         layer,
         synapses=tuple(
-            replace(s, weight=_clipped(rounded(s.weight * scale, rounding), low, high))
+            replace(s, weight=_clip(round_values(s.weight * scale, rounding), low, high))
             for s in layer.synapses
         ),
         bias=nothing if rules.bias_bits else whole_bias,
         voltage_bias=whole_bias if rules.bias_bits else nothing,
         threshold=_threshold(layer, chip_name, scale, rules, rounding, limits),
         current_decay=nothing,
-        membrane_decay=_quantised_leak(layer, rules, scale, rounding),
+        membrane_decay=_quantise_leak(layer, rules, scale, rounding),
         scale=layer.scale / scale,
     )
     _check_alive(layer, quantised, chip_name)
@@ -181,7 +181,7 @@ def _largest_scale(values: Floats, low: int, high: int) -> float:
     return float(min(above, below))
 
 
-def _clipped(weights: Integers, low: int, high: int) -> NDArray[np.int16]:
+def _clip(weights: Integers, low: int, high: int) -> NDArray[np.int16]:
     # only catches a last bit of the scale
     return np.clip(weights, low, high).astype(np.int16)
 
@@ -199,7 +199,7 @@ def _threshold(
             f"rule threshold-range: layer {layer.name!r}: threshold {layer.threshold.min():g} is "
             f"below 0; {chip_name} is emulated with thresholds of 0 and above. Train with those."
         )
-    whole = np.minimum(rounded(layer.threshold * scale, rounding), rules.threshold_max)
+    whole = np.minimum(round_values(layer.threshold * scale, rounding), rules.threshold_max)
     lost = (whole == 0) & (layer.threshold > 0)
     if lost.any() and limits:
         raise RuleError(
@@ -211,7 +211,7 @@ def _threshold(
     return np.where(lost, 1, whole)
 
 
-def _quantised_leak(
+def _quantise_leak(
     layer: Layer, rules: IntegrateAndFireRules, scale: float, rounding: Rounding
 ) -> Integers:
     """(N,) amounts, or shifts."""
@@ -222,7 +222,7 @@ def _quantised_leak(
             shift = np.abs(np.log2(lost))
         return np.where(lost > 0, np.minimum(np.trunc(shift), rules.leak_max), _NO_LEAK).astype(int)
     # leak = (1 - beta) threshold / 2
-    amount = rounded(lost * layer.threshold * scale / 2, rounding)
+    amount = round_values(lost * layer.threshold * scale / 2, rounding)
     return np.minimum(amount, rules.leak_max)
 
 
@@ -306,7 +306,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         """Delay of the network's input [timesteps]: a late reset makes neurons' spikes late."""
         return 0 if self.reset_at == "leak" else delay
 
-    def carried(self, layers: Sequence[Layer], network_input: str) -> list[str]:
+    def transport_remarks(self, layers: Sequence[Layer], network_input: str) -> list[str]:
         """A remark on what carries spikes between neurons, on a chip with a queue for them."""
         inside = [s for layer in layers for s in layer.synapses if s.source != network_input]
         if not (self.queue_entries and inside):

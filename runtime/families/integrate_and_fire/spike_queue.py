@@ -82,7 +82,7 @@ class Crossbar:
         self._most = most
         self.membrane = membrane
         self.done: list[WorkedEvent] = []
-        self._wired = wired
+        self._wire = wired
         self._queue: deque[Event] = deque()
 
     def timestep(self, sent: Iterable[Event], waits: bool, settles: bool = True) -> None:
@@ -124,7 +124,7 @@ class Crossbar:
                 f"rule queue: the chip is not done after {self._most} events. Weaken recurrent "
                 "neurons that keep each other spiking, choose queue=off, or record a shorter run."
             )
-        wired, now = self._wired, PartialStep.of(self.membrane[None])
+        wired, now = self._wire, PartialStep.of(self.membrane[None])
         if event == TREF:
             begin(wired.rules, wired.convention, wired.neurons, now)
         else:
@@ -145,7 +145,7 @@ class Crossbar:
         self.done.append(result)
 
     def _make_room(self) -> None:
-        entries = self._wired.entries
+        entries = self._wire.entries
         while entries and len(self._queue) >= entries:
             self.work_on()
 
@@ -160,14 +160,14 @@ def update_together(
 
     presynaptic: layer -> spikes through each of its synapses; those of neurons are in the queue.
     """
-    wired, ways = _wired(rules, network.convention, network.layers, network.input)
+    wired, ways = _wire(rules, network.convention, network.layers, network.input)
     before = np.concatenate([states[layer.name].membrane for layer in network.layers], axis=1)
     inputs = np.concatenate([presynaptic[name][place] for name, place in ways], axis=1)
     spikes, overflows, lost = (np.zeros_like(before) for _ in range(3))
     total = PartialStep(before.copy(), spikes, overflows, np.zeros(before.shape, np.bool_))
     for copy in range(len(before)):
         crossbar = Crossbar(wired, before[copy])
-        crossbar.timestep(_sent(wired, inputs[copy]), rules.host == "wait")
+        crossbar.timestep(_list_events(wired, inputs[copy]), rules.host == "wait")
         total.membrane[copy] = crossbar.membrane
         for done in crossbar.done:
             total.spikes[copy, list(done.spikes)] += 1
@@ -177,7 +177,7 @@ def update_together(
     return _by_layer(rules, network, states, before, total, lost)
 
 
-def _sent(wired: CrossbarNeurons, counts: Numbers) -> list[Event]:
+def _list_events(wired: CrossbarNeurons, counts: Numbers) -> list[Event]:
     """Events that the host sends in a timestep: inputs by index, and the biases at last."""
     biases: list[Event] = [("bias", 0)] if "bias" in wired.weights else []
     return [*axons(counts), *biases]
@@ -209,7 +209,7 @@ def _by_layer(
 
 
 @lru_cache(maxsize=8)
-def _wired(
+def _wire(
     rules: IntegrateAndFireRules, convention: Convention, layers: tuple[Layer, ...], source: str
 ) -> tuple[CrossbarNeurons, tuple[tuple[str, int], ...]]:
     """The layers as one crossbar; and which synapses, by layer and place, bring the input.
@@ -239,7 +239,7 @@ def _wired(
     wired = CrossbarNeurons(
         rules=rules,
         convention=convention,
-        neurons=_merged(layers),
+        neurons=_merge(layers),
         weights=weights,
         entries=rules.queue_entries,
         muted=np.zeros(starts[-1], np.bool_),
@@ -247,7 +247,7 @@ def _wired(
     return wired, tuple(ways.values())
 
 
-def _merged(layers: Sequence[Layer]) -> Layer:
+def _merge(layers: Sequence[Layer]) -> Layer:
     """The neurons of all layers as one, without synapses."""
     return replace(
         layers[0],

@@ -80,9 +80,9 @@ class RecordedEvents:
         """The first event that was another one, or did something else."""
         for place, (event, found) in enumerate(zip(self.events, done, strict=False)):
             if event != found.event or self.steps[place] != steps[place]:
-                expected = _said(self.steps[place], event)
+                expected = _describe_event(self.steps[place], event)
                 return self._differs(
-                    place, None, "event", expected, _said(steps[place], found.event)
+                    place, None, "event", expected, _describe_event(steps[place], found.event)
                 )
             if (difference := self._inside(place, found)) is not None:
                 return difference
@@ -121,7 +121,7 @@ class RecordedEvents:
         return Difference(self.steps[place], name, neuron, quantity, expected, found)
 
 
-def _said(step: int, event: Event) -> str:
+def _describe_event(step: int, event: Event) -> str:
     kind, index = event
     return f"{kind} of step {step}" if kind == "tref" else f"{kind} {index} of step {step}"
 
@@ -241,11 +241,11 @@ class _Recorded:
 def crossbar_verdict(fields: Fields, chip: str) -> Verdict:
     """Compare the chip's neurons with a recorded run, event by event and in timesteps."""
     spec = fields.merged_with(fields.group("params"))
-    recorded = _recorded(spec, chip)
+    recorded = _read_run(spec, chip)
     unread = spec.unread - PROSE - _REPEATED
     if recorded.events is None and not recorded.tables:
         raise nothing_to_compare(fields, unread, "v, s, v_event or s_event")
-    done, steps, remarks = _replayed(spec, recorded)
+    done, steps, remarks = _replay(spec, recorded)
     difference = None if recorded.events is None else recorded.events.first(done, steps)
     found = _in_timesteps(done, steps, len(recorded.sent), len(recorded.start))
     of_tables = first_difference({_NEURONS: recorded.tables}, {_NEURONS: found}, {})
@@ -265,7 +265,7 @@ def crossbar_verdict(fields: Fields, chip: str) -> Verdict:
     )
 
 
-def _recorded(spec: Fields, chip: str) -> _Recorded:
+def _read_run(spec: Fields, chip: str) -> _Recorded:
     rules = datasheet(chip).arithmetic
     if not isinstance(rules, IntegrateAndFire):
         raise spec.wrong("chip", f"{chip} has no crossbar of events", "Name odin or tinyodin.")
@@ -274,7 +274,7 @@ def _recorded(spec: Fields, chip: str) -> _Recorded:
         found = f"has {counts.shape[1]} axons"
         raise spec.wrong("input_spikes", found, f"A crossbar has {_ROWS} at most.")
     host, order = _choice(spec, "host", _HOSTS), _choice(spec, "order", _ORDERS)
-    wired, start = _wired(spec, rules, counts.shape[1], host)
+    wired, start = _read_neurons(spec, rules, counts.shape[1], host)
     size = len(start)
     work = Work(spec, len(counts))
     work.add(size, 0)
@@ -283,7 +283,7 @@ def _recorded(spec: Fields, chip: str) -> _Recorded:
     return _Recorded(
         wired=wired,
         start=start,
-        sent=_sent(spec, counts, events, order),
+        sent=_read_sent(spec, counts, events, order),
         host=host,
         events=events,
         tables=recorded_tables(spec, _TABLES, (len(counts), size)),
@@ -297,7 +297,7 @@ def _choice(spec: Fields, name: str, choices: tuple[str, ...]) -> str:
     return found
 
 
-def _wired(
+def _read_neurons(
     spec: Fields, rules: IntegrateAndFireRules, width: int, host: str
 ) -> tuple[CrossbarNeurons, Integers]:
     """The neurons, and their membranes before the first event."""
@@ -345,7 +345,7 @@ def _neurons(spec: Fields, rules: IntegrateAndFireRules, size: int) -> Layer:
     )
 
 
-def _sent(
+def _read_sent(
     spec: Fields, counts: Integers, events: RecordedEvents | None, order: str
 ) -> list[list[Event]]:
     """Events that the host sends in each timestep: by index, or in their recorded order."""
@@ -365,20 +365,20 @@ def _sent(
     return in_order
 
 
-def _replayed(spec: Fields, recorded: _Recorded) -> tuple[list[WorkedEvent], list[int], list[str]]:
+def _replay(spec: Fields, recorded: _Recorded) -> tuple[list[WorkedEvent], list[int], list[str]]:
     """The effect of every event, its timestep, and remarks on how it was replayed."""
     events, host = recorded.events, recorded.host
     if host == "relays":
         if events is None:
             raise spec.wrong("host", "relays", "Add the events in the order of the host.")
         _check_relayed(spec, events, recorded.wired)
-        return *_as_recorded(recorded, events), [_AS_SENT]
-    done, steps = _as_modelled(recorded)
+        return *_replay_as_recorded(recorded, events), [_AS_SENT]
+    done, steps = _replay_as_modelled(recorded)
     if events is None or host == "wait" or [d.event for d in done] == events.events:
-        return done, steps, _streamed(events) if host == "stream" else []
+        return done, steps, _stream_remarks(events) if host == "stream" else []
     # the handshake of another host took other turns with the queue
     _check_queued(spec, events, recorded.wired)
-    return *_as_recorded(recorded, events), [_OTHER_TURNS]
+    return *_replay_as_recorded(recorded, events), [_OTHER_TURNS]
 
 
 _AS_SENT = "events are replayed in the order in which the host sent them"
@@ -393,12 +393,12 @@ _OTHER_TURNS = (
 )
 
 
-def _streamed(events: RecordedEvents | None) -> list[str]:
+def _stream_remarks(events: RecordedEvents | None) -> list[str]:
     lost_too = events is not None and "dropped_by_full_fifo" in events.compares
     return [_STREAMED + _LOST_TOO * lost_too]
 
 
-def _as_modelled(recorded: _Recorded) -> tuple[list[WorkedEvent], list[int]]:
+def _replay_as_modelled(recorded: _Recorded) -> tuple[list[WorkedEvent], list[int]]:
     """The events that the host sends, worked on as the chip does, and their timesteps."""
     crossbar, steps = _crossbar(recorded, recorded.wired), list[int]()
     waits, last = recorded.host == "wait", len(recorded.sent) - 1
@@ -414,7 +414,7 @@ def _crossbar(recorded: _Recorded, wired: CrossbarNeurons) -> Crossbar:
     return Crossbar(wired, recorded.start, most=MOST_NUMBERS // len(recorded.start))
 
 
-def _as_recorded(
+def _replay_as_recorded(
     recorded: _Recorded, events: RecordedEvents
 ) -> tuple[list[WorkedEvent], list[int]]:
     """The events worked on one after another, as they were recorded."""
@@ -493,7 +493,7 @@ def spiker_verdict(fields: Fields, chip: str) -> Verdict:
     unread = set.intersection(*(spec.unread for spec in specs)) - PROSE - _SPIKER_REPEATED
     if not any(recorded.values()):
         raise nothing_to_compare(fields, unread, "v, v_begun or s")
-    found = _spiker_replayed(program, counts)
+    found = _replay_spiker(program, counts)
     return Verdict(
         chip=chip,
         source=fields.text("source") or fields.text("name") or chip,
@@ -575,7 +575,7 @@ def _layer(spec: Fields, name: str, rules: IntegrateAndFire, source: str, fan_in
     )
 
 
-def _spiker_replayed(program: Program, counts: Integers) -> dict[str, dict[str, Integers]]:
+def _replay_spiker(program: Program, counts: Integers) -> dict[str, dict[str, Integers]]:
     """Layer -> quantity -> (T, N), in the timesteps of the RTL."""
     rules = program.chip.arithmetic
     if not isinstance(rules, IntegrateAndFire):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from spikedeploy.runtime.chips.chip import CHIPS, chip, listed
+from spikedeploy.runtime.chips.chip import CHIPS, chip, split_names
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.errors import ChipError
 
@@ -49,7 +49,7 @@ def test_a_register_is_its_bits_and_overflows_as_before():
     ],
 )
 def test_a_comma_parts_options_and_chips(text, names):
-    assert listed(text) == names
+    assert split_names(text) == names
 
 
 def test_lists_and_nothing_have_a_spelling():

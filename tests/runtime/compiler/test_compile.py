@@ -8,7 +8,7 @@ import pytest
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.layer import Synapses, starting
+from spikedeploy.runtime.chips.layer import Synapses, with_starts
 from spikedeploy.runtime.compiler import wiring
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
@@ -115,7 +115,7 @@ def test_layers_that_only_wait_for_each_other_start_at_once():
         layer(fixed, name, weight, (Synapses(source, weight, 1),), decays=(0, 0), threshold=64)
         for name, source in (("a", "b"), ("b", "a"))
     ]
-    assert [each.start for each in starting(loop, "input", 1, stagger=True)] == [0, 0]
+    assert [each.start for each in with_starts(loop, "input", 1, stagger=True)] == [0, 0]
 
 
 def test_spikes_may_go_into_neurons_without_weights():

@@ -16,7 +16,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.families.cuba.neurons import arriving
+from spikedeploy.runtime.families.cuba.neurons import sum_arriving
 from tests.networks import chain, cuba, popsan
 from tests.programs import layer, random_programs, rasters
 
@@ -150,7 +150,7 @@ def test_sums_of_a_negative_exponent_are_rounded_down_together(shift):
     both = layer(fixed, "n", weight.T, lists, decays=(0, 0), threshold=64)
     both = replace(both, bias=np.array([1, 2]))
     row = np.ones((1, 2), np.uint8)
-    assert arriving(both, [row, row]).tolist() == [
+    assert sum_arriving(both, [row, row]).tolist() == [
         [1 + (11 >> shift) + 11, 2 + (-11 >> shift) - 11]
     ]
 

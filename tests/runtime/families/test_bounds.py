@@ -183,7 +183,7 @@ def check_of(timesteps=None, **fields):
 
 def seen(check, highest, lowest, spikes=9):
     states = np.array([[lowest, highest]], float)
-    return check.passed(states, [Raster(np.ones((spikes, 1, 1), np.uint8))])
+    return check.fits(states, [Raster(np.ones((spikes, 1, 1), np.uint8))])
 
 
 def test_states_within_the_registers_pass_and_one_unit_more_does_not():

@@ -15,7 +15,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ChipError, RuleError
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFloat32
-from spikedeploy.runtime.families.cuba.neurons import arriving
+from spikedeploy.runtime.families.cuba.neurons import sum_arriving
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, lif, popsan
 
@@ -144,7 +144,7 @@ def test_what_arrives_is_added_up_in_float32():
     wide = replace(layer, synapses=(replace(layer.synapses[0], weight=weight),))
     spikes = np.ones((1, len(weight)), np.uint8)
     expected = layer.bias + spikes.astype(np.float32) @ weight
-    np.testing.assert_array_equal(arriving(wide, [spikes]), expected)
+    np.testing.assert_array_equal(sum_arriving(wide, [spikes]), expected)
     assert (expected != (layer.bias + weight.astype(float).sum(axis=0)).astype(np.float32)).any()
 
 

@@ -11,7 +11,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import Quantisation, Tuning
 from spikedeploy.runtime.chips.registers import Register, magnitude
 from spikedeploy.runtime.errors import ConfigError, RuleError
-from spikedeploy.runtime.families.cuba.quantise import quantise, stored
+from spikedeploy.runtime.families.cuba.quantise import drop_low_bits, quantise
 from tests.float_layers import float_layer
 
 FIXED = chip("loihi1").arithmetic
@@ -97,13 +97,13 @@ def test_what_is_quantised_is_stored_unchanged(rounding):
         .synapses[0]
         .weight
     )
-    np.testing.assert_array_equal(stored(whole, fixed), whole)
+    np.testing.assert_array_equal(drop_low_bits(whole, fixed), whole)
 
 
 @pytest.mark.parametrize(("rule", "kept"), [("floor", -256), ("zero", -254)])
 def test_emulators_differ_in_odd_negative_mixed_weights(rule, kept):
     fixed = chip("loihi1", sign_mode="mixed", step_rounding=rule).arithmetic
-    assert stored(np.array([[-255, 255, -254]]), fixed).tolist() == [[kept, 254, -254]]
+    assert drop_low_bits(np.array([[-255, 255, -254]]), fixed).tolist() == [[kept, 254, -254]]
 
 
 def test_a_threshold_that_does_not_fit_shrinks_the_scale():
@@ -312,15 +312,15 @@ def test_weights_that_become_0_are_refused_beside_a_source_whose_weights_are_0()
 )
 def test_a_weight_with_an_exponent_counts_so_many_times_rounded_down(rule, exponent, kept):
     fixed = chip("loihi1", exponents=rule, accumulator=Register(22, "clip")).arithmetic
-    assert stored(np.array([255, -254]), fixed, exponent).tolist() == kept
+    assert drop_low_bits(np.array([255, -254]), fixed, exponent).tolist() == kept
 
 
 def test_a_weight_that_the_accumulator_cannot_hold_is_clipped_by_itself():
     fixed = chip("loihi1", exponents="weight", accumulator=Register(16, "clip")).arithmetic
     # 32767 >> 6
-    assert stored(np.array([255, -254, 3]), fixed, 2).tolist() == [511, -511, 12]
+    assert drop_low_bits(np.array([255, -254, 3]), fixed, 2).tolist() == [511, -511, 12]
     plain = chip("loihi1", exponents="exact", accumulator=Register(16, "clip")).arithmetic
-    assert stored(np.array([255, -254, 3]), plain, 2).tolist() == [1020, -1016, 12]
+    assert drop_low_bits(np.array([255, -254, 3]), plain, 2).tolist() == [1020, -1016, 12]
 
 
 @settings(max_examples=60)

@@ -15,7 +15,7 @@ from spikedeploy.runtime.families.cuba.numpy_kernels import (
     Raster,
     Scratch,
     SparseSum,
-    summing,
+    choose_summation,
 )
 
 NEURONS = 33
@@ -40,7 +40,10 @@ def test_all_ways_give_the_exact_sums(seed, axons, timesteps, batch, rate, dtype
     scaled = [(array * 64.0).astype(np.float32) for array in (weight, bias)]
     out = np.full((timesteps, batch, NEURONS), np.nan)
     scratch = Scratch(8 * weight.size)
-    ways = [Matmul(*scaled, out), summing(weight, bias, 255 * (axons + 1), 64, out, scratch)]
+    ways = [
+        Matmul(*scaled, out),
+        choose_summation(weight, bias, 255 * (axons + 1), 64, out, scratch),
+    ]
     if batch == 1:
         whole = [weight.astype(np.int32), bias.astype(np.int32)]
         gather, union = SparseSum(*whole, 64, out, scratch), ActiveRows(*scaled, out, scratch)
@@ -65,7 +68,9 @@ def test_all_ways_give_the_exact_sums(seed, axons, timesteps, batch, rate, dtype
 )
 def test_number_types_are_as_small_as_the_bounds_allow(partial, dtypes):
     weight, bias = np.zeros((512, 256), np.int16), np.zeros(256, np.int64)
-    way = summing(weight, bias, partial, 64, np.empty((5, 1, 256)), Scratch(8 * weight.size))
+    way = choose_summation(
+        weight, bias, partial, 64, np.empty((5, 1, 256)), Scratch(8 * weight.size)
+    )
     gather, dense = (way.gather, way.dense) if isinstance(way, AutoSum) else (None, way)
     assert (gather and gather.weight.dtype, dense.weight.dtype) == dtypes
 
@@ -82,7 +87,7 @@ def test_number_types_are_as_small_as_the_bounds_allow(partial, dtypes):
 def test_the_size_and_the_batch_say_which_ways_there_are(shape, batch, ways):
     weight, bias = np.ones(shape, np.int16), np.zeros(shape[1], np.int64)
     out = np.empty((3, batch, shape[1]))
-    way = summing(weight, bias, sum(shape), 64, out, Scratch(8 * weight.size))
+    way = choose_summation(weight, bias, sum(shape), 64, out, Scratch(8 * weight.size))
     found = ["dense"]
     if isinstance(way, AutoSum):
         found = [name for name in ("gather", "union", "dense") if getattr(way, name)]

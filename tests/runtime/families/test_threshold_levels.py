@@ -9,27 +9,27 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.cuba.quantise import levelled
+from spikedeploy.runtime.families.cuba.quantise import share_thresholds
 from tests.networks import popsan
 
 
 def test_two_levels_part_the_thresholds_where_least_is_lost():
-    scale = levelled(np.array([100.0, 110.0, 200.0, 230.0]), np.ones(4), 2)
+    scale = share_thresholds(np.array([100.0, 110.0, 200.0, 230.0]), np.ones(4), 2)
     assert scale.tolist() == [100.0, 100.0, 200.0, 200.0]
 
 
 def test_a_far_larger_threshold_has_a_level_of_its_own():
-    scale = levelled(np.array([100.0, 110.0, 131071.0]), np.ones(3), 2)
+    scale = share_thresholds(np.array([100.0, 110.0, 131071.0]), np.ones(3), 2)
     assert scale.tolist() == [100.0, 100.0, 131071.0]
 
 
 def test_a_threshold_of_zero_counts_as_a_level():
-    scale = levelled(np.array([100.0, 110.0, 200.0]), np.array([1.0, 1.0, 0.0]), 2)
+    scale = share_thresholds(np.array([100.0, 110.0, 200.0]), np.array([1.0, 1.0, 0.0]), 2)
     assert scale.tolist() == [100.0, 100.0, 200.0]
 
 
 def test_where_levels_suffice_a_scale_shrinks_to_a_whole_threshold_and_no_more():
-    scale = levelled(np.array([100.0, 110.5]), np.ones(2), 2)
+    scale = share_thresholds(np.array([100.0, 110.5]), np.ones(2), 2)
     assert scale.tolist() == [100.0, 110.0]
 
 
@@ -38,7 +38,7 @@ def test_where_levels_suffice_a_scale_shrinks_to_a_whole_threshold_and_no_more()
 def test_levels_are_few_whole_and_never_above(seed, most):
     rng = np.random.default_rng(seed)
     scale, thresholds = rng.uniform(50, 5000, 40), rng.choice([0.5, 1.0, 2.0], 40)
-    found = levelled(scale, thresholds, most)
+    found = share_thresholds(scale, thresholds, most)
     mantissas = found * thresholds
     assert (found <= scale).all()
     np.testing.assert_allclose(mantissas, np.rint(mantissas), rtol=1e-12)
@@ -81,10 +81,10 @@ def test_choices_are_said_in_words():
 
 
 def test_a_threshold_of_one_is_a_level():
-    assert levelled(np.array([1.5, 5.5]), np.ones(2), 1).tolist() == [1.0, 1.0]
-    assert levelled(np.array([1.5, 5.5]), np.ones(2), 2).tolist() == [1.0, 5.0]
+    assert share_thresholds(np.array([1.5, 5.5]), np.ones(2), 1).tolist() == [1.0, 1.0]
+    assert share_thresholds(np.array([1.5, 5.5]), np.ones(2), 2).tolist() == [1.0, 5.0]
 
 
 def test_thresholds_that_are_all_0_leave_the_scales_as_they_are():
-    assert levelled(np.array([0.5, 3.0]), np.array([1.0, 0.0]), 1).tolist() == [0.5, 3.0]
-    assert levelled(np.array([9.0, 5.0]), np.array([0.0, 1.0]), 1).tolist() == [9.0, 5.0]
+    assert share_thresholds(np.array([0.5, 3.0]), np.array([1.0, 0.0]), 1).tolist() == [0.5, 3.0]
+    assert share_thresholds(np.array([9.0, 5.0]), np.array([0.0, 1.0]), 1).tolist() == [9.0, 5.0]

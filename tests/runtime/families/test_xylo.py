@@ -14,7 +14,7 @@ from spikedeploy.runtime.chips.registers import Register, shift_decay
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import TraceError
-from spikedeploy.runtime.families.xylo import _added, _fired
+from spikedeploy.runtime.families.xylo import _add_axon, _fire
 from spikedeploy.runtime.traces.verify import Difference, verify
 from tests.paths import GOLDEN
 from tests.trace_files import recorded_trace
@@ -263,7 +263,7 @@ def test_many_events_of_an_axon_are_as_many_additions_one_after_another(state):
         for _ in range(count):
             current, over = registers.state.fit_counted(current + weight)
             lost = lost + over
-        found, times = _added(registers, start, weight, count)
+        found, times = _add_axon(registers, start, weight, count)
         np.testing.assert_array_equal(found, current)
         np.testing.assert_array_equal(times, lost)
         assert lost.any()
@@ -343,11 +343,11 @@ def test_additions_that_do_not_fit_are_counted_to_the_last_unit(
     current, weight, count, after, lost
 ):
     registers = chip("xylo-a2").arithmetic
-    found = _added(registers, np.array([current]), np.array([weight]), count)
+    found = _add_axon(registers, np.array([current]), np.array([weight]), count)
     assert [each.tolist() for each in found] == [[after], [lost]]
 
 
 def test_each_neuron_spikes_within_its_own_budget():
-    spikes, left = _fired(np.array([100, 100, 100, 9]), np.array([10] * 4), np.array([1, 3, 0, 9]))
+    spikes, left = _fire(np.array([100, 100, 100, 9]), np.array([10] * 4), np.array([1, 3, 0, 9]))
     assert spikes.tolist() == [1, 3, 0, 0]
     assert left.tolist() == [90, 70, 100, 9]
