@@ -19,7 +19,7 @@ CLOCKS: tuple[Clock, ...] = get_args(Clock)
 
 @dataclass(frozen=True)
 class Convention(Stored):
-    """How a NIR graph, which is defined in continuous time, is simulated in timesteps.
+    """The discretisation of a NIR graph, which is defined in continuous time.
 
     dt: [s] duration of one timestep.
     reset: after a spike the membrane is set to v_reset ("zero"; exporters write v_reset = 0), or
@@ -60,13 +60,13 @@ class Convention(Stored):
                 f"dt must be a finite number of seconds above 0, found {self.dt}. "
                 "Give the timestep that the network was trained with."
             )
-        _one_of("reset", self.reset, get_args(Reset))
-        _one_of("integrator", self.integrator, get_args(Integrator))
-        _one_of("delay", self.delay, (0, 1))
-        _one_of("state", self.state, get_args(State))
-        _one_of("spikes", self.spikes, get_args(Spikes))
-        _one_of("floor", self.floor, get_args(Floor))
-        _one_of("clock", self.clock, CLOCKS[:2])
+        _check_choice("reset", self.reset, get_args(Reset))
+        _check_choice("integrator", self.integrator, get_args(Integrator))
+        _check_choice("delay", self.delay, (0, 1))
+        _check_choice("state", self.state, get_args(State))
+        _check_choice("spikes", self.spikes, get_args(Spikes))
+        _check_choice("floor", self.floor, get_args(Floor))
+        _check_choice("clock", self.clock, CLOCKS[:2])
         if self.delay and self.clock == "pipelined":
             raise ConventionError(
                 "clock 'pipelined' and delay 1 contradict each other: connections onto neurons "
@@ -96,7 +96,7 @@ class Convention(Stored):
         return replace(self, **options, source=f"{names} given, otherwise {self.source}")
 
 
-def _one_of(name: str, found: object, allowed: tuple[object, ...]) -> None:
+def _check_choice(name: str, found: object, allowed: tuple[object, ...]) -> None:
     if found not in allowed:
         choices = ", ".join(repr(choice) for choice in allowed)
         raise ConventionError(f"{name} {found!r} is unknown. Choose one of {choices}.")

@@ -428,7 +428,7 @@ class FloatGraph:
         return nodes
 
     def _kind(self, name: str) -> type[np.integer[Any]]:
-        """What holds the spikes of a node."""
+        """The type of the spikes of a node."""
         many = self.convention.spikes == "many" or name in self.sigma_delta
         return np.int64 if many else np.uint8
 
@@ -445,7 +445,7 @@ class FloatGraph:
         return values
 
     def _delivered(self, edge: Edge, values: dict[str, Array], timesteps: int) -> Array:
-        """What arrives over an edge: the output of its source, a timestep later over late edges."""
+        """The output of an edge's source, a timestep later over late edges."""
         source = edge[0]
         if edge not in self.timing.late:
             return values[source]

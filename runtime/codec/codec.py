@@ -111,7 +111,7 @@ class Codec:
 
     @property
     def chooses(self) -> bool:
-        """Whether an action is one of several choices, not a vector of numbers."""
+        """True if an action is one of several choices, not a vector of numbers."""
         return self.squash == "argmax"
 
     def encode(self, obs: ArrayLike, state: EncoderState = None) -> NDArray[np.uint8]:

@@ -101,7 +101,7 @@ class DeltaEncoder(Encoder):
 
     @property
     def remembers(self) -> bool:
-        """Whether the spikes depend on more than the observation: always, on those before."""
+        """True: the spikes depend on the observations before."""
         return True
 
     def start(self, seed: int) -> Levels:

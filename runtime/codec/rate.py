@@ -108,7 +108,7 @@ class RateEncoder(Encoder):
 
     @property
     def random(self) -> bool:
-        """Whether the spikes depend on random numbers."""
+        """True of mode "bernoulli"."""
         return self.mode == "bernoulli"
 
     def start(self, seed: int) -> Xorshift:

@@ -1,4 +1,4 @@
-"""What other tools mean by a NIR file; the only place where tools differ, one file for each.
+"""Dialects: the meaning of a NIR file in other tools, one file for each tool.
 
 NIR leaves dt, reset, integrator and delays open. Each tool fills them in on its own, ignores some
 parameters, and may write other ones than it reads: Norse misreads its own files.

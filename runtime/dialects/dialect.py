@@ -47,7 +47,7 @@ WRITERS: dict[str, str] = {
 
 @dataclass(frozen=True, eq=False)
 class Preset:
-    """How one tool reads NIR.
+    """The import of NIR of one tool.
 
     tool: name and version.
     kinds: primitives that it reads, besides Input and Output.
@@ -82,7 +82,7 @@ class Assumption(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Writer:
-    """How one tool writes NIR.
+    """The export of NIR of one tool.
 
     tool: name and version.
     kinds: primitives that it writes, besides Input and Output.

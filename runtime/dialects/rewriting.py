@@ -49,7 +49,7 @@ _DENSE = (nir.Affine, nir.Linear)
 
 @dataclass(frozen=True)
 class Importer:
-    """What the import of a tool leaves no choice in.
+    """The constraints of a tool's import.
 
     uniform: True if all neurons of a layer have one threshold.
     resets: that it can be told to use; the first is its default.
@@ -95,7 +95,7 @@ def rewrite_for(graph: nir.NIRGraph, own: Convention, name: str) -> tuple[nir.NI
 
 
 def arguments(convention: Convention, name: str) -> dict[str, str]:
-    """What the importer must be told beside the file."""
+    """Arguments that the importer needs besides the file."""
     told = convention.reset != _importer(name).resets[0]
     return {"reset": convention.reset} if told else {}
 

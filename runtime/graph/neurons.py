@@ -162,7 +162,7 @@ class _InferredTimestep:
 
     dt: [s], or None where they imply none or contradict each other.
     reason: from which equation and nodes, or why not; a clause for messages.
-    confirmed: whether the gains w_in of the synapses agree.
+    confirmed: True if the gains w_in of the synapses agree.
     """
 
     dt: float | None

@@ -272,7 +272,7 @@ MOST_NUMBERS = 1 << 24  # membranes after each event of a crossbar
 
 @dataclass
 class Work:
-    """What a replay of so many timesteps computes.
+    """The work of a replay of so many timesteps.
 
     spec: the fields, for messages.
     inference: timesteps of each of those that are computed side by side; 0 where there is one.

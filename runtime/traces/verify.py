@@ -256,7 +256,7 @@ def verify(path: Path) -> Verdict:
 
 
 def _verdict(recorded: TraceFile) -> Verdict:
-    """What comes of a trace that is replayed by the interpreter."""
+    """The verdict on a trace that is replayed by the interpreter."""
     ran = trace(recorded.program, recorded.raster)
     found = {name: _quantities(layer) for name, layer in ran.items()}
     masks = _masks(recorded, found)
@@ -275,7 +275,7 @@ def _verdict(recorded: TraceFile) -> Verdict:
 
 
 def _quantities(layer: LayerTrace) -> dict[str, Integers]:
-    """What a layer did, by quantity: (T, N), one inference behind the other."""
+    """States and spikes of a layer by quantity: (T, N), one inference behind the other."""
     current, membrane, spikes = (
         np.concatenate(each) for each in (layer.current, layer.membrane, layer.spikes)
     )
