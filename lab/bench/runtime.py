@@ -152,11 +152,11 @@ def gatherer(net: Net, raster: Raster) -> Machine:
     machine = Machine(net.program, 1, "none")
     machine.infer(raster)
     for kernel in machine._backend._kernels:
-        layer, arriving = kernel.layer, kernel._input
+        layer = kernel.layer
         partial = bounds(net.program, layer, net.program.chip.arithmetic, net.timesteps).partial
         weight = layer.synapses[0].weight
-        arriving._first = make_gather(
-            weight, layer.bias, partial, 1 << SHIFT, arriving._sums, Scratch(8 * weight.size)
+        kernel._first = make_gather(
+            weight, layer.bias, partial, 1 << SHIFT, kernel._sums, Scratch(8 * weight.size)
         )
     return machine
 
