@@ -64,7 +64,7 @@ class LoadedNetwork:
         return replace(self, chip=chip, limits=limits, quantisation=quantisation)
 
     def run(self, raster: "Raster | Mapping[str, Raster] | str | Path") -> "NetworkRun":
-        """What the network does with spikes (T, *shape), from zero states.
+        """Run the network on spikes (T, *shape), from zero states.
 
         raster  an array, one for each Input node by name, or a file of them
         """
@@ -80,7 +80,7 @@ class LoadedNetwork:
         return NetworkRun(**vars(found))
 
     def check(self, *chips: str) -> DesignReport:
-        """Whether the network fits on chips, rule by rule; by default on its own."""
+        """Return True if the network fits on chips, rule by rule; by default on its own."""
         return report_of(str(self.path), self.artifact, chips or (self.chip,))
 
     def controller(self, sampled: bool = False) -> SpikingController:

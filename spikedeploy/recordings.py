@@ -371,13 +371,13 @@ _DECOR = 2  # MuJoCo's visualiser hides geoms of higher groups
 
 
 class Scene(Protocol):
-    """What there is to draw in an environment."""
+    """Drawable parts of an environment."""
 
     def shapes(self) -> dict[str, Any]:
-        """What does not move in an episode, as JSON: `kind` and the shapes."""
+        """Fixed parts of an episode, as JSON: `kind` and the shapes."""
 
     def pose(self) -> Floats:
-        """What moves, (N, 7) positions and quaternions of bodies or (1, 3) x, y, heading."""
+        """Moving parts: (N, 7) positions and quaternions of bodies or (1, 3) x, y, heading."""
 
 
 def scene_of(env: Any) -> Scene | None:  # noqa: ANN401

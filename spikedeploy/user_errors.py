@@ -51,11 +51,11 @@ def _missing(module: str) -> str | None:
 
 
 def _expected(error: Exception) -> bool:
-    """Whether it is one of EXPECTED."""
+    """Return True if it is one of EXPECTED."""
     return any(_is(error, module, name) for module, name in _EXPECTED)
 
 
 def _is(error: Exception, module: str, name: str) -> bool:
-    """Whether it is of a class; one whose module is not loaded cannot have been raised."""
+    """Return True if it is of a class; one whose module is not loaded cannot have been raised."""
     loaded = sys.modules.get(module)
     return loaded is not None and isinstance(error, getattr(loaded, name))

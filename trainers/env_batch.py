@@ -47,7 +47,7 @@ class Steps:
 
     @property
     def ended(self) -> NDArray[np.bool_]:
-        """Whether each episode ended (B,)."""
+        """Mask (B,) of the episodes that ended."""
         return self.terminated | self.truncated
 
 

@@ -1,4 +1,4 @@
-"""What learners share: Adam, networks and optimisers by name for checkpoints, critics."""
+"""Parts of several learners: Adam, networks and optimisers by name for checkpoints, critics."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise

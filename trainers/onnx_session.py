@@ -34,7 +34,7 @@ _MOST_NODES, _MOST_CONCATS, _LARGEST_MATRIX = 512, 16, 1 << 24
 
 @dataclass(frozen=True)
 class OnnxOperators:
-    """What an ONNX file computes with.
+    """Operators and sizes of an ONNX file.
 
     names: of the operators, each as often as it is there.
     nested: whether an operator holds a graph, as loops and branches do, or the file functions.
@@ -47,7 +47,7 @@ class OnnxOperators:
 
     @property
     def elementary(self) -> bool:
-        """Whether time and memory of an inference are bounded by the sizes of the constants."""
+        """True if time and memory of an inference are bounded by the sizes of the constants."""
         lengths = sorted((n for shape in self.shapes for n in shape), reverse=True)
         largest = lengths[0] * lengths[1] if len(lengths) > 1 else 0
         return (

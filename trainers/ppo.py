@@ -452,7 +452,7 @@ class Ppo(EnvRunner[PpoConfig]):
 
     @property
     def finished(self) -> bool:
-        """Whether all steps are taken, or every limit of the configuration is reached."""
+        """True if all steps are taken, or every limit of the configuration is reached."""
         return self._config.reached(self.finishes, self.held) or super().finished
 
     def _validate(self) -> dict[str, float]:

@@ -218,7 +218,7 @@ class Interrupt:
 
     @property
     def exit_code(self) -> int:
-        """What shells return for the signal: 130, 143 or 129."""
+        """Exit code that shells return for the signal: 130, 143 or 129."""
         return 128 + (self.requested or signal.SIGINT)
 
     def __enter__(self) -> "Interrupt":

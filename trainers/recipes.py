@@ -18,7 +18,7 @@ KART_ENVS = ("kart-grid", "kart-gazebo", "kart-steer")
 
 @dataclass(frozen=True)
 class Recipe:
-    """What to train, and how.
+    """Settings of a training.
 
     algorithm: key of `trainers.ALGORITHMS`
     summary: one line

@@ -110,7 +110,7 @@ class Runner(ABC, Generic[C]):
 
     @property
     def finished(self) -> bool:
-        """Whether training has reached its end."""
+        """True if training has reached its end."""
         return self.step >= self._total
 
     # What an algorithm adds.

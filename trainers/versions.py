@@ -21,7 +21,7 @@ _PACKAGES = (
 
 
 def versions() -> dict[str, str | None]:
-    """What a run is made with: name -> version, None where it is not installed; and the commit."""
+    """Versions behind a run: name -> version, None where it is not installed; and the commit."""
     return {
         "python": platform.python_version(),
         **{package: installed(package) for package in _PACKAGES},

@@ -149,7 +149,7 @@ class _AblationStep:
 
 @dataclass(frozen=True)
 class Finding:
-    """What is wrong with a layer on the chip.
+    """Differences of a layer on the chip.
 
     layer: name.
     health: "dead", not a spike; "saturated", more than 0.9 spikes for each neuron and timestep.

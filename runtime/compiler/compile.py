@@ -195,7 +195,7 @@ def _describe_readout(layer: Layer, chip: Chip) -> str:
 
 
 def _describe_host(layer: Layer, chip: Chip) -> str:
-    """What the host does for a readout layer, in a sentence."""
+    """Describe the host's part for a readout layer, in a sentence."""
     fan_outs = [
         f"{synapses.fan_out.mean():.3g} additions for each spike of {synapses.source!r}"
         for synapses in layer.synapses
@@ -294,7 +294,7 @@ class DesignCheck:
 
     @property
     def passed(self) -> bool:
-        """Whether no rule is broken; what is unknown breaks none."""
+        """True if no rule is broken; what is unknown breaks none."""
         return not any(ruling.failed for ruling in self.rulings)
 
     def of(self, rule: str) -> list[RuleResult]:

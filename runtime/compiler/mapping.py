@@ -229,7 +229,7 @@ def _block(
 
 
 class Load(NamedTuple):
-    """What one core of a division holds, where it is fullest.
+    """Load of one core of a division, where it is fullest.
 
     memory: synaptic memory [bit], or None where the chip's is not known.
     axons_in: different sources, the always-on axon of biases among them.
@@ -239,13 +239,13 @@ class Load(NamedTuple):
     axons_in: int
 
     def fits(self, limits: Limits) -> bool:
-        """Whether a core has as much."""
+        """Return True if a core has as much."""
         memory = limits.memory is None or self.memory is None or self.memory <= limits.memory.size
         return memory and (limits.axons_in is None or self.axons_in <= limits.axons_in)
 
 
 def load(population: Population, limits: Limits, lists: int, block: int) -> Load:
-    """What the fullest core holds when a core takes `block` neurons.
+    """Load of the fullest core when a core takes `block` neurons.
 
     lists: that hold the weights of an axon; 2 where each sign has its own.
     """
@@ -265,7 +265,7 @@ def load(population: Population, limits: Limits, lists: int, block: int) -> Load
 
 
 def list_bits(counts: Counts, neurons: int, memory: SynapticMemory, delayed: bool) -> Counts:
-    """What one list takes in each of k cores [bit].
+    """Size of one list in each of k cores [bit].
 
     counts: (M, k) synapses of each axon in each core.
     neurons: of a core.
@@ -280,14 +280,14 @@ def list_bits(counts: Counts, neurons: int, memory: SynapticMemory, delayed: boo
 
 
 def axon_bits(synapses: Counts, bits: int) -> Counts:
-    """What an axon of so many synapses of so many bits takes in words [bit]."""
+    """Size of an axon of so many synapses of so many bits, in whole words [bit]."""
     blocks, rest = np.divmod(synapses, _BLOCK)
     full = _words(_BLOCK * bits + _OVERHEAD)
     return np.asarray(blocks * full + np.where(rest, _words(rest * bits + _OVERHEAD), 0))
 
 
 def index_bits(neurons: int) -> int:
-    """What names one of so many neurons in a sparse list."""
+    """Bits that name one of so many neurons in a sparse list."""
     needed = math.ceil(math.log2(neurons)) if neurons > 1 else 0
     return next((bits for bits in _INDEX_BITS if bits >= needed), needed)
 
@@ -300,7 +300,7 @@ def _words(bits: Counts | int) -> Counts:
 
 
 class Entries(NamedTuple):
-    """What a layer takes of the memories of its core."""
+    """Memory that a layer takes of its core."""
 
     kernel: int
     neurons: int

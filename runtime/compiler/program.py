@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ReadoutTerm:
-    """What an Output node receives from one layer.
+    """Contribution of one layer to an Output node.
 
     layer: name; of a readout layer its membranes [float units] arrive, and not spikes.
     weight: (N, act) axon-major; None passes the spikes on as they are.
@@ -204,7 +204,7 @@ class Program:
 
     @property
     def assumed_clock(self) -> bool:
-        """Whether nothing says that the chip can advance its layers so."""
+        """True if nothing says that the chip can advance its layers so."""
         return self.clock not in self.chip.clocks
 
     @cached_property
@@ -231,7 +231,7 @@ class Program:
 
     @cached_property
     def reads_membranes(self) -> bool:
-        """Whether membranes leave the chip, or the host integrates what leaves it."""
+        """True if membranes leave the chip, or the host integrates what leaves it."""
         return bool(self.host) or any(not self.layer(name).spiking for name in self.to_host)
 
     @cached_property
@@ -267,7 +267,7 @@ class Program:
 
     @cached_property
     def feed_forward(self) -> bool:
-        """Whether every layer has only the input and layers before it for sources."""
+        """True if every layer has only the input and layers before it for sources."""
         presynaptic = {self.input}
         for layer in self.layers:
             if any(s.source not in presynaptic for s in layer.synapses):
@@ -277,7 +277,7 @@ class Program:
 
     @cached_property
     def output_apart(self) -> bool:
-        """Whether the output layer has hidden layers for sources and no targets, as on Xylo."""
+        """True if the output layer has hidden layers for sources and no targets, as on Xylo."""
         connections = [(s.source, layer.name) for layer in self.layers for s in layer.synapses]
         presynaptic = {source for source, target in connections if target == self.output}
         targets = {target for source, target in connections if source == self.output}

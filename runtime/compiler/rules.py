@@ -107,7 +107,7 @@ class RuleResult:
 
     @property
     def failed(self) -> bool:
-        """Whether the network breaks the rule here."""
+        """True if the network breaks the rule here."""
         return self.status == "fail"
 
     def describe(self, chip: str) -> str:
@@ -203,7 +203,7 @@ def _reset(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def _reset_remedy(reset: str, kind: str, resets: Sequence[str]) -> str:
-    """What to do about a reset that a chip does not have, with neurons of this kind."""
+    """Remedy for a reset that a chip does not have, with neurons of this kind."""
     if reset == "zero-delayed" and kind in ("LIF", "IF"):
         return "Give --reset zero, with which these neurons spike alike."
     if reset == "subtract-delayed" and kind == "IF":
@@ -336,7 +336,7 @@ def _threshold_range(threshold: Floats, largest: float, widest: int, most: int) 
 
 
 def _decay_range(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """What a current and a membrane lose in a timestep is rounded to what the registers hold."""
+    """Measure the rounding of the losses of current and membrane to what the registers hold."""
     for name, neuron in sorted(design.neurons.items()):
         if name in design.network.host:
             continue
@@ -359,7 +359,7 @@ def _decay_range(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def _holds(held: tuple[float, float], loss: Floats) -> bool:
-    """Whether each loss is at most half a step outside; next to an end the step is as it is."""
+    """Mask of the losses at most half a step outside; next to an end the step is as it is."""
     least, most = held[0] / 2, held[1] + (1 - held[1]) / 2 * (held[1] > held[0])
     return bool(loss.min() >= least - _LAST_BIT and loss.max() <= most + _LAST_BIT)
 
@@ -497,7 +497,7 @@ def _layer_cores(design: PlacedNetwork) -> RuleResult:
 
 
 def _with_one_list(design: PlacedNetwork) -> str:
-    """What the other way to store signs would take."""
+    """Words on what the other way to store signs would take."""
     if (one_list := design.chip.arithmetic.with_one_list()) is None:
         return ""
     found = map_to_cores(design.network, replace(design.chip, arithmetic=one_list)).cores

@@ -261,7 +261,7 @@ class Population:
 
     @property
     def biased(self) -> bool:
-        """Whether a map adds something to it in every timestep."""
+        """True if a map adds something to it in every timestep."""
         return any(projection.map.biased for projection in self.presynaptic)
 
     @property
@@ -276,7 +276,7 @@ class Population:
 
     @property
     def recurrent(self) -> bool:
-        """Whether a loop closes here."""
+        """True if a loop closes here."""
         return any(projection.map.late for projection in self.presynaptic)
 
 
@@ -535,7 +535,7 @@ def _connections(
 
 
 def _outlet(matrices: "Matrices", block: "LinearBlock", port: Port) -> HostOutput:
-    """What an Output node receives from the layers; the host computes it."""
+    """Return the output of an Output node from the layers, which the host computes."""
     for source in block.sources:
         if not isinstance(matrices.graph.nodes[source], NEURONS):
             raise RuleError(
@@ -681,7 +681,7 @@ class Matrices:
     def _respond(
         self, block: LinearBlock, start: Mapping[str, Parts], biased: bool = False
     ) -> Parts:
-        """What arrives at the target when the sources put out `start`."""
+        """Return the input of the target when the sources put out `start`."""
         self._check_visits(block)
         put = dict(start)
         for name in block.names:
@@ -699,7 +699,7 @@ class Matrices:
         return arriving
 
     def _through(self, name: str, arriving: Parts) -> Parts:
-        """What a node makes of what arrives, its bias left out."""
+        """Apply a node to its input, its bias left out."""
         if (steps := self._timing.delays.get(name)) is None:
             compute = self._nodes[name]
             return {lag: np.asarray(compute(rows[None])[0]) for lag, rows in arriving.items()}

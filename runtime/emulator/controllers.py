@@ -95,7 +95,7 @@ class SpikingController:
 
     @property
     def remembers(self) -> bool:
-        """Whether an action depends on more than its observation."""
+        """True if an action depends on more than its observation."""
         remembers = self._kept or self.codec.encoder.remembers or self._sampler is not None
         return remembers or (self._machine is not None and self.program.upsets is not None)
 

@@ -73,7 +73,7 @@ class Ledger:
         return dict(zip(self.layers, totals.tolist(), strict=True))
 
     def since(self, before: "Ledger") -> "Ledger":
-        """What has happened since an earlier ledger of the same network, in one row."""
+        """Counts since an earlier ledger of the same network, in one row."""
         now, then = (each.counts.sum(axis=0, keepdims=True) for each in (self, before))
         return replace(
             self,
@@ -146,7 +146,7 @@ class LedgerBuilder:
 
     @property
     def keeps(self) -> bool:
-        """Whether rows are recorded."""
+        """True if rows are recorded."""
         return self.rows != "none"
 
     def observe(self, counter: _Counter, observation: Any) -> None:  # noqa: ANN401

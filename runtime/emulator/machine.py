@@ -320,7 +320,7 @@ class Host:
         latest = max(starts[name] for name in (program.input, *program.to_host))
 
         def late(name: str, lag: int) -> _Late:
-            """What the host has integrated is as late as the last layer that leaves the chip."""
+            """Delay what the host has integrated as the last layer that leaves the chip is."""
             return _Late(latest - starts.get(name, latest) + lag, batch, self._sizes[name])
 
         self._integrators = [

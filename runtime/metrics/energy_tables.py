@@ -73,7 +73,7 @@ class EnergyTable:
 
     @property
     def timed(self) -> bool:
-        """Whether it has any times."""
+        """True if it has any times."""
         return bool(self.seconds) or self.step > 0
 
 

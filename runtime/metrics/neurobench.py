@@ -199,7 +199,7 @@ def dense_products(graph: nir.NIRGraph) -> int:
 
 
 def is_identity(weight: NDArray[Any]) -> bool:
-    """Whether a matrix only hands on what arrives."""
+    """Return True if a matrix only hands on what arrives."""
     square = weight.ndim == 2 and weight.shape[0] == weight.shape[1]
     return square and np.array_equal(weight, np.eye(len(weight)))
 

@@ -140,7 +140,7 @@ def placed_messages(ledger: Ledger, program: Program, cores: Mapping[str, int]) 
 
 
 def _reached_cores(program: Program, layout: Layout) -> dict[str, NDArray[np.bool_]]:
-    """Whether each neuron of a source has synapses on each core, (N, K)."""
+    """Mask (N, K) of the cores on which each neuron of a source has synapses."""
     reached = {
         name: np.zeros((size, len(layout.tiles)), np.bool_) for name, size in program.sizes.items()
     }

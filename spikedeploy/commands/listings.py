@@ -287,7 +287,7 @@ def _draw() -> str:
 
 
 def _policies() -> Iterator[DoctorFinding]:
-    """Whether every shipped policy opens."""
+    """Return True if every shipped policy opens."""
     from spikedeploy import zoo
 
     for name in zoo.names():

@@ -63,7 +63,7 @@ class Row:
 
     @property
     def successes(self) -> list[bool]:
-        """Whether each episode succeeded (n,); empty where the environment does not say."""
+        """Success of each episode (n,); empty where the environment does not say."""
         return [episode.success for episode in self.episodes if episode.success is not None]
 
     @property

@@ -168,7 +168,7 @@ def _made_for(candidate: Candidate) -> str:
 
 @contextmanager
 def _film(path: Path | None, fps: float, caption: str) -> Iterator[Callable[[Frame], None] | None]:
-    """What `rollout` calls with each frame; None without a path."""
+    """Return the callback of `rollout` for frames; None without a path."""
     if path is None:
         yield None
         return

@@ -49,7 +49,7 @@ class Entry:
 
     @property
     def limits(self) -> bool:
-        """Whether the design rules of its chip were enforced."""
+        """True if the design rules of its chip were enforced."""
         return self.candidate.limits or self.chip in (None, FLOAT)
 
     @property

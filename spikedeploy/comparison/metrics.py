@@ -41,7 +41,7 @@ class _Metric:
     after: str | None = None
 
     def applies(self, infos: Mapping[str, Signal]) -> bool:
-        """Whether an episode with these infos, each (S,), has the metric."""
+        """Return True if an episode with these infos, each (S,), has the metric."""
         present = self.signal in infos and self.unless not in infos
         return present and (self.after is None or bool(infos[self.after][-1]))
 
@@ -108,7 +108,7 @@ DRIVING = (
 
 
 def drives(signals: Iterable[str]) -> bool:
-    """Whether infos or rows with these names are a kart's, which passes gates."""
+    """Return True if infos or rows with these names are a kart's, which passes gates."""
     return "gates" in signals
 
 

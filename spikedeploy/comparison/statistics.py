@@ -51,7 +51,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class ReturnEstimates:
-    """What episodes earn: on average, typically, and at worst, each with its interval.
+    """Returns of episodes: mean, median and worst, each with its interval.
 
     mean  of all returns
     iqm   interquartile mean

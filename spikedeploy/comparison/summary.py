@@ -36,7 +36,7 @@ _RACE = _Words(
 
 
 def few(row: Row) -> bool:
-    """Whether a row has too few episodes for an interval."""
+    """Return True if a row has too few episodes for an interval."""
     return bool(row.get("episodes", FEWEST) < FEWEST)
 
 
@@ -48,7 +48,7 @@ def counted(row: Row) -> str:
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """What the chip keeps of the float twin, the smallest float policy as good, the controls."""
+    """Sentences on the chip beside its float twin, the smallest float policy and the controls."""
     on_chip = [r for r in rows if r["kind"] == "snn" and r["chip"] != "float"]
     # a row alone is what its numbers say
     on_chip = [r for r in on_chip if r["reference"] or (len(rows) > 1 and not _twin(r))]
@@ -73,12 +73,12 @@ def summary(rows: Sequence[Row]) -> str:
 
 
 def _twin(row: Row) -> bool:
-    """Whether a policy has a float twin: all but those that were trained in a chip's integers."""
+    """Return True if a policy has a float twin: all but those trained in integers of a chip."""
     return not row.get("trained_for")
 
 
 def _beside(row: Row) -> str:
-    """What a row on a chip is measured against."""
+    """Return the row that a row on a chip is measured against."""
     return "the twin" if _twin(row) else str(row["reference"])
 
 
@@ -150,12 +150,12 @@ def _smallest(row: Row, rows: Sequence[Row], words: _Words) -> list[str]:
 
 
 def _below(row: Row, other: Row, words: _Words) -> bool:
-    """Whether a row is shown to be worse: the 95 % interval of the paired difference is below 0."""
+    """Return True if a row is shown to be worse: the 95 % interval is below 0."""
     return _difference(row, other, words)[1] < 0
 
 
 def _above(row: Row, other: Row, words: _Words) -> bool:
-    """Whether a row is shown to be better: the 95 % interval is above 0."""
+    """Return True if a row is shown to be better: the 95 % interval is above 0."""
     return _difference(row, other, words)[0] > 0
 
 
@@ -192,7 +192,7 @@ def _subject(names: Sequence[str]) -> str:
 
 
 def _controls(rows: Sequence[Row]) -> str:
-    """What the baseline and the best control reach."""
+    """Sentence on the baseline and the best control."""
     kinds = (*BASELINES, "control")
     plain = [r for r in rows if r["kind"] in kinds and r["ratio_to_float_ann"]]
     if not plain:
@@ -234,7 +234,7 @@ def _race(rows: Sequence[Row]) -> str:
 
 
 def _earns(row: Row) -> str:
-    """What an SNN on a chip earns in an environment that is not ours, beside its float twin."""
+    """Sentence on an SNN on a chip beside its float twin, in an environment that is not ours."""
     own = _between(row, "return_ci95", ",.4g").removeprefix(", ")
     share, other = row["ratio_to_reference"], _beside(row)
     whose = "its float twin's return" if _twin(row) else f"the return of {other}"
@@ -250,14 +250,14 @@ def _earns(row: Row) -> str:
 
 
 def _baselines(rows: Sequence[Row]) -> str:
-    """What the float ANN and drawing at random earn."""
+    """Sentence on the float ANN and on random actions."""
     names = {"ann": "The float ANN", **_NAMES}
     found = [row for row in rows if row["kind"] in names]
     return " ".join(f"{names[row['kind']]} earns {row['return_mean']:,.4g}." for row in found)
 
 
 def _covered(rows: Sequence[Row]) -> str:
-    """What the intervals of a comparison cover, where no row is of several trainings."""
+    """Sentence on what the intervals cover, where no row is of several trainings."""
     trained = _trained(rows)
     if len(rows) < 2 or not trained or any(row["training_seeds"] > 1 for row in trained):
         return ""

@@ -38,7 +38,7 @@ class DesignReport:
 
     @property
     def passed(self) -> bool:
-        """Whether all named chips pass; of "all", at least one that has limits."""
+        """True if all named chips pass; of "all", at least one that has limits."""
         if self.any_does:
             return any(each.passed for each in self.checks if each.chip.limits is not None)
         return all(each.passed for each in self.checks)

@@ -94,7 +94,7 @@ class RecordedAgreement:
 
     @property
     def equal(self) -> bool:
-        """Whether every output is the recorded one."""
+        """True if every output is the recorded one."""
         return self.difference is None
 
     def as_json(self) -> dict[str, Any]:
@@ -338,7 +338,7 @@ class RecordedActivity:
 
     @property
     def equal(self) -> bool:
-        """Whether all numbers agree."""
+        """True if all numbers agree."""
         return self.agree == self.numbers
 
     def describe(self) -> str:

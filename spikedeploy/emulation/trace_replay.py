@@ -24,7 +24,7 @@ class ReplayedTrace:
 
     @property
     def equal(self) -> bool:
-        """Whether it was replayed and every number equals the recorded one."""
+        """True if it was replayed and every number equals the recorded one."""
         return self.verdict is not None and self.verdict.equal
 
     def as_json(self) -> dict[str, Any]:
@@ -44,7 +44,7 @@ class ReplayedTrace:
         return f"equal on {found.chip}: {what}; recorded by {escaped(found.source, 200)}"
 
     def remarks(self) -> list[str]:
-        """What was not compared, and why; and how it was replayed where that is not plain."""
+        """Remarks: what was not compared, and why; how it was replayed where that is not plain."""
         if self.verdict is None:
             return []
         found, remarks = self.verdict, []

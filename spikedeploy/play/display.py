@@ -1,4 +1,4 @@
-"""Whether there is a display, asked before pygame is imported.
+"""Detection of a display, before pygame is imported.
 
 Without one SDL would open its window in memory, where nobody sees it.
 """
@@ -21,7 +21,7 @@ def check_display() -> None:
 
 
 def has_desktop() -> bool:
-    """Whether somebody sits at a terminal on a desktop, where a page can be opened."""
+    """Return True if somebody sits at a terminal on a desktop, where a page can be opened."""
     return sys.stdout.isatty() and (_always_there() or any(map(os.environ.get, _DISPLAYS)))
 
 

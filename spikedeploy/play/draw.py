@@ -91,12 +91,12 @@ class TrackEditor(App):
 
     @property
     def draft(self) -> TrackDraft:
-        """What is drawn now."""
+        """The line that is drawn now."""
         return self.history.now
 
     @property
     def changed(self) -> bool:
-        """Whether there are unsaved changes."""
+        """True if there are unsaved changes."""
         return as_text(self.draft) != self._saved_text
 
     def handle(self, event: pygame.Event) -> None:

@@ -101,7 +101,7 @@ class NativeController(Player):
 
 
 def _prefix(path: Path) -> str:
-    """What its names begin with, by its own name."""
+    """Prefix of its names, by its own name."""
     if not (named := _NAME.fullmatch(path.name)):
         raise ConfigError(f"{path}: a policy in C is called lib<prefix>.so, as libpolicy.so")
     return named[1]

@@ -235,7 +235,7 @@ def check_fits(
 
 
 def _is_adopted(path: Path) -> bool:
-    """Whether a file is an earlier output of `adopt`."""
+    """Return True if a file is an earlier output of `adopt`."""
     try:
         found = load(path).provenance
     except SpikedeployError:

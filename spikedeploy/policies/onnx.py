@@ -215,7 +215,7 @@ class OnnxController(Player):
 
 
 def _metadata(path: str | Path, session: Any) -> dict[str, str]:  # noqa: ANN401
-    """What the exporter said; macs is a number of 0 or more, fan_out lists of numbers."""
+    """Metadata of the exporter; macs is a number of 0 or more, fan_out lists of numbers."""
     said: dict[str, str] = dict(session.get_modelmeta().custom_metadata_map)
     try:
         macs = float(said.get("macs", 0))

@@ -148,5 +148,5 @@ def teacher_candidate(reference: str, units: "Units | None" = None) -> Candidate
 
 
 def _is_foreign(path: Path) -> bool:
-    """Whether an ONNX file does not say how it acts, as ours do."""
+    """Return True if an ONNX file does not say how it acts, as ours do."""
     return path.is_file() and not says_how_it_acts(session(path))

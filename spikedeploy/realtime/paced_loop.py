@@ -69,7 +69,7 @@ class Pacing:
 
 
 def pacing(rate: float | None, deadline: str | None, lasting: str | None) -> Pacing | None:
-    """What `--rate`, `--deadline` and `--duration` ask for; None without a rate."""
+    """Pacing by `--rate`, `--deadline` and `--duration`; None without a rate."""
     if rate is None:
         for option, given in (("--deadline", deadline), ("--duration", lasting)):
             if given is not None:
@@ -142,7 +142,7 @@ _PERCENTILES = (50, 95, 99)
 
 @dataclass(frozen=True)
 class RealTime:
-    """What a paced loop measured.
+    """Measurements of a paced loop.
 
     pacing   that it had
     seconds  it took, pauses between episodes left out

@@ -45,7 +45,7 @@ def chip_table(chips: Iterable[Chip]) -> Table:
 
 
 def chip_summaries(chips: Iterable[Chip]) -> Table:
-    """What each chip is, and its energy tables."""
+    """List each chip and its energy tables."""
     rows = [(each.name, each.summary, ", ".join(each.energy_tables) or "none") for each in chips]
     return Table(("name", "what it is", "energy tables"), rows, "Chips")
 

@@ -291,7 +291,7 @@ def core_fills(mapping: CoreMapping, limits: Limits) -> Iterator[CoreFill]:
 
 
 def core_drawing(mapping: CoreMapping, limits: Limits, chip: str) -> dict[str, Any] | None:
-    """What templates/cores.svg.j2 draws: cores line by line; None of a chip without any."""
+    """Return the cores for templates/cores.svg.j2, line by line; None for a chip without any."""
     fills = {fill.number: fill for fill in list(core_fills(mapping, limits))[:_MOST_CORES]}
     if not fills:
         return None

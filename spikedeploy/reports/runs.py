@@ -274,7 +274,7 @@ def _numbers(found: RunScores, settings: Mapping[str, str]) -> Iterator[Headline
 
 
 def _next_commands(found: RunScores, live: bool) -> Iterator[tuple[str, str]]:
-    """What to do next, and the command that does it."""
+    """Suggest what to do next, with the command that does it."""
     run = shlex.quote(str(found.path))
     if found.share < 1 and not live:
         yield "go on with the training", f"spikedeploy train --resume {run}"

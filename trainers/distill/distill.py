@@ -203,7 +203,7 @@ class Distill(Runner[DistillConfig]):
 
     @property
     def _due_for_collection(self) -> bool:
-        """Whether the updates for the iterations collected so far are done."""
+        """True if the updates for the iterations collected so far are done."""
         done = self.updates * self._config.iterations // self._config.updates
         return self.iterations <= done
 

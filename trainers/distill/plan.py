@@ -1,4 +1,4 @@
-"""What the command `distill` asks for, as recipe and settings, and what came of it."""
+"""Plan of the command `distill`: recipe and settings; and its outcome."""
 
 import json
 from pathlib import Path

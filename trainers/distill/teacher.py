@@ -1,4 +1,4 @@
-"""What a teacher is, and an environment's observations and actions as its author has them."""
+"""Teachers, and an environment's observations and actions as its author has them."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

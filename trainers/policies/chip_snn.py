@@ -72,7 +72,7 @@ def recorded(program: Program, raster: NDArray[np.uint8]) -> Mapping[str, LayerT
 
 
 def _computes(program: Program) -> bool:
-    """Whether the loops compute the program: a chain of layers, event by event, reset to 0."""
+    """Return True if the loops compute the program: a chain, event by event, reset to 0."""
     rules, convention = program.chip.arithmetic, program.convention
     if not isinstance(rules, IntegrateAndFireRules) or rules.queue == "on":
         return False
@@ -87,7 +87,7 @@ def _computes(program: Program) -> bool:
 
 
 def _is_plain(layer: Layer) -> bool:
-    """Whether a layer has one source, no bias, and a reset to 0."""
+    """Return True if a layer has one source, no bias, and a reset to 0."""
     biased = layer.bias.any() or layer.voltage_bias.any()
     return layer.spiking and len(layer.synapses) == 1 and not biased and not np.any(layer.v_reset)
 

@@ -178,7 +178,7 @@ class Phase:
         return self.lowest + (self.highest - self.lowest) * cosine
 
     def prunes(self, update: int) -> bool:
-        """Whether synapses are still taken out."""
+        """Return True if synapses are still taken out."""
         return self.last is not None and self._progress(update) <= self.prune_until
 
     def goal(self, update: int, first: float) -> float | None:

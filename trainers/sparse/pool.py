@@ -42,7 +42,7 @@ class Walk:
 
 @dataclass(frozen=True)
 class Earned:
-    """What an episode of S control steps brought.
+    """Data of an episode of S control steps.
 
     reward: (S,) float32
     final: (obs,) observation after the last step, float32

@@ -399,7 +399,7 @@ def tiles(pool: WalkPool, window: int, burn_in: int) -> Tiles:
 
 @dataclass(frozen=True)
 class Course:
-    """What W walks earned, as arrays that are filled with zeros behind their ends.
+    """Rewards of W walks, as arrays that are filled with zeros behind their ends.
 
     reward: (S, W)
     terminated, ended: (S, W) whether the episode ended in a terminal state; whether it ended

@@ -155,7 +155,7 @@ class Sparse(Runner[SparseConfig]):
 
     @property
     def _retunes(self) -> bool:
-        """Whether the encoder's steps are set again before the next phase."""
+        """True if the encoder's steps are set again before the next phase."""
         polished = self.phase + 1 >= len(self._phases) - self._config.polish
         choice = self._config.retune
         return choice == "always" or (choice == "before-polish" and not polished)
