@@ -8,9 +8,8 @@ import sys
 
 import numpy as np
 import pytest
-import torch
 
-from spikedeploy import envs, zoo
+from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.policies import run_record
 from spikedeploy.policies.nir import read_codec
@@ -23,7 +22,6 @@ from spikedeploy.trainers.run_folder import RunFolder
 from tests.paths import ROOT
 
 NET, RASTER = ROOT / "examples" / "net.nir", ROOT / "examples" / "raster.npy"
-POLICY = zoo.FOLDER / "kart-steer" / "snn.nir"
 NORSE = ROOT / "tests/golden/exports/norse_lifcell.nir"
 
 
@@ -44,28 +42,6 @@ def refused(done, says):
     assert "Traceback" not in err + out
 
 
-def test_a_film_never_replaces_its_policy(tmp_path, command):
-    copy = tmp_path / "net.nir"
-    shutil.copy(POLICY, copy)
-    refused(command("run", copy, "--video", copy), "is the input")
-    assert copy.read_bytes() == POLICY.read_bytes()
-
-
-@pytest.mark.parametrize("force", [(), ("--force",)])
-def test_an_export_never_replaces_the_configuration_of_its_run(force, run, command):
-    before = (run / "config.json").read_bytes()
-    words = ("export", run, "--to", "onnx", "-o", run / "config.json", *force)
-    refused(command(*words), "inside the run folder")
-    assert (run / "config.json").read_bytes() == before
-
-
-@pytest.mark.parametrize("output", ["", "."])
-def test_no_name_of_an_output_is_a_sentence(output, tmp_path, command, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    words = ("emulate", NET, "--chip", "float", "--input", RASTER, "-o", output)
-    refused(command(*words), "-o . is a folder. Name a file in it.")
-
-
 @pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="a device of POSIX")
 def test_a_device_as_input_does_not_hang(tmp_path, command):
     words = ("emulate", NET, "--chip", "float", "--input", "/dev/zero", "-o", tmp_path / "o.npz")
@@ -75,7 +51,7 @@ def test_a_device_as_input_does_not_hang(tmp_path, command):
 def test_packages_called_runtime_or_envs_of_somebody_else_are_not_imported(tmp_path):
     for name in ("runtime", "envs", "trainers", "exporters"):
         (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").write_text("raise RuntimeError('a stranger')")
+        (tmp_path / name / "__init__.py").write_text("raise RuntimeError('not ours')")
     words = [sys.executable, "-m", "spikedeploy", "check", str(NET)]
     environ = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(words, cwd=tmp_path, env=environ, capture_output=True, text=True)
@@ -110,49 +86,35 @@ def test_an_option_that_the_environment_has_not_is_refused_by_training(option, t
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("words", [("export",), ("train", "--resume"), ("visualize",)])
-def test_a_cut_configuration_is_a_sentence(words, run, command):
-    (run / "config.json").write_text('{"recipe": ')
-    (run / "metrics.csv").unlink(missing_ok=True)
-    code, out, err = command(*words, run)
-    assert code == 2
-    assert "Traceback" not in err + out
-    assert "config.json" in err or "metrics.csv" in err
+@pytest.mark.parametrize("text", ['{"recipe": ', "[1]", "[" * 100_000])
+@pytest.mark.parametrize("words", [("export",), ("train", "--resume")])
+def test_a_cut_configuration_is_a_sentence(words, text, run, command):
+    (run / "config.json").write_text(text)
+    refused(command(*words, run), "config.json")
 
 
 @pytest.mark.parametrize(
-    ("file", "name", "value"),
+    ("file", "changes", "read"),
     [
-        ("config.json", "env", 3),
-        ("config.json", "env", {"name": []}),
-        ("config.json", "seed", None),
-        ("config.json", "recipe", ...),
-        ("checkpoints/best.json", "env_steps", [1]),
+        ("config.json", {"env": {"name": []}}, run_record.env_of),
+        ("config.json", {"seed": None}, run_record.origin),
+        ("checkpoints/best.json", {"env_steps": [1]}, run_record.steps),
+        ("checkpoints/last.json", {"finished": False, "share": []}, run_record.unfinished),
     ],
 )
-def test_strange_records_of_a_run_are_refused_by_name(file, name, value, run):
+def test_strange_records_of_a_run_are_refused_by_name(file, changes, read, run):
+    shutil.copy(run / "checkpoints/best.json", run / "checkpoints/last.json")
     record = json.loads((run / file).read_text())
-    record.pop(name) if value is ... else record.update({name: value})
-    (run / file).write_text(json.dumps(record))
+    (run / file).write_text(json.dumps({**record, **changes}))
     with pytest.raises(ConfigError, match=f"{file.rpartition('/')[2]} is damaged"):
-        run_record.origin(run)
+        read(run)
 
 
-def test_a_share_that_is_no_number_is_refused_by_name(run):
-    (run / "checkpoints" / "last.json").write_text('{"finished": false, "share": []}')
-    with pytest.raises(ConfigError, match=r"last\.json is damaged"):
-        run_record.unfinished(run)
-
-
-@pytest.mark.parametrize("change", ["missing", "axes", "spec", "clip"])
+@pytest.mark.parametrize("change", ["missing", "clip"])
 def test_a_checkpoint_without_its_policy_is_refused_in_a_sentence(change, run):
     policy = MlpPolicy(12, 5, [4], head="discrete")
     if change == "missing":
         del policy.layers[0].weight
-    elif change == "axes":
-        policy.layers[0].weight = torch.nn.Parameter(torch.zeros(3, 3))
-    elif change == "spec":
-        policy.hidden = ([],)
     else:
         policy.normalizer.clip = {}
     RunFolder(run).save("best", policy, {"env_steps": 10})
@@ -186,7 +148,6 @@ def test_broken_teachers_are_refused_before_a_run_folder(teacher, tmp_path, comm
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ('{"timesteps": 16', "is no JSON that can be read"),
         ("[" * 100_000, "is no JSON that can be read"),
         ("[1]", "holds no codec, but a list"),
         ('{"normaliser": {"mean": [0], "std": [1], "clip": %s}}' % ("9" * 400), "finite number"),
@@ -204,7 +165,7 @@ def test_a_strange_codec_is_refused_in_a_sentence(text, says, tmp_path, command)
     assert not (tmp_path / "net.policy.nir").exists()
 
 
-@pytest.mark.parametrize("text", ["{}", "[1]", "[" * 100_000, '{"evaluation": [3]}', ""])
+@pytest.mark.parametrize("text", ["{}", "[1]", "[" * 100_000])
 def test_reproduce_refuses_what_is_no_record(text, tmp_path, command):
     (tmp_path / "card.json").write_text(text)
     refused(command("reproduce", tmp_path / "card.json"), "card.json")

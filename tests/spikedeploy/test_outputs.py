@@ -64,14 +64,13 @@ def run(tmp_path):
     return folder
 
 
-def refused(words, path, *, says, command, **kept):
-    before = {name: Path(at).read_bytes() for name, at in kept.items()}
+def refused(words, *, says, command, kept=()):
+    before = [path.read_bytes() for path in kept]
     code, _, err = command(*words)
     assert code == 2, err
     assert re.search(says, err), err
     assert "Traceback" not in err
-    for name, at in kept.items():
-        assert Path(at).read_bytes() == before[name]
+    assert [path.read_bytes() for path in kept] == before
 
 
 @pytest.fixture
@@ -91,65 +90,53 @@ def inputs(tmp_path):
 @pytest.mark.parametrize("force", [(), ("--force",)])
 def test_emulate_never_overwrites_its_inputs(output, force, inputs, command):
     (inputs / "x").mkdir()
-    words = ("emulate", inputs / "net.nir", "--chip", "float", "--input", inputs / "in.npy")
-    refused(
-        (*words, "-o", inputs / output, *force), inputs, says="is the input", command=command,
-        net=inputs / "net.nir", raster=inputs / "in.npy",
-    )  # fmt: skip
+    net, raster = inputs / "net.nir", inputs / "in.npy"
+    words = ("emulate", net, "--chip", "float", "--input", raster, "-o", inputs / output, *force)
+    refused(words, says="is the input", command=command, kept=[net, raster])
+
+
+def test_a_film_never_replaces_its_policy(inputs, command):
+    net = inputs / "net.nir"
+    refused(("run", net, "--video", net), says="is the input", command=command, kept=[net])
 
 
 COMMANDS = {
-    "emulate": lambda f: ("emulate", NET, "--chip", "float", "--input", RASTER, "-o", f),
-    "run": lambda f: ("run", "kart-steer/snn", "--video", f),
-    "replay": lambda f: ("replay", "somewhere", "--video", f),
-    "visualize": lambda f: ("visualize", f.parent / "run", "-o", f),
+    "emulate": lambda f, _: ("emulate", NET, "--chip", "float", "--input", RASTER, "-o", f),
+    "run": lambda f, _: ("run", "kart-steer/snn", "--video", f),
+    "replay": lambda f, _: ("replay", "somewhere", "--video", f),
+    "visualize": lambda f, run: ("visualize", run, "-o", f),
 }
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+KINDS = {
+    "folder": (lambda path: path.mkdir(), "is a folder"),
+    "fifo": (os.mkfifo, "device or pipe"),
+    "device": (lambda path: path.symlink_to("/dev/null"), "device or pipe"),
+    "dangling": (lambda path: path.symlink_to(path.parent / "nowhere"), "a link to nothing"),
+    "foreign": (lambda path: path.write_text("my notes"), "--force"),
+    "under a file": (lambda path: path.parent.write_text("mine"), "is a file"),
+}
+
+
 @pytest.mark.parametrize(
-    "kind", ["folder", "fifo", "device", "dangling", "under a file", "foreign"]
+    ("name", "kind"),
+    [*((name, "foreign") for name in COMMANDS), *(("emulate", kind) for kind in KINDS)],
 )
-def test_what_is_no_plain_file_of_the_command_is_refused(name, kind, run, tmp_path, command):
-    path = tmp_path / "out.mp4"
-    if kind == "folder":
-        path.mkdir()
-    elif kind == "fifo":
-        os.mkfifo(path)
-    elif kind == "device":
-        path.symlink_to("/dev/null")
-    elif kind == "dangling":
-        path.symlink_to(tmp_path / "nowhere")
-    elif kind == "foreign":
-        path.write_text("my notes")
-    else:
-        (tmp_path / "notes").write_text("mine")
-        path = tmp_path / "notes" / "out.mp4"
-        words = COMMANDS[name](tmp_path / "out.mp4")
-        refused(
-            [path if w == tmp_path / "out.mp4" else w for w in words],
-            path,
-            says="is a file",
-            command=command,
-        )
-        return
-    says = {
-        "folder": "is a folder", "fifo": "device or pipe", "device": "device or pipe",
-        "dangling": "a link to nothing", "foreign": "--force",
-    }[kind]  # fmt: skip
-    refused(COMMANDS[name](path), path, says=says, command=command)
-    assert path.exists() or kind == "dangling"
-    assert path.is_symlink() == (kind in ("device", "dangling"))
+def test_what_is_no_plain_file_of_the_command_is_refused(name, kind, run, command):
+    path = run.parent / ("notes/out.mp4" if kind == "under a file" else "out.mp4")
+    make, says = KINDS[kind]
+    make(path)
+    before = path.lstat() if os.path.lexists(path) else None
+    words = COMMANDS[name](path, run)
+    refused(words, says=says, command=command)
+    assert before is None or path.lstat().st_ino == before.st_ino
 
 
-def test_a_point_as_output_is_a_sentence(tmp_path, monkeypatch, command):
+@pytest.mark.parametrize("output", ["", "."])
+def test_no_name_of_an_output_is_a_sentence(output, tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
-    refused(
-        COMMANDS["emulate"](Path()),
-        tmp_path,
-        says=r"-o \. is a folder. Name a file",
-        command=command,
-    )
+    says = r"-o \. is a folder\. Name a file"
+    refused(COMMANDS["emulate"](output, None), says=says, command=command)
 
 
 @pytest.mark.parametrize(
@@ -159,8 +146,8 @@ def test_a_point_as_output_is_a_sentence(tmp_path, monkeypatch, command):
 @pytest.mark.parametrize("force", [(), ("--force",)])
 def test_files_of_a_run_are_never_overwritten(inside, force, run, command):
     words = ("visualize", run, "-o", run / inside, *force)
-    kept = {"config": run / "config.json", "metrics": run / "metrics.csv"}
-    refused(words, run, says="inside the run folder", command=command, **kept)
+    kept = [run / "config.json", run / "metrics.csv"]
+    refused(words, says="inside the run folder", command=command, kept=kept)
 
 
 def test_exports_and_pictures_may_stand_in_a_run_folder(run, command):
@@ -173,21 +160,24 @@ def test_exports_and_pictures_may_stand_in_a_run_folder(run, command):
 def test_an_earlier_output_is_replaced_and_a_link_stays(tmp_path, command):
     real, link = tmp_path / "real.npz", tmp_path / "link.npz"
     link.symlink_to(real)
-    words = COMMANDS["emulate"]
+
+    def words(path):
+        return COMMANDS["emulate"](path, None)
+
     assert command(*words(real))[0] == 0
     first = real.stat().st_ino
     assert command(*words(link))[0] == 0
     assert link.is_symlink()
     assert real.stat().st_ino != first
     np.savez(real, a=np.ones(3))  # the user's own now
-    refused(words(link), link, says="--force", command=command, real=real)
+    refused(words(link), says="--force", command=command, kept=[real])
     assert command(*words(link), "--force")[0] == 0
     assert link.is_symlink()
     assert "output" in np.load(real)
 
 
 def test_nir_data_of_an_earlier_run_is_recognised(tmp_path, command):
-    words = COMMANDS["emulate"](tmp_path / "out.h5")
+    words = COMMANDS["emulate"](tmp_path / "out.h5", None)
     assert command(*words)[0] == 0
     assert command(*words)[0] == 0
 
