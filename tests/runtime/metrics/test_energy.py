@@ -186,18 +186,16 @@ def test_a_bound_holds_where_every_price_is_the_least_of_its_process():
     for name in ("davies2018", "horowitz45", "horowitz45-int8"):
         alone = energy_estimate(ledger(sop=1000, bias_sop=2), TABLES[name])
         assert alone.low == alone.value > 0
+        assert alone.high == math.inf
         updated = energy_estimate(ledger(sop=1000, neuron_update=1), TABLES[name])
         assert (updated.low, updated.high) == (0, math.inf)
     assert mac_energy_estimate(10, TABLES["horowitz45-int8"]).low == pytest.approx(15.5e-12)
     assert mac_energy_estimate(10, TABLES["horowitz45-int8-acc16"]).low == 0
+    nothing = mac_energy_estimate(0, TABLES["horowitz45-int8"])
+    assert (nothing.value, nothing.low, nothing.high) == (0, 0, math.inf)
     # silicon, as sanafe fits it, takes less for a neuron than davies2018 has
     davies, fitted = TABLES["davies2018"].joules, TABLES["sanafe"].joules
     assert all(fitted[each] < davies[each] for each in ("neuron_update", "neuron_idle"))
-
-
-def test_an_energy_states_its_interval():
-    least = energy_estimate(ledger(sop=1000), TABLES["davies2018"])
-    assert (least.low, least.high) == (least.value, float("inf"))
 
 
 def test_the_error_of_a_model_on_other_networks_is_no_interval_of_ours():
@@ -207,11 +205,6 @@ def test_the_error_of_a_model_on_other_networks_is_no_interval_of_ours():
     timed = latency_estimate(ledger(sop=1000), table)
     assert (timed.low, timed.high) == (0, math.inf)
     assert "on its authors' benchmarks <= 11.7 % in energy" in table.provenance
-
-
-def test_no_operations_have_no_upper_bound_where_nothing_bounds_a_table():
-    nothing = mac_energy_estimate(0, energy_table("horowitz45-int8"))
-    assert (nothing.value, nothing.low, nothing.high) == (0, 0, math.inf)
 
 
 def test_where_sources_disagree_an_energy_is_an_interval():
@@ -314,11 +307,6 @@ def test_graded_operations_are_multiply_accumulates():
     found = chip_terms(COUNTS, TABLES["horowitz45-int8"])
     assert found["operations"] == pico(1000 * 1.35 + 13 * 1.55)
     assert found["updates"] == pico(211 * 26.5)
-
-
-def test_a_neuron_update_of_the_int8_table_has_one_price_everywhere():
-    # two multiplications, three additions, four accesses of 32 of 64 bits
-    assert TABLES["horowitz45-int8"].joules["neuron_update"] == pico(2 * 3.1 + 3 * 0.1 + 4 * 5)
 
 
 def test_the_host_is_priced_by_additions_and_accesses():
