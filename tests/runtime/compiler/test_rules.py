@@ -246,21 +246,17 @@ def test_every_rule_has_a_boundary():
     assert {rule for rule, *_ in BOUNDARIES} == set(RULES)
 
 
-def test_what_breaks_no_rule_is_compiled_and_what_does_is_refused_by_its_name():
+def test_what_breaks_a_rule_is_refused_by_its_name_with_the_limit_and_the_way_out():
     assert compile_program(popsan(), LOIHI).layers
-    with pytest.raises(RuleError, match="rule axons-in: node 'n2' has 4,097 sources of a core; "):
-        compile_program(feed(BIASED, cuba(2), width=4096, act=2), LOIHI)
-
-
-def test_without_limits_the_arithmetic_is_compiled():
-    program = compile_program(feed(BIASED, cuba(2), width=4096, act=2), LOIHI, limits=False)
-    assert program.layers[0].synapses[0].weight.shape == (4096, 2)
-
-
-def test_the_refusal_says_the_limit_and_the_way_out():
-    message = "loihi1 has at most 4,096. .*Or emulate the arithmetic alone with --limits off"
+    artifact = feed(BIASED, cuba(2), width=4096, act=2)
+    message = (
+        "rule axons-in: node 'n2' has 4,097 sources of a core; loihi1 has at most 4,096. .*"
+        "Or emulate the arithmetic alone with --limits off"
+    )
     with pytest.raises(RuleError, match=message):
-        compile_program(feed(BIASED, cuba(2), width=4096, act=2), LOIHI)
+        compile_program(artifact, LOIHI)
+    program = compile_program(artifact, LOIHI, limits=False)
+    assert program.layers[0].synapses[0].weight.shape == (4096, 2)
 
 
 def test_what_the_compiler_would_only_round_badly_is_refused_too():
