@@ -339,6 +339,9 @@ def test_copies_of_a_batch_do_not_meet():
         ("speck2f", {"leak": "slow"}, "leak 'slow' is unknown"),
         ("odin", {"adds": "step"}, "checks is 'event' and adds 'step'"),
         ("odin", {"reset_at": "leak"}, "reset_at is 'leak': a reset in place of the leak needs"),
+        ("spiker", {"leak_order": "last"}, "reset_at is 'leak'"),
+        ("spiker", {"checks": "event"}, "reset_at is 'leak'"),
+        ("spiker", {"spikes_max": 2}, "reset_at is 'leak'"),
         ("odin", {"queue": "full"}, "queue 'full' is unknown. Choose 'off' or 'on'"),
         ("odin", {"queue": "on", "leak_order": "last"}, "queue is 'on': it holds single events"),
         ("truenorth", {"queue": "on"}, "queue is 'on', and the chip's queue has no entries"),
@@ -390,12 +393,6 @@ def test_bits_say_how_large_numbers_are(name, options, weights, biases, threshol
     rules = chip(name, **options).arithmetic
     assert (rules.weight_range, rules.bias_range) == (weights, biases)
     assert (rules.threshold_max, rules.leak_max) == (threshold, leak)
-
-
-@pytest.mark.parametrize("wrong", [{"leak_order": "last"}, {"checks": "event"}, {"spikes_max": 2}])
-def test_a_late_reset_needs_all_of_its_three_conditions(wrong):
-    with pytest.raises(ChipError, match="reset_at is 'leak'"):
-        chip("spiker", **wrong)
 
 
 def test_without_kinds_of_rounding_there_are_no_ablation_steps():
