@@ -50,23 +50,32 @@ def lava():
 
 
 # weights 7 and 7 and -7, exponent -1; the axons spike one after another, then all at once
-EACH = [[1, 0, 0], [0, 0, 1], [1, 1, 1]]
+HALVED = [[7, 7, -7]], [[1, 0, 0], [0, 0, 1], [1, 1, 1]], -1
+# 2 * (255 << 13) = 4177920
+LARGE = [[255, 255]], [[1, 1], [0, 0]], 7
 
 
 @pytest.mark.parametrize(
-    ("chip", "expected"),
+    ("chip", "run", "expected"),
     [
         # each list's sum, rounded down: 7 >> 1 = 3, -7 >> 1 = -4, (14 >> 1) - 4 = 3
-        ("loihi1", [0, 3 * 64, -4 * 64]),
+        ("loihi1", HALVED, [0, 3 * 64, -4 * 64]),
         # each weight, rounded down: 3, -4, 3 + 3 - 4 = 2
-        ("loihi1-brian2", [3 * 64, -4 * 64, 2 * 64]),
+        ("loihi1-brian2", HALVED, [3 * 64, -4 * 64, 2 * 64]),
         # nothing is rounded: 3.5, -3.5, 3.5
-        ("loihi1-nengo", [224, -224, 224]),
+        ("loihi1-nengo", HALVED, [224, -224, 224]),
+        ("loihi1", LARGE, [0, 4177920]),
+        ("loihi1-brian2", LARGE, [4177920, 0]),
+        # in 22 bits: 4177920 - 2**22 = -16384
+        ("loihi1-nengo", LARGE, [-16384, 0]),
     ],
 )
-def test_each_reading_rounds_negative_exponents_in_its_own_way(chip, expected, file):
+def test_each_reading_rounds_negative_exponents_and_only_nengos_accumulator_overflows(
+    chip, run, expected, file
+):
+    weights, inputs, exponent = run
     rows = [[value] for value in expected]
-    path = file(small(chip, [[7, 7, -7]], EACH, rows, weight_exp=-1))
+    path = file(small(chip, weights, inputs, rows, weight_exp=exponent))
     assert verify(path).difference is None
 
 
@@ -90,22 +99,6 @@ def test_readings_disagree_about_odd_mixed_weights(chip, row, kept, file):
     expected[row] = [kept * 64, 254 * 64]
     record = small(chip, [[-255], [255]], [[1], [0]], expected, exc_inh_split=False)
     assert verify(file(record)).difference is None
-
-
-@pytest.mark.parametrize(
-    ("chip", "expected"),
-    [
-        # 2 * (255 << 13) = 4177920
-        ("loihi1", [0, 4177920]),
-        ("loihi1-brian2", [4177920, 0]),
-        # in 22 bits: 4177920 - 2**22 = -16384
-        ("loihi1-nengo", [-16384, 0]),
-    ],
-)
-def test_only_nengos_accumulator_overflows(chip, expected, file):
-    rows = [[value] for value in expected]
-    path = file(small(chip, [[255, 255]], [[1, 1], [0, 0]], rows, weight_exp=7))
-    assert verify(path).difference is None
 
 
 def test_nengos_membrane_stays_between_vmin_and_vmax(file):
