@@ -201,31 +201,22 @@ def test_a_slash_in_a_name_is_recognised_when_the_file_is_read(tmp_path):
         load(written(tmp_path / "a.nir", network))
 
 
-def test_a_kind_of_the_future_is_named(tmp_path):
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("type", "Resonator", "'Resonator' is no primitive of NIR"),
+        ("tau", None, r"no LIF can be made of r \(2,\), .*tau"),
+        ("tau", np.ones(3), r"no LIF can be made of .*tau \(3,\).* same shape"),
+    ],
+    ids=["kind of the future", "missing field", "other shape"],
+)
+def test_a_node_that_nir_cannot_make_is_named_with_what_there_is(field, value, message, tmp_path):
     path = written(tmp_path / "a.nir", alone(lif(2), (2,), (2,)))
     with h5py.File(path, "r+") as file:
-        del file["node/nodes/n/type"]
-        file["node/nodes/n/type"] = "Resonator"
-    with pytest.raises(ArtifactError, match="'n': 'Resonator' is no primitive of NIR"):
-        load(path)
-
-
-def test_a_node_with_a_field_missing_is_named_with_what_there_is(tmp_path):
-    path = written(tmp_path / "a.nir", alone(lif(2), (2,), (2,)))
-    with h5py.File(path, "r+") as file:
-        del file["node/nodes/n/tau"]
-    with pytest.raises(ArtifactError, match=r"'n': no LIF can be made of r \(2,\), .*tau"):
-        load(path)
-
-
-def test_parameters_of_different_shape_are_named(tmp_path):
-    path = written(tmp_path / "a.nir", alone(lif(2), (2,), (2,)))
-    with h5py.File(path, "r+") as file:
-        del file["node/nodes/n/tau"]
-        file["node/nodes/n/tau"] = np.ones(3)
-    with pytest.raises(
-        ArtifactError, match=r"'n': no LIF can be made of .*tau \(3,\).* same shape"
-    ):
+        del file[f"node/nodes/n/{field}"]
+        if value is not None:
+            file[f"node/nodes/n/{field}"] = value
+    with pytest.raises(ArtifactError, match=f"'n': {message}"):
         load(path)
 
 
