@@ -25,21 +25,18 @@ from tests.networks import named_chain, unit_lif
 TWO = np.ones(2)
 
 
-def damaged(path, damage):
-    """A small network in which `damage(file, nodes)` was done."""
-    nir.write(path, named_chain([2], [2], weights=nir.Linear(np.eye(2)), cells=unit_lif(2)))
-    with h5py.File(path, "r+") as file:
-        damage(file, file["node/nodes"])
+def written(path, weights, cells=None):
+    """A file of one layer of two neurons with these weights."""
+    cells = unit_lif(2) if cells is None else cells
+    nir.write(path, named_chain([2], [2], weights=nir.Linear(weights), cells=cells))
     return path
 
 
-def zeros(file, nodes):
-    del nodes["weights/weight"]
-    found = nodes["weights"].create_dataset(
-        "weight", (4000, 4000), "f8", chunks=(1000, 4000), compression="gzip"
-    )
-    for first in range(0, 4000, 1000):
-        found[first : first + 1000] = 0
+def damaged(path, damage):
+    """A small network in which `damage(file, nodes)` was done."""
+    with h5py.File(written(path, np.eye(2)), "r+") as file:
+        damage(file, file["node/nodes"])
+    return path
 
 
 def bytes_of_zeros(file, nodes):
@@ -88,7 +85,6 @@ def many_neurons(file, nodes):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (zeros, "for which too few are in the file"),
         (bytes_of_zeros, "for which too few are in the file"),
         (one_large_chunk, "for which too few are in the file"),
         (nothing_stored, "for which too few are in the file"),
@@ -154,7 +150,7 @@ def slow_order(graph):
     return tuple(done)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_order_of_nodes_is_by_waves_and_sources_are_sorted(seed):
     rng = np.random.default_rng(seed)
     names = [f"n{number}" for number in range(30)]
@@ -165,16 +161,14 @@ def test_the_order_of_nodes_is_by_waves_and_sources_are_sorted(seed):
         assert found == sorted(source for source, target in pairs if target == name)
 
 
-@pytest.mark.parametrize("kind", ["u1", "i1", "u2", "i4", "u8"])
+@pytest.mark.parametrize("kind", ["u1", "i4", "u8"])
 @pytest.mark.parametrize("name", ["truenorth", "odin", "loihi1", "ideal"])
 def test_whole_weights_compile_as_floats_of_the_same_values(kind, name, tmp_path):
     low = 0 if kind[0] == "u" else -128
     weights = np.array([[low, 3], [127, 0]])
     programs = []
     for each in (kind, "f8"):
-        graph = named_chain([2], [2], weights=nir.Linear(weights.astype(each)), cells=unit_lif(2))
-        nir.write(tmp_path / "a.nir", graph)
-        artifact = load(tmp_path / "a.nir", dt=1e-3)
+        artifact = load(written(tmp_path / "a.nir", weights.astype(each)), dt=1e-3)
         check(artifact, chip(name))
         program = compile_program(artifact, chip(name), limits=False)
         programs.append([s.weight for layer in program.layers for s in layer.synapses])
@@ -183,23 +177,18 @@ def test_whole_weights_compile_as_floats_of_the_same_values(kind, name, tmp_path
 
 
 def test_whole_numbers_that_no_float_holds_are_refused(tmp_path):
-    huge = np.full((2, 2), 2**63, np.uint64)
-    nir.write(
-        tmp_path / "a.nir", named_chain([2], [2], weights=nir.Linear(huge), cells=unit_lif(2))
-    )
+    path = written(tmp_path / "a.nir", np.full((2, 2), 2**63, np.uint64))
     with pytest.raises(ArtifactError, match="weight holds whole numbers beyond 9007199254740992"):
-        load(tmp_path / "a.nir", dt=1e-3)
+        load(path, dt=1e-3)
 
 
-@pytest.mark.parametrize("value", [5e-324, 1e-310, -1e-320, 1e-40])
+@pytest.mark.parametrize("value", [5e-324, -1e-310])
 def test_denormal_weights_give_no_warnings(value, tmp_path):
     weights = np.array([[value, 1.0], [0.0, value]])
-    nir.write(
-        tmp_path / "a.nir", named_chain([2], [2], weights=nir.Linear(weights), cells=unit_lif(2))
-    )
+    path = written(tmp_path / "a.nir", weights)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        artifact = load(tmp_path / "a.nir", dt=1e-3)
+        artifact = load(path, dt=1e-3)
         for name in CHIPS:
             check(artifact, chip(name))
             try:
@@ -247,7 +236,7 @@ def recorded_events(path, **changes):
     ],
     ids=lambda changes: next(iter(changes)),
 )
-def test_nir_data_of_strangers_are_refused_in_a_sentence(changes, tmp_path):
+def test_strange_nir_data_are_refused_in_a_sentence(changes, tmp_path):
     sound = read_nir_data(recorded_events(tmp_path / "a.h5"), {"input": (2,)}, 1e-3)
     assert sound["input"].shape == (4, 2)
     path = recorded_events(tmp_path / "b.h5", **changes)
@@ -258,59 +247,50 @@ def test_nir_data_of_strangers_are_refused_in_a_sentence(changes, tmp_path):
 def test_a_time_constant_below_the_smallest_float_forgets_at_once(tmp_path):
     cells = unit_lif(2)
     cells.tau = np.full(2, np.longdouble("1e-1600"))
-    nir.write(tmp_path / "a.nir", named_chain([2], [2], weights=nir.Linear(np.eye(2)), cells=cells))
+    path = written(tmp_path / "a.nir", np.eye(2), cells)
     with pytest.raises(ConventionError, match="longer than tau"):
-        load(tmp_path / "a.nir", dt=1e-3)
+        load(path, dt=1e-3)
     # and no warning, which is an error here
-    load(tmp_path / "a.nir", dt=1e-3, integrator="exponential")
+    load(path, dt=1e-3, integrator="exponential")
 
 
-def into(nodes, name, make):
-    del nodes[name]
-    make(nodes)
+OUTSIDE = {
+    "soft": ("x", lambda f, n: n.__setitem__("x", h5py.SoftLink("/node")), "x is a SoftLink"),
+    "external link": (
+        "x", lambda f, n: n.__setitem__("x", h5py.ExternalLink("b.nir", "/")), "is a ExternalLink",
+    ),
+    "circle": (
+        "x", lambda f, n: n.__setitem__("x", f["node"]), "there under another name too",
+    ),
+    "elsewhere": (
+        "cells/r",
+        lambda f, n: n.create_dataset("cells/r", (2,), "f8", external=[("/etc/passwd", 0, 16)]),
+        "has its numbers in another file",
+    ),
+    # HDF5 crashed on one that a flipped bit had made of a text
+    "type": (
+        "cells/type",
+        lambda f, n: n.create_dataset("cells/type", (), h5py.vlen_dtype("i8")),
+        "nodes/cells/type holds neither numbers nor texts",
+    ),
+    "reference": (
+        "cells/r",
+        lambda f, n: n.create_dataset("cells/r", data=f.ref),
+        "nodes/cells/r holds neither numbers nor texts",
+    ),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("damage", "message"),
-    [
-        (lambda f, n: n.__setitem__("x", h5py.SoftLink("/node")), "nodes/x is a SoftLink"),
-        (lambda f, n: n.__setitem__("x", h5py.ExternalLink("b.nir", "/")), "is a ExternalLink"),
-        (lambda f, n: n.__setitem__("x", f["node"]), "there under another name too"),
-        (
-            lambda f, n: into(
-                n,
-                "cells/r",
-                lambda m: m.create_dataset(
-                    "cells/r", (2,), "f8", external=[("/etc/passwd", 0, 16)]
-                ),
-            ),
-            "has its numbers in another file",
-        ),
-        (
-            lambda f, n: into(
-                n, "cells/r", lambda m: m.create_dataset("cells/r", (1 << 20, 1 << 12), "f8")
-            ),
-            "for which too few are in the file",
-        ),
-        (
-            # HDF5 crashed on one that a flipped bit had made of a text
-            lambda f, n: into(
-                n, "cells/type", lambda m: m.create_dataset("cells/type", (), h5py.vlen_dtype("i8"))
-            ),
-            "nodes/cells/type holds neither numbers nor texts",
-        ),
-        (
-            lambda f, n: into(n, "cells/r", lambda m: m.create_dataset("cells/r", data=f.ref)),
-            "nodes/cells/r holds neither numbers nor texts",
-        ),
-    ],
-    ids=["soft", "external link", "circle", "elsewhere", "claim", "type", "reference"],
-)
-def test_links_and_storage_outside_the_file_are_refused_by_name(damage, message, tmp_path):
-    path = damaged(tmp_path / "a.nir", damage)
-    with pytest.raises(ArtifactError) as caught:
-        load(path)
-    assert message in str(caught.value)
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_links_and_storage_outside_the_file_are_refused_by_name(name, tmp_path):
+    place, make, message = OUTSIDE[name]
+
+    def damage(file, nodes):
+        nodes.pop(place, None)
+        make(file, nodes)
+
+    with pytest.raises(ArtifactError, match=message):
+        load(damaged(tmp_path / "a.nir", damage))
 
 
 flat = nir.Flatten({"input": np.array([3000, 3000])}, 0, -1)
