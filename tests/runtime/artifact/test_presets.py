@@ -48,56 +48,55 @@ def test_norse_leaves_r_of_a_lif_out():
     assert found.run(np.full((1, 2, 1), 1.6))["n1"].ravel().tolist() == [1, 1]
 
 
-def test_norse_adds_the_input_of_an_if_whatever_dt():
-    node = nir.IF(*full(7, 1))
-    assert spikes("norse", node, 0.6, 0.6, 0.6, dt=1e-5) == [0, 1, 0]
-
-
-def test_norse_subtracts_where_it_is_told_to():
-    node = cuba(1, alpha=0.0, beta=0.5, dt=1e-3, threshold=1.0)
-    assert spikes("norse", node, 3.5, 0, 0) == [1, 0, 0]
-    # 3.5 - 1 = 2.5; 1.25 - 1
-    assert spikes("norse", node, 3.5, 0, 0, reset="subtract") == [1, 1, 0]
-
-
-def test_spikingjelly_fires_at_the_threshold():
-    node = lif(1, tau=2e-4, r=2.0)
-    assert spikes("spikingjelly", node, 1.0, 0) == [1, 0]
-    assert spikes("snntorch", node, 1.0, 0) == [0, 0]
-
-
-def test_snntorch_puts_a_gain_into_the_threshold():
-    # V = 0.5 V + x with a threshold of 1 / 2.5: 0.3, 0.45 -> spike
-    assert spikes("snntorch", lif(1, tau=2e-4, r=5.0), 0.3, 0.3, 0) == [0, 1, 0]
-
-
-def test_sinabs_counts_timesteps_and_sends_many_spikes():
-    # V = 0.5 V + x: 2.5 -> 2 spikes, 0.5; 0.25 + 1.75 = 2 -> 2 spikes
-    assert spikes("sinabs", lif(1, tau=HALF, r=9.0), 2.5, 1.75 + 1e-9, 0.9) == [2, 2, 0]
-
-
-def test_sinabs_holds_integrators_above_minus_the_threshold():
-    # -5 -> -1; 0.5; 1.5 -> spike
-    assert spikes("sinabs", nir.IF(*full(3, 1)), -5, 1.5, 1.0) == [0, 0, 1]
-
-
-def test_sinabs_fires_at_the_threshold():
-    assert spikes("sinabs", nir.IF(*full(1, 1)), 1, 2, 0.5) == [1, 2, 0]
-
-
 def rockpool_neuron(v_leak=0.0):
     """dt = tau/(1 + r) is then half a life of both time constants."""
     return nir.CubaLIF(*full(HALF, HALF, HALF - 1, v_leak, 1), w_in=np.array([77.0]))
 
 
-def test_rockpool_decays_what_arrives_and_sends_many_spikes():
+HALVING = cuba(1, alpha=0.0, beta=0.5, dt=1e-3, threshold=1.0)
+# nengo's synapse keeps a half, as its membrane does
+SLOW = nir.CubaLIF(*full(2e-3, 1e-3 * HALF, 2, 0, 1), w_in=np.array([2.0]))
+CASES = {
+    "norse adds the input of an IF whatever dt is": (
+        ("norse", nir.IF(*full(7, 1)), {"dt": 1e-5}), (0.6, 0.6, 0.6), [0, 1, 0]),
+    "norse returns to zero": (("norse", HALVING, {}), (3.5, 0, 0), [1, 0, 0]),
+    # 3.5 - 1 = 2.5; 1.25 - 1
+    "norse subtracts where it is told to": (
+        ("norse", HALVING, {"reset": "subtract"}), (3.5, 0, 0), [1, 1, 0]),
+    "spikingjelly fires at the threshold": (
+        ("spikingjelly", lif(1, tau=2e-4, r=2.0), {}), (1.0, 0), [1, 0]),
+    "snntorch fires above the threshold": (
+        ("snntorch", lif(1, tau=2e-4, r=2.0), {}), (1.0, 0), [0, 0]),
+    # V = 0.5 V + x with a threshold of 1 / 2.5: 0.3, 0.45 -> spike
+    "snntorch puts a gain into the threshold": (
+        ("snntorch", lif(1, tau=2e-4, r=5.0), {}), (0.3, 0.3, 0), [0, 1, 0]),
+    # V = 0.5 V + x: 2.5 -> 2 spikes, 0.5; 0.25 + 1.75 = 2 -> 2 spikes
+    "sinabs counts timesteps and sends many spikes": (
+        ("sinabs", lif(1, tau=HALF, r=9.0), {}), (2.5, 1.75 + 1e-9, 0.9), [2, 2, 0]),
+    # -5 -> -1; 0.5; 1.5 -> spike
+    "sinabs holds integrators above minus the threshold": (
+        ("sinabs", nir.IF(*full(3, 1)), {}), (-5, 1.5, 1.0), [0, 0, 1]),
+    "sinabs fires at the threshold": (
+        ("sinabs", nir.IF(*full(1, 1)), {}), (1, 2, 0.5), [1, 2, 0]),
     # I: 2.2, 1.1, 0.55 | V: 2.2 -> 2, 0.2; 0.1 + 1.1 -> 1, 0.2; 0.1 + 0.55
-    assert spikes("rockpool", rockpool_neuron(), 4.4, 0, 0) == [2, 1, 0]
-
-
-def test_rockpool_takes_v_leak_for_a_bias():
+    "rockpool decays what arrives and sends many spikes": (
+        ("rockpool", rockpool_neuron(), {}), (4.4, 0, 0), [2, 1, 0]),
     # V: 0.7, 0.35 + 0.7 -> spike, 0.05
-    assert spikes("rockpool", rockpool_neuron(v_leak=0.7), 0, 0, 0) == [0, 1, 0]
+    "rockpool takes v_leak for a bias": (
+        ("rockpool", rockpool_neuron(v_leak=0.7), {}), (0, 0, 0), [0, 1, 0]),
+    # I: 0, 1.2, 0.6 | V: 0, 1.2 -> spike, 0.6
+    "a synapse of nengo delivers one timestep later": (
+        ("nengo", SLOW, {}), (1.2, 0, 0), [0, 1, 0]),
+    # V: 0, 0.5 * 3 -> spike
+    "lava delivers one timestep later and leaves r out": (
+        ("lava", lif(1, tau=2e-3, r=8.0), {"dt": 1e-3}), (3, 0, 0), [0, 1, 0]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("read", "inputs", "wanted"), CASES.values(), ids=CASES)
+def test_a_neuron_spikes_as_its_tool_would_have_it(read, inputs, wanted):
+    tool, node, given = read
+    assert spikes(tool, node, *inputs, **given) == wanted
 
 
 def test_rockpool_gives_every_layer_a_timestep_of_its_own():
@@ -113,17 +112,6 @@ def test_nengo_holds_membranes_at_0_and_sends_spikes_as_high_as_1_over_dt():
     node = lif(1, tau=1e-3 * HALF, r=1.0)
     found, output = played("nengo", node, -10, 1.8, 1.8)
     assert (found, output) == ([0, 0, 1], [0, 0, 1000])
-
-
-def test_a_synapse_of_nengo_delivers_one_timestep_later():
-    # I: 0, 1.2, 0.6 | V: 0, 1.2 -> spike, 0.6
-    node = nir.CubaLIF(*full(2e-3, 1e-3 * HALF, 2, 0, 1), w_in=np.array([2.0]))
-    assert spikes("nengo", node, 1.2, 0, 0) == [0, 1, 0]
-
-
-def test_lava_delivers_one_timestep_later_and_leaves_r_out():
-    # V: 0, 0.5 * 3 -> spike
-    assert spikes("lava", lif(1, tau=2e-3, r=8.0), 3, 0, 0, dt=1e-3) == [0, 1, 0]
 
 
 # tools and files
