@@ -71,6 +71,7 @@ def test_lists_and_nothing_have_a_spelling():
         ("int:membrane=12-up", "membrane '12-up' overflows in an unknown way.*saturate"),
         ("int:membrane=wide", "membrane must be a whole number, found 'wide'"),
         ("loihi1:sign_mode=both", "sign_mode 'both' is unknown"),
+        ("loihi1:membrane_output=shout", "membrane_output 'shout' is unknown"),
         ("loihi1:sources=x", "'sources' cannot be given as text"),
         ("ideal:weight_bits=4", "chip 'ideal': it has no option 'weight_bits'"),
         ("inf:weight_bits=4", "there is no chip 'inf'; did you mean 'int'"),

@@ -301,6 +301,7 @@ def test_every_limit_has_a_source(name):
     no = {name for name in ("input_cores", "axon_signs") if not getattr(limits, name)}
     by_definition = {"sources", *no}
     assert given - by_definition <= set(limits.sources)
+    assert all(limits.sources.values())
     assert set(limits.sources) <= {field.name for field in fields(Limits)}
 
 
