@@ -7,26 +7,21 @@ from spikedeploy.runtime.metadata import Record
 from tests.networks import codec
 
 
-def one_neuron(drive, timesteps):
-    """Spikes of a neuron that is driven by `drive` in every timestep."""
+@pytest.mark.parametrize(
+    ("drive", "spikes"),
+    [
+        # v: 0.5, 1.0 -> spike, 0.001; 0.501, 1.001 -> spike, 0.002; 0.502
+        (0.5, [0, 1, 0, 1, 0]),
+        # v: 1 -> spike, 0.001; 1.001 -> spike, 0.002; ...
+        (1.0, [1, 1, 1, 1, 1]),
+        # v: 0.7, 1.4 -> 0.401, 1.101 -> 0.102, 0.802, 1.502 -> spike; a reset to 0 would skip one
+        (0.7, [0, 1, 1, 0, 1]),
+    ],
+)
+def test_a_driven_neuron_keeps_what_is_above_the_threshold(drive, spikes):
     x = np.sqrt(-2 * np.log(drive))
     encoder = PopulationEncoder(np.zeros((1, 1)), np.ones((1, 1)))
-    return encoder.encode(np.array([[x]]), timesteps)[0, :, 0].tolist()
-
-
-def test_a_drive_of_half_spikes_every_second_timestep():
-    # v: 0.5, 1.0 -> spike, 0.001; 0.501, 1.001 -> spike, 0.002; 0.502
-    assert one_neuron(0.5, 5) == [0, 1, 0, 1, 0]
-
-
-def test_an_observation_on_the_centre_spikes_in_every_timestep():
-    # v: 1 -> spike, 0.001; 1.001 -> spike, 0.002; ...
-    assert one_neuron(1.0, 5) == [1, 1, 1, 1, 1]
-
-
-def test_the_soft_reset_keeps_what_is_above_the_threshold():
-    # v: 0.7, 1.4 -> 0.401, 1.101 -> 0.102, 0.802, 1.502 -> spike; a reset to 0 would skip one
-    assert one_neuron(0.7, 5) == [0, 1, 1, 0, 1]
+    assert encoder.encode(np.array([[x]]), 5)[0, :, 0].tolist() == spikes
 
 
 def test_spikes_equal_the_definition_worked_neuron_by_neuron():

@@ -171,17 +171,6 @@ def test_single_precision_sends_the_same_events_away_from_borders():
     assert (one.sent == other.sent).all()
 
 
-def test_robots_in_a_batch_are_as_each_alone():
-    x = np.random.default_rng(4).normal(size=(20, 5, 3))
-    code = encoder([0.2, 0.4, 0.8])
-    state = code.start(0)
-    together = np.stack([code.encode(row, 2, state) for row in x])
-    for robot in range(5):
-        own = code.start(0)
-        alone = np.stack([code.encode(row[robot, None], 2, own)[0] for row in x])
-        np.testing.assert_array_equal(together[:, robot], alone)
-
-
 def test_another_batch_is_refused_before_anything_moves():
     code, x = encoder(), np.full((2, 1), 0.7)
     state = code.start(0)
@@ -248,10 +237,3 @@ def test_a_file_keeps_every_field():
 def test_a_wrong_field_is_refused_with_its_limit(step, fields, said):
     with pytest.raises(ArtifactError, match=f"delta encoder: {said}"):
         encoder(step, **fields)
-
-
-def test_a_file_with_no_number_as_step_is_refused():
-    record = whole().to_record()
-    record["encoder"]["step"] = np.array([0.5, np.nan])
-    with pytest.raises(ArtifactError, match="step must be"):
-        Codec.from_record(Record(record, "codec"))
