@@ -221,18 +221,6 @@ def test_drift_says_that_it_does_not_compare_graded_spikes():
         drift(one_neuron(), chip("loihi2"), INPUT)
 
 
-def test_graded_spikes_beyond_their_bits_are_clipped_and_counted_on_loihi2():
-    registers = chip("loihi2").arithmetic
-    layer = compile_program(one_neuron(), chip("loihi2")).layers[0]
-    most = (1 << (registers.graded_bits - 1)) - 1
-    layer = replace(layer, threshold=np.ones(1, np.int64), voltage_bias=np.zeros(1, np.int64))
-    state = LayerState(*np.zeros((3, 1, 1), np.int64), sent=np.array([[-10]]))
-    state.membrane = np.array([[most]])
-    found = sigma_delta(registers, registers.graded_bits, layer, np.zeros((1, 1), np.int64), state)
-    assert found.spikes.tolist() == [[most]]
-    assert found.overflows.tolist() == [[1]]
-
-
 def plain_sigma_delta(fixed, bits, of, n, arrived, sigma, sent):
     """A timestep of one sigma-delta neuron: sigma, what is sent, activity, overflows."""
     bias, threshold = of.voltage_bias[n], of.threshold[n]
