@@ -333,7 +333,6 @@ import sys
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.machine import Machine
-from tests.equality import check_equal, check_like_the_interpreter, runs
 from tests.networks import popsan
 Machine(compile_program(popsan(), chip("loihi1")))
 import spikedeploy.runtime.families.cuba.numba_backend
