@@ -424,6 +424,9 @@ HOST_DAMAGE = {
     "events beyond the last": _edited("does not fit", input_events=[[0, 10**6]]),
     "events of another kind": _edited("does not fit", input_events=[["x", {}]]),
     "hours": _edited("does not fit", timesteps=10**12),
+    "--loop": _cut("episode.npz"),
+    "--loop CartPole-v1": lambda _: "observes other numbers than the policy",
+    "--steps -3": lambda _: "2",
 }
 
 
@@ -431,28 +434,10 @@ HOST_DAMAGE = {
 def test_a_script_of_a_damaged_kit_ends_with_one_sentence(name, kit_of, monkeypatch):
     kit, _ = kit_of("loihi1")
     message = HOST_DAMAGE[name](kit.folder)
-    monkeypatch.setattr(sys, "argv", ["run"])
+    monkeypatch.setattr(sys, "argv", ["run", *(name.split() if name[0] == "-" else ())])
     with pytest.raises(SystemExit, match=message):
         host_in(kit.folder).main(lambda *_: OwnChip(kit.folder), "ours")
-    assert not (kit.folder / "ours.json").exists()
-
-
-LOOP_DAMAGE = {
-    "cut": (("--loop",), _cut("episode.npz"), "episode.npz cannot be read"),
-    "another world": (("--loop", "CartPole-v1"), None, "observes other numbers than the policy"),
-    "no steps": (("--steps", "-3"), None, "2"),
-}
-
-
-@pytest.mark.parametrize("name", LOOP_DAMAGE)
-def test_a_loop_that_cannot_be_closed_ends_with_one_sentence(name, kit_of, monkeypatch):
-    kit, _ = kit_of("loihi1")
-    words, damage, message = LOOP_DAMAGE[name]
-    if damage is not None:
-        damage(kit.folder)
-    monkeypatch.setattr(sys, "argv", ["run", *words])
-    with pytest.raises(SystemExit, match=message):
-        host_in(kit.folder).main(lambda *_: OwnChip(kit.folder), "ours")
+    assert not (kit.folder / "ours.json").exists() or name.startswith("--loop")
 
 
 @pytest.mark.parametrize("renamed", range(6))
