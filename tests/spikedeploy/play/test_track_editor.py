@@ -142,24 +142,24 @@ def test_a_draft_loses_nothing(draft, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "line"),
+    ("name", "opened", "text", "line"),
     [
-        ("a.txt", "", r"ends in \.json"),
-        ("a.draft.json", "{}", r"its \.draft\.json opens itself"),
-        ("a.json", "nonsense", "not a JSON file"),
-        ("a.json", "{}", "'name' is missing"),
+        ("a.txt", "a.txt", "", r"ends in \.json"),
+        ("a.draft.json", "a.draft.json", "{}", r"its \.draft\.json opens itself"),
+        ("a.json", "a.json", "nonsense", "not a JSON file"),
+        ("a.json", "a.json", "{}", "'name' is missing"),
+        (
+            "a.draft.json",
+            "a.json",
+            '{"name": "a", "walls": [[[1]]]}',
+            r"a\.draft\.json: not a draft that `draw` left",
+        ),
     ],
 )
-def test_files_that_cannot_be_drawn_in_are_named(name, text, line, tmp_path):
+def test_files_that_cannot_be_drawn_in_are_named(name, opened, text, line, tmp_path):
     (tmp_path / name).write_text(text)
     with pytest.raises((ConfigError, EnvError), match=line):
-        open_draft(tmp_path / name)
-
-
-def test_a_broken_draft_is_named(tmp_path):
-    draft_of(tmp_path / "a.json").write_text('{"name": "a", "walls": [[[1]]]}')
-    with pytest.raises(ConfigError, match=r"a\.draft\.json: not a draft that `draw` left"):
-        open_draft(tmp_path / "a.json")
+        open_draft(tmp_path / opened)
 
 
 def test_a_copy_overwrites_nothing(tmp_path):
