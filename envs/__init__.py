@@ -59,7 +59,7 @@ class EnvSpec:
     summary   one line
     controls  built-in baselines of every comparison; the first is the zero of its score
     remark    what its returns can and cannot show, for reports
-    foreign   whether it is of other people, and not in ENVS
+    foreign   True of an environment of another package, which is not in ENVS
     """
 
     short: str

@@ -212,9 +212,11 @@ def _check_arrays(arrays: dict[str, Any]) -> None:
             raise ValueError(f"{name} has the shape {found.shape}")
     count = len(arrays["steps"])
     if any(len(arrays[name]) != count for name in _EACH) or arrays["start"].shape != (4, count):
-        raise ValueError(f"{count} episodes, and other numbers of their ends")
+        raise ValueError(f"{count} episodes, but arrays of other lengths")
     if len(arrays["moves"]) != 4 or (count and arrays["steps"].min() < 0):
-        raise ValueError("moves are not of four values, or an episode has fewer than no steps")
+        raise ValueError(
+            "moves do not have four values, or an episode has a negative number of steps"
+        )
 
 
 def _drives(arrays: dict[str, Any]) -> list[Ghost]:

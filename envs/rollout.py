@@ -162,17 +162,17 @@ class EpisodeRecorder:
 
     @property
     def reward(self) -> float:
-        """Of the latest step."""
+        """Reward of the latest step."""
         return self._rewards[-1]
 
     @property
     def action(self) -> NDArray[Any]:
-        """Of the latest step."""
+        """Action of the latest step."""
         return self._actions[-1]
 
     @property
     def numbers(self) -> Mapping[str, float]:
-        """Of the latest step's info."""
+        """Numbers in the latest step's info."""
         return self._infos[-1]
 
     @property

@@ -11,11 +11,11 @@ codec/           observations to spikes, network output to actions
 dialects/        what other tools mean by a NIR file
 artifact/        the `.nir` file: reading and writing
 float_model      the graph in floating point: the reference
-chips/           datasheets
+chips/           datasheets, the classes of a chip, a layer and its state
 compiler/        graph and chip to an integer program
-faults/          chips with broken parts, and with upsets while they run
+faults           chips with broken parts, and with upsets while they run
 emulator/        programs run on observations; the ledger of events
-families/        one folder for each arithmetic: datasheets, quantiser, neuron update
+families/        arithmetics: quantiser, neuron update, kernels
 metrics/         energy, time, memory, messages, NeuroBench
 analysis/        activity, calibration, drift from float, diagnosis
 traces/          recorded traces of chips and simulators, compared with the emulation

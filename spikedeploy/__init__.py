@@ -11,8 +11,9 @@
     comparison   policies on the same seeds, with intervals
     emulation    networks in open loop: rasters, drift, design rules, traces
     recordings   episodes with all that a page replays of them
-    reports      tables and plots
-    pages        the page of a comparison: one HTML file
+    reports      tables, plots and pages
+    live         an episode in a browser while it is played
+    realtime     a closed loop paced by the clock; policies that are served
     shipping     export, publishing into the zoo, the demo
     jobs         pure functions in this process, in several, or on a cluster of Ray
     campaign     sweeps of evaluations, searches for settings, seeds of a training
@@ -23,10 +24,12 @@
     console      tables and JSON on stdout, progress on stderr
     errors       the errors that every package may raise
     files        atomic writes, JSON, locks
+    requests     requests such as noise:2 or payload=0.4
     schema       data from files, checked
     outputs      the guard of every file that a command writes
     make_env     environments with options, as the command line asks for them
-    seeds        which seeds are for training, validation and evaluation
+    tested_set   versions that the tests ran with
+    seeds        seeds for training, validation and evaluation
     user_errors  the one line that an error becomes
     video        MP4 files
 

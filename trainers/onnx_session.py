@@ -146,7 +146,7 @@ def session(path: str | Path) -> Any:  # noqa: ANN401
     return network
 
 
-def says_how_it_acts(network: Any) -> bool:  # noqa: ANN401
+def has_policy_metadata(network: Any) -> bool:  # noqa: ANN401
     """Return whether its metadata are those of our policies, which fix environment and units."""
     said: dict[str, str] = network.get_modelmeta().custom_metadata_map
     return {"env", "recipe"} <= said.keys()

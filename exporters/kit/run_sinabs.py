@@ -61,7 +61,7 @@ class SinabsChip:
             each.reset_states()
 
     def stop(self):
-        """Nothing to let go of."""
+        """Do nothing: there is no hardware to release."""
 
 
 def linear(layer):

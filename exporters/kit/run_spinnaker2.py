@@ -65,7 +65,7 @@ class Spinnaker2Chip:
         self.__init__(self.program, self.arguments)
 
     def stop(self):
-        """Nothing to let go of."""
+        """Do nothing: there is no hardware to release."""
 
 
 def population(layer, program):

@@ -126,7 +126,7 @@ class XylosimChip:
         self.layer.reset_all()
 
     def stop(self):
-        """Nothing to let go of."""
+        """Do nothing: there is no hardware to release."""
 
 
 MODULES = {"xylo-a2": "syns61201", "xylo-a3": "syns65302", "xylo-imu": "syns63300"}

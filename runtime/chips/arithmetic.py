@@ -141,7 +141,7 @@ class ArithmeticDefaults(Protocol):
         return
 
     def ranges(self, layers: Sequence[Layer], timesteps: int | None) -> list[str]:
-        """Of quantised layers that their leaks do not bound what registers hold, a sentence each.
+        """Return a warning for each quantised layer whose leak does not bound its registers.
 
         timesteps: T of an inference; None where it is not known, or states are kept.
         """

@@ -410,7 +410,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
     try:
         tables: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
-        raise ChipError(f"it is not TOML ({error}). Mend it there.") from None
+        raise ChipError(f"invalid TOML ({error}). Correct that line.") from None
     return tables
 
 
@@ -475,13 +475,13 @@ def _convert_entries(kind: Any, entries: Mapping[str, Any], **given: Any) -> dic
 
 
 def _build(make: Any, *of: Any, **values: Any) -> Any:  # noqa: ANN401
-    """An object of these values; ChipError where they do not go together."""
+    """An object of these values; ChipError where they are inconsistent."""
     try:
         return make(*of, **values)
     except (ArithmeticError, ValueError) as error:
         if isinstance(error, ChipError):
             raise
-        raise ChipError(f"its numbers do not go together ({error}).") from None
+        raise ChipError(f"its values are inconsistent ({error}).") from None
 
 
 def _convert(kind: Any, name: str, value: Any, present: Any = None) -> Any:  # noqa: ANN401

@@ -68,7 +68,7 @@ class Upset:
 
 @dataclass(frozen=True)
 class Upsets:
-    """All of them.
+    """All upsets of a chip.
 
     each: by name.
     specimen: which chip of its kind it is.

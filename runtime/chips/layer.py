@@ -100,7 +100,7 @@ class Network(Protocol):
 
     @property
     def convention(self) -> Convention:
-        """Of the artifact."""
+        """Convention of the artifact."""
 
     @property
     def input(self) -> str:

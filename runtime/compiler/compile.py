@@ -159,7 +159,7 @@ def float_program(artifact: Artifact, chip: Chip, graph: LayerGraph, clock: Cloc
             f"advance its layers so; it advances them {' or '.join(chip.clocks)}"
         )
     silent = {layer.name for layer in floats if not layer.spiking}
-    output, readout, outlets = _ways_out(graph, convention, bool(host), silent)
+    output, readout, outlets = _suggest_remedies(graph, convention, bool(host), silent)
     if output in {layer.name for layer in host}:
         output = layers[-1].name
     program = Program(
@@ -251,7 +251,7 @@ def _rows(artifact: Artifact, program: Program) -> int | None:
     return program.rows(artifact.codec.timesteps) if artifact.codec is not None and reset else None
 
 
-def _ways_out(
+def _suggest_remedies(
     graph: LayerGraph, convention: Convention, on_host: bool, silent: Collection[str]
 ) -> tuple[str, Readout | None, tuple[HostOutput, ...]]:
     """The layer that leaves the chip and its readout; outlets where there is more than that.

@@ -94,7 +94,7 @@ class SynapseMap:
 
     @property
     def synapses(self) -> int:
-        """All of them."""
+        """Number of synapses."""
         return int(self.into.sum())
 
     @property

@@ -97,7 +97,7 @@ class FloatMachine:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Nothing: it does what the file says."""
+        """Remarks: none, as it computes what the file says."""
         return ()
 
     @property

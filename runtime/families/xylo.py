@@ -228,7 +228,7 @@ def _layer(
     convention: Convention,
     start: int,
 ) -> Layer:
-    current, membrane = _dashes(layer, registers, convention)
+    current, membrane = _decay_shifts(layer, registers, convention)
     return replace(
         layer,
         synapses=tuple(_synapses(layer, sources, _gain(layer.current_decay, current))),
@@ -262,7 +262,7 @@ def _synapses(layer: Layer, sources: Sequence[str], gain: Floats) -> Iterator[Sy
             yield Synapses(source, gain * np.sum(weights, axis=0), delay)
 
 
-def _dashes(
+def _decay_shifts(
     layer: Layer, registers: XyloRegisters, convention: Convention
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(N,) of the currents, at least 1 as 0 forgets events before they are used; of membranes."""
@@ -352,7 +352,7 @@ def _remarks(layer: Layer, registers: XyloRegisters, convention: Convention) -> 
             f"layer {layer.name!r}: it has no synaptic current; on Xylo it has the shortest, which "
             "halves in each timestep, and spreads a spike over the next"
         )
-    current, membrane = _dashes(layer, registers, convention)
+    current, membrane = _decay_shifts(layer, registers, convention)
     there = layer.current_decay > 0
     for of, decay_factor, dash in (
         ("current", layer.current_decay[there], current[there]),

@@ -192,7 +192,7 @@ def _run_training(
 
 
 def _show_run(run: Path) -> None:
-    """Write page, card and curves; where that fails, the training is none the worse."""
+    """Write page, card and curves; a failure here does not affect the training."""
     from spikedeploy.console import say
     from spikedeploy.runtime.errors import SpikedeployError
     from spikedeploy.shipping.run_card import write_run_files

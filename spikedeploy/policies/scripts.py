@@ -14,7 +14,7 @@ from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.costs import NOTHING, Costs
 from spikedeploy.policies.registry import Candidate, Floats, Player, check_fit, find
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.onnx_session import says_how_it_acts, session
+from spikedeploy.trainers.onnx_session import has_policy_metadata, session
 
 if TYPE_CHECKING:
     from spikedeploy.trainers.distill.teacher import Teacher, Units
@@ -149,4 +149,4 @@ def teacher_candidate(reference: str, units: "Units | None" = None) -> Candidate
 
 def _is_foreign(path: Path) -> bool:
     """Return True if an ONNX file does not say how it acts, as ours do."""
-    return path.is_file() and not says_how_it_acts(session(path))
+    return path.is_file() and not has_policy_metadata(session(path))

@@ -143,7 +143,7 @@ _EARN = (
 _AGREEMENT = (
     Column(
         "reference",
-        "whom the row is measured against: on a chip its float twin, else the float ANN",
+        "policy that the row is compared with: on a chip its float twin, else the float ANN",
         field_cell("reference", ""),
     ),
     Column(

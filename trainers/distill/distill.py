@@ -25,7 +25,7 @@ from spikedeploy.trainers.config import (
     Share,
     ValidationConfig,
 )
-from spikedeploy.trainers.distill.teacher import FloatArray, Teacher, surprise
+from spikedeploy.trainers.distill.teacher import FloatArray, Teacher, compute_cross_entropy
 from spikedeploy.trainers.distill.teachers import of_policy, score, teacher
 from spikedeploy.trainers.env_batch import EnvBatch
 from spikedeploy.trainers.learner import Learner, adam, set_rate
@@ -276,7 +276,7 @@ class DistillLearner(Learner):
         set_rate(optimizer, self._config.learning_rate * 0.5 * (1 + math.cos(math.pi * progress)))
         found, penalty = self._act(observation)
         if self.policy.head == "discrete":
-            error = surprise(found, label, self._config.sharpness).mean()
+            error = compute_cross_entropy(found, label, self._config.sharpness).mean()
         else:
             error = (found - label).square().mean()
         optimizer.zero_grad()

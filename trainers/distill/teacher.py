@@ -57,7 +57,7 @@ def certain(choice: NDArray[np.int64], count: int) -> FloatArray:
     return logits
 
 
-def surprise(mean: Tensor, label: Tensor, sharpness: float) -> Tensor:
+def compute_cross_entropy(mean: Tensor, label: Tensor, sharpness: float) -> Tensor:
     """Return the cross entropy (...) of a student's logits (..., n) with its teacher's.
 
     sharpness: factor of the teacher's logits

@@ -19,7 +19,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig, ValidationConfig
 from spikedeploy.trainers.distill.sb3 import REMEDY, sb3_teacher
 from spikedeploy.trainers.distill.teacher import FloatArray, OwnSpaces, Teacher, Units, batched
-from spikedeploy.trainers.onnx_session import says_how_it_acts, session
+from spikedeploy.trainers.onnx_session import has_policy_metadata, session
 from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 
@@ -60,7 +60,7 @@ def onnx_teacher(path: str, spaces: Callable[[], OwnSpaces], units: Units | None
     spaces: called for files that are not ours
     """
     network = session(path)
-    if says_how_it_acts(network):
+    if has_policy_metadata(network):
         if units is not None:
             raise ConfigError(
                 f"the teacher {path} says itself how it acts: leave teacher_units out"

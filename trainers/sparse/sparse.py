@@ -52,12 +52,12 @@ from spikedeploy.trainers.sparse.student import (
     tuned_thresholds,
 )
 
-_TOGETHER = 50  # copies of the environment
+_ENV_COPIES = 50  # copies of the environment
 _DENSE_BUDGET = 4_000.0  # operations for which the penalty is scaled while nothing is pruned
 
 
 class Sparse(Runner[SparseConfig]):
-    """One run.
+    """One training by sparse imitation.
 
     updates, phase, start, collections: counters, continued by a resumed run; `start` are the
         operations when the phase began, `collections` the files of walks
@@ -100,7 +100,7 @@ class Sparse(Runner[SparseConfig]):
         self.pool = WalkPool()
         self._student = student(self.policy, config)
         self.learner = SparseLearner(config, self._student)
-        self._episodes = Episodes(config.env, _TOGETHER, config.validation.limit)
+        self._episodes = Episodes(config.env, _ENV_COPIES, config.validation.limit)
         self.updates = self.phase = self.collections = 0
         self.start = 0.0
         self._sums: list[str] = []  # checksums of the files of walks

@@ -24,7 +24,7 @@ from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.distill.teacher import surprise
+from spikedeploy.trainers.distill.teacher import compute_cross_entropy
 from spikedeploy.trainers.learner import with_prefix
 from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.delta import (
@@ -297,7 +297,7 @@ def _active(activations: Sequence[Tensor]) -> list[Tensor]:
 
 
 def student(policy: Policy, config: SparseConfig) -> Student:
-    """Return what the algorithm needs of a policy."""
+    """Return the student for a policy."""
     if isinstance(policy, DeltaSnnPolicy):
         return DeltaStudent(policy, config)
     if isinstance(policy, PrunedMlpPolicy):
@@ -312,7 +312,7 @@ def imitation(mean: Tensor, label: Tensor, policy: Policy, sharpness: float) -> 
     """Return the error of means (..., act) against the teacher's actions or logits (..., act)."""
     if policy.head == "continuous":
         return (torch.tanh(mean) - label).square().mean(-1)
-    return surprise(mean, label, sharpness)
+    return compute_cross_entropy(mean, label, sharpness)
 
 
 # -- pruning by operations: one ranking over all synapses, and whole neurons as units of it
@@ -495,7 +495,7 @@ def deployed(policy: Policy, target: Chip, rounding: bool) -> Policy:
 
 
 def binary_columns(observation: FloatArray) -> NDArray[np.bool_]:
-    """Which observations (obs,) take exactly two values, as contacts do, and each repeatedly."""
+    """Mask (obs,) of observations that take exactly two values, as contacts do, and each repeatedly."""
     some = observation[:: max(1, len(observation) // _SAMPLE)]
     found = np.array([_is_binary(column) for column in some.T], np.bool_)
     # a sample may lack the rest of the values

@@ -32,7 +32,7 @@ from spikedeploy.runtime.families.cuba.neurons import (
     sum_arriving,
     update,
 )
-from spikedeploy.runtime.families.cuba.quantise import quantise, range_of, with_headroom
+from spikedeploy.runtime.families.cuba.quantise import describe_range, quantise, with_headroom
 
 # from rounded weights to the chip, each with those before it
 _ROUNDING_STEPS = ("weights", "thresholds", "decays", "states")
@@ -109,7 +109,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         timesteps: T of an inference; None where it is not known, or states are kept.
         """
         drifts = not any(layer.graded for layer in layers)
-        found = [range_of(layer, self, timesteps, drifts) for layer in layers]
+        found = [describe_range(layer, self, timesteps, drifts) for layer in layers]
         return [sentence for sentence in found if sentence]
 
     def update(

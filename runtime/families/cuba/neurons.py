@@ -144,7 +144,7 @@ def update(
 def float_update(
     convention: Convention, layer: Layer, weights: Numbers, state: LayerState
 ) -> StepResult:
-    """The same without registers, in the floats of the layer."""
+    """Advance a layer by one timestep in its floats, without registers."""
     # I = a I + W s      V = b V + I + bias
     current = layer.current_decay * state.current + weights
     membrane = layer.membrane_decay * state.membrane + current + layer.voltage_bias
@@ -189,13 +189,13 @@ def float_sigma_delta(bits: int, layer: Layer, weights: Numbers, state: LayerSta
     graded = np.where(far >= 1, np.sign(apart) * np.floor(far + 0.5), 0)
     held = np.clip(graded, -(2.0**bits), 2.0**bits)
     overflows = (held != graded).astype(np.int64)
-    return _sent(layer, before, state, held.astype(np.int64), overflows)
+    return _record_sent(layer, before, state, held.astype(np.int64), overflows)
 
 
 def sigma_delta(
     registers: CubaRegisters, bits: int, layer: Layer, weights: Numbers, state: LayerState
 ) -> StepResult:
-    """The same in integers, each as its register holds it; a graded spike has so many bits.
+    """Advance sigma-delta neurons by one timestep in integers; graded spikes have `bits` bits.
 
     lava's neurons send where |d| >= vth too (lava-nc 0.10.0, proc.sdn: the corrected fixed-point
     model; source read), in units of 2**state_exp, rounded down, and keep sigma and what they send
@@ -214,10 +214,10 @@ def sigma_delta(
     most = (1 << (bits - 1)) - 1
     held = np.clip(graded, -most, most)
     overflows = lost + clipped + pushed + (held != graded)
-    return _sent(layer, before, state, held, overflows)
+    return _record_sent(layer, before, state, held, overflows)
 
 
-def _sent(
+def _record_sent(
     layer: Layer, before: Numbers, state: LayerState, graded: Numbers, overflows: Numbers
 ) -> StepResult:
     """The end of a timestep: what is sent is remembered."""

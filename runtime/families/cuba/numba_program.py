@@ -261,9 +261,9 @@ class WindowMemory:
         self.timesteps, self.batch, self.slots = timesteps, batch, slots
         layers, sources = constants.layers.copy(), constants.sources.copy()
         neurons, rows = sources[:, NEURONS], sources[:, REMEMBERS] + timesteps
-        layers[:, STATE], states = _one_after_another(2 * slots * layers[:, SIZE])
-        sources[:, RASTER], spikes = _one_after_another(neurons * rows)
-        sources[:, LENGTHS], lengths = _one_after_another(rows)
+        layers[:, STATE], states = _compute_offsets(2 * slots * layers[:, SIZE])
+        sources[:, RASTER], spikes = _compute_offsets(neurons * rows)
+        sources[:, LENGTHS], lengths = _compute_offsets(rows)
         self.constants = constants._replace(layers=layers, sources=sources)
         widest = int(layers[:, SIZE].max())
         self.arrays = KernelMemory(
@@ -322,7 +322,7 @@ class WindowMemory:
         return array[:, at : at + rows * size].reshape(self.batch, rows, size)
 
 
-def _one_after_another(sizes: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
-    """Where each begins, and where the last ends."""
+def _compute_offsets(sizes: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
+    """Return the first index of each block, and the size of all."""
     ends = np.cumsum(sizes)
     return ends - sizes, int(ends[-1])

@@ -74,7 +74,7 @@ def exponent_and_share(
     return (int(np.clip(np.floor(np.log2(1 / filled)), 0, most)) if filled else 0), 1.0
 
 
-def range_of(
+def describe_range(
     layer: Layer, registers: CubaRegisters, timesteps: int | None, drifts: bool = True
 ) -> str:
     """A sentence on what registers hold of a quantised layer; "" where that is all, or it leaks.

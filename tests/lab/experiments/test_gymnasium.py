@@ -40,7 +40,7 @@ def ran():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(resumable, "run", in_this_process(names))
         patch.setattr("lab.experiments.runner._EVERY", -1.0)
-        patch.setattr("spikedeploy.trainers.sparse.sparse._TOGETHER", 3)
+        patch.setattr("spikedeploy.trainers.sparse.sparse._ENV_COPIES", 3)
         yield names
 
 

@@ -16,7 +16,11 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ChipError, RuleError
-from spikedeploy.runtime.families.cuba.quantise import NET_EVENTS, exponent_and_share, range_of
+from spikedeploy.runtime.families.cuba.quantise import (
+    NET_EVENTS,
+    describe_range,
+    exponent_and_share,
+)
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.float_layers import float_layer
 from tests.networks import chain
@@ -150,7 +154,7 @@ def whole(weight, current=0, membrane=0, spiking=False, **fields):
 
 def held(layer, timesteps=None):
     """How many net spikes its registers hold; None where nothing is said."""
-    sentence = range_of(layer, LOIHI1, timesteps)
+    sentence = describe_range(layer, LOIHI1, timesteps)
     return int(re.search(r"hold (\d+) net spikes", sentence)[1]) if sentence else None
 
 
@@ -253,10 +257,10 @@ def test_the_current_of_neurons_that_spike_is_looked_at_where_it_hardly_leaks():
 )
 def test_the_sentence_names_the_kind_of_layer_and_where_to_look(fields, kind):
     layer = replace(whole([[5000]], 4096, 4096), **fields)
-    sentence = range_of(layer, LOIHI1, None)
+    sentence = describe_range(layer, LOIHI1, None)
     assert sentence.startswith(f"{kind} 'out': its leaks do not bound")
     assert "spikedeploy drift" in sentence
-    assert "spikedeploy drift" not in range_of(layer, LOIHI1, None, drifts=False)
+    assert "spikedeploy drift" not in describe_range(layer, LOIHI1, None, drifts=False)
 
 
 def reach(weights, a, b, bias, voltage_bias):
@@ -361,7 +365,7 @@ def test_the_narrowest_register_that_is_not_reset_says_what_is_held(name, spikin
     narrow = replace(LOIHI1, **{name: NARROW})
     peak = 1 if spiking else 2
     limit = NARROW.limit if looked_at else LIMIT
-    sentence = range_of(layer, narrow, None)
+    sentence = describe_range(layer, narrow, None)
     assert f" {limit // (255 * 64 * peak)} net spikes" in sentence
 
 
@@ -379,7 +383,7 @@ def test_a_neuron_without_weights_is_none_that_adds_up():
 
 def test_weights_of_one_count_in_state_units_of_one():
     fine = replace(LOIHI1, mantissa_shift=0)
-    assert f" {LIMIT} net spikes" in range_of(whole([[1]], 0, 4096), fine, None)
+    assert f" {LIMIT} net spikes" in describe_range(whole([[1]], 0, 4096), fine, None)
 
 
 def test_an_exponent_is_7_at_most():

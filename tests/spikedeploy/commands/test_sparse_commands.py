@@ -17,7 +17,7 @@ from tests.delta_policies import delta_policy
 def stroll(monkeypatch, tmp_path):
     toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("spikedeploy.trainers.sparse.sparse._TOGETHER", 1)
+    monkeypatch.setattr("spikedeploy.trainers.sparse.sparse._ENV_COPIES", 1)
     return tmp_path
 
 

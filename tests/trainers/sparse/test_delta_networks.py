@@ -86,7 +86,7 @@ def test_offsets_bring_torch_to_the_weights_of_the_chip():
 
 @pytest.fixture
 def stroll(monkeypatch, tmp_path):
-    monkeypatch.setattr("spikedeploy.trainers.sparse.sparse._TOGETHER", 3)
+    monkeypatch.setattr("spikedeploy.trainers.sparse.sparse._ENV_COPIES", 3)
     toy_stroll_env.install(monkeypatch)
     return str(toy_stroll_env.ann(tmp_path / "teacher.onnx"))
 

@@ -22,7 +22,7 @@ END = 44  # updates of the toy's settings
 
 @pytest.fixture(autouse=True)
 def few_copies(monkeypatch):
-    monkeypatch.setattr("spikedeploy.trainers.sparse.sparse._TOGETHER", 3)
+    monkeypatch.setattr("spikedeploy.trainers.sparse.sparse._ENV_COPIES", 3)
 
 
 @pytest.fixture
