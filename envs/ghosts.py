@@ -214,9 +214,7 @@ def _check_arrays(arrays: dict[str, Any]) -> None:
     if any(len(arrays[name]) != count for name in _EACH) or arrays["start"].shape != (4, count):
         raise ValueError(f"{count} episodes, but arrays of other lengths")
     if len(arrays["moves"]) != 4 or (count and arrays["steps"].min() < 0):
-        raise ValueError(
-            "moves do not have four values, or an episode has a negative number of steps"
-        )
+        raise ValueError("moves do not have four values, or an episode has negative steps")
 
 
 def _drives(arrays: dict[str, Any]) -> list[Ghost]:

@@ -495,7 +495,7 @@ def deployed(policy: Policy, target: Chip, rounding: bool) -> Policy:
 
 
 def binary_columns(observation: FloatArray) -> NDArray[np.bool_]:
-    """Mask (obs,) of observations that take exactly two values, as contacts do, and each repeatedly."""
+    """Mask (obs,) of observations that take exactly two values, each repeatedly, as contacts do."""
     some = observation[:: max(1, len(observation) // _SAMPLE)]
     found = np.array([_is_binary(column) for column in some.T], np.bool_)
     # a sample may lack the rest of the values

@@ -56,7 +56,7 @@ def changed(old, new):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("summary = ", "not TOML"),
+        ("summary = ", "invalid TOML"),
         (changed("summary", "title"), "no table 'title'"),
         (changed("[fields]", "[field]"), "no table 'field'; did you mean 'fields'"),
         (changed("weight_bits = { value", "weight_bit = { value"), "did you mean 'weight_bits'"),
