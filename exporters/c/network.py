@@ -50,7 +50,7 @@ class Rows:
     weight: Integers
 
     @property
-    def whole(self) -> bool:
+    def is_whole(self) -> bool:
         """True if rows are stored with their zeros."""
         axons, neurons = self.weight.shape
         each = bytes_of(narrowest_of(self.weight))
@@ -66,7 +66,9 @@ class Rows:
         several: whether a neuron can spike several times in a timestep.
         """
         times = ", uint32_t times" if several else ""
-        body = self._whole_row(kind, several, out) if self.whole else self._list(kind, several, out)
+        body = (
+            self._whole_row(kind, several, out) if self.is_whole else self._list(kind, several, out)
+        )
         return (
             f"static void {self.name}(uint32_t axon{times})\n{{\n"
             + "\n".join(f"    {line}" for line in body)
@@ -527,7 +529,7 @@ class NetworkWriter:
 
     def _is_added_together(self, layer: Layer, k: int, rows: Rows) -> bool:
         """True where the rows of a projection are added several at a time."""
-        return rows.whole and not self._several(layer, k)
+        return rows.is_whole and not self._several(layer, k)
 
     def _sum_spikes(self, layer: Layer, rows: list[Rows], bias: Integers, unit: int) -> str:
         """A timestep that takes in all spikes as one sum."""

@@ -29,7 +29,7 @@ from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.jobs.pool import cores
 from spikedeploy.policies.onnx import OnnxController
-from spikedeploy.policies.run_record import whole
+from spikedeploy.policies.run_record import checked_record
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
@@ -97,7 +97,7 @@ class KartTraining(TrainingJob):
         found, config = counters(run), self.config
         if not found:
             return False
-        with whole(run / "checkpoints" / "last.json"):
+        with checked_record(run / "checkpoints" / "last.json"):
             enough = config.reached(found["finishes"], found.get("held", 0))
             return enough or bool(found["env_steps"] >= config.steps)
 

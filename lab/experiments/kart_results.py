@@ -19,7 +19,7 @@ from lab.experiments.kart import (
 )
 from lab.experiments.training import Record
 from spikedeploy.files import replacing
-from spikedeploy.policies.run_record import whole
+from spikedeploy.policies.run_record import checked_record
 from spikedeploy.runtime.errors import ConfigError
 
 FIRST, NTH = "first_finish", f"finish_{COUNT}"
@@ -97,7 +97,7 @@ def driving(design: KartDesign) -> list[Record]:
     for part in drivers:
         if (evaluation := part.evaluation) is not None:
             is_script = isinstance(part, Script)
-            with whole(part.file):
+            with checked_record(part.file):
                 parameters = None if is_script else evaluation["parameters"]
                 facts = {**_identity(part), "parameters": parameters}
                 found += [facts | _driven(row) for row in evaluation["rows"]]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from spikedeploy import envs
 from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.comparison.lineup import alone
+from spikedeploy.comparison.lineup import make_entries
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.exporters.to_onnx import to_onnx
 from spikedeploy.policies import run_record
@@ -241,5 +241,5 @@ def evaluate(
     env: str, options: Mapping[str, Any], policy: str, episodes: int, on: str | None
 ) -> list[dict[str, Any]]:
     """Rows of a comparison: the policy; if it spikes, its float twin and the chip."""
-    entries, seeds = alone(find(policy), on), range(EVALUATION, EVALUATION + episodes)
+    entries, seeds = make_entries(find(policy), on), range(EVALUATION, EVALUATION + episodes)
     return compare_policies(env, entries, seeds, processes=1, options=options).as_json()

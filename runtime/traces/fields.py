@@ -82,19 +82,19 @@ class Fields:
         """The true or false called `name`; None where it is missing."""
         if name not in self._found:
             return None
-        found = self._taken(name)
+        found = self._take(name)
         if not isinstance(found, bool):
             raise self.wrong(name, f"is {_short(found)}", "Write true or false.")
         return found
 
     def group(self, name: str) -> "Fields":
         """The object called `name`; empty where there is none."""
-        found = self._taken(name) if name in self._found else {}
+        found = self._take(name) if name in self._found else {}
         return self._nested(found, f"{self.where}: {name}")
 
     def groups(self, name: str) -> list["Fields"]:
         """The list of objects called `name`."""
-        found = self._taken(name)
+        found = self._take(name)
         if not isinstance(found, list) or not found:
             raise self.wrong(name, f"is {_short(found)}", "Write a list of objects.")
         if len(found) > _MOST_LAYERS:
@@ -129,7 +129,7 @@ class Fields:
 
     def lists(self, name: str, *, least: int, most: int) -> tuple[tuple[int, ...], ...]:
         """Lists of whole numbers within a range, of any lengths."""
-        found = self._taken(name)
+        found = self._take(name)
         if not isinstance(found, list) or not all(isinstance(row, list) for row in found):
             raise self.wrong(name, f"is {_short(found)}", "Write a list of lists.")
         for each in (each for row in found for each in row):
@@ -140,14 +140,14 @@ class Fields:
 
     def rows(self, name: str) -> list[Any]:
         """The list called `name`, of anything; it may be empty."""
-        found = self._taken(name)
+        found = self._take(name)
         if not isinstance(found, list):
             raise self.wrong(name, f"is {_short(found)}", "Write a list.")
         return found
 
     def numbers(self, *names: str) -> dict[str, float]:
         """Those of the finite numbers that are there, by name."""
-        found = {name: self._taken(name) for name in names if name in self._found}
+        found = {name: self._take(name) for name in names if name in self._found}
         for name, value in found.items():
             number = isinstance(value, int | float) and not isinstance(value, bool)
             if not number or not -_HUGE < value < _HUGE:
@@ -156,7 +156,7 @@ class Fields:
 
     def floats(self, name: str, size: int) -> NDArray[np.float64]:
         """(size,) finite numbers."""
-        found = self._taken(name)
+        found = self._take(name)
         if not isinstance(found, list) or len(found) != size:
             raise self.wrong(name, f"is {_short(found)}", f"Write a list of {size} numbers.")
         if not all(type(each) in (int, float) and -_HUGE < each < _HUGE for each in found):
@@ -181,7 +181,7 @@ class Fields:
         made._read = self._read
         return made
 
-    def _taken(self, name: str) -> Any:  # noqa: ANN401
+    def _take(self, name: str) -> Any:  # noqa: ANN401
         if name not in self._found:
             raise self._missing((name,))
         self.unread.discard(name)
@@ -215,7 +215,7 @@ class Fields:
             raise self.wrong(name, f"makes {self._read[0]} numbers in all layers", "Record less.")
 
     def _numbers(self, name: str) -> NDArray[Any]:
-        value = self._taken(name)
+        value = self._take(name)
         try:
             self._count(name, value)
             found = np.array(value)

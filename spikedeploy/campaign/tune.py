@@ -27,7 +27,7 @@ from spikedeploy.campaign.tune_results import (
     write_page,
 )
 from spikedeploy.comparison.episodes import EpisodeJob, play
-from spikedeploy.comparison.lineup import alone
+from spikedeploy.comparison.lineup import make_entries
 from spikedeploy.errors import ConfigError
 from spikedeploy.files import as_text, locked
 from spikedeploy.jobs.resumable import Job, JobEnd, run
@@ -362,7 +362,7 @@ def evaluate(run: Path, plan: TuningPlan) -> tuple[float, float | None]:
         raise ConfigError(f"--episodes {plan.episodes}: there are seeds for {_MOST_EPISODES}")
     env = RunFolder(run).settings()["env"]
     policy = find(runnable(str(run)))
-    entry = alone(policy, plan.chip or policy.chip or DEFAULT_CHIP)[-1]
+    entry = make_entries(policy, plan.chip or policy.chip or DEFAULT_CHIP)[-1]
     options = as_text(env["options"])
     played = [
         play(EpisodeJob(env["name"], options, entry.candidate, entry.chip, FIRST_SEED + k, {}))

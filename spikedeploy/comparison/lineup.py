@@ -107,7 +107,7 @@ def line_up(
     return entries + [Entry(candidate, None, ann) for candidate in [*built_in, *rest]]
 
 
-def alone(candidate: Candidate, chip: str | None) -> list[Entry]:
+def make_entries(candidate: Candidate, chip: str | None) -> list[Entry]:
     """A policy without baselines: one that spikes as its float twin and on the chip."""
     if candidate.kind != "snn":
         return [Entry(candidate)]

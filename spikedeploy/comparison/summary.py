@@ -35,7 +35,7 @@ _RACE = _Words(
 )
 
 
-def few(row: Row) -> bool:
+def has_few_episodes(row: Row) -> bool:
     """Return True if a row has too few episodes for an interval."""
     return bool(row.get("episodes", FEWEST) < FEWEST)
 
@@ -43,7 +43,7 @@ def few(row: Row) -> bool:
 def counted(row: Row) -> str:
     """`100 episodes`, `2 episodes, too few for an interval`."""
     count = row["episodes"]
-    remark = ", too few for an interval" if few(row) and count > 1 else ""
+    remark = ", too few for an interval" if has_few_episodes(row) and count > 1 else ""
     return f"{count} episode{'s' if count > 1 else ''}{remark}"
 
 
@@ -61,8 +61,8 @@ def summary(rows: Sequence[Row]) -> str:
         if not _twin(row):
             integers = f"the integers of {row['trained_for']}"
             sentences.append(f"{row['policy']} was trained in {integers}, and has no float twin.")
-        sentences.extend(() if few(row) else _smallest(row, rows, words))
-    if any(map(few, on_chip)):
+        sentences.extend(() if has_few_episodes(row) else _smallest(row, rows, words))
+    if any(map(has_few_episodes, on_chip)):
         sentences.append(f"Fewer than {FEWEST} episodes do not show which policies {words.less}.")
     if any("MACs a control step" in sentence for sentence in sentences):
         sentences.append("Neuron updates and the encoder are in neither count.")
@@ -98,7 +98,7 @@ def _keeps(row: Row) -> str:
 
 def _between(row: Row, field: str, form: str, scale: float = 1) -> str:
     """`, 95% interval -40 to +1`; empty of few episodes, and where nothing differs to resample."""
-    if few(row):
+    if has_few_episodes(row):
         return ""
     if row[field][0] == row[field][1]:
         return ", the same in every episode"
@@ -262,5 +262,7 @@ def _covered(rows: Sequence[Row]) -> str:
     if len(rows) < 2 or not trained or any(row["training_seeds"] > 1 for row in trained):
         return ""
     measured = "." if any(row.get("foreign") for row in rows) else ": results/pareto.md."
-    covered = "Rows are" if few(trained[0]) else f"Intervals cover {counted(trained[0])}"
+    covered = (
+        "Rows are" if has_few_episodes(trained[0]) else f"Intervals cover {counted(trained[0])}"
+    )
     return f"{covered} of one training each; other trainings differ{measured}"

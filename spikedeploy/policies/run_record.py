@@ -24,7 +24,7 @@ def settings(run: Path) -> dict[str, Any]:
 def env_of(run: Path) -> str | None:
     """Id of the environment that a run was trained in."""
     config = settings(run)
-    with whole(run / "config.json"):
+    with checked_record(run / "config.json"):
         return env_id(config["env"]["name"])
 
 
@@ -50,7 +50,7 @@ def steps(run: Path, checkpoint: str | None = None) -> tuple[int, str]:
     path = run / "checkpoints" / f"{deployed(run, checkpoint)}.json"
     record = _read(path)
     unit = "environment steps" if "env_steps" in record else "updates"
-    with whole(path):
+    with checked_record(path):
         return int(record.get("env_steps", record.get("updates", 0))), unit
 
 
@@ -67,14 +67,14 @@ def unfinished(run: Path) -> str:
     """
     state = checkpoint_record(run, "last")
     ended = state.get("finished", True) or "share" not in state
-    with whole(run / "checkpoints" / "last.json"):
+    with checked_record(run / "checkpoints" / "last.json"):
         return "" if ended else f"{100 * state['share']:.0f} %"
 
 
 def origin(run: Path, checkpoint: str | None = None) -> Provenance:
     """The provenance of the policy of a checkpoint, for an exported file."""
     config, name = settings(run), deployed(run, checkpoint)
-    with whole(run / "config.json"):
+    with checked_record(run / "config.json"):
         recipe, seed = str(config["recipe"]), int(config["seed"])
         chip = str(config["policy"].get("chip", ""))
     return Provenance(
@@ -90,7 +90,7 @@ def origin(run: Path, checkpoint: str | None = None) -> Provenance:
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[None]:
+def checked_record(path: Path) -> Iterator[None]:
     """Refuse the record in a file where a field that is taken is missing, or no such value."""
     try:
         yield

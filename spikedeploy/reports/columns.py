@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from spikedeploy.comparison.metrics import DRIVING, WALKING, drives
-from spikedeploy.comparison.summary import counted, few
+from spikedeploy.comparison.summary import counted, has_few_episodes
 from spikedeploy.reports.table import (
     ABSENT,
     Cell,
@@ -41,7 +41,7 @@ def _estimate(field: str, between: str, sign: str = "") -> Cell:
             return ABSENT
         low, high = row[between]
         form = f"{sign},.{_digits(row)}f"
-        if few(row):
+        if has_few_episodes(row):
             return f"{row[field]:{form}}"
         return f"{row[field]:{form}} [{low:{form}}, {high:{form}}]"
 
@@ -65,7 +65,7 @@ def format_success(row: Row) -> str:
     if row.get("success_ci95") is None:
         return ABSENT
     low, high = row["success_ci95"]
-    if few(row):
+    if has_few_episodes(row):
         return f"{row['success_rate']:.0%}"
     return f"{row['success_rate']:.0%} [{100 * low:.0f}, {100 * high:.0f}]"
 
@@ -75,7 +75,7 @@ def _success_difference(row: Row) -> str:
     if row["success_difference_mean"] is None or not drives(row):
         return ABSENT
     low, high = row["success_difference_ci95"]
-    if few(row):
+    if has_few_episodes(row):
         return f"{100 * row['success_difference_mean']:+.1f}"
     return f"{100 * row['success_difference_mean']:+.1f} [{100 * low:+.1f}, {100 * high:+.1f}]"
 

@@ -15,7 +15,7 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
-from spikedeploy.comparison.summary import few
+from spikedeploy.comparison.summary import has_few_episodes
 from spikedeploy.files import replacing
 from spikedeploy.reports.columns import format_return, label
 from spikedeploy.reports.table import Row
@@ -70,7 +70,7 @@ def returns_figure(rows: Sequence[Row]) -> "Figure":
         colour = _colour(row)
         returns = np.asarray(row["returns"], np.float64)
         axes.scatter(returns, _spread(returns, place), s=15, color=colour, alpha=0.45, linewidths=0)
-        if not few(row):
+        if not has_few_episodes(row):
             axes.plot(row["return_ci95"], [place + 0.12] * 2, color=colour, linewidth=5)
         axes.plot(row["return_mean"], place + 0.12, "|", color=colour, markersize=16, mew=2)
         axes.annotate(
@@ -80,7 +80,7 @@ def returns_figure(rows: Sequence[Row]) -> "Figure":
             va="center",
             color="#333333",
         )
-    means = "mean (lines)" if all(map(few, rows)) else "mean and 95% interval (bars)"
+    means = "mean (lines)" if all(map(has_few_episodes, rows)) else "mean and 95% interval (bars)"
     axes.set_xlabel(f"return of an episode (dots), {means}")
     _limit_returns(axes, rows)
     _name_rows(axes, rows)

@@ -88,9 +88,9 @@ def scores(run: Path) -> RunScores:
     settings, rows = run_record.settings(run), metrics_of(run)
     best = _best_validation(run, rows)
     last = run_record.checkpoint_record(run, "last")
-    with run_record.whole(run / "config.json"):
+    with run_record.checked_record(run / "config.json"):
         recipe, seed, kind = settings["recipe"], int(settings["seed"]), settings["policy"]["kind"]
-    with run_record.whole(run / "checkpoints"):
+    with run_record.checked_record(run / "checkpoints"):
         share = float(last.get("share", 1.0 if last else 0.0))
         earned, success, operations = (
             None if best.get(name) is None else float(best[name])

@@ -10,7 +10,7 @@ from typing import Any
 
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.comparison.lineup import alone
+from spikedeploy.comparison.lineup import make_entries
 from spikedeploy.console import say
 from spikedeploy.files import replacing, write_json, write_text
 from spikedeploy.outputs import check_output_folder, marked
@@ -140,7 +140,7 @@ def _evaluation(path: Path, source: Path, episodes: int, processes: int | None) 
     """Rows of the policy: in float, and if it spikes on its training's chip, or the default."""
     settings = run_record.settings(source)
     own = settings.get("chip") or settings["policy"].get("chip")
-    entries = alone(find(str(path)), own or DEFAULT_CHIP)
+    entries = make_entries(find(str(path)), own or DEFAULT_CHIP)
     world = settings["env"]
     seeds = range(EVALUATION, EVALUATION + episodes)
     rows = compare_policies(world["name"], entries, seeds, processes, world["options"]).as_json()

@@ -138,7 +138,7 @@ def constants(
         sources=_sources(program, delays),
         chip=_chip(program, fixed),
         registers=_registers(fixed),
-        whole=_whole(program),
+        whole=_stack_integers(program),
         real=_real(program, fixed),
         rooms=np.array([_rooms(fixed)] * len(program.layers)),
     )
@@ -219,7 +219,7 @@ def _registers(fixed: CubaFixedPoint) -> Integers:
     return np.array([(OVERFLOWS[r.overflow], r.bits) for r in all_], np.int64)
 
 
-def _whole(program: Program) -> Integers:
+def _stack_integers(program: Program) -> Integers:
     def order(layer: Layer) -> list[NDArray[Any]]:
         return [layer.current_decay, layer.membrane_decay, layer.threshold, layer.voltage_bias]
 
@@ -228,7 +228,7 @@ def _whole(program: Program) -> Integers:
 
 def _real(program: Program, fixed: CubaFixedPoint) -> NDArray[np.floating]:
     """(4, N) in float32 if that holds them: a layer of 512 neurons then fits the nearest cache."""
-    real: NDArray[np.float64] = _whole(program) * np.array(
+    real: NDArray[np.float64] = _stack_integers(program) * np.array(
         [[1 / fixed.decay_one]] * 2 + [[1.0]] * 2
     )
     single = as_aligned(real, np.float32)
@@ -238,10 +238,10 @@ def _real(program: Program, fixed: CubaFixedPoint) -> NDArray[np.floating]:
 def _rooms(fixed: CubaFixedPoint) -> tuple[float, float, float]:
     """State units per weight unit, and what float64 may hold of a current and of a membrane."""
 
-    def held(register: Register) -> float:
+    def largest(register: Register) -> float:
         return float(min(register_limit(register), _exact(fixed)))
 
-    return float(1 << fixed.mantissa_shift), held(fixed.current), held(fixed.membrane)
+    return float(1 << fixed.mantissa_shift), largest(fixed.current), largest(fixed.membrane)
 
 
 def _exact(fixed: CubaFixedPoint) -> int:
