@@ -58,7 +58,7 @@ def _environment() -> "Environment":
         lstrip_blocks=True,
     )
     made.globals.update(asset=asset, replay_assets=REPLAY_ASSETS, lead="", reload=0)
-    made.policies["json.dumps_kwargs"] = {"allow_nan": False}  # type: ignore[attr-defined]
+    made.policies["json.dumps_kwargs"] = {"allow_nan": False}
     return made
 
 
