@@ -1,4 +1,4 @@
-"""EnvError, the exception of this package."""
+"""EnvError, the exception of this package, and a check for finite numbers."""
 
 from __future__ import annotations
 

@@ -30,18 +30,19 @@ ChangeWeights = Callable[[Integers, int, bool, np.random.Generator], Integers]
 
 @dataclass(frozen=True)
 class Fault(Scale):
-    """A kind of fault; without `inject_weights` it comes and goes while the chip runs.
+    """A kind of fault; without `damage_layers` it comes and goes while the chip runs.
 
     meaning: what is wrong, in a clause.
     what: that is counted.
     source: where the levels come from.
-    inject_weights: gives the layers of a program with the fault.
+    damage_layers: returns the layers of a program with the fault; how many parts it hit, of how
+        many.
     """
 
     meaning: str
     what: str
     source: str
-    inject_weights: Break | None = None
+    damage_layers: Break | None = None
 
 
 @dataclass(frozen=True)
@@ -81,11 +82,11 @@ def inject(program: Program, faults: Faults) -> Program:
     upsets: list[Upset] = []
     for each in faults.each:
         kind = FAULTS[each.name]
-        if kind.inject_weights is None:
+        if kind.damage_layers is None:
             upsets.append(Upset(each.text, each.name, each.number, kind.what))
             continue
         rng = np.random.default_rng([faults.specimen, crc32(each.name.encode())])
-        layers, hit, of = kind.inject_weights(program, each.number, rng)
+        layers, hit, of = kind.damage_layers(program, each.number, rng)
         damage = Damage(each.text, each.name, each.number, hit, of, kind.what)
         program = replace(program, layers=tuple(layers), damage=(*program.damage, damage))
     return replace(program, upsets=Upsets(tuple(upsets), faults.specimen)) if upsets else program
@@ -156,7 +157,7 @@ def _vary_thresholds(
 def _change_weights(change: ChangeWeights) -> Break:
     """A fault that replaces a share of the stored weights."""
 
-    def inject_weights(
+    def damage_layers(
         program: Program, number: float, rng: np.random.Generator
     ) -> tuple[Sequence[Layer], int, int]:
         if not program.chip.arithmetic.own_weights:
@@ -180,7 +181,7 @@ def _change_weights(change: ChangeWeights) -> Break:
         ]
         return layers, int(hit.sum()), sum(counts)
 
-    return inject_weights
+    return damage_layers
 
 
 def _replace_hit(
@@ -232,7 +233,7 @@ FAULTS: dict[str, Fault] = {
         bounds=(0.0, 1.0),
         what="neurons",
         source="chosen, as in fault-injection studies of SNNs (Spyrou et al. 2021)",
-        inject_weights=_kill_neurons,
+        damage_layers=_kill_neurons,
     ),
     "threshold-mismatch": Fault(
         meaning="thresholds that differ from neuron to neuron",
@@ -242,7 +243,7 @@ FAULTS: dict[str, Fault] = {
         what="neurons",
         source="device mismatch of mixed-signal neurons is about 0.2 (Zendrikov et al. 2023); "
         "digital chips have none",
-        inject_weights=_vary_thresholds,
+        damage_layers=_vary_thresholds,
     ),
     "stuck-zero": Fault(
         meaning="weights that are stuck at 0",
@@ -251,7 +252,7 @@ FAULTS: dict[str, Fault] = {
         bounds=(0.0, 1.0),
         what="weights",
         source="about a tenth of the cells of a resistive memory were stuck (Chen et al. 2015)",
-        inject_weights=_change_weights(_zeros),
+        damage_layers=_change_weights(_zeros),
     ),
     "stuck-max": Fault(
         meaning="weights that are stuck at the largest magnitude, with the sign that they have",
@@ -260,7 +261,7 @@ FAULTS: dict[str, Fault] = {
         bounds=(0.0, 1.0),
         what="weights",
         source="chosen: fewer than those at 0, since each does more",
-        inject_weights=_change_weights(_largest),
+        damage_layers=_change_weights(_largest),
     ),
     "weight-flips": Fault(
         meaning="weights with one flipped bit, the sign's too where a weight has one",
@@ -269,7 +270,7 @@ FAULTS: dict[str, Fault] = {
         bounds=(0.0, 1.0),
         what="weights",
         source="chosen: bit error rates of SRAM of 1e-4 to 3e-3 at 8 bits, as at low voltages",
-        inject_weights=_change_weights(_flip_bits),
+        damage_layers=_change_weights(_flip_bits),
     ),
     "state-flips": Fault(
         meaning="membranes in which one bit flips between two timesteps, readouts' too",

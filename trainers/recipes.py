@@ -13,8 +13,6 @@ else:
 
 Settings = dict[str, Any]
 
-KART_ENVS = ("kart-grid", "kart-gazebo", "kart-steer")
-
 
 @dataclass(frozen=True)
 class Recipe:

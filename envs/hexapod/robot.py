@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from spikedeploy.envs.errors import EnvError, all_finite
 
 LEGS = ("RF", "RM", "RR", "LF", "LM", "LR")
-JOINTS = ("coxa", "femur", "tibia")
 
 # Tripods RF-RR-LM and RM-LF-LR step in antiphase: a phase shift of pi flips the signs of sine and
 # cosine, so that one sign per leg is the whole coupling. In LEGS the tripods alternate.

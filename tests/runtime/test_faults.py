@@ -20,7 +20,7 @@ from tests.networks import chain, event_driven, lif, popsan
 
 FLOATS = ("ideal", "spinnaker2", "spinnaker2-lif")
 INTEGERS = [name for name in CHIPS if name not in FLOATS]
-OVER_TIME = [name for name in FAULTS if FAULTS[name].inject_weights is None]
+OVER_TIME = [name for name in FAULTS if FAULTS[name].damage_layers is None]
 OF_WEIGHTS = ("stuck-zero", "stuck-max", "weight-flips")
 
 

@@ -3,13 +3,13 @@ import math
 import numpy as np
 import pytest
 
-from spikedeploy.envs.hexapod.robot import JOINTS, LEGS, Gait
+from spikedeploy.envs.hexapod.robot import LEGS, Gait
 
 
 def at(phase):
     gait = Gait()
     gait.reset(phase)
-    return gait.command().reshape(len(LEGS), len(JOINTS))
+    return gait.command().reshape(len(LEGS), 3)
 
 
 def test_the_two_tripods_do_the_same_half_a_cycle_apart():
