@@ -10,9 +10,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.schema import validated
 from spikedeploy.trainers.recipes import RECIPES, merged
 
 _MAX_STEPS = 10**12  # steps; a number beyond it is a mistake, and none that arrays can hold
@@ -395,19 +396,3 @@ def _overlaid(
             value = _overlaid(old, value, source, f"{name}.")
         result[key] = value
     return result
-
-
-def validated(model: type[C], settings: Mapping[str, Any], source: str) -> C:
-    """Return the settings as a model, or raise ConfigError that names every wrong one."""
-    try:
-        return model.model_validate(settings)
-    except ValidationError as error:
-        faults = "; ".join(_fault(**fault) for fault in error.errors())
-        raise ConfigError(f"{source}: {faults}") from error
-
-
-def _fault(loc: tuple[int | str, ...], msg: str, input: object, **_: object) -> str:
-    """Return one of pydantic's errors as `a.b: what is wrong, got x`."""
-    said = msg.removeprefix("Value error, ")
-    # one of settings that do not go together says itself what it found
-    return f"{'.'.join(map(str, loc))}: {said}, got {input!r}" if loc else said

@@ -97,7 +97,7 @@ class RunFolder:
 
     def config(self, model: "type[C]") -> "C":
         """Return the configuration."""
-        from spikedeploy.trainers.config import validated
+        from spikedeploy.schema import validated
 
         return validated(model, self.settings(), str(self.path))
 

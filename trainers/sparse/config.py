@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.schema import validated
 from spikedeploy.trainers.config import (
     Batch,
     C,
@@ -17,7 +18,6 @@ from spikedeploy.trainers.config import (
     Share,
     ValidationConfig,
     amended,
-    validated,
 )
 from spikedeploy.trainers.recipes import RECIPES
 

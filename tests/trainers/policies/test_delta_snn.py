@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import DeltaSnnConfig, RunConfig, validated
+from spikedeploy.schema import validated
+from spikedeploy.trainers.config import DeltaSnnConfig, RunConfig
 from spikedeploy.trainers.policies import DeltaSnnPolicy, build, from_config
 from spikedeploy.trainers.policies.delta import (
     channel_weights,
