@@ -108,6 +108,16 @@ class Fields:
             everything.update(each._found)
         return self._nested(everything, where or self.where)
 
+    def layers(self) -> list["Fields"]:
+        """The fields of each layer, then those that the file gives for all layers."""
+        shared = self.merged_with(self.group("params"))
+        if self.name("layers") is None:
+            return [shared]
+        return [
+            shared.merged_with(layer, layer.group("params"), where=layer.where)
+            for layer in self.groups("layers")
+        ]
+
     def integer(self, *names: str, default: int, least: int, most: int) -> int:
         """A single whole number within its range."""
         name = self.name(*names)

@@ -299,7 +299,7 @@ _REPEATED = {
 
 def loihi_trace(fields: Fields, chip: str) -> TraceFile:
     """The trace in the fields; one layer at the top, or a list of them under `layers`."""
-    specs = _layers_of(fields)
+    specs = fields.layers()
     rows = table_of(specs[0], _INPUT, 0, 1, index="input_spikes_index")
     parts, size, work = [], rows.shape[1], Work(fields, len(rows))
     for place, spec in enumerate(specs):
@@ -327,17 +327,6 @@ def loihi_trace(fields: Fields, chip: str) -> TraceFile:
             if _beyond_register(spec, part)
         ),
     )
-
-
-def _layers_of(fields: Fields) -> list[Fields]:
-    """The fields of each layer, then those that the file gives for all layers."""
-    shared = fields.merged_with(fields.group("params"))
-    if fields.name("layers") is None:
-        return [shared]
-    return [
-        shared.merged_with(layer, layer.group("params"), where=layer.where)
-        for layer in fields.groups("layers")
-    ]
 
 
 def _check_alike(fields: Fields, parts: list[_LoihiLayer]) -> None:

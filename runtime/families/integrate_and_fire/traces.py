@@ -478,7 +478,7 @@ _MOST_NEURONS = 1 << 12
 
 def spiker_verdict(fields: Fields, chip: str) -> Verdict:
     """Compare the layers with a recorded run, in every timestep."""
-    specs = _layers_of(fields)
+    specs = fields.layers()
     counts = table_of(specs[0], ("input_spikes",), 0, 255, index="input_spikes_index")
     program = _program(specs, datasheet(chip), counts.shape[1])
     work = Work(fields, len(counts))
@@ -504,15 +504,6 @@ def spiker_verdict(fields: Fields, chip: str) -> Verdict:
         difference=first_difference(recorded, found, {}),
         unread=tuple(sorted(unread)),
     )
-
-
-def _layers_of(fields: Fields) -> list[Fields]:
-    """The fields of each layer, then those that the file gives for all."""
-    shared = fields.merged_with(fields.group("params"))
-    if fields.name("layers") is None:
-        return [shared]
-    layers = fields.groups("layers")
-    return [shared.merged_with(layer, layer.group("params"), where=layer.where) for layer in layers]
 
 
 def _program(specs: list[Fields], chip: Chip, width: int) -> Program:
