@@ -508,11 +508,10 @@ def test_files_of_others_are_not_replaced_and_a_failed_export_leaves_the_last_wh
     def breaks(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(os, "replace", breaks)
-    assert command(*words[:-1], "5")[0] != 0
-    monkeypatch.undo()
+    with monkeypatch.context() as full:
+        full.setattr(os, "replace", breaks)
+        assert command(*words[:-1], "5")[0] != 0
     assert {path.name: path.read_bytes() for path in (here / "kit").iterdir()} == before
-    os.chdir(here)
     assert command(*words)[0] == 0
 
 
