@@ -49,7 +49,7 @@ class Fields:
     unread: names of the fields that were not asked for.
     """
 
-    def __init__(self, found: object, where: str) -> None:
+    def __init__(self, found: object, where: str, read: list[int] | None = None) -> None:
         if not isinstance(found, Mapping):
             raise TraceError(
                 f"{where}: expected an object {{...}}, found {type(found).__name__}. A trace file "
@@ -62,7 +62,7 @@ class Fields:
         self._found = {str(key): value for key, value in found.items() if value is not None}
         self.where = where
         self.unread = set(self._found)
-        self._read = [0]  # numbers so far, of all objects of a file
+        self._read = [0] if read is None else read  # numbers so far, of all objects of a file
 
     def name(self, *names: str) -> str | None:
         """The first of the names that is there."""
@@ -90,7 +90,7 @@ class Fields:
     def group(self, name: str) -> "Fields":
         """The object called `name`; empty where there is none."""
         found = self._take(name) if name in self._found else {}
-        return self._nested(found, f"{self.where}: {name}")
+        return Fields(found, f"{self.where}: {name}", self._read)
 
     def groups(self, name: str) -> list["Fields"]:
         """The list of objects called `name`."""
@@ -99,14 +99,15 @@ class Fields:
             raise self.wrong(name, f"is {_short(found)}", "Write a list of objects.")
         if len(found) > _MOST_LAYERS:
             raise self.wrong(name, f"has {len(found)}", f"Write {_MOST_LAYERS} at most.")
-        return [self._nested(each, f"{self.where}: {name}[{k}]") for k, each in enumerate(found)]
+        places = (f"{self.where}: {name}[{k}]" for k in range(len(found)))
+        return [Fields(each, where, self._read) for each, where in zip(found, places, strict=True)]
 
     def merged_with(self, *others: "Fields", where: str = "") -> "Fields":
         """These fields and those of the others, which go before."""
         everything: dict[str, object] = {}
         for each in (self, *others):
             everything.update(each._found)
-        return self._nested(everything, where or self.where)
+        return Fields(everything, where or self.where, self._read)
 
     def layers(self) -> list["Fields"]:
         """The fields of each layer, then those that the file gives for all layers."""
@@ -120,21 +121,20 @@ class Fields:
 
     def integer(self, *names: str, default: int, least: int, most: int) -> int:
         """A single whole number within its range."""
-        name = self.name(*names)
-        return default if name is None else int(self._ranged(name, 0, least, most))
+        if self.name(*names) is None:
+            return default
+        return int(self.array(*names, axes=0, least=least, most=most))
 
     def row(
         self, *names: str, size: int, default: int | None = None, least: int, most: int
     ) -> Integers:
         """(size,) whole numbers within a range; one in the file stands for all."""
-        name = self.name(*names)
-        if name is None:
-            if default is None:
-                raise self._missing(names)
+        if default is not None and self.name(*names) is None:
             return np.full(size, default, np.int64)
-        found = self._ranged(name, 1, least, most)
+        found = self.array(*names, axes=1, least=least, most=most)
         if found.size not in (1, size):
-            raise self.wrong(name, f"has {found.size} values", f"Write one, or {size}.")
+            remedy = f"Write one, or {size}."
+            raise self.wrong(self.name(*names) or "", f"has {found.size} values", remedy)
         return np.full(size, found, np.int64)
 
     def lists(self, name: str, *, least: int, most: int) -> tuple[tuple[int, ...], ...]:
@@ -179,17 +179,18 @@ class Fields:
         name = self.name(*names)
         if name is None:
             raise self._missing(names)
-        return self._ranged(name, axes, least, most)
+        found = self._numbers(name)
+        if found.ndim > axes:
+            raise self.wrong(name, f"has shape {found.shape}", f"Write lists {axes} deep at most.")
+        outside = found[(found < least) | (found > most)]
+        if outside.size:
+            remedy = f"It must be within {least} and {most}."
+            raise self.wrong(name, f"holds {outside.flat[0]}", remedy)
+        return found.astype(np.int64)
 
     def wrong(self, name: str, found: str, remedy: str) -> TraceError:
         """The error of a field."""
         return TraceError(f"{self.where}: {name} {found}. {remedy}")
-
-    def _nested(self, found: object, where: str) -> "Fields":
-        """Another object of the same file."""
-        made = Fields(found, where)
-        made._read = self._read
-        return made
 
     def _take(self, name: str) -> Any:  # noqa: ANN401
         if name not in self._found:
@@ -202,18 +203,6 @@ class Fields:
             f"{self.where}: {' or '.join(names)} is missing. Add it; docs/traces.md lists the "
             "fields of a trace."
         )
-
-    def _ranged(self, name: str, axes: int, least: int, most: int) -> Integers:
-        """The numbers called `name`, of at most so many axes."""
-        found = self._numbers(name)
-        if found.ndim > axes:
-            raise self.wrong(name, f"has shape {found.shape}", f"Write lists {axes} deep at most.")
-        outside = found[(found < least) | (found > most)]
-        if outside.size:
-            raise self.wrong(
-                name, f"holds {outside.flat[0]}", f"It must be within {least} and {most}."
-            )
-        return found.astype(np.int64)
 
     def _count(self, name: str, value: object) -> None:
         """Refuse what is no table of numbers, or one more than can be read."""

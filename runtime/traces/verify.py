@@ -1,31 +1,32 @@
 """Trace files: recorded runs of emulators or chips, replayed on our arithmetic and compared.
 
-The format is in docs/traces.md. It follows what four emulators write, so quantities have several
-names, and a file names its maker in prose. A verdict is the result of replaying a trace: the first
-number that differs, or, of SANA-FE, whether the energies of a network are those of the ledger.
+The format is in docs/traces.md. All files go the same way: the reader of a chip makes a TraceFile
+of the fields, with a program, its input and what was recorded; the program is replayed; the verdict
+is the first number that differs. Readers stand beside the arithmetic of their chip.
 """
 
-import math
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import asdict, dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.chip import CHIPS, chip
-from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.chips.chip import CHIPS
+from spikedeploy.runtime.chips.layer import Layer, Numbers, Synapses
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.emulator.interpreter import LayerTrace, trace
-from spikedeploy.runtime.emulator.ledger import Ledger
-from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import TraceError
-from spikedeploy.runtime.metrics.energy import TABLES
 from spikedeploy.runtime.traces.fields import Fields, Integers, read_json, shown_names
+
+# layer -> quantity -> (T, N)
+Tables: TypeAlias = Mapping[str, Mapping[str, Integers]]
+# quantity -> its names in files, its least and its largest number
+Ranges: TypeAlias = Mapping[str, tuple[tuple[str, ...], int, int]]
 
 # who wrote a trace, by what its name, source and kind say -> the chip as that tool models it
 _MAKERS = (
@@ -42,23 +43,20 @@ _MAKERS = (
     (r"loihi[ _-]?2", "loihi2"),
     (r"lava", "loihi1"),
 )
+_FAMILIES = "spikedeploy.runtime.families"
+_LOIHI = f"{_FAMILIES}.cuba.traces:loihi_trace"
+_XYLO = f"{_FAMILIES}.xylo_traces:xylo_trace"
+_CROSSBAR = f"{_FAMILIES}.integrate_and_fire.traces:crossbar_verdict"
+# "module:function", which makes a TraceFile or, of what is replayed in another way, a Verdict
 _READERS = {
-    "loihi1": "spikedeploy.runtime.families.cuba.traces:loihi_trace",
-    "loihi1-brian2": "spikedeploy.runtime.families.cuba.traces:loihi_trace",
-    "loihi1-nengo": "spikedeploy.runtime.families.cuba.traces:loihi_trace",
-    "loihi2": "spikedeploy.runtime.families.cuba.traces:loihi_trace",
-    "xylo-a2": "spikedeploy.runtime.families.xylo_traces:xylo_trace",
-    "xylo-a3": "spikedeploy.runtime.families.xylo_traces:xylo_trace",
-    "xylo-imu": "spikedeploy.runtime.families.xylo_traces:xylo_trace",
+    **dict.fromkeys(("loihi1", "loihi1-brian2", "loihi1-nengo", "loihi2"), _LOIHI),
+    **dict.fromkeys(("xylo-a2", "xylo-a3", "xylo-imu"), _XYLO),
+    **dict.fromkeys(("odin", "tinyodin"), _CROSSBAR),
+    "spiker": f"{_FAMILIES}.integrate_and_fire.traces:spiker_trace",
+    "sanafe": "spikedeploy.runtime.traces.sanafe:sanafe_verdict",
 }
 # of an exported program, on any of the chips that it can be exported for
-_OF_PROGRAMS = "spikedeploy.runtime.families.programs:program_trace"
-# those that are replayed in a way of their own: event by event, or with an earlier reset
-_VERDICTS = {
-    "odin": "spikedeploy.runtime.families.integrate_and_fire.traces:crossbar_verdict",
-    "tinyodin": "spikedeploy.runtime.families.integrate_and_fire.traces:crossbar_verdict",
-    "spiker": "spikedeploy.runtime.families.integrate_and_fire.traces:spiker_verdict",
-}
+_OF_PROGRAMS = f"{_FAMILIES}.programs:program_trace"
 # letters of a text in which makers are looked for
 _MOST_PROSE = 1000
 # what is for people
@@ -76,40 +74,99 @@ class TraceFile:
     program: what ran, on the chip as the source models it.
     raster: (B, T, M) spikes that went in; counts where the chip takes several in a timestep. Each
         of the B inferences begins from zero states.
-    recorded: layer -> quantity -> (B T, N), one inference behind the other; quantities as in
-        QUANTITIES.
+    recorded: (B T, N) tables, one inference behind the other; quantities as in QUANTITIES.
     blind_at_spikes: True if membranes are not to be compared in timesteps with a spike.
     unread: fields that the reader does not use.
     remarks: as in Verdict.
+    replay: computes tables like the recorded ones; None is the interpreter, in its timesteps.
     """
 
     source: str
     program: Program
     raster: NDArray[np.uint8]
-    recorded: Mapping[str, Mapping[str, Integers]]
+    recorded: Tables
     blind_at_spikes: bool
     unread: tuple[str, ...]
     remarks: tuple[str, ...] = ()
+    replay: Callable[[Program, NDArray[np.uint8]], Tables] | None = None
+
+
+def trace_in(fields: Fields, stem: str) -> "TraceFile | Verdict":
+    """The TraceFile in the fields of a file of that name; a Verdict where there is no program."""
+    name = maker(fields, stem)
+    if name not in _READERS:
+        hint = "can be run but has no trace format" if name in CHIPS else "is not known"
+        raise TraceError(
+            f"{fields.where}: chip {name[:40]!r} {hint}. Traces may be of {', '.join(_READERS)}."
+        )
+    found: TraceFile | Verdict = _load(_READERS[name])(fields, name)
+    return found
 
 
 def _load(entry: str) -> Callable[..., Any]:
-    """The reader of an entry "module:name" of the tables."""
     module, attribute = entry.split(":")
     found: Callable[..., Any] = getattr(import_module(module), attribute)
     return found
 
 
-def trace_in(fields: Fields, stem: str) -> TraceFile:
-    """The trace in the fields of a file of that name."""
-    name = maker(fields, stem)
-    if name not in _READERS:
-        hint = "can be run but has no trace format" if name in CHIPS else "is not known"
-        raise TraceError(
-            f"{fields.where}: chip {name[:40]!r} {hint}. Traces may be of "
-            f"{', '.join((*_READERS, *_VERDICTS))}."
-        )
-    found: TraceFile = _load(_READERS[name])(fields, name)
-    return found
+def chain_trace(
+    fields: Fields,
+    specs: Sequence[Fields],
+    program: Program,
+    counts: Integers,
+    ranges: Sequence[Ranges],
+    ignored: AbstractSet[str],
+) -> TraceFile:
+    """The trace of a program of which each layer has fields and ranges of its own.
+
+    counts: (T, M) spikes that went in.
+    ignored: fields without a meaning of their own, beside PROSE.
+    """
+    recorded = {
+        layer.name: recorded_tables(spec, each, (len(counts), layer.size))
+        for layer, spec, each in zip(program.layers, specs, ranges, strict=True)
+    }
+    unread = unread_fields(specs, ignored)
+    if not any(recorded.values()):
+        raise nothing_to_compare(fields, {*unread}, _first_names(ranges))
+    return TraceFile(
+        source=source_of(fields, program.chip.name),
+        program=program,
+        raster=counts.astype(np.uint8)[None],
+        recorded=recorded,
+        blind_at_spikes=False,
+        unread=unread,
+    )
+
+
+def unread_fields(specs: Sequence[Fields], ignored: AbstractSet[str]) -> tuple[str, ...]:
+    """Fields that no layer used, less those that mean nothing."""
+    return tuple(sorted(set.intersection(*(spec.unread for spec in specs)) - PROSE - ignored))
+
+
+def source_of(fields: Fields, chip: str) -> str:
+    """Who recorded the trace."""
+    return fields.text("source") or fields.text("name") or chip
+
+
+def _first_names(ranges: Sequence[Ranges]) -> str:
+    *others, last = dict.fromkeys(names[0] for each in ranges for names, _, _ in each.values())
+    return f"{', '.join(others)} or {last}"
+
+
+def layer_of(
+    name: str,
+    synapses: Sequence[Synapses],
+    threshold: Numbers,
+    membrane_decay: Numbers,
+    **given: Any,  # noqa: ANN401
+) -> Layer:
+    """A layer whose biases and currents are 0 where they are not given."""
+    none = np.zeros(threshold.size, np.int64)
+    layer = Layer(
+        name, tuple(synapses), none, none, threshold, none, membrane_decay, scale=1.0, start=0
+    )
+    return replace(layer, **given)
 
 
 def table_of(spec: Fields, names: tuple[str, ...], least: int, most: int, index: str) -> Integers:
@@ -134,13 +191,8 @@ def weights_of(spec: Fields, name: str, least: int, most: int) -> Integers:
     return found.T if spec.text("index").startswith("[post]") else found
 
 
-def recorded_tables(
-    spec: Fields, ranges: Mapping[str, tuple[tuple[str, ...], int, int]], shape: tuple[int, int]
-) -> dict[str, Integers]:
-    """The tables (T, N) that are there, by quantity.
-
-    ranges: quantity -> its names in files, its least and its largest number.
-    """
+def recorded_tables(spec: Fields, ranges: Ranges, shape: tuple[int, int]) -> dict[str, Integers]:
+    """The tables (T, N) that are there, by quantity."""
     tables = {}
     for quantity, (names, least, most) in ranges.items():
         if (name := spec.name(*names)) is None:
@@ -170,7 +222,7 @@ def maker(fields: Fields, stem: str) -> str:
                 return name
     raise TraceError(
         f"{fields.where}: its source is {prose['source'][:60]!r}, and no emulator or chip is known "
-        f"by that. Add a field chip; it may be {', '.join((*_READERS, *_VERDICTS))}."
+        f"by that. Add a field chip; it may be {', '.join(_READERS)}."
     )
 
 
@@ -246,170 +298,68 @@ def verify(path: Path) -> Verdict:
     fields = read_json(path)
     if fields.name("program") is not None:
         # beside the file of its program
-        return _verdict(_load(_OF_PROGRAMS)(fields, path.parent))
-    if (name := maker(fields, path.stem)) == MAKER:
-        return energy_verdict(fields)
-    if name in _VERDICTS:
-        found: Verdict = _load(_VERDICTS[name])(fields, name)
-        return found
-    return _verdict(trace_in(fields, path.stem))
+        found: TraceFile | Verdict = _load(_OF_PROGRAMS)(fields, path.parent)
+    else:
+        found = trace_in(fields, path.stem)
+    return found if isinstance(found, Verdict) else verdict_on(found)
 
 
-def _verdict(recorded: TraceFile) -> Verdict:
-    """The verdict on a trace that is replayed by the interpreter."""
-    ran = trace(recorded.program, recorded.raster)
-    found = {name: _quantities(layer) for name, layer in ran.items()}
-    masks = _masks(recorded, found)
+def verdict_on(recorded: TraceFile) -> Verdict:
+    """The verdict on a trace that is replayed."""
+    found = (recorded.replay or replay_tables)(recorded.program, recorded.raster)
+    tables = recorded.recorded
+    masks = {}
+    if recorded.blind_at_spikes:
+        for layer in (layer for layer in tables if "membrane" in tables[layer]):
+            masks[layer, "membrane"] = tables[layer].get("spikes", found[layer]["spikes"]) == 0
     passed_over = sum(int((~mask).sum()) for mask in masks.values())
     return Verdict(
         chip=recorded.program.chip.name,
         source=recorded.source,
         steps=recorded.raster.shape[0] * recorded.raster.shape[1],
-        compared=sum(int(mask.sum()) for mask in masks.values()),
+        compared=count_numbers(tables) - passed_over,
         passed_over=passed_over,
         why=_BLIND if passed_over else "",
-        difference=first_difference(recorded.recorded, found, masks),
+        difference=first_difference(tables, found, masks),
         unread=recorded.unread,
         remarks=recorded.remarks,
     )
 
 
-def _quantities(layer: LayerTrace) -> dict[str, Integers]:
-    """States and spikes of a layer by quantity: (T, N), one inference behind the other."""
-    current, membrane, spikes = (
-        np.concatenate(each) for each in (layer.current, layer.membrane, layer.spikes)
-    )
-    currents = [current] if current.ndim == 2 else list(current.swapaxes(0, 1))
-    named = dict(zip(QUANTITIES, currents, strict=False))
-    return {**named, "membrane": membrane, "spikes": spikes.astype(np.int64)}
+def count_numbers(tables: Tables) -> int:
+    """How many numbers tables hold."""
+    return sum(table.size for quantities in tables.values() for table in quantities.values())
 
 
-def _masks(
-    recorded: TraceFile, found: Mapping[str, Mapping[str, Integers]]
-) -> dict[tuple[str, str], NDArray[np.bool_]]:
-    """(T, N) of each layer and quantity: where to compare."""
-    masks = {}
-    for layer, quantities in recorded.recorded.items():
-        for quantity, expected in quantities.items():
-            mask = np.ones(expected.shape, np.bool_)
-            if recorded.blind_at_spikes and quantity == "membrane":
-                mask = quantities.get("spikes", found[layer]["spikes"]) == 0
-            masks[layer, quantity] = mask
-    return masks
+def replay_tables(program: Program, raster: NDArray[np.uint8]) -> Tables:
+    """States and spikes of the interpreter, one inference behind the other."""
+    tables = {}
+    for name, layer in trace(program, raster).items():
+        current, membrane, spikes = (
+            np.concatenate(each) for each in (layer.current, layer.membrane, layer.spikes)
+        )
+        currents = [current] if current.ndim == 2 else list(current.swapaxes(0, 1))
+        named = dict(zip(QUANTITIES, currents, strict=False))
+        tables[name] = {**named, "membrane": membrane, "spikes": spikes.astype(np.int64)}
+    return tables
 
 
 def first_difference(
-    recorded: Mapping[str, Mapping[str, Integers]],
-    found: Mapping[str, Mapping[str, Integers]],
-    masks: Mapping[tuple[str, str], NDArray[np.bool_]],
+    recorded: Tables,
+    found: Tables,
+    masks: Mapping[tuple[str, str], NDArray[np.bool_]] | None = None,
 ) -> Difference | None:
     """The earliest difference; within a timestep in the order of layers and quantities.
 
-    recorded, found: layer -> quantity -> (T, N).
     masks: where to compare, by layer and quantity; everywhere where there is none.
     """
-    first, earliest = None, None
+    first, masks = None, masks or {}
     for layer, quantities in recorded.items():
-        for quantity in (q for q in QUANTITIES if q in quantities):
-            expected, ours = quantities[quantity], found[layer][quantity]
+        for quantity, expected in quantities.items():
+            ours = found[layer][quantity]
             wrong = np.argwhere((expected != ours) & masks.get((layer, quantity), True))
-            if len(wrong) and (earliest is None or wrong[0][0] < earliest):
+            if len(wrong) and (first is None or wrong[0][0] < (first.step or 0)):
                 step, neuron = (int(i) for i in wrong[0])
                 values = int(expected[step, neuron]), int(ours[step, neuron])
-                first, earliest = Difference(step, layer, neuron, quantity, *values), step
+                first = Difference(step, layer, neuron, quantity, *values)
     return first
-
-
-MAKER = "sanafe"
-_NUMBER = r"([1-9]\d{0,2})"
-_SETUP = re.compile(
-    rf"{_NUMBER} input neurons spiking \[([01](?:, *[01])*)\] *-> *all-to-all *-> *"
-    rf"{_NUMBER} loihi_lif neurons \(threshold 1e9\), one core, {_NUMBER} steps"
-)
-# what SANA-FE calls a part of the energy -> our events
-_ENERGIES = {
-    "synapse": ("sop", "bias_sop"),
-    "dendrite": (),
-    "soma": ("neuron_update", "neuron_idle", "spike_out"),
-    "network": ("message",),
-}
-_COUNTS = {
-    "spikes(synops)": ("sop",),
-    "packets_sent": ("message",),
-    "neurons_fired": ("spike_in", "spike_out"),
-    "neurons_updated": ("neuron_update", "spike_in"),
-}
-_NEVER = ((1 << 17) - 1) << 6  # a threshold that so few inputs do not reach
-_TOLERANCE = 1e-6
-
-
-def energy_verdict(fields: Fields) -> Verdict:
-    """The verdict on SANA-FE's counts and energies of a network, by our ledger and its table."""
-    setup = _SETUP.fullmatch(fields.text("setup").strip())
-    if setup is None:
-        raise TraceError(
-            f"{fields.where}: setup is {fields.text('setup')[:60]!r}, which cannot be read. "
-            "docs/traces.md has the sentence that can."
-        )
-    inputs, bits, neurons, steps = setup.groups()
-    spikes = [int(bit) for bit in bits.split(",")]
-    if len(spikes) != int(steps):
-        raise fields.wrong("setup", f"has {len(spikes)} spikes", "Write one for each step.")
-    if int(inputs) * sum(spikes) << 6 > _NEVER:
-        raise fields.wrong(
-            "setup", f"has {sum(spikes)} spikes", "Neurons would spike; write fewer."
-        )
-    ledger = _run(int(inputs), int(neurons), spikes)
-    result = fields.group("result")
-    expected = {**result.numbers(*_COUNTS), **result.group("energy").numbers("total", *_ENERGIES)}
-    if not expected:
-        raise TraceError(f"{fields.where}: there is nothing to compare. Record result.energy.")
-    return Verdict(
-        chip="loihi1",
-        source=fields.text("source"),
-        steps=len(spikes),
-        compared=len(expected),
-        passed_over=len(result.numbers("sim_time")),
-        why="time, of which ours is an upper bound",
-        difference=_first(expected, _found(ledger)),
-        unread=(),
-    )
-
-
-def _run(inputs: int, neurons: int, spikes: list[int]) -> Ledger:
-    weight, ones = np.ones((inputs, neurons), np.int16), np.ones(neurons, np.int64)
-    layer = Layer(
-        name="lif",
-        synapses=(Synapses("input", weight, 1),),
-        bias=0 * ones,
-        voltage_bias=0 * ones,
-        threshold=_NEVER * ones,
-        current_decay=0 * ones,
-        membrane_decay=4096 * ones,
-        scale=1.0,
-        start=1,
-    )
-    machine = Machine(
-        Program(chip("loihi1"), Convention(1e-3), "input", inputs, (layer,), "lif", None)
-    )
-    for spiking in spikes:
-        machine.step(np.full((1, inputs), spiking, np.uint8))
-    return machine.ledger
-
-
-def _found(ledger: Ledger) -> dict[str, float]:
-    """Counts, and energies [J]; SANA-FE's inputs send messages and cost nothing else."""
-    prices = TABLES["sanafe"].joules
-    counts = {name: sum(map(ledger.total, events)) for name, events in _COUNTS.items()}
-    parts = {
-        name: sum(ledger.total(event) * prices[event] for event in events)
-        for name, events in _ENERGIES.items()
-    }
-    return {**counts, **parts, "total": sum(parts.values())}
-
-
-def _first(expected: dict[str, float], found: dict[str, float]) -> Difference | None:
-    for name, value in expected.items():
-        if not math.isclose(value, found[name], rel_tol=_TOLERANCE, abs_tol=1e-15):
-            return Difference(None, None, None, name, value, found[name])
-    return None

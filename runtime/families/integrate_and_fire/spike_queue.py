@@ -73,16 +73,17 @@ class WorkedEvent:
 class Crossbar:
     """One copy of the neurons at work.
 
+    wired: what it is a copy of.
     membrane: (N,) now.
     done: what it worked on so far.
     most: events that it may work on.
     """
 
     def __init__(self, wired: CrossbarNeurons, membrane: Integers, most: int = _ENDLESS) -> None:
-        self._most = most
+        self.most = most
         self.membrane = membrane
         self.done: list[WorkedEvent] = []
-        self._wire = wired
+        self.wired = wired
         self._queue: deque[Event] = deque()
 
     def timestep(self, sent: Iterable[Event], waits: bool, settles: bool = True) -> None:
@@ -119,12 +120,12 @@ class Crossbar:
 
     def work(self, event: Event, entries_held: int = 1) -> None:
         """Work on an event, which holds so many entries meanwhile, and queue the spikes."""
-        if len(self.done) >= self._most:
+        if len(self.done) >= self.most:
             raise RuleError(
-                f"rule queue: the chip is not done after {self._most} events. Weaken recurrent "
+                f"rule queue: the chip is not done after {self.most} events. Weaken recurrent "
                 "neurons that keep each other spiking, choose queue=off, or record a shorter run."
             )
-        wired, now = self._wire, PartialStep.of(self.membrane[None])
+        wired, now = self.wired, PartialStep.of(self.membrane[None])
         if event == TREF:
             begin(wired.rules, wired.convention, wired.neurons, now)
         else:
@@ -145,7 +146,7 @@ class Crossbar:
         self.done.append(result)
 
     def _make_room(self) -> None:
-        entries = self._wire.entries
+        entries = self.wired.entries
         while entries and len(self._queue) >= entries:
             self.work_on()
 

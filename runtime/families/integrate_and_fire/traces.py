@@ -1,6 +1,6 @@
 """Recorded runs of ODIN, tinyODIN and Spiker+, from simulations of their RTL.
 
-Runs of a crossbar are replayed once more event by event.
+Runs of a crossbar are replayed event by event.
 
 A timestep of Spiker's RTL begins with firing, the emulator's ends with it: a spike of the emulator
 leaves in the next timestep of the recording, and its membranes are those before any firing in both.
@@ -9,9 +9,10 @@ leaves in the next timestep of the recording, and its membranes are those before
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.chip import chip as datasheet
@@ -37,256 +38,84 @@ from spikedeploy.runtime.families.integrate_and_fire.spike_queue import (
 )
 from spikedeploy.runtime.traces.fields import MOST_NUMBERS, Fields, Integers, Work, shown_names
 from spikedeploy.runtime.traces.verify import (
-    PROSE,
     Difference,
+    Tables,
+    TraceFile,
     Verdict,
+    chain_trace,
+    count_numbers,
     first_difference,
+    layer_of,
     nothing_to_compare,
     recorded_tables,
+    source_of,
     table_of,
+    unread_fields,
     weights_of,
 )
 
-_KINDS = ("tref", "axon", "neuron")  # of events in a file
-
-
-@dataclass(frozen=True, eq=False)
-class RecordedEvents:
-    """Events in the order in which a chip worked on them, E of them.
-
-    events: what they are.
-    steps: timestep of each.
-    membranes: (E, N) after each; None where they were not recorded.
-    spikes: neurons that spiked in each, by index; empty where not recorded.
-    lost: those of them whose spikes the full queue lost.
-    compares: names of the tables that are there: v_event, s_event, dropped_by_full_fifo.
-    """
-
-    events: list[Event]
-    steps: list[int]
-    membranes: Integers | None
-    spikes: Sequence[tuple[int, ...]]
-    lost: Sequence[tuple[int, ...]]
-    compares: frozenset[str]
-
-    @property
-    def compared(self) -> int:
-        """Numbers that a comparison looks at: events, membranes, spikes and losses of each."""
-        each = ("s_event", "dropped_by_full_fifo")
-        membranes = 0 if self.membranes is None else self.membranes.size
-        return membranes + len(self.events) * (1 + sum(name in self.compares for name in each))
-
-    def first(self, done: Sequence[WorkedEvent], steps: Sequence[int]) -> Difference | None:
-        """The first event that was another one, or did something else."""
-        for place, (event, found) in enumerate(zip(self.events, done, strict=False)):
-            if event != found.event or self.steps[place] != steps[place]:
-                expected = _describe_event(self.steps[place], event)
-                return self._differs(
-                    place, None, "event", expected, _describe_event(steps[place], found.event)
-                )
-            if (difference := self._inside(place, found)) is not None:
-                return difference
-        if len(self.events) == len(done):
-            return None
-        place = min(len(self.events), len(done)) - 1
-        return self._differs(place, None, "events in all", len(self.events), len(done))
-
-    def _inside(self, place: int, found: WorkedEvent) -> Difference | None:
-        """The first difference in one event: membranes, then spikes, then losses."""
-        if self.membranes is not None:
-            expected = self.membranes[place]
-            if (wrong := np.flatnonzero(expected != found.membrane)).size:
-                n = int(wrong[0])
-                values = int(expected[n]), int(found.membrane[n])
-                return self._differs(place, n, "membrane", *values)
-        for name, quantity, mine, theirs in (
-            ("s_event", "spikes", self.spikes[place], found.spikes),
-            ("dropped_by_full_fifo", "lost spikes", self.lost[place], found.lost),
-        ):
-            if name in self.compares and mine != theirs:
-                n = min(set(mine) ^ set(theirs))
-                return self._differs(place, n, quantity, int(n in mine), int(n in theirs))
-        return None
-
-    def _differs(
-        self,
-        place: int,
-        neuron: int | None,
-        quantity: str,
-        expected: int | str,
-        found: int | str,
-    ) -> Difference:
-        kind, index = self.events[place]
-        name = f"event {place} ({kind})" if kind == "tref" else f"event {place} ({kind} {index})"
-        return Difference(self.steps[place], name, neuron, quantity, expected, found)
-
-
-def _describe_event(step: int, event: Event) -> str:
-    kind, index = event
-    return f"{kind} of step {step}" if kind == "tref" else f"{kind} {index} of step {step}"
-
-
-def events_of(spec: Fields, shape: tuple[int, int, int]) -> RecordedEvents | None:
-    """The events in the fields; None where there are none.
-
-    shape: timesteps, axons and neurons.
-    """
-    timesteps, _, size = shape
-    if spec.name("events") is None:
-        return None
-    found = [_event(spec, place, row, shape) for place, row in enumerate(spec.rows("events"))]
-    steps = [step for step, _ in found]
-    references = [step for step, (kind, _) in found if kind == "tref"]
-    if references != list(range(timesteps)) or steps != sorted(steps) or found[0][1][0] != "tref":
-        remedy = f"Write one tref at the beginning of each of {timesteps} timesteps, in order."
-        raise spec.wrong("events", "are not divided into timesteps", remedy)
-    if any(found[place][1][0] != "tref" for place in _changes(steps)):
-        raise spec.wrong("events", "have a timestep that does not begin with tref", "Move it.")
-    compares = {n for n in ("s_event", "dropped_by_full_fifo") if spec.name(n)}
-    return RecordedEvents(
-        events=[event for _, event in found],
-        steps=steps,
-        membranes=_membranes(spec, len(found), size),
-        spikes=_spikes(spec, len(found), size),
-        lost=_lost(spec, len(found), size),
-        compares=frozenset(compares),
-    )
-
-
-def _changes(steps: Sequence[int]) -> list[int]:
-    """Places where another timestep begins."""
-    return [p for p in range(1, len(steps)) if steps[p] != steps[p - 1]]
-
-
-def _event(spec: Fields, place: int, row: Any, shape: tuple[int, int, int]) -> tuple[int, Event]:  # noqa: ANN401
-    """The timestep and the event of a row such as [0, "tref"] or [3, "axon", 7]."""
-    timesteps, width, size = shape
-    most = {"tref": 1, "axon": width, "neuron": size}
-    wanted = "Write [timestep, 'tref'], [timestep, 'axon', m] or [timestep, 'neuron', n]."
-    if not isinstance(row, list) or len(row) not in (2, 3) or row[1] not in _KINDS:
-        raise spec.wrong("events", f"has {str(row)[:40]!r} at {place}", wanted)
-    step, kind, *rest = row
-    index = rest[0] if rest else 0
-    known = type(step) is int and type(index) is int and (len(row) == 2) == (kind == "tref")
-    if not known or not 0 <= step < timesteps or not 0 <= index < most[kind]:
-        raise spec.wrong("events", f"has {str(row)[:40]!r} at {place}, out of range", wanted)
-    return step, (kind, index)
-
-
-def _membranes(spec: Fields, events: int, size: int) -> Integers | None:
-    if spec.name("v_event") is None:
-        return None
-    found = spec.array("v_event", axes=2, least=-1 << 16, most=1 << 16)
-    if found.shape != (events, size):
-        raise spec.wrong("v_event", f"has shape {found.shape}", f"Write {events, size}.")
-    return found
-
-
-def _spikes(spec: Fields, events: int, size: int) -> Sequence[tuple[int, ...]]:
-    if spec.name("s_event") is None:
-        return [()] * events
-    found = spec.lists("s_event", least=0, most=size - 1)
-    if len(found) != events:
-        raise spec.wrong("s_event", f"has {len(found)} lists", f"Write {events}, one an event.")
-    return found
-
-
-def _lost(spec: Fields, events: int, size: int) -> Sequence[tuple[int, ...]]:
-    lost: list[tuple[int, ...]] = [()] * events
-    if spec.name("dropped_by_full_fifo") is None:
-        return lost
-    for row in spec.rows("dropped_by_full_fifo"):
-        pair = isinstance(row, list) and len(row) == 2 and isinstance(row[1], list)
-        inside = pair and all(type(n) is int and 0 <= n < size for n in row[1])
-        if not inside or type(row[0]) is not int or not 0 <= row[0] < events:
-            remedy = "Write [place of the event, [neurons]]."
-            raise spec.wrong("dropped_by_full_fifo", f"has {str(row)[:40]!r}", remedy)
-        lost[row[0]] = tuple(row[1])
-    return lost
-
-
 _NEURONS = "neurons"  # name of the one layer
-# quantity -> its name in the file, and what it may be
-_TABLES = {"membrane": (("v",), -1 << 16, 1 << 20), "spikes": (("s",), 0, 1 << 20)}
+_ROWS = 256  # of the crossbar, of axons and of neurons
 _HOSTS = ("wait", "step", "stream", "relays")
 _ORDERS = ("index", "random")
-_ROWS = 256  # of the crossbar, of axons and of neurons
+_TABLES = {"membrane": (("v",), -1 << 16, 1 << 20), "spikes": (("s",), 0, 1 << 20)}
 # given twice in the file, or by the weights
 _REPEATED = {
     "chip", "params", "steps", "reset", "leak_str", "leak_en", "inhibitory_axons",
     "inhibitory_neurons", "relayed_from_neuron",
 }  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class _Recorded:
-    """A recorded run.
-
-    wired: the neurons as the file describes them.
-    start: (N,) membranes before the first event.
-    sent: what the host sends in each timestep, in its order.
-    host: how, one of _HOSTS.
-    events: as the chip worked on them; None where the file does not say.
-    tables: quantity -> (T, N) at the end of each timestep.
-    """
-
-    wired: CrossbarNeurons
-    start: Integers
-    sent: Sequence[Sequence[Event]]
-    host: str
-    events: RecordedEvents | None
-    tables: dict[str, Integers]
+_AS_SENT = "events are replayed in the order in which the host sent them"
+_STREAMED = (
+    "the host never waits, so a timestep ends at the next time reference, which overtakes what is "
+    "queued"
+)
+_LOST_TOO = "; compared event by event, lost spikes included"
+_OTHER_TURNS = (
+    "not compared: which events took turns with the queue, and which spikes it lost; the events "
+    "are replayed in the recorded order"
+)
+# effects of events one after another, and the timestep of each
+_Replayed: TypeAlias = tuple[list[WorkedEvent], list[int]]
 
 
 def crossbar_verdict(fields: Fields, chip: str) -> Verdict:
     """Compare the chip's neurons with a recorded run, event by event and in timesteps."""
     spec = fields.merged_with(fields.group("params"))
-    recorded = _read_run(spec, chip)
-    unread = spec.unread - PROSE - _REPEATED
-    if recorded.events is None and not recorded.tables:
-        raise nothing_to_compare(fields, unread, "v, s, v_event or s_event")
-    done, steps, remarks = _replay(spec, recorded)
-    difference = None if recorded.events is None else recorded.events.first(done, steps)
-    found = _in_timesteps(done, steps, len(recorded.sent), len(recorded.start))
-    of_tables = first_difference({_NEURONS: recorded.tables}, {_NEURONS: found}, {})
-    if difference is None or (of_tables and (of_tables.step or 0) < (difference.step or 0)):
-        difference = of_tables
-    compared = 0 if recorded.events is None else recorded.events.compared
-    return Verdict(
-        chip=chip,
-        source=fields.text("source") or fields.text("name") or chip,
-        steps=len(recorded.sent),
-        compared=compared + sum(table.size for table in recorded.tables.values()),
-        passed_over=0,
-        why="",
-        difference=difference,
-        unread=tuple(sorted(unread)),
-        remarks=tuple(remarks),
-    )
-
-
-def _read_run(spec: Fields, chip: str) -> _Recorded:
     rules = datasheet(chip).arithmetic
     if not isinstance(rules, IntegrateAndFire):
         raise spec.wrong("chip", f"{chip} has no crossbar of events", "Name odin or tinyodin.")
     counts = table_of(spec, ("input_spikes",), 0, 255, index="input_spikes_index")
-    if counts.shape[1] > _ROWS:
-        found = f"has {counts.shape[1]} axons"
-        raise spec.wrong("input_spikes", found, f"A crossbar has {_ROWS} at most.")
+    timesteps, width = counts.shape
+    if width > _ROWS:
+        remedy = f"A crossbar has {_ROWS} at most."
+        raise spec.wrong("input_spikes", f"has {width} axons", remedy)
     host, order = _choice(spec, "host", _HOSTS), _choice(spec, "order", _ORDERS)
-    wired, start = _read_neurons(spec, rules, counts.shape[1], host)
-    size = len(start)
-    work = Work(spec, len(counts))
-    work.add(size, 0)
+    wired, start = _read_crossbar(spec, rules, width, host)
+    work = Work(spec, timesteps)
+    work.add(len(start), 0)
     work.check_input(counts)
-    events = events_of(spec, (len(counts), counts.shape[1], size))
-    return _Recorded(
-        wired=wired,
-        start=start,
-        sent=_read_sent(spec, counts, events, order),
-        host=host,
-        events=events,
-        tables=recorded_tables(spec, _TABLES, (len(counts), size)),
+    events = _read_events(spec, timesteps, width, len(start))
+    sent = _read_sent(spec, counts, events, order)
+    tables = {_NEURONS: recorded_tables(spec, _TABLES, (timesteps, len(start)))}
+    unread = unread_fields([spec], _REPEATED)
+    if events is None and not tables[_NEURONS]:
+        raise nothing_to_compare(fields, {*unread}, "v, s, v_event or s_event")
+    crossbar = Crossbar(wired, start, most=MOST_NUMBERS // len(start))
+    (done, steps), remarks = _replay(spec, events, crossbar, sent, host)
+    ends = {_NEURONS: _in_timesteps(done, steps, timesteps, len(start))}
+    found = [None if events is None else events.first_difference(done, steps)]
+    found.append(first_difference(tables, ends))
+    return Verdict(
+        chip=chip,
+        source=source_of(fields, chip),
+        steps=timesteps,
+        compared=count_numbers(tables) + (0 if events is None else events.compared),
+        passed_over=0,
+        why="",
+        # of one timestep that of an event
+        difference=min(filter(None, found), key=lambda each: each.step or 0, default=None),
+        unread=unread,
+        remarks=tuple(remarks),
     )
 
 
@@ -297,7 +126,7 @@ def _choice(spec: Fields, name: str, choices: tuple[str, ...]) -> str:
     return found
 
 
-def _read_neurons(
+def _read_crossbar(
     spec: Fields, rules: IntegrateAndFireRules, width: int, host: str
 ) -> tuple[CrossbarNeurons, Integers]:
     """The neurons, and their membranes before the first event."""
@@ -314,11 +143,17 @@ def _read_neurons(
     closed = spec.flag("closed_loop") or False
     if closed and host == "relays":
         raise spec.wrong("host", "relays in a closed loop", "Write closed_loop false, or wait.")
+    if (reset := spec.text("reset") or "zero") != "zero":
+        raise spec.wrong("reset", f"is {reset[:40]!r}", "Neurons of the chip are reset to zero.")
+    # tinyODIN has one bit of a threshold more than a membrane can reach
+    most = (1 << (rules.threshold_bits + (rules.signs == "weight"))) - 1
+    threshold = spec.row("thr", "threshold", size=size, least=0, most=most)
+    leak = spec.row("leak", size=size, default=0, least=0, most=rules.leak_max)
     low, high = (0 if rules.floor == 0 else -rules.membrane.limit - 1), rules.membrane.limit
     wired = CrossbarNeurons(
         rules=rules,
         convention=Convention(1e-3, source="the trace"),
-        neurons=_neurons(spec, rules, size),
+        neurons=layer_of(_NEURONS, (), threshold, leak),
         weights=weights,
         entries=rules.queue_entries if closed else 0,
         muted=spec.row("disabled", size=size, default=0, least=0, most=1) > 0,
@@ -326,27 +161,163 @@ def _read_neurons(
     return wired, spec.row("start", size=size, default=0, least=low, most=high)
 
 
-def _neurons(spec: Fields, rules: IntegrateAndFireRules, size: int) -> Layer:
-    if (reset := spec.text("reset") or "zero") != "zero":
-        raise spec.wrong("reset", f"is {reset[:40]!r}", "Neurons of the chip are reset to zero.")
-    none = np.zeros(size, np.int64)
-    # tinyODIN has one bit of a threshold more than a membrane can reach
-    most = (1 << (rules.threshold_bits + (rules.signs == "weight"))) - 1
-    return Layer(
-        name=_NEURONS,
-        synapses=(),
-        bias=none,
-        voltage_bias=none,
-        threshold=spec.row("thr", "threshold", size=size, least=0, most=most),
-        current_decay=none,
-        membrane_decay=spec.row("leak", size=size, default=0, least=0, most=rules.leak_max),
-        scale=1.0,
-        start=0,
-    )
+@dataclass(frozen=True, eq=False)
+class _Events:
+    """Events in the order in which a chip worked on them, E of them.
+
+    events, steps: what they are, and the timestep of each.
+    membranes: (E, N) after each; None where they were not recorded, as the next two.
+    spikes: (E, N) of neurons that spiked in each.
+    lost: (E, N) those of them whose spikes the full queue lost.
+    """
+
+    events: list[Event]
+    steps: list[int]
+    membranes: Integers | None
+    spikes: Integers | None
+    lost: Integers | None
+
+    @property
+    def compared(self) -> int:
+        """Numbers that a comparison looks at: events, membranes, spikes and losses of each."""
+        membranes = 0 if self.membranes is None else self.membranes.size
+        each = 1 + (self.spikes is not None) + (self.lost is not None)
+        return membranes + len(self.events) * each
+
+    def first_difference(self, done: Sequence[WorkedEvent], steps: list[int]) -> Difference | None:
+        """The first event that was another one, or did something else."""
+        both = min(len(self.events), len(done))
+        pairs = zip(self.events, self.steps, (each.event for each in done), steps, strict=False)
+        others = (p for p, (event, t, other, u) in enumerate(pairs) if (event, t) != (other, u))
+        other = next(others, None)
+        recorded = {
+            "membrane": self.membranes,
+            "spikes": self.spikes,
+            "lost spikes": self.lost,
+        }
+        tables = {name: rows[:both] for name, rows in recorded.items() if rows is not None}
+        inside = first_difference({"": tables}, {"": _effects(done[:both])})
+        if inside is not None and (other is None or (inside.step or 0) < other):
+            return self._at(inside.step or 0, inside)
+        if other is not None:
+            words = (
+                _describe_event(self.steps[other], self.events[other]),
+                _describe_event(steps[other], done[other].event),
+            )
+            return self._at(other, Difference(None, None, None, "event", *words))
+        if len(self.events) == len(done):
+            return None
+        lengths = len(self.events), len(done)
+        return self._at(both - 1, Difference(None, None, None, "events in all", *lengths))
+
+    def _at(self, place: int, difference: Difference) -> Difference:
+        """The difference with the timestep and the name of its event."""
+        kind, index = self.events[place]
+        name = f"event {place} ({kind})" if kind == "tref" else f"event {place} ({kind} {index})"
+        return replace(difference, step=self.steps[place], layer=name)
+
+
+def _describe_event(step: int, event: Event) -> str:
+    kind, index = event
+    return f"{kind} of step {step}" if kind == "tref" else f"{kind} {index} of step {step}"
+
+
+def _effects(done: Sequence[WorkedEvent]) -> dict[str, Integers]:
+    """Quantity -> (E, N) of events one after another."""
+    size = len(done[0].membrane) if done else 0
+    return {
+        "membrane": np.array([each.membrane for each in done]).reshape(len(done), size),
+        "spikes": _mark([each.spikes for each in done], size),
+        "lost spikes": _mark([each.lost for each in done], size),
+    }
+
+
+def _mark(rows: Sequence[Sequence[int]], size: int) -> Integers:
+    """(E, N) of 1 for the neurons of each list."""
+    marked = np.zeros((len(rows), size), np.int64)
+    for row, neurons in zip(marked, rows, strict=True):
+        row[list(neurons)] = 1
+    return marked
+
+
+def _in_timesteps(
+    done: Sequence[WorkedEvent], steps: Sequence[int], timesteps: int, size: int
+) -> dict[str, Integers]:
+    """Quantity -> (T, N) of the events at the end of each timestep."""
+    membrane, spikes = (np.zeros((timesteps, size), np.int64) for _ in range(2))
+    for step, event in zip(steps, done, strict=True):
+        membrane[step] = event.membrane
+        spikes[step, list(event.spikes)] += 1
+    return {"membrane": membrane, "spikes": spikes}
+
+
+def _read_events(spec: Fields, timesteps: int, width: int, size: int) -> _Events | None:
+    """The events in the fields; None where there are none."""
+    if spec.name("events") is None:
+        return None
+    most = {"tref": 1, "axon": width, "neuron": size}
+    found = [
+        _event(spec, place, row, timesteps, most) for place, row in enumerate(spec.rows("events"))
+    ]
+    steps, events = [step for step, _ in found], [event for _, event in found]
+    references = [place for place, event in enumerate(events) if event == TREF]
+    # each timestep begins with its time reference
+    begins = [p for p, step in enumerate(steps) if not p or step != steps[p - 1]]
+    if steps != sorted(steps) or [steps[p] for p in references] != list(range(timesteps)):
+        remedy = f"Write one tref at the beginning of each of {timesteps} timesteps, in order."
+        raise spec.wrong("events", "are not divided into timesteps", remedy)
+    if begins != references:
+        raise spec.wrong("events", "have a timestep that does not begin with tref", "Move it.")
+    membranes = spikes = lost = None
+    if spec.name("v_event"):
+        membranes = spec.array("v_event", axes=2, least=-1 << 16, most=1 << 16)
+        if membranes.shape != (len(events), size):
+            remedy = f"Write {len(events), size}."
+            raise spec.wrong("v_event", f"has shape {membranes.shape}", remedy)
+    if spec.name("s_event"):
+        rows = spec.lists("s_event", least=0, most=size - 1)
+        if len(rows) != len(events):
+            remedy = f"Write {len(events)}, one an event."
+            raise spec.wrong("s_event", f"has {len(rows)} lists", remedy)
+        spikes = _mark(rows, size)
+    if spec.name("dropped_by_full_fifo"):
+        lost = _read_lost(spec, len(events), size)
+    return _Events(events, steps, membranes, spikes, lost)
+
+
+def _event(
+    spec: Fields,
+    place: int,
+    row: Any,  # noqa: ANN401
+    timesteps: int,
+    most: dict[str, int],
+) -> tuple[int, Event]:
+    """The timestep and the event of a row such as [0, "tref"] or [3, "axon", 7]."""
+    wanted = "Write [timestep, 'tref'], [timestep, 'axon', m] or [timestep, 'neuron', n]."
+    if not isinstance(row, list) or len(row) not in (2, 3) or row[1] not in [*most]:
+        raise spec.wrong("events", f"has {str(row)[:40]!r} at {place}", wanted)
+    step, kind, index = (*row, 0)[:3]
+    known = type(step) is int and type(index) is int and (len(row) == 2) == (kind == "tref")
+    if not known or not 0 <= step < timesteps or not 0 <= index < most[kind]:
+        raise spec.wrong("events", f"has {str(row)[:40]!r} at {place}, out of range", wanted)
+    return step, (kind, index)
+
+
+def _read_lost(spec: Fields, events: int, size: int) -> Integers:
+    """(E, N) of the neurons whose spikes the full queue lost."""
+    lost = np.zeros((events, size), np.int64)
+    for row in spec.rows("dropped_by_full_fifo"):
+        pair = isinstance(row, list) and len(row) == 2 and isinstance(row[1], list)
+        inside = pair and all(type(n) is int and 0 <= n < size for n in row[1])
+        if not inside or type(row[0]) is not int or not 0 <= row[0] < events:
+            remedy = "Write [place of the event, [neurons]]."
+            raise spec.wrong("dropped_by_full_fifo", f"has {str(row)[:40]!r}", remedy)
+        lost[row[0], row[1]] = 1
+    return lost
 
 
 def _read_sent(
-    spec: Fields, counts: Integers, events: RecordedEvents | None, order: str
+    spec: Fields, counts: Integers, events: _Events | None, order: str
 ) -> list[list[Event]]:
     """Events that the host sends in each timestep: by index, or in their recorded order."""
     sent = [axons(row) for row in counts]
@@ -365,106 +336,71 @@ def _read_sent(
     return in_order
 
 
-def _replay(spec: Fields, recorded: _Recorded) -> tuple[list[WorkedEvent], list[int], list[str]]:
-    """The effect of every event, its timestep, and remarks on how it was replayed."""
-    events, host = recorded.events, recorded.host
+def _replay(
+    spec: Fields, events: _Events | None, crossbar: Crossbar, sent: list[list[Event]], host: str
+) -> tuple[_Replayed, list[str]]:
+    """The effect of every event, and remarks on how it was replayed."""
+    again = Crossbar(replace(crossbar.wired, entries=0), crossbar.membrane, crossbar.most)
     if host == "relays":
         if events is None:
             raise spec.wrong("host", "relays", "Add the events in the order of the host.")
-        _check_relayed(spec, events, recorded.wired)
-        return *_replay_as_recorded(recorded, events), [_AS_SENT]
-    done, steps = _replay_as_modelled(recorded)
+        _check_relayed(spec, events)
+        return _replay_as_recorded(events, again), [_AS_SENT]
+    done, steps = _replay_as_modelled(crossbar, sent, host)
     if events is None or host == "wait" or [d.event for d in done] == events.events:
-        return done, steps, _stream_remarks(events) if host == "stream" else []
+        lost_too = events is not None and events.lost is not None
+        return (done, steps), [_STREAMED + _LOST_TOO * lost_too] if host == "stream" else []
     # the handshake of another host took other turns with the queue
-    _check_queued(spec, events, recorded.wired)
-    return *_replay_as_recorded(recorded, events), [_OTHER_TURNS]
+    _check_queued(spec, events, crossbar.wired.entries > 0)
+    return _replay_as_recorded(events, again), [_OTHER_TURNS]
 
 
-_AS_SENT = "events are replayed in the order in which the host sent them"
-_STREAMED = (
-    "the host never waits, so a timestep ends at the next time reference, which overtakes what is "
-    "queued"
-)
-_LOST_TOO = "; compared event by event, lost spikes included"
-_OTHER_TURNS = (
-    "not compared: which events took turns with the queue, and which spikes it lost; the events "
-    "are replayed in the recorded order"
-)
-
-
-def _stream_remarks(events: RecordedEvents | None) -> list[str]:
-    lost_too = events is not None and "dropped_by_full_fifo" in events.compares
-    return [_STREAMED + _LOST_TOO * lost_too]
-
-
-def _replay_as_modelled(recorded: _Recorded) -> tuple[list[WorkedEvent], list[int]]:
-    """The events that the host sends, worked on as the chip does, and their timesteps."""
-    crossbar, steps = _crossbar(recorded, recorded.wired), list[int]()
-    waits, last = recorded.host == "wait", len(recorded.sent) - 1
-    for t, sent in enumerate(recorded.sent):
-        crossbar.timestep(sent, waits, settles=recorded.host != "stream" or t == last)
+def _replay_as_modelled(crossbar: Crossbar, sent: list[list[Event]], host: str) -> _Replayed:
+    """The events that the host sends, worked on as the chip does."""
+    steps, last = list[int](), len(sent) - 1
+    for t, events in enumerate(sent):
+        crossbar.timestep(events, host == "wait", settles=host != "stream" or t == last)
         steps += [t] * (len(crossbar.done) - len(steps))
     # while a queue is full, events of a timestep come before the time reference of the next
     references = np.cumsum([done.event == TREF for done in crossbar.done]) - 1
-    return crossbar.done, references.tolist() if recorded.host == "stream" else steps
+    return crossbar.done, references.tolist() if host == "stream" else steps
 
 
-def _crossbar(recorded: _Recorded, wired: CrossbarNeurons) -> Crossbar:
-    return Crossbar(wired, recorded.start, most=MOST_NUMBERS // len(recorded.start))
-
-
-def _replay_as_recorded(
-    recorded: _Recorded, events: RecordedEvents
-) -> tuple[list[WorkedEvent], list[int]]:
-    """The events worked on one after another, as they were recorded."""
-    crossbar = _crossbar(recorded, replace(recorded.wired, entries=0))
+def _replay_as_recorded(events: _Events, crossbar: Crossbar) -> _Replayed:
     for event in events.events:
         crossbar.work(event)
     return crossbar.done, events.steps
 
 
-def _check_relayed(spec: Fields, events: RecordedEvents, wired: CrossbarNeurons) -> None:
+def _check_relayed(spec: Fields, events: _Events) -> None:
     """Refuse spikes of neurons that nobody sent, where spikes were recorded."""
-    if "s_event" not in events.compares:
+    if events.spikes is None:
         return
-    sent = np.zeros(len(wired.muted), np.int64)
+    sent = np.zeros(events.spikes.shape[1], np.int64)
     for (kind, index), spikes in zip(events.events, events.spikes, strict=True):
         if kind == "neuron":
             sent[index] -= 1
             if sent[index] < 0:
                 found = f"has more of neuron {index} than it spiked"
                 raise spec.wrong("events", found, "Write what the host sent back.")
-        sent[list(spikes)] += 1
+        sent += spikes
 
 
-def _check_queued(spec: Fields, events: RecordedEvents, wired: CrossbarNeurons) -> None:
+def _check_queued(spec: Fields, events: _Events, has_queue: bool) -> None:
     """Refuse spikes of neurons in another order than that of the queue, where it can be told."""
-    if "s_event" not in events.compares:
+    if events.spikes is None:
         return
     queue = deque[int]()
-    each = zip(events.events, events.spikes, events.lost, strict=True)
-    for (kind, index), spikes, lost in each:
+    kept = events.spikes if events.lost is None else events.spikes & ~events.lost
+    for (kind, index), spikes in zip(events.events, kept, strict=True):
         if kind == "neuron" and (not queue or queue.popleft() != index):
             found = f"has neuron {index} where its spike is not the first in the queue"
             raise spec.wrong("events", found, "Write the events in the order of the chip.")
-        if wired.entries:
-            queue.extend(neuron for neuron in spikes if neuron not in lost)
-
-
-def _in_timesteps(
-    done: Sequence[WorkedEvent], steps: Sequence[int], timesteps: int, size: int
-) -> dict[str, Integers]:
-    """Quantity -> (T, N) of the events at the end of each timestep."""
-    membrane, spikes = (np.zeros((timesteps, size), np.int64) for _ in range(2))
-    for step, event in zip(steps, done, strict=True):
-        membrane[step] = event.membrane
-        spikes[step, list(event.spikes)] += 1
-    return {"membrane": membrane, "spikes": spikes}
+        if has_queue:
+            queue.extend(np.flatnonzero(spikes).tolist())
 
 
 _BEGUN = "membrane after fire or leak"
-# quantity -> its name in the file, and what it may be
 _SPIKER_TABLES = {
     _BEGUN: (("v_begun",), -1 << 32, 1 << 32),
     "membrane": (("v",), -1 << 32, 1 << 32),
@@ -476,8 +412,8 @@ _SPIKER_REPEATED = {"params", "layers", "steps", "input_spikes", "chip"}
 _MOST_NEURONS = 1 << 12
 
 
-def spiker_verdict(fields: Fields, chip: str) -> Verdict:
-    """Compare the layers with a recorded run, in every timestep."""
+def spiker_trace(fields: Fields, chip: str) -> TraceFile:
+    """The trace in the fields; one layer at the top, or a list of them under `layers`."""
     specs = fields.layers()
     counts = table_of(specs[0], ("input_spikes",), 0, 255, index="input_spikes_index")
     program = _program(specs, datasheet(chip), counts.shape[1])
@@ -486,24 +422,9 @@ def spiker_verdict(fields: Fields, chip: str) -> Verdict:
     for layer in program.layers:
         weights = [synapses.weight for synapses in layer.synapses]
         work.add(layer.size, sum(each.size for each in weights), sum(map(len, weights)))
-    recorded = {
-        layer.name: recorded_tables(spec, _SPIKER_TABLES, (len(counts), layer.size))
-        for layer, spec in zip(program.layers, specs, strict=True)
-    }
-    unread = set.intersection(*(spec.unread for spec in specs)) - PROSE - _SPIKER_REPEATED
-    if not any(recorded.values()):
-        raise nothing_to_compare(fields, unread, "v, v_begun or s")
-    found = _replay_spiker(program, counts)
-    return Verdict(
-        chip=chip,
-        source=fields.text("source") or fields.text("name") or chip,
-        steps=len(counts),
-        compared=sum(table.size for tables in recorded.values() for table in tables.values()),
-        passed_over=0,
-        why="",
-        difference=first_difference(recorded, found, {}),
-        unread=tuple(sorted(unread)),
-    )
+    ranges = [_SPIKER_TABLES] * len(specs)
+    trace = chain_trace(fields, specs, program, counts, ranges, _SPIKER_REPEATED)
+    return replace(trace, replay=_replay_spiker)
 
 
 def _program(specs: list[Fields], chip: Chip, width: int) -> Program:
@@ -551,23 +472,17 @@ def _layer(spec: Fields, name: str, rules: IntegrateAndFire, source: str, fan_in
             found = f"has shape {recurrent.shape}"
             raise spec.wrong("weights_rec", found, f"Write {size} rows of {size} neurons.")
         synapses.append(Synapses(name, recurrent, 2))
-    none = np.zeros(size, np.int64)
-    return Layer(
-        name=name,
-        synapses=tuple(synapses),
-        bias=none,
-        voltage_bias=none,
-        threshold=spec.row("threshold", size=size, least=-limit - 1, most=limit),
-        current_decay=none,
-        membrane_decay=spec.row("shift", size=size, least=0, most=62),
-        scale=1.0,
-        start=0,
+    return layer_of(
+        name,
+        synapses,
+        spec.row("threshold", size=size, least=-limit - 1, most=limit),
+        spec.row("shift", size=size, least=0, most=62),
         v_reset=spec.row("v_reset", size=size, default=0, least=-limit - 1, most=limit),
     )
 
 
-def _replay_spiker(program: Program, counts: Integers) -> dict[str, dict[str, Integers]]:
-    """Layer -> quantity -> (T, N), in the timesteps of the RTL."""
+def _replay_spiker(program: Program, raster: NDArray[np.uint8]) -> Tables:
+    """Tables in the timesteps of the RTL."""
     rules = program.chip.arithmetic
     if not isinstance(rules, IntegrateAndFire):
         raise TypeError(type(rules).__name__)
@@ -575,7 +490,7 @@ def _replay_spiker(program: Program, counts: Integers) -> dict[str, dict[str, In
     for layer in program.layers:
         # what is above a negative threshold at first was so before
         interpreter.tails[layer.name][:, -1:] = fires(rules, layer, np.zeros(layer.size, np.int64))
-    ran = interpreter.run(counts.astype(np.uint8)[None])
+    ran = interpreter.run(raster)
     found = {}
     for layer in program.layers:
         membrane = ran[layer.name].membrane[0]

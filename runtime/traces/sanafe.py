@@ -1,0 +1,98 @@
+"""Counts and energies that SANA-FE gives for a network of one layer, against our ledger."""
+
+import math
+import re
+
+import numpy as np
+
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import Synapses
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.emulator.ledger import Ledger
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import TraceError
+from spikedeploy.runtime.metrics.energy import TABLES
+from spikedeploy.runtime.traces.fields import Fields
+from spikedeploy.runtime.traces.verify import Difference, Verdict, layer_of
+
+_NUMBER = r"([1-9]\d{0,2})"
+_SETUP = re.compile(
+    rf"{_NUMBER} input neurons spiking \[([01](?:, *[01])*)\] *-> *all-to-all *-> *"
+    rf"{_NUMBER} loihi_lif neurons \(threshold 1e9\), one core, {_NUMBER} steps"
+)
+# what SANA-FE calls a part of the energy -> our events
+_ENERGIES = {
+    "synapse": ("sop", "bias_sop"),
+    "dendrite": (),
+    "soma": ("neuron_update", "neuron_idle", "spike_out"),
+    "network": ("message",),
+}
+_COUNTS = {
+    "spikes(synops)": ("sop",),
+    "packets_sent": ("message",),
+    "neurons_fired": ("spike_in", "spike_out"),
+    "neurons_updated": ("neuron_update", "spike_in"),
+}
+_NEVER = ((1 << 17) - 1) << 6  # a threshold that so few inputs do not reach
+_TOLERANCE = 1e-6
+
+
+def sanafe_verdict(fields: Fields, _: str) -> Verdict:
+    """The verdict on SANA-FE's counts and energies, by our ledger and its table."""
+    setup = _SETUP.fullmatch(fields.text("setup").strip())
+    if setup is None:
+        raise TraceError(
+            f"{fields.where}: setup is {fields.text('setup')[:60]!r}, which cannot be read. "
+            "docs/traces.md has the sentence that can."
+        )
+    inputs, bits, neurons, steps = setup.groups()
+    spikes = [int(bit) for bit in bits.split(",")]
+    if len(spikes) != int(steps):
+        raise fields.wrong("setup", f"has {len(spikes)} spikes", "Write one for each step.")
+    if int(inputs) * sum(spikes) << 6 > _NEVER:
+        remedy = "Neurons would spike; write fewer."
+        raise fields.wrong("setup", f"has {sum(spikes)} spikes", remedy)
+    result = fields.group("result")
+    expected = {**result.numbers(*_COUNTS), **result.group("energy").numbers("total", *_ENERGIES)}
+    if not expected:
+        raise TraceError(f"{fields.where}: there is nothing to compare. Record result.energy.")
+    found = _totals(_run(int(inputs), int(neurons), spikes))
+    different = (
+        Difference(None, None, None, name, value, found[name])
+        for name, value in expected.items()
+        if not math.isclose(value, found[name], rel_tol=_TOLERANCE, abs_tol=1e-15)
+    )
+    return Verdict(
+        chip="loihi1",
+        source=fields.text("source"),
+        steps=len(spikes),
+        compared=len(expected),
+        passed_over=len(result.numbers("sim_time")),
+        why="time, of which ours is an upper bound",
+        difference=next(different, None),
+        unread=(),
+    )
+
+
+def _run(inputs: int, neurons: int, spikes: list[int]) -> Ledger:
+    synapses = Synapses("input", np.ones((inputs, neurons), np.int16), 1)
+    ones = np.ones(neurons, np.int64)
+    layer = layer_of("lif", [synapses], _NEVER * ones, 4096 * ones, start=1)
+    machine = Machine(
+        Program(chip("loihi1"), Convention(1e-3), "input", inputs, (layer,), "lif", None)
+    )
+    for spiking in spikes:
+        machine.step(np.full((1, inputs), spiking, np.uint8))
+    return machine.ledger
+
+
+def _totals(ledger: Ledger) -> dict[str, float]:
+    """Counts, and energies [J]; SANA-FE's inputs send messages and cost nothing else."""
+    prices = TABLES["sanafe"].joules
+    counts = {name: sum(map(ledger.total, events)) for name, events in _COUNTS.items()}
+    parts = {
+        name: sum(ledger.total(event) * prices[event] for event in events)
+        for name, events in _ENERGIES.items()
+    }
+    return {**counts, **parts, "total": sum(parts.values())}
