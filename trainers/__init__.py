@@ -6,9 +6,8 @@ before. Configurations are pydantic models, checkpoints safetensors and JSON.
 recipes.py       recipes, of the tables in recipes.toml: what to train, as differences from defaults
 config.py        models of the configuration; recipe, TOML file and overrides combined
 train.py         from the name of a recipe to a run folder
-runner.py        what all algorithms share: loop, validation, metrics, checkpoints, resuming
+runner.py        what all algorithms share: loop, validation, resuming; networks and optimisers
 env_batch.py     copies of an environment, stepped as a batch, brought back where they were
-learner.py       Adam, its state in checkpoints, and critics
 run_folder.py    files of a run: configuration, lock, checkpoints with checksums
 metrics.py       the CSV files of a run, checked before it goes on, and the learning curve
 progress.py      progress bar, journal of metrics, signals that stop at a checkpoint

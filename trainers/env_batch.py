@@ -8,7 +8,7 @@ episode again, which needs at most one episode's steps.
 
 import math
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from spikedeploy import envs
+from spikedeploy.envs.ghosts import GhostRecorder
 from spikedeploy.trainers.config import EnvConfig
-from spikedeploy.trainers.learner import with_prefix
 from spikedeploy.trainers.policies.policy import Head
+from spikedeploy.trainers.run_folder import with_prefix
 
 TRAINING_SEEDS = 5_000  # training seeds are below, those of validation and evaluation above
 
@@ -35,6 +36,7 @@ class Steps:
     reward: (B,)
     terminated, truncated: (B,) whether the episode ended, by a terminal state or the time limit
     infos: (B,) of the environments
+    total, count: (B,) sum of the rewards and number of the steps of each episode so far
     """
 
     observation: NDArray[np.float64]
@@ -44,6 +46,8 @@ class Steps:
     truncated: NDArray[np.bool_]
     following: NDArray[np.float64]
     infos: tuple[Mapping[str, Any], ...]
+    total: NDArray[np.float64]
+    count: NDArray[np.int64]
 
     @property
     def ended(self) -> NDArray[np.bool_]:
@@ -80,6 +84,7 @@ class EnvBatch:
     observation: (B, obs) current
     episodes: (B,) under way
     returns: of the episodes that ended, oldest first
+    taken: steps of all copies together
     """
 
     def __init__(self, config: EnvConfig, rng: np.random.Generator) -> None:
@@ -88,10 +93,15 @@ class EnvBatch:
             envs.make(config.name, **config.options) for _ in range(config.count)
         ]
         self._support = math.nan  # never set
-        self.episodes = [Episode(0, []) for _ in self._envs]
-        self.observation = np.stack([self._reset(k) for k in range(len(self._envs))])
+        self._recorder: GhostRecorder | None = None
         self._totals = np.zeros(config.count)
+        self.episodes = [Episode(0, []) for _ in self._envs]
+        size = self._envs[0].observation_space.shape[0]
+        self.observation: NDArray[np.float64] = np.zeros((config.count, size))
+        for k in range(config.count):
+            self._reset(k)
         self.returns: list[float] = []
+        self.taken = 0
 
     def __len__(self) -> int:
         return len(self._envs)
@@ -129,39 +139,53 @@ class EnvBatch:
         for env in self._envs:
             env.unwrapped.support_force = fraction
 
+    def record(self, recorder: GhostRecorder) -> None:
+        """Let a recorder see every reset and step from now on, those repeated on resuming too."""
+        self._recorder = recorder
+        for k, episode in enumerate(self.episodes):
+            recorder.begin(k, episode.info, episode.seed)
+
     def step(self, action: NDArray[Any]) -> Steps:
         """Step every copy."""
         for episode, taken in zip(self.episodes, action, strict=True):
             episode.actions.append(np.array(taken)[()])  # a choice stays a number
             episode.support.append(self._support)
         results = [env.step(a) for env, a in zip(self._envs, action, strict=True)]
-        following, reward, terminated, truncated, infos = zip(*results, strict=True)
+        following, rewards, terminated, truncated, infos = zip(*results, strict=True)
+        reward = np.array(rewards, dtype=np.float64)
+        self._totals += reward
         steps = Steps(
             self.observation,
             action,
-            np.array(reward, dtype=np.float64),
+            reward,
             np.array(terminated),
             np.array(truncated),
             np.stack(following),
             infos,
+            self._totals.copy(),
+            np.array([len(episode.actions) for episode in self.episodes]),
         )
-        self._totals += steps.reward
+        if self._recorder:
+            for k, info in enumerate(infos):
+                self._recorder.add(k, info, action[k], float(reward[k]))
         self.observation = steps.following.copy()
         for k in np.flatnonzero(steps.ended).tolist():
             self.returns.append(float(self._totals[k]))
-            self._totals[k] = 0.0
-            self.observation[k] = self._reset(k)
+            if self._recorder:
+                self._recorder.end(k, self.taken + k + 1)
+            self._reset(k)
+        self.taken += len(self)
         return steps
 
-    def _reset(self, k: int) -> NDArray[np.float64]:
-        """Begin a new episode; return its first observation (obs,)."""
-        return self._begin(k, Episode(int(self._rng.integers(TRAINING_SEEDS)), [self._support]))
+    def _reset(self, k: int) -> None:
+        """Begin a new episode."""
+        self._begin(k, Episode(int(self._rng.integers(TRAINING_SEEDS)), [self._support]))
 
-    def _begin(self, k: int, episode: Episode) -> NDArray[np.float64]:
-        observation: NDArray[np.float64]
-        observation, episode.info = self._envs[k].reset(seed=episode.seed)
-        self.episodes[k] = episode
-        return observation
+    def _begin(self, k: int, episode: Episode) -> None:
+        self.observation[k], episode.info = self._envs[k].reset(seed=episode.seed)
+        self.episodes[k], self._totals[k] = episode, 0.0
+        if self._recorder:
+            self._recorder.begin(k, episode.info, episode.seed)
 
     # checkpoints
 
@@ -176,52 +200,44 @@ class EnvBatch:
         done = {f"{k}.{name}": t for k, episode in each for name, t in episode.tensors().items()}
         return {**done, "observation": torch.from_numpy(self.observation)}
 
-    def restore(
-        self,
-        state: Mapping[str, Any],
-        named: Mapping[str, Tensor],
-        begun: Callable[[int], None],
-        repeated: Callable[[int, NDArray[Any], float, Mapping[str, Any]], None],
-    ) -> None:
+    def restore(self, state: Mapping[str, Any], named: Mapping[str, Tensor], taken: int) -> None:
         """Bring every copy where it was at a checkpoint, by taking its actions again.
 
         Episodes begin again where the environment was exchanged, and where it does not repeat what
         it did.
-
-        begun: is called with the copy whose episode begins
-        repeated: is called with copy, action, reward and info of each step
         """
-        self.returns = list(state["ended"])
+        self.returns, self.taken = list(state["ended"]), taken
         if state["env"] != self._config.model_dump(mode="json"):
             return
-        before, done = named["observation"].numpy(), True
+        before, repeats = named["observation"].numpy(), True
         self.observation = np.zeros_like(before)
         for k, seed in enumerate(state["seeds"]):
             past = with_prefix(str(k), named)
             actions = list(past["actions"].numpy()) if "actions" in past else []
             episode = Episode(seed, past["support"].tolist(), actions)
-            done = self._repeat(k, episode, begun, repeated) and done
-        if not (done and np.array_equal(self.observation, before, equal_nan=True)):
-            self._restart_all(begun)
+            repeats = self._repeat(k, episode) and repeats
+        if repeats and np.array_equal(self.observation, before, equal_nan=True):
+            return
+        print(
+            f"{self.env_id} did not repeat the episodes under way from their seeds and actions: it "
+            "is not deterministic. They begin again, so that this run is not the same as one that "
+            "was never stopped.",
+            file=sys.stderr,
+        )
+        for k in range(len(self)):
+            self._reset(k)
 
-    def _repeat(
-        self,
-        k: int,
-        episode: Episode,
-        begun: Callable[[int], None],
-        repeated: Callable[[int, NDArray[Any], float, Mapping[str, Any]], None],
-    ) -> bool:
+    def _repeat(self, k: int, episode: Episode) -> bool:
         """Take the actions of an episode again; return whether none of them ended it."""
         self._set_support(k, episode.support[0])
-        self.observation[k] = self._begin(k, episode)
-        self._totals[k] = 0.0
-        begun(k)
+        self._begin(k, episode)
         for action, support in zip(episode.actions, episode.support[1:], strict=True):
             self._set_support(k, support)
             taken = self._envs[k].step(action.copy())
             self.observation[k], reward, terminated, truncated, info = taken
             self._totals[k] += reward
-            repeated(k, action, float(reward), info)
+            if self._recorder:
+                self._recorder.add(k, info, action, float(reward))
             if terminated or truncated:
                 return False
         return True
@@ -230,16 +246,3 @@ class EnvBatch:
         if not math.isnan(fraction):
             self._support = fraction
             self._envs[k].unwrapped.support_force = fraction
-
-    def _restart_all(self, begun: Callable[[int], None]) -> None:
-        """Restart all episodes and print a warning."""
-        print(
-            f"{self.env_id} did not repeat the episodes under way from their seeds and actions: it "
-            "is not deterministic. They begin again, so that this run is not the same as one that "
-            "was never stopped.",
-            file=sys.stderr,
-        )
-        self._totals[:] = 0.0
-        for k in range(len(self)):
-            self.observation[k] = self._reset(k)
-            begun(k)

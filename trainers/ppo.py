@@ -6,12 +6,10 @@ For discrete and continuous actions; on-policy (Schulman et al. 2017).
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional
@@ -31,14 +29,13 @@ from spikedeploy.trainers.config import (
     ValidationConfig,
     Width,
 )
-from spikedeploy.trainers.env_batch import EnvBatch, Steps
-from spikedeploy.trainers.learner import Critic, Learner, adam, descend, set_rate
+from spikedeploy.trainers.env_batch import Steps
 from spikedeploy.trainers.metrics import Metrics
 from spikedeploy.trainers.policies import Policy, from_config
 from spikedeploy.trainers.policies.neurons import excess_rate
 from spikedeploy.trainers.progress import Journal
 from spikedeploy.trainers.run_folder import RunFolder, write_errors
-from spikedeploy.trainers.runner import EnvRunner
+from spikedeploy.trainers.runner import Critic, EnvRunner, Learner, adam, descend, set_rate
 
 HOLDS = 2  # validations in a row, so that greedy driving that swings is no success
 _HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
@@ -403,6 +400,7 @@ class Ppo(EnvRunner[PpoConfig]):
     """One run of proximal policy optimisation.
 
     iterations: batches collected and learned from so far
+    finishes: episodes that ended at the finish
     held: latest validations in a row in which at least `stop_at_greedy` of the episodes finished
     """
 
@@ -423,32 +421,30 @@ class Ppo(EnvRunner[PpoConfig]):
         )
         self.learner = PpoLearner(config, self.policy)
         self.iterations = self.held = 0
-        self._totals: NDArray[np.float64] = np.zeros(len(envs))  # of the running episodes
         self._learned: dict[str, float] = {}
-        self._log = EpisodeLog(run.path, len(envs))
-        self._ghosts: GhostLog | None = None
+        self.finishes = 0
+        self._ended: int | None = None  # step at which the latest episode ended
+        self._table = self.tables(run, config)[1]
+        self._ghosts = run.path / "ghosts"  # a file <iteration>.npz for each iteration
+        self._recorder: GhostRecorder | None = None
         if config.ghosts and all(name in each.info for each in envs.episodes for name in POSE):
-            self._ghosts = GhostLog(run.path / "ghosts", envs, config.env)
+            self._recorder = GhostRecorder(envs.env_id, config.env.options, len(envs))
+            envs.record(self._recorder)
 
     def learn(self, journal: Journal, stopped: Callable[[], bool]) -> None:
         """Train, from the checkpoint "last" if there is one, to the end or until stopped."""
-        self._log.table.begin()
+        self._table.begin()
         super().learn(journal, stopped)
 
     def _forget(self) -> None:
         super()._forget()
-        if self._ghosts:
-            self._ghosts.rewind(0)
+        self._delete_ghosts(after=0)
 
     @classmethod
     def tables(cls, run: RunFolder, config: RunConfig) -> list[Metrics]:
         """Return the tables that training appends to, and a checkpoint must agree with."""
-        return [*super().tables(run, config), episode_table(run.path)]
-
-    @property
-    def finishes(self) -> int:
-        """Episodes that ended at the finish."""
-        return self._log.finishes
+        episodes = Metrics(run.path / "episodes.csv", _COLUMNS, "episode_logged")
+        return [*super().tables(run, config), episodes]
 
     @property
     def finished(self) -> bool:
@@ -468,14 +464,17 @@ class Ppo(EnvRunner[PpoConfig]):
         self._learned["learning_rate"] = self._config.actor_rate.at(before)
         self.iterations += 1
         self._count_episodes()
-        if self._ghosts:
-            self._ghosts.save(self.iterations)
+        ghosts = self._recorder and self._recorder.take()
+        if ghosts and ghosts.drives:
+            with write_errors(self._ghosts / f"{self.iterations:05d}.npz") as path:
+                ghosts.save(path)
         return True
 
     def collect(self) -> list[Transition]:
         """Take `horizon` steps in every environment."""
         transitions = []
         frozen = self.env_steps >= self._config.normaliser.finish
+        running = self._config.running_total
         for _ in range(self._config.horizon):
             observation = torch.from_numpy(self._envs.observation).float()
             encoded, drawn, log_probability = self.learner.explore(observation)
@@ -487,15 +486,12 @@ class Ppo(EnvRunner[PpoConfig]):
                     torch.from_numpy(steps.following).float(),
                     drawn,
                     log_probability,
-                    torch.from_numpy(self._paid(steps)).float(),
+                    torch.from_numpy(steps.total if running else steps.reward).float(),
                     torch.from_numpy(steps.terminated),
                     torch.from_numpy(steps.ended),
                 )
             )
-            self._log.add(steps, self.env_steps)
-            if self._ghosts:
-                self._ghosts.add(steps, self.env_steps)
-            self.env_steps += len(self._envs)
+            self._log_ended(steps)
         if not frozen:
             for transition in transitions:
                 seen = self.policy.features_of(transition.observation)
@@ -503,142 +499,33 @@ class Ppo(EnvRunner[PpoConfig]):
             self.policy.normalizer.adopt(self._moments)
         return transitions
 
-    def _paid(self, steps: Steps) -> NDArray[np.float64]:
-        """Return the rewards (B,) to learn from: of the step, or of the episode so far."""
-        if not self._config.running_total:
-            return steps.reward
-        self._totals += steps.reward
-        paid: NDArray[np.float64] = self._totals.copy()
-        self._totals[steps.ended] = 0.0
-        return paid
+    def _log_ended(self, steps: Steps) -> None:
+        """Write a row for each episode that ended, in the order in which copies are stepped."""
+        for k in np.flatnonzero(steps.ended).tolist():
+            info = steps.infos[k]
+            outcome = {name: float(info[name]) for name in _OUTCOMES if name in info}
+            self._ended = self.env_steps - len(self._envs) + k + 1
+            row = {"env_steps": self._ended, "steps": steps.count[k], "return": steps.total[k]}
+            self._table.add({**row, "success": float(info.get("success", False)), **outcome})
+            self.finishes += int(outcome.get("finish", 0.0))
+
+    def _delete_ghosts(self, after: int) -> None:
+        """Delete the files after an iteration, which a resumed run writes again."""
+        for path in self._ghosts.glob("*.npz") if self._recorder else ():
+            # what somebody else put there has another name, and stays
+            if path.stem.isdecimal() and int(path.stem) > after:
+                path.unlink()
 
     def _metrics(self) -> dict[str, float]:
         names = ("env_steps", "iterations", "episodes", "finishes")
         return {**{name: getattr(self, name) for name in names}, **self._learned}
 
     def _state(self) -> dict[str, Any]:
-        return {**super()._state(), self._log.table.key: self._log.latest}
-
-    def episode_begun(self, k: int) -> None:
-        """Forget what copy k did: its episode begins, when a run is resumed."""
-        self._totals[k] = 0.0
-        self._log.begin(k)
-        if self._ghosts:
-            self._ghosts.begin(k)
-
-    def step_repeated(
-        self, k: int, action: NDArray[Any], reward: float, info: Mapping[str, Any]
-    ) -> None:
-        """Take a step of copy k into account that is repeated when a run is resumed."""
-        self._totals[k] += reward
-        self._log.count(k, reward)
-        if self._ghosts:
-            self._ghosts.repeat(k, action, reward, info)
+        return {**super()._state(), self._table.key: self._ended}
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         super()._restore(state, tensors)
         self.iterations, self.held = state["iterations"], state["held"]
-        self._log.finishes = state["finishes"]
-        self._log.latest = state[self._log.table.key]
-        self._log.table.rewind(self.env_steps)
-        if self._ghosts:
-            self._ghosts.rewind(self.iterations)
-
-
-# -- logs of training episodes: a CSV file of results, and ghosts for `spikedeploy replay`
-
-
-def episode_table(run: Path) -> Metrics:
-    """Return the table of a run's episodes."""
-    return Metrics(run / "episodes.csv", _COLUMNS, "episode_logged")
-
-
-class EpisodeLog:
-    """CSV file with a row for each episode, in the order in which they end.
-
-    table: the file
-    finishes: episodes so far that ended at the finish
-    latest: environment steps at the last row, None before there is one
-    """
-
-    finishes: int
-    latest: int | None
-
-    def __init__(self, run: Path, copies: int) -> None:
-        self.table = episode_table(run)
-        self.finishes, self.latest = 0, None
-        self._steps, self._totals = np.zeros(copies, np.int64), np.zeros(copies)
-
-    def begin(self, k: int) -> None:
-        """Forget what copy k did: its episode begins."""
-        self._steps[k], self._totals[k] = 0, 0.0
-
-    def count(self, k: int, reward: float) -> None:
-        """Count a step of copy k."""
-        self._steps[k] += 1
-        self._totals[k] += reward
-
-    def add(self, steps: Steps, env_steps: int) -> None:
-        """Add one step of every copy, taken after `env_steps` environment steps in total."""
-        for k, reward in enumerate(steps.reward):
-            self.count(k, reward)
-        for k in np.flatnonzero(steps.ended).tolist():
-            # copies are stepped in order, so that this is the number of the step that ended it
-            self._end(k, steps.infos[k], env_steps + k + 1)
-
-    def _end(self, k: int, info: Mapping[str, Any], env_steps: int) -> None:
-        row = {
-            "env_steps": env_steps,
-            "steps": int(self._steps[k]),
-            "return": float(self._totals[k]),
-            "success": float(info.get("success", False)),
-            **{name: float(info[name]) for name in _OUTCOMES if name in info},
-        }
-        self.table.add(row)
-        self.finishes += int(row.get("finish", 0.0))
-        self.latest = env_steps
-        self.begin(k)
-
-
-class GhostLog:
-    """Ghosts of every copy, in one file <iteration>.npz for each iteration.
-
-    folder: of the files
-    """
-
-    def __init__(self, folder: Path, batch: EnvBatch, config: EnvConfig) -> None:
-        self._folder, self._batch = folder, batch
-        self._recorder = GhostRecorder(batch.env_id, config.options, len(batch))
-        for k in range(len(batch)):
-            self.begin(k)
-
-    def add(self, steps: Steps, env_steps: int) -> None:
-        """Add one step of every copy, taken after `env_steps` environment steps in total."""
-        for k, info in enumerate(steps.infos):
-            self._recorder.add(k, info, steps.action[k], float(steps.reward[k]))
-        for k in np.flatnonzero(steps.ended).tolist():
-            self._recorder.end(k, env_steps + k + 1)
-            self.begin(k)
-
-    def save(self, iteration: int) -> None:
-        """Write the episodes that ended since the last file, if any."""
-        ghosts = self._recorder.take()
-        if ghosts.drives:
-            with write_errors(self._folder / f"{iteration:05d}.npz") as path:
-                ghosts.save(path)
-
-    def rewind(self, iteration: int) -> None:
-        """Delete the files after an iteration, on resuming from it."""
-        for path in self._folder.glob("*.npz"):
-            # what somebody else put there has another name, and stays
-            if path.stem.isdecimal() and int(path.stem) > iteration:
-                path.unlink()
-
-    def repeat(self, k: int, action: NDArray[Any], reward: float, info: Mapping[str, Any]) -> None:
-        """Record a step of copy k that is repeated when a run is resumed."""
-        self._recorder.add(k, info, action, reward)
-
-    def begin(self, k: int) -> None:
-        """Record the reset of copy k."""
-        episode = self._batch.episodes[k]
-        self._recorder.begin(k, episode.info, episode.seed)
+        self.finishes, self._ended = state["finishes"], state[self._table.key]
+        self._table.rewind(self.env_steps)
+        self._delete_ghosts(after=self.iterations)

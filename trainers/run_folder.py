@@ -37,12 +37,13 @@ if TYPE_CHECKING:  # reports look at runs where torch and pydantic are not insta
     from spikedeploy.trainers.policies import Policy
 
 LEVEL = "ops-"  # and operations: names of the best checkpoints of the levels of pruning
-_POLICY = "policy."  # prefix of the policy's tensors
 _LISTED = 8
 _FOLDERS = ("checkpoints", "pool", "ghosts", "films")  # of training, in a run folder
-# what `replacing` leaves of a file of training when it is killed; exports have other endings
+# what a kill leaves of a file of training: of `replacing`, with other endings than exports have,
+# and of safetensors, which writes to a file of its own at first
 _UNFINISHED = re.compile(
     r"\.(.+\.(json|csv|safetensors|npz)|\d+\.gif|curve\.(png|svg)|report\.html|card\.md)\.\d+\.part"
+    r"|\.tmp\w{6}"
 )
 
 
@@ -120,7 +121,7 @@ class RunFolder:
         """Write a checkpoint: the policy, its state as JSON, and more tensors."""
         from safetensors.torch import save_file
 
-        weights = {_POLICY + key: value for key, value in policy.state_dict().items()}
+        weights = {f"policy.{key}": value for key, value in policy.state_dict().items()}
         named = {key: value.contiguous() for key, value in {**weights, **(tensors or {})}.items()}
         record = {"policy": policy.spec(), **state}
         record["sha256"] = _digest(record, named)
@@ -211,9 +212,7 @@ class RunFolder:
             name = "best" if self.checkpoint("best").is_file() else "last"
         state, tensors = self.load(name)
         policy = build(state["policy"])
-        policy.load_state_dict(
-            {key.removeprefix(_POLICY): t for key, t in tensors.items() if key.startswith(_POLICY)}
-        )
+        policy.load_state_dict(with_prefix("policy", tensors))
         return policy.eval().requires_grad_(False)
 
 
@@ -336,6 +335,12 @@ def file_sha256(path: Path) -> str:
         while chunk := file.read(1 << 20):
             digest.update(chunk)
     return digest.hexdigest()
+
+
+def with_prefix(prefix: str, named: "Mapping[str, Tensor]") -> "dict[str, Tensor]":
+    """Return the tensors whose names start with the prefix and a dot, with these removed."""
+    start = f"{prefix}."
+    return {name[len(start) :]: t for name, t in named.items() if name.startswith(start)}
 
 
 def _digest(state: Mapping[str, Any], tensors: "Mapping[str, Tensor]") -> str:

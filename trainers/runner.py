@@ -1,26 +1,25 @@
-"""Runner: what all algorithms share, from the training loop to validation and resuming."""
+"""What all algorithms share: training loop, validation, resuming; networks and optimisers."""
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, ClassVar, Generic
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from spikedeploy import envs
 from spikedeploy.trainers.config import C, EnvConfig, RunConfig, ValidationConfig
 from spikedeploy.trainers.env_batch import EnvBatch
-from spikedeploy.trainers.learner import Learner, with_prefix
 from spikedeploy.trainers.metrics import Metrics
 from spikedeploy.trainers.policies import Policy
-from spikedeploy.trainers.policies.policy import Moments
+from spikedeploy.trainers.policies.policy import Moments, full_precision
 from spikedeploy.trainers.progress import Journal
-from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.run_folder import RunFolder, with_prefix
 
 # info of the environment -> metric: mean over steps, root mean square, and value at the end
 _MEANS = {"speed": "eval_speed"}
@@ -32,6 +31,79 @@ _LASTS = {
     "crash": "eval_crash",
     "gates": "eval_gates",
 }
+
+
+class Learner:
+    """Networks and optimisers of an algorithm, which its checkpoints hold.
+
+    policy: what is validated and saved
+    modules, optimizers: by their names in checkpoints, the policy left out
+    """
+
+    policy: Policy
+    modules: dict[str, nn.Module]
+    optimizers: dict[str, torch.optim.Adam]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return all tensors of a checkpoint except the policy's, by name."""
+        groups: dict[str, Mapping[str, Tensor]] = {}
+        groups |= {name: module.state_dict() for name, module in self.modules.items()}
+        for name, optimizer in self.optimizers.items():  # nothing before its first step
+            states = optimizer.state_dict()["state"].items()
+            groups[name] = {f"{n}.{key}": t for n, state in states for key, t in state.items()}
+        return {f"{name}.{key}": t for name, group in groups.items() for key, t in group.items()}
+
+    def load(self, named: Mapping[str, Tensor]) -> None:
+        """Restore the tensors of a checkpoint, the policy's under "policy." included."""
+        self.policy.load_state_dict(with_prefix("policy", named))
+        for name, module in self.modules.items():
+            module.load_state_dict(with_prefix(name, named))
+        for name, optimizer in self.optimizers.items():
+            state: dict[int, dict[str, Tensor]] = {}
+            for place, value in with_prefix(name, named).items():
+                index, key = place.split(".")
+                state.setdefault(int(index), {})[key] = value
+            optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
+
+
+def adam(module: nn.Module, learning_rate: float) -> torch.optim.Adam:
+    """Return Adam for a module's parameters (Kingma and Ba 2015)."""
+    parameters = list(module.parameters())
+    # the fused implementation is four times as fast as the others on one core
+    captured = parameters[0].is_cuda  # its steps may become part of a CUDA graph
+    return torch.optim.Adam(parameters, lr=learning_rate, fused=True, capturable=captured)
+
+
+def set_rate(optimizer: torch.optim.Adam, learning_rate: float) -> None:
+    """Set the learning rate of all parameters."""
+    for group in optimizer.param_groups:
+        group["lr"] = learning_rate
+
+
+def descend(
+    optimizer: torch.optim.Adam, module: nn.Module, loss: Tensor, gradient_norm: float
+) -> None:
+    """Take one gradient step of a module, with a limit on the gradient's norm."""
+    optimizer.zero_grad()
+    loss.backward()  # type: ignore[no-untyped-call]
+    nn.utils.clip_grad_norm_(module.parameters(), gradient_norm)
+    optimizer.step()
+
+
+class Critic(nn.Module):
+    """A multilayer perceptron that estimates the discounted return of its input."""
+
+    def __init__(self, size: int, hidden: Sequence[int]) -> None:
+        super().__init__()
+        widths = (size, *hidden)
+        self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairwise(widths))
+        self.value = nn.Linear(widths[-1], 1)
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        """Return estimates (B,) for inputs (B, size)."""
+        for layer in self.layers:
+            inputs = torch.relu(layer(inputs))
+        return full_precision(self.value, inputs).squeeze(-1)
 
 
 class Runner(ABC, Generic[C]):
@@ -232,20 +304,17 @@ class EnvRunner(Runner[C]):
         super().__init__(config, run, total, checkpoint_every, log_every)
         self._envs = EnvBatch(config.env, self._rng)
         self._moments = Moments.empty(self._envs.sizes[0])
-        self.env_steps = self.episodes = 0
+        self.episodes = 0
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps so far, of all copies together."""
+        return self._envs.taken
 
     def _count_episodes(self) -> None:
         """Take over the returns of the episodes that ended."""
         self._returns, self._envs.returns = self._envs.returns, []
         self.episodes += len(self._returns)
-
-    def episode_begun(self, k: int) -> None:
-        """Forget what copy k did: its episode begins, when a run is resumed."""
-
-    def step_repeated(
-        self, k: int, action: NDArray[Any], reward: float, info: Mapping[str, Any]
-    ) -> None:
-        """Take a step of copy k into account that is repeated when a run is resumed."""
 
     def _state(self) -> dict[str, Any]:
         return {"observed": self._moments.count, "under_way": self._envs.state()}
@@ -255,14 +324,10 @@ class EnvRunner(Runner[C]):
         return {**self._moments.tensors(), **under_way}
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
-        self.env_steps, self.episodes = state["env_steps"], state["episodes"]
+        self.episodes = state["episodes"]
         self._moments = Moments.restored(tensors, state["observed"])
-        self._envs.restore(
-            state["under_way"],
-            with_prefix("under_way", tensors),
-            self.episode_begun,
-            self.step_repeated,
-        )
+        under_way = with_prefix("under_way", tensors)
+        self._envs.restore(state["under_way"], under_way, state["env_steps"])
 
 
 @dataclass

@@ -24,7 +24,6 @@ from spikedeploy.trainers.progress import Interrupt, Journal, ProgressBar
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import RunFolder, is_beginning, write_errors
 from spikedeploy.trainers.runner import Runner
-from spikedeploy.trainers.sparse.config import with_budget
 
 
 def algorithm(name: str) -> Any:  # noqa: ANN401 - a subclass of Runner; what it takes is its Config
@@ -112,7 +111,11 @@ def _named(recipe: str, env: str | None) -> list[str]:
 
 
 def _budgeted(config: C, budget: str | None) -> C:
-    return config if budget is None else with_budget(config, budget)
+    if budget is None:
+        return config
+    from spikedeploy.trainers.sparse.sparse import with_budget
+
+    return with_budget(config, budget)
 
 
 def _with_paths(config: C) -> C:

@@ -28,10 +28,10 @@ from spikedeploy.trainers.config import (
     Share,
     Width,
 )
-from spikedeploy.trainers.learner import Critic, Learner, adam
 from spikedeploy.trainers.policies.neurons import excess_rate
 from spikedeploy.trainers.policies.policy import Latent, Moments, Policy, full_precision
 from spikedeploy.trainers.run_folder import file_sha256, write_errors
+from spikedeploy.trainers.runner import Critic, Learner, adam
 
 _AVERAGED = 10  # at first the averaged policy spans the last 1/10 of the updates
 _LOG_STD = (-20.0, 2.0)  # limits (Haarnoja et al. 2018)

@@ -75,13 +75,13 @@ class Sac(EnvRunner[SacConfig]):
         warming_up = self.env_steps < self._config.warm_up
         explore = self.learner.explore
         actions = self._envs.uniform() if warming_up else explore(self._envs.observation)
+        counts = self.env_steps < self._config.normaliser.finish
         steps = self._envs.step(actions)
         reward = shaped(self._config.shaping, steps)
         self._buffer.add(steps.observation, steps.action, reward, steps.terminated, steps.following)
-        if self.env_steps < self._config.normaliser.finish:
+        if counts:
             self._moments.add(steps.observation)
             self.learner.adopt(self._moments)
-        self.env_steps += len(self._envs)
 
     def _update(self) -> None:
         """Make the updates that are due after the steps so far."""

@@ -17,9 +17,7 @@ from spikedeploy.files import replacing
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig
-from spikedeploy.trainers.distill.teachers import same_teacher
-from spikedeploy.trainers.run_folder import RunFolder, file_sha256, write_errors
-from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.run_folder import file_sha256, write_errors
 
 Single = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
@@ -95,17 +93,49 @@ class Episodes:
 
         label: what to imitate in observations (B, obs): actions or logits (B, act)
         """
-        self.earned, count = [], len(self._envs)
+        self.earned = []
         walks: list[Walk] = []
-        returns: list[float] = []
+        totals: list[float] = []
         infos: list[dict[str, Any]] = []
-        for at in range(0, len(seeds), count):
-            batch = _Batch(self._envs, seeds[at : at + count])
-            walks += batch.walk(controller, label, self._limit)
-            returns += batch.totals.tolist()
-            infos += batch.infos
-            self.earned += batch.earned()
-        return walks, returns, infos
+        for at in range(0, len(seeds), len(self._envs)):
+            played = self._side_by_side(seeds[at : at + len(self._envs)], controller, label)
+            walks += played[0]
+            totals += played[1]
+            infos += played[2]
+        return walks, totals, infos
+
+    def _side_by_side(
+        self, seeds: Sequence[int], controller: BatchController, label: Label | None
+    ) -> tuple[list[Walk], list[float], list[dict[str, Any]]]:
+        """Play at most an episode of each copy; those that ended keep their places."""
+        copies, count = self._envs[: len(seeds)], len(seeds)
+        pairs = zip(copies, seeds, strict=True)
+        now: FloatArray = np.stack([env.reset(seed=int(seed))[0] for env, seed in pairs])
+        totals, rewards = np.zeros(count), [list[float]() for _ in seeds]
+        infos: list[dict[str, Any]] = [{} for _ in seeds]
+        ended, terminal = np.zeros((2, count), np.bool_)
+        seen: list[FloatArray] = []
+        labels: list[FloatArray] = []
+        controller.reset(count)
+        while not ended.all() and len(seen) != self._limit:
+            seen.append(now.copy())
+            if label is not None:
+                labels.append(label(seen[-1]))
+            actions = controller.act_batch(seen[-1])
+            for k in np.flatnonzero(~ended).tolist():
+                now[k], reward, terminal[k], truncated, infos[k] = copies[k].step(actions[k])
+                totals[k] += reward
+                rewards[k].append(reward)
+                ended[k] = terminal[k] or truncated
+        for each, last, end in zip(rewards, now.astype(np.float32), terminal, strict=True):
+            self.earned.append(Earned(np.array(each, np.float32), last, bool(end)))
+        walks = []
+        if label is not None:
+            shown, wanted = (np.stack(each, 1).astype(np.float32) for each in (seen, labels))
+            for k, info in enumerate(infos):
+                length, crashed = len(rewards[k]), terminal[k] and not info.get("success", False)
+                walks.append(Walk(shown[k, :length], wanted[k, :length], bool(crashed)))
+        return walks, totals.tolist(), infos
 
 
 def mean_outcome(returns: Sequence[float], infos: Sequence[dict[str, Any]]) -> dict[str, float]:
@@ -115,64 +145,6 @@ def mean_outcome(returns: Sequence[float], infos: Sequence[dict[str, Any]]) -> d
         if key in infos[0]:
             row[column] = float(np.mean([info[key] for info in infos]))
     return row
-
-
-class _Batch:
-    """Episodes side by side; those that ended keep their places, as states belong to places.
-
-    totals: (B,) returns so far
-    infos: of the last step of each
-    """
-
-    def __init__(self, copies: Sequence[Any], seeds: Sequence[int]) -> None:
-        self._envs = copies[: len(seeds)]
-        pairs = zip(self._envs, seeds, strict=True)
-        self._now: FloatArray = np.stack([env.reset(seed=int(seed))[0] for env, seed in pairs])
-        self.totals = np.zeros(len(seeds))
-        self.infos: list[dict[str, Any]] = [{} for _ in seeds]
-        self._ended, self._terminal = np.zeros((2, len(seeds)), np.bool_)
-        self._rewards: list[list[float]] = [[] for _ in seeds]
-
-    def walk(
-        self, controller: BatchController, label: Label | None, limit: int | None
-    ) -> list[Walk]:
-        """Play the episodes to their ends; return the walks, none without `label`."""
-        seen: list[FloatArray] = []
-        labels: list[FloatArray] = []
-        controller.reset(len(self._now))
-        while not self._ended.all() and len(seen) != limit:
-            seen.append(self._now.copy())
-            if label is not None:
-                labels.append(label(seen[-1]))
-            self._step(controller.act_batch(seen[-1]))
-        if label is None:
-            return []
-        shown, wanted = (np.stack(each, 1).astype(np.float32) for each in (seen, labels))
-        ends = zip(self._rewards, self._terminal, self.infos, strict=True)
-        return [
-            Walk(
-                shown[k, : len(r)],
-                wanted[k, : len(r)],
-                bool(end and not info.get("success", False)),
-            )
-            for k, (r, end, info) in enumerate(ends)
-        ]
-
-    def _step(self, actions: NDArray[Any]) -> None:
-        """Take one step of each episode that has not ended."""
-        for k in np.flatnonzero(~self._ended).tolist():
-            self._now[k], reward, terminated, truncated, self.infos[k] = self._envs[k].step(
-                actions[k]
-            )
-            self.totals[k] += reward
-            self._rewards[k].append(reward)
-            self._terminal[k] = terminated
-            self._ended[k] = terminated or truncated
-
-    def earned(self) -> list[Earned]:
-        """Return what each episode brought."""
-        ends = zip(self._rewards, self._now.astype(np.float32), self._terminal, strict=True)
-        return [Earned(np.array(r, np.float32), now, bool(end)) for r, now, end in ends]
 
 
 # -- events and windows
@@ -219,10 +191,6 @@ class WalkPool:
     def add(self, walks: Iterable[Walk]) -> None:
         """Take over walks; their windows are drawn after the next `encode`."""
         self.walks += walks
-
-    def observations(self) -> Single:
-        """All observations (n, obs) one after another."""
-        return np.concatenate([walk.observation for walk in self.walks])
 
     def encode(
         self,
@@ -399,24 +367,3 @@ def own_walks(run: Path, sums: Sequence[str], sizes: tuple[int, int]) -> list[Wa
             )
         walks += load_walks(path, sizes)
     return walks
-
-
-def walks_of(config: SparseConfig, sizes: tuple[int, int]) -> list[Walk]:
-    """Return the walks of the run that the setting `pool` names."""
-    run = RunFolder.find(config.pool)
-    files = sorted((run.path / "pool").glob("*.safetensors"))
-    if not files:
-        raise ConfigError(f"{config.pool} has no pool of walks. Give a run of a sparse recipe.")
-    source = run.settings()
-    there, here = str(source["env"]["name"]), config.env.name
-    if envs.spec(there).id != envs.spec(here).id:
-        raise ConfigError(
-            f"pool: {config.pool} has walks in {there}, not in {here}. Give a run of its task."
-        )
-    labelled = str(source["teacher"])
-    if not same_teacher(labelled, config.teacher):
-        raise ConfigError(
-            f"pool: {config.pool} has walks labelled by the teacher {labelled}, and the teacher "
-            f"here is {config.teacher}. Give a run with this teacher, or set teacher={labelled}."
-        )
-    return [walk for path in files for walk in load_walks(path, sizes)]

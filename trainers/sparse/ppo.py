@@ -36,19 +36,19 @@ from spikedeploy.trainers.config import (
 )
 from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.env_batch import TRAINING_SEEDS
-from spikedeploy.trainers.learner import Critic, Learner, adam, descend, set_rate
 from spikedeploy.trainers.policies import DeltaMlpPolicy, Policy
 from spikedeploy.trainers.ppo import CategoricalHead, advantages, clipped_gain, means, rows
 from spikedeploy.trainers.progress import Journal
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder
-from spikedeploy.trainers.runner import Runner
-from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.runner import Critic, Learner, Runner, adam, descend, set_rate
 from spikedeploy.trainers.sparse.pool import Earned, Episodes, WalkPool, Windows, mean_outcome
 from spikedeploy.trainers.sparse.student import (
     FloatController,
+    SparseConfig,
     deployed,
     imitation,
     on_chip,
+    operations,
     student,
 )
 
@@ -472,12 +472,12 @@ class SparsePpoLearner(Learner):
 
     def operations(self, pool: WalkPool) -> float:
         """Return the mean operations of a control step on new walks, and prepare their windows."""
-        self.student.prepare_windows(pool)
+        self.student.prepare(pool)
         found = tiles(pool, self._config.window, self._config.burn_in)
         with torch.no_grad():
             _, activities = self._replayed(found.windows)
         self.student.adopt_rates([each[found.counts] for each in activities])
-        return self.student.operations()
+        return operations(self.student.synapses())
 
     def learn(
         self, pool: WalkPool, drawn: Tensor, earned: Sequence[Earned], actor: bool

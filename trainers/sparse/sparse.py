@@ -7,6 +7,7 @@ their return on the chip.
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,37 +15,41 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from spikedeploy import envs
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.trainers.config import RunConfig
-from spikedeploy.trainers.distill.teachers import teacher
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.schema import validated
+from spikedeploy.trainers.config import C, RunConfig, amended
+from spikedeploy.trainers.distill.teachers import same_teacher, teacher
 from spikedeploy.trainers.env_batch import TRAINING_SEEDS, EnvBatch
-from spikedeploy.trainers.learner import Learner, adam, descend, set_rate, with_prefix
 from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, from_config
 from spikedeploy.trainers.policies.policy import Moments
 from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight
-from spikedeploy.trainers.run_folder import LEVEL, RunFolder
-from spikedeploy.trainers.runner import Runner
-from spikedeploy.trainers.sparse.config import SparseConfig, phases
+from spikedeploy.trainers.recipes import RECIPES
+from spikedeploy.trainers.run_folder import LEVEL, RunFolder, with_prefix
+from spikedeploy.trainers.runner import Learner, Runner, adam, descend, set_rate
 from spikedeploy.trainers.sparse.pool import (
     BatchController,
     Episodes,
     Stateless,
     Walk,
     WalkPool,
+    load_walks,
     mean_outcome,
     own_walks,
     pool_file,
     save_walks,
-    walks_of,
 )
 from spikedeploy.trainers.sparse.student import (
     DeltaStudent,
     FloatController,
+    SparseConfig,
     Student,
     binary_columns,
     check_rounding,
     deployed,
     on_chip,
+    operations,
     prune,
     remove_neuron,
     retuned,
@@ -54,6 +59,97 @@ from spikedeploy.trainers.sparse.student import (
 
 _ENV_COPIES = 50  # copies of the environment
 _DENSE_BUDGET = 4_000.0  # operations for which the penalty is scaled while nothing is pruned
+
+
+# what the operations of each kind of policy are called
+_UNITS = {"delta-snn": "sops", "pruned-mlp": "macs"}
+
+
+def with_budget(config: C, text: str) -> C:
+    """Return a configuration with a budget [operations of a control step], such as "sops=480".
+
+    Levels that the recipe names keep their ratio to the budget.
+    """
+    if not isinstance(config, SparseConfig):
+        some = [name for name, recipe in RECIPES.items() if recipe.algorithm == "sparse"][:3]
+        raise ConfigError(
+            f"--budget {text}: recipe {config.recipe} has no budget of operations; "
+            f"{', '.join(some)} and other recipes of the algorithm sparse have"
+        )
+    unit, _, number = text.partition("=")
+    expected = _UNITS.get(config.policy.kind, "sops")
+    if unit != expected or not number:
+        raise ConfigError(
+            f"--budget {text}: operations of a {config.policy.kind} policy are {expected}, so that "
+            f"recipe {config.recipe} takes them as in --budget {expected}={config.budget:g}"
+        )
+    found = amended(config, overrides=[f"budget={number}"])
+    ratio = found.budget / config.budget
+    levels = [level * ratio for level in config.levels]
+    return validated(type(found), found.model_dump() | {"levels": levels}, f"--budget {text}")
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Updates between two collections of walks.
+
+    begin, end: updates
+    last: operations allowed at the end; None while dense
+    highest, lowest: learning rate at the beginning, and at the end of a half cosine
+    prune_until: share of the phase with prunings
+    """
+
+    begin: int
+    end: int
+    last: float | None
+    highest: float
+    lowest: float
+    prune_until: float
+
+    def _progress(self, update: int) -> float:
+        return (update - self.begin) / (self.end - self.begin)
+
+    def rate(self, update: int) -> float:
+        """Learning rate of an update."""
+        # lr = low + (high - low) (1 + cos(pi p)) / 2
+        cosine = 0.5 * (1 + math.cos(math.pi * self._progress(update)))
+        return self.lowest + (self.highest - self.lowest) * cosine
+
+    def prunes(self, update: int) -> bool:
+        """Return True if synapses are still taken out."""
+        return self.last is not None and self._progress(update) <= self.prune_until
+
+    def goal(self, update: int, first: float) -> float | None:
+        """Operations allowed at an update, along a quadratic ramp; None while dense.
+
+        first: operations when the phase began
+        """
+        if self.last is None:
+            return None
+        if not self.prune_until:
+            return self.last
+        left = max(0.0, 1 - self._progress(update) / self.prune_until)
+        return self.last + max(0.0, first - self.last) * left * left
+
+
+def phases(config: SparseConfig) -> list[Phase]:
+    """Return the phases of a run, in order."""
+    found: list[Phase] = []
+
+    def add(length: int, last: float | None, high: float, low: float, until: float) -> None:
+        begin = found[-1].end if found else 0
+        found.append(Phase(begin, begin + length, last, high, high * low, until))
+
+    for k in range(config.dense_rounds):
+        length = math.ceil(config.dense_updates / config.dense_rounds)
+        low = 0.05 if k == config.dense_rounds - 1 else 0.3
+        add(length, None, config.learning_rate, low, 0.0)
+    for level in config.rounds:
+        add(config.level_updates, level, config.level_rate, 0.1, config.prune_until)
+    for _ in range(config.polish):
+        # new events may cost a little more than before: prune what is above the budget at once
+        add(config.polish_updates, config.budget, config.polish_rate, 0.05, config.prune_until)
+    return found
 
 
 class Sparse(Runner[SparseConfig]):
@@ -91,11 +187,11 @@ class Sparse(Runner[SparseConfig]):
         self._teacher = teacher(
             config.teacher, config.env.name, config.env.options, config.teacher_units
         )
-        envs = EnvBatch(config.env.model_copy(update={"count": 1}), self._rng)
-        self._sizes, self._discrete = envs.sizes, envs.head == "discrete"
+        batch = EnvBatch(config.env.model_copy(update={"count": 1}), self._rng)
+        self._sizes, self._discrete = batch.sizes, batch.head == "discrete"
         self._teacher.check_sizes(config.teacher, config.env.name, self._sizes)
         self.policy = from_config(
-            config.policy, *self._sizes, config.normaliser.clip, envs.columns, envs.head
+            config.policy, *self._sizes, config.normaliser.clip, batch.columns, batch.head
         )
         self.pool = WalkPool()
         self._student = student(self.policy, config)
@@ -109,7 +205,7 @@ class Sparse(Runner[SparseConfig]):
     def _begin(self) -> None:
         """Let the teacher walk; fit the normaliser and the encoder to what it saw."""
         config = self._config
-        taken = walks_of(config, self._sizes) if config.pool else []  # refused before walks
+        taken = _walks_of(config, self._sizes) if config.pool else []  # refused before walks
         taught = Stateless(self._taught)
         _, returns, _ = self._episodes.play(config.validation.seeds, taught)
         self.teacher_return = float(np.mean(returns))
@@ -150,7 +246,7 @@ class Sparse(Runner[SparseConfig]):
         self._set_thresholds()
         self._student.prepare(self.pool)
         self.phase += 1
-        self.start = self._student.operations()
+        self.start = operations(self._student.synapses())
         self.learner.restart()
 
     @property
@@ -196,7 +292,7 @@ class Sparse(Runner[SparseConfig]):
     @torch.no_grad()
     def _fit(self) -> None:
         """Fit the normaliser and the first steps of the encoder to the walks."""
-        seen = self.pool.observations().astype(np.float64)
+        seen = np.concatenate([w.observation for w in self.pool.walks]).astype(np.float64)
         self._binary = binary_columns(seen)
         normaliser = self.policy.normalizer
         normaliser.adopt(Moments.of(seen))
@@ -217,7 +313,10 @@ class Sparse(Runner[SparseConfig]):
         _, returns, infos = self._episodes.play(self._config.validation.seeds, controller)
         row = mean_outcome(returns, infos)
         share = row["eval_return"] / self.teacher_return if self.teacher_return else math.nan
-        return row | {"eval_of_teacher": share, "eval_operations": self._student.operations()}
+        return row | {
+            "eval_of_teacher": share,
+            "eval_operations": operations(self._student.synapses()),
+        }
 
     def _validates(self, before: int) -> bool:
         """Return whether a validation is due: also at the end of each phase, when rates are low."""
@@ -245,7 +344,7 @@ class Sparse(Runner[SparseConfig]):
             "phase": self.phase,
             "walks": len(self.pool),
             "loss": self._loss,
-            "operations": self._student.operations(),
+            "operations": operations(self._student.synapses()),
             "goal": self._phases[self.phase].last or math.nan,
             "neurons": self._student.neurons,
         }
@@ -263,6 +362,27 @@ class Sparse(Runner[SparseConfig]):
         self.pool.add(own_walks(self._run.path, self._sums, self._sizes))
         self._binary = tensors["binary"].numpy()
         self._student.prepare(self.pool)
+
+
+def _walks_of(config: SparseConfig, sizes: tuple[int, int]) -> list[Walk]:
+    """Return the walks of the run that the setting `pool` names."""
+    run = RunFolder.find(config.pool)
+    files = sorted((run.path / "pool").glob("*.safetensors"))
+    if not files:
+        raise ConfigError(f"{config.pool} has no pool of walks. Give a run of a sparse recipe.")
+    source = run.settings()
+    there, here = str(source["env"]["name"]), config.env.name
+    if envs.spec(there).id != envs.spec(here).id:
+        raise ConfigError(
+            f"pool: {config.pool} has walks in {there}, not in {here}. Give a run of its task."
+        )
+    labelled = str(source["teacher"])
+    if not same_teacher(labelled, config.teacher):
+        raise ConfigError(
+            f"pool: {config.pool} has walks labelled by the teacher {labelled}, and the teacher "
+            f"here is {config.teacher}. Give a run with this teacher, or set teacher={labelled}."
+        )
+    return [walk for path in files for walk in load_walks(path, sizes)]
 
 
 class SparseLearner(Learner):

@@ -1,4 +1,4 @@
-"""Students: their loss on walks, their synapses ranked, and their numbers as the chip has them.
+"""Settings; students: their loss on walks, synapses ranked, numbers as the chip has them.
 
 The channels of an observation must weigh exactly 1, 2 ... K times the same integer. Rounded each by
 itself, three events up and one event down three times would not cancel, and currents that hardly
@@ -7,16 +7,16 @@ with rounded weights has multiples of it on all channels, which the quantiser th
 are: its scale is that of the largest weight, which is 255 on Loihi and a multiple of K for 3 and 5.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 from torch import Tensor
 
 from spikedeploy.runtime.artifact.artifact import Artifact
@@ -24,8 +24,16 @@ from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import (
+    Batch,
+    Count,
+    Positive,
+    Rate,
+    RunConfig,
+    Share,
+    ValidationConfig,
+)
 from spikedeploy.trainers.distill.teacher import compute_cross_entropy
-from spikedeploy.trainers.learner import with_prefix
 from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.delta import (
     DeltaWeights,
@@ -35,7 +43,7 @@ from spikedeploy.trainers.policies.delta import (
     live_neurons,
 )
 from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight, SynapseGroup
-from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.run_folder import with_prefix
 from spikedeploy.trainers.sparse.pool import BatchController, WalkPool, Windows
 
 FloatArray = NDArray[np.float64]
@@ -52,80 +60,119 @@ _RARE = 2  # states: a value that fewer have is an outlier, as of a force that i
 _SWING = 1e-2  # between two values; below it they are one value with noise
 
 
-class Student(ABC):
-    """A policy that learns from walks, and is pruned.
+class SparseConfig(RunConfig):
+    """DAgger over whole walks, then pruning by operations in rounds (docs/sparse.md).
+
+    teacher, teacher_units: policy to imitate, as in DistillConfig
+    pool: run folder whose walks are taken over as well
+    budget: operations of a control step at the end: SOPs of a spiking policy, effective MACs of a
+        float one
+    levels: operations at the end of each round of pruning, falling, above `budget`; none are
+        derived: 3, 2, 1.5 and 1.2 times the budget
+    polish: rounds of further training at the budget, each with fresh walks
+    teacher_walks, noisy_walks, walks: episodes in the pool from the teacher, from the teacher with
+        noise, and from the student after each round
+    noise: standard deviation of that noise on continuous actions; of discrete ones the share that
+        is drawn at random
+    dense_updates, level_updates, polish_updates: gradient updates before pruning, in each level,
+        and in each round of polish; `validation.every`, `log_every` count updates
+    dense_rounds: number of times that walks are collected before pruning
+    window, burn_in: control steps of a window of a walk, and how many of them at its beginning only
+        bring the states up
+    batch: windows of an update; a float policy takes as many states as all windows have
+    first_windows, crash_windows: shares of windows that start with the episode, and that lie in the
+        last `crash_steps` before a crash or fall
+    learning_rate, level_rate, polish_rate: at the beginning of each phase; falls by a half cosine
+    penalty: weight of the hidden neurons' operations over `max(budget, penalty_floor)`
+    rate_target, rate_cost: mean firing rate of the hidden layer above which it costs more, and the
+        operations that a rate of 1 above it counts for [spikes per neuron and control step]
+    step: geometric mean of the encoder's steps [standard deviations]; binary observations have
+        a step of their whole swing
+    retune: after which rounds steps are set anew, by how much each observation matters: "always",
+        "never", or "before-polish", which leaves the encoder as it is in the rounds of polish
+    prune_every, prune_until: updates between two prunings, and the share of a level with prunings
+    neuron_cost: operations that an update of a neuron counts for when neurons are removed
+    chip: on which policies are validated, and for whose weights they are rounded in training
+    rounding: whether the forward pass computes with the chip's rounded weights after pruning began
+    sharpness: factor of the teacher's logits in the targets of discrete actions
+    """
+
+    teacher: str = ""
+    teacher_units: Literal["own", "scaled"] | None = None
+    pool: str = ""
+    budget: Rate = 100.0
+    levels: tuple[Rate, ...] = ()
+    polish: Count = 2
+    teacher_walks: Count = 60
+    noisy_walks: Count = 30
+    walks: Positive = 50
+    noise: float = Field(default=0.3, ge=0)
+    dense_updates: Positive = 3_000
+    level_updates: Positive = 3_000
+    polish_updates: Positive = 2_000
+    dense_rounds: Positive = 3
+    window: Batch = 20
+    burn_in: Count = 6
+    batch: Batch = 88
+    first_windows: Share = 0.06
+    crash_windows: Share = 0.0
+    crash_steps: Positive = 60
+    learning_rate: Rate = 3e-3
+    level_rate: Rate = 1.5e-3
+    polish_rate: Rate = 1e-3
+    penalty: float = Field(default=0.02, ge=0)
+    penalty_floor: Rate = 300.0
+    rate_target: Share = 0.07
+    rate_cost: float = Field(default=0.0, ge=0)
+    step: Rate = 0.5
+    retune: Literal["always", "before-polish", "never"] = "always"
+    prune_every: Positive = 20
+    prune_until: Share = 0.5
+    neuron_cost: float = Field(default=0.0, ge=0)
+    chip: str = "loihi1"
+    rounding: bool = True
+    sharpness: Rate = 2.0
+    log_every: Positive = 200
+    checkpoint_every: Positive = 1_000
+    validation: ValidationConfig = ValidationConfig(every=1_000, episodes=24)
+
+    @model_validator(mode="after")
+    def _windows_are_longer_than_their_burn_in(self) -> "SparseConfig":
+        if self.window <= self.burn_in:
+            raise ValueError(
+                f"window: {self.window} control steps leave none to learn from behind burn_in "
+                f"({self.burn_in}). Make window longer or burn_in shorter"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _there_are_walks(self) -> "SparseConfig":
+        if not (self.pool or self.teacher_walks or self.noisy_walks):
+            raise ValueError(
+                "teacher_walks and noisy_walks: both are 0, so that there is nothing to learn "
+                "from. Set one of them, or pool=RUN"
+            )
+        return self
+
+    @property
+    def rounds(self) -> tuple[float, ...]:
+        """Operations at the end of each round of pruning, the budget last."""
+        levels = self.levels or tuple(k * self.budget for k in (3.0, 2.0, 1.5, 1.2))
+        return (*sorted((x for x in levels if x > self.budget), reverse=True), self.budget)
+
+
+# -- students: what learns from walks, and is pruned
+
+
+class DeltaStudent:
+    """A DeltaSnnPolicy, which learns from windows of walks.
 
     policy: what is trained
     readout: names of the parameters behind the last hidden layer, and past it
-    """
-
-    policy: Policy
-    readout: frozenset[str]
-
-    @property
-    @abstractmethod
-    def neurons(self) -> int:
-        """Hidden neurons that are left."""
-
-    @abstractmethod
-    def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-        """Return the error of a batch, and the hidden neurons' operations in a control step."""
-
-    @abstractmethod
-    def hidden_layers(self) -> list[tuple[SynapseGroup, SynapseGroup]]:
-        """Return the synapses onto and from the neurons of each hidden layer."""
-
-    @abstractmethod
-    def synapses(self) -> list[SynapseGroup]:
-        """Return all synapses."""
-
-    @abstractmethod
-    def replay(self, windows: Windows, burn_in: int) -> tuple[Tensor, list[Tensor]]:
-        """Return means (B, L, act) and hidden activities (B, L, H) of windows, layer by layer."""
-
-    @abstractmethod
-    def hidden_operations(self, activities: list[Tensor]) -> Tensor:
-        """Return the hidden neurons' operations for activities (n, H), with a gradient."""
-
-    @abstractmethod
-    def adopt_rates(self, activities: list[Tensor]) -> None:
-        """Take over how often hidden neurons act, from activities (n, H)."""
-
-    @abstractmethod
-    def tensors(self) -> dict[str, Tensor]:
-        """Return what a checkpoint holds beside the policy, by name."""
-
-    @abstractmethod
-    def load(self, named: Mapping[str, Tensor]) -> None:
-        """Restore what `tensors` returned."""
-
-    def prepare(self, pool: WalkPool) -> None:  # noqa: B027
-        """Take over new walks, from which `loss` draws."""
-
-    def prepare_windows(self, pool: WalkPool) -> None:
-        """Take over new walks, of which `replay` is given windows."""
-        self.prepare(pool)
-
-    def round(self, target: Chip) -> None:  # noqa: B027
-        """Compute with the numbers that the chip would have now; float ones are not rounded."""
-
-    def acting(self) -> Policy:
-        """Return the policy with the numbers that are computed with."""
-        return self.policy
-
-    def operations(self) -> float:
-        """Return the mean number of operations in a control step, over all synapses."""
-        return operations(self.synapses())
-
-
-class DeltaStudent(Student):
-    """A DeltaSnnPolicy, which learns from windows of walks.
-
     hidden_rate: (H,) mean spikes of the hidden neurons in a control step
     offsets: what rounding by the chip adds to each field of DeltaWeights; none before `round`
     """
 
-    policy: DeltaSnnPolicy
     readout = frozenset({"out.weight", "past.weight", "action_bias", "_gamma"})
 
     def __init__(self, policy: DeltaSnnPolicy, config: SparseConfig) -> None:
@@ -136,7 +183,7 @@ class DeltaStudent(Student):
         self._event_rate = torch.ones(policy.observations)
 
     def prepare(self, pool: WalkPool) -> None:
-        """Compute the pool's events with the policy's encoder."""
+        """Compute the pool's events with the policy's encoder: `loss` and `replay` need them."""
         precise = deepcopy(self.policy).double()
         normaliser = delta_codec(precise).normaliser
         rows = (normaliser(walk.observation.astype(np.float64)) for walk in pool.walks)
@@ -216,10 +263,11 @@ class DeltaStudent(Student):
         self.offsets = with_prefix("offsets", named)
 
 
-class MlpStudent(Student):
-    """A PrunedMlpPolicy, which learns from single states: windows are observations alone."""
+class MlpStudent:
+    """A PrunedMlpPolicy, which learns from single states: windows are observations alone.
 
-    policy: PrunedMlpPolicy
+    policy, readout: as in DeltaStudent
+    """
 
     def __init__(self, policy: PrunedMlpPolicy, config: SparseConfig) -> None:
         self.policy = policy
@@ -229,9 +277,16 @@ class MlpStudent(Student):
         last = len(policy.matrices) - 1
         self.readout = frozenset({f"matrices.{last}.weight", f"biases.{last}", "past.weight"})
 
-    def prepare_windows(self, pool: WalkPool) -> None:
-        """Take the observations as they are."""
+    def prepare(self, pool: WalkPool) -> None:
+        """Let windows hold the observations as they are, for `replay`."""
         pool.take_observations()
+
+    def round(self, target: Chip) -> None:
+        """Do nothing: float numbers are not rounded."""
+
+    def acting(self) -> Policy:
+        """Return the policy with the numbers that are computed with."""
+        return self.policy
 
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Return the error of states, and the hidden neurons' operations in a control step."""
@@ -291,6 +346,9 @@ class MlpStudent(Student):
         self._rates = [named[f"rate{number}"] for number in range(len(self._rates))]
 
 
+Student = DeltaStudent | MlpStudent
+
+
 def _active(activations: Sequence[Tensor]) -> list[Tensor]:
     """Return the share of rows in which each neuron (H,) is not 0, layer by layer."""
     return [(hidden > 0).float().mean(0) for hidden in activations]
@@ -337,7 +395,11 @@ def prune(
     excess = operations(synapses) - target
     if excess <= 0:
         return 0
-    worth = torch.cat([_worth(each, squares).flatten() for each in synapses])
+    worths = [
+        torch.where(each.matrix.mask > 0, _saliency(each, squares) / (each.rate + 1e-4), torch.inf)
+        for each in synapses
+    ]
+    worth = torch.cat([each.flatten() for each in worths])
     rates = torch.cat([each.rate.expand_as(each.matrix.mask).flatten() for each in synapses])
     order = worth.argsort()
     count = int((rates[order].cumsum(0) < excess).sum()) + 1
@@ -354,11 +416,6 @@ def _saliency(synapses: SynapseGroup, squares: Mapping[PrunedWeight, Tensor]) ->
     """Return what the loss would gain by each synapse (N, M), about; 0 where it is out."""
     matrix = synapses.matrix
     return matrix.weight.square() * (squares[matrix].sqrt() + _TINY) * matrix.mask
-
-
-def _worth(synapses: SynapseGroup, squares: Mapping[PrunedWeight, Tensor]) -> Tensor:
-    worth = _saliency(synapses, squares) / (synapses.rate + 1e-4)
-    return torch.where(synapses.matrix.mask > 0, worth, torch.inf)
 
 
 @torch.no_grad()
@@ -423,7 +480,9 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
             name = "into" if before.spiking else "past" if old.source == exact.input else "out"
             error = new.weight * after.scale - old.weight
             if old.source == exact.input:
-                error = _per_observation(policy, error)
+                # that of the channel of one event
+                first = error.reshape(policy.observations, 2 * policy.most, -1)[:, 0]
+                error = first / policy.step.double().numpy()[:, None]
             elif graded:  # by what a spike counts
                 error = error / policy.threshold[live].double().numpy()[:, None]
             rows = live if name == "into" else torch.arange(policy.actions)
@@ -455,12 +514,6 @@ def _add_neuron_offsets(
         threshold = after.threshold * after.scale - before.threshold
         offsets["bias"][live] = torch.from_numpy(bias).float()
         offsets["threshold"][live] = torch.from_numpy(threshold).float()
-
-
-def _per_observation(policy: DeltaSnnPolicy, error: FloatArray) -> FloatArray:
-    """Return the error (obs, N) of one event of each observation, of those of channels (M, N)."""
-    first = error.reshape(policy.observations, 2 * policy.most, -1)[:, 0]
-    return np.asarray(first / policy.step.double().numpy()[:, None])
 
 
 @torch.no_grad()

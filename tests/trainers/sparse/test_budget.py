@@ -3,7 +3,8 @@ import pytest
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.sac.learner import SacConfig
-from spikedeploy.trainers.sparse.config import SparseConfig, with_budget
+from spikedeploy.trainers.sparse.sparse import with_budget
+from spikedeploy.trainers.sparse.student import SparseConfig
 from spikedeploy.trainers.train import train
 
 

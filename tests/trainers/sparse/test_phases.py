@@ -1,6 +1,6 @@
 import pytest
 
-from spikedeploy.trainers.sparse.config import phases
+from spikedeploy.trainers.sparse.sparse import phases
 from tests.trainers.sparse.toy import settings
 
 # 12 dense updates in two rounds, 12 to 20 operations, 12 to 10, 8 of polish
