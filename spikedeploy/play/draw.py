@@ -29,11 +29,9 @@ from spikedeploy.play.theme import (
     GREEN,
     HEIGHT,
     RED,
-    TEXT,
     Colour,
-    draw_panel,
+    Panel,
     font,
-    heading,
     write,
 )
 from spikedeploy.play.window import App
@@ -126,7 +124,7 @@ class TrackEditor(App):
         if event.type == pygame.MOUSEWHEEL:
             self._view = self._view.zoom(_ZOOM**event.y, self._pointer)
             return
-        if self._on_track(event.pos):
+        if max(event.pos) < HEIGHT and min(event.pos) >= 0:
             self._pointer = event.pos
             if event.type == pygame.MOUSEBUTTONDOWN and event.button == 1:
                 self._click()
@@ -139,7 +137,10 @@ class TrackEditor(App):
         shown = self.draft.with_point_moved(self.held, target) if self.held else self.draft
         surface = draw_draft(shown, self._view, target, bool(self.held))
         file = f"{self.path.name} •" if self.changed else self.path.name
-        _draw_facts(surface, file, shown, target, bool(self.held), self.message)
+        place = pygame.Rect(HEIGHT, 0, _WIDTH, HEIGHT)
+        panel = Panel(surface, place, file, "draw a track", _KEYS, 4)
+        _draw_facts(panel, shown, target, bool(self.held))
+        _draw_message(panel, *self.message)
         return surface
 
     def close(self) -> Path | None:
@@ -150,14 +151,10 @@ class TrackEditor(App):
         return draft_of(self.path) if draft_of(self.path).exists() else None
 
     def _click(self) -> None:
-        target = self._target()
-        new = (
-            self.draft.with_point_moved(self.held, target)
-            if self.held
-            else self.draft.with_point(target)
-        )
-        self.held = None
-        self._change(new)
+        target = self._target()  # which depends on the point that is held
+        held, self.held = self.held, None
+        draft = self.draft
+        self._change(draft.with_point_moved(held, target) if held else draft.with_point(target))
 
     def _change(self, draft: TrackDraft) -> None:
         self.history = self.history.record(draft)
@@ -166,20 +163,16 @@ class TrackEditor(App):
     def _save(self) -> None:
         """Write the track, or if it is invalid its draft, and set the message."""
         try:
-            self.message = self._save_or_keep()
+            try:
+                save(self.draft, self.path)
+            except EnvError as error:
+                draft = save_draft(self.draft, self.path)
+                self.message = (RED, f"{error}. Kept as {draft.name}.")
+            else:
+                self.saved, self.message = True, (GREEN, f"{self.path.name} is saved: a kart can drive it.")
+            self._saved_text = as_text(self.draft)
         except OSError as error:
             self.message = (RED, f"{self.path}: {error.strerror}; nothing was saved.")
-        else:
-            self._saved_text = as_text(self.draft)
-
-    def _save_or_keep(self) -> tuple[Colour, str]:
-        try:
-            save(self.draft, self.path)
-        except EnvError as error:
-            draft = save_draft(self.draft, self.path)
-            return RED, f"{error}. Kept as {draft.name}."
-        self.saved = True
-        return GREEN, f"{self.path.name} is saved: a kart can drive it."
 
     def _target(self, reach: float = _REACH) -> Point:
         """The point that a click would set."""
@@ -189,9 +182,6 @@ class TrackEditor(App):
     def _near(self) -> Point | None:
         """The point under the pointer."""
         return self.draft.near(self._view.point_under(self._pointer), _REACH / self._view.scale)
-
-    def _on_track(self, place: Point) -> bool:
-        return 0 <= place[0] < HEIGHT and 0 <= place[1] < HEIGHT
 
 
 # what is seen
@@ -215,10 +205,7 @@ class View:
 
     def point_under(self, place: Point) -> Point:
         """The point of the world under a screen point."""
-        return (
-            self.corner[0] + place[0] / self.scale,
-            self.corner[1] + place[1] / self.scale,
-        )
+        return self.corner[0] + place[0] / self.scale, self.corner[1] + place[1] / self.scale
 
     def zoom(self, factor: float, place: Point) -> "View":
         """Zoomed about a screen point."""
@@ -261,63 +248,38 @@ def draw_draft(draft: TrackDraft, view: View, target: Point, moving: bool) -> py
     return surface
 
 
-def _draw_facts(
-    surface: pygame.Surface,
-    file: str,
-    draft: TrackDraft,
-    target: Point,
-    moving: bool,
-    message: tuple[Colour, str],
-) -> None:
-    """Draw the panel: the next click, facts, the last message, and the keys."""
-    place = pygame.Rect(HEIGHT, 0, _WIDTH, HEIGHT)
-    inner = draw_panel(surface, place, file, "draw a track", _KEYS, 4)
-    y = inner.top + 66
-    heading(surface, "next click", (inner.left, y))
-    does = "puts the point down" if moving else _next(draft)
-    colour = AMBER if moving or draft.adding_gates else CYAN
-    write(surface, does, (inner.left, y + 17), 19, colour, "bold")
-    y += 62
-    for name, value in _facts(draft, target):
-        write(surface, name, (inner.left, y), 14, DIM)
-        write(surface, value, (inner.right, y), 14, TEXT, "plain", "topright")
-        y += 26
-    y += 16
-    colour, text = message
-    for row in _wrap(text, inner.width):
-        y = write(surface, row, (inner.left, y), 13, colour).bottom + 4
-
-
-def _next(draft: TrackDraft) -> str:
-    if draft.adding_gates:
-        return "ends the gate" if draft.open_line else "begins a gate"
-    return "goes on with the wall" if draft.open_line else "begins a wall"
-
-
-def _facts(draft: TrackDraft, target: Point) -> list[tuple[str, str]]:
+def _draw_facts(panel: Panel, draft: TrackDraft, target: Point, moving: bool) -> None:
+    """Draw what the next click does, and facts."""
+    adding, begun = draft.adding_gates, bool(draft.open_line)
+    if moving:
+        does = "puts the point down"
+    elif adding:
+        does = "ends the gate" if begun else "begins a gate"
+    else:
+        does = "goes on with the wall" if begun else "begins a wall"
+    panel.title("next click")
+    panel.text(does, 17, 19, AMBER if moving or adding else CYAN, "bold")
+    panel.y += 62
     walls = [wall for wall in draft.walls if wall]
-    return [
-        ("walls", f"{len(walls)}, of {sum(map(len, walls))} points"),
-        ("gates", f"{len(draft.gates)}, the last is the finish" if draft.gates else "none"),
-        ("start", "none" if draft.start is None else _metres(draft.start)),
-        ("pointer", _metres(target)),
-    ]
+    panel.row("walls", f"{len(walls)}, of {sum(map(len, walls))} points")
+    panel.row("gates", f"{len(draft.gates)}, the last is the finish" if draft.gates else "none")
+    for name, point in (("start", draft.start), ("pointer", target)):
+        at = point and f"{point[0] / _METRE:.2f}, {point[1] / _METRE:.2f} m"
+        panel.row(name, at or "none")
 
 
-def _metres(point: Point) -> str:
-    return f"{point[0] / _METRE:.2f}, {point[1] / _METRE:.2f} m"
-
-
-def _wrap(text: str, width: int) -> list[str]:
-    """The text wrapped to a width [px]."""
+def _draw_message(panel: Panel, colour: Colour, text: str) -> None:
+    """Draw a text, wrapped to the width."""
     rows = [""]
     for word in text.split():
         longer = f"{rows[-1]} {word}".strip()
-        if font(13).size(longer)[0] <= width or not rows[-1]:
+        if font(13).size(longer)[0] <= panel.inner.width or not rows[-1]:
             rows[-1] = longer
         else:
             rows.append(word)
-    return rows
+    panel.y += 16
+    for row in rows:
+        panel.y = panel.text(row, 0, 13, colour).bottom + 4
 
 
 def _grid(surface: pygame.Surface, view: View) -> None:

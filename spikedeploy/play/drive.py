@@ -1,8 +1,9 @@
 """`spikedeploy play`: drive with the keys, command a robot, or watch a policy."""
 
+import itertools
 import time
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,23 +18,19 @@ from spikedeploy.envs.foreign import AdaptedEnv
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.make_env import make_env
 from spikedeploy.play.spikes import WIDTH as SPIKES_WIDTH
-from spikedeploy.play.spikes import WINDOW, InferenceTrace, action_names, draw_inference
+from spikedeploy.play.spikes import WINDOW, InferenceTrace, draw_inference, last_scores
 from spikedeploy.play.theme import (
     AMBER,
     CYAN,
     DIM,
     GREEN,
     LINE,
-    PANEL,
     RED,
     TEXT,
     TRACK,
-    Colour,
+    Panel,
     banner,
-    bar,
-    draw_panel,
     env_picture,
-    heading,
     is_kart,
     picture_size,
     signed_bar,
@@ -43,12 +40,11 @@ from spikedeploy.play.window import App
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import Candidate, Player, find
-from spikedeploy.recordings import Inference, costs_of_each, last_inference, ledger_of, open_traced
+from spikedeploy.recordings import Inference, costs_of_each, ledger_of, open_traced
 from spikedeploy.reports.columns import quoted_among
 from spikedeploy.runtime.errors import ConfigError
 
 Floats = NDArray[np.float64]
-Legend = list[tuple[str, str]]
 _UNKNOWN = 1 / 30  # [s] control step where an environment does not say
 _PAUSE = 1.5  # [s] that the end of an episode stays on the screen
 _MEAN = 30  # control steps of which costs are the mean
@@ -60,14 +56,14 @@ _MEAN = 30  # control steps of which costs are the mean
 class Driver:
     """A controller that receives key events.
 
-    name     for people
-    legend   keys and what they do
-    network  of a spiking policy that drives
+    name    for people
+    legend  keys and what they do
+    meter   of a spiking policy that drives
     """
 
     name = "you"
-    legend: Legend = []  # noqa: RUF012
-    network: "DrivingNetwork | None" = None
+    legend: list[tuple[str, str]] = []  # noqa: RUF012
+    meter: "NetworkMeter | None" = None
 
     def reset(self, seed: int) -> None:
         """Start an episode."""
@@ -108,11 +104,9 @@ class KeyboardDriver(Driver):
 
     def handle(self, event: pygame.Event) -> None:
         """Handle a key press or release; other keys than those that drive are ignored."""
-        if event.key not in self._meaning:
-            return
         if event.key in self._held:
             self._held.remove(event.key)
-        if event.type == pygame.KEYDOWN:
+        if event.type == pygame.KEYDOWN and event.key in self._meaning:
             self._held.append(event.key)
 
     def act(self, observation: Floats) -> NDArray[Any]:
@@ -124,20 +118,69 @@ class KeyboardDriver(Driver):
         return np.asarray(np.clip(np.sum(effects, axis=0), -1.0, 1.0))
 
 
+class NetworkMeter:
+    """The last inferences of a spiking policy, and what they cost.
+
+    table    of the energy
+    seconds  time of the last action [s]
+    """
+
+    def __init__(self, player: NirController) -> None:
+        self._player, self.table = player, quoted_among(priced_by(player.chip))
+        self.reset()
+
+    def reset(self) -> None:
+        """Start an episode."""
+        self._inferences: deque[tuple[Inference, Floats]] = deque(maxlen=WINDOW)
+        self._costs: deque[tuple[float, float]] = deque(maxlen=_MEAN)
+        self._before, self.seconds = ledger_of(self._player), 0.0
+
+    def read(self, seconds: float) -> None:
+        """Read the inference of an action that took so long."""
+        self.seconds = seconds
+        self._inferences.append(last_scores(self._player))
+        before, self._before = self._before, ledger_of(self._player)
+        if before is not None and self._before is not None:
+            sops, joules = costs_of_each(self._before.since(before), self.table)
+            self._costs.append((float(sops[0]), float(joules[0])))
+
+    @property
+    def trace(self) -> InferenceTrace | None:
+        """The last control steps; None before the first."""
+        return InferenceTrace.of(self._inferences) if self._inferences else None
+
+    @property
+    def costs(self) -> tuple[float, float] | None:
+        """Synaptic operations and energy [J] of a control step; None if they are not counted.
+
+        Means of the last control steps.
+        """
+        if not self._costs:
+            return None
+        sops, joules = np.mean(self._costs, axis=0).tolist()
+        return sops, joules
+
+
 class PolicyDriver(Driver):
     """A policy that drives by itself."""
 
     def __init__(self, player: Player, name: str) -> None:
         self.name, self._player = name, player
-        self.network = player if isinstance(player, DrivingNetwork) else None
+        self.meter = NetworkMeter(player) if isinstance(player, NirController) else None
 
     def reset(self, seed: int) -> None:
         """Start an episode."""
         self._player.reset(seed)
+        if self.meter:
+            self.meter.reset()
 
     def act(self, observation: Floats) -> NDArray[Any]:
         """The policy's action."""
-        return self._player.act(observation)
+        begin = time.perf_counter()
+        action = self._player.act(observation)
+        if self.meter:
+            self.meter.read(time.perf_counter() - begin)
+        return action
 
 
 class CommandedPolicyDriver(PolicyDriver):
@@ -175,73 +218,6 @@ class CommandedPolicyDriver(PolicyDriver):
         """The policy's action; the next observation contains the command."""
         self._world.steer(self.speed, self.turn)
         return super().act(observation)
-
-
-class DrivingNetwork(Player):
-    """A Player whose network can be looked at.
-
-    table    of the energy
-    seconds  time of the last action [s]
-    """
-
-    def __init__(self, player: NirController) -> None:
-        self._player = player
-        self.table = quoted_among(priced_by(player.chip))
-        self.reset(0)
-
-    def reset(self, seed: int) -> None:
-        """Start an episode."""
-        self._player.reset(seed)
-        self._inferences: deque[tuple[Inference, Floats]] = deque(maxlen=WINDOW)
-        self._costs: deque[tuple[float, float]] = deque(maxlen=_MEAN)
-        self._before, self.seconds = ledger_of(self._player), 0.0
-
-    def act(self, observation: Floats) -> NDArray[Any]:
-        """The action, timed."""
-        begin = time.perf_counter()
-        action = self._player.act(observation)
-        self.seconds = time.perf_counter() - begin
-        controller = self._player.controller
-        scores = controller.codec.scores(controller.output)[0]
-        self._inferences.append((last_inference(self._player), scores))
-        before, self._before = self._before, ledger_of(self._player)
-        if before is not None and self._before is not None:
-            sops, joules = costs_of_each(self._before.since(before), self.table)
-            self._costs.append((float(sops[0]), float(joules[0])))
-        return action
-
-    def replay(self, observations: Floats) -> NDArray[Any]:
-        """Actions for the observations of an episode."""
-        return self._player.replay(observations)
-
-    @property
-    def trace(self) -> InferenceTrace | None:
-        """The last control steps; None before the first."""
-        if not self._inferences:
-            return None
-        each, scores = zip(*self._inferences, strict=True)
-        return InferenceTrace(
-            {
-                name: np.stack([(one.spikes[name] != 0).astype(np.uint8) for one in each])
-                for name in each[0].spikes
-            },
-            np.stack(scores),
-        )
-
-    @property
-    def sops(self) -> float | None:
-        """Synaptic operations of a control step, mean of the last ones; None if not counted."""
-        return _mean(sops for sops, _ in self._costs)
-
-    @property
-    def joules(self) -> float | None:
-        """Energy of a control step [J], likewise."""
-        return _mean(joules for _, joules in self._costs)
-
-
-def _mean(values: Iterable[float]) -> float | None:
-    found = list(values)
-    return sum(found) / len(found) if found else None
 
 
 # a session: one driver in one environment
@@ -316,11 +292,6 @@ class Session:
         """True while the end of an episode is shown."""
         return self._wait > 0
 
-    @property
-    def laps(self) -> list[float]:
-        """Times of the laps that were finished [s]."""
-        return [each.seconds for each in self.outcomes if each.seconds is not None]
-
     def restart(self) -> None:
         """Start the next episode; an unfinished one is dropped."""
         self._seed += 1
@@ -354,11 +325,9 @@ class Session:
         """Write a rollout, if recording; all but the first to a file that is not there."""
         if self._record is None:
             return
-        path, number = self._record, len(self.files) + 1
-        while number > 1 and (path := self._record.with_stem(f"{self._record.stem}-{number}")):
-            if not path.exists():
-                break
-            number += 1
+        stem, numbers = self._record.stem, itertools.count(len(self.files) + 1)
+        others = (self._record.with_stem(f"{stem}-{number}") for number in numbers)
+        path = next(p for p in others if not p.exists()) if self.files else self._record
         self.files.append(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         played.save(path)
@@ -396,8 +365,6 @@ def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Drive
     candidate = _shipped(env) if policy is None else find(policy)
     chip = chip or candidate.default_chip
     player = open_traced(candidate, chip, world, "total")
-    if isinstance(player, NirController):
-        player = DrivingNetwork(player)
     name = f"{candidate.name} on {chip}" if chip else candidate.name
     if hasattr(inner, "steer"):
         return CommandedPolicyDriver(player, name, inner)
@@ -413,6 +380,8 @@ def _shipped(env: str) -> Candidate:
 
 
 # the app
+
+_WIDTH = 400  # of its panel
 
 
 class DriveApp(App):
@@ -440,131 +409,97 @@ class DriveApp(App):
 
     def draw(self) -> pygame.Surface:
         """The environment, the panel, and a banner at the end of an episode."""
-        width, height = self._size
-        driver = self.session.driver
-        spikes = SPIKES_WIDTH if driver.network else 0
+        session, driver, (width, height) = self.session, self.session.driver, self._size
+        spikes = SPIKES_WIDTH if driver.meter else 0
         surface = pygame.Surface((width + spikes + _WIDTH, height))
-        seen = surface.blit(env_picture(self.session.world, self._size), (0, 0))
-        if driver.network:
-            place, trace = pygame.Rect(width, 0, spikes, height), driver.network.trace
-            pygame.draw.rect(surface, PANEL, place)
-            if trace:
-                names = action_names(self.session.world, trace.scores.shape[1])
-                step = len(trace.scores) - 1
-                draw_inference(surface, place, driver.name, trace, step, names, None)
-        _draw_panel(
-            surface, pygame.Rect(width + spikes, 0, _WIDTH, height), self.session, self._heading
-        )
-        if self.session.waiting:
-            outcome = self.session.outcomes[-1]
+        seen = surface.blit(env_picture(session.world, self._size), (0, 0))
+        if driver.meter:
+            place, trace = pygame.Rect(width, 0, spikes, height), driver.meter.trace
+            draw_inference(surface, place, driver.name, trace, WINDOW, session.world, None)
+        keys = [*driver.legend, ("R", "restart"), ("P", "picture"), ("ESC", "leave")]
+        place = pygame.Rect(width + spikes, 0, _WIDTH, height)
+        _draw_sections(Panel(surface, place, self._heading, driver.name, keys, 1), session)
+        if session.waiting:
+            outcome = session.outcomes[-1]
             lap = "" if outcome.seconds is None else f"  {outcome.seconds:.2f} s"
             banner(surface, seen, outcome.word + lap, GREEN if outcome.good else RED)
         return surface
 
 
-# its panel
+# sections of its panel
 
-_WIDTH = 400
 _TOPS = {"up": 4.0, "forward": 4.4, "accelerate": 5.99}  # action of one kind of kart -> [m/s]
 
 
-def _draw_panel(surface: pygame.Surface, place: pygame.Rect, session: Session, title: str) -> None:
-    keys = [*session.driver.legend, ("R", "restart"), ("P", "picture"), ("ESC", "leave")]
-    inner = draw_panel(surface, place, title, session.driver.name, keys, 1)
-    y = inner.top + 66
-    if not isinstance(session.world, AdaptedEnv):
-        y = _speed(surface, inner, y, session)
-    y = _times(surface, inner, y + 24, session)
-    if is_kart(session.world):
-        y = _gates(surface, inner, y + 24, session.world)
-        y = _lidar(surface, inner, y + 24, session.world)
-    if session.driver.network is not None:
-        y = _network(surface, inner, y + 24, session.driver.network, session.period)
-    _rewards(surface, inner, y + 24, session)
-
-
-def _speed(surface: pygame.Surface, inner: pygame.Rect, y: int, session: Session) -> int:
-    """A large number and a bar; a robot's command below it."""
-    scale = 100.0 if is_kart(session.world) else 1.0  # of the world's unit in a metre
-    speed = float(session.info.get("speed", 0.0)) / scale
-    heading(surface, "speed", (inner.left, y))
-    number = write(surface, f"{speed:.2f}", (inner.left, y + 14), 44, TEXT, "bold")
-    write(surface, "m/s", (number.right + 8, number.bottom - 9), 15, DIM, anchor="bottomleft")
-    top = next((_TOPS[a] for a in getattr(session.world, "ACTIONS", ()) if a in _TOPS), 0.5)
-    bar(surface, pygame.Rect(inner.left, y + 72, inner.width, 8), abs(speed) / top)
-    if "command_speed" not in session.info:
-        return y + 80
-    command = (
-        f"{session.info['command_speed']:+.2f} m/s   {session.info['command_turn']:+.2f} rad/s"
-    )
-    write(surface, "commanded", (inner.left, y + 92), 13, DIM)
-    write(surface, command, (inner.right, y + 92), 13, AMBER, "mono", "topright")
-    return y + 110
-
-
-def _times(surface: pygame.Surface, inner: pygame.Rect, y: int, session: Session) -> int:
-    """The time of the episode, and of a kart the last lap and the best."""
-    laps = session.laps
+def _draw_sections(panel: Panel, session: Session) -> None:
+    world, meter = session.world, session.driver.meter
+    if not isinstance(world, AdaptedEnv):
+        _draw_speed(panel, session)
+    panel.y += 24
     seconds = session.episode.steps * session.period
     cells = [("time", f"{seconds:.2f} s", TEXT if seconds else DIM)]
-    if is_kart(session.world):
+    if is_kart(world):
+        laps = [each.seconds for each in session.outcomes if each.seconds is not None]
         last, best = (f"{laps[-1]:.2f} s", f"{min(laps):.2f} s") if laps else ("–", "–")
         cells.append(("last lap", last, TEXT if laps else DIM))
         cells.append(("best lap", best, GREEN if laps else DIM))
-    return _columns(surface, inner, y, cells, 19)
+    panel.columns(cells, 19)
+    panel.y += 66
+    if is_kart(world):
+        _draw_gates(panel, len(world.track.gates), int(world.next_gate))
+        _draw_lidar(panel, world)
+    if meter is not None:
+        share = meter.seconds / session.period
+        sops, joules = meter.costs or (None, None)
+        cells = [
+            ("SOPs", "–" if sops is None else f"{sops:,.0f}", TEXT),
+            ("energy", "–" if joules is None else f"{1e9 * joules:,.3g} nJ", TEXT),
+            ("deadline use", f"{100 * share:.1f} %", RED if share > 1 else TEXT),
+        ]
+        panel.columns(cells, 15)
+        panel.text(f"means of {_MEAN} steps · energy by {meter.table}", 40, 12)
+        panel.y += 78
+    _draw_rewards(panel, session.sums)
 
 
-def _columns(
-    surface: pygame.Surface,
-    inner: pygame.Rect,
-    y: int,
-    cells: list[tuple[str, str, Colour]],
-    size: int,
-) -> int:
-    """Titles, and a text in its colour below each, in three columns."""
-    for column, (title, text, colour) in enumerate(cells):
-        x = inner.left + column * inner.width // 3
-        heading(surface, title, (x, y))
-        write(surface, text, (x, y + 17), size, colour, "bold")
-    return y + 42
+def _draw_speed(panel: Panel, session: Session) -> None:
+    """A large number and a bar; a robot's command below it."""
+    scale = 100.0 if is_kart(session.world) else 1.0  # of the world's unit in a metre
+    speed = float(session.info.get("speed", 0.0)) / scale
+    panel.title("speed")
+    number = panel.text(f"{speed:.2f}", 14, 44, TEXT, "bold")
+    unit = number.right + 8, number.bottom - 9
+    write(panel.surface, "m/s", unit, 15, DIM, anchor="bottomleft")
+    top = next((_TOPS[a] for a in getattr(session.world, "ACTIONS", ()) if a in _TOPS), 0.5)
+    panel.bar(abs(speed) / top, 72, 8)
+    panel.y += 80
+    if "command_speed" in session.info:
+        speed, turn = (session.info[f"command_{name}"] for name in ("speed", "turn"))
+        panel.text("commanded", 12, 13)
+        panel.value(f"{speed:+.2f} m/s   {turn:+.2f} rad/s", 12, 13, AMBER, "mono")
+        panel.y += 30
 
 
-def _network(
-    surface: pygame.Surface, inner: pygame.Rect, y: int, network: DrivingNetwork, period: float
-) -> int:
-    """Operations and energy of a control step, and how much of it the policy took."""
-    share = network.seconds / period
-    cells = [
-        ("SOPs", "–" if network.sops is None else f"{network.sops:,.0f}", TEXT),
-        ("energy", "–" if network.joules is None else f"{1e9 * network.joules:,.3g} nJ", TEXT),
-        ("deadline use", f"{100 * share:.1f} %", RED if share > 1 else TEXT),
-    ]
-    _columns(surface, inner, y, cells, 15)
-    note = f"means of {_MEAN} steps · energy by {network.table}"
-    write(surface, note, (inner.left, y + 40), 12, DIM)
-    return y + 54
-
-
-def _gates(surface: pygame.Surface, inner: pygame.Rect, y: int, world: Any) -> int:  # noqa: ANN401
+def _draw_gates(panel: Panel, count: int, passed: int) -> None:
     """A mark for each gate: passed, next, to come."""
-    count, passed = len(world.track.gates), int(world.next_gate)
-    heading(surface, "gates", (inner.left, y))
-    write(surface, f"{passed} / {count}", (inner.right, y - 3), 14, TEXT, "bold", "topright")
+    panel.title("gates")
+    panel.value(f"{passed} / {count}", -3, 14, TEXT, "bold")
     gap = 6
-    width = (inner.width - gap * (count - 1)) / count
+    width = (panel.inner.width - gap * (count - 1)) / count
     for gate in range(count):
         colour = GREEN if gate < passed else AMBER if gate == passed else TRACK
-        pip = pygame.Rect(round(inner.left + gate * (width + gap)), y + 20, round(width), 8)
-        pygame.draw.rect(surface, colour, pip, border_radius=4)
-    return y + 28
+        left = round(panel.inner.left + gate * (width + gap))
+        mark = pygame.Rect(left, panel.y + 20, round(width), 8)
+        pygame.draw.rect(panel.surface, colour, mark, border_radius=4)
+    panel.y += 52
 
 
-def _lidar(surface: pygame.Surface, inner: pygame.Rect, y: int, world: Any) -> int:  # noqa: ANN401
+def _draw_lidar(panel: Panel, world: Any) -> None:  # noqa: ANN401
     """The LIDAR scan in the frame of the kart: ahead is up."""
-    radius = 78
-    heading(surface, "lidar", (inner.left, y))
-    write(surface, f"{world.lidar.range / 100:.1f} m", (inner.left, y + 18), 13, DIM)
-    centre = np.array([inner.centerx, y + radius + 4])
+    surface, radius = panel.surface, 78
+    panel.title("lidar")
+    panel.text(f"{world.lidar.range / 100:.1f} m", 18, 13)
+    centre = np.array([panel.inner.centerx, panel.y + radius + 4])
     for share in (1.0, 2 / 3, 1 / 3):
         pygame.draw.aacircle(surface, LINE, tuple(centre), radius * share, 1)
     turned = np.asarray(world.lidar.angles) - np.pi / 2 * world.TURNS
@@ -578,24 +513,22 @@ def _lidar(surface: pygame.Surface, inner: pygame.Rect, y: int, world: Any) -> i
         pygame.draw.polygon(veil, (*CYAN, 40), seen_area)
         surface.blit(veil, (0, 0))
     for point, reach in zip(points, share, strict=True):
-        seen = reach < 0.999
-        pygame.draw.aacircle(surface, RED if seen else LINE, tuple(point), 3 if seen else 2)
+        colour, size = (RED, 3) if reach < 0.999 else (LINE, 2)
+        pygame.draw.aacircle(surface, colour, tuple(point), size)
     pygame.draw.aacircle(surface, CYAN, tuple(centre), 5)
-    return y + 2 * radius + 8
+    panel.y += 2 * radius + 32
 
 
-def _rewards(surface: pygame.Surface, inner: pygame.Rect, y: int, session: Session) -> int:
+def _draw_rewards(panel: Panel, sums: Mapping[str, float]) -> None:
     """Every reward term: its sum over the episode, as bar and number."""
-    heading(surface, "reward so far", (inner.left, y))
-    total = sum(session.sums.values())
-    write(surface, f"{total:+.2f}", (inner.right, y - 4), 16, TEXT, "bold", "topright")
-    y += 24
-    largest = max((abs(value) for value in session.sums.values()), default=0.0) or 1.0
-    rows = max(1, (inner.bottom - 66 - y) // 21)
-    for name, value in [*session.sums.items()][:rows]:
-        write(surface, name.replace("_", " "), (inner.left, y), 13, DIM)
-        place = pygame.Rect(inner.left + 130, y + 5, inner.width - 130 - 74, 6)
-        signed_bar(surface, place, value / largest)
-        write(surface, f"{value + 0.0:+.2f}", (inner.right, y), 13, TEXT, "mono", "topright")
-        y += 21
-    return y
+    panel.title("reward so far")
+    panel.value(f"{sum(sums.values()):+.2f}", -4, 16, TEXT, "bold")
+    panel.y += 24
+    inner, largest = panel.inner, max((abs(value) for value in sums.values()), default=0.0) or 1.0
+    rows = max(1, (inner.bottom - 66 - panel.y) // 21)
+    for name, value in [*sums.items()][:rows]:
+        panel.text(name.replace("_", " "), 0, 13)
+        place = pygame.Rect(inner.left + 130, panel.y + 5, inner.width - 130 - 74, 6)
+        signed_bar(panel.surface, place, value / largest)
+        panel.value(f"{value + 0.0:+.2f}", 0, 13, TEXT, "mono")
+        panel.y += 21

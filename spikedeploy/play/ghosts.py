@@ -1,7 +1,6 @@
 """Ghosts on their track: where each is at a step, drawn together, and what the leader observed."""
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from typing import Any
 
 import gymnasium
@@ -9,7 +8,7 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from spikedeploy.envs.ghosts import Ghost, Ghosts
+from spikedeploy.envs.ghosts import Ghost
 from spikedeploy.envs.kart.picture import Scene, draw_gates, draw_kart, scene
 from spikedeploy.envs.kart.track import RADIUS
 from spikedeploy.play.theme import AMBER, CYAN, DIM, GREEN, RED, Colour, write
@@ -37,53 +36,43 @@ class GhostGroup:
     length   steps of the longest
     age      (n,) from 0 for the first to 1 for the last: the progress of the training
     leader   index of the best: the fastest that finishes, else the one with the most gates
+    best     that ghost; None of an empty group
     """
 
     def __init__(self, drives: Sequence[Ghost], pushed: bool = False) -> None:
+        def rank(index: int) -> tuple[bool, int, int]:
+            ghost = drives[index]
+            return ghost.finish, ghost.gates, -ghost.steps if ghost.finish else ghost.steps
+
         self.drives = drives
         self.steps = np.array([ghost.steps for ghost in drives], np.int64)
         self.age = np.linspace(0.0, 1.0, len(drives))
         self.length = int(self.steps.max(initial=0))
-        self.leader = max(range(len(drives)), key=self._rank, default=None)
+        self.leader = max(range(len(drives)), key=rank, default=None)
+        self.best = None if self.leader is None else drives[self.leader]
         poses = [_point_along_path(ghost.pose) if pushed else ghost.pose for ghost in drives]
         self._pose = np.concatenate([np.zeros((0, 3), np.float32), *poses])
         self._first = np.cumsum(self.steps + 1) - self.steps - 1
         self._finish = np.array([ghost.finish for ghost in drives], bool)
         self._crash = np.array([ghost.crash for ghost in drives], bool)
 
-    @property
-    def best(self) -> Ghost | None:
-        """The leader; None of an empty group."""
-        return None if self.leader is None else self.drives[self.leader]
-
     def poses(self, step: int) -> NDArray[np.float32]:
         """x, y and heading (n, 3) at a step; the last pose after the end."""
         found: NDArray[np.float32] = self._pose[self._first + np.minimum(step, self.steps)]
         return found
 
-    def driving(self, step: int) -> NDArray[np.bool_]:
-        """Ghosts that have not ended (n,)."""
-        found: NDArray[np.bool_] = step < self.steps
-        return found
-
-    def finished(self, step: int) -> NDArray[np.bool_]:
-        """Ghosts that have finished by then (n,)."""
-        found: NDArray[np.bool_] = ~self.driving(step) & self._finish
-        return found
-
-    def crashed(self, step: int) -> NDArray[np.bool_]:
-        """Ghosts that have crashed by then (n,)."""
-        found: NDArray[np.bool_] = ~self.driving(step) & self._crash
-        return found
+    def states(self, step: int) -> dict[str, NDArray[np.bool_]]:
+        """Ghosts (n,) that are driving, that have finished and that have crashed by then."""
+        driving = step < self.steps
+        return {
+            "driving": driving,
+            "finished": ~driving & self._finish,
+            "crashed": ~driving & self._crash,
+        }
 
     def counts(self, step: int) -> dict[str, int]:
         """How many drive, have finished and have crashed."""
-        states = ("driving", "finished", "crashed")
-        return {name: int(getattr(self, name)(step).sum()) for name in states}
-
-    def _rank(self, index: int) -> tuple[bool, int, int]:
-        ghost = self.drives[index]
-        return ghost.finish, ghost.gates, -ghost.steps if ghost.finish else ghost.steps
+        return {name: int(each.sum()) for name, each in self.states(step).items()}
 
 
 def _point_along_path(pose: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -91,9 +80,6 @@ def _point_along_path(pose: NDArray[np.float32]) -> NDArray[np.float32]:
     moved = np.diff(pose[:, :2], axis=0, prepend=pose[:1, :2])
     heading = np.arctan2(moved[:, 1], moved[:, 0])
     return np.column_stack((pose[:, :2], heading)).astype(np.float32)
-
-
-# the view of a batch
 
 
 class GhostView:
@@ -109,17 +95,16 @@ class GhostView:
     def __init__(
         self,
         env: gymnasium.Env[Any, Any],
-        sources: Mapping[str, Ghosts],
+        sources: Mapping[str, Sequence[Ghost]],
         seen: Floats | None = None,
     ) -> None:
         self._world: Any = env.unwrapped
         self._seen = seen
         pushed = not env.get_wrapper_attr("TURNS")
-        self.groups = {name: GhostGroup(g.drives, pushed) for name, g in sources.items()}
+        self.groups = {name: GhostGroup(drives, pushed) for name, drives in sources.items()}
         self.group = next(iter(self.groups.values()))
-        self._leader = self.group.best
         self.length = max(group.length for group in self.groups.values())
-        self.seed = self._leader.seed if self._leader else -1
+        self.seed = self.group.best.seed if self.group.best else -1
         self._reset()
         self._track = env.get_wrapper_attr("track")
         several = len(sources) > 1
@@ -154,41 +139,17 @@ class GhostView:
 
     def facts(self, step: int) -> Facts:
         """Counts of ghosts, and the state of the leader; of several sources for each."""
-        if not self.legend:
-            return self._facts_alone(step)
         facts: Facts = []
-        for name, group in self.groups.items():
+        for name, group in self.groups.items() if self.legend else ():
             numbers = " / ".join(f"{count:,}" for count in group.counts(step).values())
-            facts.append((name, ""))
-            facts.append(("driving / finished / crashed", numbers))
-            facts.append(("leader", self._result(group.best)))
-        return facts
-
-    def observations(self) -> Floats:
-        """Recorded observations of the leader, else reconstructed ones."""
-        if self._seen is not None:
-            return self._seen
-        if self._leader is None:
-            return np.zeros((0, 0))
-        self._reset()
-        return ghost_observations(self._leader, self._world)
-
-    def action(self, step: int) -> int | None:
-        """The discrete action of the leader; None where actions are continuous."""
-        ghost = self._leader
-        if ghost is None or ghost.action.ndim != 1 or not ghost.steps:
-            return None
-        return int(ghost.action[min(step, ghost.steps - 1)])
-
-    def _reset(self) -> None:
-        """Reset with the leader's seed, which decides a random track."""
-        self._world.reset(seed=max(self.seed, 0))
-
-    def _facts_alone(self, step: int) -> Facts:
-        ghosts, best = self.group.drives, self._leader
+            facts += [(name, ""), ("driving / finished / crashed", numbers)]
+            facts.append(("leader", self._describe_result(group.best)))
+        if self.legend:
+            return facts
+        drives, best = self.group.drives, self.group.best
         facts = [(name, f"{count:,}") for name, count in self.group.counts(step).items()]
-        facts.append(("ghosts", f"{len(ghosts):,}"))
-        if trained := [ghost.env_step for ghost in ghosts if ghost.env_step]:
+        facts.append(("ghosts", f"{len(drives):,}"))
+        if trained := [ghost.env_step for ghost in drives if ghost.env_step]:
             facts.append(("training steps", f"{min(trained):,} – {max(trained):,}"))
         if best is None:
             return facts
@@ -197,19 +158,38 @@ class GhostView:
         return [
             *facts,
             ("leader", f"{end}, {best.gates} of {len(self._track.gates)} gates"),
-            ("its time", self._time(best)),
+            ("its time", self._describe_time(best)),
             ("its speed", f"{best.speed[now] / 100:.2f} m/s"),
             ("its reward", f"{best.reward[:now].sum():+.2f}"),
         ]
 
-    def _result(self, ghost: Ghost | None) -> str:
-        """The outcome and time of a ghost."""
+    def observations(self) -> Floats:
+        """Recorded observations of the leader, else reconstructed ones."""
+        if self._seen is not None:
+            return self._seen
+        if self.group.best is None:
+            return np.zeros((0, 0))
+        self._reset()
+        return ghost_observations(self.group.best, self._world)
+
+    def action(self, step: int) -> int | None:
+        """The discrete action of the leader; None where actions are continuous."""
+        ghost = self.group.best
+        if ghost is None or ghost.action.ndim != 1 or not ghost.steps:
+            return None
+        return int(ghost.action[min(step, ghost.steps - 1)])
+
+    def _reset(self) -> None:
+        """Reset with the leader's seed, which decides a random track."""
+        self._world.reset(seed=max(self.seed, 0))
+
+    def _describe_result(self, ghost: Ghost | None) -> str:
         if ghost is None:
             return "nobody"
         end = "finish" if ghost.finish else f"{ghost.gates} of {len(self._track.gates)} gates"
-        return f"{end}, {self._time(ghost)}"
+        return f"{end}, {self._describe_time(ghost)}"
 
-    def _time(self, ghost: Ghost) -> str:
+    def _describe_time(self, ghost: Ghost) -> str:
         return f"{ghost.steps * self._world.CONTROL_DT:.2f} s"
 
 
@@ -229,10 +209,10 @@ def _draw_group(
 
     ages  colours of moving ghosts, from the start to the end of the training
     """
-    poses, driving = group.poses(step), group.driving(step)
-    points = place.at(poses[:, :2])
-    _draw_dots(surface, points[group.crashed(step)], crashed, 3)
-    _draw_dots(surface, points[group.finished(step)], finished, 3)
+    poses, states = group.poses(step), group.states(step)
+    points, driving = place.at(poses[:, :2]), states["driving"]
+    _draw_dots(surface, points[states["crashed"]], crashed, 3)
+    _draw_dots(surface, points[states["finished"]], finished, 3)
     age = np.minimum(group.age * len(ages), len(ages) - 1).astype(int)
     for number, colour in enumerate(ages):
         these = np.flatnonzero(driving & (age == number))
@@ -268,16 +248,10 @@ def _draw_legend(surface: pygame.Surface, ages: tuple[Colour, ...]) -> None:
 
 
 def _draw_dots(surface: pygame.Surface, points: Floats, colour: Colour, radius: int) -> None:
-    dot = _dot(colour, radius)
-    corners = np.rint(points - radius - 1).astype(int).tolist()
-    surface.blits([(dot, tuple(corner)) for corner in corners], doreturn=False)
-
-
-@lru_cache(maxsize=32)
-def _dot(colour: Colour, radius: int) -> pygame.Surface:
     dot = pygame.Surface((2 * radius + 2, 2 * radius + 2), pygame.SRCALPHA)
     pygame.draw.aacircle(dot, (*colour, 120), (radius + 1, radius + 1), radius)
-    return dot
+    corners = np.rint(points - radius - 1).astype(int).tolist()
+    surface.blits([(dot, tuple(corner)) for corner in corners], doreturn=False)
 
 
 # observations along a path: a ghost records poses only
@@ -286,10 +260,16 @@ def _dot(colour: Colour, radius: int) -> pygame.Surface:
 def ghost_observations(ghost: Ghost, world: Any) -> Floats:  # noqa: ANN401
     """Observations (S + 1, obs) that the environment would have made at the poses of a ghost."""
     pose = ghost.pose.astype(np.float64)
-    turn = _turn(pose[:, 2]) / world.CONTROL_DT
+    change = np.diff(pose[:, 2], prepend=pose[:1, 2])  # [rad] in the step before
+    turn = ((change + np.pi) % (2 * np.pi) - np.pi) / world.CONTROL_DT
     if "forward" in world.ACTIONS:  # turns are observed a step before the kart moves
         turn = np.append(turn[1:], 0.0)
-    velocity = ghost.speed[:, None] * _direction(pose, not world.TURNS)
+    if world.TURNS:
+        direction = np.stack((np.cos(pose[:, 2]), np.sin(pose[:, 2])), axis=1)
+    else:  # no heading: the path
+        moved = np.diff(pose[:, :2], axis=0, prepend=pose[:1, :2])
+        direction = moved / np.maximum(np.hypot(*moved.T), 1e-9)[:, None]
+    velocity = ghost.speed[:, None] * direction
     gates = gates_passed(pose[:, :2], world.track.gates)
     return np.stack(
         [
@@ -304,33 +284,12 @@ def gates_passed(path: Floats, gates: Floats) -> NDArray[np.int64]:
     passed = np.zeros(len(path), np.int64)
     start = 0
     for number, (a, b) in enumerate(gates, 1):
-        touches = np.flatnonzero(_distance(path[start:], a, b) <= RADIUS)
+        along, points = b - a, path[start:]
+        share = np.clip((points - a) @ along / (along @ along), 0.0, 1.0)
+        distance = np.hypot(*(points - a - share[:, None] * along).T)
+        touches = np.flatnonzero(distance <= RADIUS)
         if not len(touches):
             break
         start += int(touches[0])
         passed[start:] = number
     return passed
-
-
-def _distance(points: Floats, a: Floats, b: Floats) -> Floats:
-    """Distances (n,) of points (n, 2) from a segment."""
-    along = b - a
-    share = np.clip((points - a) @ along / (along @ along), 0.0, 1.0)
-    found: Floats = np.hypot(*(points - a - share[:, None] * along).T)
-    return found
-
-
-def _turn(heading: Floats) -> Floats:
-    """Change of heading [rad] in the step before (S + 1,)."""
-    change = np.diff(heading, prepend=heading[:1])
-    found: Floats = (change + np.pi) % (2 * np.pi) - np.pi
-    return found
-
-
-def _direction(pose: Floats, pushed: bool) -> Floats:
-    """Unit direction of motion (S + 1, 2): the heading, or if it has none (`pushed`) the path."""
-    if not pushed:
-        return np.stack((np.cos(pose[:, 2]), np.sin(pose[:, 2])), axis=1)
-    moved = np.diff(pose[:, :2], axis=0, prepend=pose[:1, :2])
-    found: Floats = moved / np.maximum(np.hypot(*moved.T), 1e-9)[:, None]
-    return found

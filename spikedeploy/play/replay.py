@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import gymnasium
@@ -13,33 +14,30 @@ import pygame
 from numpy.typing import NDArray
 
 from spikedeploy import envs
-from spikedeploy.envs.ghosts import Ghosts
+from spikedeploy.envs.ghosts import Ghost, Ghosts
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.make_env import make_env
 from spikedeploy.outputs import mark
 from spikedeploy.play.ghosts import COLOURS, Facts, GhostView
 from spikedeploy.play.spikes import WIDTH as SPIKES_WIDTH
-from spikedeploy.play.spikes import InferenceTrace, SpikeRecorder, action_names, draw_inference
+from spikedeploy.play.spikes import InferenceTrace, draw_inference, trace_of
 from spikedeploy.play.theme import (
     AMBER,
-    CYAN,
     DIM,
-    PANEL,
     TEXT,
     Colour,
-    bar,
-    draw_panel,
+    Panel,
     env_picture,
-    heading,
     is_kart,
     picture_size,
     shorten,
     write,
 )
 from spikedeploy.play.window import App
+from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import check_fit, find
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.video import gif, mp4
+from spikedeploy.video import Frame, gif, mp4
 
 Floats = NDArray[np.float64]
 _MODES = ("batch", "all")
@@ -68,16 +66,13 @@ class Source:
     def __len__(self) -> int:
         return len(self.files) if self.rollout is None else 1
 
-    def batch(self, index: int) -> Ghosts:
-        """The ghosts of one batch."""
+    def batch(self, index: int | None) -> Sequence[Ghost]:
+        """The ghosts of one batch, of the last one for larger numbers, or of all for None."""
         if self.rollout is not None:
-            return Ghosts.from_rollout(self.rollout)
-        return _read(self.files[index])
-
-    def everything(self) -> Ghosts:
-        """The ghosts of all batches as one."""
-        drives = [ghost for index in range(len(self)) for ghost in self.batch(index).drives]
-        return Ghosts(self.env_id, drives, self.options)
+            return Ghosts.from_rollout(self.rollout).drives
+        if index is None:
+            return [ghost for file in self.files for ghost in _read(file).drives]
+        return _read(self.files[min(index, len(self) - 1)]).drives
 
 
 @lru_cache(maxsize=8)
@@ -129,14 +124,8 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
     return [str(path) for path in paths]
 
 
-def check_same_world(sources: Sequence[Source], options: Mapping[str, Any]) -> None:
-    """Refuse sources of different environments or tracks, and more sources than colours.
-
-    Observations and rewards may differ.
-    """
-    if len(sources) > len(COLOURS):
-        raise ConfigError(f"{len(sources)} sources: at most {len(COLOURS)} can be told apart")
-    first, *others = sources
+def _check_same_world(first: Source, others: Sequence[Source], options: Mapping[str, Any]) -> None:
+    """Refuse other environments or tracks; observations and rewards may differ."""
     for other in others:
         ours, theirs = _world(first, options), _world(other, options)
         if ours != theirs:
@@ -168,8 +157,8 @@ class RolloutView:
     def __init__(self, env: gymnasium.Env[Any, Any], played: Rollout) -> None:
         self._env, self._played = env, played
         self.world: Any = env.unwrapped
-        self.length, self.seed, self._at = played.steps, played.seed, 0
-        self._begin()
+        self.length, self.seed, self._at = played.steps, played.seed, played.steps + 1
+        self.go(0)
 
     def draw(self, step: int, size: tuple[int, int]) -> pygame.Surface:
         """The camera picture after that many steps."""
@@ -194,23 +183,16 @@ class RolloutView:
     def go(self, step: int) -> None:
         """Simulate up to a step."""
         if step < self._at:
-            self._begin()
+            self.newest, self._at = self._env.reset(seed=self.seed)[0], 0
+        info = self._played.info
         for at in range(self._at, step):
-            self._repeat_command(at)
+            # a person's command is given again; those of the environment itself recur
+            if "command_speed" in info:
+                command = float(info["command_speed"][at]), float(info["command_turn"][at])
+                if command != self.world.command:
+                    self.world.steer(*command)
             self.newest = self._env.step(self._played.action[at])[0]
         self._at = step
-
-    def _begin(self) -> None:
-        self.newest = self._env.reset(seed=self.seed)[0]
-        self._at = 0
-
-    def _repeat_command(self, at: int) -> None:
-        """Give a command again that a person gave; those of the environment itself recur."""
-        info = self._played.info
-        if "command_speed" in info:
-            command = float(info["command_speed"][at]), float(info["command_turn"][at])
-            if command != self.world.command:
-                self.world.steer(*command)
 
 
 # time
@@ -258,7 +240,9 @@ class Playback:
             jump = _JUMP if event.key == pygame.K_RIGHT else -_JUMP
             self.step = min(max(self.step + jump / self.dt, 0.0), float(self.length))
         elif event.key in (pygame.K_UP, pygame.K_DOWN):
-            self._change_speed(1 if event.key == pygame.K_UP else -1)
+            nearest = min(range(len(_SPEEDS)), key=lambda k: abs(_SPEEDS[k] - self.speed))
+            nearest += 1 if event.key == pygame.K_UP else -1
+            self.speed = _SPEEDS[min(max(nearest, 0), len(_SPEEDS) - 1)]
         elif event.key in (pygame.K_n, pygame.K_b):
             self.skip(1 if event.key == pygame.K_n else -1)
 
@@ -275,10 +259,6 @@ class Playback:
         """Skip batches, cyclically."""
         self.batch = (self.batch + batches) % self.batches
         self.step = 0.0
-
-    def _change_speed(self, notches: int) -> None:
-        nearest = min(range(len(_SPEEDS)), key=lambda k: abs(_SPEEDS[k] - self.speed))
-        self.speed = _SPEEDS[min(max(nearest + notches, 0), len(_SPEEDS) - 1)]
 
 
 # the app
@@ -299,6 +279,7 @@ class ReplayApp(App):
     """The app: one source, or several on one track.
 
     playback  position and speed
+    spikes    name of a policy and its player, whose spikes are shown beside the leader
     """
 
     fps = 60.0
@@ -307,49 +288,54 @@ class ReplayApp(App):
         self,
         sources: Mapping[str, Source],
         env: gymnasium.Env[Any, Any],
-        mode: str = "batch",
-        recorder: SpikeRecorder | None = None,
-        speed: float = 1.0,
+        mode: str,
+        spikes: tuple[str, NirController] | None,
+        speed: float,
     ) -> None:
         self._first = next(iter(sources.values()))
         self.name = envs.spec(self._first.env_id).short
         self._heading = self._first.name if len(sources) == 1 else f"{len(sources)} sources"
         self.title = f"{self._heading} – spikedeploy"
-        self._sources, self._env, self._mode = sources, env, mode
-        self._recorder = recorder
+        self._sources, self._env, self._is_all, self._spikes = sources, env, mode == "all", spikes
         self._world: Any = env.unwrapped
         self._size = picture_size(self._world)
-        batches = max(map(len, sources.values())) if mode == "batch" else 1
+        batches = 1 if self._is_all else max(map(len, sources.values()))
         dt = float(env.get_wrapper_attr("CONTROL_DT"))
         self.playback = Playback(batches, dt, speed=speed)
         self._view = lru_cache(maxsize=4)(self._open_view)
         self._trace = lru_cache(maxsize=2)(self._record)
-        self._update_length()
+        self.playback.length = self.view.length
 
     def open(self, batch: int) -> None:
         """Go to the start of a batch, counted from 0."""
         self.playback.skip(batch - self.playback.batch)
-        self._update_length()
+        self.playback.length = self.view.length
 
     def handle(self, event: pygame.Event) -> None:
         """Pass a key to the playback."""
         self.playback.handle(event)
-        self._update_length()
+        self.playback.length = self.view.length
 
     def tick(self) -> None:
         """Advance by one frame."""
         self.playback.tick(1.0 / self.fps)
-        self._update_length()
+        self.playback.length = self.view.length
 
     def draw(self) -> pygame.Surface:
         """The view, the spikes of the leader, and the panel."""
-        width, height = self._size
-        spikes = SPIKES_WIDTH if self._recorder else 0
+        (width, height), now = self._size, self.playback.now
+        spikes = SPIKES_WIDTH if self._spikes else 0
         surface = pygame.Surface((width + spikes + _WIDTH, height))
-        surface.blit(self.view.draw(self.playback.now, self._size), (0, 0))
-        if self._recorder:
-            self._draw_spikes(surface, pygame.Rect(width, 0, spikes, height), self._recorder.name)
-        self._draw_panel(surface, pygame.Rect(width + spikes, 0, _WIDTH, height))
+        surface.blit(self.view.draw(now, self._size), (0, 0))
+        if self._spikes:
+            place, trace = pygame.Rect(width, 0, spikes, height), self.inferences
+            taken = self.view.action(min(now, len(trace.scores) - 1)) if trace else None
+            draw_inference(surface, place, self._spikes[0], trace, now, self._world, taken)
+        track = f" · {self._world.track.name}" if is_kart(self._world) else ""
+        place = pygame.Rect(width + spikes, 0, _WIDTH, height)
+        panel = Panel(surface, place, self.name + track, self._heading, _KEYS, 3)
+        self._draw_time(panel)
+        self._draw_facts(panel)
         return surface
 
     @property
@@ -362,73 +348,50 @@ class ReplayApp(App):
         """Inferences of the policy on the observations of the leader."""
         return self._trace(self.playback.batch)
 
-    def _update_length(self) -> None:
-        self.playback.length = self.view.length
-
     def _open_view(self, batch: int) -> GhostView | RolloutView:
         rollout = self._first.rollout
         if rollout is not None and not is_kart(self._world):
             return RolloutView(self._env, rollout)
-        ghosts = {name: self._ghosts(source, batch) for name, source in self._sources.items()}
+        index = None if self._is_all else batch
+        ghosts = {name: source.batch(index) for name, source in self._sources.items()}
         return GhostView(self._env, ghosts, None if rollout is None else rollout.observation)
-
-    def _ghosts(self, source: Source, batch: int) -> Ghosts:
-        """A batch of a source; its last one where it has fewer."""
-        if self._mode == "all":
-            return source.everything()
-        return source.batch(min(batch, len(source) - 1))
 
     def _record(self, batch: int) -> InferenceTrace | None:
         observations = self._view(batch).observations()
-        if self._recorder is None or not len(observations):
+        if self._spikes is None or not len(observations):
             return None
-        return self._recorder.record(observations, self._view(batch).seed)
+        return trace_of(self._spikes[1], observations, self._view(batch).seed)
 
-    def _draw_spikes(self, surface: pygame.Surface, place: pygame.Rect, policy: str) -> None:
-        pygame.draw.rect(surface, PANEL, place)
-        if trace := self.inferences:
-            step = min(self.playback.now, len(trace.scores) - 1)
-            names = action_names(self._world, trace.scores.shape[1])
-            draw_inference(surface, place, policy, trace, step, names, self.view.action(step))
-
-    def _draw_panel(self, surface: pygame.Surface, place: pygame.Rect) -> None:
-        """Name, position in time, and the facts of the view."""
-        track = f" · {self._world.track.name}" if is_kart(self._world) else ""
-        inner = draw_panel(surface, place, self.name + track, self._heading, _KEYS, 3)
-        self._draw_facts(surface, inner, self._draw_time(surface, inner, inner.top + 66))
-
-    def _draw_facts(self, surface: pygame.Surface, inner: pygame.Rect, y: int) -> None:
+    def _draw_facts(self, panel: Panel) -> None:
         """Names and values, in smaller type where there are several sources."""
-        legend = self.view.legend
-        size, gap = (12, 20) if legend else (14, 26)
+        legend, inner = self.view.legend, panel.inner
+        size, height = (12, 20) if legend else (14, 26)
         for name, value in self.view.facts(self.playback.now):
             if name in legend:
-                pygame.draw.aacircle(surface, legend[name], (inner.left + 6, y + 8), 6)
+                dot = inner.left + 6, panel.y + 8
+                pygame.draw.aacircle(panel.surface, legend[name], dot, 6)
                 text = shorten(name, inner.width - 20, size, "bold")
-                write(surface, text, (inner.left + 20, y), size, TEXT, "bold")
+                write(panel.surface, text, (inner.left + 20, panel.y), size, TEXT, "bold")
             else:
-                write(surface, name, (inner.left + 20 * bool(legend), y), size, DIM)
-                write(surface, value, (inner.right, y), size, TEXT, "plain", "topright")
-                y += 10 if legend and name == "leader" else 0
-            y += gap
+                at = inner.left + 20 * bool(legend), panel.y
+                write(panel.surface, name, at, size, DIM)
+                panel.value(value, 0, size)
+                panel.y += 10 if legend and name == "leader" else 0
+            panel.y += height
 
-    def _draw_time(self, surface: pygame.Surface, inner: pygame.Rect, y: int) -> int:
+    def _draw_time(self, panel: Panel) -> None:
         play = self.playback
-        heading(surface, "time", (inner.left, y))
-        number = write(surface, f"{play.now * play.dt:.2f}", (inner.left, y + 14), 40, TEXT, "bold")
-        end = f"/ {play.length * play.dt:.2f} s"
-        write(surface, end, (number.right + 8, number.bottom - 8), 14, DIM, anchor="bottomleft")
-        speed = "paused" if play.paused else f"× {play.speed:g}"
-        write(surface, speed, (inner.right, y + 30), 16, AMBER, "bold", "topright")
-        place = pygame.Rect(inner.left, y + 70, inner.width, 8)
-        bar(surface, place, play.now / max(play.length, 1), CYAN)
-        y += 100
-        heading(surface, "batch", (inner.left, y))
-        counter = "all" if self._mode == "all" else f"{play.batch + 1} / {play.batches}"
-        write(surface, counter, (inner.right, y - 4), 16, TEXT, "bold", "topright")
-        share = 1.0 if self._mode == "all" else (play.batch + 1) / play.batches
-        bar(surface, pygame.Rect(inner.left, y + 20, inner.width, 6), share, AMBER)
-        return y + 50
+        panel.title("time")
+        number = panel.text(f"{play.now * play.dt:.2f}", 14, 40, TEXT, "bold")
+        end, at = f"/ {play.length * play.dt:.2f} s", (number.right + 8, number.bottom - 8)
+        write(panel.surface, end, at, 14, DIM, anchor="bottomleft")
+        panel.value("paused" if play.paused else f"× {play.speed:g}", 30, 16, AMBER, "bold")
+        panel.bar(play.now / max(play.length, 1), 70, 8)
+        panel.title("batch", 100)
+        counter = "all" if self._is_all else f"{play.batch + 1} / {play.batches}"
+        panel.value(counter, 96, 16, TEXT, "bold")
+        panel.bar((play.batch + 1) / play.batches, 120, 6, AMBER)
+        panel.y += 150
 
 
 def open_replay(
@@ -438,7 +401,7 @@ def open_replay(
     spikes: str | None = None,
     chip: str = "loihi1",
     speed: float = 1.0,
-    options: Mapping[str, Any] | None = None,
+    options: Mapping[str, Any] = MappingProxyType({}),
     beside: Sequence[Path] = (),
 ) -> ReplayApp:
     """The app for `spikedeploy replay`.
@@ -456,24 +419,29 @@ def open_replay(
     if not 0.0 < speed <= 100.0:
         raise ConfigError(f"--speed {speed:g}: choose a factor above 0, up to 100; 1 is real time")
     paths = (path, *beside)
-    sources = [open_source(each) for each in paths]
-    check_same_world(sources, options or {})
-    first = sources[0]
-    env = make_env(first.env_id, {**first.options, **(options or {})}, render_mode="rgb_array")
+    if len(paths) > len(COLOURS):
+        raise ConfigError(f"{len(paths)} sources: at most {len(COLOURS)} can be told apart")
+    first, *others = sources = [open_source(each) for each in paths]
+    _check_same_world(first, others, options)
+    env = make_env(first.env_id, {**first.options, **options}, render_mode="rgb_array")
     if beside and not is_kart(env.unwrapped):
         raise ConfigError(f"{first.name} is no kart: only karts can be shown together")
-    recorder = None
-    if spikes is not None:
-        candidate = find(spikes)
-        check_fit(candidate, env)
-        recorder = SpikeRecorder(candidate, chip)
-    app = ReplayApp(
-        dict(zip(distinct_names(paths), sources, strict=True)), env, mode, recorder, speed
-    )
+    shown = _open_spikes(spikes, chip, env) if spikes else None
+    named = dict(zip(distinct_names(paths), sources, strict=True))
+    app = ReplayApp(named, env, mode, shown, speed)
     if not 1 <= batch <= app.playback.batches:
         raise ConfigError(f"--batch {batch}: {first.name} has 1 to {app.playback.batches}")
     app.open(batch - 1)
     return app
+
+
+def _open_spikes(policy: str, chip: str, env: gymnasium.Env[Any, Any]) -> tuple[str, NirController]:
+    candidate = find(policy)
+    if candidate.format != ".nir":
+        raise ConfigError(f"{policy} shows no spikes: give a .nir file, which `export` writes")
+    check_fit(candidate, env)
+    player = NirController.open(candidate, chip, env, False, trace=True)
+    return f"{candidate.name} on {chip}", player
 
 
 # films
@@ -491,25 +459,22 @@ def save_film(app: ReplayApp, path: Path, seconds: float) -> Path:
     if path.suffix not in _FILM_FPS:
         raise ConfigError(f"--video {path}: choose a name that ends in {' or '.join(_FILM_FPS)}")
     fps = _FILM_FPS[path.suffix]
-    frames = islice(_frames(app, round(app.fps / fps)), max(1, round(seconds * fps)))
+    every = round(app.fps / fps)
+
+    def frames() -> Iterator[Frame]:
+        while not app.playback.rounds:
+            frame = app.draw()
+            if path.suffix == ".gif":
+                frame = pygame.transform.smoothscale_by(frame, _GIF_SCALE)
+            yield pygame.surfarray.array3d(frame).swapaxes(0, 1)
+            for _ in range(every):
+                app.tick()
+
+    film = islice(frames(), max(1, round(seconds * fps)))
     if path.suffix == ".gif":
-        small = (pygame.transform.smoothscale_by(frame, _GIF_SCALE) for frame in frames)
-        gif(path, map(_pixels, small), 1 / fps, mark("replay"))
+        gif(path, film, 1 / fps, mark("replay"))
         return path
     with mp4(path, fps, mark("replay")) as write_frame:
-        for frame in frames:
-            write_frame(_pixels(frame))
+        for frame in film:
+            write_frame(frame)
     return path
-
-
-def _frames(app: ReplayApp, every: int) -> Iterator[pygame.Surface]:
-    while not app.playback.rounds:
-        yield app.draw()
-        for _ in range(every):
-            app.tick()
-
-
-def _pixels(frame: pygame.Surface) -> NDArray[np.uint8]:
-    """(H, W, 3) of a surface."""
-    found: NDArray[np.uint8] = pygame.surfarray.array3d(frame).swapaxes(0, 1)
-    return found

@@ -1,6 +1,6 @@
 """Spikes of a policy on the observations of an episode, and the panel that draws them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,10 +21,8 @@ from spikedeploy.play.theme import (
     signed_bar,
     write,
 )
-from spikedeploy.policies.registry import Candidate
-from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.emulator.network import chip_called, run_network
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.policies.nir import NirController
+from spikedeploy.recordings import Inference, last_inference
 
 Floats = NDArray[np.float64]
 WIDTH = 400
@@ -32,6 +30,7 @@ WINDOW = 120  # control steps of history
 _PAD = 24
 _GAP = 14  # between inference and history
 _SHARE = 0.3  # of the width for one inference
+_NOTE = f"left: this inference · right: the last {WINDOW} control steps"
 
 
 @dataclass(frozen=True)
@@ -42,85 +41,71 @@ class InferenceTrace:
     scores   (S, act) mean readout, before an action is made of it
     """
 
-    rasters: Mapping[str, NDArray[np.uint8]]
+    rasters: dict[str, NDArray[np.uint8]]
     scores: Floats
 
-
-class SpikeRecorder:
-    """A spiking policy, on a chip or in float, whose spikes are recorded.
-
-    name  for people
-    """
-
-    def __init__(self, candidate: Candidate, chip: str) -> None:
-        if candidate.format != ".nir":
-            raise ConfigError(
-                f"{candidate.path} shows no spikes: give a .nir file, which `export` writes"
-            )
-        self.name = f"{candidate.name} on {chip}"
-        artifact = load(candidate.path)
-        if artifact.codec is None:
-            raise ConfigError(f"{candidate.path} has no codec, so observations become no spikes")
-        self._codec = artifact.codec
-        self._graded = frozenset(artifact.sigma_delta)
-        self._network = run_network(artifact, chip_called(chip), "none", trace=True)
-
-    def record(self, observations: Floats, seed: int) -> InferenceTrace:
-        """One inference for each observation (S, obs), in their order."""
-        self._network.reset()
-        state = self._codec.encoder.start(max(seed, 0))
-        rasters: dict[str, list[NDArray[np.uint8]]] = {}
-        scores = []
-        for observation in observations:
-            spikes = self._codec.encode(observation[None], state)
-            scores.append(self._codec.scores(self._network.infer(spikes))[0])
-            for name, raster in {"input": spikes, **self._network.spikes}.items():
-                # a graded spike is shown as one
-                shown = (raster != 0).astype(np.uint8) if name in self._graded else raster
-                rasters.setdefault(name, []).append(shown[0])
-        return InferenceTrace(
-            {name: np.stack(rows) for name, rows in rasters.items()}, np.stack(scores)
-        )
+    @classmethod
+    def of(cls, each: Sequence[tuple[Inference, Floats]]) -> "InferenceTrace":
+        """Consecutive inferences with their scores (act,); a graded spike is shown as one."""
+        rasters = {
+            name: np.stack([one.spikes[name] != 0 for one, _ in each]).astype(np.uint8)
+            for name in each[0][0].spikes
+        }
+        return cls(rasters, np.stack([scores for _, scores in each]))
 
 
-def action_names(world: Any, scores: int) -> Sequence[str]:  # noqa: ANN401
-    """Names of a policy's scores."""
-    names: tuple[str, ...] = getattr(world, "ACTIONS", ())
-    return names if len(names) == scores else [str(index) for index in range(scores)]
+def last_scores(player: NirController) -> tuple[Inference, Floats]:
+    """The last inference of a traced player, and its scores (act,)."""
+    controller = player.controller
+    return last_inference(player), controller.codec.scores(controller.output)[0]
+
+
+def trace_of(player: NirController, observations: Floats, seed: int) -> InferenceTrace:
+    """One inference of a traced player for each observation (S, obs), in their order."""
+    player.reset(max(seed, 0))
+    found = []
+    for observation in observations:
+        player.act(observation)
+        found.append(last_scores(player))
+    return InferenceTrace.of(found)
 
 
 def draw_inference(
     surface: pygame.Surface,
     place: pygame.Rect,
     name: str,
-    inferences: InferenceTrace,
+    inferences: InferenceTrace | None,
     step: int,
-    actions: Sequence[str],
+    world: Any,  # noqa: ANN401
     taken: int | None,
 ) -> None:
-    """Draw the panel of an inference.
+    """Draw the panel of an inference; empty without one.
 
-    name     of the policy and its chip
-    step     index of the inference
-    actions  names of the scores
-    taken    index of the ghost's own action, which another policy may have chosen
+    name   of the policy and its chip
+    step   index of the inference; the last one for larger ones
+    world  whose actions have names
+    taken  index of the ghost's own action, which another policy may have chosen
     """
     pygame.draw.rect(surface, PANEL, place)
+    if inferences is None:
+        return
+    step, count = min(step, len(inferences.scores) - 1), inferences.scores.shape[1]
+    named = getattr(world, "ACTIONS", ())
+    actions = list(named) if len(named) == count else [str(index) for index in range(count)]
     pygame.draw.line(surface, LINE, place.topleft, place.bottomleft)
     inner = place.inflate(-2 * _PAD, -2 * _PAD)
     write(surface, name, inner.topleft, 17, TEXT, "bold")
-    note = f"left: this inference · right: the last {WINDOW} control steps"
-    write(surface, note, (inner.left, inner.top + 24), 12, DIM)
-    below = inner.bottom - 34 - _pitch(actions) * len(actions)
+    write(surface, _NOTE, (inner.left, inner.top + 24), 12, DIM)
+    pitch = min(24, 216 // count)  # of an action's row: many actions leave the spikes their room
+    below = inner.bottom - 34 - pitch * count
     y = inner.top + 56
-    rasters = list(inferences.rasters.items())
-    height = (below - y - 34 * len(rasters)) // len(rasters)
-    for index, (layer, raster) in enumerate(rasters):
+    height = (below - y - 34 * len(inferences.rasters)) // len(inferences.rasters)
+    for index, (layer, raster) in enumerate(inferences.rasters.items()):
         box = pygame.Rect(inner.left, y, inner.width, height + 20)
         _layer(surface, box, layer, raster, step, CYAN if index else AMBER)
         y += height + 34
     scores = pygame.Rect(inner.left, below + 8, inner.width, 0)
-    _scores(surface, scores, inferences, step, actions, taken)
+    _scores(surface, scores, inferences.scores, step, actions, taken, pitch)
 
 
 def _layer(
@@ -145,9 +130,7 @@ def _layer(
     _image(surface, right, past, colour)
 
 
-def _image(
-    surface: pygame.Surface, place: pygame.Rect, values: NDArray[np.float64], colour: Colour
-) -> None:
+def _image(surface: pygame.Surface, place: pygame.Rect, values: Floats, colour: Colour) -> None:
     """Values (N, columns) from 0 to 1 as brightness, neuron 0 on top."""
     dark, bright = np.array(TRACK), np.array(colour)
     pixels = dark + np.sqrt(values)[:, :, None] * (bright - dark)
@@ -157,28 +140,22 @@ def _image(
     surface.blit(scale(small, place.size), place)
 
 
-def _pitch(actions: Sequence[str]) -> int:
-    """Height of an action's row [px]: many actions leave the spikes their room."""
-    return min(24, 216 // len(actions))
-
-
 def _scores(
     surface: pygame.Surface,
     place: pygame.Rect,
-    inferences: InferenceTrace,
+    every: Floats,
     step: int,
     actions: Sequence[str],
     taken: int | None,
+    pitch: int,
 ) -> None:
     """A bar for each action score; the largest and the ghost's own action are marked."""
-    scores = inferences.scores[step]
+    scores = every[step]
     chosen = None if taken is None else int(scores.argmax())
     heading(surface, "action scores", place.topleft)
     if taken is not None:
         write(surface, "● the ghost's", (place.right, place.top - 2), 12, DIM, anchor="topright")
-    largest = max(float(np.abs(inferences.scores).max()), 1e-9)
-    pitch = _pitch(actions)
-    size = min(13, pitch - 1)
+    largest, size = max(float(np.abs(every).max()), 1e-9), min(13, pitch - 1)
     for index, name in enumerate(actions):
         y = place.top + 24 + pitch * index
         colour = AMBER if index == chosen else DIM

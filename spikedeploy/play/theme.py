@@ -74,48 +74,86 @@ def bar(surface: pygame.Surface, place: pygame.Rect, share: float, colour: Colou
 def signed_bar(surface: pygame.Surface, place: pygame.Rect, share: float) -> None:
     """A bar from the middle: green to the right, red to the left, for shares from -1 to 1."""
     pygame.draw.rect(surface, TRACK, place, border_radius=place.height // 2)
-    width = round(place.width / 2 * min(abs(share), 1.0))
-    left = place.centerx if share > 0 else place.centerx - width
+    middle, width = place.centerx, round(place.width / 2 * min(abs(share), 1.0))
     if width:
+        left = middle if share > 0 else middle - width
         filled = pygame.Rect(left, place.top, width, place.height)
         pygame.draw.rect(surface, GREEN if share > 0 else RED, filled, border_radius=1)
-    pygame.draw.line(
-        surface, DIM, (place.centerx, place.top - 2), (place.centerx, place.bottom + 1)
-    )
+    pygame.draw.line(surface, DIM, (middle, place.top - 2), (middle, place.bottom + 1))
 
 
-def keycaps(
-    surface: pygame.Surface, entries: list[tuple[str, str]], at: tuple[float, float], width: int
-) -> float:
-    """Draw keys and their functions in rows; return the y below them."""
-    x, y = at
-    for keys, meaning in entries:
-        cap, label = font(12, "bold").size(keys)[0] + 14, font(12).size(meaning)[0]
-        if x + cap + 7 + label > at[0] + width:
-            x, y = at[0], y + 28
-        place = pygame.Rect(round(x), round(y), cap, 21)
-        pygame.draw.rect(surface, LINE, place, border_radius=5)
-        write(surface, keys, place.center, 12, TEXT, "bold", "center")
-        write(surface, meaning, (place.right + 7, place.centery), 12, DIM, anchor="midleft")
-        x = place.right + 7 + label + 18
-    return y + 28
+class Panel:
+    """A panel beside a picture: a title, the keys in rows at its end, sections from the top down.
 
+    surface  that it is drawn on
+    inner    the space inside
+    y        of the next section [px]
+    """
 
-def draw_panel(
-    surface: pygame.Surface,
-    place: pygame.Rect,
-    title: str,
-    subtitle: str,
-    keys: list[tuple[str, str]],
-    rows: int,
-) -> pygame.Rect:
-    """Draw a panel with its title and, in rows at its end, the keys; return the space inside."""
-    pygame.draw.rect(surface, PANEL, place)
-    inner = place.inflate(-52, -52)
-    write(surface, title, inner.topleft, 20, TEXT, "bold")
-    write(surface, subtitle, (inner.left, inner.top + 28), 12, DIM)
-    keycaps(surface, keys, (inner.left, inner.bottom - 22 - 28 * rows), inner.width)
-    return inner
+    def __init__(
+        self,
+        surface: pygame.Surface,
+        place: pygame.Rect,
+        title: str,
+        subtitle: str,
+        keys: list[tuple[str, str]],
+        rows: int,
+    ) -> None:
+        pygame.draw.rect(surface, PANEL, place)
+        self.surface, self.inner = surface, place.inflate(-52, -52)
+        self.y = self.inner.top
+        self.text(title, 0, 20, TEXT, "bold")
+        self.text(subtitle, 28, 12)
+        self._draw_keys(keys, self.inner.bottom - 22 - 28 * rows)
+        self.y += 66
+
+    def title(self, text: str, below: int = 0) -> None:
+        """The title of a section, so far below its beginning."""
+        heading(self.surface, text, (self.inner.left, self.y + below))
+
+    def text(
+        self, text: str, below: int, size: int, colour: Colour = DIM, face: str = "plain"
+    ) -> pygame.Rect:
+        """Text at the left."""
+        return write(self.surface, text, (self.inner.left, self.y + below), size, colour, face)
+
+    def value(
+        self, text: str, below: int, size: int, colour: Colour = TEXT, face: str = "plain"
+    ) -> None:
+        """Text at the right."""
+        place = self.inner.right, self.y + below
+        write(self.surface, text, place, size, colour, face, "topright")
+
+    def row(self, name: str, value: str, size: int = 14, height: int = 26) -> None:
+        """A name and its value, as a section."""
+        self.text(name, 0, size)
+        self.value(value, 0, size)
+        self.y += height
+
+    def columns(self, cells: list[tuple[str, str, Colour]], size: int) -> None:
+        """Titles, and a text in its colour below each, in three columns."""
+        for column, (title, text, colour) in enumerate(cells):
+            x = self.inner.left + column * self.inner.width // 3
+            heading(self.surface, title, (x, self.y))
+            write(self.surface, text, (x, self.y + 17), size, colour, "bold")
+
+    def bar(self, share: float, below: int, height: int, colour: Colour = CYAN) -> None:
+        """A bar over the whole width."""
+        place = pygame.Rect(self.inner.left, self.y + below, self.inner.width, height)
+        bar(self.surface, place, share, colour)
+
+    def _draw_keys(self, entries: list[tuple[str, str]], y: int) -> None:
+        x = self.inner.left
+        for keys, meaning in entries:
+            cap, label = font(12, "bold").size(keys)[0] + 14, font(12).size(meaning)[0]
+            if x + cap + 7 + label > self.inner.right:
+                x, y = self.inner.left, y + 28
+            place = pygame.Rect(x, y, cap, 21)
+            pygame.draw.rect(self.surface, LINE, place, border_radius=5)
+            write(self.surface, keys, place.center, 12, TEXT, "bold", "center")
+            at = place.right + 7, place.centery
+            write(self.surface, meaning, at, 12, DIM, anchor="midleft")
+            x = place.right + 25 + label
 
 
 def banner(surface: pygame.Surface, place: pygame.Rect, text: str, colour: Colour) -> None:

@@ -42,9 +42,18 @@ class App:
 
 def show(app: App, screenshots: Path = _SCREENSHOTS) -> None:
     """Show the app until its window is closed or ESC is pressed; P takes a screenshot."""
-    screen = _open(app)
-    clock = pygame.time.Clock()
-    due, size = 1.0, screen.get_size()
+    check_display()
+    try:
+        pygame.display.init()
+        check_driver(pygame.display.get_driver())
+        screen = pygame.display.set_mode(app.draw().get_size(), pygame.RESIZABLE)
+    except pygame.error as error:
+        raise ConfigError(
+            f"no window can be opened here ({error}); `spikedeploy replay --video` and `run "
+            "--video` need none"
+        ) from error
+    pygame.display.set_caption(app.title)
+    clock, due, size = pygame.time.Clock(), 1.0, screen.get_size()
     try:
         while not _handle_events(app, screenshots, size):
             for _ in range(int(due)):
@@ -59,38 +68,16 @@ def show(app: App, screenshots: Path = _SCREENSHOTS) -> None:
         pygame.display.quit()
 
 
-def _screenshot(app: App, folder: Path = _SCREENSHOTS) -> Path:
-    """Write the current frame to the first free file name; return the path."""
-    folder.mkdir(parents=True, exist_ok=True)
-    names = (folder / f"{app.name}-{number}.png" for number in itertools.count(1))
-    path = next(name for name in names if not name.exists())
-    pygame.image.save(app.draw(), path)
-    return path
-
-
-def _open(app: App) -> pygame.Surface:
-    check_display()
-    try:
-        pygame.display.init()
-        check_driver(pygame.display.get_driver())
-        screen = pygame.display.set_mode(app.draw().get_size(), pygame.RESIZABLE)
-    except pygame.error as error:
-        raise ConfigError(
-            f"no window can be opened here ({error}); `spikedeploy replay --video` and `run "
-            "--video` need none"
-        ) from error
-    pygame.display.set_caption(app.title)
-    return screen
-
-
 def _handle_events(app: App, screenshots: Path, size: tuple[int, int]) -> bool:
     """Pass pending events to the app; return whether one of them closes the window."""
     for event in pygame.event.get():
-        escape = event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE
-        if event.type == pygame.QUIT or escape:
+        key = event.key if event.type == pygame.KEYDOWN else None
+        if event.type == pygame.QUIT or key == pygame.K_ESCAPE:
             return True
-        if event.type == pygame.KEYDOWN and event.key == pygame.K_p:
-            _screenshot(app, screenshots)
+        if key == pygame.K_p:
+            screenshots.mkdir(parents=True, exist_ok=True)
+            names = (screenshots / f"{app.name}-{number}.png" for number in itertools.count(1))
+            pygame.image.save(app.draw(), next(name for name in names if not name.exists()))
         elif event.type in (pygame.KEYDOWN, pygame.KEYUP):
             app.handle(event)
         elif event.type in _MOUSE:
@@ -113,9 +100,8 @@ def _fit(screen: pygame.Surface, frame: pygame.Surface) -> None:
     """Draw the frame in the middle of the window, scaled to fit."""
     screen = pygame.display.get_surface() or screen
     if screen.get_size() != frame.get_size():
-        scale = min(
-            screen.get_width() / frame.get_width(), screen.get_height() / frame.get_height()
-        )
+        width, height = frame.get_size()
+        scale = min(screen.get_width() / width, screen.get_height() / height)
         frame = pygame.transform.smoothscale_by(frame, scale)
         screen.fill(NIGHT)
     screen.blit(frame, frame.get_rect(center=screen.get_rect().center))

@@ -17,23 +17,17 @@ from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.play.ghosts import COLOURS, GhostGroup, gates_passed, ghost_observations
 from spikedeploy.play.replay import Playback, distinct_names, open_replay, open_source, save_film
 from spikedeploy.runtime.artifact.artifact import load, save
+from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from tests import toy_stroll_env
 from tests.delta_policies import delta_policy
 from tests.networks import spiking_mlp
+from tests.windows import press
 
 KARTS = ("kart-grid", "kart-gazebo", "kart-steer")
 ORIGIN = Provenance("kart-gazebo", "smoke", 0, 0, "2026-01-01T00:00:00Z", "0.1.0")
-
-
-@pytest.fixture(autouse=True)
-def dummy(monkeypatch):
-    """A display that shows nothing."""
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    yield
-    pygame.display.quit()
 
 
 def drive(name, seed, steps, wild=0.2):
@@ -77,52 +71,42 @@ def policy(tmp_path_factory):
     return path
 
 
-def press(app, *keys):
+def pressed(app, *keys):
     for key in keys:
-        app.handle(pygame.Event(pygame.KEYDOWN, key=key))
+        app.handle(press(key))
+
+
+def frame(app):
+    return pygame.surfarray.array3d(app.draw())
 
 
 # time
 
 
-def playing(batches=3, length=120):
-    return Playback(batches, 1 / 60, length)
-
-
-def test_time_passes_at_the_speed_that_is_asked_for():
-    play = playing()
+def test_time_passes_at_the_speed_that_is_asked_for_pauses_and_can_be_sought():
+    play = Playback(3, 1 / 60, 120)
     play.tick(1.0)
     assert play.now == 60
-    press(play, pygame.K_DOWN)
+    pressed(play, "DOWN")
     play.tick(1.0)
     assert play.now == 90
-    press(play, pygame.K_UP, pygame.K_UP)
+    pressed(play, "UP", "UP")
     assert play.speed == 2.0
-
-
-def test_paused_time_stands_still_but_can_be_sought():
-    play = playing()
-    press(play, pygame.K_SPACE)
+    pressed(play, "SPACE")
     play.tick(1.0)
-    assert (play.now, play.paused) == (0, True)
-    press(play, pygame.K_RIGHT)
-    assert play.now == 60
-    press(play, pygame.K_LEFT, pygame.K_LEFT)
-    assert play.now == 0
-    press(play, *[pygame.K_RIGHT] * 5)
-    assert play.now == 120
-    press(play, pygame.K_SPACE)
+    assert (play.now, play.paused) == (90, True)
+    for keys, now in ((["LEFT"], 30), (["LEFT"] * 2, 0), (["RIGHT"] * 5, 120)):
+        pressed(play, *keys)
+        assert play.now == now
+    pressed(play, "SPACE")
     assert not play.paused
 
 
 def test_after_a_batch_and_a_rest_comes_the_next_and_after_the_last_the_first():
-    play = playing(batches=2)
-    play.tick(2.9)
-    assert (play.batch, play.now) == (0, 120)
-    play.tick(0.2)
-    assert (play.batch, play.now, play.rounds) == (1, 0, 0)
-    play.tick(3.1)
-    assert (play.batch, play.rounds) == (0, 1)
+    play = Playback(2, 1 / 60, 120)
+    for seconds, found in ((2.9, (0, 120, 0)), (0.2, (1, 0, 0)), (3.1, (0, 0, 1))):
+        play.tick(seconds)
+        assert (play.batch, play.now, play.rounds) == found
 
 
 # ghosts
@@ -142,7 +126,7 @@ def test_a_crowd_knows_where_everybody_is_and_who_has_ended():
     )
     assert group.length == 9
     assert group.poses(4)[:, 0].tolist() == [3, 104, 204]
-    assert group.driving(4).tolist() == [False, True, True]
+    assert group.states(4)["driving"].tolist() == [False, True, True]
     assert group.counts(5) == {"driving": 1, "finished": 1, "crashed": 1}
     assert group.counts(0) == {"driving": 3, "finished": 0, "crashed": 0}
 
@@ -190,8 +174,7 @@ def test_what_a_ghost_saw_is_seen_again(name):
 def test_a_run_folder_holds_a_batch_in_each_file(run):
     source = open_source(run)
     assert (source.name, source.env_id) == ("kart-gazebo-ann-s0", "spikedeploy/KartGazebo-v0")
-    assert [len(source.batch(index).drives) for index in range(len(source))] == [2, 3, 2]
-    assert len(source.everything().drives) == 7
+    assert [len(source.batch(index)) for index in (0, 1, 2, 3, None)] == [2, 3, 2, 2, 7]
     assert len(open_source(run / "ghosts")) == 3
     assert len(open_source(run / "ghosts/00002.npz")) == 1
 
@@ -209,17 +192,14 @@ def test_what_is_no_source_is_refused_in_a_line(tmp_path):
 # the app
 
 
-def test_batches_come_one_after_the_other(run):
+def test_batches_come_one_after_the_other_or_all_at_once(run):
     app = open_replay(run)
     assert (app.playback.batches, app.playback.length) == (3, 40)
-    press(app, pygame.K_n)
+    pressed(app, "n")
     assert app.playback.length == 80
     for _ in range(160):
         app.tick()
     assert (app.playback.batch, app.playback.length) == (2, 120)
-
-
-def test_all_shows_every_ghost_at_once(run):
     app = open_replay(run, mode="all")
     assert (app.playback.batches, app.playback.length) == (1, 120)
     facts = dict(app.view.facts(0))
@@ -229,35 +209,28 @@ def test_all_shows_every_ghost_at_once(run):
 
 def test_ghosts_move_on_the_track(run):
     app = open_replay(run, batch=3)
-    before = pygame.surfarray.array3d(app.draw())[:800]
-    press(app, pygame.K_RIGHT)
-    after = pygame.surfarray.array3d(app.draw())[:800]
+    before = frame(app)[:800]
+    pressed(app, "RIGHT")
+    after = frame(app)[:800]
     changed = np.argwhere((before != after).any(axis=2))
     assert len(changed) > 200
-    leader = app.view.group.poses(60)[app.view.group.leader]
+    leader = app.view.group.best.pose[60]
     assert np.hypot(*(changed - app.view.place((800, 800)).at(leader[:2])).T).min() < 5
 
 
 @pytest.mark.parametrize("chip", ["loihi1", "float"])
-def test_the_spikes_beside_a_ghost_are_those_of_its_policy(run, policy, chip):
+def test_the_spikes_beside_a_ghost_are_those_of_its_policy(run, policy, chip, tmp_path):
     app = open_replay(run, batch=2, spikes=str(policy), chip=chip)
-    inferences = app.inferences
-    artifact = load(policy)
-    observations = app.view.observations()
-    assert inferences.scores.shape == (app.view.group.drives[app.view.group.leader].steps + 1, 4)
-    spikes = artifact.codec.encode(observations)
-    np.testing.assert_array_equal(inferences.rasters["input"], spikes)
-    from spikedeploy.runtime.chips.chip import chip as datasheet
-
+    inferences, artifact, observations = app.inferences, load(policy), app.view.observations()
+    assert inferences.scores.shape == (app.view.group.best.steps + 1, 4)
+    np.testing.assert_array_equal(inferences.rasters["input"], artifact.codec.encode(observations))
     controller = SpikingController(artifact, None if chip == "float" else datasheet(chip))
-    np.testing.assert_array_equal(
-        inferences.scores.argmax(axis=1), controller.act_batch(observations)
-    )
-    assert [rows.shape[2] for rows in inferences.rasters.values()] == [
-        observations.shape[1],
-        16,
-        12,
-    ]
+    acted = controller.act_batch(observations)
+    np.testing.assert_array_equal(inferences.scores.argmax(axis=1), acted)
+    widths = [rows.shape[2] for rows in inferences.rasters.values()]
+    assert widths == [observations.shape[1], 16, 12]
+    beside = open_replay(run, batch=2, spikes=str(policy), chip=chip, beside=[tiny(tmp_path)])
+    np.testing.assert_array_equal(beside.inferences.scores, inferences.scores)
 
 
 @pytest.mark.parametrize("hidden", [0, 6])
@@ -266,9 +239,9 @@ def test_events_and_readouts_are_drawn_beside_a_ghost(hidden, run, tmp_path):
     actions = envs.make("kart-gazebo").action_space.n
     network = delta_policy(obs=observed, act=actions, hidden=hidden, head="discrete")
     app = open_replay(run, batch=2, spikes=str(to_nir(network, ORIGIN, tmp_path / "event.nir")))
-    before = pygame.surfarray.array3d(app.draw())[800:1200]
-    press(app, pygame.K_RIGHT)
-    after = pygame.surfarray.array3d(app.draw())[800:1200]
+    before = frame(app)[800:1200]
+    pressed(app, "RIGHT")
+    after = frame(app)[800:1200]
     assert (before != after).any()
     codec = load(tmp_path / "event.nir").codec
     found = app.inferences.rasters
@@ -310,10 +283,10 @@ def test_sources_are_laid_over_one_another_in_colours_of_their_own(run, tmp_path
     assert [name for name, _ in facts if name in app.view.legend] == [run.name, "a"]
     assert [value for name, value in facts if "driving" in name] == ["0 / 0 / 0", "1 / 0 / 0"]
     assert facts[-1] == ("leader", "finish, 1.50 s")
-    frame = pygame.surfarray.array3d(app.draw())
+    shown = frame(app)
     for colour in COLOURS[:2]:
-        assert (frame[:800] == colour).all(axis=2).sum() > 20  # on the track
-        assert (frame[800:] == colour).all(axis=2).sum() > 20  # beside its name
+        assert (shown[:800] == colour).all(axis=2).sum() > 20  # on the track
+        assert (shown[800:] == colour).all(axis=2).sum() > 20  # beside its name
 
 
 def test_of_a_source_with_fewer_batches_the_last_one_stays(run, tmp_path):
@@ -355,12 +328,6 @@ def test_a_source_counts_once_and_there_is_a_colour_for_each(tmp_path):
         open_replay(files[0], beside=files[:1])
 
 
-def test_the_spikes_beside_several_sources_are_of_the_first_ones_leader(run, policy, tmp_path):
-    alone = open_replay(run, batch=2, spikes=str(policy)).inferences
-    app = open_replay(run, batch=2, spikes=str(policy), beside=[tiny(tmp_path)])
-    np.testing.assert_array_equal(app.inferences.scores, alone.scores)
-
-
 def test_a_track_drawn_at_random_is_the_leaders_in_every_batch(tmp_path):
     for seed in (1, 2):
         ghosts = Ghosts(
@@ -368,25 +335,32 @@ def test_a_track_drawn_at_random_is_the_leaders_in_every_batch(tmp_path):
         )
         ghosts.save(tmp_path / f"ghosts/{seed}.npz")
     app = open_replay(tmp_path)
-    before = pygame.surfarray.array3d(app.view.ground((200, 200)))
-    press(app, pygame.K_n)
-    assert (pygame.surfarray.array3d(app.view.ground((200, 200))) != before).any()
-    press(app, pygame.K_b)
-    np.testing.assert_array_equal(pygame.surfarray.array3d(app.view.ground((200, 200))), before)
+    seen = []
+    for key in ("SPACE", "n", "b"):
+        pressed(app, key)
+        seen.append(pygame.surfarray.array3d(app.view.ground((200, 200))))
+    assert (seen[0] != seen[1]).any()
+    np.testing.assert_array_equal(seen[0], seen[2])
 
 
-class Left:
-    """A controller that goes round and round."""
+class Doing:
+    """A controller that does the same in each episode."""
+
+    def __init__(self, action):
+        self.action = action
 
     def reset(self, seed):
-        pass
+        self.step = 0
 
     def act(self, observation):
-        return np.array(2)
+        self.step += 1
+        return np.array(self.action(self.step))
 
 
 def test_a_recorded_drive_is_replayed_as_the_only_ghost(tmp_path):
-    played = rollout(envs.make("kart-gazebo", track="small_S", max_steps=30), Left(), 10_005)
+    played = rollout(
+        envs.make("kart-gazebo", track="small_S", max_steps=30), Doing(lambda _: 2), 10_005
+    )
     played.save(tmp_path / "drive.npz")
     app = open_replay(tmp_path / "drive.npz")
     assert (app.playback.batches, app.playback.length) == (1, 30)
@@ -394,18 +368,10 @@ def test_a_recorded_drive_is_replayed_as_the_only_ghost(tmp_path):
     np.testing.assert_array_equal(app.view.observations(), played.observation)
 
 
-class Waves:
-    def reset(self, seed):
-        self.step = 0
-
-    def act(self, observation):
-        self.step += 1
-        return np.array([np.sin(self.step), 0.3])
-
-
 def test_a_robot_walks_its_recorded_walk_again_and_backwards(monkeypatch, tmp_path):
     toy_stroll_env.install(monkeypatch)
-    played = rollout(envs.make("stroll"), Waves(), 10_005)
+    waves = Doing(lambda step: [np.sin(step), 0.3])
+    played = rollout(envs.make("stroll"), waves, 10_005)
     played.save(tmp_path / "walk.npz")
     app = open_replay(tmp_path / "walk.npz")
     seen = []
@@ -421,8 +387,8 @@ def test_a_hexapod_that_was_steered_is_steered_again(tmp_path):
     from spikedeploy.play.drive import open_session
 
     driven = open_session("hexapod-command", {}, "gait", None, 10_000, tmp_path / "walk.npz")
-    for key in [pygame.K_UP] * 60 + [pygame.K_LEFT] * 60:
-        driven.driver.handle(pygame.Event(pygame.KEYDOWN, key=key))
+    for key in ["UP"] * 60 + ["LEFT"] * 60:
+        driven.driver.handle(press(key))
         driven.tick()
     seen = driven.episode.observation
     driven.close()

@@ -9,9 +9,10 @@ import pytest
 from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.to_nir import to_nir
-from spikedeploy.play.spikes import SpikeRecorder
+from spikedeploy.play.spikes import trace_of
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.policies.run import TorchController
+from spikedeploy.recordings import open_traced
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
@@ -77,7 +78,8 @@ def test_spikes_beside_a_replay_are_those_of_the_episode(shape, target, world, t
     candidate = find(str(shipped(tmp_path, **shape)[1]))
     player = open_policy(candidate, target, world)
     played = rollout(world, player, 10_000)
-    traced = SpikeRecorder(candidate, target).record(played.observation[:-1], 10_000)
+    traced = open_traced(candidate, target, world, "total")
+    traced = trace_of(traced, played.observation[:-1], 10_000)
     np.testing.assert_allclose(np.tanh(traced.scores), played.action)
     spiking = {"lif1"} if shape.get("hidden", 8) else set()
     assert traced.rasters.keys() == {"input"} | spiking
