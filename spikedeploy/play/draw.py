@@ -169,7 +169,8 @@ class TrackEditor(App):
                 draft = save_draft(self.draft, self.path)
                 self.message = (RED, f"{error}. Kept as {draft.name}.")
             else:
-                self.saved, self.message = True, (GREEN, f"{self.path.name} is saved: a kart can drive it.")
+                self.saved = True
+                self.message = (GREEN, f"{self.path.name} is saved: a kart can drive it.")
             self._saved_text = as_text(self.draft)
         except OSError as error:
             self.message = (RED, f"{self.path}: {error.strerror}; nothing was saved.")
