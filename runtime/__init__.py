@@ -31,7 +31,7 @@ EXPORTS = {
     "DeltaEncoder": "spikedeploy.runtime.codec.delta:DeltaEncoder",
     "FloatGraph": "spikedeploy.runtime.float_model:FloatGraph",
     "Normaliser": "spikedeploy.runtime.codec.codec:Normaliser",
-    "PRESETS": "spikedeploy.runtime.dialects.dialect:PRESETS",
+    "PRESETS": "spikedeploy.runtime.dialects.tools:PRESETS",
     "PopulationEncoder": "spikedeploy.runtime.codec.population:PopulationEncoder",
     "Provenance": "spikedeploy.runtime.metadata:Provenance",
     "RateEncoder": "spikedeploy.runtime.codec.rate:RateEncoder",

@@ -41,8 +41,7 @@ from spikedeploy.runtime.graph.shapes import (
     DENSE,
     POOLS,
     ConvWindow,
-    convolution_window,
-    pool_window,
+    window_of,
 )
 
 Array: TypeAlias = NDArray[np.floating[Any]]
@@ -62,7 +61,7 @@ def build_node(name: str, node: nir.NIRNode, convention: Convention, dtype: DTyp
     if isinstance(node, POOLS):
         # a mean divides by the whole kernel, zeros of the padding included, which is the default of
         # torch.nn.AvgPool2d; NIR leaves it open
-        window = pool_window(name, node)
+        window = window_of(name, node)
         size = math.prod(window.kernel) if isinstance(node, nir.AvgPool2d) else 1
         return partial(_in_chunks, window, partial(_pool, size))
     if isinstance(node, nir.Delay):
@@ -163,7 +162,7 @@ def convolution(name: str, node: nir.NIRNode, dtype: DTypeLike) -> Node:
     y[n, p] = sum over c, k of W[n, c, k] x[c, p stride + k dilation - padding] + b[n], where c
     are the C / groups channels of the group of n (torch.nn.functional.conv2d).
     """
-    window, groups = convolution_window(name, node), int(node.groups)
+    window, groups = window_of(name, node), int(node.groups)
     # (G, C/G K, N/G)
     weight = node.weight.reshape(groups, len(node.weight) // groups, -1).swapaxes(1, 2)
     weight = np.ascontiguousarray(weight, dtype=dtype)

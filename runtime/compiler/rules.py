@@ -20,7 +20,7 @@ from spikedeploy.runtime.compiler.wiring import Population, Topology, topology
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.graph.neurons import SPIKING, DiscreteNeuron
 from spikedeploy.runtime.graph.order import delay_timesteps
-from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, convolution_window
+from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, window_of
 
 Floats: TypeAlias = NDArray[np.float64]
 Status = Literal["pass", "fail", "unknown", "not applicable"]
@@ -245,7 +245,7 @@ def _kernel(design: PlacedNetwork) -> Iterator[RuleResult]:
     for name, node in design.nodes:
         if not isinstance(node, CONVOLUTIONS) or name in design.network.host:
             continue
-        window = convolution_window(name, node)
+        window = window_of(name, node)
         fits = max(window.kernel) <= limits.kernel and {*window.stride} <= {*limits.strides}
         yield RuleResult(
             rule="",

@@ -34,9 +34,8 @@ from spikedeploy.runtime.graph.shapes import (
     DENSE,
     POOLS,
     ConvWindow,
-    convolution_window,
     multiplications,
-    pool_window,
+    window_of,
 )
 
 Counts: TypeAlias = NDArray[np.int64]
@@ -179,14 +178,14 @@ def _extend(way: SynapseMap, name: str, node: nir.NIRNode) -> SynapseMap:
 def _map_of(name: str, node: nir.NIRNode) -> SynapseMap:
     """The synapses of one node with a fan."""
     if isinstance(node, POOLS):
-        out, into = _convolved_counts(node, pool_window(name, node), 1, 1)
+        out, into = _convolved_counts(node, window_of(name, node), 1, 1)
         return SynapseMap(out, into)
     largest = float(np.abs(node.weight).max())
     biased = isinstance(node, _BIASED) and bool(node.bias.any())
     if isinstance(node, CONVOLUTIONS):
         groups = int(np.ravel(node.groups)[0])
         features, channels = len(node.weight) // groups, int(node.weight.shape[1])
-        out, into = _convolved_counts(node, convolution_window(name, node), features, channels)
+        out, into = _convolved_counts(node, window_of(name, node), features, channels)
         return SynapseMap(out, into, None, largest, biased)
     listed = node.weight != 0
     if node.weight.ndim == 2:

@@ -1,9 +1,10 @@
-"""Dialects: the meaning of a NIR file in other tools, one file for each tool.
+"""Dialects: the meaning of a NIR file in other tools.
 
 NIR leaves dt, reset, integrator and delays open. Each tool fills them in on its own, ignores some
 parameters, and may write other ones than it reads: Norse misreads its own files.
 
-dialect          the tables of tools, and the steps that all of them share
+dialect          what is known of a tool, and the steps that tools share
+tools            Lava, Nengo, Norse, Rockpool, sinabs, snnTorch, SpikingJelly; the tables of them
+reading          a file as a tool reads it, or as the tool that wrote it means it
 rewriting        a network in the scaling that the import of a tool accepts
-lava, nengo, norse, rockpool, sinabs, snntorch, spikingjelly
 """

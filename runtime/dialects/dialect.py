@@ -1,17 +1,15 @@
-"""The tables of tools: how each reads a NIR file, and what it means by one that it wrote.
+"""A tool's import and export of NIR as data, and the steps from one neuron to another.
 
 A `Preset` translates a graph into one that means here what the original means in the tool that
 reads it. It refuses what the tool refuses, and what NIR cannot express. A `Writer` translates a
 graph into one with its author's meaning; some of what a network does is in no file, so its
-convention names what was assumed.
+convention names what was assumed. An `Importer` is what a network is rewritten for.
 """
 
 import copy
-import difflib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from importlib import import_module
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
 import nir
@@ -20,29 +18,20 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConventionError
-from spikedeploy.runtime.graph.neurons import CURRENT_BASED, ROUNDING, SPIKING, rounded_timestep
+from spikedeploy.runtime.graph.neurons import (
+    CURRENT_BASED,
+    ROUNDING,
+    SPIKING,
+    DiscreteNeuron,
+    float64,
+)
 
 Nodes: TypeAlias = dict[str, nir.NIRNode]
 Edges: TypeAlias = set[tuple[str, str]]
+EdgeList: TypeAlias = list[tuple[str, str]]
+Kinds: TypeAlias = tuple[type[nir.NIRNode], ...]
 Values = NDArray[np.float64]
-
-PRESETS: dict[str, str] = {
-    "lava": "spikedeploy.runtime.dialects.lava:PRESET",
-    "nengo": "spikedeploy.runtime.dialects.nengo:PRESET",
-    "norse": "spikedeploy.runtime.dialects.norse:PRESET",
-    "rockpool": "spikedeploy.runtime.dialects.rockpool:PRESET",
-    "sinabs": "spikedeploy.runtime.dialects.sinabs:PRESET",
-    "snntorch": "spikedeploy.runtime.dialects.snntorch:PRESET",
-    "spikingjelly": "spikedeploy.runtime.dialects.spikingjelly:PRESET",
-}
-WRITERS: dict[str, str] = {
-    "lava": "spikedeploy.runtime.dialects.lava:WRITER",
-    "norse": "spikedeploy.runtime.dialects.norse:WRITER",
-    "rockpool": "spikedeploy.runtime.dialects.rockpool:WRITER",
-    "sinabs": "spikedeploy.runtime.dialects.sinabs:WRITER",
-    "snntorch": "spikedeploy.runtime.dialects.snntorch:WRITER",
-    "spikingjelly": "spikedeploy.runtime.dialects.spikingjelly:WRITER",
-}
+Translate: TypeAlias = Callable[[str, nir.NIRNode, Convention], nir.NIRNode]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +49,9 @@ class Preset:
     """
 
     tool: str
-    kinds: tuple[type[nir.NIRNode], ...]
+    kinds: Kinds
     convention: Callable[[Nodes], Convention]
-    translate: Callable[[str, nir.NIRNode, Convention], nir.NIRNode]
+    translate: Translate
     source: str
     options: tuple[str, ...] = ()
     remark: str = ""
@@ -99,9 +88,9 @@ class Writer:
     """
 
     tool: str
-    kinds: tuple[type[nir.NIRNode], ...]
+    kinds: Kinds
     timestep: Callable[[str, nir.NIRNode], Any]
-    translate: Callable[[str, nir.NIRNode, Convention], nir.NIRNode]
+    translate: Translate
     source: str
     default_timestep: tuple[float, str] | None = None
     tolerance: float = 1e-5
@@ -112,127 +101,34 @@ class Writer:
     convention: Callable[[Convention, Nodes], Convention] = lambda convention, nodes: convention
 
 
-def preset(name: str) -> Preset:
-    """The preset called `name`; ConventionError where there is none."""
-    found: Preset = _entry(PRESETS, name, f"there is no preset {name!r}")
-    return found
+@dataclass(frozen=True)
+class Importer:
+    """The constraints of a tool's import, which a network is rewritten for.
 
-
-def writer(name: str) -> Writer:
-    """The writer called `name`; ConventionError where there is none."""
-    found: Writer = _entry(WRITERS, name, f"no tool {name!r} is known that writes NIR")
-    return found
-
-
-def _entry(table: Mapping[str, str], name: str, refusal: str) -> Any:  # noqa: ANN401
-    if name not in table:
-        near = difflib.get_close_matches(name, table, n=1)
-        hint = f" Did you mean {near[0]!r}?" if near else ""
-        raise ConventionError(f"{refusal}.{hint} Choose one of {', '.join(table)}.")
-    module, attribute = table[name].split(":")
-    return getattr(import_module(module), attribute)
-
-
-def read_like(
-    graph: nir.NIRGraph, name: str, given: Mapping[str, Any] | None = None
-) -> tuple[nir.NIRGraph, Convention]:
-    """The graph and convention that have here the meaning of `graph` in the tool called `name`.
-
-    given: options of the convention; ConventionError for those that the tool does not offer.
+    uniform: True if all neurons of a layer have one threshold.
+    resets: that it can be told to use; the first is its default.
+    v_reset: True if it reads v_reset; else membranes are reset to 0.
+    convention: ours to that of the tool, but for reset and state; by default that of its preset.
+    gain: (kind, neurons) to what the tool multiplies their input by.
+    finish: (node, neurons) to the node with parameters that the tool reads in a way of its own.
+    arrange: nodes and edges to those of the same graph that the tool runs in the right order.
     """
-    tool, options = preset(name), dict(given or {})
-    for option in sorted(set(options) - {*tool.options, "state"}):
-        offered = ", ".join(tool.options) or "none"
-        raise ConventionError(
-            f"{tool.tool} does not let {option} be chosen; its options are: {offered}. Leave "
-            f"{option} away, or read the file without the preset."
-        )
-    nodes, edges = dict(graph.nodes), set(graph.edges)
-    with _refusals(tool.tool, "Change the node, or read the file without the preset."):
-        check_kinds(nodes, tool.kinds, "reads")
-        source = f"as {tool.tool} reads it" + (f": {tool.remark}" if tool.remark else "")
-        convention = replace(tool.convention(nodes), source=source).with_options(options)
-        for each in nodes:
-            nodes[each] = tool.translate(each, nodes[each], convention)
-        tool.wire(nodes, edges, convention)
-    translated = nir.NIRGraph(nodes, sorted(edges), metadata=graph.metadata, type_check=False)
-    return translated, convention
+
+    uniform: bool = True
+    resets: tuple[str, ...] = ("zero",)
+    v_reset: bool = False
+    convention: Callable[[Convention], Convention] | None = None
+    gain: Callable[[type[nir.NIRNode], DiscreteNeuron], Values] = lambda kind, neuron: np.ones_like(
+        neuron.gain
+    )
+    finish: Callable[[nir.NIRNode, DiscreteNeuron], nir.NIRNode] = lambda node, neuron: node
+    arrange: Callable[[Nodes, EdgeList], tuple[Nodes, EdgeList]] = lambda nodes, edges: (
+        nodes,
+        sorted(edges),
+    )
 
 
-def read_as_written(
-    graph: nir.NIRGraph, name: str, given: Mapping[str, Any] | None = None
-) -> tuple[nir.NIRGraph, Convention]:
-    """The graph and convention that mean here what the author's network does in the tool `name`.
-
-    given: options of the convention that the file does not say; ConventionError for others. The
-        source of the convention names those that were assumed.
-    """
-    tool, options = writer(name), dict(given or {})
-    _check_options(tool, options)
-    nodes = dict(graph.nodes)
-    with _refusals(tool.tool, "Name the tool that wrote the file, or read it without --from."):
-        check_kinds(nodes, tool.kinds, "writes")
-        dt, assumed = _timestep(tool, nodes, options.pop("dt", None))
-        assumed += [each.words for option, each in tool.open.items() if option not in options]
-        defaults = {option: each.choices[0] for option, each in tool.open.items()}
-        convention = Convention(dt, **{**tool.fixed, **defaults, **options})
-        for each in nodes:
-            nodes[each] = tool.translate(each, nodes[each], convention)
-    source = f"as {tool.tool} writes it"
-    if assumed := [*assumed, *tool.always]:
-        source += f"; not in the file, so assumed: {'; '.join(assumed)}"
-    stated = replace(tool.convention(convention, nodes), source=source)
-    translated = nir.NIRGraph(nodes, sorted(graph.edges), metadata=graph.metadata, type_check=False)
-    return translated, stated.with_options({option: getattr(stated, option) for option in options})
-
-
-def _check_options(tool: Writer, options: Mapping[str, Any]) -> None:
-    for option in sorted(set(options) - {*tool.open, "dt", "state"}):
-        raise ConventionError(
-            f"{option} is no choice in {tool.tool}, or stands in its files; choices are: "
-            f"{', '.join(('dt', *tool.open))}. Leave {option} away, or read the file without "
-            "--from."
-        )
-    for option, assumption in tool.open.items():
-        if options.get(option, assumption.choices[0]) not in assumption.choices:
-            choices = ", ".join(map(repr, assumption.choices))
-            raise ConventionError(
-                f"{option} {options[option]!r} is nothing that {tool.tool} does. Choose one of "
-                f"{choices}, or read the file without --from."
-            )
-
-
-def _timestep(tool: Writer, nodes: Nodes, given: float | None) -> tuple[float, list[str]]:
-    """The dt [s] of a file, and what was assumed for it."""
-    stated = _stated_timestep(tool, nodes)
-    if stated is None and tool.default_timestep is None:
-        raise ConventionError(
-            f"{tool.tool} writes its dt into the gains of CubaLIF nodes, and there are none. Name "
-            "the tool that wrote the file, or read it without --from."
-        )
-    if stated is None:
-        default, words = tool.default_timestep or (0.0, "")
-        return (given, []) if given is not None else (default, [words] if words else [])
-    if given is not None and not np.isclose(given, stated, rtol=1e-3):
-        raise ConventionError(
-            f"dt = {given:g} s: the gains of the file say {stated:g} s{tool.contradiction}. Leave "
-            "dt away."
-        )
-    return stated, []
-
-
-def _stated_timestep(tool: Writer, nodes: Nodes) -> float | None:
-    """The dt [s] on which the nodes agree; None where none states it."""
-    stated = {name: tool.timestep(name, node) for name, node in sorted(nodes.items())}
-    found = {name: float64(np.ravel(dt)) for name, dt in stated.items() if dt is not None}
-    if not found:
-        return None
-    middle = float(np.median(np.concatenate(list(found.values()))))
-    for name, dt in found.items():
-        near = np.isfinite(dt) & (np.abs(dt / middle - 1) <= tool.tolerance) & (dt > 0)
-        one = f"writes one dt into all gains; here it is {dt[0]:g} s, not {middle:g} s as elsewhere"
-        require(near, name, one)
-    return rounded_timestep(middle, tool.tolerance)
+# requirements of a tool
 
 
 class _RefusedError(Exception):
@@ -240,7 +136,7 @@ class _RefusedError(Exception):
 
 
 @contextmanager
-def _refusals(tool: str, remedy: str) -> Iterator[None]:
+def refusals(tool: str, remedy: str) -> Iterator[None]:
     """Raise ConventionError for what `require` refuses."""
     try:
         yield
@@ -258,12 +154,12 @@ def require(condition: object, name: str, requirement: str) -> None:
         raise _RefusedError(name, requirement)
 
 
-def check_kinds(nodes: Nodes, known: tuple[type[nir.NIRNode], ...], verb: str) -> None:
-    """Refuse primitives, besides Input and Output, that a tool does not know."""
-    kinds = ", ".join(kind.__name__ for kind in known)
-    for name, node in sorted(nodes.items()):
-        is_known = isinstance(node, (nir.Input, nir.Output, *known))
-        require(is_known, name, f"{verb} no {type(node).__name__}, only {kinds}")
+def require_values(name: str, node: nir.NIRNode, verb: str, **values: float) -> None:
+    """Refuse a node with other values in these of its fields; `verb`: the tool needs or writes."""
+    for parameter, value in values.items():
+        if hasattr(node, parameter):
+            equal = getattr(node, parameter) == value
+            require(equal, name, f"{verb} {parameter} = {value:g}")
 
 
 def are_integrators(nodes: Nodes, mixture: str) -> bool:
@@ -275,9 +171,7 @@ def are_integrators(nodes: Nodes, mixture: str) -> bool:
     return bool(integrators)
 
 
-def float64(values: NDArray[Any]) -> Values:
-    """A parameter in float64, in which products of float32 do not round visibly."""
-    return values.astype(np.float64)
+# parameters
 
 
 def is_close(
@@ -310,8 +204,7 @@ def one_minus_decay(tau: NDArray[Any], convention: Convention) -> Values:
 def with_parameters(node: nir.NIRNode, **parameters: object) -> nir.NIRNode:
     """A copy of the node with other parameters."""
     other = copy.copy(node)
-    for name, value in parameters.items():
-        setattr(other, name, value)
+    vars(other).update(parameters)
     return other
 
 

@@ -16,62 +16,28 @@ tools where neurons spike when they reach it, and the other way round.
 What comes out is read as the tool would (`read_like`), and compared with the network.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from importlib import import_module
+from collections.abc import Iterator
+from dataclasses import replace
 
 import nir
 import numpy as np
 
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.dialects.dialect import (
+    EdgeList,
+    Importer,
     Nodes,
     Values,
     is_uniform,
-    preset,
-    read_like,
     with_parameters,
 )
+from spikedeploy.runtime.dialects.reading import preset, read_like
+from spikedeploy.runtime.dialects.tools import IMPORTERS
 from spikedeploy.runtime.errors import ConfigError, ConventionError
 from spikedeploy.runtime.graph.neurons import SPIKING, DiscreteNeuron, discretise
+from spikedeploy.runtime.graph.shapes import DENSE
 
-EdgeList = list[tuple[str, str]]
-
-IMPORTERS: dict[str, str] = {
-    "norse": "spikedeploy.runtime.dialects.norse:IMPORTER",
-    "rockpool": "spikedeploy.runtime.dialects.rockpool:IMPORTER",
-    "snntorch": "spikedeploy.runtime.dialects.snntorch:IMPORTER",
-    "spikingjelly": "spikedeploy.runtime.dialects.spikingjelly:IMPORTER",
-}
 _ROUNDED = 1e-9  # relative difference of numbers that only rounding distinguishes
-_DENSE = (nir.Affine, nir.Linear)
-
-
-@dataclass(frozen=True)
-class Importer:
-    """The constraints of a tool's import.
-
-    uniform: True if all neurons of a layer have one threshold.
-    resets: that it can be told to use; the first is its default.
-    v_reset: True if it reads v_reset; else membranes are reset to 0.
-    convention: ours to that of the tool, but for reset and state; by default that of its preset.
-    gain: (kind, neurons) to what the tool multiplies their input by.
-    finish: (node, neurons) to the node with parameters that the tool reads in a way of its own.
-    arrange: nodes and edges to those of the same graph that the tool runs in the right order.
-    """
-
-    uniform: bool = True
-    resets: tuple[str, ...] = ("zero",)
-    v_reset: bool = False
-    convention: Callable[[Convention], Convention] | None = None
-    gain: Callable[[type[nir.NIRNode], DiscreteNeuron], Values] = lambda kind, neuron: np.ones_like(
-        neuron.gain
-    )
-    finish: Callable[[nir.NIRNode, DiscreteNeuron], nir.NIRNode] = lambda node, neuron: node
-    arrange: Callable[[Nodes, EdgeList], tuple[Nodes, EdgeList]] = lambda nodes, edges: (
-        nodes,
-        sorted(edges),
-    )
 
 
 def rewrite_for(graph: nir.NIRGraph, own: Convention, name: str) -> tuple[nir.NIRGraph, Convention]:
@@ -103,9 +69,7 @@ def arguments(convention: Convention, name: str) -> dict[str, str]:
 def _importer(name: str) -> Importer:
     if name not in IMPORTERS:
         raise ConfigError(f"--for {name}: choose one of {', '.join(IMPORTERS)}")
-    module, attribute = IMPORTERS[name].split(":")
-    found: Importer = getattr(import_module(module), attribute)
-    return found
+    return IMPORTERS[name]
 
 
 def _convention(own: Convention, name: str) -> Convention:
@@ -204,7 +168,7 @@ def _sources(name: str, nodes: Nodes, edges: EdgeList) -> Iterator[str]:
     """Nodes with weights for this one only; refuses others."""
     for source in sorted(source for source, target in edges if target == name):
         is_own = [target for first, target in edges if first == source] == [name]
-        if not is_own or not isinstance(nodes[source], (*_DENSE, nir.Conv1d, nir.Conv2d)):
+        if not is_own or not isinstance(nodes[source], (*DENSE, nir.Conv1d, nir.Conv2d)):
             raise ConventionError(
                 f"node {name!r} must be scaled by its weights, and {source!r} has none for it"
             )
@@ -213,7 +177,7 @@ def _sources(name: str, nodes: Nodes, edges: EdgeList) -> Iterator[str]:
 
 def _scaled_weights(name: str, node: nir.NIRNode, factor: Values, offset: Values) -> nir.NIRNode:
     """The node with its output multiplied by a factor, and an offset added."""
-    if not isinstance(node, _DENSE):
+    if not isinstance(node, DENSE):
         channels = factor.reshape(len(factor), -1), offset.reshape(len(offset), -1)
         if not all(is_uniform(each) for pair in channels for each in pair):
             raise ConventionError(f"node {name!r} has one weight for neurons that need different")

@@ -28,8 +28,8 @@ NIR has no such node. A tool that does not read the metadata sees the integrator
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import nir
 import numpy as np
@@ -74,14 +74,7 @@ class DiscreteNeuron:
 
     def flat(self) -> "DiscreteNeuron":
         """The same neurons along one axis (N,), in C order."""
-        return DiscreteNeuron(
-            current_decay=None if self.current_decay is None else self.current_decay.ravel(),
-            membrane_decay=self.membrane_decay.ravel(),
-            gain=self.gain.ravel(),
-            leak=self.leak.ravel(),
-            threshold=None if self.threshold is None else self.threshold.ravel(),
-            v_reset=self.v_reset.ravel(),
-        )
+        return replace(self, **{n: v.ravel() for n, v in vars(self).items() if v is not None})
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -91,8 +84,7 @@ def discretise(name: str, node: nir.NIRNode, convention: Convention) -> Discrete
     Raises ConventionError where the convention cannot step it: dt > tau under forward Euler, a gain
     or leak that overflows, several spikes of a zero threshold. `name` is for messages.
     """
-    current_decay = None
-    gain = _array(node.r)
+    current_decay, gain = None, float64(node.r)
     leak = np.zeros_like(gain)
     if isinstance(node, _INTEGRATORS):
         membrane_decay = np.ones_like(gain)
@@ -100,30 +92,26 @@ def discretise(name: str, node: nir.NIRNode, convention: Convention) -> Discrete
     else:
         tau = "tau" if isinstance(node, LEAKY) else "tau_mem"
         membrane_decay, complement = _decay(name, node, tau, convention)
-        leak = complement * _array(node.v_leak)
+        leak = complement * float64(node.v_leak)
         gain = complement * gain
     if isinstance(node, CURRENT_BASED):
         current_decay, complement = _decay(name, node, "tau_syn", convention)
-        gain = complement * _array(node.w_in) * gain
+        gain = complement * float64(node.w_in) * gain
     if not np.isfinite(gain).all() or not np.isfinite(leak).all():
         raise ConventionError(
             f"node {name!r}: at dt = {convention.dt:g} s its gain or leak is too large for "
             "float64. Correct its parameters, or choose another dt."
         )
     gain[np.abs(gain - 1) <= _rounding(node)] = 1.0
-    if convention.spikes == "many" and isinstance(node, SPIKING):
-        _check_spike_height(name, node)
-    threshold = _array(node.v_threshold) if isinstance(node, SPIKING) else None
-    v_reset = _array(node.v_reset) if isinstance(node, SPIKING) else np.zeros_like(gain)
-    return DiscreteNeuron(current_decay, membrane_decay, gain, leak, threshold, v_reset)
-
-
-def _check_spike_height(name: str, node: nir.NIRNode) -> None:
-    if not (node.v_threshold > node.v_reset).all():
+    if not isinstance(node, SPIKING):
+        return DiscreteNeuron(current_decay, membrane_decay, gain, leak, None, np.zeros_like(gain))
+    if convention.spikes == "many" and not (node.v_threshold > node.v_reset).all():
         raise ConventionError(
             f"node {name!r}: its threshold is not above v_reset, so that spikes 'many' would be "
             "infinitely many. Raise the threshold, or choose spikes 'above'."
         )
+    threshold, v_reset = float64(node.v_threshold), float64(node.v_reset)
+    return DiscreteNeuron(current_decay, membrane_decay, gain, leak, threshold, v_reset)
 
 
 def _rounding(node: nir.NIRNode) -> float:
@@ -135,7 +123,7 @@ def _decay(name: str, node: nir.NIRNode, field: str, convention: Convention) -> 
     """The decay factor of one timestep, and 1 minus it computed without cancellation."""
     # a tau below the smallest float64 forgets everything at once
     with np.errstate(over="ignore", divide="ignore"):
-        step = convention.dt / _array(getattr(node, field))
+        step = convention.dt / float64(getattr(node, field))
     if convention.integrator == "exponential":
         return np.exp(-step), -np.expm1(-step)
     # for tau = dt, rounding may put dt/tau slightly above 1
@@ -149,15 +137,15 @@ def _decay(name: str, node: nir.NIRNode, field: str, convention: Convention) -> 
     return 1 - step, step
 
 
-def _array(values: NDArray[np.generic]) -> Array:
+def float64(values: NDArray[Any]) -> Array:
+    """A parameter in float64, in which products of float32 do not round visibly."""
     return values.astype(np.float64)
 
 
 _DEFAULT = "the file does not say: NIR's usual"
 
 
-@dataclass(frozen=True)
-class _InferredTimestep:
+class _InferredTimestep(NamedTuple):
     """The dt that the gains of a graph imply.
 
     dt: [s], or None where they imply none or contradict each other.
@@ -221,7 +209,7 @@ def infer_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Conventio
     return Convention(evidence.dt, source=f"{evidence.reason}; {_DEFAULT}").with_options(given)
 
 
-def _candidates(node: nir.NIRNode) -> NDArray[np.float64]:
+def _candidates(node: nir.NIRNode) -> Array:
     """The dt of each neuron for which its membrane's gain is 1."""
     with np.errstate(over="ignore", under="ignore"):
         if isinstance(node, _INTEGRATORS):
@@ -238,8 +226,6 @@ def rounded_timestep(dt: float, tolerance: float) -> float:
 
 GRADED_MOST = 2**53  # of a graded spike in floats: whole numbers up to it are exact in float64
 
-Floats = NDArray[np.float64]
-
 _REMARK = (
     "a = max(sigma + bias, 0), sigma the membrane of this I; it sends k = round(a / threshold - q) "
     "where that is at least 1 either way, q the sum of all k; tools that do not read this see an "
@@ -249,14 +235,14 @@ _REMARK = (
 
 @dataclass(frozen=True, eq=False)
 class SigmaDelta(Stored):
-    """The neurons of one node.
+    """The sigma-delta neurons of one node.
 
     threshold: (N,) or the node's shape; distance that a graded spike of 1 stands for, above 0.
     bias: of the same shape, added to sigma before the rectification.
     """
 
-    threshold: Floats
-    bias: Floats
+    threshold: Array
+    bias: Array
 
     def __post_init__(self) -> None:
         if self.threshold.shape != self.bias.shape:

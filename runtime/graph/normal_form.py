@@ -86,8 +86,15 @@ class _Edges:
 
 def _unpack(outer: str, graph: nir.NIRGraph, nodes: Nodes, edges: _Edges, path: str) -> None:
     """Replace the node `outer` by the nodes and edges of its graph."""
-    entry = _port(path, graph.inputs, "Input")
-    exit_ = _port(path, graph.outputs, "Output")
+    ends = []
+    for kind, found in (("Input", graph.inputs), ("Output", graph.outputs)):
+        if len(found) != 1:
+            raise ArtifactError(
+                f"node {path!r}: the graph inside it has {len(found)} {kind} nodes "
+                f"({', '.join(sorted(found))}); it must have one, because an edge names only the "
+                "outer node. Give it one, or flatten the graph in the tool that wrote it."
+            )
+        ends.append(f"{outer}.{next(iter(found))}")
     for name, node in graph.nodes.items():
         if f"{outer}.{name}" in nodes:
             raise ArtifactError(
@@ -96,11 +103,11 @@ def _unpack(outer: str, graph: nir.NIRGraph, nodes: Nodes, edges: _Edges, path: 
             )
         nodes[f"{outer}.{name}"] = node
     before, after = edges.remove(outer)
-    first, last = f"{outer}.{entry}", f"{outer}.{exit_}"
+    first, last = ends
     edges.add((last if source == outer else source, first) for source in before)
     edges.add((last, first if target == outer else target) for target in after)
     edges.add((f"{outer}.{source}", f"{outer}.{target}") for source, target in graph.edges)
-    for port in (first, last):
+    for port in ends:
         _bypass(port, nodes, edges)
 
 
@@ -118,20 +125,10 @@ def _bypass(port: str, nodes: Nodes, edges: _Edges) -> None:
         return
     # NIR has no identity node; a Scale by one is one
     stated = np.asarray(nodes[port].output_type["output"])
-    shape = whole_numbers(port, "shape", stated, stated.size, minimum=1)
+    shape = whole_numbers(port, "shape", stated, stated.size, 1)
     nodes[port] = nir.Scale(np.ones(shape))
     edges.add((source, port) for source in sources)
     edges.add((port, target) for target in targets)
-
-
-def _port(path: str, found: Nodes, kind: str) -> str:
-    if len(found) != 1:
-        raise ArtifactError(
-            f"node {path!r}: the graph inside it has {len(found)} {kind} nodes "
-            f"({', '.join(sorted(found))}); it must have one, because an edge names only the outer "
-            "node. Give it one, or flatten the graph in the tool that wrote it."
-        )
-    return next(iter(found))
 
 
 def with_floats(graph: nir.NIRGraph) -> nir.NIRGraph:

@@ -4,9 +4,9 @@ NIR states neither which edge of a loop is the delayed one nor how a delay in se
 timesteps; both are decided here, once for the float model and the compiler.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import nir
 import numpy as np
@@ -18,13 +18,13 @@ from spikedeploy.runtime.graph.neurons import NEURONS, ROUNDING
 from spikedeploy.runtime.graph.shapes import CONVOLUTIONS
 
 Edge: TypeAlias = tuple[str, str]
+Neighbours: TypeAlias = Mapping[str, Collection[str]]
 
 # edges that are looked at while loops are opened one by one; a check of all chips does so often
 _MOST_LOOP_WORK = 1 << 17
 
 
-@dataclass(frozen=True)
-class _Order:
+class Order(NamedTuple):
     """An execution order of the nodes.
 
     names: of all nodes, each after its sources, except over late edges.
@@ -58,19 +58,22 @@ def timing(graph: nir.NIRGraph, convention: Convention) -> Timing:
     A Delay node that holds every value back for at least one timestep opens a loop by itself; its
     edges are late then, and that timestep is part of its delay: I[t] = w z[t - delay].
     """
+    nodes = graph.nodes
     delays = {
         name: delay_timesteps(name, node, convention)
-        for name, node in graph.nodes.items()
+        for name, node in nodes.items()
         if isinstance(node, nir.Delay)
     }
     delaying = {name for name, timesteps in delays.items() if timesteps.min() >= 1}
     late = {edge for edge in graph.edges if edge[1] in delaying}
     if convention.delay:
         weights = (nir.Affine, nir.Linear, *CONVOLUTIONS)
-        late |= {edge for edge in graph.edges if isinstance(graph.nodes[edge[1]], weights)}
+        late |= {edge for edge in graph.edges if isinstance(nodes[edge[1]], weights)}
     if pipelined := convention.clock == "pipelined":
-        late = _out_of_spikes(graph)  # of a Delay the timesteps come on top
-    stepwise, loops = order(graph, late), len(in_waves(graph.nodes, graph.edges)) < len(graph.nodes)
+        neurons = [name for name, node in nodes.items() if isinstance(node, NEURONS)]
+        # of a Delay the timesteps come on top
+        late = _edges_onto(neurons, sources(graph), nodes, (nir.Input, *NEURONS))
+    stepwise, loops = order(graph, late), len(in_waves(nodes, graph.edges)) < len(nodes)
     return Timing(
         # without loops a node runs for all timesteps at once, after its late sources too
         names=stepwise.names if loops else order(graph).names,
@@ -99,7 +102,7 @@ def delay_timesteps(name: str, node: nir.Delay, convention: Convention) -> NDArr
     return np.asarray(whole, np.int64)
 
 
-def order(graph: nir.NIRGraph, late: Iterable[Edge] = ()) -> _Order:
+def order(graph: nir.NIRGraph, late: Iterable[Edge] = ()) -> Order:
     """Topological order; each loop is opened at an edge by which a neuron's output returns to it.
 
     Which edge of a loop is late is not in NIR. As in Norse and SpikingJelly it is the one that
@@ -108,22 +111,39 @@ def order(graph: nir.NIRGraph, late: Iterable[Edge] = ()) -> _Order:
 
     late: edges that deliver in the next timestep anyway, and so impose no order.
     """
-    delayed = set(late)
-    done: list[str] = []
-    pending, work = set(graph.nodes), 0
-    while pending:
+    delayed, done, pending, work = set(late), list[str](), set(graph.nodes), 0
+    depth = _depth(graph)
+    while True:
         prompt = [edge for edge in graph.edges if edge not in delayed and edge[0] in pending]
         ready = in_waves(pending, prompt)
         done += ready
         pending.difference_update(ready)
-        if pending:
+        if not pending:
+            return Order(tuple(done), frozenset(delayed))
+        prompt = [edge for edge in prompt if edge[0] in pending]
+        after, before = neighbours(prompt), neighbours((t, s) for s, t in prompt)
+        neurons = [name for name in pending if isinstance(graph.nodes[name], NEURONS)]
+        for first in sorted(neurons, key=lambda name: (depth.get(name, len(graph.nodes)), name)):
             if (work := work + len(prompt)) > _MOST_LOOP_WORK:
                 raise ArtifactError(
                     f"the loops through {len(pending)} nodes are too many to open one by one. Join "
                     "nodes that are connected both ways into one recurrent layer."
                 )
-            delayed |= _feedback(graph, pending, delayed)
-    return _Order(tuple(done), frozenset(delayed))
+            loop = reach(after.get(first, ()), after) & reach([first], before)
+            inside = {name: loop.intersection(before.get(name, ())) for name in loop}
+            if first in loop:
+                delayed |= _edges_onto([first], inside, graph.nodes, NEURONS)
+                break
+        else:
+            raise _no_neuron(pending - {*in_waves(pending, ((t, s) for s, t in prompt))})
+
+
+def _no_neuron(loop: set[str]) -> ArtifactError:
+    more = f" and {len(loop) - 20} more" if len(loop) > 20 else ""
+    return ArtifactError(
+        f"the loop through {', '.join(sorted(loop)[:20])}{more} has no neuron in it, so that a "
+        "value would depend on itself within one timestep. Put a neuron into the loop or open it."
+    )
 
 
 def in_waves(names: Collection[str], edges: Iterable[Edge]) -> list[str]:
@@ -131,7 +151,7 @@ def in_waves(names: Collection[str], edges: Iterable[Edge]) -> list[str]:
 
     What lies in a loop of the edges, or behind one, is missing.
     """
-    left, targets = dict.fromkeys(names, 0), _targets(edges)
+    left, targets = dict.fromkeys(names, 0), neighbours(edges)
     for source, ahead in targets.items():
         for target in ahead if source in left else ():
             if target in left:
@@ -148,11 +168,22 @@ def in_waves(names: Collection[str], edges: Iterable[Edge]) -> list[str]:
     return done
 
 
-def _targets(edges: Iterable[Edge]) -> dict[str, list[str]]:
+def neighbours(edges: Iterable[Edge]) -> dict[str, list[str]]:
     """The targets of each source."""
     found: dict[str, list[str]] = {}
     for source, target in edges:
         found.setdefault(source, []).append(target)
+    return found
+
+
+def reach(starts: Iterable[str], near: Neighbours) -> set[str]:
+    """The starts, and all that steps to neighbours lead to from them."""
+    found = set(starts)
+    waiting = list(found)
+    while waiting:
+        new = set(near.get(waiting.pop(), ())) - found
+        found |= new
+        waiting += new
     return found
 
 
@@ -164,13 +195,17 @@ def sources(graph: nir.NIRGraph) -> dict[str, list[str]]:
     return found
 
 
-def _out_of_spikes(graph: nir.NIRGraph) -> set[Edge]:
-    """Edges that leave an Input or neurons towards neurons, whose spikes arrive a timestep late."""
-    waiting = [name for name, node in graph.nodes.items() if isinstance(node, NEURONS)]
-    found, before, seen = set[Edge](), sources(graph), set[str]()
+def _edges_onto(
+    targets: Collection[str],
+    before: Neighbours,
+    nodes: Mapping[str, nir.NIRNode],
+    kinds: tuple[type[nir.NIRNode], ...],
+) -> set[Edge]:
+    """Edges that leave nodes of these kinds, and lead to the targets over none of them."""
+    found, seen, waiting = set[Edge](), set(targets), list(targets)
     while waiting:
         for source in before[target := waiting.pop()]:
-            if isinstance(graph.nodes[source], (nir.Input, *NEURONS)):
+            if isinstance(nodes[source], kinds):
                 found.add((source, target))
             elif source not in seen:
                 seen.add(source)
@@ -178,79 +213,9 @@ def _out_of_spikes(graph: nir.NIRGraph) -> set[Edge]:
     return found
 
 
-def _feedback(graph: nir.NIRGraph, pending: set[str], delayed: set[Edge]) -> set[Edge]:
-    """Edges by which spikes return to the neuron of a loop that is nearest to the input."""
-    prompt = [edge for edge in graph.edges if edge not in delayed]
-    before = _targets((target, source) for source, target in prompt)
-    loops = _loops(pending, _targets(prompt), before)
-    neurons = [name for name in loops if isinstance(graph.nodes[name], NEURONS)]
-    depth = _depth(graph)
-    for first in sorted(neurons, key=lambda name: (depth.get(name, len(graph.nodes)), name)):
-        if returning := set(_returning(graph, first, loops[first], before)):
-            return returning
-    more = f" and {len(loops) - 20} more" if len(loops) > 20 else ""
-    raise ArtifactError(
-        f"the loop through {', '.join(sorted(loops)[:20])}{more} has no neuron in it, so that a "
-        "value would depend on itself within one timestep. Put a neuron into the loop or open it."
-    )
-
-
-def _loops(
-    pending: set[str], after: Mapping[str, list[str]], before: Mapping[str, list[str]]
-) -> dict[str, set[str]]:
-    """For each node on a path back to itself, all nodes on such paths (Kosaraju's algorithm)."""
-    loops: dict[str, set[str]] = {}
-    left = set(pending)
-    for name in reversed(_by_finish(pending, after)):
-        if name not in left:
-            continue
-        loop, waiting = {name}, [name]
-        left.remove(name)
-        while waiting:
-            new = left.intersection(before.get(waiting.pop(), ()))
-            left -= new
-            loop |= new
-            waiting.extend(new)
-        if len(loop) > 1 or name in after.get(name, ()):
-            loops.update(dict.fromkeys(loop, loop))
-    return loops
-
-
-def _by_finish(names: set[str], after: Mapping[str, list[str]]) -> list[str]:
-    """The names, each when all that it leads to are there, but for loops."""
-    done, seen = list[str](), set[str]()
-    for first in sorted(names):
-        path = [] if first in seen else [(first, iter(after.get(first, ())))]
-        seen.add(first)
-        while path:
-            new = next((t for t in path[-1][1] if t in names and t not in seen), None)
-            if new is None:
-                done.append(path.pop()[0])
-            else:
-                seen.add(new)
-                path.append((new, iter(after.get(new, ()))))
-    return done
-
-
-def _returning(
-    graph: nir.NIRGraph, first: str, loop: set[str], before: Mapping[str, list[str]]
-) -> Iterator[Edge]:
-    """Edges of the loop that leave a neuron and reach `first` without another in between."""
-    seen = {first}
-    waiting = [first]
-    while waiting:
-        target = waiting.pop()
-        for source in loop.intersection(before.get(target, ())):
-            if isinstance(graph.nodes[source], NEURONS):
-                yield source, target
-            elif source not in seen:
-                seen.add(source)
-                waiting.append(source)
-
-
 def _depth(graph: nir.NIRGraph) -> dict[str, int]:
     """Edges on the shortest path from an input to each node."""
-    depth, targets = dict.fromkeys(graph.inputs, 0), _targets(graph.edges)
+    depth, targets = dict.fromkeys(graph.inputs, 0), neighbours(graph.edges)
     waiting = list(depth)
     for here in waiting:
         for target in targets.get(here, ()):

@@ -11,7 +11,6 @@ replaced. The work follows from shapes alone, before anything is computed.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -25,11 +24,17 @@ from spikedeploy.runtime.graph.neurons import NEURONS
 
 Shape: TypeAlias = tuple[int, ...]
 
+DENSE = (nir.Affine, nir.Linear)
 CONVOLUTIONS = (nir.Conv1d, nir.Conv2d)
 POOLS = (nir.SumPool2d, nir.AvgPool2d)
 
 # values of one timestep: a node with more is taken for a mistake that would exhaust the memory
 MAX_VALUES = 1 << 24
+# multiplications of a node in one timestep beyond which it is taken for a mistake; large networks
+# for images have as many in all layers together
+_MAX_MULTIPLICATIONS = 1 << 33
+# values that the windows of a convolution may hold together
+_MAX_WINDOW_VALUES = 1 << 26
 
 
 @dataclass(frozen=True)
@@ -73,42 +78,21 @@ class ConvWindow:
         return np.asarray(windows[whole + steps])
 
 
-def convolution_window(name: str, node: nir.NIRNode) -> ConvWindow:
-    """The window of a Conv1d or Conv2d; ArtifactError where its fields are not one."""
+def window_of(name: str, node: nir.NIRNode) -> ConvWindow:
+    """The window of a convolution or pool; ArtifactError where its fields are not one."""
     axes = 1 if isinstance(node, nir.Conv1d) else 2
-    kernel = tuple(map(int, node.weight.shape[2:]))
-    stride = whole_numbers(name, "stride", node.stride, axes, minimum=1)
-    dilation = whole_numbers(name, "dilation", node.dilation, axes, minimum=1)
-    if not isinstance(node.padding, str):
-        around = whole_numbers(name, "padding", node.padding, axes, minimum=0)
-        return ConvWindow(kernel, stride, tuple((n, n) for n in around), dilation)
-    return ConvWindow(
-        kernel, stride, _padding(name, node.padding, kernel, stride, dilation), dilation
-    )
-
-
-def pool_window(name: str, node: nir.NIRNode) -> ConvWindow:
-    """The window of a SumPool2d or AvgPool2d; ArtifactError where its fields are not one."""
-    kernel = whole_numbers(name, "kernel_size", node.kernel_size, 2, minimum=1)
-    stride = whole_numbers(name, "stride", node.stride, 2, minimum=1)
-    around = whole_numbers(name, "padding", node.padding, 2, minimum=0)
-    return ConvWindow(kernel, stride, tuple((n, n) for n in around), (1, 1))
-
-
-def checked_positions(name: str, window: ConvWindow, extents: Shape) -> Shape:
-    """P of each axis; ArtifactError where the kernel does not fit, or values are too many."""
-    positions = window.positions(extents)
-    if min(positions) < 1:
-        raise ArtifactError(
-            f"node {name!r}: a kernel of extent {window.span} does not fit into "
-            f"{window.padded(extents)}, padding included. Make the kernel smaller or pad more."
-        )
-    if max(math.prod(window.padded(extents)), math.prod(positions)) > MAX_VALUES:
-        raise ArtifactError(
-            f"node {name!r}: {window.padded(extents)} with padding is more than {MAX_VALUES} "
-            "values. Correct the padding or the shape of the input."
-        )
-    return positions
+    if isinstance(node, POOLS):
+        kernel = whole_numbers(name, "kernel_size", node.kernel_size, axes, 1)
+        dilation: Shape = (1, 1)
+    else:
+        kernel = tuple(map(int, node.weight.shape[2:]))
+        dilation = whole_numbers(name, "dilation", node.dilation, axes, 1)
+    stride = whole_numbers(name, "stride", node.stride, axes, 1)
+    if isinstance(node.padding, str):
+        around = _padding(name, node.padding, kernel, stride, dilation)
+    else:
+        around = tuple((n, n) for n in whole_numbers(name, "padding", node.padding, axes, 0))
+    return ConvWindow(kernel, stride, around, dilation)
 
 
 def _padding(
@@ -131,28 +115,13 @@ def _padding(
     return tuple((n // 2, n - n // 2) for n in total)
 
 
-DENSE = (nir.Affine, nir.Linear)
-
-# multiplications of a node in one timestep beyond which it is taken for a mistake; large networks
-# for images have as many in all layers together
-_MAX_MULTIPLICATIONS = 1 << 33
-# values that the windows of a convolution may hold together
-_MAX_WINDOW_VALUES = 1 << 26
-
-_STATEFUL = (*NEURONS, nir.Threshold)
-
 # (taken, put out) of each node
 Shapes: TypeAlias = dict[str, tuple[Shape, Shape]]
 
 
 def infer_shapes(graph: nir.NIRGraph) -> None:
     """Write its shapes into every node; ArtifactError where those along an edge disagree."""
-    sources: dict[str, list[str]] = {name: [] for name in graph.nodes}
-    targets: dict[str, list[str]] = {name: [] for name in graph.nodes}
-    for source, target in graph.edges:
-        sources[target].append(source)
-        targets[source].append(target)
-    shapes = _shapes(graph, sources, targets)
+    shapes = _shapes(graph)
     _check_work(graph, shapes)
     for source, target in sorted(graph.edges):
         puts, takes = shapes[source][1], shapes[target][0]
@@ -178,7 +147,8 @@ def check_size(graph: nir.NIRGraph, size: int) -> None:
     size: of the file [bytes]
     """
     puts = {name: math.prod(map(int, n.output_type["output"])) for name, n in graph.nodes.items()}
-    neurons = sum(puts[n] for n, node in graph.nodes.items() if isinstance(node, _STATEFUL))
+    stateful = (*NEURONS, nir.Threshold)
+    neurons = sum(puts[n] for n, node in graph.nodes.items() if isinstance(node, stateful))
     found = {"neurons": (neurons, 1 << 20, 8), "values": (sum(puts.values()), 1 << 22, 4)}
     for what, (number, free, bytes_) in found.items():
         if number > free + size // bytes_:
@@ -189,7 +159,7 @@ def check_size(graph: nir.NIRGraph, size: int) -> None:
             )
 
 
-def _check_work(graph: nir.NIRGraph, shapes: Mapping[str, tuple[Shape, Shape]]) -> None:
+def _check_work(graph: nir.NIRGraph, shapes: Shapes) -> None:
     """Raise ArtifactError where one timestep would exhaust the memory or take minutes."""
     values = 0
     for name, (takes, puts) in sorted(shapes.items()):
@@ -222,14 +192,17 @@ def multiplications(name: str, node: nir.NIRNode, puts: Shape) -> int:
     if isinstance(node, CONVOLUTIONS):
         return int(node.weight.size) * math.prod(puts[1:])
     if isinstance(node, POOLS):
-        return math.prod(puts) * math.prod(pool_window(name, node).kernel)
+        return math.prod(puts) * math.prod(window_of(name, node).kernel)
     return math.prod(puts)
 
 
-def _shapes(
-    graph: nir.NIRGraph, sources: Mapping[str, list[str]], targets: Mapping[str, list[str]]
-) -> Shapes:
+def _shapes(graph: nir.NIRGraph) -> Shapes:
     """The shapes of every node, from those that nodes state and along the edges."""
+    sources: dict[str, list[str]] = {name: [] for name in graph.nodes}
+    targets: dict[str, list[str]] = {name: [] for name in graph.nodes}
+    for source, target in graph.edges:
+        sources[target].append(source)
+        targets[source].append(target)
     shapes: Shapes = {}
     unknown, waiting = set(graph.nodes), sorted(graph.nodes)
     while unknown:
@@ -258,7 +231,7 @@ def _stated(name: str, node: nir.NIRNode) -> Shape | None:
         if node.input_shape is None:
             return None
         axes = 1 if isinstance(node, nir.Conv1d) else 2
-        extents = whole_numbers(name, "input_shape", node.input_shape, axes, minimum=1)
+        extents = whole_numbers(name, "input_shape", node.input_shape, axes, 1)
         return _channels(node), *extents
     if isinstance(node, DENSE):
         return tuple(map(int, (*node.weight.shape[:-2], node.weight.shape[-1])))
@@ -266,7 +239,7 @@ def _stated(name: str, node: nir.NIRNode) -> Shape | None:
         stated = node.input_type["input"]
         if stated is None:
             return None
-        return whole_numbers(name, "shape", np.asarray(stated), np.size(stated), minimum=1)
+        return whole_numbers(name, "shape", np.asarray(stated), np.size(stated), 1)
     # one parameter for every value
     fields = {nir.Scale: "scale", nir.Threshold: "threshold", nir.Delay: "delay"}
     return tuple(map(int, getattr(node, fields.get(type(node), "r")).shape))
@@ -285,39 +258,49 @@ def _output(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
         )
     if isinstance(node, DENSE):
         return *takes[:-1], int(node.weight.shape[-2])
-    if isinstance(node, CONVOLUTIONS):
-        return _convolved(name, node, takes)
-    if isinstance(node, POOLS):
-        _check_axes(name, takes, ("C", "H", "W"))
-        return takes[0], *checked_positions(name, pool_window(name, node), takes[1:])
+    if isinstance(node, (*CONVOLUTIONS, *POOLS)):
+        return _windowed(name, node, takes)
     if isinstance(node, nir.Flatten):
         return _flattened(name, node, takes)
     return takes
 
 
-def _convolved(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
-    _check_axes(name, takes, ("C", "L") if isinstance(node, nir.Conv1d) else ("C", "H", "W"))
-    if takes[0] != _channels(node):
-        raise ArtifactError(
-            f"node {name!r}: {takes[0]} channels arrive, but the weight {node.weight.shape} with "
-            f"{int(node.groups)} groups is for {_channels(node)}. Correct weight or groups."
-        )
-    positions = checked_positions(name, convolution_window(name, node), takes[1:])
-    return int(node.weight.shape[0]), *positions
-
-
-def _check_axes(name: str, takes: Shape, axes: tuple[str, ...]) -> None:
+def _windowed(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
+    """The output shape of a convolution or pool; ArtifactError where its kernel does not fit."""
+    axes = ("C", "L") if isinstance(node, nir.Conv1d) else ("C", "H", "W")
     if len(takes) != len(axes):
         raise ArtifactError(
             f"node {name!r}: {takes} arrives, but it takes ({', '.join(axes)}). Give the node "
             "before it an output of these axes."
         )
+    features = takes[0]
+    if isinstance(node, CONVOLUTIONS):
+        features = int(node.weight.shape[0])
+        if takes[0] != _channels(node):
+            raise ArtifactError(
+                f"node {name!r}: {takes[0]} channels arrive, but the weight {node.weight.shape} "
+                f"with {int(node.groups)} groups is for {_channels(node)}. Correct weight or "
+                "groups."
+            )
+    window = window_of(name, node)
+    padded, positions = window.padded(takes[1:]), window.positions(takes[1:])
+    if min(positions) < 1:
+        raise ArtifactError(
+            f"node {name!r}: a kernel of extent {window.span} does not fit into {padded}, padding "
+            "included. Make the kernel smaller or pad more."
+        )
+    if max(math.prod(padded), math.prod(positions)) > MAX_VALUES:
+        raise ArtifactError(
+            f"node {name!r}: {padded} with padding is more than {MAX_VALUES} values. Correct the "
+            "padding or the shape of the input."
+        )
+    return features, *positions
 
 
 def _flattened(name: str, node: nir.Flatten, takes: Shape) -> Shape:
     """The shape with the axes from start_dim to end_dim as one; the batch axis is not counted."""
-    (start,) = whole_numbers(name, "start_dim", node.start_dim, 1, minimum=-len(takes))
-    (end,) = whole_numbers(name, "end_dim", node.end_dim, 1, minimum=-len(takes))
+    (start,) = whole_numbers(name, "start_dim", node.start_dim, 1, -len(takes))
+    (end,) = whole_numbers(name, "end_dim", node.end_dim, 1, -len(takes))
     if max(start, end) >= len(takes) or start % len(takes) > end % len(takes):
         raise ArtifactError(
             f"node {name!r}: axes {start} to {end} cannot be flattened in {takes}; the batch axis "
@@ -331,9 +314,10 @@ def whole_numbers(name: str, field: str, value: object, axes: int, minimum: int)
     """One integer for each axis, given for each or once for all; else ArtifactError."""
     found = np.asarray(value)
     if found.dtype.kind not in "iu" or found.shape not in {(), (1,), (axes,)} or not found.size:
+        shown = str(found.tolist())[:40]
         raise ArtifactError(
-            f"node {name!r}: {field} is {_short(value)}; it must be whole numbers, one or {axes}. "
-            "Correct the node."
+            f"node {name!r}: {field} is {shown}; it must be whole numbers, one or {axes}. Correct "
+            "the node."
         )
     if found.min() < minimum:
         raise ArtifactError(
@@ -341,7 +325,3 @@ def whole_numbers(name: str, field: str, value: object, axes: int, minimum: int)
             "Correct the node."
         )
     return tuple(int(n) for n in np.broadcast_to(found, (axes,)))
-
-
-def _short(value: object) -> str:
-    return str(value.tolist() if isinstance(value, np.ndarray) else value)[:40]

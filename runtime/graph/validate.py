@@ -4,16 +4,14 @@
 back. Each message names the node or edge, what was found, and what to do.
 """
 
-from collections import Counter, defaultdict
-from collections.abc import Iterable
-from typing import Any
+from collections import Counter
 
 import nir
 import numpy as np
-from numpy.typing import NDArray
 
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.graph.neurons import CURRENT_BASED, LEAKY, NEURONS, SPIKING
+from spikedeploy.runtime.graph.order import neighbours, reach
 from spikedeploy.runtime.graph.shapes import (
     CONVOLUTIONS,
     DENSE,
@@ -51,7 +49,9 @@ def check_graph(graph: nir.NIRGraph) -> None:
         if not found:
             raise ArtifactError(f"the graph has no {kind} node. Add one and an edge to it.")
         for name, node in found.items():
-            _check_port(name, np.asarray(node.output_type["output"]))
+            shape = np.asarray(node.output_type["output"])
+            if shape.dtype.kind not in "iu" or shape.ndim != 1 or not shape.size or shape.min() < 1:
+                raise _fault(name, f"shape is {shape.tolist()}; it must be whole numbers above 0")
     infer_shapes(graph)
     _check_connected(graph)
 
@@ -73,7 +73,25 @@ def check_edges(graph: nir.NIRGraph, path: str = "") -> None:
             "neurons as one Linear node, not as edges."
         )
     for edge in graph.edges:
-        _check_edge(graph, edge, where)
+        if not (isinstance(edge, tuple) and len(edge) == 2):
+            raise ArtifactError(
+                f"{where}edge {edge!r} is not a pair (source, target). Export the network again, "
+                "or correct the edge."
+            )
+        source, target = edge
+        shown = f"{where}edge {source!r} -> {target!r}"
+        for name in edge:
+            if name not in graph.nodes:
+                raise ArtifactError(
+                    f"{shown}: there is no node {name!r}; the nodes are "
+                    f"{', '.join(sorted(graph.nodes)[:50])}. Correct the edge or add the node."
+                )
+        if isinstance(graph.nodes[target], nir.Input):
+            raise ArtifactError(f"{shown} goes into an Input node. Let it end at the node after.")
+        if isinstance(graph.nodes[source], nir.Output):
+            raise ArtifactError(
+                f"{shown} comes out of an Output node. Let it start at the node before."
+            )
     repeated = sorted(edge for edge, times in Counter(graph.edges).items() if times > 1)
     if repeated:
         source, target = repeated[0]
@@ -83,32 +101,10 @@ def check_edges(graph: nir.NIRGraph, path: str = "") -> None:
         )
 
 
-def _check_edge(graph: nir.NIRGraph, edge: object, where: str) -> None:
-    if not (isinstance(edge, tuple) and len(edge) == 2):
-        raise ArtifactError(
-            f"{where}edge {edge!r} is not a pair (source, target). Export the network again, or "
-            "correct the edge."
-        )
-    source, target = edge
-    shown = f"{where}edge {source!r} -> {target!r}"
-    for name in edge:
-        if name not in graph.nodes:
-            raise ArtifactError(
-                f"{shown}: there is no node {name!r}; the nodes are "
-                f"{', '.join(sorted(graph.nodes)[:50])}. Correct the edge or add the node."
-            )
-    if isinstance(graph.nodes[target], nir.Input):
-        raise ArtifactError(f"{shown} goes into an Input node. Let it end at the node after.")
-    if isinstance(graph.nodes[source], nir.Output):
-        raise ArtifactError(
-            f"{shown} comes out of an Output node. Let it start at the node before."
-        )
-
-
 def _check_connected(graph: nir.NIRGraph) -> None:
     """Raise ArtifactError where a node lies on no path from an Input to an Output."""
-    backwards = [(target, source) for source, target in graph.edges]
-    driven, used = _reached(graph.inputs, graph.edges), _reached(graph.outputs, backwards)
+    driven = reach(graph.inputs, neighbours(graph.edges))
+    used = reach(graph.outputs, neighbours((target, source) for source, target in graph.edges))
     for name in sorted(graph.nodes):
         if name not in driven:
             raise ArtifactError(
@@ -122,27 +118,8 @@ def _check_connected(graph: nir.NIRGraph) -> None:
             )
 
 
-def _reached(starts: Iterable[str], edges: Iterable[tuple[str, str]]) -> set[str]:
-    """The starts, and every node that edges lead to from them."""
-    targets = defaultdict(list)
-    for source, target in edges:
-        targets[source].append(target)
-    reached, waiting = set(starts), list(starts)
-    while waiting:
-        new = set(targets[waiting.pop()]) - reached
-        reached |= new
-        waiting.extend(new)
-    return reached
-
-
 def _fault(name: str, found: str) -> ArtifactError:
-    """The error of a node."""
     return ArtifactError(f"node {name!r}: {found}. Export the network again, or correct the node.")
-
-
-def _check_port(name: str, shape: NDArray[Any]) -> None:
-    if shape.dtype.kind not in "iu" or shape.ndim != 1 or not shape.size or shape.min() < 1:
-        raise _fault(name, f"shape is {shape.tolist()}; it must be whole numbers above 0")
 
 
 def _check_node(name: str, node: nir.NIRNode) -> None:
@@ -178,7 +155,7 @@ def _check_convolution(name: str, node: nir.NIRNode) -> None:
             f"weight has shape {node.weight.shape}; a {type(node).__name__} needs {axes} axes: "
             "features, channels of a group, kernel",
         )
-    (groups,) = whole_numbers(name, "groups", node.groups, 1, minimum=1)
+    (groups,) = whole_numbers(name, "groups", node.groups, 1, 1)
     if len(node.weight) % groups:
         raise _fault(name, f"{len(node.weight)} features cannot be divided into {groups} groups")
     _check_shape(name, "bias", node.bias.shape, node.weight.shape[:1])

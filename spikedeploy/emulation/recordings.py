@@ -24,7 +24,7 @@ from spikedeploy.emulation.rasters import Raster, read_inputs, read_rasters
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.convention import Integrator, Reset, Spikes
-from spikedeploy.runtime.dialects.dialect import WRITERS
+from spikedeploy.runtime.dialects.tools import WRITERS
 from spikedeploy.runtime.errors import ObservationError, SpikedeployError
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import Port, ports

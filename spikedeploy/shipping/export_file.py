@@ -46,7 +46,7 @@ def export_nir(
     """Write a policy's network for a tool, and compare it with the policy on random spikes.
 
     policy: .nir file, shipped policy, run folder, its name under runs/, or "last".
-    tool: of runtime.dialects.rewriting.IMPORTERS; None leaves the scaling as it is.
+    tool: of runtime.dialects.tools.IMPORTERS; None leaves the scaling as it is.
     older: release of `nir` that must be able to open the file.
     timesteps: on which the networks are compared.
     options: of artifact.load, such as written_by.

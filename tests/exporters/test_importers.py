@@ -9,8 +9,7 @@ import pytest
 
 from spikedeploy.runtime.artifact.artifact import Artifact, for_importer, load, save
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.dialects.norse import visits
-from spikedeploy.runtime.dialects.rewriting import IMPORTERS
+from spikedeploy.runtime.dialects.tools import IMPORTERS, norse_visits
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ConventionError
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, cuba, graph, lif, popsan, spiking_mlp
@@ -144,8 +143,8 @@ def test_snntorch_finds_no_loop_of_two_which_it_could_not_run():
 
 def test_norse_visits_the_output_last():
     before, after = recurrent().graph, for_importer(recurrent(), "norse").graph
-    assert visits(before.nodes, sorted(before.edges))[-1] == "rec"
-    assert visits(after.nodes, sorted(after.edges))[-1].endswith("_output")
+    assert norse_visits(before.nodes, sorted(before.edges))[-1] == "rec"
+    assert norse_visits(after.nodes, sorted(after.edges))[-1].endswith("_output")
 
 
 def test_norse_refuses_a_node_that_waits_for_two():

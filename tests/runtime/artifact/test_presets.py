@@ -10,7 +10,8 @@ from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.dialects.dialect import PRESETS, preset, read_like
+from spikedeploy.runtime.dialects.reading import preset, read_like
+from spikedeploy.runtime.dialects.tools import PRESETS
 from spikedeploy.runtime.errors import ConventionError, RuleError
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, cuba, lif, popsan

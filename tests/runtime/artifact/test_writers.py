@@ -15,7 +15,8 @@ from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.dialects.dialect import WRITERS, read_as_written, writer
+from spikedeploy.runtime.dialects.reading import read_as_written, writer
+from spikedeploy.runtime.dialects.tools import WRITERS
 from spikedeploy.runtime.errors import ArtifactError, ConventionError, RuleError
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, cuba, lif, popsan
