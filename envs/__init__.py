@@ -24,6 +24,7 @@ import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -98,26 +99,19 @@ ENVS: dict[str, EnvSpec] = {
             "separates controls without feedback from policies with it: shares of a return are not "
             "shares of the tracking, which success and the errors measure.",
         ),
-        EnvSpec(
-            "kart-grid",
-            "spikedeploy/KartGrid-v0",
-            "spikedeploy.envs.kart.karts:KartGridEnv",
-            "race a kart that is pushed up, down, left and right",
-            controls=("random", "gap"),
-        ),
-        EnvSpec(
-            "kart-gazebo",
-            "spikedeploy/KartGazebo-v0",
-            "spikedeploy.envs.kart.karts:KartGazeboEnv",
-            "race a kart that either drives or turns",
-            controls=("random", "gap"),
-        ),
-        EnvSpec(
-            "kart-steer",
-            "spikedeploy/KartSteer-v0",
-            "spikedeploy.envs.kart.karts:KartSteerEnv",
-            "race a kart with throttle, brake and steering",
-            controls=("random", "gap"),
+        *(
+            EnvSpec(
+                f"kart-{kind.lower()}",
+                f"spikedeploy/Kart{kind}-v0",
+                f"spikedeploy.envs.kart.karts:Kart{kind}Env",
+                summary,
+                controls=("random", "gap"),
+            )
+            for kind, summary in (
+                ("Grid", "race a kart that is pushed up, down, left and right"),
+                ("Gazebo", "race a kart that either drives or turns"),
+                ("Steer", "race a kart with throttle, brake and steering"),
+            )
         ),
     )
 }
@@ -155,12 +149,23 @@ def make(
     success  key of the step infos that says success, of an environment that is not ours
     """
     entry = spec(name)
-    if entry.foreign:
-        return _foreign(name, disturb, success, options)
-    if success is not None:
+    if success is not None and not entry.foreign:
         raise EnvError(f"{entry.short} defines success itself: leave --success out")
+    undisturbed = partial(_make, entry, success)
+    if not disturb:
+        return undisturbed(options)
+    from spikedeploy.envs.disturbances import disturbed
+
+    return disturbed(entry, disturb, options, undisturbed)
+
+
+def _make(entry: EnvSpec, success: str | None, options: dict[str, Any]) -> gymnasium.Env[Any, Any]:
+    if entry.foreign:
+        from spikedeploy.envs.foreign import make_foreign
+
+        return make_foreign(entry.id, options, success)
     try:
-        return _own(entry, disturb, options)
+        return gymnasium.make(entry.id, **options)
     except TypeError as error:
         wrong = re.search(r"unexpected keyword argument '([^']+)'", str(error))
         if wrong is None:
@@ -169,28 +174,6 @@ def make(
             f"{entry.short} has no option {wrong[1]!r}; the docstring of "
             f"{entry.target.replace(':', '.')} lists those that it has"
         ) from error
-
-
-def _own(
-    entry: EnvSpec, disturb: Sequence[str], options: dict[str, Any]
-) -> gymnasium.Env[Any, Any]:
-    if not disturb:
-        return gymnasium.make(entry.id, **options)
-    from spikedeploy.envs.disturbances import disturbed
-
-    return disturbed(entry.id, entry.target, entry.world, disturb, options)
-
-
-def _foreign(
-    name: str, disturb: Sequence[str], success: str | None, options: dict[str, Any]
-) -> gymnasium.Env[Any, Any]:
-    if disturb:
-        from spikedeploy.envs.disturbances import disturbed_foreign
-
-        return disturbed_foreign(name, disturb, options, success)
-    from spikedeploy.envs.foreign import make_foreign
-
-    return make_foreign(name, options, success)
 
 
 def register() -> None:

@@ -3,7 +3,7 @@
 `spikedeploy.envs.make(name, disturb=["noise:2", "payload=0.4"])` puts them on an environment, as
 `--disturb` does. They are drawn per episode from its seed, apart from the draws of the environment,
 which stay what they were. Environments of other people have those of observations and commands. A
-new kind is a Kind and a line in DISTURBANCES.
+new kind is a table in disturbances.toml and a change of options or a wrapper here.
 
 Observations of ours are scaled so that each is about +-1, so a number of noise or bias is in units
 of the scale of each observation, such as 0.5 m/s for a walker's velocity and 0.6 rad for its joints
@@ -20,8 +20,10 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, is_dataclass
+from functools import partial
 from importlib import import_module
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
 from zlib import crc32
 
 import gymnasium
@@ -30,7 +32,11 @@ from numpy.typing import NDArray
 
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.foreign import AdaptedEnv, make_foreign
+from spikedeploy.files import read_toml
 from spikedeploy.requests import Request, Scale, parse_requests
+
+if TYPE_CHECKING:
+    from spikedeploy.envs import EnvSpec
 
 Options = dict[str, Any]
 Defaults = Callable[[str], Any]  # name of an option of the environment -> its default
@@ -71,13 +77,17 @@ _STREAM = 11  # keeps the draws apart from those of environments and policies wi
 class SeededWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
     """A wrapper with a generator of its own; a reset without a seed goes on with it.
 
-    STREAM  keeps the draws of kinds of disturbances apart
+    STREAM  name of the kind, which keeps its draws apart
+    WHOLE   whether the number counts something
     """
 
     STREAM: ClassVar[str]
+    WHOLE: ClassVar[bool] = False
 
     def __init__(self, env: gymnasium.Env[Any, Any], number: float) -> None:
         super().__init__(env)
+        if self.WHOLE and number != int(number):
+            raise EnvError(f"--disturb {self.STREAM}={number:g}: give a whole number")
         self.number = number
         self.rng = np.random.default_rng()
 
@@ -246,56 +256,14 @@ class Dropout(_Sensors):
         return self._last
 
 
-_SCALES = "standard deviations in units of the scale of each observation"
-NOISE = Kind(
-    meaning="white noise on every measurement, LIDAR and contacts excepted",
-    unit="scale of an observation",
-    levels={HEXAPOD: (0.05, 0.1, 0.2), KART: (0.05, 0.15, 0.4), FOREIGN: (0.05, 0.1, 0.2)},
-    bounds=(0.0, 10.0),
-    source="level 2 of a walker is about the noise that walkers are trained with for robots (Rudin "
-    "et al. 2022: +-0.1 m/s, +-0.2 rad/s, +-0.05 of gravity, uniform); karts, which steer by the "
-    f"LIDAR, are given more; {_SCALES}",
-    wrap=Noise,
-)
-BIAS = Kind(
-    meaning="a constant error of every measurement, LIDAR and contacts excepted",
-    unit="scale of an observation",
-    levels={HEXAPOD: (0.05, 0.1, 0.2), KART: (0.05, 0.15, 0.4), FOREIGN: (0.05, 0.1, 0.2)},
-    bounds=(0.0, 10.0),
-    source=f"as the noise, of which a filter would leave it; {_SCALES}",
-    wrap=Bias,
-)
-DROPOUT = Kind(
-    meaning="measurements that do not arrive: the last one is seen again; LIDAR excepted",
-    unit="probability of each, a control step",
-    levels={HEXAPOD: (0.05, 0.2, 0.5), KART: (0.2, 0.5, 0.8), FOREIGN: (0.05, 0.2, 0.5)},
-    bounds=(0.0, 1.0),
-    source="chosen: from a bus with a bad contact to one that delivers every other value, or fewer",
-    wrap=Dropout,
-)
-
-
-_LONGEST = 100  # [control steps]
-
-
-def _steps(number: float) -> int:
-    if number != int(number):
-        raise EnvError(f"a delay of {number:g} control steps: give a whole number")
-    return int(number)
-
-
 class LateSensors(SeededWrapper):
     """Sensor readings of some control steps ago; the first observation until then."""
 
-    STREAM = "delay"
-
-    def __init__(self, env: gymnasium.Env[Any, Any], number: float) -> None:
-        super().__init__(env, number)
-        self._places, self._delay = columns(env), _steps(number)
+    STREAM, WHOLE = "delay", True
 
     def _begin(self, observation: FloatArray) -> FloatArray:
-        now = observation[self._places]
-        self._line = deque([now] * (self._delay + 1), self._delay + 1)
+        self._places, length = columns(self), int(self.number) + 1
+        self._line = deque([observation[self._places]] * length, length)
         return observation
 
     def _observe(self, observation: FloatArray) -> FloatArray:
@@ -308,19 +276,15 @@ class LateSensors(SeededWrapper):
 class LateCommands(SeededWrapper):
     """Commands that take effect some control steps later; until then there is none."""
 
-    STREAM = "command-delay"
-
-    def __init__(self, env: gymnasium.Env[Any, Any], number: float) -> None:
-        super().__init__(env, number)
-        self._delay = _steps(number)
+    STREAM, WHOLE = "command-delay", True
 
     def _begin(self, observation: FloatArray) -> FloatArray:
-        none = no_command(self.env)
-        self._line = deque([none] * self._delay, self._delay + 1)
+        delay = int(self.number)
+        self._line = deque([no_command(self.env)] * delay, delay + 1)
         return observation
 
     def _command(self, action: Any) -> Any:  # noqa: ANN401
-        self._line.append(np.copy(action) if np.ndim(action) else action)
+        self._line.append(_copied(action))
         return self._line.popleft()
 
 
@@ -335,8 +299,12 @@ class LostCommands(SeededWrapper):
 
     def _command(self, action: Any) -> Any:  # noqa: ANN401
         if self.rng.random() >= self.number:
-            self._held = np.copy(action) if np.ndim(action) else action
+            self._held = _copied(action)
         return self._held
+
+
+def _copied(action: Any) -> Any:  # noqa: ANN401
+    return np.copy(action) if np.ndim(action) else action
 
 
 def no_command(env: gymnasium.Env[Any, Any]) -> Any:  # noqa: ANN401
@@ -348,46 +316,15 @@ def no_command(env: gymnasium.Env[Any, Any]) -> Any:  # noqa: ANN401
     return 0 if isinstance(space, gymnasium.spaces.Discrete) else np.zeros(space.shape or ())
 
 
-DELAY = Kind(
-    meaning="measurements that are seen late, the LIDAR's too",
-    unit="control steps",
-    levels={HEXAPOD: (1, 2, 3), KART: (1, 3, 6), FOREIGN: (1, 2, 3)},
-    bounds=(0, _LONGEST),
-    source="20 to 60 ms of a walker, where Tan et al. 2018 measured 15 to 19 ms and trained with 0 "
-    "to 40; 17 to 100 ms of a kart",
-    wrap=LateSensors,
-)
-COMMAND_DELAY = Kind(
-    meaning="commands that take effect late",
-    unit="control steps",
-    levels={HEXAPOD: (1, 2, 3), KART: (1, 3, 6), FOREIGN: (1, 2, 3)},
-    bounds=(0, _LONGEST),
-    source="as the delay of measurements",
-    wrap=LateCommands,
-)
-COMMAND_LOSS = Kind(
-    meaning="commands that are lost: the last one that arrived is held",
-    unit="probability of each",
-    levels={HEXAPOD: (0.05, 0.2, 0.5), KART: (0.2, 0.5, 0.8), FOREIGN: (0.05, 0.2, 0.5)},
-    bounds=(0.0, 1.0),
-    source="chosen, as the dropout of measurements",
-    wrap=LostCommands,
-)
-
-
-_JOINTS, _LEGS = 18, 6
-
-
 class DeadJoint(SeededWrapper):
     """Some servos hold nothing: only the friction of their gears is left."""
 
-    STREAM = "dead-joint"
+    STREAM, WHOLE = "dead-joint", True
 
     def _begin(self, observation: FloatArray) -> FloatArray:
-        if self.number != int(self.number):
-            raise EnvError(f"--disturb dead-joint={self.number:g}: give a whole number of joints")
-        dead = self.rng.permutation(_JOINTS)[: int(self.number)]
-        _robot(self).weaken(dead.tolist(), 0.0)
+        dead = self.rng.permutation(18)[: int(self.number)]
+        walker: Any = self.unwrapped
+        walker.weaken(dead.tolist(), 0.0)
         return observation
 
 
@@ -397,32 +334,10 @@ class DeadLeg(SeededWrapper):
     STREAM = "dead-leg"
 
     def _begin(self, observation: FloatArray) -> FloatArray:
-        first = 3 * int(self.rng.integers(_LEGS))
-        _robot(self).weaken([first, first + 1, first + 2], 1.0 - self.number)
+        first = 3 * int(self.rng.integers(6))
+        walker: Any = self.unwrapped
+        walker.weaken([first, first + 1, first + 2], 1.0 - self.number)
         return observation
-
-
-def _robot(wrapper: SeededWrapper) -> Any:  # noqa: ANN401
-    """The environment itself, whose servos can be weakened."""
-    return wrapper.unwrapped
-
-
-DEAD_JOINT = Kind(
-    meaning="joints without power, drawn anew in each episode",
-    unit="joints",
-    levels={HEXAPOD: (1, 2, 3)},
-    bounds=(0, _JOINTS),
-    source="chosen: up to a sixth of the 18 joints",
-    wrap=DeadJoint,
-)
-DEAD_LEG = Kind(
-    meaning="a leg that loses power, drawn anew in each episode",
-    unit="share that is lost",
-    levels={HEXAPOD: (0.5, 0.8, 1.0)},
-    bounds=(0.0, 1.0),
-    source="chosen: level 3 is a leg without power, as in Cully et al. 2015",
-    wrap=DeadLeg,
-)
 
 
 def _shift_option(option: str, move: Callable[[float, float], float]) -> Change:
@@ -446,49 +361,6 @@ def _weaken(options: Options, number: float, default: Defaults, world: str) -> O
     return change(options, number, default, world)
 
 
-WEAKNESS = Kind(
-    meaning="motors that are weaker: servo stiffness and damping, or a kart's power",
-    unit="share that is lost",
-    levels={HEXAPOD: (0.1, 0.2, 0.4), KART: (0.1, 0.2, 0.4)},
-    bounds=(0.0, 0.85),
-    source="motor strength down to 80 % is what Tan et al. 2018 trained for",
-    change=_weaken,
-)
-PAYLOAD = Kind(
-    meaning="a load on the torso",
-    unit="kg",
-    levels={HEXAPOD: (0.25, 0.5, 1.0)},
-    bounds=(0.0, 1.5),
-    source="10, 20 and 40 % of the robot's 2.45 kg; training draws -0.1 to 0.3 kg",
-    change=_shift_option("payload", lambda end, number: end + number),
-)
-SLOPE = Kind(
-    meaning="ground that rises along the x axis",
-    unit="degrees",
-    levels={HEXAPOD: (3.0, 6.0, 9.0)},
-    bounds=(-25.0, 25.0),
-    source="chosen: 9 degrees are a grade of 16 %",
-    change=_shift_option("slope", lambda end, number: end + math.radians(number)),
-)
-FRICTION = Kind(
-    meaning="feet that slip: less friction on the ground",
-    unit="share that is lost",
-    levels={HEXAPOD: (0.3, 0.5, 0.7)},
-    bounds=(0.0, 0.95),
-    source="coefficients of 0.39 to 0.7, 0.28 to 0.5 and 0.17 to 0.3, where training draws 0.55 "
-    "to 1: the last is as wet tiles",
-    change=_shift_option("friction", _reduce),
-)
-PUSHES = Kind(
-    meaning="harder pushes, at the same times and in the same directions",
-    unit="times as hard",
-    levels={HEXAPOD: (1.5, 2.0, 3.0)},
-    bounds=(0.0, 10.0),
-    source="of kicks of 0.125 to 0.25 m/s (hexapod) and 0.25 to 0.5 m/s (hexapod-command)",
-    change=_shift_option("pushes", lambda end, number: end * number),
-)
-
-
 def _lidar(field: str) -> Change:
     """Return a change of one option of the LIDAR; the others stay as they are given."""
 
@@ -500,55 +372,24 @@ def _lidar(field: str) -> Change:
     return change
 
 
-def _reduce_grip(options: Options, number: float, default: Defaults, world: str) -> Options:
-    before: float = options["grip"] if "grip" in options else default("grip")
-    return {**options, "grip": before * (1.0 - number)}
-
-
-LIDAR_NOISE = Kind(
-    meaning="white noise on every distance of the LIDAR",
-    unit="px, standard deviation",
-    levels={KART: (20.0, 50.0, 100.0)},
-    bounds=(0.0, 1000.0),
-    source="6, 14 and 29 % of a range of 350 px: 0.2 to 1 m at 100 px to a metre, far "
-    "above the centimetres of a good LIDAR",
-    change=_lidar("noise"),
-)
-LIDAR_DROPOUT = Kind(
-    meaning="rays of the LIDAR that see no wall",
-    unit="probability of each ray, a control step",
-    levels={KART: (0.05, 0.1, 0.2)},
-    bounds=(0.0, 1.0),
-    source="chosen: dark and shining walls return few pulses",
-    change=_lidar("dropout"),
-)
-GRIP = Kind(
-    meaning="tyres that slip: a change of velocity comes slower",
-    unit="share of each change that is lost, a control step",
-    levels={KART: (0.8, 0.9, 0.95)},
-    bounds=(0.0, 0.99),
-    source="chosen: velocity follows the wheels with time constants of about 75, 158 and 325 ms",
-    change=_reduce_grip,
-)
-
+_CHANGES: dict[str, Change] = {
+    "weakness": _weaken,
+    "payload": _shift_option("payload", lambda end, number: end + number),
+    "slope": _shift_option("slope", lambda end, number: end + math.radians(number)),
+    "friction": _shift_option("friction", _reduce),
+    "pushes": _shift_option("pushes", lambda end, number: end * number),
+    "lidar-noise": _lidar("noise"),
+    "lidar-dropout": _lidar("dropout"),
+    "grip": _shift_option("grip", _reduce),
+}
+_WRAPPERS: tuple[type[SeededWrapper], ...] = (
+    Noise, Bias, Dropout, LateSensors, LateCommands, LostCommands, DeadJoint, DeadLeg,
+)  # fmt: skip
+_WRAPS = {wrapper.STREAM: wrapper for wrapper in _WRAPPERS}
 
 DISTURBANCES: dict[str, Kind] = {
-    "noise": NOISE,
-    "bias": BIAS,
-    "dropout": DROPOUT,
-    "delay": DELAY,
-    "command-delay": COMMAND_DELAY,
-    "command-loss": COMMAND_LOSS,
-    "weakness": WEAKNESS,
-    "dead-joint": DEAD_JOINT,
-    "dead-leg": DEAD_LEG,
-    "payload": PAYLOAD,
-    "slope": SLOPE,
-    "friction": FRICTION,
-    "pushes": PUSHES,
-    "lidar-noise": LIDAR_NOISE,
-    "lidar-dropout": LIDAR_DROPOUT,
-    "grip": GRIP,
+    name: Kind(**given, change=_CHANGES.get(name), wrap=_WRAPS.get(name))
+    for name, given in read_toml(Path(__file__).with_suffix(".toml")).items()
 }
 
 
@@ -598,44 +439,28 @@ class Disturbed(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 def disturbed(
-    id_: str, target: str, world: str, texts: Sequence[str], options: Mapping[str, Any]
+    entry: EnvSpec,
+    texts: Sequence[str],
+    options: Options,
+    make: Callable[[Options], gymnasium.Env[Any, Any]],
 ) -> gymnasium.Env[Any, Any]:
-    """The environment with this id and its options, disturbed.
-
-    target  "module:class" of it
-    world   folder of envs that it stands in
-    """
-    found = disturbances(texts, world)
-    if not found:
-        return gymnasium.make(id_, **options)
-    changed: Options = dict(options)
+    """The environment that `make` builds of options, disturbed."""
+    found = disturbances(texts, entry.world)
+    changed = options
     for each in found:
         if each.kind.change is not None:
-            changed = each.kind.change(changed, each.number, lambda o: _default(target, o), world)
-    return _wrap(gymnasium.make(id_, **changed), found, options)
-
-
-def disturbed_foreign(
-    name: str, texts: Sequence[str], options: Mapping[str, Any], success: str | None = None
-) -> gymnasium.Env[Any, Any]:
-    """The environment of somebody else, disturbed in what is observed and commanded."""
-    env = make_foreign(name, options, success)
-    found = disturbances(texts, name)
-    return _wrap(env, found, env.given) if found else env
-
-
-def _wrap(
-    env: gymnasium.Env[Any, Any], found: Sequence[Disturbance], options: Mapping[str, Any]
-) -> Disturbed:
+            changed = each.kind.change(changed, each.number, partial(_default, entry), entry.world)
+    env = make(changed)
+    given = env.given if isinstance(env, AdaptedEnv) else options
     for each in found:
         if each.kind.wrap is not None:
             env = each.kind.wrap(env, each.number)
-    return Disturbed(env, {**options, "disturb": [each.text for each in found]})
+    return Disturbed(env, {**given, "disturb": [each.text for each in found]}) if found else env
 
 
-def _default(target: str, option: str) -> Any:  # noqa: ANN401
+def _default(entry: EnvSpec, option: str) -> Any:  # noqa: ANN401
     """Default of an option of the class, or of the class above that has it."""
-    module, _, name = target.partition(":")
+    module, _, name = entry.target.partition(":")
     for each in getattr(import_module(module), name).__mro__:
         parameter = inspect.signature(each.__init__).parameters.get(option)
         if parameter is not None:

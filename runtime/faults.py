@@ -2,18 +2,20 @@
 
 `inject(program, faults(["dead-neurons:2"]))` is the program on a faulty chip. Which parts are hit
 is drawn from the specimen, a number: another specimen is another chip with as many faults. Broken
-parts are in the program's numbers; upsets are left to the interpreter. A new fault is a line in
-FAULTS, and a function where it breaks parts.
+parts are in the program's numbers; upsets are left to the interpreter. A new fault is a table in
+faults.toml, and a function where it breaks parts.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeAlias
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.files import read_toml
 from spikedeploy.requests import Request, Scale, parse_requests
 from spikedeploy.runtime.chips.damage import Damage, Upset, Upsets
 from spikedeploy.runtime.chips.layer import Layer, Synapses
@@ -23,7 +25,8 @@ from spikedeploy.runtime.errors import ConfigError
 Integers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 # a program, a number and a generator -> its layers with the fault, how many were hit, of how many
-Break = Callable[[Program, float, np.random.Generator], tuple[Sequence[Layer], int, int]]
+Hit: TypeAlias = tuple[Sequence[Layer], int, int]
+Break = Callable[[Program, float, np.random.Generator], Hit]
 # stored weights (k,) in steps of the chip, bits, whether one is the sign, generator -> new ones
 ChangeWeights = Callable[[Integers, int, bool, np.random.Generator], Integers]
 
@@ -108,9 +111,7 @@ def _split_by_layer(program: Program, values: NDArray[Any]) -> dict[str, NDArray
     return {layer.name: part for layer, part in zip(program.spiking, parts, strict=True)}
 
 
-def _kill_neurons(
-    program: Program, number: float, rng: np.random.Generator
-) -> tuple[Sequence[Layer], int, int]:
+def _kill_neurons(program: Program, number: float, rng: np.random.Generator) -> Hit:
     of = sum(layer.size for layer in program.spiking)
     hit = _draw_hits(of, number, rng) if of else np.zeros(0, np.bool_)
     alive = _split_by_layer(program, ~hit)
@@ -133,9 +134,7 @@ def _silence(layer: Layer, keep: Mask) -> Layer:
     )
 
 
-def _vary_thresholds(
-    program: Program, number: float, rng: np.random.Generator
-) -> tuple[Sequence[Layer], int, int]:
+def _vary_thresholds(program: Program, number: float, rng: np.random.Generator) -> Hit:
     of = sum(layer.size for layer in program.spiking)
     factors = _split_by_layer(program, 1.0 + number * rng.standard_normal(of))
     step, largest = program.chip.arithmetic.threshold_range
@@ -157,9 +156,7 @@ def _vary_thresholds(
 def _change_weights(change: ChangeWeights) -> Break:
     """A fault that replaces a share of the stored weights."""
 
-    def damage_layers(
-        program: Program, number: float, rng: np.random.Generator
-    ) -> tuple[Sequence[Layer], int, int]:
+    def damage_layers(program: Program, number: float, rng: np.random.Generator) -> Hit:
         if not program.chip.arithmetic.own_weights:
             raise ConfigError(
                 f"--fault: on {program.chip.name} a neuron has one weight for all axons of a type, "
@@ -170,15 +167,10 @@ def _change_weights(change: ChangeWeights) -> Break:
         counts = [int(np.count_nonzero(s.weight)) for s in every]
         hit = _draw_hits(sum(counts), number, rng)
         parts = iter(np.split(hit, np.cumsum(counts)[:-1]))
-        layers = [
-            replace(
-                layer,
-                synapses=tuple(
-                    _replace_hit(s, next(parts), program, change, rng) for s in layer.synapses
-                ),
-            )
-            for layer in program.layers
-        ]
+        layers = []
+        for layer in program.layers:
+            hit_ones = (_replace_hit(s, next(parts), program, change, rng) for s in layer.synapses)
+            layers.append(replace(layer, synapses=tuple(hit_ones)))
         return layers, int(hit.sum()), sum(counts)
 
     return damage_layers
@@ -225,75 +217,12 @@ def _flip_bits(steps: Integers, bits: int, signed: bool, rng: np.random.Generato
     return np.asarray(np.where(stored >> (bits - 1), stored - (1 << bits), stored))
 
 
-FAULTS: dict[str, Fault] = {
-    "dead-neurons": Fault(
-        meaning="neurons that never spike; readouts, which are actuators' own, are spared",
-        unit="share of the neurons",
-        levels=(0.02, 0.05, 0.1),
-        bounds=(0.0, 1.0),
-        what="neurons",
-        source="chosen, as in fault-injection studies of SNNs (Spyrou et al. 2021)",
-        damage_layers=_kill_neurons,
-    ),
-    "threshold-mismatch": Fault(
-        meaning="thresholds that differ from neuron to neuron",
-        unit="standard deviation, share of a threshold",
-        levels=(0.05, 0.1, 0.2),
-        bounds=(0.0, 1.0),
-        what="neurons",
-        source="device mismatch of mixed-signal neurons is about 0.2 (Zendrikov et al. 2023); "
-        "digital chips have none",
-        damage_layers=_vary_thresholds,
-    ),
-    "stuck-zero": Fault(
-        meaning="weights that are stuck at 0",
-        unit="share of the stored weights",
-        levels=(0.01, 0.05, 0.1),
-        bounds=(0.0, 1.0),
-        what="weights",
-        source="about a tenth of the cells of a resistive memory were stuck (Chen et al. 2015)",
-        damage_layers=_change_weights(_zeros),
-    ),
-    "stuck-max": Fault(
-        meaning="weights that are stuck at the largest magnitude, with the sign that they have",
-        unit="share of the stored weights",
-        levels=(0.001, 0.005, 0.02),
-        bounds=(0.0, 1.0),
-        what="weights",
-        source="chosen: fewer than those at 0, since each does more",
-        damage_layers=_change_weights(_largest),
-    ),
-    "weight-flips": Fault(
-        meaning="weights with one flipped bit, the sign's too where a weight has one",
-        unit="share of the stored weights",
-        levels=(0.001, 0.005, 0.02),
-        bounds=(0.0, 1.0),
-        what="weights",
-        source="chosen: bit error rates of SRAM of 1e-4 to 3e-3 at 8 bits, as at low voltages",
-        damage_layers=_change_weights(_flip_bits),
-    ),
-    "state-flips": Fault(
-        meaning="membranes in which one bit flips between two timesteps, readouts' too",
-        unit="probability of each membrane, a timestep",
-        levels=(1e-5, 1e-4, 1e-3),
-        bounds=(0.0, 1.0),
-        what="membranes and timesteps",
-        source="chosen; particles flip far fewer, failing memory more",
-    ),
-    "lost-spikes": Fault(
-        meaning="spikes that do not arrive, those of the input too; the neuron is reset",
-        unit="probability of each spike",
-        levels=(0.01, 0.05, 0.2),
-        bounds=(0.0, 1.0),
-        what="spikes",
-        source="chosen: from rare drops to a router that is congested",
-    ),
-    "spurious-spikes": Fault(
-        meaning="spikes that no neuron sent, also of the input; the neuron is not reset",
-        unit="probability of each neuron and input, a timestep in which it is silent",
-        levels=(1e-4, 1e-3, 1e-2),
-        bounds=(0.0, 1.0),
-        what="silent timesteps",
-        source="chosen: at 1 ms a timestep 0.1, 1 and 10 Hz",
-    ),
+_DAMAGE: dict[str, Break] = {
+    "dead-neurons": _kill_neurons,
+    "threshold-mismatch": _vary_thresholds,
+    "stuck-zero": _change_weights(_zeros),
+    "stuck-max": _change_weights(_largest),
+    "weight-flips": _change_weights(_flip_bits),
 }
+_GIVEN: dict[str, dict[str, Any]] = read_toml(Path(__file__).with_suffix(".toml"))
+FAULTS = {name: Fault(**given, damage_layers=_DAMAGE.get(name)) for name, given in _GIVEN.items()}

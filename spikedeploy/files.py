@@ -5,12 +5,18 @@ import json
 import math
 import os
 import socket
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from spikedeploy.errors import ConfigError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
 
 @contextmanager
@@ -82,6 +88,12 @@ def read_json(path: Path, remedy: str = "put it back, or move it away") -> dict[
     if not isinstance(found, dict):
         raise ConfigError(f"{path} is damaged, it holds no JSON object: {remedy}")
     return found
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file, such as those that belong to a module."""
+    tables: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    return tables
 
 
 @contextmanager
