@@ -9,9 +9,9 @@ that are not installed are left out, with a line. xylosim's rates are not matche
 computes neurons without a synaptic current, which is less than ours.
 
 Two tables follow. `10 x wider`: hidden layers get nine silent neurons for each that there is, so
-that as many spikes reach ten times as many neurons; `gather` is NumPy's. `memory`: the
-bytes that an inference of the compiled kernels touches, and how long that takes at the speed at
-which this machine copies memory that fits its caches, or does not.
+that as many spikes reach ten times as many neurons. `memory`: the bytes that an inference of the
+compiled kernels touches, and how long that takes at the speed at which this machine copies memory
+that fits its caches, or does not.
 """
 
 import time
@@ -22,13 +22,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from lab.bench.nets import SHIFT, Net, Raster, bernoulli, encode, kart, popsan, widen
+from lab.bench.nets import Net, Raster, bernoulli, encode, kart, popsan, widen
 from lab.bench.peers import peers
 from lab.bench.turns import Act, interleave, parser_of, report
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.families.cuba.numpy_kernels import Scratch, make_gather
-from spikedeploy.runtime.families.cuba.quantise import bounds
 
 INPUTS = 20  # rasters of a round at batch 1
 Times = dict[str, float]
@@ -134,9 +132,6 @@ def scaling(three: list[Any], rounds: int) -> dict[str, Any]:
         spikes[name] = [int(raster.sum()), *(int(t.spikes.sum()) for t in traces.values())]
         for mine, run in ours(one, 1).items():
             candidates[f"{mine} {name}"] = calls(run, [raster[k : k + 1] for k in range(INPUTS)])
-        candidates[f"gather {name}"] = calls(
-            gatherer(one, raster[:1]).infer, [raster[k : k + 1] for k in range(INPUTS)]
-        )
     if spikes["narrow"] != spikes["wide"]:
         raise AssertionError(f"the twins spike differently: {spikes}")
     median = medians(candidates, rounds)
@@ -145,20 +140,6 @@ def scaling(three: list[Any], rounds: int) -> dict[str, Any]:
         "median_us": median,
         "ratios": {name: median[f"{name} wide"] / median[f"{name} narrow"] for name in names},
     }
-
-
-def gatherer(net: Net, raster: Raster) -> Machine:
-    """A NumPy machine whose layers, one by one, fetch the weights of spikes and nothing else."""
-    machine = Machine(net.program, 1, "none")
-    machine.infer(raster)
-    for kernel in machine._backend._kernels:
-        layer = kernel.layer
-        partial = bounds(net.program, layer, net.program.chip.arithmetic, net.timesteps).partial
-        weight = layer.synapses[0].weight
-        kernel._first = make_gather(
-            weight, layer.bias, partial, 1 << SHIFT, kernel._sums, Scratch(8 * weight.size)
-        )
-    return machine
 
 
 def memory(net: Net, raster: Raster, speeds: Times) -> Times:

@@ -20,7 +20,7 @@ from spikedeploy.runtime.chips.damage import Damage, Keys, Upsets, keys, uniform
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Numbers, StepResult
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import Recording, SavedState, Schedule, check_counts
-from spikedeploy.runtime.emulator.ledger import EVENTS, Counts, LedgerBuilder
+from spikedeploy.runtime.emulator.ledger import Counts, LedgerBuilder, count_events
 
 Spikes = NDArray[np.integer[Any]]
 
@@ -191,48 +191,27 @@ def count(
     traces: of each layer; None takes every neuron-timestep for an update, and no overflows.
     waiting: names of layers that have not started.
     """
-    batch, timesteps, _ = spikes[program.input].shape
-    traces, nothing = traces or {}, np.zeros(batch, np.int64)
-    lost = {name: each.lost for name, each in traces.items() if each.lost is not None}
-    spikes = {n: rows != 0 if n in program.graded else rows for n, rows in spikes.items()}
-    arriving = {n: rows - lost[n] if n in lost else rows for n, rows in spikes.items()}
-    counts = np.zeros((batch, len(program.layers), len(EVENTS)), np.int64)
-    for index, layer in enumerate(program.layers):
-        seen = traces.get(layer.name)
-        window = len(range(timesteps)[program.window(layer, timesteps)])
-        biases = 0 if layer.name in waiting else layer.bias_fan_out
-        spike_in = sum(_sum_each(arriving[s.source]) for s in layer.synapses)
-        spike_out = _sum_each(spikes[layer.name]) if layer.spiking else nothing
-        update = _sum_each(seen.active) if seen else timesteps * layer.size
-        membranes = window * layer.size * (layer.name not in waiting)
-        sent = spike_out if layer.spiking else membranes
-        event = {
-            "spike_in": spike_in,
-            "sop": sum(_sum_each(arriving[s.source] * s.fan_out) for s in layer.synapses),
-            "bias_sop": window * biases,
-            "neuron_update": update,
-            "neuron_idle": layer.size * program.steps(timesteps) - update,
-            "spike_out": spike_out,
-            "message": spike_in + window * (biases > 0) + sent * (layer.name in program.to_host),
-            "saturation": _sum_each(seen.overflows) if seen else 0,
-            "graded_sop": sum(
-                (
-                    _sum_each(spikes[s.source] * s.fan_out)
-                    for s in layer.synapses
-                    if s.source in program.graded
-                ),
-                nothing,
-            ),
-            "lost_spike": _sum_each(lost[layer.name]) if layer.name in lost else 0,
-        }
-        for kind, name in enumerate(EVENTS):
-            counts[:, index, kind] = event[name]
-    return counts
-
-
-def _sum_each(values: NDArray[Any]) -> Counts:
-    """Sums (B,) over timesteps and neurons."""
-    return np.asarray(values.sum(axis=(1, 2), dtype=np.int64))
+    timesteps = spikes[program.input].shape[1]
+    graded, rows = program.graded, {}
+    for name, sent in spikes.items():
+        rows[name] = (sent != 0 if name in graded else sent).sum(axis=1, dtype=np.int64)
+    batch = len(rows[program.input])
+    every = np.array([timesteps * layer.size for layer in program.layers])
+    updates, overflows = np.tile(every, (batch, 1)), np.zeros((batch, len(every)), np.int64)
+    lost = {}
+    for k, (name, seen) in enumerate((traces or {}).items()):
+        updates[:, k] = seen.active.sum(axis=(1, 2))
+        overflows[:, k] = seen.overflows.sum(axis=(1, 2))
+        if seen.lost is not None:
+            lost[name] = seen.lost.sum(axis=1)
+    windows = [
+        len(range(timesteps)[program.window(a, timesteps)]) * (a.name not in waiting)
+        for a in program.layers
+    ]
+    heard, steps = np.tile(windows, (batch, 1)), program.steps(timesteps)
+    for layer in program.layers:
+        rows.setdefault(layer.name, np.zeros((batch, layer.size), np.int64))
+    return count_events(program, rows, updates, overflows, heard, steps, lost)
 
 
 _FLIPS, _LOST, _SPURIOUS, _BIT = range(4)  # streams of draws

@@ -1,7 +1,8 @@
 """The ledger: counted events of a chip, so that any table of energies can price it afterwards."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
@@ -96,6 +97,55 @@ class Ledger:
             return None
         every = max(sum(spiking) * self.timesteps, 1)
         return (every - self.total("spike_out")) / every
+
+
+def count_events(
+    program: Program,
+    spikes: Mapping[str, NDArray[Any]],
+    updates: Counts,
+    overflows: Counts,
+    heard: Counts,
+    steps: int,
+    lost: Mapping[str, NDArray[Any]] = MappingProxyType({}),
+) -> Counts:
+    """Counts (S, L, E) that follow from what neurons did in S windows.
+
+    spikes: (S, N) of each neuron of the input and of each layer.
+    updates, overflows: (S, L) neuron-timesteps with something to add up; numbers that did not fit.
+    heard: (S, L) timesteps in which a layer's bias axon spikes and the host listens to it.
+    steps: chip timesteps of a window.
+    lost: (S, N) of the spikes of some layers those that reached no neuron.
+    """
+    counts = np.zeros((*updates.shape, len(EVENTS)), np.int64)
+    arriving = {name: rows - lost[name] if name in lost else rows for name, rows in spikes.items()}
+    sent = {name: rows.sum(axis=1, dtype=np.int64) for name, rows in spikes.items()}
+    unheard = {name: rows.sum(axis=1) for name, rows in lost.items()}
+    for k, layer in enumerate(program.layers):
+        # float64 is exact up to 2**53, and has the matrix product that int64 lacks
+        operations = {
+            s: (arriving[s.source] @ s.fan_out.astype(np.float64)).astype(np.int64)
+            for s in layer.synapses
+        }
+        spike_in = sum(sent[s.source] - unheard.get(s.source, 0) for s in layer.synapses)
+        to_host = sent[layer.name] if layer.spiking else heard[:, k] * layer.size
+        has_bias = layer.bias_fan_out > 0
+        events = {
+            "spike_in": spike_in,
+            "sop": sum(operations.values()),
+            "bias_sop": heard[:, k] * layer.bias_fan_out,
+            "neuron_update": updates[:, k],
+            "neuron_idle": layer.size * steps - updates[:, k],
+            "spike_out": sent[layer.name] * layer.spiking,
+            "message": spike_in
+            + heard[:, k] * has_bias
+            + to_host * (layer.name in program.to_host),
+            "saturation": overflows[:, k],
+            "graded_sop": sum(n for s, n in operations.items() if s.source in program.graded),
+            "lost_spike": unheard.get(layer.name, 0),
+        }
+        for kind, name in enumerate(EVENTS):
+            counts[:, k, kind] = events[name]
+    return counts
 
 
 def state_count(layer: Layer, program: Program) -> int:

@@ -6,8 +6,7 @@ integers, and up to float64 rounding on `ideal`.
 neurons          the registers in integers, and one timestep, with and without registers
 quantise         a layer in floats becomes integers; bounds on what registers must hold
 arithmetic       the arithmetics: Loihi's integers, free widths, float64 and float32
-numpy_kernels    the NumPy kernels: the window of a layer in few calls
-numpy_backend    the backend that runs them, and counts events
+numpy_backend    the NumPy kernels: the window of a layer in few calls; their backend
 numba_program    a program and its memory as the arrays that compiled kernels take
 numba_kernels    the compiled kernels: a window of a whole program in one call
 numba_backend    the backend that runs them

@@ -11,7 +11,7 @@ from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import SavedState
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
-from spikedeploy.runtime.families.cuba.numpy_kernels import EXACT_INT16, aligned, as_aligned
+from spikedeploy.runtime.families.cuba.numpy_backend import EXACT_INT16, aligned, as_aligned
 from spikedeploy.runtime.families.cuba.quantise import bounds, register_limit
 
 Array = Any  # the compiler sees the types

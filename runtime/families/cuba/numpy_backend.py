@@ -1,12 +1,26 @@
-"""The NumPy backend: every layer's window, one after another, and the events of windows."""
+"""The NumPy backend: a layer's window of timesteps in few calls, equal to the interpreter.
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+States are float64, which holds 24-bit states and their products with 12-bit decays exactly, and
+needs two calls where integers need five: trunc(x * decay) is the decay toward zero. Overflow is not
+checked in every timestep: either the bounds prove that no number can be too large, or that so few
+spikes cannot make one, or the states are looked at afterwards. A window that did overflow, which is
+rare, is computed once more by the interpreter.
+
+Spikes become sums of weights in three ways, of which a fixed rule on their density chooses. All sum
+whole numbers that their number type is proven to hold exactly, so they agree bit for bit, in any
+order of summation and on any BLAS. (`ideal` has no whole numbers and always multiplies in float64,
+timesteps and batch in one matrix.)
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
-from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.chips.layer import Layer, LayerState
+from spikedeploy.runtime.chips.registers import magnitude
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import (
     Recording,
@@ -15,172 +29,442 @@ from spikedeploy.runtime.emulator.backend import (
     check_counts,
     concatenate_recordings,
 )
-from spikedeploy.runtime.emulator.ledger import EVENTS, Counts, LedgerBuilder
+from spikedeploy.runtime.emulator.ledger import EVENTS, Counts, LedgerBuilder, count_events
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
-from spikedeploy.runtime.families.cuba.numpy_kernels import (
-    LayerKernel,
-    Raster,
-    Scratch,
+from spikedeploy.runtime.families.cuba.neurons import update
+from spikedeploy.runtime.families.cuba.quantise import (
+    bounds,
+    register_limit,
+    spikes_without_overflow,
 )
 
+Numbers = NDArray[Any]
 
-class WindowStats(NamedTuple):
-    """One window of all layers.
+# [bytes] of a cache line; large arrays of NumPy begin 16 bytes after one, which costs a fifth
+LINE = 64
 
-    per_axon: of the input and of each layer, spikes (B, N) of each neuron.
-    updates: (L, B) neuron-timesteps with something to add up; (L,) where the batch is 1.
-    overflows: (L, B) numbers that did not fit; None where all did and all layers ran.
-    running: (L,) whether a layer has started; None likewise.
+
+def aligned(shape: tuple[int, ...], dtype: DTypeLike) -> Numbers:
+    """Zeros that begin with a cache line."""
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    raw = np.zeros(size + LINE, np.uint8)
+    start = -raw.ctypes.data % LINE
+    return raw[start : start + size].view(dtype).reshape(shape)
+
+
+def as_aligned(values: Numbers, dtype: DTypeLike) -> Numbers:
+    """A copy of the values that begins with a cache line."""
+    copy = aligned(values.shape, dtype)
+    np.copyto(copy, values, casting="unsafe")
+    return copy
+
+
+class Raster:
+    """Spikes (T, B, M) of one source in a window, and counts of them, each found once.
+
+    rows: uint8 or bool, 0 or 1.
+    bits: the same in bool, on which NumPy searches and counts faster than on numbers.
     """
 
-    per_axon: list[NDArray[Any]]
-    updates: list[Any]
-    overflows: list[Any] | None
-    running: list[bool] | None
+    __slots__ = ("_axons", "_spikes", "bits", "rows")
+
+    def __init__(self, rows: Numbers) -> None:
+        self.rows = rows
+        self.bits = rows.view(np.bool_) if rows.dtype.itemsize == 1 else rows.astype(np.bool_)
+        self._axons: NDArray[np.intp] | None = None
+        self._spikes = -1
+
+    def spikes(self) -> int:
+        """Number of spikes."""
+        if self._spikes < 0:
+            self._spikes = int(np.count_nonzero(self.bits))
+        return self._spikes
+
+    def axons(self) -> NDArray[np.intp]:
+        """Indices of the axons that spiked at least once; batch 1."""
+        if self._axons is None:
+            self._axons = np.logical_or.reduce(self.bits.squeeze(1), 0).nonzero()[0]
+        return self._axons
 
 
-class EventCounter:
-    """Counts the events of windows; its counts are those of runtime.emulator.ledger.count.
+# largest magnitudes up to which every whole number is held
+_EXACT_FLOAT32 = 1 << 24
+EXACT_INT16 = (1 << 15) - 1
 
-    kernels: of the layers, in their order.
-    steps: chip timesteps that a window stands for, those in which a layer only waits included.
-    heard: of each layer the timesteps in which its bias axon spikes and the host listens to it.
+# the rule, from the measurements in docs/performance.md: at batch 1, matrices of at least so many
+# weights are not multiplied whole, but
+SMALL = 1 << 15
+# only the rows of axons that spike in the window, while those are no larger a part of all,
+FEW = 0.4
+# or rows are added one by one, in matrices of at least so many weights, while such an axon spikes
+# no more often in the mean
+LARGE, _SELDOM = 1 << 17, 2.5
+
+
+class Summation:
+    """The sums of the weights that a raster brings, those of the bias included [state units].
+
+    weight: (M, N).
+    bias: (N,) weights of the axon that always spikes; (T, 1, N) where it does not always.
+    partial: largest magnitude of any partial sum; None where weights are no whole numbers.
+    unit: state units per weight unit.
+    out: (T, B, N) where the sums are wanted.
+    scratch: memory for as many float64 as there are weights, in which nothing lasts.
     """
 
     def __init__(
-        self, program: Program, kernels: Sequence[LayerKernel], steps: int, heard: Sequence[int]
+        self,
+        weight: Numbers,
+        bias: Numbers,
+        partial: int | None,
+        unit: int,
+        out: Numbers,
+        scratch: Numbers,
     ) -> None:
-        self.steps = steps
-        self._heard = heard
-        self.timesteps, self.batch, _ = kernels[0].spikes.shape
-        self._program, self._kernels = program, kernels
-        self._active = [_ActiveCount(kernel) for kernel in kernels]
+        self._unit, (timesteps, batch, neurons) = unit, out.shape
+        exact32 = partial is not None and partial * unit < _EXACT_FLOAT32
+        dtype = np.dtype(np.float32 if exact32 else np.float64)
+        self.weight = as_aligned(weight * float(unit), dtype)
+        self._spikes = aligned((timesteps, batch, len(weight)), dtype)
+        # BLAS wants two axes, and the place itself if its number type is that of the weights
+        self._out = out.reshape(-1, neurons)
+        self._sums = self._out if out.dtype == dtype else aligned(self._out.shape, dtype)
+        # arrays of one shape are added in half the time
+        copies = np.broadcast_to(bias * float(unit), out.shape).reshape(self._sums.shape)
+        self._bias = copies.astype(dtype) if bias.any() else None
+        self.is_dense = partial is None or batch > 1 or weight.size < SMALL
+        self.whole: Numbers | None = None
+        if partial is not None and not self.is_dense and weight.size >= LARGE:
+            # in the fewest bytes to fetch
+            self.whole = as_aligned(weight, np.int16 if partial <= EXACT_INT16 else np.int32)
+            self._counts = aligned((timesteps, neurons), self.whole.dtype)
+        self._scratch = scratch
+        self._fetched = scratch[: self.weight.nbytes].view(dtype).reshape(weight.shape)
 
-    def observe(self, output_spikes: Mapping[str, Raster]) -> WindowStats:
-        """The windows that have just run, with the spikes of the input and of each layer."""
-        overflows = running = None
-        if not all([kernel.ordinary for kernel in self._kernels]):
-            overflows = [kernel.overflows * kernel.interpreted for kernel in self._kernels]
-            running = [not kernel.waiting for kernel in self._kernels]
-        per_axon = [raster.per_axon() for raster in output_spikes.values()]
-        return WindowStats(per_axon, [active() for active in self._active], overflows, running)
+    def __call__(self, raster: Raster) -> None:
+        """Write the sums, by the way that the density of the spikes makes fastest."""
+        few = None if self.is_dense else len(raster.axons())
+        if few is None:
+            self.multiply(raster)
+        elif few <= FEW * len(self.weight):
+            self.multiply_active(raster)
+        elif self.whole is not None and raster.spikes() <= _SELDOM * few:
+            self.gather(raster, self.whole)
+        else:
+            self.multiply(raster)
 
-    def count(self, observations: Sequence[WindowStats]) -> Counts:
-        """Counts (S, L, E): a row for each observation and each of its batch."""
-        layers = self._program.layers
-        none, all_ = np.zeros((len(layers), self.batch)), [True] * len(layers)
-        updates = self._rows([o.updates for o in observations])
-        overflows = self._rows([none if o.overflows is None else o.overflows for o in observations])
-        running = np.repeat([o.running or all_ for o in observations], self.batch, axis=0)
-        spikes = {
-            name: np.concatenate([o.per_axon[index] for o in observations])
-            for index, name in enumerate(self._program.sizes)
-        }
-        counts = np.zeros((*updates.shape, len(EVENTS)), np.int64)
-        for index, layer in enumerate(layers):
-            events = self._events(layer, spikes, self._heard[index] * running[:, index])
-            events["neuron_update"] = updates[:, index] * running[:, index]
-            events["neuron_idle"] = layer.size * self.steps - events["neuron_update"]
-            events["saturation"] = overflows[:, index]
-            events["graded_sop"] = 0 * updates[:, index]  # only the interpreter runs such layers
-            events["lost_spike"] = 0 * updates[:, index]  # likewise
-            counts[:, index] = np.stack([events[name] for name in EVENTS], axis=1)
-        return counts
+    def multiply(self, raster: Raster) -> None:
+        """All axons times all weights: one matrix product for the window."""
+        np.copyto(self._spikes, raster.rows)
+        self._spikes.reshape(-1, len(self.weight)).dot(self.weight, self._sums)
+        self._finish()
 
-    def _events(
-        self, layer: Layer, spikes: Mapping[str, NDArray[Any]], heard: Counts
-    ) -> dict[str, Counts]:
-        """Events that follow from the spikes (S, N) of neurons, and the timesteps (S,) heard."""
-        presynaptic = [(synapses, spikes[synapses.source]) for synapses in layer.synapses]
-        spike_in = sum(rows.sum(axis=1, dtype=np.int64) for _, rows in presynaptic)
-        spike_out = spikes[layer.name].sum(axis=1, dtype=np.int64)
-        sent = spike_out if layer.spiking else heard * layer.size
-        to_host = sent * (layer.name in self._program.to_host)
-        return {
-            "spike_in": spike_in,
-            # float64 is exact up to 2**53, and has the matrix product that int64 lacks
-            "sop": sum(
-                (rows @ s.fan_out.astype(np.float64)).astype(np.int64) for s, rows in presynaptic
-            ),
-            "bias_sop": heard * layer.bias_fan_out,
-            "spike_out": spike_out,
-            "message": spike_in + heard * (layer.bias_fan_out > 0) + to_host,
-        }
+    def multiply_active(self, raster: Raster) -> None:
+        """Only the weights of axons that spiked at least once, in one small product; batch 1.
 
-    def _rows(self, values: Sequence[Any]) -> Counts:
-        """Values of observations, layers and batch as rows (S, L)."""
-        layers = len(self._program.layers)
-        shaped = np.array(values, np.int64).reshape(-1, layers, self.batch)
-        return np.asarray(shaped.swapaxes(1, 2).reshape(-1, layers))
+        Best where the same axons spike again and again, as those of a population code do.
+        """
+        axons = raster.axons()
+        spikes = raster.rows.squeeze(1).take(axons, 1).astype(self.weight.dtype)
+        # "clip" never has anything to clip here, and needs no second buffer
+        weight = self.weight.take(axons, 0, self._fetched[: len(axons)], "clip")
+        spikes.dot(weight, self._sums)
+        self._finish()
 
+    def gather(self, raster: Raster, weight: Numbers) -> None:
+        """Only the weights of axons that spiked, timestep by timestep; batch 1."""
+        take, add = weight.take, np.add.reduce
+        fetched = self._scratch[: weight.nbytes].view(weight.dtype).reshape(weight.shape)
+        for spikes, row in zip(raster.bits.squeeze(1), self._counts, strict=True):
+            axons = spikes.nonzero()[0]
+            add(take(axons, 0, fetched[: len(axons)], "clip"), 0, None, row)
+        np.multiply(self._counts, self._sums.dtype.type(self._unit), self._sums)
+        self._finish()
 
-class _ActiveCount:
-    """Counts neuron-timesteps with a membrane, a current or a bias to add up."""
-
-    def __init__(self, kernel: LayerKernel) -> None:
-        self._kernel = kernel
-        voltage_bias = kernel.layer.voltage_bias
-        self._bias_rows = voltage_bias != 0 if voltage_bias.any() else None
-        self._nonzero = np.empty(kernel.states.shape, np.bool_)
-        self._current, self._membrane_before = self._nonzero[1:, 0], self._nonzero[:-1, 1]
-        self._active = np.empty_like(kernel.spikes)
-
-    def __call__(self) -> Any:  # noqa: ANN401
-        """Of the last window, (B,); a number where the batch is 1."""
-        active = self._active
-        np.not_equal(self._kernel.states, 0.0, self._nonzero)
-        np.logical_or(self._current, self._membrane_before, active)
-        if self._bias_rows is not None:
-            np.logical_or(active, self._bias_rows, active)
-        if active.shape[1] == 1:
-            return np.count_nonzero(active)
-        return np.count_nonzero(active, axis=(0, 2))
+    def _finish(self) -> None:
+        if self._bias is not None:
+            np.add(self._sums, self._bias, self._sums)
+        if self._sums is not self._out:
+            np.copyto(self._out, self._sums)
 
 
-_IDLE = EVENTS.index("neuron_idle")
+# from so many neurons on two calls without a branch are faster than putmask
+_WIDE = 4096
 
 
-class _DelayBuffer:
-    """Spikes that were emitted in earlier timesteps and have not arrived yet.
+class LayerWindow:
+    """One layer, ready to run windows of T timesteps for a batch of B, in the same memory.
 
-    sizes: neurons of each source.
-    longest: longest delay, in rows.
+    fixed: the integers of the chip; None computes in float64.
+    biased: rows of a window in which the bias axon spikes.
+    states: (T + 1, 2, B, N) current and membrane, before the window and after each timestep.
+    bias: (B, N) that is added to the membranes; None where all are 0.
+    spikes: (T, B, N) of the last window.
+    overflows: (B,) numbers that did not fit their register in it; None where all did.
+    is_waiting: True where the layer had not started in it.
     """
 
-    def __init__(self, sizes: dict[str, int], longest: int, batch: int) -> None:
-        self._longest = longest
-        self._tails = {name: np.zeros((longest, batch, n), np.uint8) for name, n in sizes.items()}
+    def __init__(
+        self,
+        program: Program,
+        layer: Layer,
+        fixed: CubaFixedPoint | None,
+        shape: tuple[int, int],
+        kept: bool,
+        scratch: Numbers,
+        biased: slice,
+    ) -> None:
+        self._program, self.layer, self._fixed, self._kept = program, layer, fixed, kept
+        timesteps, batch = shape
+        self.spikes = np.zeros((timesteps, batch, layer.size), np.bool_)
+        self.overflows: Counts | None = None
+        self.is_waiting = False
+        self.states = aligned((timesteps + 1, 2, batch, layer.size), np.float64)
+        self._refractory = np.zeros((batch, layer.size), np.int64)
+        self._sums = aligned(self.spikes.shape, np.float64)
+        partial = None
+        if fixed:
+            # of a window from zero, or of states that are kept
+            partial = self._prepare_check(fixed, None if kept else timesteps)
+        self._unit = 1 << fixed.mantissa_shift if fixed else 1
+        self._more = aligned(self._sums.shape, np.float64)
+        bias = layer.bias
+        if range(timesteps)[biased] != range(timesteps):
+            bias = np.zeros((timesteps, 1, layer.size), layer.bias.dtype)
+            bias[biased] = layer.bias
+        self._first, *self._others = (
+            Summation(
+                s.weight,
+                0 * layer.bias if k else bias,
+                partial,
+                self._unit,
+                self._more if k else self._sums,
+                scratch,
+            )
+            for k, s in enumerate(layer.synapses)
+        )
+        self._prepare_update(layer, fixed)
+
+    def _prepare_check(self, fixed: CubaFixedPoint, timesteps: int | None) -> int:
+        """What the test for overflows compares; the largest partial sum of weights."""
+        layer, limits = self.layer, bounds(self._program, self.layer, fixed, timesteps)
+        self._limit = limit = min(register_limit(fixed.current), register_limit(fixed.membrane))
+        self._push = float(layer.voltage_bias.max(initial=0))
+        self._open = max(limits.current, limits.above, limits.below) > limit
+        # membranes that no spike resets are all kept, and looked at as they are
+        self._open_above = layer.spiking and limits.above > limit
+        pushed = min(limits.current, register_limit(fixed.current)) + magnitude(layer.voltage_bias)
+        # refractory, and accumulators and pushes that overflow, are left to the interpreter
+        self._never = (
+            fixed.refractory > 1
+            or limits.drive > register_limit(fixed.accumulator)
+            or pushed > register_limit(fixed.push)
+        )
+        self._safe = -1
+        if timesteps is not None:
+            self._safe = spikes_without_overflow(layer, fixed, timesteps, limit)
+        return limits.partial
+
+    def _prepare_update(self, layer: Layer, fixed: CubaFixedPoint | None) -> None:
+        """Views of the memory of each timestep, for the fewest and shortest calls of NumPy."""
+        # where nothing stays of a current, it is what arrives, and only the membrane decays
+        self._has_current = bool(layer.current_decay.any())
+        of = slice(0 if self._has_current else 1, 2)
+        # (2, 1, N): one multiplication decays currents and membranes
+        factors = np.stack([layer.current_decay, layer.membrane_decay])[of, None]
+        self._decay = factors / float(fixed.decay_one if fixed else 1)
+        # arrays of one shape take NumPy's shortest way; a (N,) beside a (1, N) costs half a us more
+        shape, states = self.spikes[0].shape, self.states
+        self._threshold = np.broadcast_to(layer.threshold.astype(np.float64), shape).copy()
+        bias = np.broadcast_to(layer.voltage_bias.astype(np.float64), shape).copy()
+        self.bias = bias if bias.any() else None
+        self._timesteps = [
+            (states[t, of], states[t + 1, of], *states[t + 1], self._sums[t], spikes)
+            for t, spikes in enumerate(self.spikes)
+        ]
+        self._silent = np.empty_like(self.spikes[0])
+        self._reset_spiking: Callable[[Numbers, Numbers, Any], None] = np.putmask
+        self._to: Any = np.zeros(1)
+        if self._program.convention.reset == "subtract":
+            self._reset_spiking, self._to = _subtract, self._threshold
+        elif self.spikes[0].size >= _WIDE and fixed:
+            self._reset_spiking = self._silence
 
     def reset(self) -> None:
-        """Forget the spikes that have not arrived."""
-        if self._longest:
-            for tail in self._tails.values():
-                tail.fill(0)
+        """Forget the state."""
+        self.states[-1] = 0.0
+        self._refractory[:] = 0
 
-    def late_rows(
-        self, source: str, delay: int, output_spikes: dict[str, Raster], timesteps: int
-    ) -> Raster:
-        """The T rows of a source that arrive in this window, at least one row late."""
-        first = self._longest - delay
-        rows = self._tails[source][first : first + timesteps]
-        if delay < timesteps:
-            rows = np.concatenate([rows, output_spikes[source].rows[: timesteps - delay]])
-        return Raster(rows)
+    def run(self, presynaptic: Sequence[Raster]) -> Raster:
+        """Spikes of the window, from those that arrive through each synapses of the layer."""
+        self.is_waiting = False
+        if self._kept:
+            self.states[0] = self.states[-1]
+        self._first(presynaptic[0])
+        for index, summation in enumerate(self._others, start=1):
+            summation(presynaptic[index])
+            np.add(self._sums, self._more, self._sums)
+        self._update()
+        self.overflows = None
+        if self._fixed and not self._fits(presynaptic):
+            self._interpret(self._fixed)
+        return Raster(self.spikes)
 
-    def keep(self, output_spikes: dict[str, Raster]) -> None:
-        """Remember the last rows of a window."""
-        if self._longest:
-            for name, raster in output_spikes.items():
-                rows = np.concatenate([self._tails[name], raster.rows])
-                self._tails[name] = rows[-self._longest :]
+    def wait(self) -> Raster:
+        """No spikes, because the layer has not started."""
+        self.is_waiting = True
+        self.spikes.fill(False)
+        return Raster(self.spikes)
 
     def saved(self) -> SavedState:
-        """Copies of the rows that have not arrived, by source."""
-        return {name: tail.copy() for name, tail in self._tails.items()}
+        """Copies of the states, and of the timesteps of refractory left."""
+        return {"states": self.states[-1].copy(), "refractory": self._refractory.copy()}
 
     def restore(self, saved: SavedState) -> None:
         """Continue from there."""
-        self._tails = {name: saved[name].copy() for name in self._tails}
+        self.states[-1] = saved["states"]
+        self._refractory = saved["refractory"].copy()
+
+    def _update(self) -> None:
+        """Fill states and spikes, one timestep after another."""
+        # names of the function are found faster than those of the module
+        multiply, trunc, add, greater = np.multiply, np.trunc, np.add, np.greater
+        decay, threshold, bias = self._decay, self._threshold, self.bias
+        reset, to = self._reset_spiking, self._to
+        has_current, rounds, resting = self._has_current, self._fixed is not None, not self._kept
+        for before, after, current, membrane, drive, spikes in self._timesteps:
+            if resting:
+                # from zero, both states become what arrives
+                np.copyto(after, drive)
+                resting = False
+            else:
+                multiply(before, decay, after)
+                if rounds:
+                    trunc(after, after)
+                if has_current:
+                    add(current, drive, current)
+                    add(membrane, current, membrane)
+                else:
+                    add(membrane, drive, membrane)
+            if bias is not None:
+                add(membrane, bias, membrane)
+            greater(membrane, threshold, spikes)
+            reset(membrane, spikes, to)
+        if not has_current:
+            np.copyto(self.states[1:, 0], self._sums)
+
+    def _silence(self, membrane: Numbers, spikes: Numbers, _: Any) -> None:  # noqa: ANN401
+        np.logical_not(spikes, self._silent)
+        np.multiply(membrane, self._silent, membrane)
+
+    def _fits(self, presynaptic: Sequence[Raster]) -> bool:
+        """True where no register overflowed in the window; False may be a false alarm.
+
+        What the bounds prove costs nothing; where they leave something open, so few spikes may not
+        be able to overflow; else the largest and the smallest state are looked for.
+        """
+        if self._never or not self._open:
+            return not self._never
+        if self._safe >= 0 and sum([raster.spikes() for raster in presynaptic]) <= self._safe:
+            return True
+        # what max() and min() do, without their overhead in Python
+        highest = float(np.maximum.reduce(self.states, axis=None))
+        lowest = float(np.minimum.reduce(self.states, axis=None))
+        if self._open_above:
+            # a membrane before its reset is not kept, but cannot have been higher than this: what
+            # the one before left, and the current
+            highest = 2 * max(highest, 0.0) + self._push
+        return -self._limit <= lowest and highest <= self._limit
+
+    def _interpret(self, fixed: CubaFixedPoint) -> None:
+        """The window once more, by the specification."""
+        before = self.states[0].astype(np.int64)
+        state = LayerState(before[0], before[1], self._refractory)
+        self.overflows = np.zeros(before.shape[1], np.int64)
+        for row, weights in enumerate(np.asarray(self._sums / self._unit, np.int64)):
+            result = update(fixed, self._program.convention, self.layer, weights, state)
+            self.states[row + 1] = state.current, state.membrane
+            self.spikes[row] = result.spikes
+            self.overflows += result.overflows.sum(axis=1)
+        if self._kept:
+            self._refractory = state.refractory
+
+
+def _subtract(membrane: Numbers, spikes: Numbers, threshold: Numbers) -> None:
+    np.subtract(membrane, threshold, out=membrane, where=spikes)
+
+
+# of a window: spikes (B, N) of the input and of each layer; and of each layer neuron-timesteps (B,)
+# with something to add up, numbers (B,) that did not fit if any, and True where it has started
+Observation: TypeAlias = tuple[list[Numbers], list[tuple[Any, Counts | None, bool]]]
+
+
+class EventCounter:
+    """Counts the events of windows, those of many in little more time than those of one.
+
+    windows: of the layers, in their order.
+    heard: of each layer the timesteps in which its bias axon spikes and the host listens to it.
+    timesteps: of a window.
+    steps: chip timesteps that it stands for, those in which a layer only waits included.
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        windows: Sequence[LayerWindow],
+        heard: Sequence[int],
+        timesteps: int,
+        steps: int,
+    ) -> None:
+        self.timesteps, self.steps, self.batch = timesteps, steps, windows[0].states.shape[2]
+        self._program, self._heard = program, np.array(heard)
+        # views that are made once
+        nonzero = [np.empty(window.states.shape, np.bool_) for window in windows]
+        self._windows = [
+            (window, n, n[1:, 0], n[:-1, 1]) for window, n in zip(windows, nonzero, strict=True)
+        ]
+
+    def observe(self, output_spikes: Iterable[Raster]) -> Observation:
+        """The windows that have just run, with the spikes of the input and of each layer."""
+        # eight bits hold the counts of a short window, and are summed several times faster
+        dtype = np.uint8 if self.timesteps < 256 else np.int64
+        spikes = [np.add.reduce(raster.rows, 0, dtype) for raster in output_spikes]
+        return spikes, [self._count_active(*each) for each in self._windows]
+
+    def count(self, observations: Sequence[Observation]) -> Counts:
+        """Counts (S, L, E): a row for each observation and each of its batch."""
+        spikes = zip(*[sources for sources, _ in observations], strict=True)
+        layers = [each for _, layers in observations for each in layers]
+        none = np.zeros(self.batch, np.int64)
+        running = self._rows([none + is_running for _, _, is_running in layers])
+        return count_events(
+            self._program,
+            dict(zip(self._program.sizes, map(np.concatenate, spikes), strict=True)),
+            self._rows([updates for updates, _, _ in layers]) * running,
+            self._rows([none if lost is None else lost for _, lost, _ in layers]) * running,
+            self._heard * running,
+            self.steps,
+        )
+
+    def _rows(self, values: Sequence[Any]) -> Counts:
+        """Values of observations, layers and batch as rows (S, L)."""
+        shaped = np.array(values, np.int64).reshape(-1, len(self._heard), self.batch)
+        return np.asarray(shaped.swapaxes(1, 2).reshape(-1, len(self._heard)))
+
+    def _count_active(
+        self, window: LayerWindow, nonzero: Numbers, active: Numbers, before: Numbers
+    ) -> tuple[Any, Counts | None, bool]:
+        """Neuron-timesteps with a membrane, a current or a bias, and how the window went."""
+        np.not_equal(window.states, 0.0, nonzero)
+        np.logical_or(active, before, active)
+        if window.bias is not None:
+            np.logical_or(active, window.bias, active)
+        # without axes it is far faster
+        updates = np.count_nonzero(active) if self.batch == 1 else np.count_nonzero(active, (0, 2))
+        return updates, window.overflows, not window.is_waiting
+
+
+_IDLE = EVENTS.index("neuron_idle")
 
 
 class NumpyPipeline:
@@ -188,28 +472,45 @@ class NumpyPipeline:
 
     def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
         self.schedule = schedule
-        self._program, self._batch = program, batch
-        numbers = program.chip.arithmetic
-        self._most = program.chip.input_spikes_max
-        self._fixed = numbers if isinstance(numbers, CubaFixedPoint) else None
-        # rows that a kernel runs at once
-        self._rows = schedule.timesteps if schedule.mode == "window" else 1
-        self._kernels = self._make_kernels()
-        steps = schedule.steps if schedule.mode == "window" else 1
-        heard = [len(range(self._rows)[self._bias_rows(a)]) for a in program.layers]
-        self._counter = EventCounter(program, self._kernels, steps, heard)
+        self._program, self._most = program, program.chip.input_spikes_max
+        numbers, whole = program.chip.arithmetic, schedule.mode == "window"
+        fixed = numbers if isinstance(numbers, CubaFixedPoint) else None
+        self._dtype = np.int64 if fixed else np.float64
+        # rows that a layer runs at once
+        self._rows = rows = schedule.timesteps if whole else 1
+        heard = [program.window(a, rows) if whole else slice(None) for a in program.layers]
+        largest = max(s.weight.size for layer in program.layers for s in layer.synapses)
+        scratch = aligned((largest * np.dtype(np.float64).itemsize,), np.uint8)
+        self._windows = {
+            layer.name: LayerWindow(
+                program, layer, fixed, (rows, batch), schedule.kept, scratch, biased
+            )
+            for layer, biased in zip(program.layers, heard, strict=True)
+        }
+        self._counter = EventCounter(
+            program,
+            [*self._windows.values()],
+            [len(range(rows)[biased]) for biased in heard],
+            rows,
+            schedule.steps if whole else 1,
+        )
         self._output_spikes: dict[str, Raster] = {}
-        self._lag = program.readout.lag if program.readout else 0
-        # a layer's kernel, and the sources of its synapses with the rows that they are late
-        self._route = [
-            (kernel.layer, kernel, list(zip(_sources(kernel.layer), delays, strict=True)))
-            for kernel, delays in zip(self._kernels, schedule.delays, strict=True)
-        ]
-        longest = max(self._lag, *(max(delays) for delays in schedule.delays))
-        self._buffer = _DelayBuffer(program.sizes, longest, batch)
         # of each row, where rows run one by one
-        self._observed: list[WindowStats] = []
+        self._observed: list[Observation] = []
         self._recorded: list[dict[str, Recording]] = []
+        # a layer, and the sources of its synapses with the rows that they are late
+        self._route = [
+            (window, [(s.source, delay) for s, delay in zip(a.synapses, delays, strict=True)])
+            for a, window, delays in zip(
+                program.layers, self._windows.values(), schedule.delays, strict=True
+            )
+        ]
+        self._lag = program.readout.lag if program.readout else 0
+        self._longest = max(self._lag, *(max(delays) for delays in schedule.delays))
+        # the last rows of each source, some of which have not arrived yet
+        self._tails = {
+            name: np.zeros((self._longest, batch, n), np.uint8) for name, n in program.sizes.items()
+        }
 
     @staticmethod
     def obstacle(program: Program) -> str | None:
@@ -226,141 +527,114 @@ class NumpyPipeline:
 
     def reset(self) -> None:
         """Forget every current, membrane and spike."""
-        self._buffer.reset()
+        for tail in self._tails.values() if self._longest else ():
+            tail.fill(0)
         if self.schedule.kept:
-            for kernel in self._kernels:
-                kernel.reset()
+            for window in self._windows.values():
+                window.reset()
 
-    def run(self, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:
+    def run(self, rows: Numbers, step: int | None = None) -> Numbers:
         """Spikes (T, B, N) as they reach the readout, from those of the input (T, B, M)."""
         check_counts(rows, self._most)
-        if self.schedule.mode == "row":
-            return self._row_by_row(rows)
-        return self._window(rows, step)
+        if self.schedule.mode != "row":
+            return self._run(rows, step)
+        # all layers for one row after another, which closes loops
+        self._observed, self._recorded, arrived = [], [], []
+        for row in rows:
+            # the windows use their memory again for the next row
+            arrived.append(self._run(row[None], None).copy())
+            if self.schedule.counting:
+                self._observed.append(self._counter.observe(self._output_spikes.values()))
+            if self.schedule.trace:
+                self._recorded.append(self._recordings())
+        return np.concatenate(arrived)
 
     def report(self, ledger: LedgerBuilder) -> None:
         """Enter the last window in the ledger."""
         if self.schedule.mode != "row":
-            ledger.observe(self._counter, self._counter.observe(self._output_spikes))
+            ledger.observe(self._counter, self._counter.observe(self._output_spikes.values()))
             return
         timesteps, steps = self.schedule.timesteps, self.schedule.steps
         counts = self._counter.count(self._observed)
-        total = counts.reshape(timesteps, self._batch, -1, len(EVENTS)).sum(axis=0)
+        total = counts.reshape(timesteps, -1, *counts.shape[1:]).sum(axis=0)
         total[:, :, _IDLE] += [(steps - timesteps) * a.size for a in self._program.layers]
         ledger.add(total, timesteps, steps)
 
     def recordings(self) -> dict[str, Recording]:
         """A recording of the last window of each layer."""
-        return (
-            concatenate_recordings(self._recorded, axis=1) if self._recorded else self._recordings()
-        )
+        if self._recorded:
+            return concatenate_recordings(self._recorded, axis=1)
+        return self._recordings()
 
-    def membranes(self, layer: str) -> NDArray[Any]:
+    def membranes(self, layer: str) -> Numbers:
         """Membranes (T, B, N) of a layer after each timestep of the last window [state units]."""
         if self._recorded:
-            rows = [recording[layer].membrane[:, 0] for recording in self._recorded]
-            return np.stack(rows)
-        return next(each.states[1:, 1] for each in self._kernels if each.layer.name == layer)
+            return np.stack([recorded[layer].membrane[:, 0] for recorded in self._recorded])
+        return self._windows[layer].states[1:, 1]
 
-    def spikes(self, layer: str) -> NDArray[Any]:
+    def spikes(self, layer: str) -> Numbers:
         """Spikes (T, B, N) of a layer in the last window."""
         if self._recorded:
-            return np.stack([recording[layer].spikes[:, 0] for recording in self._recorded])
+            return np.stack([recorded[layer].spikes[:, 0] for recorded in self._recorded])
         return self._output_spikes[layer].rows
 
-    def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
+    def states(self) -> dict[str, tuple[Numbers, Numbers]]:
         """Current and membrane (B, N) of each layer."""
-        dtype = np.int64 if self._fixed else np.float64
-        states = [(each.layer.name, each.states[-1].astype(dtype)) for each in self._kernels]
-        return {name: (both[0], both[1]) for name, both in states}
+        now = {name: each.states[-1].astype(self._dtype) for name, each in self._windows.items()}
+        return {name: (both[0], both[1]) for name, both in now.items()}
 
     def saved(self) -> SavedState:
         """Copies of all states, and of the spikes that have not arrived yet."""
-        saved = {f"spikes of {name}": rows for name, rows in self._buffer.saved().items()}
-        for window in self._kernels:
-            for name, values in window.saved().items():
-                saved[f"{name} of {window.layer.name}"] = values
+        saved = {f"spikes of {name}": tail.copy() for name, tail in self._tails.items()}
+        for layer, window in self._windows.items():
+            saved |= {f"{name} of {layer}": values for name, values in window.saved().items()}
         return saved
 
     def restore(self, saved: SavedState) -> None:
         """Continue from there."""
-        self._buffer.restore({name: saved[f"spikes of {name}"] for name in self._program.sizes})
-        for window in self._kernels:
-            of = f" of {window.layer.name}"
-            window.restore({name: saved[name + of] for name in window.saved()})
+        self._tails = {name: saved[f"spikes of {name}"].copy() for name in self._tails}
+        for layer, window in self._windows.items():
+            window.restore({name: saved[f"{name} of {layer}"] for name in window.saved()})
 
-    def _bias_rows(self, layer: Layer) -> slice:
-        """Rows of a kernel's window in which the bias axon of a layer spikes."""
-        whole = self.schedule.mode == "window"
-        return self._program.window(layer, self._rows) if whole else slice(None)
-
-    def _make_kernels(self) -> list[LayerKernel]:
-        """A kernel for each layer; they share the memory that is needed only for a moment."""
-        program, shape = self._program, (self._rows, self._batch)
-        largest = max(s.weight.size for layer in program.layers for s in layer.synapses)
-        scratch = Scratch(largest * np.dtype(np.float64).itemsize)
-        return [
-            LayerKernel(
-                program,
-                layer,
-                self._fixed,
-                shape,
-                self.schedule.kept,
-                scratch,
-                self._bias_rows(layer),
-            )
-            for layer in program.layers
-        ]
-
-    def _window(self, rows: NDArray[Any], step: int | None) -> NDArray[Any]:
+    def _run(self, rows: Numbers, step: int | None) -> Numbers:
         """Run each layer once, for all rows."""
-        output_spikes = {self._program.input: Raster(rows)}
-        late_rows, timesteps = self._buffer.late_rows, self._rows
-        for layer, kernel, synapses in self._route:
-            if step is not None and step < layer.start:
-                output_spikes[layer.name] = kernel.wait()
+        self._output_spikes = sent = {self._program.input: Raster(rows)}
+        late = self._late_rows
+        for window, synapses in self._route:
+            if step is not None and step < window.layer.start:
+                sent[window.layer.name] = window.wait()
                 continue
             # in most networks nothing is late
             presynaptic = [
-                late_rows(source, delay, output_spikes, timesteps)
-                if delay
-                else output_spikes[source]
-                for source, delay in synapses
+                late(source, delay) if delay else sent[source] for source, delay in synapses
             ]
-            output_spikes[layer.name] = kernel.run(presynaptic)
-        self._output_spikes = output_spikes
-        spikes = output_spikes[self._program.output]
-        if self._lag:
-            spikes = late_rows(self._program.output, self._lag, output_spikes, timesteps)
-        self._buffer.keep(output_spikes)
-        return spikes.rows
+            sent[window.layer.name] = window.run(presynaptic)
+        output = self._program.output
+        arriving = (late(output, self._lag) if self._lag else sent[output]).rows
+        if self._longest:
+            for name, raster in sent.items():
+                kept = np.concatenate([self._tails[name], raster.rows])
+                self._tails[name] = kept[-self._longest :]
+        return arriving
 
-    def _row_by_row(self, rows: NDArray[Any]) -> NDArray[Any]:
-        """Run all layers for one row after another, which closes loops."""
-        self._observed, self._recorded, presynaptic = [], [], []
-        for row in rows:
-            # the kernels use their memory again for the next row
-            presynaptic.append(self._window(row[None], None).copy())
-            if self.schedule.counting:
-                self._observed.append(self._counter.observe(self._output_spikes))
-            if self.schedule.trace:
-                self._recorded.append(self._recordings())
-        return np.concatenate(presynaptic)
+    def _late_rows(self, source: str, delay: int) -> Raster:
+        """The rows of a source that arrive in this window, at least one row late."""
+        first, timesteps = self._longest - delay, self._rows
+        rows = self._tails[source][first : first + timesteps]
+        if delay < timesteps:
+            now = self._output_spikes[source].rows[: timesteps - delay]
+            rows = np.concatenate([rows, now])
+        return Raster(rows)
 
     def _recordings(self) -> dict[str, Recording]:
         """A recording of each layer's last run."""
-        dtype = np.int64 if self._fixed else np.float64
         recordings = {}
-        for window in self._kernels:
+        for name, window in self._windows.items():
             # (T + 1, 2, B, N) to (2, B, T, N)
-            current, membrane = window.states[1:].transpose(1, 2, 0, 3).astype(dtype)
+            current, membrane = window.states[1:].transpose(1, 2, 0, 3).astype(self._dtype)
             spikes = window.spikes.swapaxes(0, 1).astype(np.uint8)
-            recordings[window.layer.name] = Recording(current, membrane, spikes)
+            recordings[name] = Recording(current, membrane, spikes)
         return recordings
-
-
-def _sources(layer: Layer) -> list[str]:
-    return [synapses.source for synapses in layer.synapses]
 
 
 def unsupported_synapses(program: Program) -> str | None:

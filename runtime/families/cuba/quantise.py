@@ -471,27 +471,6 @@ def spikes_without_overflow(
     return max(-1, int(left // largest)) if largest else -1
 
 
-def exact_ticks(layer: Layer, registers: CubaRegisters) -> int:
-    """Decays after a reset that leave nothing to round, whatever the spikes.
-
-    All that is added to the states is a multiple of 2**shift, and each decay divides it by as many
-    powers of two as its factor has fractional bits. PopSAN's decay factors of 1/2 and 3/4 have up
-    to two, and Loihi's states are multiples of 2**6: three decays round nothing.
-    """
-    added = [1 << registers.mantissa_shift, *layer.voltage_bias.tolist(), *layer.threshold.tolist()]
-    shift = min(_count_trailing_zeros(int(value)) for value in added)
-    factors = [*layer.current_decay.tolist(), *layer.membrane_decay.tolist()]
-    bits = max(
-        max(registers.decay_bits - _count_trailing_zeros(int(factor)), 0) for factor in factors
-    )
-    return shift // bits if bits else _LONG
-
-
-def _count_trailing_zeros(value: int) -> int:
-    """Zeros at the end of a binary number; for 0, _LONG."""
-    return (value & -value).bit_length() - 1 if value else _LONG
-
-
 def _peak(layer: Layer, registers: CubaRegisters, timesteps: int) -> float:
     """Largest current or membrane in a window after a single arrival of 1, without rounding."""
     current_factor = layer.current_decay / float(registers.decay_one)
