@@ -18,7 +18,6 @@ from spikedeploy.envs import archive
 from spikedeploy.envs.errors import EnvError
 
 FloatArray = NDArray[np.float64]
-Frame = NDArray[np.uint8]
 _VERSION = 1  # of the file layout
 _SCALARS = (bool, int, float, np.integer, np.floating, np.bool_)
 _LARGEST = sys.float_info.max
@@ -77,16 +76,12 @@ class Rollout:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a .npz file atomically."""
-        arrays: dict[str, Any] = {f"info/{name}": values for name, values in self.info.items()}
-        arrays["observation"], arrays["action"], arrays["reward"] = (
-            self.observation,
-            self.action,
-            self.reward,
-        )
-        arrays["header"] = np.array([self.seed, self.terminated, self.truncated, _VERSION])
-        arrays["env_id"] = np.array(self.env_id)
-        arrays["options"] = np.array(json.dumps(dict(self.options)))
-        archive.write(path, arrays)
+        infos = {f"info/{name}": values for name, values in self.info.items()}
+        header = np.array([self.seed, self.terminated, self.truncated, _VERSION])
+        options = np.array(json.dumps(dict(self.options)))
+        arrays = {"header": header, "env_id": np.array(self.env_id), "options": options}
+        rows = {name: getattr(self, name) for name in ("observation", "action", "reward")}
+        archive.write(path, {**infos, **rows, **arrays})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Rollout:
@@ -127,11 +122,7 @@ def _check_rows(arrays: Mapping[str, Any], infos: Mapping[str, Any]) -> None:
     """Raise ValueError where the arrays are not those of one episode of numbers."""
     steps = arrays["reward"].shape
     rows = {"observation": (steps[0] + 1,) if len(steps) == 1 else (), "action": steps}
-    for name, found in {
-        **{n: arrays[n] for n in rows},
-        "reward": arrays["reward"],
-        **infos,
-    }.items():
+    for name, found in {**{n: arrays[n] for n in (*rows, "reward")}, **infos}.items():
         wanted = rows.get(name, steps)
         fits = found.shape[: len(wanted)] == wanted if name in rows else found.shape == wanted
         if found.dtype.kind not in "biuf" or len(steps) != 1 or not fits or found.ndim > 2:
@@ -182,14 +173,13 @@ class EpisodeRecorder:
 
     def step(self, choice: object) -> None:
         """Step the environment with an action (act,), or () if discrete."""
-        space, step = self._env.action_space, self.steps
-        action = _action(choice, space, step)
+        step = self.steps
+        action = _action(choice, self._env.action_space, step)
         # environments index lists of actions with it
         given = action if action.ndim else int(action)
         observation, reward, terminated, truncated, self.info = self._env.step(given)
-        self.observation = _finite(
-            "observation", observation, self._env.observation_space, step + 1
-        )
+        space = self._env.observation_space
+        self.observation = _finite("observation", observation, space, step + 1)
         self._observations.append(self.observation)
         self._actions.append(action)
         self._rewards.append(_reward(reward, step + 1))
@@ -219,31 +209,26 @@ def rollout(
     env: gymnasium.Env[Any, Any],
     controller: _Controller,
     seed: int,
-    on_frame: Callable[[Frame], None] | None = None,
-    frame_every: int = 1,
+    on_step: Callable[[EpisodeRecorder], object] | None = None,
 ) -> Rollout:
-    """Run one episode; on_frame receives a frame (H, W, 3) at reset and every frame_every steps."""
+    """Run one episode; `on_step` is called with its recorder after the reset and every step."""
     recorder = EpisodeRecorder(env, seed)
     controller.reset(seed)
-    _show(env, on_frame)
-    while not recorder.over:
+    while True:
+        if on_step is not None:
+            on_step(recorder)
+        if recorder.over:
+            return recorder.rollout()
         recorder.step(controller.act(recorder.observation))
-        if recorder.steps % frame_every == 0:
-            _show(env, on_frame)
-    return recorder.rollout()
 
 
 def _options_of(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
-    """Options of an environment as JSON holds them, without render_mode."""
+    """Options as JSON holds them, without render_mode; of a Track and its like the name."""
     given = getattr(env, "given", env.spec.kwargs if env.spec else {})  # of disturbed ones
     shown = {name: value for name, value in given.items() if name != "render_mode"}
-    options: dict[str, Any] = json.loads(json.dumps(shown, default=_name_of))
+    text = json.dumps(shown, default=lambda value: str(getattr(value, "name", value)))
+    options: dict[str, Any] = json.loads(text)
     return options
-
-
-def _name_of(value: object) -> str:
-    """Name of an object that JSON cannot hold, such as a Track."""
-    return str(getattr(value, "name", value))
 
 
 def _action(value: object, space: gymnasium.Space[Any], step: int) -> NDArray[Any]:
@@ -257,10 +242,10 @@ def _action(value: object, space: gymnasium.Space[Any], step: int) -> NDArray[An
     return action.astype(np.int64)
 
 
-def _reward(value: object, step: int) -> float:
+def _reward(value: Any, step: int) -> float:  # noqa: ANN401
     """A reward; EnvError if it is no number, or so large that squares of returns overflow."""
     try:
-        reward = float(value)  # type: ignore[arg-type]
+        reward = float(value)
     except (TypeError, ValueError, OverflowError):
         reward = math.nan
     if not abs(reward) <= _LARGEST_REWARD:
@@ -289,12 +274,3 @@ def _numbers(info: Mapping[str, Any]) -> dict[str, float]:
     # a whole number may be larger than any float64
     held = {k: v for k, v in scalars.items() if not (isinstance(v, int) and abs(v) > _LARGEST)}
     return {name: float(value) for name, value in held.items()}
-
-
-def _show(env: gymnasium.Env[Any, Any], on_frame: Callable[[Frame], None] | None) -> None:
-    if on_frame is None:
-        return
-    frame: Any = env.render()
-    if not isinstance(frame, np.ndarray):
-        raise EnvError('on_frame needs an environment made with render_mode="rgb_array"')
-    on_frame(frame)

@@ -19,7 +19,6 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-import gymnasium
 import numpy as np
 import typer
 from numpy.typing import NDArray
@@ -30,8 +29,8 @@ from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.play.display import has_desktop
 from spikedeploy.policies.costs import FLOAT_TABLES, priced_by
 from spikedeploy.policies.nir import NirController
-from spikedeploy.policies.registry import Candidate, Player
-from spikedeploy.realtime.paced_loop import TIMES, PacedLoop, paced
+from spikedeploy.policies.registry import Candidate, Env, Player
+from spikedeploy.realtime.paced_loop import PacedLoop, Pacing, pacing
 from spikedeploy.recordings import (
     Floats,
     Inference,
@@ -54,7 +53,6 @@ from spikedeploy.runtime.errors import ConfigError
 
 _RATE = 30.0  # [Hz] where neither the user nor the environment says one
 _BROWSER = 5.0  # [s] that a browser has to open before the first episode begins
-_POLICY = TIMES.index("policy")
 
 
 @contextmanager
@@ -94,63 +92,62 @@ class WatchedLoop(PacedLoop):
         lasting: str | None,
         tables: Sequence[str] = (),
     ) -> None:
-        super().__init__(paced(_RATE if rate is None else rate, deadline, lasting))
-        self._view, self._tables = view, tables
-        self._given = rate, deadline, lasting
+        self._options = deadline, lasting
+        super().__init__(self._paced(_RATE if rate is None else rate))
+        self._view, self._tables, self._rate = view, tables, rate
         self._episode, self._missed = 0, 0
 
-    def open(
-        self,
-        candidate: Candidate,
-        chip: str | None,
-        env: gymnasium.Env[Any, Any],
-        sampled: bool,
-    ) -> Player:
+    def _paced(self, rate: float) -> Pacing:
+        found = pacing(rate, *self._options)
+        assert found is not None
+        return found
+
+    def open(self, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
         """The policy, whose network keeps its spikes; the rate is now known."""
-        rate, deadline, lasting = self._given
         period = getattr(env.unwrapped, "CONTROL_DT", None)
-        own = 1 / period if period else _RATE
-        self._pace(paced(own if rate is None else rate, deadline, lasting))
-        self._label = candidate.name if chip is None else f"{candidate.name} · {chip}"
-        self._kind, self._period = candidate.kind, period
+        if self._rate is None:
+            self._pace(self._paced(1 / period if period else _RATE))
         player = open_traced(candidate, chip, env, "total", sampled)
-        self._table = next(iter(self._tables), "") or quoted_among(
-            priced_by(player.chip) if isinstance(player, NirController) else FLOAT_TABLES
+        self._network = player if isinstance(player, NirController) else None
+        table = next(iter(self._tables), "") or quoted_among(
+            priced_by(self._network.chip) if self._network else FLOAT_TABLES
+        )
+        self._env, self._head = (
+            env,
+            {
+                "label": candidate.name if chip is None else f"{candidate.name} · {chip}",
+                "kind": candidate.kind,
+                "env": envs.spec(env.spec.id).short if env.spec else "",
+                "period": period,
+                "rate": self._pacing.rate,
+                "table": table,
+                "deadline": self._pacing.deadline,
+            },
         )
         return player
 
-    def rollout(self, env: gymnasium.Env[Any, Any], player: Player, seed: int) -> Rollout:
+    def rollout(self, env: Env, player: Player, seed: int) -> Rollout:
         """One episode, a control step in each period."""
         played = super().rollout(env, player, seed)
         why = "terminal state" if played.terminated else "time limit"
         self._view.over({"total": played.total, "success": played.success, "why": why})
         return played
 
-    def _begun(
-        self, recorder: EpisodeRecorder, env: gymnasium.Env[Any, Any], player: Player, seed: int
-    ) -> None:
-        self._episode, self._total = self._episode + 1, 0.0
-        self._scene = scene_of(env)
-        self._before = ledger_of(player) if isinstance(player, NirController) else None
-        self._view.begin(
-            {
-                "label": self._label,
-                "kind": self._kind,
-                "env": envs.spec(env.spec.id).short if env.spec else "",
-                "episode": self._episode,
-                "seed": seed,
-                "period": self._period,
-                "rate": self._pacing.rate,
-                "scene": self._scene.shapes() if self._scene else None,
-            },
-            self._table,
-            self._pacing.deadline,
-        )
-
-    def _stepped(self, recorder: EpisodeRecorder, player: Player, times: Sequence[float]) -> None:
+    def _on_step(self, recorder: EpisodeRecorder) -> None:
+        network = self._network
+        if not recorder.steps:
+            self._episode, self._total = self._episode + 1, 0.0
+            self._scene = scene_of(self._env)
+            scene = self._scene.shapes() if self._scene else None
+            now = {"episode": self._episode, "seed": self._seed, "scene": scene}
+            self._view.begin({**self._head, **now})
+        super()._on_step(recorder)
+        if not recorder.steps:
+            self._before = ledger_of(network) if network else None
+            return
+        policy = self._acted - self._woke
         self._total += recorder.reward
-        self._missed += times[_POLICY] > self._pacing.deadline
-        network = player if isinstance(player, NirController) else None
+        self._missed += policy > self._pacing.deadline
         self._view.step(
             WatchedStep(
                 recorder.steps - 1,
@@ -161,7 +158,7 @@ class WatchedLoop(PacedLoop):
                 self._scene.pose() if self._scene else None,
                 last_inference(network) if network else None,
                 self._counts(network) if network else None,
-                times[_POLICY],
+                policy,
                 self._missed,
                 self._metronome.skipped,
             )
@@ -227,6 +224,11 @@ def steps_event(batch: Sequence[WatchedStep], table: str, deadline: float) -> by
     curves = [curve("time of the policy, of its deadline", "%", use)]
     if _OURS & last.info.keys():
         curves += info_curves({n: np.array([s.info[n] for s in batch]) for n in last.info})
+    inferences = [step.inference for step in batch if step.inference]
+    ledgers, counted = [step.ledger for step in batch if step.ledger], None
+    if ledgers:
+        counted = replace(ledgers[0], counts=np.concatenate([each.counts for each in ledgers]))
+    network = stack_inferences(inferences, counted, table) if inferences else None
     data = {
         "first": batch[0].number,
         "steps": len(batch),
@@ -237,18 +239,9 @@ def steps_event(batch: Sequence[WatchedStep], table: str, deadline: float) -> by
         "reward": pack([step.reward for step in batch]),
         "actions": pack([step.action.reshape(-1) for step in batch]),
         "tracks": curves,
-        "network": _network(batch, table) if last.inference else None,
+        "network": network_json(network, _MOST_NEURONS) if network else None,
     }
     return event("steps", data)
-
-
-def _network(batch: Sequence[WatchedStep], table: str) -> dict[str, Any]:
-    counted, ledgers = None, [step.ledger for step in batch if step.ledger]
-    if ledgers:
-        counts = np.concatenate([ledger.counts for ledger in ledgers])
-        counted = replace(ledgers[0], counts=counts)
-    inferences = [step.inference for step in batch if step.inference]
-    return network_json(stack_inferences(inferences, counted, table), _MOST_NEURONS)
 
 
 # the view
@@ -284,22 +277,16 @@ class LiveView:
         self._is_ended = False
         self._browsers = 0
         self._changed = threading.Condition()  # how many browsers listen
-        self._server = LiveServer(self, port)
-        self.address = self._server.address
+        self._server = _Server(self, port)
+        self.address = f"http://127.0.0.1:{self._server.server_address[1]}/"
 
     def wait(self, seconds: float) -> bool:
         """Wait for a browser; True if one listens."""
         with self._changed:
             return self._changed.wait_for(lambda: self._browsers > 0, seconds)
 
-    def begin(self, episode: Mapping[str, Any], table: str, deadline: float) -> None:
-        """An episode begins.
-
-        episode   label, scene, period [s] and the like
-        table     of the energy
-        deadline  of the policy [s]
-        """
-        head = {**episode, "table": table, "deadline": deadline}
+    def begin(self, head: Mapping[str, Any]) -> None:
+        """An episode begins: label, scene, period [s] and the like, energy table and deadline."""
         self._episode = _Episode(head, deque(maxlen=_MOST_STEPS))
 
     def step(self, step: WatchedStep) -> None:
@@ -317,7 +304,8 @@ class LiveView:
         self._is_ended = True
         with self._changed:
             self._changed.wait_for(lambda: self._browsers == 0, _GOODBYE)
-        self._server.close()
+        self._server.shutdown()
+        self._server.server_close()
 
     def events(self) -> Generator[bytes, None, None]:
         """The events for one browser, until the end; a slow one misses the oldest control steps."""
@@ -373,18 +361,15 @@ _HEADERS = {
 _PATIENCE = 10.0  # [s] of silence in a request, or for a browser to take what it is sent
 
 
-class LiveServer(ThreadingHTTPServer):
-    """The page and its events, over HTTP on 127.0.0.1, from the beginning on; to be closed.
+class _Server(ThreadingHTTPServer):
+    """The page and its events, over HTTP on 127.0.0.1, from the beginning on.
 
     Every program of this machine may look; nothing can be changed. Pages of other origins are kept
     out: by the name of the host, as DNS may lead a name of theirs here, and by what browsers say of
     where a request comes from.
-
-    view     whose events it sends
-    address  of the page
     """
 
-    def __init__(self, view: LiveView, port: int = 0) -> None:
+    def __init__(self, view: LiveView, port: int) -> None:
         self.view = view
         try:
             super().__init__(("127.0.0.1", port), _Handler)
@@ -393,13 +378,7 @@ class LiveServer(ThreadingHTTPServer):
                 f"--port {port}: cannot listen on 127.0.0.1 ({error.strerror}). Give another, or "
                 "leave it out for one that is free."
             ) from error
-        self.address = f"http://127.0.0.1:{self.server_address[1]}/"
         threading.Thread(target=self.serve_forever, args=(0.05,), daemon=True).start()
-
-    def close(self) -> None:
-        """Give the port back."""
-        self.shutdown()
-        self.server_close()
 
     def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
         """A browser that leaves is no error."""
@@ -422,7 +401,7 @@ def _files() -> dict[str, tuple[str, bytes]]:
 class _Handler(BaseHTTPRequestHandler):
     """One request."""
 
-    server: LiveServer
+    server: _Server
     server_version, sys_version, protocol_version = "spikedeploy", "", "HTTP/1.1"
     timeout = _PATIENCE
 

@@ -15,7 +15,7 @@ from spikedeploy.comparison.comparison import Comparison, Row
 from spikedeploy.comparison.episodes import Episode, EpisodeJob, play, summarise
 from spikedeploy.comparison.lineup import Entry, remark_on_chip
 from spikedeploy.console import progress, say
-from spikedeploy.envs.rollout import rollout
+from spikedeploy.envs.rollout import EpisodeRecorder, rollout
 from spikedeploy.jobs.pool import local_backend
 from spikedeploy.make_env import confirm, disturbed_by, make_env
 from spikedeploy.outputs import mark
@@ -30,7 +30,7 @@ from spikedeploy.realtime.paced_loop import PacedLoop
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.video import Frame, Pace, add_caption, mp4
+from spikedeploy.video import Pace, add_caption, mp4
 
 
 def compare_policies(
@@ -141,15 +141,16 @@ def run_policy(
     world: Any = make_env(name, options, render_mode=mode)
     player = (open_policy if loop is None else loop.open)(candidate, entry.chip, world, sampled)
     period = world.unwrapped.CONTROL_DT
-    pace = Pace.of(period)
-    episodes = []
+    episodes: list[Episode] = []
     with progress(entry.label, len(seeds)) as done:
         for seed in seeds if loop is None else loop.seeds(seeds):
-            with _film(video if seed == seeds[0] else None, pace.fps, entry.label) as on_frame:
-                if loop is None:
-                    played = rollout(world, player, seed, on_frame, pace.every)
-                else:
-                    played = loop.rollout(world, player, seed)
+            if loop is not None:
+                played = loop.rollout(world, player, seed)
+            elif video and not episodes:
+                with _film(video, entry.label, world) as on_step:
+                    played = rollout(world, player, seed, on_step)
+            else:
+                played = rollout(world, player, seed)
             episodes.append(summarise(player, played, {}, metrics, foreign))
             done()
     world.close()
@@ -167,10 +168,13 @@ def _made_for(candidate: Candidate) -> str:
 
 
 @contextmanager
-def _film(path: Path | None, fps: float, caption: str) -> Iterator[Callable[[Frame], None] | None]:
-    """Return the callback of `rollout` for frames; None without a path."""
-    if path is None:
-        yield None
-        return
-    with mp4(path, fps, mark("run")) as write:
-        yield lambda frame: write(add_caption(frame, caption))
+def _film(path: Path, caption: str, world: Any) -> Iterator[Callable[[EpisodeRecorder], None]]:  # noqa: ANN401
+    """The callback of a rollout that writes an MP4."""
+    pace = Pace.of(world.unwrapped.CONTROL_DT)
+    with mp4(path, pace.fps, mark("run")) as write:
+
+        def show(episode: EpisodeRecorder) -> None:
+            if episode.steps % pace.every == 0:
+                write(add_caption(world.render(), caption))
+
+        yield show

@@ -160,13 +160,17 @@ def policy_costs(
     graph, codec, found = artifact.graph, artifact.codec, spiking_costs(ledger, program, chip)
     assert codec is not None
     encoder = _encoding(codec, found.input_spikes or 0.0)
-    readout = _reading_out(program, *_readout_operations(ledger, program))
+    # of the host's readout: its weights added or multiplied, and its constants
+    outlets = program.outlets if program.readout is None else [program.readout]
+    constants = sum(each.bias.size for each in outlets)
+    operations = _readout_operations(ledger, program)
+    readout = None if program.host else host_readout(*operations, constants)
     known, unknown = dict(found.energy_terms_j), dict(found.energy_unknown)
     for name, table in TABLES.items():
         terms = {"encoder": encoder, "readout": readout, "resets": _resetting(program, table)}
         known[name] = {**known[name], **{n: j for n, j in terms.items() if j is not None}}
         unknown[name] = (*unknown[name], *(n for n, j in terms.items() if j is None))
-    prices = {name: table.joules.get("message") for name, table in TABLES.items()}
+    prices = {n: t.joules["message"] for n, t in TABLES.items() if "message" in t.joules}
     return replace(
         found,
         energy_terms_j=known,
@@ -177,9 +181,7 @@ def policy_costs(
         connection_sparsity=connection_sparsity(graph),
         control_steps_late=program.control_steps_late(codec.timesteps),
         messages_placed=placed,
-        messages_placed_j={}
-        if placed is None
-        else {name: placed * price for name, price in prices.items() if price is not None},
+        messages_placed_j={} if placed is None else {n: placed * j for n, j in prices.items()},
     )
 
 
@@ -258,19 +260,9 @@ def _encoding(codec: Codec, spikes: float) -> float | None:
     return None
 
 
-def _reading_out(program: Program, additions: float, products: float) -> float | None:
-    """Energy [J] of the host's readout: its weights added or multiplied, and its constants."""
-    if program.host:
-        return None
-    if program.readout is not None:
-        return host_readout(additions, products, program.readout.bias.size)
-    return host_readout(additions, products, sum(each.bias.size for each in program.outlets))
-
-
 def _resetting(program: Program, table: EnergyTable) -> float | None:
     """Energy [J] of setting all states of the chip to 0 before an inference, if it is done."""
     if program.convention.state == "kept" or "resets" in table.included:
         return 0.0
-    return reset_energy(
-        sum(layer.size * state_count(layer, program) for layer in program.layers), table
-    )
+    states = sum(layer.size * state_count(layer, program) for layer in program.layers)
+    return reset_energy(states, table)

@@ -9,11 +9,10 @@ import re
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.policies.registry import Candidate, Floats, Player
+from spikedeploy.policies.registry import Candidate, Env, Floats, Player
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 
 _NAME = re.compile(r"lib([a-z][a-z0-9_]{0,30})\.so")
@@ -72,9 +71,7 @@ class NativeController(Player):
         )
 
     @classmethod
-    def open(
-        cls, candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
-    ) -> "NativeController":
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
         """The shared object, loaded."""
         if sampled:
             raise ConfigError("a policy in C gives its best action: leave --sampled out")

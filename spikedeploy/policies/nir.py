@@ -16,7 +16,6 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +23,15 @@ from spikedeploy.console import say
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.outputs import check_output
 from spikedeploy.policies.costs import Costs, policy_costs
-from spikedeploy.policies.registry import DEFAULT_CHIP, FLOAT, Candidate, Floats, Player, env_id
+from spikedeploy.policies.registry import (
+    DEFAULT_CHIP,
+    FLOAT,
+    Candidate,
+    Env,
+    Floats,
+    Player,
+    env_id,
+)
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.chips.damage import Damage
@@ -129,7 +136,7 @@ class NirController(Player):
         cls,
         candidate: Candidate,
         chip: str | None,
-        env: gymnasium.Env[Any, Any],
+        env: Env,
         sampled: bool,
         trace: bool = False,
         rows: Rows = "total",

@@ -3,16 +3,16 @@
 import json
 import math
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.costs import FLOAT_TABLES, UNCOUNTED, Costs
-from spikedeploy.policies.registry import Candidate, Floats, Player, env_id
+from spikedeploy.policies.registry import Candidate, Env, Floats, Player, env_id
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
@@ -58,7 +58,10 @@ class OnnxController(Player):
         self._single = self._input.shape[0] == 1
         self.observed = _width(path, self._input)
         self.actions = _width(path, self._output)
-        self.chooses = _head(path, self.metadata) == "discrete"
+        head = self.metadata.get("head", HEADS[0])
+        if head not in HEADS:
+            raise ArtifactError(f"{path} says its head is {head!r}; known are {', '.join(HEADS)}")
+        self.chooses = head == "discrete"
         self._sampler = Sampler(self.chooses) if sampled else None
 
     @classmethod
@@ -79,9 +82,7 @@ class OnnxController(Player):
         )
 
     @classmethod
-    def open(
-        cls, candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
-    ) -> "OnnxController":
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
         """The network, loaded."""
         return cls(candidate.path, sampled)
 
@@ -89,10 +90,6 @@ class OnnxController(Player):
         """Start an episode: only sampling has a state."""
         if self._sampler is not None:
             self._sampler.reset(seed)
-
-    def act(self, observation: Floats) -> Floats:
-        """The action (act,) or ()."""
-        return np.asarray(self.replay(observed_numbers(observation)[None])[0])
 
     def replay(self, observations: Floats) -> NDArray[Any]:
         """Actions (S, act) or (S,) for the observations (S, obs) of an episode."""
@@ -104,40 +101,36 @@ class OnnxController(Player):
     def costs(self, played: Rollout) -> Costs:
         """Multiply-accumulates, all of them and the effective ones; the energies of both.
 
-        `energy_j` is that of all.
+        `energy_j` is that of all. Terms besides the operations are alike by every table.
         """
         if "macs" not in self.metadata:
             return replace(UNCOUNTED, effective_acs=0.0)
-        dense = float(self.metadata["macs"])
+        dense, biases, reads = float(self.metadata["macs"]), self.biases, self.reads
         effective = self.effective_macs(played.observation[:-1])
-        beside, unknown = self._terms_beside()
+        prices = {
+            "bias": None if biases is None else addition_energy(biases),
+            "encoder": None if reads is None else reading_energy(reads),
+        }
+        beside = {name: joules for name, joules in prices.items() if joules is not None}
+        unknown = tuple(name for name in prices if name not in beside)
+        if len(self._presynaptic) != 1:
+            unknown += ("activations",)
         tables = {name: TABLES[name] for name in FLOAT_TABLES}
         skipping = (
             {} if effective is None else {n: mac_energy(effective, tables[n]) for n in tables}
         )
+        terms = {n: {"operations": mac_energy(dense, t)} | beside for n, t in tables.items()}
         return Costs(
             effective_acs=0.0,
             effective_macs=effective,
             dense=dense,
             energy_j={name: mac_energy_estimate(dense, table) for name, table in tables.items()},
-            energy_terms_j={
-                n: {"operations": mac_energy(dense, t)} | beside for n, t in tables.items()
-            },
+            energy_terms_j=terms,
             energy_unknown={
                 n: unknown if n in tables else ("operations", *unknown) for n in TABLES
             },
             energy_zero_skipping_j=skipping,
         )
-
-    def _terms_beside(self) -> tuple[dict[str, float], tuple[str, ...]]:
-        """Terms [J] besides the operations, alike by every table; and the names of unknown ones."""
-        prices = {
-            "bias": None if self.biases is None else addition_energy(self.biases),
-            "encoder": None if self.reads is None else reading_energy(self.reads),
-        }
-        known = {name: joules for name, joules in prices.items() if joules is not None}
-        moved = ("activations",) if len(self._presynaptic) != 1 else ()
-        return known, (*(name for name in prices if name not in known), *moved)
 
     def effective_macs(self, observations: Floats) -> float | None:
         """Mean multiply-accumulates with non-zero input; None where the file cannot tell."""
@@ -175,15 +168,22 @@ class OnnxController(Player):
                     "Export it again"
                 )
             return said
-        targets = [_width(self.path, each) for each in [*self._presynaptic[1:], self._output]]
-        return [
-            np.full(_width(self.path, each), target)
-            for each, target in zip(self._presynaptic, targets, strict=True)
-        ]
+        ends = [_width(self.path, each) for each in (*self._presynaptic, self._output)]
+        return [np.full(width, target) for width, target in pairwise(ends)]
 
     def _run(self, outputs: list[Any], observations: Floats) -> list[Floats]:
+        observed = observed_numbers(observations)
+        if observed.shape[1:] != (self.observed,):
+            raise ObservationError(
+                f"{self.path} observes {self.observed} numbers, found {observed.shape[1:]}"
+            )
+        if not np.isfinite(observed).all():
+            row, column = np.argwhere(~np.isfinite(observed))[0]
+            raise ObservationError(
+                f"observation {column} is {observed[row, column]}; all must be finite"
+            )
         with np.errstate(over="ignore"):  # 1e308 is finite, and infinite in float32
-            batch = self._checked(observed_numbers(observations)).astype(self._dtype)
+            batch = observed.astype(self._dtype)
         names = [each.name for each in outputs]
         parts = batch[:, None] if self._single else [batch]
         try:
@@ -200,18 +200,6 @@ class OnnxController(Player):
                 "observation is far outside of what it was trained on"
             )
         return found
-
-    def _checked(self, observations: Floats) -> Floats:
-        if observations.shape[1:] != (self.observed,):
-            raise ObservationError(
-                f"{self.path} observes {self.observed} numbers, found {observations.shape[1:]}"
-            )
-        if not np.isfinite(observations).all():
-            row, column = np.argwhere(~np.isfinite(observations))[0]
-            raise ObservationError(
-                f"observation {column} is {observations[row, column]}; all must be finite"
-            )
-        return observations
 
 
 def _metadata(path: str | Path, session: Any) -> dict[str, str]:  # noqa: ANN401
@@ -254,13 +242,6 @@ def _ends(path: str | Path, session: Any) -> tuple[Any, list[Any]]:  # noqa: ANN
             "has one. Export it with a free first axis"
         )
     return inputs[0], outputs
-
-
-def _head(path: str | Path, metadata: dict[str, str]) -> str:
-    head = metadata.get("head", "continuous")
-    if head not in HEADS:
-        raise ArtifactError(f"{path} says its head is {head!r}; known are {', '.join(HEADS)}")
-    return head
 
 
 def _width(path: str | Path, value: Any) -> int:  # noqa: ANN401

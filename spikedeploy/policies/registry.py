@@ -5,12 +5,11 @@ A new format is a class beside these, and a line in FORMATS.
 
 import difflib
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from spikedeploy import zoo
 from spikedeploy.envs.foreign import is_target
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import NONE, Faults
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from spikedeploy.runtime.chips.damage import Damage
 
 Floats = NDArray[np.float64]
+Env: TypeAlias = "gymnasium.Env[Any, Any]"
 
 FORMATS = {
     ".onnx": "onnx:OnnxController",
@@ -93,11 +94,14 @@ BUILT_IN = {
     "random": Candidate("random", "random", "random", "random"),
     "gap": Candidate("gap", "gap", "control", "gap"),
 }
+_HINT = "`spikedeploy policies` lists what is shipped"
 UNTRAINED = (*BUILT_IN, "function")  # formats of scripts
 
 
-class Player(ABC):
+class Player:
     """A loaded policy: it acts in an environment, and answers for recorded episodes.
+
+    Subclasses define `act` or `replay`, of which each is made of the other.
 
     remarks  of the compiler, on where a chip departs from the file
     damage   by faults of the chip
@@ -112,9 +116,7 @@ class Player(ABC):
         raise NotImplementedError
 
     @classmethod
-    def open(
-        cls, candidate: Candidate, chip: str | None, env: "gymnasium.Env[Any, Any]", sampled: bool
-    ) -> "Player":
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> "Player":
         """The candidate, loaded.
 
         chip     name of a chip, FLOAT, or None for what does not spike
@@ -122,12 +124,12 @@ class Player(ABC):
         """
         raise NotImplementedError
 
-    def reset(self, seed: int) -> None:  # noqa: B027 - not abstract
+    def reset(self, seed: int) -> None:
         """Start an episode; what has no state has nothing to do."""
 
-    @abstractmethod
     def act(self, observation: Floats) -> NDArray[Any]:
         """The action (act,), or () where it is one of several, for an observation (obs,)."""
+        return np.asarray(self.replay(observed_numbers(observation)[None])[0])
 
     def replay(self, observations: Floats) -> NDArray[Any]:
         """The actions (S, act) or (S,) for the observations (S, obs) of an episode, in order."""
@@ -145,8 +147,17 @@ def find(reference: str) -> Candidate:
     if reference in BUILT_IN:
         return BUILT_IN[reference]
     path = zoo.resolve(reference)
+    if path is None and is_target(reference):
+        raise ConfigError(
+            f"no policy at {reference!r}: a function of yours plays as a teacher, in "
+            f"`spikedeploy compare ENV --teacher {reference}`"
+        )
     if path is None:
-        raise ConfigError(_unknown(reference))
+        close = difflib.get_close_matches(reference, [*zoo.names(), *BUILT_IN], n=1)
+        hint = f"did you mean {close[0]!r}?" if close else _HINT
+        raise ConfigError(
+            f"no policy at {reference!r}: no such file, run folder or shipped policy; {hint}"
+        )
     if not path.is_dir() and path.suffix not in FORMATS:
         teacher = f"; a teacher plays in `spikedeploy compare ENV --teacher {path}`"
         raise ConfigError(
@@ -155,12 +166,7 @@ def find(reference: str) -> Candidate:
     return _class_of("run" if path.is_dir() else path.suffix).describe(path)
 
 
-def open_policy(
-    candidate: Candidate,
-    chip: str | None,
-    env: "gymnasium.Env[Any, Any]",
-    sampled: bool = False,
-) -> Player:
+def open_policy(candidate: Candidate, chip: str | None, env: Env, sampled: bool = False) -> Player:
     """The player of the candidate in `env`; `chip` "float" is the float twin."""
     check_fit(candidate, env)
     if candidate.kind == "snn" and chip is None:
@@ -170,7 +176,7 @@ def open_policy(
     return _class_of(candidate.format).open(candidate, chip, env, sampled)
 
 
-def check_fit(candidate: Candidate, env: "gymnasium.Env[Any, Any]") -> None:
+def check_fit(candidate: Candidate, env: Env) -> None:
     """Refuse an environment that the candidate was not made for."""
     made_for, here = candidate.env, env.spec.id if env.spec else None
     if made_for not in (None, here):
@@ -198,16 +204,3 @@ def _class_of(format_: str) -> type[Player]:
     module, _, name = FORMATS[format_].partition(":")
     found = getattr(import_module(f"spikedeploy.policies.{module}"), name)
     return cast("type[Player]", found)
-
-
-def _unknown(reference: str) -> str:
-    if is_target(reference):
-        return (
-            f"no policy at {reference!r}: a function of yours plays as a teacher, in "
-            f"`spikedeploy compare ENV --teacher {reference}`"
-        )
-    close = difflib.get_close_matches(reference, [*zoo.names(), *BUILT_IN], n=1)
-    hint = (
-        f"did you mean {close[0]!r}?" if close else "`spikedeploy policies` lists what is shipped"
-    )
-    return f"no policy at {reference!r}: no such file, run folder or shipped policy; {hint}"

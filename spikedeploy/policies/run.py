@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.policies.registry import FLOAT, Candidate, Floats, Player
+from spikedeploy.policies.registry import FLOAT, Candidate, Env, Floats, Player
 from spikedeploy.policies.run_record import env_of
 from spikedeploy.runtime.codec.rate import Xorshift
 from spikedeploy.runtime.emulator.controllers import Sampler
@@ -54,9 +53,7 @@ class TorchController(Player):
         )
 
     @classmethod
-    def open(
-        cls, candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
-    ) -> "TorchController":
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
         """The policy; a chip needs the exported file."""
         if chip not in (None, FLOAT):
             raise ConfigError(
@@ -74,10 +71,6 @@ class TorchController(Player):
         if self._sampler is not None:
             self._sampler.reset(seed)
 
-    def act(self, observation: Floats) -> NDArray[Any]:
-        """The action (act,) or ()."""
-        return np.asarray(self.replay(observation[None])[0])
-
     def replay(self, observations: Floats) -> NDArray[Any]:
         """Actions (S, act) or (S,) for the observations (S, obs) of an episode, in their order."""
         batch = self._torch.as_tensor(observations, dtype=self._torch.float32)
@@ -92,13 +85,13 @@ class TorchController(Player):
         from spikedeploy.exporters.parity import input_spikes_of
         from spikedeploy.trainers.policies import DeltaSnnPolicy, SpikingMlpPolicy
 
-        if isinstance(self.policy, DeltaSnnPolicy) and self._state is not None:
-            steps = [self.policy.advance(row[None], self._state)[0] for row in batch]
-            return self._torch.cat(steps)
-        if not isinstance(self.policy, SpikingMlpPolicy):
-            return self.policy.scores(batch)
-        spikes = input_spikes_of(self.policy, batch, self._rng.draw_sequence)
-        return self.policy.forward_spikes(spikes).mean
+        policy = self.policy
+        if isinstance(policy, DeltaSnnPolicy) and self._state is not None:
+            return self._torch.cat([policy.advance(row[None], self._state)[0] for row in batch])
+        if isinstance(policy, SpikingMlpPolicy):
+            spikes = input_spikes_of(policy, batch, self._rng.draw_sequence)
+            return policy.forward_spikes(spikes).mean
+        return policy.scores(batch)
 
 
 def policy_of(run: str | Path, checkpoint: str | None = None) -> "Policy":

@@ -12,7 +12,7 @@ from spikedeploy.envs.foreign import is_target
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.costs import NOTHING, Costs
-from spikedeploy.policies.registry import Candidate, Floats, Player, check_fit, find
+from spikedeploy.policies.registry import Candidate, Env, Floats, Player, check_fit, find
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.onnx_session import has_policy_metadata, session
 
@@ -29,9 +29,7 @@ class ZeroController(Player):
         self._actions = actions
 
     @classmethod
-    def open(
-        cls, candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
-    ) -> "ZeroController":
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
         """The gait of a robot that has one."""
         space = env.action_space
         if not isinstance(space, gymnasium.spaces.Box):
@@ -39,7 +37,7 @@ class ZeroController(Player):
         return cls(space.shape[0])
 
     def act(self, observation: Floats) -> Floats:
-        """The action (act,), or () where it is one of several."""
+        """The action (act,)."""
         return np.zeros(self._actions)
 
     def costs(self, played: Rollout) -> Costs:
@@ -55,9 +53,7 @@ class RandomController(Player):
         self.reset(0)
 
     @classmethod
-    def open(
-        cls, candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
-    ) -> "RandomController":
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
         """Draws of the environment's actions."""
         return cls(env.action_space)
 
@@ -79,13 +75,11 @@ class RandomController(Player):
 class GapController(Player):
     """A script that follows the gap in the LIDAR, on the observations of a policy."""
 
-    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+    def __init__(self, env: Env) -> None:
         self._driver = GapDriver.of(env)
 
     @classmethod
-    def open(
-        cls, candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
-    ) -> "GapController":
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
         """The driver of the environment's kart."""
         return cls(env)
 
@@ -106,9 +100,7 @@ class TeacherController(Player):
         self._teacher, self._chooses = teacher, chooses
 
     @classmethod
-    def open(
-        cls, candidate: Candidate, chip: str | None, env: gymnasium.Env[Any, Any], sampled: bool
-    ) -> "TeacherController":
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
         """The teacher; functions are imported now."""
         import torch
 
@@ -120,10 +112,6 @@ class TeacherController(Player):
         found = opened(candidate.path, name, lambda: OwnSpaces.within(name, env), candidate.units)
         check_fit(replace(candidate, observed=found.observations, actions=found.actions), env)
         return cls(found, isinstance(env.action_space, gymnasium.spaces.Discrete))
-
-    def act(self, observation: Floats) -> NDArray[Any]:
-        """The action (act,), or () where it is one of several."""
-        return np.asarray(self.replay(observation[None])[0])
 
     def replay(self, observations: Floats) -> NDArray[Any]:
         """Actions (S, act) or (S,) for the observations (S, obs) of an episode."""
@@ -140,13 +128,9 @@ def teacher_candidate(reference: str, units: "Units | None" = None) -> Candidate
     path = Path(reference)
     if is_target(reference) and not path.exists():
         return Candidate(reference, reference, "control", "function", units=units)
-    if path.suffix == ".zip" or (path.suffix == ".onnx" and _is_foreign(path)):
+    is_onnx = path.suffix == ".onnx" and path.is_file()
+    if path.suffix == ".zip" or (is_onnx and not has_policy_metadata(session(path))):
         return Candidate(reference, path.stem, "ann", "teacher", units=units)
     if units is not None:
         raise ConfigError(f"{reference} says itself how it acts: leave --teacher-units out")
     return find(reference)
-
-
-def _is_foreign(path: Path) -> bool:
-    """Return True if an ONNX file does not say how it acts, as ours do."""
-    return path.is_file() and not has_policy_metadata(session(path))

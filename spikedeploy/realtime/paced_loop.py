@@ -15,17 +15,16 @@ import math
 import re
 import time
 from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
-from spikedeploy.policies.registry import Candidate, Player, open_policy
+from spikedeploy.envs.rollout import EpisodeRecorder, Rollout, rollout
+from spikedeploy.policies.registry import Candidate, Env, Player, open_policy
 from spikedeploy.runtime.errors import ConfigError
 
 _UNITS = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
@@ -69,17 +68,12 @@ class Pacing:
 
 
 def pacing(rate: float | None, deadline: str | None, lasting: str | None) -> Pacing | None:
-    """Pacing by `--rate`, `--deadline` and `--duration`; None without a rate."""
+    """Pacing by `--rate` [Hz], `--deadline` and `--duration`; None without a rate."""
     if rate is None:
         for option, given in (("--deadline", deadline), ("--duration", lasting)):
             if given is not None:
                 raise ConfigError(f"{option} goes with --rate, which paces the loop by the clock.")
         return None
-    return paced(rate, deadline, lasting)
-
-
-def paced(rate: float, deadline: str | None, lasting: str | None) -> Pacing:
-    """A rate [Hz] with what the other options ask for."""
     if not (math.isfinite(rate) and _LOWEST <= rate <= _HIGHEST):
         raise ConfigError(f"--rate {rate:g}: it must be from {_LOWEST:g} to {_HIGHEST:,.0f} Hz.")
     return Pacing(
@@ -137,7 +131,6 @@ def without_collections() -> Iterator[None]:
 
 
 TIMES = ("late", "policy", "policy_cpu", "step")
-_PERCENTILES = (50, 95, 99)
 
 
 @dataclass(frozen=True)
@@ -161,9 +154,8 @@ class RealTime:
 
     def percentiles(self, name: str) -> dict[str, float]:
         """The 50th, 95th and 99th percentile and the largest, as p50, p95, p99 and max [s]."""
-        found = np.percentile(self.times[name], _PERCENTILES).tolist()
-        named = {f"p{p}": value for p, value in zip(_PERCENTILES, found, strict=True)}
-        return {**named, "max": float(self.times[name].max())}
+        found = np.percentile(self.times[name], (50, 95, 99, 100)).tolist()
+        return dict(zip(("p50", "p95", "p99", "max"), found, strict=True))
 
     def as_json(self) -> dict[str, Any]:
         """All of it but the single steps; times in seconds."""
@@ -179,75 +171,68 @@ class RealTime:
 
 
 class PacedLoop:
-    """Plays episodes at a rate; the times of all of them are kept."""
+    """Plays episodes at a rate; the times of all of them are kept.
+
+    It stands between a rollout and its policy: `act` waits for the period.
+    """
 
     def __init__(self, pacing: Pacing) -> None:
         self._pace(pacing)
         self._times = {name: array("d") for name in TIMES}
         self._seconds = 0.0
 
-    def open(
-        self,
-        candidate: Candidate,
-        chip: str | None,
-        env: gymnasium.Env[Any, Any],
-        sampled: bool,
-    ) -> Player:
+    def open(self, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
         """The policy that it plays; arguments as of registry.open_policy."""
         return open_policy(candidate, chip, env, sampled)
 
-    def seeds(self, given: Sequence[int]) -> Iterable[int]:
+    def seeds(self, given: Sequence[int]) -> Iterator[int]:
         """The seeds to play: those given, or from the first on for as long as was asked."""
-        return given if self._pacing.duration is None else self._seeds_from(given[0])
-
-    def _seeds_from(self, first: int) -> Iterator[int]:
-        for seed in itertools.count(first):
-            if self._seconds >= (self._pacing.duration or 0.0):
+        if self._pacing.duration is None:
+            yield from given
+            return
+        for seed in itertools.count(given[0]):
+            if self._seconds >= self._pacing.duration:
                 return
             yield seed
 
-    def rollout(self, env: gymnasium.Env[Any, Any], player: Player, seed: int) -> Rollout:
+    def rollout(self, env: Env, player: Player, seed: int) -> Rollout:
         """One episode, a control step in each period."""
-        recorder = EpisodeRecorder(env, seed)
-        player.reset(seed)
-        if not self._seconds:  # the first inference takes its memory, and may compile
-            player.act(recorder.observation)
-            player.reset(seed)
-        self._begun(recorder, env, player, seed)
+        self._player = player
         with without_collections():
-            self._metronome.start()
-            begin = time.perf_counter()
-            while not recorder.over:
-                self._step(recorder, player)
-            self._seconds += time.perf_counter() - begin
-        return recorder.rollout()
+            return rollout(env, self, seed, self._on_step)
+
+    def reset(self, seed: int) -> None:
+        """Reset the policy."""
+        self._seed = seed
+        self._player.reset(seed)
+
+    def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
+        """The policy's action in the next period."""
+        self._woke, self._computed = self._metronome.wait(), time.thread_time()
+        action = self._player.act(observation)
+        self._acted, self._computed = time.perf_counter(), time.thread_time() - self._computed
+        return action
 
     def measured(self) -> RealTime:
         """The times so far."""
         times = {name: np.array(values) for name, values in self._times.items()}
         return RealTime(self._pacing, self._seconds, times, self._metronome.skipped)
 
-    # What a loop adds that shows its episodes.
-
-    def _begun(
-        self, recorder: EpisodeRecorder, env: gymnasium.Env[Any, Any], player: Player, seed: int
-    ) -> None:
-        """An episode begins."""
-
-    def _stepped(self, recorder: EpisodeRecorder, player: Player, times: Sequence[float]) -> None:
-        """A control step was taken; times as TIMES names them."""
-
     def _pace(self, pacing: Pacing) -> None:
         self._pacing, self._metronome = pacing, Metronome(pacing.period)
 
-    def _step(self, recorder: EpisodeRecorder, player: Player) -> None:
-        woke = self._metronome.wait()
-        computed = time.thread_time()
-        action = player.act(recorder.observation)
-        acted, computed = time.perf_counter(), time.thread_time() - computed
-        recorder.step(action)
+    def _on_step(self, recorder: EpisodeRecorder) -> None:
+        """Begin an episode, or take the times of a control step."""
+        if not recorder.steps:
+            if not self._seconds:  # the first inference takes its memory, and may compile
+                self._player.act(recorder.observation)
+                self._player.reset(self._seed)
+            self._metronome.start()
+            self._began = time.perf_counter()
+            return
         stepped, due = time.perf_counter(), self._metronome.due
-        times = (woke - due, acted - woke, computed, stepped - due)
+        times = (self._woke - due, self._acted - self._woke, self._computed, stepped - due)
         for name, value in zip(TIMES, times, strict=True):
             self._times[name].append(value)
-        self._stepped(recorder, player, times)
+        if recorder.over:
+            self._seconds += stepped - self._began

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.wrappers import TimeLimit
 
 from spikedeploy.console import say
-from spikedeploy.envs.rollout import rollout
+from spikedeploy.envs.rollout import EpisodeRecorder, rollout
 from spikedeploy.make_env import make_env
 from spikedeploy.outputs import mark, no_link
 from spikedeploy.policies import run_record
@@ -118,8 +118,12 @@ def _episode(run: Path) -> tuple[list[Frame], float]:
         cut = TimeLimit(world, round(_SECONDS * pace.fps) * pace.every)
         player = TorchController(str(run), checkpoint="best")
         frames: list[Frame] = []
-        take = lambda frame: frames.append(_small(frame))  # noqa: E731
-        rollout(cut, player, VALIDATION[0], take, _EVERY * pace.every)
+
+        def take(episode: EpisodeRecorder) -> None:
+            if episode.steps % (_EVERY * pace.every) == 0:
+                frames.append(_small(world.render()))
+
+        rollout(cut, player, VALIDATION[0], take)
     finally:
         world.close()
     return frames, _EVERY / pace.fps

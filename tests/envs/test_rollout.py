@@ -165,11 +165,6 @@ def test_infos_that_no_float64_holds_are_left_out(env):
     assert {name: list(of) for name, of in found.rollout().info.items()} == {"small": [0.5]}
 
 
-def test_frames_need_a_camera(env):
-    with pytest.raises(EnvError, match="render_mode"):
-        rollout(env, Constant(np.zeros(18)), 0, on_frame=lambda frame: None)
-
-
 class Quadrant(Constant):
     def act(self, observation):
         return np.int64(observation[0] > 0) + 2 * np.int64(observation[1] > 0)

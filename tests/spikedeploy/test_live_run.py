@@ -28,9 +28,9 @@ class Kept:
     def __init__(self):
         self.begun, self.steps, self.outcomes = [], [], []
 
-    def begin(self, episode, table, deadline):
-        self.begun.append(episode)
-        self.table, self.deadline = table, deadline
+    def begin(self, head):
+        self.begun.append(head)
+        self.table, self.deadline = head["table"], head["deadline"]
 
     def step(self, step):
         self.steps.append(step)

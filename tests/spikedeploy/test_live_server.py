@@ -9,7 +9,7 @@ from contextlib import closing, suppress
 import numpy as np
 import pytest
 
-from spikedeploy.live import _MOST_STEPS, LiveServer, LiveView, WatchedStep
+from spikedeploy.live import _MOST_STEPS, LiveView, WatchedStep
 from spikedeploy.runtime.errors import ConfigError
 
 
@@ -53,8 +53,11 @@ def step(number):
     return WatchedStep(number, np.zeros(2), 1.0, 1.0, {}, None, None, None, 0.0, 0, 0)
 
 
+HEAD = {"table": "horowitz45-int8", "deadline": 0.02}
+
+
 def play(view, steps):
-    view.begin({"episode": 1}, "horowitz45-int8", 0.02)
+    view.begin({"episode": 1, **HEAD})
     for number in range(steps):
         view.step(step(number))
 
@@ -137,7 +140,7 @@ def test_a_slow_browser_misses_the_oldest_control_steps_and_nothing_else(view):
     (begin,), (steps,), (over,) = (events(next(heard)) for _ in range(3))
     assert (begin[0], over) == ("begin", ("over", {"total": 4.0}))
     assert (steps[1]["first"], steps[1]["steps"]) == (7, _MOST_STEPS)
-    view.begin({"episode": 2}, "horowitz45-int8", 0.02)  # whose picture replaces what was there
+    view.begin({"episode": 2, **HEAD})  # whose picture replaces what was there
     assert next(events(next(heard)))[1]["episode"] == 2
 
 
@@ -148,7 +151,7 @@ def test_a_browser_that_reads_nothing_keeps_nobody_waiting(view):
     stalled.sendall(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
     assert view.wait(5)
     begin = time.perf_counter()
-    view.begin({"scene": "x" * 5_000_000}, "horowitz45-int8", 0.02)
+    view.begin({"scene": "x" * 5_000_000, **HEAD})
     play(view, 100)
     assert time.perf_counter() - begin < 1
     assert asked(view)[0] == 200
@@ -177,4 +180,4 @@ def test_a_connection_without_a_whole_request_is_closed(view, monkeypatch):
 
 def test_a_port_that_is_taken_is_refused_in_a_sentence(view):
     with pytest.raises(ConfigError, match=rf"--port {port(view)}: cannot listen on 127.0.0.1"):
-        LiveServer(view, port(view))
+        LiveView(port(view))
