@@ -3,7 +3,7 @@
     python -m lab rsl-rl-policy [FOLDER]
 
 writes policy.onnx and actions.npz (observation, action) into tests/golden/rsl_rl, which
-tests/trainers/distill/test_own_teachers.py reads. It needs rsl-rl-lib and onnxscript, which nothing
+tests/trainers/distill/test_teachers.py reads. It needs rsl-rl-lib and onnxscript, which nothing
 else here does. Weights are drawn, not trained; the normaliser has seen observations.
 """
 

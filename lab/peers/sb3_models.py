@@ -3,7 +3,7 @@
     python -m lab sb3-models [FOLDER]
 
 writes a .zip and a .npz (observation, action) for each algorithm into tests/golden/sb3, which
-tests/trainers/distill/test_sb3_teacher.py reads. It needs stable-baselines3, which nothing else
+tests/trainers/distill/test_teachers.py reads. It needs stable-baselines3, which nothing else
 here does. Weights are drawn, not trained, so large that actions reach their bounds.
 """
 

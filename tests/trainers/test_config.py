@@ -22,13 +22,6 @@ def test_the_defaults_are_the_seed_projects_table():
     assert config.support_force.at(150_000) == 0.0
 
 
-def test_popsan_defaults_are_the_seed_projects_table():
-    policy = resolve(SacConfig, "hexapod-popsan").policy
-    assert (policy.populations, policy.timesteps) == (10, 5)
-    assert (policy.alpha, policy.beta, policy.threshold) == (0.9, 0.8, 0.5)
-    assert policy.surrogate == "atan"
-
-
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_every_recipe_resolves_and_survives_json(recipe):
     model = algorithm(RECIPES[recipe].algorithm).Config
@@ -51,11 +44,6 @@ def test_overrides_win_over_the_file_which_wins_over_the_recipe(tmp_path):
     config = resolve(SacConfig, "hexapod-sac", file=file, overrides=["batch=16", "tau=0.01"])
     assert (config.batch, config.tau, config.policy.hidden) == (16, 0.01, (64,))
     assert config.env.options == {"pushes": 0.5}
-
-
-def test_part_of_a_ramp_can_be_set():
-    config = resolve(SacConfig, "hexapod-sac", overrides=["temperature.end=0.03"])
-    assert config.temperature == Ramp(start=0.05, end=0.03, begin=50_000, finish=180_000)
 
 
 @pytest.mark.parametrize(
@@ -155,20 +143,8 @@ def test_a_recipe_for_any_environment_stretches_its_schedules_with_its_length():
     assert resolve(SacConfig, "hexapod-sac", overrides=["steps=1"]).temperature.finish == 180_000
 
 
-def test_the_sac_of_any_environment_has_nothing_of_a_hexapods():
-    for recipe in ("sac-mlp", "sac-popsan"):
-        config = resolve(SacConfig, recipe)
-        assert (config.support_force.at(0), config.mean_penalty, config.shaping) == (0.0, 0.0, {})
-
-
 @pytest.mark.parametrize("student", ["sparse", "small-mlp", "small-linear"])
 def test_the_levels_of_any_environment_follow_its_budget(student):
     config = resolve(SparseConfig, f"distill-{student}", overrides=['env.name="CartPole-v1"'])
     unit = "sops" if student == "sparse" else "macs"
     assert with_budget(config, f"{unit}=40").rounds == (120.0, 80.0, 60.0, 48.0, 40.0)
-
-
-def test_reward_after_imitation_trains_in_any_environment():
-    overrides = ['env.name="Hopper-v5"', "start=a-run"]
-    config = resolve(SparsePpoConfig, "distill-sparse-tuned", overrides=overrides)
-    assert (config.env.name, config.start) == ("Hopper-v5", "a-run")

@@ -86,10 +86,25 @@ def kill(run, monkeypatch, place, count):
             run()
 
 
-@pytest.mark.parametrize("stops", [(3,), (11, 1, 30), (0, 24)])
-def test_a_stopped_run_ends_with_the_same_files(stops, case, tmp_path):
-    whole = trained(*case, tmp_path / "whole")
-    part = train(*case[:1], overrides=case[1], runs=tmp_path, quiet=True, interrupt=After(stops[0]))
+@pytest.fixture(params=[*CASES, "smoke-distill", "smoke-sparse-tuned"])
+def any_case(request, monkeypatch, tmp_path):
+    if request.param in CASES:
+        settings, env = CASES[request.param]
+        monkeypatch.setattr(envs, "make", lambda name, **options: env())
+    elif request.param == "smoke-distill":
+        settings = ["teacher=hexapod/sac", "states=24", "updates=30", "policy.hidden=[8]"]
+    else:
+        short = ["dense_updates=4", "level_updates=4", "polish=0", "teacher_walks=1"]
+        short += ["noisy_walks=0", "budget=900", "levels=[]", "validation.every=2"]
+        settings = [f"start={trained('smoke-sparse', short, tmp_path / 'start')}", "episodes=2"]
+    return request.param, settings
+
+
+@pytest.mark.parametrize("stops", [(2,), (11, 1, 20)])
+def test_a_stopped_run_ends_with_the_same_files(stops, any_case, tmp_path):
+    (recipe, settings), first = any_case, After(stops[0])
+    whole = trained(recipe, settings, tmp_path / "whole")
+    part = train(recipe, overrides=settings, runs=tmp_path / "part", quiet=True, interrupt=first)
     for count in stops[1:]:
         train(None, resume=part, quiet=True, interrupt=After(count))
     resumed(part)

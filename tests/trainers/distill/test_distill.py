@@ -25,26 +25,13 @@ from spikedeploy.trainers.policies import (
     MlpPolicy,
     PopsanPolicy,
     SpikingMlpPolicy,
-    from_config,
 )
-from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.train import train
 from tests.delta_policies import delta_policy
 from tests.networks import event_driven
 
 HEXAPOD, LEVELS = "spikedeploy/Hexapod-v0", "tests.own_env:Levels"
-CONTROLS = {
-    "phase": "phase",
-    "bilinear": "bilinear",
-    "fourier": "fourier",
-    "linear": "all",
-    "mlp-8": "all",
-    "mlp-16": "all",
-    "mlp-32": "all",
-    "mlp-64": "all",
-}
-STUDENTS = ("distill", "distill-256", *CONTROLS)
 
 
 @pytest.fixture(scope="module")
@@ -79,15 +66,6 @@ def test_a_student_learns_what_its_teacher_does():
     assert errors[-1] < 0.2 * errors[0]
 
 
-def test_the_learning_rate_falls_as_half_a_cosine():
-    learner = DistillLearner(config(learning_rate=0.01), MlpPolicy(6, 2, hidden=()))
-    rates = []
-    for progress in (0.0, 0.5, 1.0):
-        learner.update(torch.randn(4, 6), torch.zeros(4, 2), progress)
-        rates.append(learner.optimizers["adam"].param_groups[0]["lr"])
-    assert rates == pytest.approx([0.01, 0.005, 0.0])
-
-
 def test_only_rates_above_their_target_are_penalised():
     student = PopsanPolicy(6, 2, hidden=(32,), populations=5)
     observation, label = torch.randn(64, 6), torch.zeros(64, 2)
@@ -106,21 +84,6 @@ def test_only_rates_above_their_target_are_penalised():
     assert penalty(rate_target=1.0, input_target=0.0) == pytest.approx(3 * spikes[0], rel=0.02)
     expected = 2 * sum(spikes[1:])
     assert penalty(rate_target=0.0, input_target=1.0) == pytest.approx(expected, rel=0.05)
-
-
-def test_a_rate_penalty_makes_neurons_fire_less():
-    def rate(penalty):
-        torch.manual_seed(0)
-        student = PopsanPolicy(6, 2, hidden=(32,), populations=5)
-        settings = config(rate_penalty=penalty, rate_target=0.05, learning_rate=1e-2)
-        learner = DistillLearner(settings, student)
-        observation = torch.randn(64, 6)
-        for _ in range(40):
-            learner.update(observation, torch.tanh(observation[:, :2]), 0.0)
-        with torch.no_grad():
-            return float(student.spikes(observation)[1].mean())
-
-    assert rate(5.0) < 0.7 * rate(0.0)
 
 
 def test_iteration_zero_acts_as_the_teacher_and_the_next_as_the_student():
@@ -147,15 +110,6 @@ def test_mixing_lets_the_teacher_execute_some_actions():
     assert steps
 
 
-def test_an_iteration_visits_the_same_states_when_it_is_repeated():
-    settings = config(env=EnvConfig(count=2), states=20, noise=0.1)
-    still = constant(np.zeros(18))
-    first, second = (collect(settings, 1, still, still, never)[0] for _ in range(2))
-    np.testing.assert_array_equal(first, second)
-    other = collect(settings, 2, still, still, never)[0]
-    assert not np.array_equal(first, other)
-
-
 def test_states_are_all_kept_and_drawn_at_random():
     dataset = DaggerDataset(3, 1)
     dataset.add(np.full((4, 3), 1.0), np.full((4, 1), 10.0))
@@ -179,29 +133,6 @@ def test_a_run_leaves_its_files_and_reports_its_share_of_the_teachers_return(onn
     assert isinstance(policy, PopsanPolicy)
     assert float(policy.normalizer.std.min()) > 0
     assert not torch.equal(policy.normalizer.mean, torch.zeros(77))
-
-
-def test_an_interrupted_run_resumes_to_the_same_bits(onnx, tmp_path):
-    whole = train("smoke-distill", overrides=[f"teacher={onnx}"], runs=tmp_path, quiet=True)
-
-    class Quiet:
-        def at(self, *_):
-            self.count = getattr(self, "count", 0) + 1
-
-        add = rewind = lambda self, *_: None
-
-    settings = config(onnx)
-    part = RunFolder.create(tmp_path, settings)
-    bar = Quiet()
-    # stopped in iteration 0, and once more while iteration 1 is collected
-    Distill(settings, part).learn(bar, lambda: getattr(bar, "count", 0) >= 13)
-    assert part.load("last")[0]["updates"] == 13
-    Distill(settings, part).learn(bar, lambda: bar.count >= 20)
-    state = part.load("last")[0]
-    assert (state["updates"], state["iterations"]) == (20, 1)
-    train("smoke-distill", resume=part.path, runs=tmp_path, quiet=True)
-    expected, found = (load_policy(path, "last").state_dict() for path in (whole, part.path))
-    assert all(torch.equal(expected[key], found[key]) for key in expected)
 
 
 def test_a_policy_may_learn_from_a_run_an_onnx_file_or_a_nir_file(onnx, tmp_path):
@@ -258,35 +189,6 @@ def test_a_missing_or_unsuitable_teacher_is_refused_before_training(onnx, tmp_pa
         Distill(config(small), run)
 
 
-@pytest.mark.parametrize("task", ["hexapod", "hexapod-command"])
-def test_students_and_controls_learn_from_the_same_data(task):
-    budgets = set()
-    for student in STUDENTS:
-        assert RECIPES[f"{task}-{student}"].algorithm == "distill"
-        found = resolve(DistillConfig, f"{task}-{student}")
-        budgets.add((found.env.name, found.iterations, found.states, found.updates, found.batch))
-    assert len(budgets) == 1
-    assert budgets.pop()[0] == task
-
-
-@pytest.mark.parametrize("task", ["hexapod", "hexapod-command"])
-def test_controls_go_from_the_phase_alone_to_a_network_with_two_hidden_layers(task):
-    table = envs.make(task).unwrapped.OBSERVATION
-    sizes = []
-    for name, seen in CONTROLS.items():
-        config = resolve(DistillConfig, f"{task}-{name}").policy
-        assert config.features == seen
-        sizes.append(from_config(config, 77, 18, columns=table).layers)
-    weights = [[tuple(layer.weight.shape) for layer in layers] for layers in sizes]
-    inputs = {"hexapod": 62, "hexapod-command": 69}[task]
-    assert weights[2:] == [
-        [(18, inputs)],
-        [(18, 77)],
-        *([(width, 77), (18, width)] for width in (8, 16, 32)),
-        [(64, 77), (64, 64), (18, 64)],
-    ]
-
-
 def test_a_shipped_policy_may_teach_by_its_name():
     for name, env, sizes in (
         ("hexapod/sac", "hexapod", (77, 18)),
@@ -338,17 +240,6 @@ def test_discrete_actions_are_executed_as_choices_of_which_noise_draws_some():
     assert set(found[2]) == {5.0}
     noisy = collect(settings.model_copy(update={"noise": 0.5}), 0, labels, labels, never)
     assert 0.0 < np.mean(noisy[2]) < 5.0
-
-
-def test_a_student_of_choices_earns_what_its_teacher_earns(tmp_path):
-    changes = ["states=80", "iterations=2", "updates=200", "policy.hidden=[16]", "env.count=2"]
-    changes += ["policy.timesteps=4", "validation.every=100", "validation.episodes=2"]
-    changes += ['teacher="tests.own_teachers:level"', "normaliser.finish=80"]
-    run = train("distill-snn", env=LEVELS, overrides=changes, runs=tmp_path, quiet=True)
-    best = json.loads((run / "checkpoints" / "best.json").read_text())
-    assert best["teacher_return"] == 5.0
-    assert best["eval_return"] > 4.0
-    assert load_policy(run).head == "discrete"
 
 
 def test_a_spiking_file_with_discrete_actions_teaches_by_its_scores(tmp_path):

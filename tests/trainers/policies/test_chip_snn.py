@@ -10,14 +10,13 @@ from spikedeploy.exporters.parity import check as parity
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.layer import LayerState
 from spikedeploy.runtime.compiler.compile import check, compile_program
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import axon_types
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import ChipSnnConfig
-from spikedeploy.trainers.policies import ChipSnnPolicy, build, from_config
+from spikedeploy.trainers.policies import ChipSnnPolicy, from_config
 from spikedeploy.trainers.policies.chip_snn import _computes, _SpikesOfChip, recorded
 from spikedeploy.trainers.policies.neurons import surrogate
 from spikedeploy.trainers.train import train
@@ -91,33 +90,6 @@ def test_the_file_keeps_the_design_rules_of_its_chip(name, tmp_path):
     compile_program(stated, chip(name))
 
 
-def test_it_does_the_same_where_all_neurons_advance_in_every_timestep(name):
-    # as chips without gated clocks: T timesteps of input, and as many more as the layers are late
-    student = policy(name, hidden=(16,), timesteps=8)
-    program = student.program()
-    raster = student.encode(torch.randn(8, 3)).detach().numpy().swapaxes(0, 1)
-    expected, timesteps = trace(program, raster.astype(np.uint8)), raster.shape[1]
-    states = {layer.name: LayerState.zero(layer, len(raster)) for layer in program.layers}
-    spikes = {name: [] for name in program.sizes}
-    for step in range(program.steps(timesteps)):
-        within = step < timesteps
-        spikes[program.input].append(raster[:, step] if within else np.zeros_like(raster[:, 0]))
-        for layer in program.layers:
-            (synapses,) = layer.synapses
-            sent, due = spikes[synapses.source], step - synapses.delay
-            size = program.sizes[synapses.source]
-            arriving = sent[due] if due >= 0 else np.zeros((len(raster), size))
-            states_of = states[layer.name]
-            found = student.target.arithmetic.update(
-                program, layer, [arriving.astype(np.int64)], states_of
-            )
-            spikes[layer.name].append(found.spikes)
-    last = program.layers[-1]
-    seen = np.stack(spikes[last.name][last.start : last.start + timesteps], axis=1)
-    np.testing.assert_array_equal(seen, expected[last.name].spikes)
-    assert seen.any()
-
-
 def test_a_weight_that_was_changed_in_place_is_compiled_anew(name):
     student = policy(name)
     before = student.program()
@@ -183,15 +155,6 @@ class _Spike(torch.autograd.Function):
         return ctx.derivative(membrane - 1) * upstream, None
 
 
-def test_a_spec_builds_an_equal_policy(name):
-    student = policy(name)
-    other = build(student.spec())
-    other.load_state_dict(student.state_dict())
-    seen = torch.randn(20, 3)
-    with torch.no_grad():
-        assert torch.equal(other(seen), student(seen))
-
-
 @pytest.mark.parametrize("name", ["odin", "xylo-a2", "truenorth"])
 def test_it_learns_which_way_to_turn_within_few_updates(name):
     student = policy(name, "discrete", hidden=(16,))
@@ -219,11 +182,6 @@ def test_a_chip_that_runs_a_pipeline_is_refused_in_a_sentence():
     with pytest.raises(ConfigError, match=r"loihi1:clock=pipelined: .* Leave the clock out"):
         from_config(ChipSnnConfig(chip="loihi1:clock=pipelined"), 4, 2)
     assert from_config(ChipSnnConfig(chip="loihi1:clock=free"), 4, 2).target.clock == "free"
-
-
-def test_states_that_are_kept_are_refused(tmp_path):
-    with pytest.raises(ConfigError, match="states of 0 in each inference"):
-        to_nir(policy("odin"), Provenance(""), tmp_path / "policy.nir", state="kept")
 
 
 def test_the_recipe_trains_a_run_that_is_validated_on_the_chip(tmp_path):

@@ -4,12 +4,26 @@ import numpy as np
 import pytest
 import torch
 
-from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import MlpConfig, PopsanConfig
-from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, build, from_config
+from spikedeploy.trainers.config import (
+    DeltaMlpConfig,
+    DeltaSnnConfig,
+    MlpConfig,
+    PopsanConfig,
+    PrunedMlpConfig,
+)
+from spikedeploy.trainers.policies import (
+    ChipSnnPolicy,
+    MlpPolicy,
+    PopsanPolicy,
+    SpikingMlpPolicy,
+    build,
+    from_config,
+)
 from spikedeploy.trainers.policies.mlp import features
 from spikedeploy.trainers.policies.policy import Moments, TorchNormaliser
+from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight, SynapseGroup
+from tests.delta_policies import delta_mlp, delta_policy, pruned_mlp, walk
 
 SMALL = {"hidden": (16, 12), "populations": 4, "timesteps": 5}
 
@@ -61,33 +75,9 @@ def test_every_spike_and_the_action_equal_numpy_in_float64(popsan, observations)
     np.testing.assert_allclose(trace["action"].numpy(), np.tanh(mean), atol=1e-12)
 
 
-def test_the_action_of_the_trace_is_that_of_the_policy(popsan, observations):
-    assert torch.equal(popsan.trace(observations)["action"], popsan(observations))
-
-
-def test_a_policy_has_no_memory_of_the_inference_before(popsan, observations):
-    assert torch.equal(popsan(observations), popsan(observations))
-    torch.testing.assert_close(popsan(observations[:3]), popsan(observations)[:3])
-
-
-def test_every_parameter_of_a_popsan_learns(observations):
-    torch.manual_seed(0)
-    policy = PopsanPolicy(6, 3, **SMALL)
-    policy(observations.float()).square().sum().backward()
-    for name, parameter in policy.named_parameters():
-        assert parameter.grad.abs().sum() > 0, name
-
-
 def test_encoder_starts_as_in_the_paper(popsan):
     assert popsan.encoder.mean[0].tolist() == [-3.0, -1.0, 1.0, 3.0]
     torch.testing.assert_close(popsan.encoder.std.square(), torch.full((6, 4), 0.15).double())
-
-
-def test_untrained_spiking_layers_spike_sparsely():
-    torch.manual_seed(0)
-    policy = PopsanPolicy(77, 18).requires_grad_(False)
-    rates = policy.latent(torch.randn(64, 77)).rates
-    assert all(0.01 < rate < 0.6 for rate in rates)
 
 
 @pytest.mark.parametrize(
@@ -98,15 +88,38 @@ def test_untrained_spiking_layers_spike_sparsely():
         MlpPolicy(6, 3, (), features("phase", 6, {"phase": slice(0, 2)})),
         MlpPolicy(6, 3, (), features("fourier", 6, {"phase": slice(0, 2), "speed": slice(4, 5)})),
         PopsanPolicy(6, 3, **SMALL, surrogate="rectangular", threshold=0.7),
+        SpikingMlpPolicy(6, 3, (8,), "population", timesteps=4, reach=2.5),
+        SpikingMlpPolicy(6, 3, (8,), "regular", timesteps=4, head="discrete"),
+        ChipSnnPolicy(6, 3, "odin", (8,), timesteps=4),
+        delta_policy(6, 3),
+        delta_policy(6, 3, integrated=True, clock="gated", code="unary"),
+        delta_mlp(6, 3, threshold=0.7),
+        pruned_mlp(6, 3, skip=False),
     ],
-    ids=["mlp", "linear", "phase", "fourier", "popsan"],
+    ids=lambda policy: policy.kind,
 )
 def test_a_policy_is_rebuilt_from_its_spec_and_weights(policy):
-    copy = build(json.loads(json.dumps(policy.spec())))
+    policy.requires_grad_(False)
+    copy = build(json.loads(json.dumps(policy.spec()))).requires_grad_(False)
     copy.load_state_dict(policy.state_dict())
     observation = torch.randn(5, 6)
     assert torch.equal(copy(observation), policy(observation))
-    assert policy(observation).abs().max() <= 1
+    assert copy.spec() == policy.spec()
+
+
+@pytest.mark.parametrize(
+    ("config", "shape"),
+    [
+        (PopsanConfig(hidden=(8,), populations=2), {"hidden": (8,), "populations": 2}),
+        (DeltaSnnConfig(hidden=4, code="unary"), {"hidden": 4, "code": "unary"}),
+        (DeltaMlpConfig(hidden=4, threshold=0.3), {"hidden": 4, "share": 0.3}),
+        (PrunedMlpConfig(hidden=(7,), skip=False), {"hidden": (7,), "skip": False}),
+    ],
+)
+def test_a_configuration_makes_the_policy(config, shape):
+    policy = from_config(config, 6, 3, clip=3.0)
+    assert {name: getattr(policy, name) for name in shape} == shape
+    assert (policy.kind, policy.clip) == (config.kind, 3.0)
 
 
 def test_a_policy_without_hidden_layers_is_linear_before_tanh():
@@ -152,24 +165,6 @@ def test_fourier_features_are_three_harmonics_times_commands_and_errors():
     np.testing.assert_allclose(seen[0], expected, atol=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("task", "names", "size"),
-    [("hexapod", ["heading", "speed", "lateral", "lateral_velocity"], 62),
-     ("hexapod-command", ["command", "turn_error", "speed_error"], 69)],
-)  # fmt: skip
-def test_fourier_features_are_of_no_leg_states(task, names, size):
-    table = envs.make(task).unwrapped.OBSERVATION
-    found = features("fourier", 77, table)
-    columns = [k for name in names for k in range(77)[table[name]]]
-    assert found.scales == columns
-    assert found.size == size
-    observation = torch.randn(4, 77)
-    other = observation + 1.0
-    kept = [*range(77)[table["phase"]], *columns]
-    other[:, kept] = observation[:, kept]
-    assert torch.equal(found(observation), found(other))
-
-
 def test_features_without_a_phase_are_refused():
     with pytest.raises(ConfigError, match="phase"):
         features("bilinear", 6, None)
@@ -178,13 +173,6 @@ def test_features_without_a_phase_are_refused():
 def test_an_unknown_kind_of_policy_is_refused():
     with pytest.raises(ConfigError, match="unknown kind of policy 'popsam': did you mean popsan"):
         build({"kind": "popsam"})
-
-
-def test_configurations_give_the_policies_they_describe():
-    policy = from_config(PopsanConfig(hidden=(8,), populations=2), 6, 3, clip=3.0)
-    assert isinstance(policy, PopsanPolicy)
-    assert [layer.out_features for layer in policy.layers] == [8, 6]
-    assert policy.normalizer.clip == 3.0
 
 
 def test_running_moments_equal_those_of_all_data():
@@ -203,3 +191,31 @@ def test_a_constant_observation_is_not_amplified():
     normalizer.adopt(moments)
     assert normalizer(torch.tensor([[5.001]])).abs() < 0.2
     assert normalizer(torch.tensor([[50.0]])) == 4.0
+
+
+@pytest.mark.parametrize("hidden", [(), (6,), (6, 4)])
+@pytest.mark.parametrize("skip", [True, False])
+def test_the_network_equals_numpy(hidden, skip):
+    policy = pruned_mlp(hidden=hidden, skip=skip).double()
+    observation = walk()
+    x = (observation - policy.normalizer.mean.numpy()) / policy.normalizer.std.numpy()
+    x = seen = np.clip(x, -4, 4)
+    for layer, bias in zip(policy.layers[:-1], policy.biases, strict=False):
+        x = np.maximum(x @ (layer.weight * layer.mask).numpy().T + bias.numpy(), 0)
+    mean = x @ (policy.layers[-1].weight * policy.layers[-1].mask).numpy().T
+    mean += policy.biases[-1].numpy()
+    if skip and hidden:
+        mean += seen @ (policy.past.weight * policy.past.mask).numpy().T
+    found = policy.scores(torch.from_numpy(observation)).numpy()
+    np.testing.assert_allclose(found, mean, atol=1e-12)
+
+
+def test_what_is_taken_out_counts_for_nothing_and_learns_nothing():
+    weight = PrunedWeight(torch.ones(2, 3))
+    weight.mask[0, 1] = 0.0
+    assert weight().tolist() == [[1, 0, 1], [1, 1, 1]]
+    assert weight.fan_out.tolist() == [2, 1, 2]
+    weight().sum().backward()
+    assert weight.weight.grad.tolist() == [[1, 0, 1], [1, 1, 1]]
+    # rates 0.5, 2 and 1 a control step
+    assert SynapseGroup(weight, torch.tensor([0.5, 2.0, 1.0])).operations == 0.5 * 2 + 2 + 2

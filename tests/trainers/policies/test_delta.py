@@ -1,21 +1,21 @@
-import json
-
 import numpy as np
 import pytest
 import torch
 
-from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.schema import validated
-from spikedeploy.trainers.config import DeltaSnnConfig, RunConfig
-from spikedeploy.trainers.policies import DeltaSnnPolicy, build, from_config
+from spikedeploy.exporters.to_nir import to_nir
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.errors import ConfigError, RuleError
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.policies import DeltaSnnPolicy, build
 from spikedeploy.trainers.policies.delta import (
-    channel_weights,
     delta_artifact,
     delta_codec,
     event_channels,
     live_neurons,
 )
-from tests.delta_policies import arriving, delta_policy, followed, thinned, walk
+from tests.delta_policies import arriving, delta_mlp, delta_policy, followed, thinned, walk
 
 SHAPES = [
     {},
@@ -30,24 +30,22 @@ SHAPES = [
 ]
 
 
+@pytest.mark.parametrize("make", [delta_policy, delta_mlp])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_window_from_the_beginning_equals_single_steps(shape):
-    policy = delta_policy(**shape).double()
-    observation, burn_in = walk(), 4
-    mean, events, spikes = followed(policy, observation)
+def test_a_window_from_the_beginning_equals_single_steps(make, shape):
+    if make is delta_mlp and "integrated" in shape:
+        pytest.skip("delta networks have no readouts that decay")
+    policy, burn_in = make(**shape).double(), 4
+    mean, events, spikes = followed(policy, walk())
     moved, seen = arriving(policy, events)
     # the burn-in of a window that starts the episode holds nothing
-    before = torch.zeros(1, burn_in, 5, dtype=torch.float64)
-    found, raster = policy.unrolled(
-        torch.cat([before, seen[None]], 1),
-        torch.cat([before, moved[None]], 1),
-        policy.weights(),
-        burn_in,
-        torch.tensor([True]),
-    )
+    before = torch.zeros(1, burn_in, policy.observations, dtype=torch.float64)
+    moved, seen = (torch.cat([before, each[None]], 1) for each in (moved, seen))
+    begins = torch.tensor([True])
+    found, raster = policy.unrolled(seen, moved, policy.weights(), burn_in, begins)
     np.testing.assert_allclose(found[0, burn_in:].numpy(), mean, atol=1e-12)
-    np.testing.assert_array_equal(raster[0, burn_in:].numpy(), spikes)
-    assert not policy.hidden or spikes.any()
+    np.testing.assert_array_equal(raster[0, burn_in:].numpy(), np.abs(spikes) > 0)
+    assert not policy.hidden or np.abs(spikes).max() > (make is delta_mlp)
 
 
 def test_a_window_from_the_middle_forgets_how_it_began():
@@ -83,37 +81,6 @@ def test_events_are_those_of_the_runtimes_encoder(code, most):
     np.testing.assert_array_equal(spikes[:, 0], event_channels(policy, events))
 
 
-def test_an_event_weighs_as_its_size_in_both_codes():
-    for code in ("one-hot", "unary"):
-        policy = thinned(delta_policy(code=code), 1.0).double()
-        events = np.array([[-3, 2, 0, 1, -1]])
-        weight = policy.into().numpy()
-        channels = event_channels(policy, events) @ channel_weights(policy, weight).T
-        expected = (events * policy.step.numpy()) @ weight.T
-        np.testing.assert_allclose(channels, expected)
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_a_policy_is_built_from_its_spec(shape):
-    policy = delta_policy(**shape)
-    again = build(json.loads(json.dumps(policy.spec())))
-    again.load_state_dict(policy.state_dict())
-    expected, found = (followed(each, walk()) for each in (policy, again))
-    for one, other in zip(expected, found, strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
-def test_a_configuration_makes_the_policy():
-    policy = from_config(DeltaSnnConfig(hidden=4, code="unary"), 5, 3, 2.5, head="discrete")
-    assert isinstance(policy, DeltaSnnPolicy)
-    assert (policy.hidden, policy.code, policy.head, policy.normalizer.clip) == (
-        4, "unary", "discrete", 2.5,
-    )  # fmt: skip
-    wrong = {"algorithm": "sparse", "recipe": "x", "policy": {"kind": "delta-snn", "hidden": -1}}
-    with pytest.raises(ConfigError, match="hidden"):
-        validated(RunConfig, wrong, "here")
-
-
 def test_pipelined_events_act_one_control_step_late_and_hidden_spikes_two():
     """One event in control step 0; the numbers are worked out by hand."""
     policy = DeltaSnnPolicy(1, 1, 1, step=1.0, current_decay=1.0).double()
@@ -134,27 +101,6 @@ def test_pipelined_events_act_one_control_step_late_and_hidden_spikes_two():
     mean, _, spikes = followed(gated, np.array([[1.0], [1.0]]))
     assert spikes[:, 0].tolist() == [1, 1]
     np.testing.assert_allclose(mean[:, 0], [12, 10])
-
-
-def test_a_linear_policy_reads_the_observation_through_its_events():
-    policy = thinned(delta_policy(hidden=0, clock="gated"), 1.0).double()
-    observation = walk(40)
-    mean, events, _ = followed(policy, observation)
-    level = np.cumsum(events, axis=0) * policy.step.numpy()
-    expected = level @ policy.past().numpy().T + policy.action_bias.numpy()
-    # the readouts leak by 1/4096 a step
-    np.testing.assert_allclose(mean, expected, atol=0.05)
-    normalised = policy.normalizer(torch.from_numpy(observation)).numpy()
-    assert (np.abs(level - normalised) <= 1.5 * policy.step.numpy() + 3 * 0.6).all()
-
-
-def test_a_latent_is_the_first_step_of_an_episode():
-    policy = delta_policy().double()
-    observation = torch.from_numpy(walk(6))
-    mean, _, spikes = policy.advance(observation, policy.rest(6))
-    found = policy.latent(observation)
-    assert torch.equal(found.mean, mean)
-    assert torch.equal(found.hidden, spikes)
 
 
 def test_dead_neurons_are_left_out_and_change_no_action():
@@ -189,3 +135,52 @@ def test_a_policy_without_synapses_still_has_a_graph(hidden):
     artifact = delta_artifact(policy)
     assert artifact.graph.nodes["output"].output_type["output"].tolist() == [2]
     assert {"fc1", "lif1", "fc2"}.isdisjoint(artifact.graph.nodes)
+
+
+ORIGIN = Provenance("spikedeploy/Hexapod-v0", "hexapod-delta-mlp")
+
+
+def written(policy, tmp_path):
+    return to_nir(policy, ORIGIN, tmp_path / "policy.nir")
+
+
+def test_the_output_is_that_of_a_network_on_rounded_numbers():
+    policy = delta_mlp(left=1.0, clock="gated").double()
+    mean, events, graded = followed(policy, walk(100))
+    level = np.cumsum(events, 0) * policy.step.numpy()
+    hidden = np.maximum(level @ policy.into().numpy().T + policy.bias.numpy(), 0)
+    sent = np.cumsum(graded, 0) * policy.threshold.numpy()
+    # what was sent is less than a threshold away from the activation
+    assert (np.abs(sent - hidden) < policy.threshold.numpy() + 1e-12).all()
+    expected = sent @ policy.out().numpy().T + level @ policy.past().numpy().T
+    np.testing.assert_allclose(mean, expected + policy.action_bias.numpy(), atol=1e-12)
+
+
+def test_gradients_pass_the_rounding_as_if_it_were_none():
+    policy = delta_mlp(left=1.0, clock="gated").double()
+    seen = torch.randn(4, 9, 5, dtype=torch.float64, requires_grad=True)
+    begins = torch.zeros(4, dtype=torch.bool)
+    mean, messages = policy.unrolled(seen, seen, policy.weights(), 2, begins)
+    (found,) = torch.autograd.grad(mean.sum(), seen, retain_graph=True)
+    hidden = torch.relu(seen @ policy.into().T + policy.bias)
+    smooth = hidden @ policy.out().T + seen @ policy.past().T
+    (expected,) = torch.autograd.grad(smooth.sum(), seen)
+    torch.testing.assert_close(found, expected)
+    (cost,) = torch.autograd.grad(messages.sum(), seen)
+    assert cost.abs().sum() > 0
+
+
+def test_loihi2_acts_nearly_as_torch_does(tmp_path):
+    policy = delta_mlp(left=1.0)
+    controller = SpikingController(load(written(policy, tmp_path)), chip("loihi2"))
+    mean, _, _ = followed(policy.double(), walk(200))
+    actions = np.stack([controller.act(row) for row in walk(200)])
+    assert np.sqrt(np.mean((actions - np.tanh(mean)) ** 2)) < 0.05
+
+
+def test_loihi1_refuses_it_and_states_are_always_kept(tmp_path):
+    artifact = load(written(delta_mlp(), tmp_path))
+    with pytest.raises(RuleError, match="rule graded"):
+        SpikingController(artifact, chip("loihi1"))
+    with pytest.raises(ConfigError, match=r"delta-mlp.*keeps its states"):
+        to_nir(delta_mlp(), ORIGIN, tmp_path / "reset.nir", state="reset")

@@ -4,13 +4,20 @@ import torch
 
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import EnvConfig, resolve
+from spikedeploy.trainers.config import EnvConfig, differences, resolve
 from spikedeploy.trainers.env_batch import EnvBatch
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.run_folder import load_policy
 from spikedeploy.trainers.runner import Validator
-from spikedeploy.trainers.sac.learner import GaussianActor, ReplayBatch, SacConfig, SacLearner
+from spikedeploy.trainers.sac.learner import (
+    GaussianActor,
+    ReplayBatch,
+    ReplayBuffer,
+    SacConfig,
+    SacLearner,
+)
+from spikedeploy.trainers.sac.sac import check_shaping, shaped
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import QUICK, PointingEnv
 
@@ -103,16 +110,6 @@ def test_targets_follow_by_tau():
         torch.testing.assert_close(new, old + 0.25 * (source - old))
 
 
-def test_the_penalty_keeps_the_mean_away_from_saturation():
-    sizes = []
-    for weight in (0.0, 10.0):
-        sac = learner(f"mean_penalty={weight}", "learning_rate=0.01")
-        for _ in range(50):
-            sac.update(random_batch(), temperature=0.05)
-        sizes.append(sac.actor.policy.latent(random_batch().observation).mean.abs().mean())
-    assert sizes[1] < 0.5 * sizes[0]
-
-
 def test_smoothness_makes_the_policy_act_alike_in_neighbouring_states():
     changes = []
     for weight in (0.0, 10.0):
@@ -138,11 +135,6 @@ def test_the_log_probability_is_that_of_a_squashed_gaussian():
     torch.testing.assert_close(log_prob, squashed.log_prob(action).sum(-1))
 
 
-def test_the_spread_is_not_part_of_the_policy():
-    actor = GaussianActor(MlpPolicy(2, 1, (4,)))
-    assert not any("log_std" in name for name in actor.policy.state_dict())
-
-
 def test_sac_refuses_policies_that_do_not_observe_everything():
     with pytest.raises(Exception, match="distil policies that observe less"):
         resolve(SacConfig, "smoke", overrides=["policy.features=phase"])
@@ -160,14 +152,6 @@ def test_the_saved_policy_averages_the_actors_weights():
     # 10 / (1 + 9) = 1, 10 / (2 + 9) and 10 / (3 + 9) of the newest weights, each above 0.5
     kept = steps[0].lerp(steps[1], 10 / 11).lerp(steps[2], 10 / 12)
     torch.testing.assert_close(sac.policy.layers[0].weight, kept)
-
-
-def test_learning_moves_the_actor_and_leaves_the_saved_policy_to_the_average():
-    sac = learner()
-    before = sac.policy.layers[0].weight.clone()
-    sac.update(random_batch(), temperature=0.05)
-    torch.testing.assert_close(sac.policy.layers[0].weight, before, rtol=0, atol=0)
-    assert not torch.equal(sac.actor.policy.layers[0].weight, before)
 
 
 @pytest.mark.parametrize(("spread", "falls"), [(0.0, True), (-6.0, False)])
@@ -195,3 +179,104 @@ def test_a_learned_temperature_is_part_of_a_checkpoint():
 def test_a_temperature_of_zero_cannot_be_learned():
     with pytest.raises(ConfigError, match="begin above 0"):
         learner("learn_temperature=true", "temperature.start=0")
+
+
+def fill(buffer, numbers):
+    for number in numbers:
+        buffer.add(
+            np.full((1, 3), number), np.full((1, 2), -number), np.array([10.0 * number]),
+            np.array([number % 2 == 0]), np.full((1, 3), number + 0.5),
+        )  # fmt: skip
+
+
+def held(buffer):
+    return sorted(buffer.rows[: buffer.size, 0])
+
+
+def test_a_sample_keeps_transitions_together():
+    buffer = ReplayBuffer(100, 3, 2)
+    fill(buffer, range(1, 21))
+    batch = buffer.sample(64, np.random.default_rng(0))
+    number = batch.observation[:, 0]
+    assert len(number.unique()) > 10
+    assert (batch.action == -number[:, None]).all()
+    assert (batch.reward == 10 * number).all()
+    assert (batch.terminated == (number % 2 == 0)).all()
+    assert (batch.following == number[:, None] + 0.5).all()
+
+
+@pytest.mark.parametrize("count", [3, 4, 6, 7])
+def test_what_is_saved_comes_back_in_its_places(count, tmp_path):
+    buffer, copy = ReplayBuffer(4, 3, 2), ReplayBuffer(4, 3, 2)
+    fill(buffer, range(count))
+    path = tmp_path / "replay.safetensors"
+    copy.load(path, buffer.save(path))
+    for each in (9, 10):
+        assert np.array_equal(copy.rows, buffer.rows)
+        assert (copy.size, copy.next) == (buffer.size, buffer.next)
+        fill(buffer, [each])
+        fill(copy, [each])
+
+
+def test_what_is_saved_comes_back_oldest_first_in_a_ring_of_another_size(tmp_path):
+    buffer = ReplayBuffer(4, 3, 2)
+    fill(buffer, range(6))
+    path = tmp_path / "replay.safetensors"
+    checksum = buffer.save(path)
+    for capacity, expected in ((3, [3, 4, 5]), (6, [2, 3, 4, 5])):
+        copy = ReplayBuffer(capacity, 3, 2)
+        copy.load(path, checksum)
+        assert held(copy) == expected
+    fill(copy, [6])
+    assert held(copy) == [2, 3, 4, 5, 6]
+
+
+def cut(part):
+    return lambda path: path.write_bytes(path.read_bytes()[: int(part * path.stat().st_size)])
+
+
+@pytest.mark.parametrize(
+    ("damage", "observations", "message"),
+    [
+        (cut(0.0), 3, r"replay\.safetensors is damaged.*its policies are whole"),
+        (cut(0.5), 3, r"replay\.safetensors is damaged.*its policies are whole"),
+        (lambda path: None, 4, r"\(4, 10\), and this task has 12 numbers"),
+        (lambda path: path.unlink(), 3, "is missing"),
+    ],
+)
+def test_a_replay_that_cannot_be_taken_up_is_named(damage, observations, message, tmp_path):
+    buffer, path = ReplayBuffer(4, 3, 2), tmp_path / "replay.safetensors"
+    fill(buffer, range(4))
+    checksum = buffer.save(path)
+    damage(path)
+    with pytest.raises(ConfigError, match=message):
+        ReplayBuffer(4, observations, 2).load(path, checksum)
+
+
+def test_updates_see_the_reward_with_the_extra_weights():
+    batch = EnvBatch(EnvConfig(count=2), np.random.default_rng(0))
+    steps = batch.step(batch.uniform())
+    for weights in ({}, {"power": 2.0, "jerk": -1.0}):
+        extra = [
+            sum(weight * info["reward_terms"][name] for name, weight in weights.items())
+            for info in steps.infos
+        ]
+        np.testing.assert_allclose(shaped(weights, steps), steps.reward + extra)
+    assert np.abs(shaped({"power": 2.0}, steps) - steps.reward).min() > 0
+
+
+def test_a_term_that_the_reward_lacks_is_refused_with_those_it_has():
+    with pytest.raises(ConfigError, match=r"shaping names energy, .*alive, speed, .*jerk, power"):
+        check_shaping({"energy": 1.0, "jerk": 1.0}, EnvConfig(name="hexapod-command"))
+
+
+def test_a_reward_without_named_terms_cannot_be_shaped(monkeypatch):
+    monkeypatch.setattr(envs, "make", lambda name, **options: PointingEnv())
+    with pytest.raises(ConfigError, match="it has no named terms"):
+        check_shaping({"jerk": 1.0}, EnvConfig())
+
+
+def test_a_weight_is_set_by_its_name_and_shown_as_an_override():
+    config = resolve(SacConfig, "hexapod-sac", overrides=["shaping.power=2.0"])
+    assert config.shaping == {"power": 2.0}
+    assert differences(config) == ["shaping.power=2.0"]

@@ -4,14 +4,13 @@ import torch
 from snntorch import surrogate as snn_surrogate
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.policies import neurons
+from spikedeploy.trainers.policies import build, neurons
 from spikedeploy.trainers.policies.neurons import (
     cuba_lif,
-    gradients,
     integrate_and_fire,
-    membranes,
     surrogate,
 )
+from spikedeploy.trainers.policies.spiking import TorchRateEncoder
 
 ALPHA, BETA, THRESHOLD = 0.9, 0.8, 0.5
 
@@ -30,12 +29,16 @@ class Box(torch.autograd.Function):
         return upstream * (excess.abs() < 0.5)
 
 
-REFERENCES = {"atan": snn_surrogate.atan(alpha=2.0), "rectangular": Box.apply}
+REFERENCES = {
+    "atan": snn_surrogate.atan(alpha=2.0),
+    "rectangular": Box.apply,
+    "fast-sigmoid": snn_surrogate.fast_sigmoid(slope=25),
+}
 
 
-def snntorch_layer(drive, spike_grad):
+def snntorch_layer(drive, spike_grad, alpha=ALPHA):
     layer = snntorch.Synaptic(
-        alpha=torch.tensor(ALPHA, dtype=drive.dtype),
+        alpha=torch.tensor(alpha, dtype=drive.dtype),
         beta=torch.tensor(BETA, dtype=drive.dtype),
         threshold=torch.tensor(THRESHOLD, dtype=drive.dtype),
         spike_grad=spike_grad,
@@ -58,15 +61,16 @@ def test_fused_layer_spikes_as_snntorch_does():
     assert torch.equal(ours, theirs)
 
 
-@pytest.mark.parametrize("name", ["atan", "rectangular"])
-@pytest.mark.parametrize("timesteps", [1, 5, 20])
-def test_fused_gradient_equals_snntorch(name, timesteps):
+@pytest.mark.parametrize("alpha", [0.0, ALPHA])
+@pytest.mark.parametrize("name", REFERENCES)
+@pytest.mark.parametrize("timesteps", [1, 20])
+def test_fused_gradient_equals_snntorch(name, timesteps, alpha):
     generator = torch.manual_seed(timesteps)
     drive = torch.randn(timesteps, 4, 32, dtype=torch.float64, generator=generator) * 0.5
     weight = torch.randn(timesteps, 4, 32, dtype=torch.float64, generator=generator)
     ours, theirs = drive.clone().requires_grad_(), drive.clone().requires_grad_()
-    (cuba_lif(ours, ALPHA, BETA, THRESHOLD, surrogate(name)) * weight).sum().backward()
-    (snntorch_layer(theirs, REFERENCES[name]) * weight).sum().backward()
+    (cuba_lif(ours, alpha, BETA, THRESHOLD, surrogate(name)) * weight).sum().backward()
+    (snntorch_layer(theirs, REFERENCES[name], alpha) * weight).sum().backward()
     assert theirs.grad.abs().max() > 0.1
     # snnTorch casts spikes to float32, so its float64 gradients are exact to that and no better
     torch.testing.assert_close(ours.grad, theirs.grad, rtol=1e-5, atol=1e-6)
@@ -131,39 +135,47 @@ def test_compiled_loops_have_the_bits_of_the_plain_ones(alpha, dtype, monkeypatc
     assert torch.equal(compiled[1], plain[1])
 
 
-def test_gradients_do_not_depend_on_how_tensors_lie_in_memory():
-    membrane, slope, upstream = torch.rand(3, 7, 4, 5, generator=torch.manual_seed(4))
-    apart = [each.transpose(1, 2).contiguous().transpose(1, 2) for each in (membrane, slope)]
-    expected = neurons._gradients(membrane, slope.clone(), upstream, ALPHA, BETA, THRESHOLD)
-    found = gradients(*apart, upstream, ALPHA, BETA, THRESHOLD)
-    assert torch.equal(found, expected)
-
-
-def test_a_gradient_of_a_gradient_is_refused():
-    drive = torch.rand(4, 2, 3, generator=torch.manual_seed(5)).requires_grad_()
-    spikes = cuba_lif(drive, ALPHA, BETA, THRESHOLD, surrogate("atan"))
-    (gradient,) = torch.autograd.grad(spikes.square().sum(), drive, create_graph=True)
-    with pytest.raises(RuntimeError, match="once_differentiable"):
-        gradient.sum().backward()
-
-
-@pytest.mark.parametrize("alpha", [0.0, ALPHA])
-def test_infinite_gradients_are_the_same_in_both_forms(alpha):
-    membrane, slope, upstream = torch.rand(3, 9, 4, 5, generator=torch.manual_seed(6))
-    upstream[2:, 0, 0] = torch.inf
-    arguments = upstream, alpha, BETA, THRESHOLD
-    plain = neurons._gradients(membrane, slope.clone(), *arguments)
-    found = gradients(membrane, slope, *arguments)
-    assert torch.equal(found.nan_to_num(), plain.nan_to_num())
-    assert not plain.isfinite().all()
-
-
-def test_nan_stays_nan_in_both_forms():
-    drive = torch.randn(40, 6, 33, generator=torch.manual_seed(2))
-    drive[3, 0, 0] = torch.nan
-    compiled, plain = (
-        each(drive, ALPHA, BETA, THRESHOLD) for each in (membranes, neurons._membranes)
+def policy(**settings):
+    torch.manual_seed(0)
+    return build(
+        {"kind": "spiking-mlp", "observations": 6, "actions": 4, "hidden": [32, 16], **settings}
     )
-    assert torch.equal(compiled.nan_to_num(), plain.nan_to_num())
-    assert torch.equal(compiled.isnan(), plain.isnan())
-    assert plain[3:, 0, 0].isnan().all()
+
+
+def test_the_readout_takes_the_firing_rates_of_the_last_layer():
+    network, observation = policy(head="discrete"), torch.rand(5, 6) * 2 - 1
+    trace = network.trace(observation)
+    rates = trace["lif2"].float().mean(1)
+    scores = network.scores(observation)
+    torch.testing.assert_close(network.readout(rates), scores)
+    assert torch.equal(trace["action"], scores.argmax(-1))
+    assert torch.equal(network(observation), trace["action"])
+
+
+def test_a_raster_replaces_the_encoder():
+    network, observation = policy(coding="bernoulli"), torch.rand(5, 6) * 2 - 1
+    first = network.trace(observation)
+    again = network.trace(observation, first["input"])
+    assert all(torch.equal(first[name], again[name]) for name in first)
+
+
+@pytest.mark.parametrize("mode", ["regular", "bernoulli"])
+def test_a_rate_code_spikes_as_often_as_the_observation_is_large(mode):
+    torch.manual_seed(0)
+    observation = torch.tensor([[-1.0, -0.5, 0.0, 0.25, 1.0, 7.0]])
+    spikes = TorchRateEncoder(6, mode)(observation, 4096)
+    expected = torch.tensor([[0.0, 0.25, 0.5, 0.625, 1.0, 1.0]])
+    torch.testing.assert_close(spikes.mean(0), expected, atol=0.02, rtol=0)
+    assert spikes[:, 0, 0].sum() == 0
+    assert spikes[:, 0, 4].min() == 1
+
+
+def test_regular_spikes_are_evenly_spaced_and_begin_half_way():
+    spikes = TorchRateEncoder(2, "regular")(torch.tensor([[-0.5, 0.0]]), 8)
+    assert spikes[:, 0, 0].tolist() == [0, 1, 0, 0, 0, 1, 0, 0]
+    assert spikes[:, 0, 1].tolist() == [1, 0, 1, 0, 1, 0, 1, 0]
+
+
+def test_untrained_layers_spike():
+    rates = policy().latent(torch.rand(200, 6) * 2 - 1).rates
+    assert all(0.05 < rate < 0.5 for rate in rates)

@@ -122,28 +122,6 @@ def test_hidden_neurons_can_be_left_as_they_are(start, tmp_path):
     assert changed == {"out.weight", "past.weight", "action_bias", "_gamma"}
 
 
-def test_a_resumed_run_ends_as_one_that_was_not_interrupted(start, tmp_path, monkeypatch):
-    from spikedeploy.trainers.sparse.ppo import SparsePpo
-
-    overrides = [f"start={start}"]
-    whole = train("smoke-sparse-tuned", overrides=overrides, runs=tmp_path, quiet=True)
-    iterate = SparsePpo._iterate
-    with monkeypatch.context() as patch:
-        patch.setattr(
-            SparsePpo, "_iterate", lambda self, stop: self.iterations < 2 and iterate(self, stop)
-        )
-        part = train("smoke-sparse-tuned", overrides=overrides, runs=tmp_path, quiet=True)
-    assert RunFolder(part).load("last")[0]["iterations"] == 2
-    train("smoke-sparse-tuned", resume=part, quiet=True)
-    (one, state), (other, again) = (
-        (tensors, state) for state, tensors in (RunFolder(r).load("last") for r in (whole, part))
-    )
-    assert state == again
-    assert one.keys() == other.keys()
-    assert all(torch.equal(one[name], other[name]) for name in one)
-    assert len(read(part / "metrics.csv")) == 4
-
-
 def test_a_run_is_resumed_where_it_was_moved_with_its_start(start, tmp_path, monkeypatch):
     from spikedeploy.trainers.sparse.ppo import SparsePpo
 
@@ -218,14 +196,6 @@ def test_exploration_and_replay_compute_with_the_weights_of_the_chip(played):
         exploring = learner.student.acting().weights()
         torch.testing.assert_close(getattr(exploring, name), plain + added)
         torch.testing.assert_close(getattr(learner.student.weights(), name), plain + added)
-
-
-def test_noise_falls_to_its_last_value(played):
-    learner, *_ = played
-    learner.schedule(0.5)
-    assert learner.head.spread == pytest.approx(0.15)
-    learner.schedule(1.0)
-    assert learner.head.spread == pytest.approx(0.1)
 
 
 def test_the_learning_rate_follows_the_divergence(played):

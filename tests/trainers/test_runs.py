@@ -1,23 +1,29 @@
+"""What a run leaves, and what is damaged in it: a sentence, with what can be saved."""
+
+import errno
 import io
 import json
+import os
 import re
 import signal
 
 import pytest
+import safetensors.torch
 import torch
 from rich.console import Console
-from safetensors.torch import load_file
+from safetensors import SafetensorError
 
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
-from spikedeploy.trainers.metrics import Metrics, read
+from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.progress import Journal, ProgressBar
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.sac.learner import SacConfig
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import PointingEnv
+from tests.trainers.test_resume import KART, SAC, After, resumed
 
 TINY = [
     "steps=400", "warm_up=40", "batch=8", "policy.hidden=[8]", "critic_hidden=[8]",
@@ -60,39 +66,6 @@ def test_a_run_leaves_all_its_files(tmp_path, world):
     assert json.loads((run / "versions.json").read_text())["torch"] == torch.__version__
 
 
-def test_interrupted_training_leaves_a_checkpoint_and_resumes(tmp_path, world):
-    world.interrupt_at = 170
-    run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
-    state = last(run)
-    assert 100 < state["env_steps"] < 400
-    assert not state["finished"]
-    assert (run / "replay.safetensors").is_file()
-
-    assert train("smoke", resume="last", runs=tmp_path, quiet=True) == run
-    done = last(run)
-    assert done["finished"]
-    assert (done["env_steps"], done["updates"]) == (400, 90)
-    steps = [row["env_steps"] for row in read(run / "metrics.csv")]
-    assert steps == sorted(set(steps))
-    assert steps[-1] == 400
-
-
-def test_a_resumed_run_continues_from_its_weights_and_moments(tmp_path, world):
-    world.interrupt_at = 170
-    run = RunFolder(train("smoke", overrides=TINY, runs=tmp_path, quiet=True))
-    before = run.load("last")[1]
-    state = last(run.path)
-    # nothing is left to do, so that what is written again is what was read
-    again = [f"steps={state['env_steps'] + 2}", "update_every=1000000"]
-    train("smoke", resume=run.path, overrides=again, runs=tmp_path, quiet=True)
-    after = run.load("last")[1]
-    assert last(run.path)["updates"] == state["updates"]
-    for name in before:
-        if "adam" in name or name.startswith(("critic", "target", "policy.layers")):
-            assert torch.equal(before[name], after[name]), name
-    assert any(name.startswith("critic_adam.0.exp_avg") for name in before)
-
-
 def test_a_finished_run_is_left_as_it_is(tmp_path, world):
     run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
     before = (run / "checkpoints" / "last.safetensors").read_bytes()
@@ -106,24 +79,6 @@ def test_a_run_of_another_recipe_is_not_resumed(tmp_path, world):
     run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
     with pytest.raises(ConfigError, match="is a run of 'smoke', not of 'smoke-popsan'"):
         train("smoke-popsan", resume=run, runs=tmp_path, quiet=True)
-
-
-def test_best_is_the_best_of_the_validations(tmp_path, world):
-    run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
-    returns = [row["eval_return"] for row in read(run / "metrics.csv") if "eval_return" in row]
-    best = json.loads((run / "checkpoints" / "best.json").read_text())
-    assert best["eval_return"] == pytest.approx(max(returns))
-    assert best["policy"]["kind"] == "mlp"
-
-
-def test_equal_seeds_give_equal_weights(tmp_path, world):
-    first, second, other = (
-        load_file(train("smoke", overrides=TINY, seed=seed, runs=tmp_path, quiet=True)
-                  / "checkpoints" / "last.safetensors")
-        for seed in (1, 1, 2)
-    )  # fmt: skip
-    assert all(torch.equal(first[name], second[name]) for name in first)
-    assert not torch.equal(first["policy.layers.0.weight"], other["policy.layers.0.weight"])
 
 
 def test_load_policy_takes_best_and_else_last(tmp_path):
@@ -159,20 +114,6 @@ def test_a_start_that_is_interrupted_leaves_no_run_folder(tmp_path, world, monke
     with pytest.raises(KeyboardInterrupt):
         train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_ctrl_c_is_acknowledged_and_says_how_to_go_on(tmp_path, world, command, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    world.interrupt_at = 170
-    changes = [word for setting in TINY for word in ("--set", setting)]
-    code, out, err = command("train", "smoke", *changes)
-    assert (code, out) == (130, "")
-    first, acknowledged, last_line = err.splitlines()
-    assert first.startswith("smoke-s0-")
-    assert acknowledged.startswith("stopping after this step …")
-    assert last_line == "stopped at 40 %; go on with `spikedeploy train --resume last`"
-    code, out, err = command("train", "--resume", "last")
-    assert (code, out.splitlines()[0]) == (0, f"trained: runs/{first}")
 
 
 def bar_of(width, **row):
@@ -239,35 +180,9 @@ def test_a_path_that_is_no_run_is_named(tmp_path):
         RunFolder.create(tmp_path, resolve(SacConfig, "smoke")).policy("best")
 
 
-def test_a_broken_checkpoint_is_named(tmp_path):
-    run = RunFolder.create(tmp_path, resolve(SacConfig, "smoke"))
-    run.save("last", MlpPolicy(2, 1, (3,)), {})
-    path = run.checkpoint("last")
-    path.write_bytes(path.read_bytes()[:50])
-    with pytest.raises(ConfigError, match=r"last\.safetensors is not a valid checkpoint"):
-        run.load("last")
-
-
 def test_two_runs_of_the_same_second_have_different_folders(tmp_path):
     config = resolve(SacConfig, "smoke")
     assert len({RunFolder.create(tmp_path, config).path for _ in range(3)}) == 3
-
-
-def test_metrics_after_the_checkpoint_are_dropped(tmp_path):
-    metrics = Metrics(tmp_path / "metrics.csv", ("step", "loss"))
-    metrics.begin()
-    for step in (1, 2, 3):
-        metrics.add({"step": step} | ({"loss": 0.5} if step == 2 else {}))
-    metrics.rewind(2)
-    assert read(metrics.path) == [{"step": 1.0}, {"step": 2.0, "loss": 0.5}]
-
-
-def test_a_journal_drops_values_without_a_column(tmp_path):
-    run = RunFolder.create(tmp_path, resolve(SacConfig, "smoke"))
-    journal = Journal(run, ("env_steps", "loss"), ProgressBar("", quiet=True))
-    journal.add({"env_steps": 1, "loss": 0.5, "eval_finish": 1.0})
-    journal.close()
-    assert read(run.metrics) == [{"env_steps": 1.0, "loss": 0.5}]
 
 
 @pytest.mark.parametrize(("row", "seen"), [
@@ -390,3 +305,167 @@ def test_a_page_that_is_written_meanwhile_changes_nothing_that_is_learned(tmp_pa
     assert set(watched) == {runs[1]}
     states = [(run / "checkpoints/last.safetensors").read_bytes() for run in runs]
     assert states[0] == states[1]
+
+
+@pytest.fixture
+def run(world, tmp_path):
+    """A run that was stopped on its way."""
+    return train("smoke", overrides=SAC, runs=tmp_path, quiet=True, interrupt=After(43))
+
+
+def flip(path, part):
+    content = bytearray(path.read_bytes())
+    content[int(part * len(content))] ^= 4
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(("name", "part"), [("last", 0.02), ("last", 0.6), ("best", 0.999)])
+def test_a_flipped_bit_of_a_checkpoint_is_found(name, part, run):
+    flip(RunFolder(run).checkpoint(name), part)
+    other = {"last": "best", "best": "last"}[name]
+    with pytest.raises(ConfigError, match=rf"{name}\.safetensors is not .*--checkpoint {other}"):
+        load_policy(run, name)
+    load_policy(run, other)
+
+
+def test_a_run_without_its_weights_is_neither_trained_from_the_beginning_nor_changed(run):
+    """As an unpacked training is, of which only what others read was kept."""
+    for path in (run / "checkpoints").glob("*.safetensors"):
+        path.unlink()
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    with pytest.raises(ConfigError, match=r"last\.safetensors is missing, .* cannot be resumed"):
+        train(None, resume=run, overrides=["steps=303"], quiet=True)
+    with pytest.raises(ConfigError, match=r"best\.safetensors is missing, .*train again"):
+        load_policy(run, "best")
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize("damage", ["flip", "half"])
+def test_a_damaged_replay_is_named_and_the_policies_are_whole(damage, run):
+    replay = RunFolder(run).replay
+    if damage == "flip":
+        flip(replay, 0.7)
+    else:
+        replay.write_bytes(replay.read_bytes()[: replay.stat().st_size // 2])
+    with pytest.raises(ConfigError, match=r"replay\.safetensors is damaged.*spikedeploy export"):
+        resumed(run)
+    load_policy(run)
+
+
+def test_a_configuration_that_was_cut_off_is_refused(run):
+    file = run / "config.json"
+    file.write_text(changed := file.read_text()[:99])
+    with pytest.raises(ConfigError, match=r"cannot read .*config\.json"):
+        resumed(run)
+    assert file.read_text() == changed
+
+
+def test_files_in_ghosts_that_training_did_not_write_stay(tmp_path):
+    run = train("smoke-kart", overrides=KART, runs=tmp_path, quiet=True, interrupt=After(4))
+    mine, later = run / "ghosts" / "abc.npz", run / "ghosts" / "00099.npz"
+    mine.parent.mkdir(exist_ok=True)
+    mine.write_bytes(b"whatever")
+    later.write_bytes(b"whatever")
+    resumed(run)
+    assert mine.read_bytes() == b"whatever"
+    assert not later.exists()
+
+
+@pytest.mark.parametrize("content", [b"\x00" * 90, b"1,2,3\n"])
+def test_damaged_episodes_are_named(content, tmp_path):
+    run = train("smoke-kart", overrides=KART, runs=tmp_path, quiet=True, interrupt=After(4))
+    (run / "episodes.csv").write_bytes(content)
+    with pytest.raises(ConfigError, match=r"episodes\.csv is damaged: .*move it away"):
+        resumed(run)
+    (run / "episodes.csv").unlink()
+    resumed(run)
+
+
+def test_a_row_that_a_full_disk_cut_off_after_the_checkpoint_is_dropped(run):
+    with (run / "metrics.csv").open("a") as file:
+        file.write("177,12")
+    resumed(run)
+    steps = [row["env_steps"] for row in read(run / "metrics.csv")]
+    assert steps == sorted(set(steps))
+
+
+def test_what_a_kill_left_of_unfinished_files_is_deleted_and_exports_stay(run):
+    ours = [run / ".config.json.77.part", run / "checkpoints" / ".last.safetensors.77.part"]
+    (run / "films").mkdir()
+    ours.append(run / "films" / ".80.gif.77.part")
+    other = run / ".net.nir.77.part"
+    for path in (*ours, other):
+        path.write_bytes(b"half")
+    resumed(run)
+    assert other.is_file()
+    assert not any(path.exists() for path in ours)
+
+
+def test_a_run_that_is_trained_can_be_read_and_not_resumed(run):
+    with RunFolder(run).locked():
+        with pytest.raises(ConfigError, match=rf"is being trained .*process {os.getpid()} on"):
+            resumed(run)
+        load_policy(run)
+
+
+full = OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize(
+    "error", [full, SafetensorError("I/O error: No space left on device (os error 28)")]
+)
+def test_a_full_disk_is_a_sentence_and_the_checkpoint_before_is_whole(
+    error, world, tmp_path, monkeypatch
+):
+    saved, save = [], safetensors.torch.save_file
+
+    def failing(tensors, path, **named):
+        save(tensors, path, **named)
+        saved.append(path)
+        if len(saved) > 4:
+            raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(safetensors.torch, "save_file", failing)
+        with pytest.raises(ConfigError, match=r"could not be written: .*No space left on device"):
+            train("smoke", overrides=SAC, runs=tmp_path, quiet=True)
+    (run,) = tmp_path.iterdir()
+    assert not list(run.rglob("*.part"))
+    RunFolder(run).load("last")
+    resumed(run)
+    assert json.loads((run / "checkpoints" / "last.json").read_text())["finished"]
+
+
+def test_runs_that_cannot_be_made_are_a_sentence(world, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match=r"cannot make a run folder in .*--runs"):
+        train("smoke", overrides=SAC, runs=tmp_path / "file" / "runs", quiet=True)
+
+
+@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+def test_signals_stop_at_a_checkpoint(name, code, tmp_path, monkeypatch, command):
+    class Interrupting(PointingEnv):
+        count = 0
+
+        def step(self, action):
+            Interrupting.count += 1
+            if Interrupting.count == 50:
+                signal.raise_signal(getattr(signal, name))
+            return super().step(action)
+
+    monkeypatch.setattr(envs, "make", lambda name, **options: Interrupting())
+    changes = [word for setting in SAC for word in ("--set", setting)]
+    found, _, err = command("train", "smoke", "--runs", tmp_path, *changes)
+    assert found == code
+    assert "go on with `spikedeploy train --resume last" in err
+    (run,) = tmp_path.iterdir()
+    assert 0 < json.loads((run / "checkpoints" / "last.json").read_text())["env_steps"] < 300
+
+
+def test_a_hangup_that_nohup_ignores_stays_ignored(world, tmp_path):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with After(0):
+            assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
