@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.schema import validated
@@ -26,18 +26,8 @@ Kept = Annotated[int, Field(gt=0, le=10**8)]
 Copies = Annotated[int, Field(gt=0, le=4096)]
 Rate = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
-_MAX_EVENTS = 256  # as runtime.codec.delta has it, which is not imported for a number
-
-
-def _checked_events(events: int) -> int:
-    if not 1 <= events <= _MAX_EVENTS:
-        raise ValueError(
-            f"must be from 1 to {_MAX_EVENTS} events of an observation in a control step"
-        )
-    return events
-
-
-Events = Annotated[int, AfterValidator(_checked_events)]
+# of an observation in a control step; as runtime.codec.delta has it, not imported for a number
+Events = Annotated[int, Field(ge=1, le=256)]
 
 
 class _Section(BaseModel):
@@ -76,11 +66,6 @@ class MlpConfig(_Section):
     hidden: tuple[Width, ...] = (512, 512)
     features: Literal["all", "phase", "bilinear", "fourier"] = "all"
 
-    @property
-    def spiking_layers(self) -> int:
-        """Number of spiking layers, without the encoder."""
-        return 0
-
 
 class PopsanConfig(_Section):
     """A population-coded spiking actor (Tang et al. 2020), with the hexapod's decay factors."""
@@ -94,11 +79,6 @@ class PopsanConfig(_Section):
     threshold: Rate = 0.5
     surrogate: Literal["atan", "rectangular"] = "atan"
     surrogate_width: Rate | None = None  # None: 2.0 for atan (alpha), 0.5 for rectangular
-
-    @property
-    def spiking_layers(self) -> int:
-        """Number of spiking layers without the encoder; the last one codes the actions."""
-        return len(self.hidden) + 1
 
 
 class SpikingMlpConfig(_Section):
@@ -119,11 +99,6 @@ class SpikingMlpConfig(_Section):
     threshold: Rate = 0.7
     surrogate: Literal["fast-sigmoid", "atan", "rectangular"] = "fast-sigmoid"
     surrogate_width: Rate | None = None  # None: 25 for fast-sigmoid, others as in PopsanConfig
-
-    @property
-    def spiking_layers(self) -> int:
-        """Number of spiking layers, without the encoder."""
-        return len(self.hidden)
 
 
 class ChipSnnConfig(_Section):
@@ -151,11 +126,6 @@ class ChipSnnConfig(_Section):
     surrogate: Literal["fast-sigmoid", "atan", "rectangular"] = "atan"
     surrogate_width: Rate | None = None
 
-    @property
-    def spiking_layers(self) -> int:
-        """Number of spiking layers without the encoder; the last one codes the actions."""
-        return len(self.hidden) + 1
-
 
 class DeltaSnnConfig(_Section):
     """Signed events into a small layer of LIF neurons, and past it into leaky readouts.
@@ -178,11 +148,6 @@ class DeltaSnnConfig(_Section):
     clock: Literal["gated", "pipelined"] = "pipelined"
     surrogate_width: Rate = 2.0
 
-    @property
-    def spiking_layers(self) -> int:
-        """Number of spiking layers, without the encoder and the readout."""
-        return int(self.hidden > 0)
-
 
 class DeltaMlpConfig(_Section):
     """Signed events into a layer of sigma-delta ReLU neurons, and past it into the readout.
@@ -200,11 +165,6 @@ class DeltaMlpConfig(_Section):
     clock: Literal["gated", "pipelined"] = "pipelined"
     threshold: Rate = 0.5
 
-    @property
-    def spiking_layers(self) -> int:
-        """Number of layers that send spikes, graded ones here; without encoder and readout."""
-        return 1
-
 
 class PrunedMlpConfig(_Section):
     """A small float network with a skip connection, pruned as the spiking ones are."""
@@ -212,11 +172,6 @@ class PrunedMlpConfig(_Section):
     kind: Literal["pruned-mlp"] = "pruned-mlp"
     hidden: tuple[Width, ...] = (16,)
     skip: bool = True
-
-    @property
-    def spiking_layers(self) -> int:
-        """Number of spiking layers: none."""
-        return 0
 
 
 PolicyConfig = Annotated[
@@ -229,6 +184,15 @@ PolicyConfig = Annotated[
     | PrunedMlpConfig,
     Field(discriminator="kind"),
 ]
+
+
+def spiking_layers(policy: PolicyConfig) -> int:
+    """Return the number of a policy's spiking layers, graded ones included; without its encoder."""
+    if isinstance(policy, DeltaSnnConfig | DeltaMlpConfig):
+        return int(policy.hidden > 0)
+    if isinstance(policy, PopsanConfig | ChipSnnConfig):  # whose last layer codes the actions
+        return len(policy.hidden) + 1
+    return len(policy.hidden) if isinstance(policy, SpikingMlpConfig) else 0
 
 
 class NormaliserConfig(_Section):
@@ -303,7 +267,13 @@ def amended(base: C, *, file: str | Path | None = None, overrides: Iterable[str]
     """Return a configuration changed by the file and then by the overrides."""
     settings = base.model_dump(mode="json")
     if file is not None:
-        settings = _overlaid(settings, _read_toml(file), str(file))
+        try:
+            tables = tomllib.loads(Path(file).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ConfigError(f"cannot read the configuration file {file}: {error}") from error
+        except (ValueError, RecursionError) as error:
+            raise ConfigError(f"{file} is not valid TOML: {error}") from error
+        settings = _overlaid(settings, tables, str(file))
     for text in overrides:
         settings = _overlaid(settings, parse_override(text), f"--set {text}")
     return validated(type(base), settings, f"recipe {base.recipe}")
@@ -349,17 +319,6 @@ def known(name: str, names: Iterable[str], kind: str, remedy: str = "") -> str:
     near = difflib.get_close_matches(name, choices, n=3)
     hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(choices)}"
     raise ConfigError(f"unknown {kind} '{name}': {hint}{remedy}")
-
-
-def _read_toml(file: str | Path) -> dict[str, Any]:
-    """Return the tables of a TOML file."""
-    try:
-        tables: dict[str, Any] = tomllib.loads(Path(file).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"cannot read the configuration file {file}: {error}") from error
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{file} is not valid TOML: {error}") from error
-    return tables
 
 
 def parse_override(text: str) -> dict[str, Any]:

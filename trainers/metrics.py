@@ -6,14 +6,11 @@ import math
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from spikedeploy.files import flush, replacing
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.run_folder import write_errors
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _CURVES = {"episode_return": "training", "eval_return": "validation"}
 _MAX_BYTES = 100_000_000  # of a table, of which a training writes a thousandth
@@ -149,20 +146,14 @@ def draw_curve(metrics: Path, picture: Path, title: str) -> bool:
     axes.set(xlabel=steps.replace("_", " "), ylabel="return", title=title)
     axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
     axes.grid(alpha=0.3)
-    _draw_operations(axes, [(r[steps], r[_OPERATIONS]) for r in rows if _OPERATIONS in r])
+    if points := [(row[steps], row[_OPERATIONS]) for row in rows if _OPERATIONS in row]:
+        right, grey = axes.twinx(), "#8A939E"
+        right.plot(*zip(*points, strict=True), "--", color=grey, linewidth=1)
+        right.set_ylabel("operations of a control step (dashed)", color=grey)
+        right.set_ylim(0, 1.15 * max(count for _, count in points) or 1.0)
+        right.tick_params(axis="y", colors=grey)
     axes.legend()
     with replacing(picture) as part:
         FigureCanvasAgg(figure)
         figure.savefig(part, format="png", dpi=120)
     return True
-
-
-def _draw_operations(axes: "Axes", points: list[tuple[float, float]]) -> None:
-    """Draw (step, operations of a control step) on an axis of their own, at the right."""
-    if not points:
-        return
-    right, grey = axes.twinx(), "#8A939E"
-    right.plot(*zip(*points, strict=True), "--", color=grey, linewidth=1)
-    right.set_ylabel("operations of a control step (dashed)", color=grey)
-    right.set_ylim(0, 1.15 * max(count for _, count in points) or 1.0)
-    right.tick_params(axis="y", colors=grey)

@@ -90,7 +90,11 @@ class ProgressBar:
         count = f"{step:,} / {total:,}"
         with suppress(OSError):
             self._bar.update(self._task, completed=step, total=total, count=count)
-            self._bar.note = self._note()
+            speed, latest = self._bar.tasks[self._task].speed, dict(self._latest)
+            if speed is not None:  # of the last half minute; a row's is of the steps before it
+                latest |= {name: speed for name in latest if name.endswith("_per_s")}
+            known = (key for key in _SHOWN if key in latest)
+            self._bar.note = "  ".join(_SHOWN[key].format(latest[key]) for key in known)
             paused = time.monotonic() - self._printed >= PAUSE
             if paused and not (self._quiet or self._screen.is_terminal):
                 self._printed = time.monotonic()
@@ -98,13 +102,6 @@ class ProgressBar:
                 time_left = "" if left is None else f"{timedelta(seconds=round(left))} left"
                 parts = count, f"{100 * step / total:.0f} %", time_left, self._bar.note
                 print("  ".join(filter(None, parts)), file=sys.stderr, flush=True)
-
-    def _note(self) -> str:
-        """Return the latest numbers, with the speed of the last half minute where it is known."""
-        speed, latest = self._bar.tasks[self._task].speed, dict(self._latest)
-        if speed is not None:  # a row's is of the steps before that row
-            latest |= {name: speed for name in latest if name.endswith("_per_s")}
-        return "  ".join(_SHOWN[key].format(latest[key]) for key in _SHOWN if key in latest)
 
 
 class Journal:
@@ -138,7 +135,11 @@ class Journal:
         """Report one row of metrics; values without a column are dropped."""
         known = {name: row[name] for name in self.metrics.columns if name in row}
         self.metrics.add(known)
-        shown = _success_and_spike_rate(row)
+        shown = {}  # what TensorBoard and people see of a validation, and the CSV has not
+        if (success := row.get("eval_success", row.get("eval_finish"))) is not None:
+            shown["eval_success"] = success
+        if (rate := spike_rate(row)) is not None:
+            shown["spike_rate"] = rate
         self.board.add(int(row[self.metrics.columns[0]]), {**known, **shown})
         self.bar.show({**row, **shown})
         if self._watch is not None:
@@ -154,16 +155,6 @@ class Journal:
     def close(self) -> None:
         """Close the files."""
         self.board.close()
-
-
-def _success_and_spike_rate(row: Mapping[str, float]) -> dict[str, float]:
-    """Return what TensorBoard and people see of a validation, and the CSV has not."""
-    shown = {}
-    if (success := row.get("eval_success", row.get("eval_finish"))) is not None:
-        shown["eval_success"] = success
-    if (rate := spike_rate(row)) is not None:
-        shown["spike_rate"] = rate
-    return shown
 
 
 class _TensorBoardLog:
@@ -223,8 +214,13 @@ class Interrupt:
 
     def __enter__(self) -> "Interrupt":
         if threading.current_thread() is threading.main_thread():  # elsewhere Python forbids it
-            for number in _signals():
-                self._before[number] = signal.signal(number, self._request)
+            for name in _SIGNALS:
+                number = getattr(signal, name, None)
+                before = signal.getsignal(number) if number is not None else None
+                # SIGHUP is none to listen to where nohup has it ignored
+                ignored = before == signal.SIG_IGN and name != "SIGINT"
+                if number is not None and before is not None and not ignored:
+                    self._before[number] = signal.signal(number, self._request)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -239,14 +235,3 @@ class Interrupt:
         if self.bar is not None:
             with suppress(OSError):  # of a terminal that was closed
                 self.bar.say("stopping after this step … (Ctrl-C again stops at once)")
-
-
-def _signals() -> list[int]:
-    """Return the signals to listen to; SIGHUP is not one where nohup has it ignored."""
-    found = [getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)]
-    return [
-        number
-        for number in found
-        if (handler := signal.getsignal(number)) is not None
-        and (number == signal.SIGINT or handler != signal.Handlers.SIG_IGN)
-    ]

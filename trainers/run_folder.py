@@ -64,9 +64,13 @@ class RunFolder:
     @classmethod
     def create(cls, runs: str | Path, config: "RunConfig") -> "RunFolder":
         """Return a new folder with configuration and versions."""
-        stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+        from spikedeploy.trainers.recipes import RECIPES
+
+        title, stamp = config.recipe, datetime.now().strftime("%Y%m%d-%H%M%S")
+        if title in RECIPES and RECIPES[title].any_env:
+            title += "-" + re.sub(r"[^A-Za-z0-9.-]+", "-", config.env.name)
         try:
-            run = cls(_new_folder(Path(runs) / f"{_title(config)}-s{config.seed}-{stamp}"))
+            run = cls(_new_folder(Path(runs) / f"{title}-s{config.seed}-{stamp}"))
             (run.path / "checkpoints").mkdir()
         except OSError as error:
             raise ConfigError(
@@ -83,7 +87,17 @@ class RunFolder:
 
         "last" is the newest with a checkpoint, of the recipe if one is given.
         """
-        return _newest(Path(runs), recipe) if str(name) == "last" else cls(existing_run(name, runs))
+        if str(name) != "last":
+            return cls(existing_run(name, runs))
+        found = [cls(path) for path in runs_in(Path(runs))]
+        if recipe:
+            found = [run for run in found if run.settings()["recipe"] == recipe]
+        usable = [run for run in found if any(run.path.glob("checkpoints/*.safetensors"))]
+        if not usable:
+            of = f" of recipe {recipe}" if recipe else ""
+            none = f"; {len(found)} without a checkpoint" if found else ""
+            raise ConfigError(f"no run{of} in {runs}/{none}: train one first")
+        return max(usable, key=lambda run: (run.path / "config.json").stat().st_mtime_ns)
 
     def settings(self) -> dict[str, Any]:
         """Return the configuration as written, for any algorithm."""
@@ -166,14 +180,14 @@ class RunFolder:
 
     def _remedy(self, name: str) -> str:
         """Return what can be saved of a run whose checkpoint is damaged or missing."""
-        others = sorted(path.stem for path in (self.path / "checkpoints").glob("*.safetensors"))
-        for other in others:
-            if other != name:
-                return (
-                    f"Put the file back, or train again; the checkpoint '{other}' is a file of its "
-                    f"own: `spikedeploy export {self.path} --checkpoint {other}`."
-                )
-        return "Put the file back, or train again."
+        found = sorted(path.stem for path in (self.path / "checkpoints").glob("*.safetensors"))
+        whole = next((other for other in found if other != name), None)
+        return "Put the file back, or train again" + (
+            f"; the checkpoint '{whole}' is a file of its own: "
+            f"`spikedeploy export {self.path} --checkpoint {whole}`."
+            if whole
+            else "."
+        )
 
     def forget(self, counter: str, first: int) -> None:
         """Delete what a run left that was killed before its first checkpoint "last".
@@ -221,16 +235,6 @@ def load_policy(run: str | Path, name: str | None = None, runs: str | Path = "ru
     return RunFolder.find(run, runs).policy(name)
 
 
-def _title(config: "RunConfig") -> str:
-    """Return the recipe; of one for any environment with that, in letters that a path may have."""
-    from spikedeploy.trainers.recipes import RECIPES
-
-    entry = RECIPES.get(config.recipe)
-    if entry is None or not entry.any_env:
-        return config.recipe
-    return f"{config.recipe}-{re.sub(r'[^A-Za-z0-9.-]+', '-', config.env.name)}"
-
-
 def _new_folder(path: Path) -> Path:
     """Make the folder, with a number appended if it exists, and return it."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -240,20 +244,6 @@ def _new_folder(path: Path) -> Path:
             named.mkdir()
             return named
     raise FileExistsError(errno.EEXIST, "exists, and so do 999 beside it", str(path))
-
-
-def _newest(runs: Path, recipe: str) -> RunFolder:
-    """Return the newest run with a checkpoint, of a recipe if given."""
-    found = [RunFolder(path) for path in runs_in(runs)]
-    if recipe:
-        found = [run for run in found if run.settings()["recipe"] == recipe]
-    usable = [run for run in found if any(run.path.glob("checkpoints/*.safetensors"))]
-    if not usable:
-        none = f"; {len(found)} without a checkpoint" if found else ""
-        raise ConfigError(
-            f"no run{f' of recipe {recipe}' if recipe else ''} in {runs}/{none}: train one first"
-        )
-    return max(usable, key=lambda run: (run.path / "config.json").stat().st_mtime_ns)
 
 
 # -- names of runs: a path, a name in a folder of runs, or the beginning of one

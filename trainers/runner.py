@@ -13,7 +13,13 @@ import torch
 from torch import Tensor, nn
 
 from spikedeploy import envs
-from spikedeploy.trainers.config import C, EnvConfig, RunConfig, ValidationConfig
+from spikedeploy.trainers.config import (
+    C,
+    EnvConfig,
+    RunConfig,
+    ValidationConfig,
+    spiking_layers,
+)
 from spikedeploy.trainers.env_batch import EnvBatch
 from spikedeploy.trainers.metrics import Metrics
 from spikedeploy.trainers.policies import Policy
@@ -129,7 +135,7 @@ class Runner(ABC, Generic[C]):
     @classmethod
     def columns(cls, config: RunConfig) -> tuple[str, ...]:
         """Return the names of the metrics, of which the first is the step."""
-        layers = range(1, config.policy.spiking_layers + 1)
+        layers = range(1, spiking_layers(config.policy) + 1)
         return (*cls.COLUMNS, *(f"sparsity_lif{k}" for k in layers))
 
     @classmethod

@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from spikedeploy.errors import ConfigError
-from spikedeploy.trainers.config import RunConfig, amended, known, resolve
+from spikedeploy.trainers.config import RunConfig, amended, known, resolve, spiking_layers
 from spikedeploy.trainers.recipes import RECIPES
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ class TuningPlan:
                 "--objective return-at-sops takes --sops N, the most SOPs of a control step; the "
                 "other objectives take none"
             )
-        if self.counts_sops and not self.config.policy.spiking_layers and not self._events:
+        if self.counts_sops and not spiking_layers(self.config.policy) and not self._events:
             raise ConfigError(
                 f"{self.recipe} trains a float policy, which has no SOPs: --objective return"
             )
@@ -231,7 +231,7 @@ def default_search(config: RunConfig) -> tuple[str, ...]:
     texts = list(_ALGORITHMS.get(config.algorithm, ()))
     if config.algorithm not in _ENDS_WITH_POLICY:
         texts += _POLICIES[config.policy.kind]
-    if config.policy.spiking_layers and config.algorithm in ("ppo", "sac", "distill"):
+    if spiking_layers(config.policy) and config.algorithm in ("ppo", "sac", "distill"):
         texts += _SPIKES
     names = settings_of(config)
     return tuple(text for text in texts if text.partition("=")[0] in names)

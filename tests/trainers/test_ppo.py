@@ -43,7 +43,7 @@ def world(request, monkeypatch):
         ("kart-grid-small", ["policy.hidden=[32]"]),
         ("smoke-kart", SPIKING),
         ("smoke-kart", [*SPIKING, "policy.coding=bernoulli", "policy.timesteps=16"]),
-        ("smoke-kart", [*SPIKING, "policy.coding=population"]),
+        ("smoke-kart", [*SPIKING, "policy.coding=population", "rate_penalty=0.01"]),
     ],
 )
 def test_it_learns_within_seconds_with_every_head_and_code(recipe, settings, tmp_path, world):

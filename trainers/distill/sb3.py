@@ -1,7 +1,9 @@
 """Teachers from Stable-Baselines3: PPO, A2C, SAC, TD3, DDPG and DQN with MlpPolicy.
 
-The state dict says the sizes, the JSON beside it the activation function where it is not the
-algorithm's own. Actions are those of `model.predict(observation, deterministic=True)`.
+A saved model is a zip. Its `data` is JSON: what JSON cannot say is pickled and base64 inside it,
+and stays unread. Its `policy.pth` is the state dict, a zip of torch's that torch's reader of
+weights alone accepts. The state dict says the sizes, the JSON the activation function where it is
+not the algorithm's own. Actions are those of `model.predict(observation, deterministic=True)`.
 """
 
 import io
@@ -9,7 +11,7 @@ import json
 import re
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -23,110 +25,15 @@ from torch import Tensor, nn
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.distill.teacher import FloatArray, OwnSpaces, Teacher, certain
 
+REMEDY = (
+    "Export the policy to ONNX, or name a function of yours that acts with it: "
+    "docs/own-teacher.md#stable-baselines3"
+)
 _MAX_BYTES = {"data": 2**24, "policy.pth": 2**28}  # when decompressed: 16 and 256 MiB
 # what zipfile raises depends on the damage; ValueError of names that are no text
 _DAMAGES = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, RuntimeError, OSError)
 # Stable-Baselines3 compresses nothing, and weights hardly compress
 _FREE, _RATIO = 2**20, 16  # bytes that any file may unpack to, and more for each that it takes
-
-
-@dataclass(frozen=True)
-class Sb3File:
-    """A saved model.
-
-        data        JSON; what JSON cannot say is pickled and base64 inside it, and stays unread
-        policy.pth  the state dict, a zip of torch's that its reader of weights alone accepts
-
-    path: of the file
-    data: its JSON
-    tensors: the policy's state dict
-    """
-
-    path: str
-    data: Mapping[str, Any]
-    tensors: Mapping[str, Tensor]
-
-
-def read_sb3(path: str) -> Sb3File:
-    """Return what a .zip file of Stable-Baselines3 says, or raise ConfigError."""
-    if not Path(path).is_file():
-        raise ConfigError(f"there is no teacher at {path}")
-    raw = _members(path)
-    try:
-        data = json.loads(raw["data"])
-    except (ValueError, RecursionError) as error:
-        raise _damaged(path, f"data is no JSON: {error}") from error
-    if not isinstance(data, dict):
-        raise _damaged(path, "data is no table")
-    return Sb3File(path, data, _tensors(path, raw["policy.pth"]))
-
-
-def _members(path: str) -> dict[str, bytes]:
-    """Return the bytes of the two files that are read, unless they are too large."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            if missing := sorted(_MAX_BYTES.keys() - set(archive.namelist())):
-                raise ConfigError(
-                    f"{path} is no model of Stable-Baselines3: it has no {' and no '.join(missing)}"
-                )
-            for name, limit in _MAX_BYTES.items():
-                _check_sizes(path, name, [archive.getinfo(name)], limit)
-            return {name: archive.read(name) for name in _MAX_BYTES}
-    except _DAMAGES as error:
-        raise _damaged(path, str(error)) from error
-
-
-def _check_sizes(path: str, name: str, members: Sequence[zipfile.ZipInfo], limit: int) -> None:
-    """Refuse, by declared sizes, what would unpack to too much, or to far more than it takes."""
-    packed = sum(each.compress_size for each in members)
-    unpacked = sum(each.file_size for each in members)
-    if unpacked > limit:
-        raise ConfigError(
-            f"{path}: {name} has more than {limit >> 20} MiB; larger ones are not read. Export "
-            "the policy to ONNX"
-        )
-    if unpacked > _FREE + _RATIO * packed:
-        raise _damaged(
-            path,
-            f"{name} would unpack from {packed:,} to {unpacked:,} bytes, more than {_RATIO} times "
-            "as many. Save the model again without compression",
-        )
-
-
-def _tensors(path: str, raw: bytes) -> dict[str, Tensor]:
-    """Return the state dict, read by torch's reader that runs no code."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-            members = archive.infolist()
-    except _DAMAGES as error:
-        raise _damaged(path, "policy.pth is in the format of torch before 1.6") from error
-    if any(each.filename.endswith("constants.pkl") for each in members):
-        raise _damaged(path, "policy.pth is a script of torch, which runs code")
-    _check_sizes(path, "policy.pth", members, _MAX_BYTES["policy.pth"])
-    try:
-        found = torch.load(io.BytesIO(raw), map_location="cpu", weights_only=True)
-    except Exception as error:  # whatever a damaged file makes of torch's reader
-        first = str(error).partition("\n")[0]
-        raise _damaged(path, f"policy.pth holds more than weights, or is cut: {first}") from error
-    if not isinstance(found, dict) or not all(isinstance(each, Tensor) for each in found.values()):
-        raise _damaged(path, "policy.pth is no state dict")
-    for name, each in found.items():
-        special = each.is_nested or each.is_quantized or each.device.type != "cpu"
-        if special or each.layout != torch.strided:
-            raise _damaged(path, f"its tensor {name!s:.60} is sparse, nested, quantised or empty")
-    if sum(each.numel() for each in found.values()) > _MAX_BYTES["policy.pth"] // 4:
-        raise _damaged(path, "policy.pth has tensors larger than their file")
-    return {str(name): tensor for name, tensor in found.items()}
-
-
-def _damaged(path: str, what: str) -> ConfigError:
-    return ConfigError(f"{path} cannot be read as a model of Stable-Baselines3: {what}")
-
-
-REMEDY = (
-    "Export the policy to ONNX, or name a function of yours that acts with it: "
-    "docs/own-teacher.md#stable-baselines3"
-)
 _FLATTEN = "<class 'stable_baselines3.common.torch_layers.FlattenExtractor'>"
 _DTYPES = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 # functions whose arguments Stable-Baselines3 leaves at their defaults
@@ -156,150 +63,206 @@ _KINDS = {  # by the module of the policy's class
 }
 
 
+class _DamagedError(Exception):
+    """What makes a file no model of Stable-Baselines3."""
+
+
+class _RefusedError(Exception):
+    """What makes a model no teacher."""
+
+
 def sb3_teacher(path: str, spaces: OwnSpaces) -> Teacher:
     """Return the teacher in a .zip file, or refuse it with the remedy."""
-    file = read_sb3(path)
-    module = _text(file.data, "policy_class", "__module__")
-    _check(file, module)
-    kind = _KINDS[module]
-    _check_actions(file, spaces)
-    layers = _layers(file, kind)
-    network = _network(layers, _activation(file, kind))
-    first, last = layers[0].in_features, layers[-1].out_features
-    act_all = _acting(path, network, kind, module.endswith("dqn.policies"), spaces)
-    return Teacher(act_all, first, last)
-
-
-def _acting(
-    path: str, network: nn.Module, kind: _Kind, values: bool, spaces: OwnSpaces
-) -> Callable[[FloatArray], FloatArray]:
-    """Return what the network does: actions in [-1, 1], or logits.
-
-    values: whether its outputs are values of actions, of which the largest is chosen
-    """
+    if not Path(path).is_file():
+        raise ConfigError(f"there is no teacher at {path}")
+    try:
+        data, tensors = _read(path)
+        module = _text(data, "policy_class", "__module__")
+        if why := _unfit(module, data, tensors) or _other_actions(data, spaces):
+            raise _RefusedError(why)
+        kind = _KINDS[module]
+        layers = _layers(tensors, kind)
+        activation = getattr(nn, _activation(data, kind))
+    except _DamagedError as error:
+        raise ConfigError(
+            f"{path} cannot be read as a model of Stable-Baselines3: {error}"
+        ) from error
+    except _RefusedError as error:
+        raise ConfigError(f"the teacher {path} cannot be read: {error}. {REMEDY}") from error
+    chain = [module for layer in layers for module in (layer, activation())][:-1]
+    network = nn.Sequential(*chain).eval()
 
     @torch.no_grad()
     def act_all(observation: FloatArray) -> FloatArray:
         out: FloatArray = network(torch.from_numpy(observation).float()).double().numpy()
-        if values:
+        if module.endswith("dqn.policies"):  # values of actions, of which the largest is chosen
             return certain(out.argmax(-1), out.shape[1])
         if kind.squashed:  # to be scaled to the bounds as policies of ours are
             return spaces.labels(path, np.tanh(out), len(out), "scaled")
         return spaces.labels(path, out, len(out), "own")
 
-    return act_all
+    return Teacher(act_all, layers[0].in_features, layers[-1].out_features)
 
 
-def _check(file: Sb3File, module: str) -> None:
-    """Refuse policies that are more than an MLP of the observation."""
-    if "recurrent" in module or any("lstm" in name for name in file.tensors):
-        raise _refused(file, "it is recurrent, and a teacher labels single observations")
-    if "Dict" in _text(file.data, "observation_space", ":type:"):
-        raise _refused(file, "it is a MultiInputPolicy, and students observe one vector")
-    settings = file.data.get("policy_kwargs", {})
-    if not isinstance(settings, dict):
-        raise _refused(file, "its policy_kwargs are no table, so its networks are unknown")
-    if (extractor := settings.get("features_extractor_class", _FLATTEN)) != _FLATTEN:
-        raise _refused(file, f"its features extractor is {extractor!s:.80}, not FlattenExtractor")
-    if any("features_extractor" in name for name in file.tensors):
-        raise _refused(file, "it has a features extractor with weights, such as a CnnPolicy's")
-    if module not in _KINDS:
-        raise _refused(file, f"its policy is of {module or 'an unknown class'}, not MlpPolicy")
-    if file.data.get("use_sde"):
-        raise _refused(file, "it was trained with state-dependent exploration (use_sde)")
-    # algorithms with a rollout buffer set it for VecNormalize alone; others set it always
-    on_policy = _KINDS[module].out == "action_net"
-    if on_policy and file.data.get("_last_original_obs") is not None:
-        raise _refused(
-            file,
-            "it was trained behind VecNormalize, whose statistics are in a pickle beside it, "
-            "which could run code and stays unread",
+def _read(path: str) -> tuple[Mapping[str, Any], Mapping[str, Tensor]]:
+    """Return the JSON and the state dict, both bounded by their declared sizes."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            missing = sorted(_MAX_BYTES.keys() - set(archive.namelist()))
+            if not missing:
+                for name in _MAX_BYTES:
+                    _check_sizes(name, [archive.getinfo(name)])
+                raw = {name: archive.read(name) for name in _MAX_BYTES}
+    except _DAMAGES as error:
+        raise _DamagedError(str(error)) from error
+    if missing:
+        raise _DamagedError(f"it has no {' and no '.join(missing)}")
+    try:
+        data = json.loads(raw["data"])
+    except (ValueError, RecursionError) as error:
+        raise _DamagedError(f"data is no JSON: {error}") from error
+    if not isinstance(data, dict):
+        raise _DamagedError("data is no table")
+    return data, _tensors(raw["policy.pth"])
+
+
+def _check_sizes(name: str, members: list[zipfile.ZipInfo]) -> None:
+    """Refuse, by declared sizes, what would unpack to too much, or to far more than it takes."""
+    packed = sum(each.compress_size for each in members)
+    unpacked = sum(each.file_size for each in members)
+    if unpacked > _MAX_BYTES[name]:
+        raise _DamagedError(
+            f"{name} has more than {_MAX_BYTES[name] >> 20} MiB; larger ones are not read. Export "
+            "the policy to ONNX"
+        )
+    if unpacked > _FREE + _RATIO * packed:
+        raise _DamagedError(
+            f"{name} would unpack from {packed:,} to {unpacked:,} bytes, more than {_RATIO} times "
+            "as many. Save the model again without compression"
         )
 
 
-def _check_actions(file: Sb3File, spaces: OwnSpaces) -> None:
-    """Refuse a policy that was trained for other actions than the environment's."""
-    found = _text(file.data, "action_space", ":type:")
+def _tensors(raw: bytes) -> dict[str, Tensor]:
+    """Return the state dict, read by torch's reader that runs no code."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            members = archive.infolist()
+    except _DAMAGES as error:
+        raise _DamagedError("policy.pth is in the format of torch before 1.6") from error
+    if any(each.filename.endswith("constants.pkl") for each in members):
+        raise _DamagedError("policy.pth is a script of torch, which runs code")
+    _check_sizes("policy.pth", members)
+    try:
+        found = torch.load(io.BytesIO(raw), map_location="cpu", weights_only=True)
+    except Exception as error:  # whatever a damaged file makes of torch's reader
+        first = str(error).partition("\n")[0]
+        raise _DamagedError(f"policy.pth holds more than weights, or is cut: {first}") from error
+    if not isinstance(found, dict) or not all(isinstance(each, Tensor) for each in found.values()):
+        raise _DamagedError("policy.pth is no state dict")
+    for name, each in found.items():
+        special = each.is_nested or each.is_quantized or each.device.type != "cpu"
+        if special or each.layout != torch.strided:
+            raise _DamagedError(f"its tensor {name!s:.60} is sparse, nested, quantised or empty")
+    if sum(each.numel() for each in found.values()) > _MAX_BYTES["policy.pth"] // 4:
+        raise _DamagedError("policy.pth has tensors larger than their file")
+    return {str(name): tensor for name, tensor in found.items()}
+
+
+def _unfit(module: str, data: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
+    """Return why a policy is more than an MLP of the observation; empty where it is one."""
+    given = data.get("policy_kwargs", {})
+    settings = given if isinstance(given, dict) else {}
+    extractor = settings.get("features_extractor_class", _FLATTEN)
+    # algorithms with a rollout buffer set it for VecNormalize alone; others set it always
+    on_policy = module in _KINDS and _KINDS[module].out == "action_net"
+    reasons = {
+        "it is recurrent, and a teacher labels single observations": (
+            "recurrent" in module or any("lstm" in name for name in tensors)
+        ),
+        "it is a MultiInputPolicy, and students observe one vector": (
+            "Dict" in _text(data, "observation_space", ":type:")
+        ),
+        "its policy_kwargs are no table, so its networks are unknown": settings is not given,
+        f"its features extractor is {extractor!s:.80}, not FlattenExtractor": (
+            extractor != _FLATTEN
+        ),
+        "it has a features extractor with weights, such as a CnnPolicy's": any(
+            "features_extractor" in name for name in tensors
+        ),
+        f"its policy is of {module or 'an unknown class'}, not MlpPolicy": module not in _KINDS,
+        "it was trained with state-dependent exploration (use_sde)": bool(data.get("use_sde")),
+        "it was trained behind VecNormalize, whose statistics are in a pickle beside it, which "
+        "could run code and stays unread": (
+            on_policy and data.get("_last_original_obs") is not None
+        ),
+    }
+    return next((why for why, applies in reasons.items() if applies), "")
+
+
+def _other_actions(data: Mapping[str, Any], spaces: OwnSpaces) -> str:
+    """Return how the actions are other ones than the environment's; empty where they are those."""
+    found = _text(data, "action_space", ":type:")
     kind = "Discrete" if isinstance(spaces.action, Discrete) else "Box"
     if f".{kind}'" not in found:
-        raise _refused(file, f"its actions are {found or 'unknown'}; {spaces.name} takes a {kind}")
+        return f"its actions are {found or 'unknown'}; {spaces.name} takes a {kind}"
     if kind == "Discrete":
-        return
+        return ""
     for side, ours in zip(("low", "high"), spaces.bounds(), strict=True):
-        theirs = _numbers(_text(file.data, "action_space", side))
+        words = re.sub(r"[\[\]]", " ", _text(data, "action_space", side)).split()
+        try:
+            theirs = np.array([float(word) for word in words])
+        except ValueError:  # NumPy leaves out numbers of long arrays
+            continue
         if theirs.shape == ours.shape and not np.allclose(theirs, ours, rtol=1e-5, atol=1e-6):
-            raise _refused(
-                file,
+            return (
                 f"it was trained for actions with {side} {theirs.tolist()}, and {spaces.name} has "
-                f"{ours.tolist()}",
+                f"{ours.tolist()}"
             )
+    return ""
 
 
-def _numbers(text: str) -> FloatArray:
-    """Return the numbers of an array as NumPy prints it; none where it leaves some out."""
-    words = text.replace("[", " ").replace("]", " ").split()
-    try:
-        return np.array([float(word) for word in words])
-    except ValueError:
-        return np.array([])
-
-
-def _layers(file: Sb3File, kind: _Kind) -> list[nn.Linear]:
+def _layers(tensors: Mapping[str, Tensor], kind: _Kind) -> list[nn.Linear]:
     """Return the layers from observation to action."""
-    places = _places(file, kind.hidden)
+    inner = [name for name in tensors if name.startswith(f"{kind.hidden}.")]
+    pattern = re.compile(re.escape(kind.hidden) + r"\.([0-9]{1,3})\.(?:weight|bias)")
+    matches = [pattern.fullmatch(name) for name in inner]
+    for name, match in zip(inner, matches, strict=True):
+        if match is None:
+            raise _RefusedError(f"it has a layer {name:.60}: not an MLP's")
+    places = sorted({int(match[1]) for match in matches if match})
     if places != list(range(0, 2 * len(places), 2)) or not (places or kind.out):
-        raise _refused(file, f"its layers {kind.hidden} are {places}: not an MLP's")
-    names = [f"{kind.hidden}.{place}" for place in places]
-    layers = [_linear(file, name) for name in (*names, *([kind.out] if kind.out else []))]
+        raise _RefusedError(f"its layers {kind.hidden} are {places}: not an MLP's")
+    names = [f"{kind.hidden}.{place}" for place in places] + ([kind.out] if kind.out else [])
+    layers = [_linear(tensors, name) for name in names]
     if any(a.out_features != b.in_features for a, b in pairwise(layers)):
-        raise _refused(file, "its layers do not fit one another")
+        raise _RefusedError("its layers do not fit one another")
     return layers
 
 
-def _places(file: Sb3File, hidden: str) -> list[int]:
-    """Return the places of the layers in their Sequential, in order."""
-    pattern = re.compile(r"([0-9]{1,3})\.(weight|bias)")
-    found = set()
-    for name in file.tensors:
-        if name.startswith(f"{hidden}."):
-            match = pattern.fullmatch(name.removeprefix(f"{hidden}."))
-            if match is None:
-                raise _refused(file, f"it has a layer {name:.60}: not an MLP's")
-            found.add(int(match[1]))
-    return sorted(found)
-
-
-def _linear(file: Sb3File, name: str) -> nn.Linear:
-    weight, bias = (file.tensors.get(f"{name}.{part}") for part in ("weight", "bias"))
+def _linear(tensors: Mapping[str, Tensor], name: str) -> nn.Linear:
+    weight, bias = (tensors.get(f"{name}.{part}") for part in ("weight", "bias"))
     if weight is None or bias is None or weight.ndim != 2 or bias.shape != weight.shape[:1]:
-        raise _refused(file, f"it has no layer {name} with weight and bias")
+        raise _RefusedError(f"it has no layer {name} with weight and bias")
     if not all(t.dtype in _DTYPES for t in (weight, bias)):
-        raise _refused(file, f"its layer {name} is of {weight.dtype} and {bias.dtype}, no floats")
+        raise _RefusedError(f"its layer {name} is of {weight.dtype} and {bias.dtype}, no floats")
     if not all(bool(t.isfinite().all()) for t in (weight, bias)):
-        raise _refused(file, f"its layer {name} has weights that are no finite numbers")
+        raise _RefusedError(f"its layer {name} has weights that are no finite numbers")
     layer = nn.Linear(weight.shape[1], weight.shape[0])
     layer.load_state_dict({"weight": weight.float(), "bias": bias.float()})
     return layer
 
 
-def _activation(file: Sb3File, kind: _Kind) -> str:
+def _activation(data: Mapping[str, Any], kind: _Kind) -> str:
     """Return the name of the activation function in torch.nn."""
-    named = file.data.get("policy_kwargs", {}).get("activation_fn")
+    named = data.get("policy_kwargs", {}).get("activation_fn")
     if named is None:
         return kind.activation
     found = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", str(named))
     if found is None or found[1] not in _ACTIVATIONS:
-        raise _refused(
-            file, f"its activation function is {named}; known are {', '.join(_ACTIVATIONS)}"
+        raise _RefusedError(
+            f"its activation function is {named}; known are {', '.join(_ACTIVATIONS)}"
         )
     return found[1]
-
-
-def _network(layers: list[nn.Linear], activation: str) -> nn.Module:
-    chain: list[nn.Module] = []
-    for layer in layers:
-        chain += [layer, getattr(nn, activation)()]
-    return nn.Sequential(*chain[:-1]).eval()
 
 
 def _text(data: Any, *keys: str) -> str:  # noqa: ANN401
@@ -307,7 +270,3 @@ def _text(data: Any, *keys: str) -> str:  # noqa: ANN401
     for key in keys:
         data = data.get(key) if isinstance(data, dict) else None
     return data if isinstance(data, str) else ""
-
-
-def _refused(file: Sb3File, why: str) -> ConfigError:
-    return ConfigError(f"the teacher {file.path} cannot be read: {why}. {REMEDY}")

@@ -171,8 +171,3 @@ class OwnSpaces:
 
 def _size(space: Space[Any]) -> int:
     return int(space.n) if isinstance(space, Discrete) else int(np.prod(space.shape or ()))
-
-
-def batched(vectors: NDArray[np.float64], spaces: OwnSpaces) -> NDArray[Any]:
-    """Return own observations (B, ...) of vectors (B, obs)."""
-    return np.stack([np.asarray(spaces.observed(vector)) for vector in vectors])

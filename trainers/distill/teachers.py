@@ -18,7 +18,7 @@ from spikedeploy.envs.rollout import rollout
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig, ValidationConfig
 from spikedeploy.trainers.distill.sb3 import REMEDY, sb3_teacher
-from spikedeploy.trainers.distill.teacher import FloatArray, OwnSpaces, Teacher, Units, batched
+from spikedeploy.trainers.distill.teacher import FloatArray, OwnSpaces, Teacher, Units
 from spikedeploy.trainers.onnx_session import has_policy_metadata, session
 from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
@@ -38,7 +38,7 @@ def own_function(name: str, spaces: OwnSpaces, units: Units) -> Teacher:
 
     def act_all(observation: FloatArray) -> FloatArray:
         if vectorised:
-            given = act(batched(observation, spaces))
+            given = act(np.stack([np.asarray(spaces.observed(vector)) for vector in observation]))
         else:
             given = [act(spaces.observed(vector)) for vector in observation]
         return spaces.labels(name, given, len(observation), units)
@@ -60,17 +60,10 @@ def onnx_teacher(path: str, spaces: Callable[[], OwnSpaces], units: Units | None
     spaces: called for files that are not ours
     """
     network = session(path)
-    if has_policy_metadata(network):
-        if units is not None:
-            raise ConfigError(
-                f"the teacher {path} says itself how it acts: leave teacher_units out"
-            )
-        return _ours(network)
-    return _theirs(path, network, spaces(), units or "own")
-
-
-def _ours(network: Any) -> Teacher:  # noqa: ANN401
-    env: str = network.get_modelmeta().custom_metadata_map["env"]
+    if not has_policy_metadata(network):
+        return _onnx_of_others(path, network, spaces(), units or "own")
+    if units is not None:
+        raise ConfigError(f"the teacher {path} says itself how it acts: leave teacher_units out")
     entry, exit_ = network.get_inputs()[0], network.get_outputs()[0]
 
     def act_all(observation: FloatArray) -> FloatArray:
@@ -78,13 +71,19 @@ def _ours(network: Any) -> Teacher:  # noqa: ANN401
         action: FloatArray = network.run([exit_.name], feed)[0].astype(np.float64)
         return action
 
+    env = network.get_modelmeta().custom_metadata_map["env"]
     return Teacher(act_all, entry.shape[1], exit_.shape[1], env)
 
 
-def _theirs(path: str, network: Any, spaces: OwnSpaces, units: Units) -> Teacher:  # noqa: ANN401
-    entry, exit_ = _entry(path, network), _exit(path, network)
+def _onnx_of_others(path: str, network: Any, spaces: OwnSpaces, units: Units) -> Teacher:  # noqa: ANN401
+    entry, exit_ = _ends(path, network)
     shape = entry.shape or [None, None]
-    form = _form(shape, spaces)
+    inner = shape[1:] if len(shape) > 1 else shape
+    own = spaces.observation.shape or ()
+    # the shape of one observation: as the file says, else as the environment gives it
+    form = own if len(own) == len(inner) else (spaces.observations,)
+    if all(isinstance(size, int) for size in inner):
+        form = tuple(inner)
     single = len(shape) == 1 or shape[0] == 1  # exporters often fix the batch at one
 
     def run(rows: FloatArray) -> NDArray[Any]:
@@ -92,9 +91,8 @@ def _theirs(path: str, network: Any, spaces: OwnSpaces, units: Units) -> Teacher
         return np.asarray(network.run([exit_.name], {entry.name: feed.astype(_TYPES[entry.type])}))
 
     def act_all(observation: FloatArray) -> FloatArray:
-        count = len(observation)
         given = [run(row[None]) for row in observation] if single else run(observation)
-        return spaces.labels(path, given, count, units)
+        return spaces.labels(path, given, len(observation), units)
 
     observations = int(np.prod(form))
     if observations == spaces.observations:  # else refused where sizes are compared
@@ -102,18 +100,9 @@ def _theirs(path: str, network: Any, spaces: OwnSpaces, units: Units) -> Teacher
     return Teacher(act_all, observations, spaces.actions)
 
 
-def _form(shape: list[Any], spaces: OwnSpaces) -> tuple[int, ...]:
-    """Return the shape of one observation: as the file says, else as the environment gives it."""
-    inner = shape[1:] if len(shape) > 1 else shape
-    if all(isinstance(size, int) for size in inner):
-        return tuple(inner)
-    own = spaces.observation.shape or ()
-    return own if len(own) == len(inner) else (spaces.observations,)
-
-
-def _entry(path: str, network: Any) -> Any:  # noqa: ANN401
-    """Return the input, or refuse the file."""
-    entries = network.get_inputs()
+def _ends(path: str, network: Any) -> tuple[Any, Any]:  # noqa: ANN401
+    """Return the input, and the output or the action of several; or refuse the file."""
+    entries, exits = network.get_inputs(), network.get_outputs()
     if len(entries) != 1:
         names = ", ".join(entry.name for entry in entries)
         raise ConfigError(
@@ -129,12 +118,6 @@ def _entry(path: str, network: Any) -> Any:  # noqa: ANN401
             f"the teacher {path} takes {entry.shape[0]} observations at once: export it with a "
             "batch of one, or of any size"
         )
-    return entry
-
-
-def _exit(path: str, network: Any) -> Any:  # noqa: ANN401
-    """Return the output, the action of several, or refuse the file."""
-    exits = network.get_outputs()
     found = exits if len(exits) == 1 else [each for each in exits if each.name in _NAMES]
     if len(found) != 1:
         names = ", ".join(each.name for each in exits)
@@ -142,10 +125,8 @@ def _exit(path: str, network: Any) -> Any:  # noqa: ANN401
             f"the teacher {path} has {len(exits)} outputs ({names}), none or several of them named "
             "action: export it with one output, or name it so"
         )
-    return found[0]
+    return entry, found[0]
 
-
-__all__ = ["FloatArray", "Teacher", "of_policy", "opened", "same_teacher", "score", "teacher"]
 
 _SHIPPED = (".onnx", ".nir")
 # files that Python reads by running what is in them
@@ -174,14 +155,6 @@ def teacher(
 def opened(path: str, env: str, spaces: Callable[[], OwnSpaces], units: Units | None) -> Teacher:
     """Return the teacher as `teacher` does, with spaces of an environment that may be made."""
     path = str(shipped(path) or path)
-    found = _read(path, spaces, units)
-    if found.env and envs.spec(found.env).id != envs.spec(env).id:
-        raise ConfigError(f"the teacher {path} was trained in {found.env}, not in {env}")
-    return found
-
-
-def _read(path: str, spaces: Callable[[], OwnSpaces], units: Units | None) -> Teacher:
-    """Return what a path means by its form."""
     suffix = Path(path).suffix
     if is_target(path) and not Path(path).exists():
         return own_function(path, spaces(), units or "own")
@@ -192,13 +165,17 @@ def _read(path: str, spaces: Callable[[], OwnSpaces], units: Units | None) -> Te
             f"the teacher {path} is a pickle, which could run code when it is read, and is not "
             f"read. {REMEDY}"
         )
-    if suffix == ".onnx":
-        return onnx_teacher(path, spaces, units)
-    if units is not None:
+    if suffix != ".onnx" and units is not None:
         raise ConfigError(f"the teacher {path} says itself how it acts: leave teacher_units out")
-    if suffix == ".zip":
-        return sb3_teacher(path, spaces())
-    return _from_nir(path) if suffix == ".nir" else _from_run(path)
+    if suffix == ".onnx":
+        found = onnx_teacher(path, spaces, units)
+    elif suffix == ".zip":
+        found = sb3_teacher(path, spaces())
+    else:
+        found = _from_nir(path) if suffix == ".nir" else _from_run(path)
+    if found.env and envs.spec(found.env).id != envs.spec(env).id:
+        raise ConfigError(f"the teacher {path} was trained in {found.env}, not in {env}")
+    return found
 
 
 def shipped(name: str) -> Path | None:

@@ -23,7 +23,6 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import EnvConfig, ValidationConfig
 from spikedeploy.trainers.distill import sb3
-from spikedeploy.trainers.distill.sb3 import _members
 from spikedeploy.trainers.distill.teachers import score, teacher
 from spikedeploy.trainers.policies import MlpPolicy
 from tests.paths import ROOT
@@ -341,7 +340,7 @@ def test_a_bomb_is_refused_by_its_header_alone(tmp_path, monkeypatch):
     monkeypatch.setattr(sb3, "_MAX_BYTES", order)
     monkeypatch.setattr(zipfile.ZipFile, "open", lambda *_: pytest.fail("was decompressed"))
     with pytest.raises(ConfigError, match=r"policy\.pth would unpack from [\d,]+ to 16,777,216"):
-        _members(bomb)
+        teacher(bomb, CARTPOLE)
 
 
 def setting(*keys, value):
