@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip, Limits
-from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.mapping import CoreMapping
 from spikedeploy.runtime.compiler.program import HostOutput, Program, Readout
@@ -219,8 +219,8 @@ def _layer(artifact: Artifact, graph: LayerGraph, name: str) -> Layer:
     return Layer(
         name=name,
         synapses=tuple(
-            Synapses(connection.source, connection.weight * neuron.gain, connection.lag)
-            for connection in graph.connections[name]
+            replace(synapses, weight=synapses.weight * neuron.gain)
+            for synapses in graph.synapses[name]
         ),
         bias=graph.bias[name] * neuron.gain,
         voltage_bias=neuron.leak if graded is None else graded.bias.ravel(),

@@ -1,9 +1,10 @@
 """The wiring of a graph: its neurons, and the synapses that the nodes between them come to.
 
-It is known in two depths. A Topology takes any sound graph, so that every node of a network that
-fits nowhere can still be told why: of the synapses it has a map of each projection, which counts
-what leaves each source and reaches each target, and is a matrix only where the graph has one. A
-LayerGraph is what a chip is compiled from: the synapses as matrices, one for each lag.
+It is known in two depths, both by following the graph from node to node. A Topology takes any sound
+graph, so that every node of a network that fits nowhere can still be told why: of the synapses it
+has a map of each projection, which counts what leaves each source and reaches each target, and is a
+matrix only where the graph has one. A LayerGraph is what a chip is compiled from: the synapses as
+matrices, one for each lag.
 
 A chain without spikes in it is linear but for its biases. So what it does to a unit impulse of a
 source is a row of its matrix, and what it does to nothing is its bias.
@@ -12,22 +13,32 @@ Neurons without a threshold are readouts: an Output alone may receive their memb
 """
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
-from typing import TypeAlias
+from itertools import pairwise
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import nir
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.compiler.program import HostOutput, ReadoutTerm
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, RuleError
 from spikedeploy.runtime.float_model import build_node
 from spikedeploy.runtime.graph.neurons import NEURONS, SPIKING
-from spikedeploy.runtime.graph.order import Edge, Timing, in_waves, order, sources, timing
+from spikedeploy.runtime.graph.order import (
+    Edge,
+    in_waves,
+    neighbours,
+    order,
+    reach,
+    sources,
+    timing,
+)
 from spikedeploy.runtime.graph.ports import Port, ports
 from spikedeploy.runtime.graph.shapes import (
     CONVOLUTIONS,
@@ -42,12 +53,14 @@ Counts: TypeAlias = NDArray[np.int64]
 Floats: TypeAlias = NDArray[np.float64]
 # what arrives how many timesteps late, (R, *shape)
 Parts: TypeAlias = dict[int, Floats]
+_K = TypeVar("_K")
+_V = TypeVar("_V")
 
 _POPULATIONS = (*NEURONS, nir.Threshold)
 _MAPS = (*DENSE, *CONVOLUTIONS, *POOLS)
 _BIASED = (nir.Affine, *CONVOLUTIONS)
-LINEAR = (nir.Linear, *_BIASED, *POOLS, nir.Scale, nir.Flatten, nir.Delay)
-_KNOWN = (nir.Input, nir.Output, *LINEAR, *NEURONS)
+_LINEAR = (nir.Linear, *_BIASED, *POOLS, nir.Scale, nir.Flatten, nir.Delay)
+_KNOWN = (nir.Input, nir.Output, *_LINEAR, *NEURONS)
 
 # ways to nodes without spikes, and the nodes on them: following more takes seconds
 _MAX_WAYS = 1 << 16
@@ -60,6 +73,22 @@ _MAX_VISITS = 1 << 18
 # numbers that the impulses sent at once may fill, and how many are sent at most
 _MAX_IMPULSE_VALUES = 1 << 22
 _MAX_IMPULSES = 256
+
+
+def _arriving(
+    name: str,
+    before: Mapping[str, Sequence[str]],
+    put: Mapping[str, Mapping[_K, _V]],
+    late: frozenset[Edge],
+    delay: Callable[[_K, _V], tuple[_K, _V]],
+) -> dict[_K, list[_V]]:
+    """What the nodes before this one put out, by key; over late edges what `delay` makes of it."""
+    found: dict[_K, list[_V]] = {}
+    for near in before[name]:
+        for each in put.get(near, {}).items():
+            key, value = delay(*each) if (near, name) in late else each
+            found.setdefault(key, []).append(value)
+    return found
 
 
 # the synapses of a projection, without their matrix
@@ -92,11 +121,6 @@ class SynapseMap:
     maps: tuple[str, ...] = ()
 
     @property
-    def synapses(self) -> int:
-        """Number of synapses."""
-        return int(self.into.sum())
-
-    @property
     def is_one_to_one(self) -> bool:
         """True while no map with a fan of its own is between them."""
         same = self.weight is None and not self.most and self.out.size == self.into.size
@@ -112,9 +136,8 @@ class SynapseMap:
             synapses = block * int(self.into.max())
             axons = min(synapses, self.out.size)
             return [np.full((axons, 1), -(-synapses // max(axons, 1)))]
-        targets = self.into.size
-        starts = np.arange(0, targets, block)
-        ends = np.minimum(starts + block, targets)
+        starts = np.arange(0, self.into.size, block)
+        ends = np.minimum(starts + block, self.into.size)
         counts = [
             np.subtract(before[ends], before[starts], dtype=np.int64).T for before in self._before
         ]
@@ -178,21 +201,18 @@ def _extend(way: SynapseMap, name: str, node: nir.NIRNode) -> SynapseMap:
 def _map_of(name: str, node: nir.NIRNode) -> SynapseMap:
     """The synapses of one node with a fan."""
     if isinstance(node, POOLS):
-        out, into = _convolved_counts(node, window_of(name, node), 1, 1)
-        return SynapseMap(out, into)
+        return SynapseMap(*_convolved_counts(node, window_of(name, node), 1, 1))
     largest = float(np.abs(node.weight).max())
     biased = isinstance(node, _BIASED) and bool(node.bias.any())
     if isinstance(node, CONVOLUTIONS):
-        groups = int(np.ravel(node.groups)[0])
-        features, channels = len(node.weight) // groups, int(node.weight.shape[1])
+        features = len(node.weight) // int(np.ravel(node.groups)[0])
+        channels = int(node.weight.shape[1])
         out, into = _convolved_counts(node, window_of(name, node), features, channels)
         return SynapseMap(out, into, None, largest, biased)
-    listed = node.weight != 0
+    # (..., N, M): of a stack of maps, each has its own part
+    out, into = (np.count_nonzero(node.weight, axis=axis).ravel() for axis in (-2, -1))
     if node.weight.ndim == 2:
-        out, into = np.count_nonzero(listed, axis=0), np.count_nonzero(listed, axis=1)
         return SynapseMap(out, into, node.weight.T, largest, biased)
-    # a stack of maps, each for its own part
-    out, into = listed.sum(axis=-2).ravel(), listed.sum(axis=-1).ravel()
     return SynapseMap(out, into, None, largest, biased, most=True)
 
 
@@ -203,23 +223,22 @@ def _convolved_counts(
 
     Zeros in the kernel count as synapses.
     """
-    takes, puts = (
+    (_, *takes), (_, *puts) = (
         tuple(int(n) for n in end) for end in (node.input_type["input"], node.output_type["output"])
     )
-    axes = [_axis(window, axis, takes[axis + 1], puts[axis + 1]) for axis in range(len(takes) - 1)]
-    used = reduce(np.multiply.outer, [count for count, _ in axes])
-    seen = reduce(np.multiply.outer, [count for _, count in axes])
-    out = np.broadcast_to(used * features, takes).ravel()
-    return out, np.broadcast_to(seen * channels, puts).ravel()
-
-
-def _axis(window: ConvWindow, axis: int, extent: int, places: int) -> tuple[Counts, Counts]:
-    """Places that use each element of an axis, and elements that each place of it sees."""
-    before, _ = window.padding[axis]
-    kernel = np.arange(window.kernel[axis]) * window.dilation[axis] - before
-    index = np.arange(places)[:, None] * window.stride[axis] + kernel
-    inside = (index >= 0) & (index < extent)
-    return np.bincount(index[inside], minlength=extent), inside.sum(axis=1)
+    used, seen = [], []
+    for axis, (extent, places) in enumerate(zip(takes, puts, strict=True)):
+        kernel = np.arange(window.kernel[axis]) * window.dilation[axis] - window.padding[axis][0]
+        index = np.arange(places)[:, None] * window.stride[axis] + kernel
+        inside = (index >= 0) & (index < extent)
+        used.append(np.bincount(index[inside], minlength=extent))
+        seen.append(inside.sum(axis=1))
+    out = reduce(np.multiply.outer, used) * features
+    into = reduce(np.multiply.outer, seen) * channels
+    return (
+        np.broadcast_to(out, tuple(node.input_type["input"])).ravel(),
+        np.broadcast_to(into, tuple(node.output_type["output"])).ravel(),
+    )
 
 
 # populations and their projections
@@ -271,7 +290,7 @@ class Population:
     @property
     def synapses(self) -> int:
         """All that reach it."""
-        return sum(projection.map.synapses for projection in self.presynaptic)
+        return sum(int(projection.map.into.sum()) for projection in self.presynaptic)
 
     @property
     def recurrent(self) -> bool:
@@ -322,11 +341,9 @@ def topology(graph: nir.NIRGraph, membranes: bool = True, graded: Collection[str
     """
     kinds = _POPULATIONS if membranes else (*SPIKING, nir.Threshold)
     on_chip = {n for n, node in graph.nodes.items() if isinstance(node, kinds) or n in graded}
-    ahead: dict[str, set[str]] = {name: set() for name in graph.nodes}
-    for source, target in graph.edges:
-        ahead[source].add(target)
-    host = _host(graph, ahead, on_chip)
-    behind = host | set(graph.outputs)
+    ports_ = graph.inputs.keys() | graph.outputs.keys()
+    host = graph.nodes.keys() - reach(on_chip, sources(graph)) - ports_
+    ahead, behind = neighbours(graph.edges), host | graph.outputs.keys()
     return Topology(
         graph=graph,
         inputs={name: math.prod(_shape(node)) for name, node in sorted(graph.inputs.items())},
@@ -335,7 +352,7 @@ def topology(graph: nir.NIRGraph, membranes: bool = True, graded: Collection[str
                 name=name,
                 shape=_shape(graph.nodes[name]),
                 presynaptic=presynaptic,
-                leaves=bool(ahead[name] & behind),
+                leaves=not behind.isdisjoint(ahead.get(name, ())),
                 decays=_different(graph.nodes[name], ("tau", "tau_syn", "tau_mem")),
                 thresholds=_different(graph.nodes[name], ("v_threshold", "threshold")),
             )
@@ -349,24 +366,20 @@ def topology(graph: nir.NIRGraph, membranes: bool = True, graded: Collection[str
 def _projections(graph: nir.NIRGraph) -> dict[str, tuple[Projection, ...]]:
     """The projections onto each population, followed from node to node."""
     try:
-        ordered = order(graph)
+        names, late = order(graph)
     except ArtifactError:  # a loop without a neuron, which a Delay may open
         into = [edge for edge in graph.edges if isinstance(graph.nodes[edge[1]], nir.Delay)]
-        ordered = order(graph, into)
+        names, late = order(graph, into)
     before = sources(graph)
-    populations = [n for n in ordered.names if isinstance(graph.nodes[n], _POPULATIONS)]
+    populations = [n for n in names if isinstance(graph.nodes[n], _POPULATIONS)]
     ways: dict[str, dict[str, SynapseMap]] = {}
     for name in (*populations, *graph.inputs):
         ones = np.broadcast_to(np.int64(1), math.prod(_shape(graph.nodes[name])))
         ways[name] = {name: SynapseMap(ones, ones)}
     followed = 0
-    for name in ordered.names:
-        if name in ways:
-            continue
-        found: dict[str, list[SynapseMap]] = {}
-        for source, way in _arriving_ways(name, before, ways, ordered.late):
-            found.setdefault(source, []).append(way)
-            followed += 1 + len(way.maps)
+    for name in (name for name in names if name not in ways):
+        found = _arriving(name, before, ways, late, _closing)
+        followed += sum(1 + len(way.maps) for each in found.values() for way in each)
         if followed > _MAX_WAYS:
             raise ArtifactError(
                 f"node {name!r}: {followed} ways lead by here from neurons over nodes without "
@@ -377,48 +390,25 @@ def _projections(graph: nir.NIRGraph) -> dict[str, tuple[Projection, ...]]:
     return {
         name: tuple(
             Projection(source, name, way)
-            for source, way in _arriving_ways(name, before, ways, ordered.late)
+            for source, each in _arriving(name, before, ways, late, _closing).items()
+            for way in each
         )
         for name in populations
     }
 
 
-def _arriving_ways(
-    name: str,
-    before: Mapping[str, Sequence[str]],
-    ways: Mapping[str, Mapping[str, SynapseMap]],
-    late: frozenset[Edge],
-) -> Iterator[tuple[str, SynapseMap]]:
-    """Source and way of everything that comes to a node; a loop of maps alone is cut."""
-    for near in before[name]:
-        for source, way in ways.get(near, {}).items():
-            closes = (near, name) in late and not way.late
-            yield source, replace(way, late=True) if closes else way
-
-
-def _host(graph: nir.NIRGraph, ahead: Mapping[str, set[str]], on_chip: set[str]) -> set[str]:
-    """Nodes from which only outputs are reached, and none of those that a chip computes."""
-    before, outputs = sources(graph), set(graph.outputs)
-    found: set[str] = set()
-    waiting = list(outputs)
-    while waiting:
-        for name in before[waiting.pop()]:
-            inside = isinstance(graph.nodes[name], nir.Input) or name in on_chip or name in found
-            if not inside and ahead[name] <= found | outputs:
-                found.add(name)
-                waiting.append(name)
-    return found
+def _closing(source: str, way: SynapseMap) -> tuple[str, SynapseMap]:
+    return source, replace(way, late=True)
 
 
 def _different(node: nir.NIRNode, fields: tuple[str, ...]) -> int:
     """Different sets of these parameters among the neurons of a node."""
-    code, different = np.zeros(1, np.int64), 1
+    code = np.zeros(1, np.int64)
     for values in (np.ravel(getattr(node, field)) for field in fields if hasattr(node, field)):
         _, place = np.unique(values, return_inverse=True)
         # at most as many as there are neurons: the product fits
         _, code = np.unique(code * len(values) + place, return_inverse=True)
-        different = int(code.max()) + 1
-    return different
+    return int(code.max()) + 1
 
 
 def _shape(node: nir.NIRNode) -> tuple[int, ...]:
@@ -429,27 +419,14 @@ def _shape(node: nir.NIRNode) -> tuple[int, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Connection:
-    """One connection of a layer.
-
-    source: the spiking node or the input that it comes from.
-    weight: (M, N) axon-major, float.
-    lag: [timesteps] from a spike to its arrival, as the graph and its convention say.
-    """
-
-    source: str
-    weight: Floats
-    lag: int
-
-
-@dataclass(frozen=True, eq=False)
 class LayerGraph:
     """A graph as layers of neurons; neurons of any shape in a row, in C order.
 
     input: name of the input; those of several Input nodes, joined.
     inputs: the Input nodes, side by side in the input's axons.
     layers: names of the nodes of neurons, each after its sources of the same timestep.
-    connections: of each layer.
+    synapses: onto each layer, in floats; their delays are the lags from a spike to its arrival, as
+        the graph and its convention say.
     bias: (N,) of each layer.
     outlets: the Output nodes.
     """
@@ -457,7 +434,7 @@ class LayerGraph:
     input: str
     inputs: tuple[Port, ...]
     layers: tuple[str, ...]
-    connections: dict[str, tuple[Connection, ...]]
+    synapses: dict[str, tuple[Synapses, ...]]
     bias: dict[str, Floats]
     outlets: tuple[HostOutput, ...]
 
@@ -481,9 +458,8 @@ def wiring(
                 "whose neurons send spikes and whose synapses are linear; possible are "
                 f"{', '.join(kind.__name__ for kind in _KNOWN)}. Replace it, or run it in float."
             )
-    when = timing(graph, convention)
-    matrices, inputs = Matrices(graph, when, convention), ports(graph.inputs)
-    layers = tuple(name for name in when.names if isinstance(graph.nodes[name], NEURONS))
+    matrices, inputs = _Matrices(graph, convention), ports(graph.inputs)
+    layers = tuple(n for n in matrices.timing.names if isinstance(graph.nodes[n], NEURONS))
     blocks = {name: matrices.block(name) for name in (*layers, *sorted(graph.outputs))}
     for layer in layers:
         _check_sources(graph, blocks[layer], sigma_delta)
@@ -494,13 +470,13 @@ def wiring(
         input=name,
         inputs=inputs,
         layers=layers,
-        connections={n: _connections(matrices, blocks[n], name, inputs) for n in layers},
+        synapses={n: _synapses(matrices, blocks[n], name, inputs) for n in layers},
         bias={layer: matrices.bias(blocks[layer]) for layer in layers},
         outlets=tuple(_outlet(matrices, blocks[p.name], p) for p in ports(graph.outputs)),
     )
 
 
-def _check_sources(graph: nir.NIRGraph, block: "LinearBlock", sigma_delta: Collection[str]) -> None:
+def _check_sources(graph: nir.NIRGraph, block: "_Block", sigma_delta: Collection[str]) -> None:
     """Refuse neurons that receive membranes: between neurons there are only spikes."""
     for source in block.sources:
         node = graph.nodes[source]
@@ -513,27 +489,24 @@ def _check_sources(graph: nir.NIRGraph, block: "LinearBlock", sigma_delta: Colle
             )
 
 
-def _connections(
-    matrices: "Matrices", block: "LinearBlock", name: str, inputs: Sequence[Port]
-) -> tuple[Connection, ...]:
-    """The connections onto a layer by source and lag; those of all Inputs as one matrix."""
+def _synapses(
+    matrices: "_Matrices", block: "_Block", name: str, inputs: Sequence[Port]
+) -> tuple[Synapses, ...]:
+    """The synapses onto a layer by source and lag; those of all Inputs as one matrix."""
     ends = np.cumsum([port.size for port in inputs]).tolist()
     rows = {port.name: slice(end - port.size, end) for port, end in zip(inputs, ends, strict=True)}
-    presynaptic: dict[tuple[str, int], Floats] = {}
+    found: dict[tuple[str, int], Floats] = {}
     for source in block.sources:
         for lag, matrix in matrices.between(source, block).items():
-            if source not in rows:
-                presynaptic[source, lag] = matrix
-            elif len(rows) == 1:
-                presynaptic[name, lag] = matrix
+            if source not in rows or len(rows) == 1:
+                found[name if source in rows else source, lag] = matrix
             else:
-                width = ends[-1]
-                all_ = presynaptic.setdefault((name, lag), np.zeros((width, matrix.shape[1])))
-                all_[rows[source]] = matrix
-    return tuple(Connection(source, matrix, lag) for (source, lag), matrix in presynaptic.items())
+                joined = found.setdefault((name, lag), np.zeros((ends[-1], matrix.shape[1])))
+                joined[rows[source]] = matrix
+    return tuple(Synapses(source, matrix, lag) for (source, lag), matrix in found.items())
 
 
-def _outlet(matrices: "Matrices", block: "LinearBlock", port: Port) -> HostOutput:
+def _outlet(matrices: "_Matrices", block: "_Block", port: Port) -> HostOutput:
     """Return the output of an Output node from the layers, which the host computes."""
     for source in block.sources:
         if not isinstance(matrices.graph.nodes[source], NEURONS):
@@ -556,8 +529,7 @@ def _is_identity(matrix: Floats) -> bool:
     return ones and np.count_nonzero(matrix) == len(matrix)
 
 
-@dataclass(frozen=True, eq=False)
-class LinearBlock:
+class _Block(NamedTuple):
     """The nodes without spikes that lead to one target.
 
     target: name of a spiking node or an Output.
@@ -570,41 +542,41 @@ class LinearBlock:
     sources: tuple[str, ...]
 
 
-class Matrices:
+class _Matrices:
     """The linear part of a graph as matrices, which may take so much memory and no more."""
 
-    def __init__(self, graph: nir.NIRGraph, timing: Timing, convention: Convention) -> None:
-        self.graph, self._timing = graph, timing
-        self._nodes = {
-            name: build_node(name, _without_bias(node), convention, np.float64)
-            for name, node in graph.nodes.items()
-            if isinstance(node, LINEAR)
-        }
+    def __init__(self, graph: nir.NIRGraph, convention: Convention) -> None:
+        self.graph, self.timing = graph, timing(graph, convention)
+        self._nodes = {}
+        for name, node in graph.nodes.items():
+            if isinstance(node, _BIASED):
+                node = copy(node)
+                node.bias = np.zeros_like(node.bias)
+            if isinstance(node, _LINEAR):
+                self._nodes[name] = build_node(name, node, convention, np.float64)
         self._sources = sources(graph)
+        self._linear = {
+            name: [near for near in found if near in self._nodes]
+            for name, found in self._sources.items()
+        }
         self._bytes = self._visited = 0
 
-    def block(self, target: str) -> LinearBlock:
+    def block(self, target: str) -> _Block:
         """The block before a target."""
-        inside, presynaptic, waiting = set[str](), set[str](), [target]
-        while waiting:
-            for name in self._sources[waiting.pop()]:
-                if name not in self._nodes:
-                    presynaptic.add(name)
-                elif name not in inside:
-                    inside.add(name)
-                    waiting.append(name)
-        names = in_waves(inside, [(s, name) for name in inside for s in self._sources[name]])
+        inside = reach(self._linear[target], self._linear)
+        names = in_waves(inside, [(s, name) for name in inside for s in self._linear[name]])
         if left := sorted(inside - set(names)):
             raise RuleError(
                 f"rule recurrence: nodes {', '.join(left)}: a loop without a spiking node, whose "
                 "values would never settle; a chip has none. Put a neuron into it, or run the "
                 "graph in float."
             )
-        return LinearBlock(target, tuple(names), tuple(sorted(presynaptic)))
+        near = {s for name in (*names, target) for s in self._sources[name]}
+        return _Block(target, tuple(names), tuple(sorted(near - inside)))
 
-    def between(self, source: str, block: LinearBlock) -> dict[int, Floats]:
+    def between(self, source: str, block: _Block) -> dict[int, Floats]:
         """(M, N) from a source to the target of a block, by the timesteps that it takes."""
-        size = self._size(source)
+        size, targets = self._size(source), self._size(block.target)
         self._check_size(block.target, size)
         self._check_work(block, source)
         if weights := self._weights(block, source):
@@ -614,13 +586,13 @@ class Matrices:
             for lag, rows in self._respond(block, {source: {0: impulses}}).items():
                 if lag not in found:
                     self._check_size(block.target, size)
-                    found[lag] = np.zeros((size, self._size(block.target)))
+                    found[lag] = np.zeros((size, targets))
                     self._bytes += found[lag].nbytes
                 found[lag][first : first + len(rows)] = rows.reshape(len(rows), -1)
         # a Delay of different steps may leave nothing in one of them
         return {lag: m for lag, m in sorted(found.items()) if m.any()} or dict([min(found.items())])
 
-    def bias(self, block: LinearBlock) -> Floats:
+    def bias(self, block: _Block) -> Floats:
         """(N,) that arrives at the target in every timestep."""
         parts = self._respond(block, {}, biased=True)
         for lag, rows in parts.items():
@@ -641,7 +613,7 @@ class Matrices:
                 "Run the network in float, or make its convolutions smaller."
             )
 
-    def _check_work(self, block: LinearBlock, source: str) -> None:
+    def _check_work(self, block: _Block, source: str) -> None:
         """Refuse windows so large that sending all impulses through them takes minutes."""
         nodes = {name: self.graph.nodes[name] for name in block.names}
         # impulses are cheap through matrices: most rows of their input are zero
@@ -657,17 +629,7 @@ class Matrices:
                 "convolutions smaller."
             )
 
-    def _check_visits(self, block: LinearBlock) -> None:
-        """Refuse so many nodes between neurons that following all of their edges takes minutes."""
-        self._visited += sum(len(self._sources[name]) for name in (*block.names, block.target))
-        if self._visited > _MAX_VISITS:
-            raise RuleError(
-                f"rule matrix: node {block.target!r}: {len(block.names)} nodes without spikes "
-                f"lead to it, and by here {self._visited} edges were followed; at most "
-                f"{_MAX_VISITS}. Join nodes without spikes between them into one."
-            )
-
-    def _impulses(self, block: LinearBlock, source: str) -> Iterator[tuple[int, Floats]]:
+    def _impulses(self, block: _Block, source: str) -> Iterator[tuple[int, Floats]]:
         """Rows of the identity as (R, *shape), a few at a time, and the number of the first."""
         widest = max(map(self._size, (source, *block.names, block.target)))
         some = min(max(1, _MAX_IMPULSE_VALUES // widest), _MAX_IMPULSES)
@@ -677,68 +639,54 @@ class Matrices:
             np.fill_diagonal(rows[:, first:], 1.0)
             yield first, rows.reshape(len(rows), *_shape(self.graph.nodes[source]))
 
-    def _respond(
-        self, block: LinearBlock, start: Mapping[str, Parts], biased: bool = False
-    ) -> Parts:
+    def _respond(self, block: _Block, start: Mapping[str, Parts], biased: bool = False) -> Parts:
         """Return the input of the target when the sources put out `start`."""
-        self._check_visits(block)
+        self._visited += sum(len(self._sources[name]) for name in (*block.names, block.target))
+        if self._visited > _MAX_VISITS:
+            raise RuleError(
+                f"rule matrix: node {block.target!r}: {len(block.names)} nodes without spikes "
+                f"lead to it, and by here {self._visited} edges were followed; at most "
+                f"{_MAX_VISITS}. Join nodes without spikes between them into one."
+            )
         put = dict(start)
         for name in block.names:
-            put[name] = self._through(name, self._arriving(name, put))
-            if biased and isinstance(self.graph.nodes[name], _BIASED):
-                _add(put[name], 0, self._bias(name))
-        return self._arriving(block.target, put)
+            put[name] = self._through(name, self._summed(name, put))
+            node = self.graph.nodes[name]
+            if biased and isinstance(node, _BIASED):
+                shape, bias = _shape(node), node.bias.astype(np.float64)
+                if isinstance(node, CONVOLUTIONS):
+                    bias = bias.reshape(-1, *(1 for _ in shape[1:]))
+                bias = np.broadcast_to(bias, shape)[None]
+                put[name][0] = put[name][0] + bias if 0 in put[name] else bias
+        return self._summed(block.target, put)
 
-    def _arriving(self, name: str, put: Mapping[str, Parts]) -> Parts:
-        arriving: Parts = {}
-        for source in self._sources[name]:
-            late = (source, name) in self._timing.late
-            for lag, rows in put.get(source, {}).items():
-                _add(arriving, lag + late, rows)
-        return arriving
+    def _summed(self, name: str, put: Mapping[str, Parts]) -> Parts:
+        late = self.timing.late
+        arriving = _arriving(name, self._sources, put, late, lambda lag, rows: (lag + 1, rows))
+        return {lag: sum(rows[1:], rows[0]) for lag, rows in arriving.items()}
 
     def _through(self, name: str, arriving: Parts) -> Parts:
         """Apply a node to its input, its bias left out."""
-        if (steps := self._timing.delays.get(name)) is None:
+        if (steps := self.timing.delays.get(name)) is None:
             compute = self._nodes[name]
             return {lag: np.asarray(compute(rows[None])[0]) for lag, rows in arriving.items()}
         put: Parts = {}
         for lag, rows in arriving.items():
             for step in np.unique(steps).tolist():
-                _add(put, lag + step, np.where(steps == step, rows, 0.0))
+                put[lag + step] = put.get(lag + step, 0.0) + np.where(steps == step, rows, 0.0)
         return put
 
-    def _bias(self, name: str) -> Floats:
-        node = self.graph.nodes[name]
-        shape, bias = _shape(node), node.bias.astype(np.float64)
-        if isinstance(node, CONVOLUTIONS):
-            bias = bias.reshape(-1, *(1 for _ in shape[1:]))
-        return np.broadcast_to(bias, shape)[None]
-
-    def _weights(self, block: LinearBlock, source: str) -> dict[int, Floats]:
+    def _weights(self, block: _Block, source: str) -> dict[int, Floats]:
         """The weights themselves of a lone Affine or Linear; nothing where there is more."""
-        name, *others = block.names or ("",)
-        node = self.graph.nodes.get(name)
-        alone = [self._sources.get(at) for at in (name, block.target)] == [[source], [name]]
-        if others or not alone or not isinstance(node, DENSE) or node.weight.ndim != 2:
+        path = [source, *block.names, block.target]
+        node = self.graph.nodes[path[1]]
+        alone = all(self._sources[target] == [near] for near, target in pairwise(path))
+        if len(path) != 3 or not alone or not isinstance(node, DENSE) or node.weight.ndim != 2:
             return {}
-        edges = [(source, name), (name, block.target)]
         self._bytes += 8 * node.weight.size
         # + 0.0: as a sum has it, no zero is negative
         weight = np.ascontiguousarray(node.weight.T, np.float64) + 0.0
-        return {sum(edge in self._timing.late for edge in edges): weight}
+        return {sum(edge in self.timing.late for edge in pairwise(path)): weight}
 
     def _size(self, name: str) -> int:
         return math.prod(_shape(self.graph.nodes[name]))
-
-
-def _without_bias(node: nir.NIRNode) -> nir.NIRNode:
-    if not isinstance(node, _BIASED):
-        return node
-    plain = copy(node)
-    plain.bias = np.zeros_like(node.bias)
-    return plain
-
-
-def _add(parts: Parts, lag: int, rows: Floats) -> None:
-    parts[lag] = parts[lag] + rows if lag in parts else rows

@@ -332,13 +332,13 @@ def test_a_bias_of_a_convolution_is_that_of_its_channel(shape):
 
 def test_impulses_are_sent_a_few_at_a_time_and_fill_no_more_memory_than_they_may(monkeypatch):
     sent = []
-    respond = wiring.Matrices._respond
+    respond = wiring._Matrices._respond
 
     def spied(self, region, start, biased=False):
         sent.extend(len(rows) for parts in start.values() for rows in parts.values())
         return respond(self, region, start, biased)
 
-    monkeypatch.setattr(wiring.Matrices, "_respond", spied)
+    monkeypatch.setattr(wiring._Matrices, "_respond", spied)
     nodes = [affine(7, 3), affine(3, 40), affine(40, 5)]
     artifact = Artifact(chain(*nodes, cuba(5), width=7, act=5), None, CONVENTION)
     (whole,) = compile_program(artifact, chip("ideal")).layers
