@@ -60,13 +60,9 @@ class Convention(Stored):
                 f"dt must be a finite number of seconds above 0, found {self.dt}. "
                 "Give the timestep that the network was trained with."
             )
-        _check_choice("reset", self.reset, get_args(Reset))
-        _check_choice("integrator", self.integrator, get_args(Integrator))
-        _check_choice("delay", self.delay, (0, 1))
-        _check_choice("state", self.state, get_args(State))
-        _check_choice("spikes", self.spikes, get_args(Spikes))
-        _check_choice("floor", self.floor, get_args(Floor))
-        _check_choice("clock", self.clock, CLOCKS[:2])
+        super().__post_init__()
+        if self.delay not in (0, 1):
+            raise self.unknown("delay", self.delay, (0, 1))
         if self.delay and self.clock == "pipelined":
             raise ConventionError(
                 "clock 'pipelined' and delay 1 contradict each other: connections onto neurons "
@@ -77,6 +73,11 @@ class Convention(Stored):
                 f"reset {self.reset!r} and spikes 'many' contradict each other: several spikes of "
                 "a timestep must be subtracted. Choose reset 'subtract', or spikes 'above'."
             )
+
+    def unknown(self, name: str, found: object, known: tuple[object, ...]) -> Exception:
+        """The error of an option that has no such choice."""
+        choices = ", ".join(map(repr, known))
+        return ConventionError(f"{name} {found!r} is unknown. Choose one of {choices}.")
 
     def describe(self) -> str:
         """One line for reports: every choice, and where it comes from."""
@@ -94,9 +95,3 @@ class Convention(Stored):
             return self
         names = ", ".join(sorted(options))
         return replace(self, **options, source=f"{names} given, otherwise {self.source}")
-
-
-def _check_choice(name: str, found: object, allowed: tuple[object, ...]) -> None:
-    if found not in allowed:
-        choices = ", ".join(repr(choice) for choice in allowed)
-        raise ConventionError(f"{name} {found!r} is unknown. Choose one of {choices}.")

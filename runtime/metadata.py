@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields, replace
-from typing import Any, Literal, TypeAlias, TypeVar, get_origin
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_args, get_origin
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -103,19 +103,39 @@ INFINITE = {"infinite": True}
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """A dataclass that a file stores as a group of its fields: arrays, numbers and texts."""
+    """A dataclass that a file stores as a group of its fields: arrays, numbers, texts, groups.
+
+    label: what it is called in messages.
+    """
+
+    label: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            if get_origin(each.type) is Literal:
+                known, found = get_args(each.type), getattr(self, each.name)
+                if found not in known:
+                    raise self.unknown(each.name, found, known)
+
+    def unknown(self, name: str, found: object, known: tuple[object, ...]) -> Exception:
+        """The error of a field that is none of the choices that are known."""
+        return self.wrong(f"{name} {found!r} is unknown; known are {', '.join(map(str, known))}")
+
+    def wrong(self, found: str) -> ArtifactError:
+        """The error of values that a file of ours cannot hold."""
+        return ArtifactError(f"{self.label}: {found}. Export the policy again.")
 
     def to_record(self) -> Tree:
-        """The fields as the file stores them."""
-        found = {each.name: getattr(self, each.name) for each in fields(self) if self._has(each)}
-        return {
-            name: value.astype(np.float64) if isinstance(value, np.ndarray) else value
-            for name, value in found.items()
-        }
-
-    def _has(self, each: "Field[Any]") -> bool:
-        """True if a file needs the field: it is required, or has another value than its default."""
-        return not each.metadata.get("optional") or getattr(self, each.name) != each.default
+        """The fields as the file stores them; one that is optional only where it says something."""
+        found: Tree = {}
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if each.metadata.get("optional") and value == each.default:
+                continue
+            if isinstance(value, np.ndarray):
+                value = value.astype(np.float64)
+            found[each.name] = value.to_record() if isinstance(value, Stored) else value
+        return found
 
     @classmethod
     def from_record(cls: type[_S], record: Record) -> _S:
@@ -131,8 +151,9 @@ class Stored:
 
     def astype(self: _S, dtype: DTypeLike) -> _S:
         """The same object computing in another float type."""
-        arrays = {n: value for n, value in vars(self).items() if isinstance(value, np.ndarray)}
-        return replace(self, **{n: value.astype(dtype) for n, value in arrays.items()})
+        kinds = (np.ndarray, Stored)
+        arrays = {name: value for name, value in vars(self).items() if isinstance(value, kinds)}
+        return replace(self, **{name: value.astype(dtype) for name, value in arrays.items()})
 
 
 def _read(record: Record, each: "Field[Any]") -> object:
@@ -143,6 +164,8 @@ def _read(record: Record, each: "Field[Any]") -> object:
         return record.number(each.name)
     if each.type is str or get_origin(each.type) is Literal:
         return record.text(each.name)
+    if isinstance(each.type, type) and issubclass(each.type, Stored):
+        return each.type.from_record(record.group(each.name))
     return record.array(each.name, infinite=bool(each.metadata.get("infinite")))
 
 

@@ -128,15 +128,10 @@ def load(
 
     Raises ArtifactError or ConventionError, with the path, where the file cannot be read or run.
     """
-    options = {
-        "dt": dt,
-        "reset": reset,
-        "integrator": integrator,
-        "delay": delay,
-        "state": state,
-        "spikes": spikes,
-        "floor": floor,
-    }
+    options = dict(
+        dt=dt, reset=reset, integrator=integrator, delay=delay, state=state, spikes=spikes,
+        floor=floor,
+    )  # fmt: skip
     given = {name: value for name, value in options.items() if value is not None}
     try:
         if like is not None and written_by is not None:

@@ -4,18 +4,18 @@ It holds the normaliser and the squashing too, so that a `.nir` file is all that
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal, cast, get_args
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import numpy.ma  # here, as np.unique would import it while a policy is loaded
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from spikedeploy.runtime.codec.delta import DeltaEncoder
-from spikedeploy.runtime.codec.encoder import Encoder, EncoderState
+from spikedeploy.runtime.codec.encoder import ENCODERS, Encoder, EncoderState
 from spikedeploy.runtime.codec.population import PopulationEncoder
 from spikedeploy.runtime.codec.rate import RateEncoder
-from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.metadata import Record, Stored, Tree
+from spikedeploy.runtime.errors import ObservationError
+from spikedeploy.runtime.metadata import Stored
 
 __all__ = [
     "ENCODERS",
@@ -30,13 +30,6 @@ __all__ = [
 
 Squash = Literal["tanh", "none", "argmax"]
 
-ENCODERS: dict[str, type[Encoder]] = {
-    PopulationEncoder.kind: PopulationEncoder,
-    RateEncoder.kind: RateEncoder,
-    DeltaEncoder.kind: DeltaEncoder,
-}
-
-
 _MOST_TIMESTEPS = 2**16  # of an inference: a spike train is held whole
 
 
@@ -49,21 +42,19 @@ class Normaliser(Stored):
     clip: largest magnitude of a normalised observation [standard deviations].
     """
 
+    label: ClassVar[str] = "normaliser"
+
     mean: NDArray[np.floating]
     std: NDArray[np.floating]
     clip: float
 
     def __post_init__(self) -> None:
         if self.mean.ndim != 1 or self.mean.shape != self.std.shape:
-            raise ArtifactError(
-                "normaliser: mean and std must both have shape (obs,), found "
-                f"{self.mean.shape} and {self.std.shape}. Export the policy again."
-            )
+            found = f"{self.mean.shape} and {self.std.shape}"
+            raise self.wrong(f"mean and std must both have shape (obs,), found {found}")
         if not (np.isfinite(self.mean).all() and (self.std > 0).all() and self.clip > 0):
-            raise ArtifactError(
-                "normaliser: mean must be finite, std and clip above 0, found "
-                f"{self.mean.max()}, {self.std.min()} and {self.clip}. Export the policy again."
-            )
+            found = f"{self.mean.max()}, {self.std.min()} and {self.clip}"
+            raise self.wrong(f"mean must be finite, std and clip above 0, found {found}")
 
     def __call__(self, obs: NDArray[np.floating]) -> NDArray[np.floating]:
         """Normalised observations (B, obs)."""
@@ -77,7 +68,7 @@ class Normaliser(Stored):
 
 
 @dataclass(frozen=True, eq=False)
-class Codec:
+class Codec(Stored):
     """Everything between a robot's numbers and the network's spikes.
 
     normaliser: of the observation.
@@ -87,27 +78,22 @@ class Codec:
         "argmax", the index of the largest, the lowest of equals.
     """
 
+    label: ClassVar[str] = "codec"
+
     normaliser: Normaliser
     encoder: Encoder
     timesteps: int
     squash: Squash = "tanh"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.normaliser.mean.size != self.encoder.observed:
-            raise ArtifactError(
-                f"codec: the normaliser takes {self.normaliser.mean.size} numbers and the encoder "
-                f"{self.encoder.observed}; they must agree. Export the policy again."
+            raise self.wrong(
+                f"the normaliser takes {self.normaliser.mean.size} numbers and the encoder "
+                f"{self.encoder.observed}; they must agree"
             )
         if not 1 <= self.timesteps <= _MOST_TIMESTEPS:
-            raise ArtifactError(
-                f"codec: timesteps must be 1 to {_MOST_TIMESTEPS:,}, found {self.timesteps}. "
-                "Export the policy again."
-            )
-        if self.squash not in get_args(Squash):
-            raise ArtifactError(
-                f"codec: squash {self.squash!r} is unknown; known are "
-                f"{', '.join(get_args(Squash))}. Export the policy again."
-            )
+            raise self.wrong(f"timesteps must be 1 to {_MOST_TIMESTEPS:,}, found {self.timesteps}")
 
     @property
     def chooses(self) -> bool:
@@ -153,32 +139,6 @@ class Codec:
         mean: NDArray[np.floating] = np.add.reduce(output, axis=1) / self.timesteps
         return mean
 
-    def astype(self, dtype: DTypeLike) -> "Codec":
-        """The same codec computing in another float type."""
-        return Codec(
-            self.normaliser.astype(dtype), self.encoder.astype(dtype), self.timesteps, self.squash
-        )
-
-    def to_record(self) -> Tree:
-        """The fields as the file stores them."""
-        return {
-            "normaliser": self.normaliser.to_record(),
-            "encoder": {"kind": self.encoder.kind, **self.encoder.to_record()},
-            "timesteps": self.timesteps,
-            "squash": self.squash,
-        }
-
-    @classmethod
-    def from_record(cls, record: Record) -> "Codec":
-        """The codec stored in a file."""
-        record.only("normaliser", "encoder", "timesteps", "squash")
-        return cls(
-            normaliser=Normaliser.from_record(record.group("normaliser")),
-            encoder=_encoder(record.group("encoder")),
-            timesteps=record.integer("timesteps"),
-            squash=cast("Squash", record.text("squash")),
-        )
-
     def _check_observation(self, obs: NDArray[np.floating]) -> None:
         size = self.encoder.observed
         if obs.ndim != 2 or obs.shape[1] != size or not len(obs):
@@ -217,14 +177,3 @@ def observed_numbers(obs: ArrayLike) -> NDArray[Any]:
             "numbers."
         )
     return found
-
-
-def _encoder(record: Record) -> Encoder:
-    kind = record.text("kind")
-    if kind not in ENCODERS:
-        raise ArtifactError(
-            f"metadata {record.where}.kind is {kind!r}; known encoders are {', '.join(ENCODERS)}. "
-            "If a newer spikedeploy wrote the file, update; otherwise export the policy again."
-        )
-    stored = {name: value for name, value in record.fields.items() if name != "kind"}
-    return ENCODERS[kind].from_record(Record(stored, record.where))

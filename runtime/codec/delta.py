@@ -6,13 +6,13 @@ the same events unless 256 x / step lies within rounding error of halfway betwee
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.codec.encoder import Encoder
-from spikedeploy.runtime.errors import ArtifactError, ObservationError
+from spikedeploy.runtime.errors import ObservationError
 from spikedeploy.runtime.metadata import INFINITE
 
 Code = Literal["unary", "one-hot"]
@@ -67,27 +67,15 @@ class DeltaEncoder(Encoder):
     threshold: int = 154
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.step.ndim != 1 or not (self.step > 0).all():
             found = f"{self.step.min()}" if self.step.ndim == 1 else f"shape {self.step.shape}"
-            raise ArtifactError(
-                "delta encoder: step must have shape (obs,) and be above 0, found "
-                f"{found}. Export the policy again."
-            )
+            raise self.wrong(f"step must have shape (obs,) and be above 0, found {found}")
         if not 1 <= self.most <= _MOST:
-            raise ArtifactError(
-                f"delta encoder: most must be from 1 to {_MOST}, found {self.most}. "
-                "Export the policy again."
-            )
-        if self.code not in get_args(Code):
-            raise ArtifactError(
-                f"delta encoder: code {self.code!r} is unknown; known are "
-                f"{', '.join(get_args(Code))}. Export the policy again."
-            )
+            raise self.wrong(f"most must be from 1 to {_MOST}, found {self.most}")
         if not PARTS // 2 <= self.threshold <= PARTS * self.most:
-            raise ArtifactError(
-                f"delta encoder: threshold must be from {PARTS // 2} to {PARTS * self.most} "
-                f"(256ths of a step), found {self.threshold}. Export the policy again."
-            )
+            most = f"{PARTS // 2} to {PARTS * self.most} (256ths of a step)"
+            raise self.wrong(f"threshold must be from {most}, found {self.threshold}")
 
     @property
     def observed(self) -> int:

@@ -7,18 +7,49 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.metadata import Stored
+from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.metadata import Record, Stored, Tree
 
 # what an encoder carries from one inference of an episode to the next, for every robot of a batch;
 # made by its `start`, read by its `encode` alone; copied by copy.deepcopy and pickle
 EncoderState: TypeAlias = Any
 
 
+# by the name of their kind
+ENCODERS: "dict[str, type[Encoder]]" = {}
+
+
 @dataclass(frozen=True, eq=False)
 class Encoder(Stored, ABC):
-    """Normalised observations to spikes; a file stores its kind and its fields."""
+    """Normalised observations to spikes; a file stores its kind and its fields.
+
+    kind: in files, and in ENCODERS, where each class enters itself.
+    """
 
     kind: ClassVar[str]
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls.label = f"{cls.kind} encoder"
+        ENCODERS[cls.kind] = cls
+
+    def to_record(self) -> Tree:
+        """The kind and the fields as the file stores them."""
+        return {"kind": self.kind, **super().to_record()}
+
+    @classmethod
+    def from_record(cls, record: Record) -> "Encoder":
+        """The encoder stored in a file, of any kind; ArtifactError where it is none."""
+        kind = record.text("kind")
+        if kind not in ENCODERS:
+            raise ArtifactError(
+                f"metadata {record.where}.kind is {kind!r}; known encoders are "
+                f"{', '.join(ENCODERS)}. If a newer spikedeploy wrote the file, update; "
+                "otherwise export the policy again."
+            )
+        stored = {name: value for name, value in record.fields.items() if name != "kind"}
+        read = super(Encoder, ENCODERS[kind]).from_record
+        return read(Record(stored, record.where))
 
     @property
     @abstractmethod

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.codec.encoder import Encoder
-from spikedeploy.runtime.errors import ArtifactError
 
 Drives = NDArray[np.floating]
 
@@ -41,16 +40,11 @@ class PopulationEncoder(Encoder):
 
     def __post_init__(self) -> None:
         if self.mean.ndim != 2 or self.mean.shape != self.std.shape:
-            raise ArtifactError(
-                "population encoder: mean and std must both have shape (obs, P), found "
-                f"{self.mean.shape} and {self.std.shape}. Export the policy again."
-            )
+            found = f"{self.mean.shape} and {self.std.shape}"
+            raise self.wrong(f"mean and std must both have shape (obs, P), found {found}")
         if not (np.isfinite(self.mean).all() and (self.std > 0).all() and self.threshold > 0):
-            raise ArtifactError(
-                "population encoder: mean must be finite, std and threshold above 0, found "
-                f"{self.mean.max()}, {self.std.min()} and {self.threshold}. "
-                "Export the policy again."
-            )
+            found = f"{self.mean.max()}, {self.std.min()} and {self.threshold}"
+            raise self.wrong(f"mean must be finite, std and threshold above 0, found {found}")
 
     @property
     def observed(self) -> int:

@@ -10,13 +10,12 @@ its four bytes, which are looked up: the same bits as step by step, in a tenth o
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.codec.encoder import Encoder
-from spikedeploy.runtime.errors import ArtifactError
 
 Mode = Literal["regular", "bernoulli"]
 LEVELS = 256  # steps of a rate from 0 to 1; a rate of 1 is level 256
@@ -75,26 +74,16 @@ class RateEncoder(Encoder):
     mode: Mode = "regular"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.low.ndim != 1 or self.low.shape != self.high.shape:
-            raise ArtifactError(
-                "rate encoder: low and high must both have shape (obs,), found "
-                f"{self.low.shape} and {self.high.shape}. Export the policy again."
-            )
+            found = f"{self.low.shape} and {self.high.shape}"
+            raise self.wrong(f"low and high must both have shape (obs,), found {found}")
         if not (np.isfinite(self.low).all() and np.isfinite(self.high - self.low).all()):
-            raise ArtifactError(
-                "rate encoder: low and high must be finite. Export the policy again."
-            )
+            raise self.wrong("low and high must be finite")
         if not (self.high > self.low).all():
-            (worst,) = (self.high <= self.low).nonzero()
-            raise ArtifactError(
-                f"rate encoder: high must be above low, found {self.high[worst[0]]} and "
-                f"{self.low[worst[0]]} at index {worst[0]}. Export the policy again."
-            )
-        if self.mode not in get_args(Mode):
-            raise ArtifactError(
-                f"rate encoder: mode {self.mode!r} is unknown; known are "
-                f"{', '.join(get_args(Mode))}. Export the policy again."
-            )
+            worst = int((self.high <= self.low).argmax())
+            found = f"{self.high[worst]} and {self.low[worst]} at index {worst}"
+            raise self.wrong(f"high must be above low, found {found}")
 
     @property
     def observed(self) -> int:

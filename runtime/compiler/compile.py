@@ -4,10 +4,9 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.chips.chip import Chip, Limits
+from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.mapping import CoreMapping
@@ -18,13 +17,11 @@ from spikedeploy.runtime.compiler.rules import (
     PlacedNetwork,
     RuleResult,
     evaluate,
-    place,
     refuse,
 )
 from spikedeploy.runtime.compiler.wiring import LayerGraph, wiring
 from spikedeploy.runtime.convention import Clock, Convention
 from spikedeploy.runtime.errors import RuleError, SpikedeployError
-from spikedeploy.runtime.graph.neurons import DiscreteNeuron
 
 # [timesteps] beyond any network's longest path
 _ENDLESS = 1 << 30
@@ -59,14 +56,16 @@ def _compile(
     judge: bool,
 ) -> Program:
     """The program; `judge` by the design rules, of a network that was not judged before."""
-    _check_reset(artifact, chip)
-    _check_graded(artifact, chip)
+    _check_neurons(artifact, chip)
     if not limits:
         chip = replace(chip, delay_max=_ENDLESS)
     clock = clock or chip.clock or clock_on(artifact.convention, chip)
-    artifact = _with_delays_of(clock, artifact)
+    # a convention's own delay is a pipeline already
+    delays = clock == "pipelined" and not artifact.convention.delay
+    stated = replace(artifact.convention, clock="pipelined" if delays else "gated")
+    artifact = artifact.with_convention(stated)
     graph = wiring(artifact.graph, artifact.convention, frozenset(artifact.sigma_delta))
-    placed = place(artifact, chip, chip.limits) if judge and chip.limits else None
+    placed = PlacedNetwork(artifact, chip) if judge and chip.limits else None
     if placed:
         refuse(placed, CAPACITY)
     chip.arithmetic.check_quantisation(quantisation, chip.name)
@@ -100,14 +99,7 @@ def clock_on(convention: Convention, chip: Chip) -> Clock:
     )
 
 
-def _with_delays_of(clock: Clock, artifact: Artifact) -> Artifact:
-    """The artifact with the delays of the clock; a convention's own delay is a pipeline already."""
-    delays = clock == "pipelined" and not artifact.convention.delay
-    stated = replace(artifact.convention, clock="pipelined" if delays else "gated")
-    return artifact.with_convention(stated)
-
-
-def _check_reset(artifact: Artifact, chip: Chip) -> None:
+def _check_neurons(artifact: Artifact, chip: Chip) -> None:
     convention = artifact.convention
     there = f"The policy was trained in the integers of {artifact.trained_for}: run it there."
     if convention.reset not in chip.resets:
@@ -123,9 +115,6 @@ def _check_reset(artifact: Artifact, chip: Chip) -> None:
         chip.arithmetic.check_convention(convention, chip.name)
     except RuleError as error:
         raise (RuleError(f"{error} {there}") if artifact.trained_for else error) from error
-
-
-def _check_graded(artifact: Artifact, chip: Chip) -> None:
     if artifact.sigma_delta and chip.arithmetic.graded_bits is None:
         raise RuleError(
             f"rule graded: node {min(artifact.sigma_delta)!r}: sigma-delta neurons send graded "
@@ -159,7 +148,7 @@ def float_program(artifact: Artifact, chip: Chip, graph: LayerGraph, clock: Cloc
             f"advance its layers so; it advances them {' or '.join(chip.clocks)}"
         )
     silent = {layer.name for layer in floats if not layer.spiking}
-    output, readout, outlets = _suggest_remedies(graph, convention, bool(host), silent)
+    output, readout, outlets = _way_out(graph, convention, bool(host), silent)
     if output in {layer.name for layer in host}:
         output = layers[-1].name
     program = Program(
@@ -214,7 +203,13 @@ def _layer(artifact: Artifact, graph: LayerGraph, name: str) -> Layer:
     """
     neuron = artifact.neurons[name].flat()
     graded = artifact.sigma_delta.get(name)
-    threshold = _threshold(name, neuron) if graded is None else graded.threshold.ravel()
+    if neuron.threshold is not None and neuron.v_reset.any():
+        raise RuleError(
+            f"rule reset: layer {name!r}: v_reset goes to {neuron.v_reset.max():g}; on a chip a "
+            "spike resets the membrane to 0. Shift it, or run in float."
+        )
+    threshold = np.full(neuron.gain.shape, np.inf) if graded is None else graded.threshold.ravel()
+    threshold = threshold if neuron.threshold is None else neuron.threshold
     current_decay = neuron.current_decay
     return Layer(
         name=name,
@@ -234,24 +229,13 @@ def _layer(artifact: Artifact, graph: LayerGraph, name: str) -> Layer:
     )
 
 
-def _threshold(name: str, neuron: DiscreteNeuron) -> NDArray[np.float64]:
-    if neuron.threshold is None:
-        return np.full(neuron.gain.shape, np.inf)
-    if neuron.v_reset.any():
-        raise RuleError(
-            f"rule reset: layer {name!r}: v_reset goes to {neuron.v_reset.max():g}; on a chip a "
-            "spike resets the membrane to 0. Shift it, or run in float."
-        )
-    return neuron.threshold
-
-
 def _rows(artifact: Artifact, program: Program) -> int | None:
     """Rows of an inference; None where unknown, or where states go on from one to the next."""
     reset = artifact.convention.state == "reset"
     return program.rows(artifact.codec.timesteps) if artifact.codec is not None and reset else None
 
 
-def _suggest_remedies(
+def _way_out(
     graph: LayerGraph, convention: Convention, on_host: bool, silent: Collection[str]
 ) -> tuple[str, Readout | None, tuple[HostOutput, ...]]:
     """The layer that leaves the chip and its readout; outlets where there is more than that.
@@ -274,7 +258,6 @@ def _suggest_remedies(
 
 
 COMPILE = "compile"
-_NONE = Limits(primitives=(), sources={})
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +287,7 @@ class DesignCheck:
 
 def check(artifact: Artifact, on: Chip) -> DesignCheck:
     """Judge the artifact by every rule of the chip."""
-    placed: PlacedNetwork = place(artifact, on, on.limits or _NONE)
+    placed = PlacedNetwork(artifact, on)
     rulings: Sequence[RuleResult] = evaluate(placed) if on.limits is not None else ()
     broken = any(ruling.failed for ruling in rulings)
     try:

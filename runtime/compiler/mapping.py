@@ -60,16 +60,16 @@ class Placement:
     name: str
     kind: str
     neurons: int
-    synapses: int
-    fan_in: int
     fan_out: int
-    cores: int
-    first: int | None
     block: int
-    memory: int | None
-    axons_in: int
-    axons_out: int
-    estimated: bool
+    synapses: int = 0
+    fan_in: int = 0
+    cores: int = 0
+    first: int | None = None
+    memory: int | None = None
+    axons_in: int = 0
+    axons_out: int = 0
+    estimated: bool = False
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,8 @@ def map_to_cores(network: Topology, chip: Chip) -> CoreMapping:
         for p, block in zip(populations, blocks.values(), strict=True)
     ]
     if limits.input_cores:
-        placements = [*_inputs(network, limits, cores), *placements, *_bias(network, cores)]
+        inputs, found = len(network.inputs), list(_inputs(network, limits, cores))
+        placements = [*found[:inputs], *placements, *found[inputs:]]
     first, numbered = 0, []
     for placement in placements:
         numbered.append(replace(placement, first=first))
@@ -135,12 +136,8 @@ def _unplaced(network: Topology, population: Population) -> Placement:
         synapses=population.synapses,
         fan_in=population.fan_in,
         fan_out=int(network.fan_out(population.name).max()),
-        cores=0,
-        first=None,
         block=population.size,
-        memory=None,
         axons_in=sum(projection.map.out.size for projection in population.presynaptic),
-        axons_out=0,
         estimated=any(projection.map.most for projection in population.presynaptic),
     )
 
@@ -151,11 +148,11 @@ def _source(
     """Neurons without synapses on so many cores, whose axons go to so many others."""
     block = -(-neurons // cores)
     axons = block * targets
-    return Placement(name, kind, neurons, 0, 0, fan_out, cores, None, block, 0, 0, axons, False)
+    return Placement(name, kind, neurons, fan_out, block, cores=cores, memory=0, axons_out=axons)
 
 
 def _inputs(network: Topology, limits: Limits, cores: Mapping[str, int]) -> Iterator[Placement]:
-    """Neurons that hand on the spikes of the inputs."""
+    """Neurons that hand on the spikes of the inputs, and the one of the bias."""
     for name, width in network.inputs.items():
         targets = _target_cores(network, name, cores)
         most = limits.neurons_per_core or width
@@ -163,10 +160,7 @@ def _inputs(network: Topology, limits: Limits, cores: Mapping[str, int]) -> Iter
             most = max(min(most, limits.axons_out // targets), 1)
         fan_out = int(network.fan_out(name).max())
         yield _source(name, "input", width, -(-width // most), targets, fan_out)
-
-
-def _bias(network: Topology, cores: Mapping[str, int]) -> Iterator[Placement]:
-    """The one neuron that spikes in every timestep, if any layer has a bias."""
+    # the one neuron that spikes in every timestep, if any layer has a bias
     if biased := [p for p in network.populations if p.biased]:
         targets = sum(cores[p.name] for p in biased)
         yield _source("bias", "bias", 1, 1, targets, sum(p.size for p in biased))
@@ -174,10 +168,11 @@ def _bias(network: Topology, cores: Mapping[str, int]) -> Iterator[Placement]:
 
 # the division of populations into blocks
 
+# (population, neurons of a core) to what they take of it
+Weigh: TypeAlias = Callable[[Population, int], "Load"]
 
-def _divide(
-    network: Topology, limits: Limits, weigh: "Callable[[Population, int], Load]"
-) -> dict[str, int]:
+
+def _divide(network: Topology, limits: Limits, weigh: Weigh) -> dict[str, int]:
     """The block of each population; a core has axons for so many target cores of its neurons."""
     blocks = {p.name: p.size for p in network.populations}
     cores = dict.fromkeys(blocks, 1)
@@ -204,7 +199,7 @@ def _target_cores(network: Topology, name: str, cores: Mapping[str, int]) -> int
 def _block(
     population: Population,
     limits: Limits,
-    weigh: "Callable[[Population, int], Load]",
+    weigh: Weigh,
     targets: int,
 ) -> int:
     """Neurons of a core when it takes the fewest cores; 1 where nothing fits."""
@@ -408,28 +403,26 @@ def placement_utilisation(placement: Placement, limits: Limits) -> Utilisation:
         core = limits.layer_cores[placement.first]
         memory = (placement.memory or 0) / core.kernel
         return Utilisation(placement.block / core.neurons, memory, None, None)
-    return _shares([(1, placement)], limits, [placement.block])
+    return _shares([replace(placement, cores=1, neurons=placement.block)], limits)
 
 
 def mapping_utilisation(mapping: CoreMapping, limits: Limits) -> Utilisation:
     """The utilisation of all cores that are taken."""
-    placed = [(placement.cores, placement) for placement in mapping.placements]
-    return _shares(placed, limits, [placement.neurons for placement in mapping.placements])
+    return _shares(mapping.placements, limits)
 
 
-def _shares(
-    placed: list[tuple[int, Placement]], limits: Limits, neurons: Iterable[int]
-) -> Utilisation:
-    cores = sum(number for number, _ in placed)
-    size = None if limits.memory is None else limits.memory.size
+def _shares(placed: Sequence[Placement], limits: Limits) -> Utilisation:
+    cores = sum(placement.cores for placement in placed)
 
-    def share(each: Iterable[int | None], most: int | None) -> float | None:
-        total = sum(found or 0 for found in each)
-        return total / (most * cores) if most and cores else None
+    def share(taken: Iterable[int], most: int | None) -> float | None:
+        return sum(taken) / (most * cores) if most and cores else None
 
     return Utilisation(
-        neurons=share(neurons, limits.neurons_per_core),
-        memory=share(((p.memory or 0) * number for number, p in placed), size),
-        axons_in=share((p.axons_in * number for number, p in placed), limits.axons_in),
-        axons_out=share((p.axons_out * number for number, p in placed), limits.axons_out),
+        neurons=share((p.neurons for p in placed), limits.neurons_per_core),
+        memory=share(
+            ((p.memory or 0) * p.cores for p in placed),
+            None if limits.memory is None else limits.memory.size,
+        ),
+        axons_in=share((p.axons_in * p.cores for p in placed), limits.axons_in),
+        axons_out=share((p.axons_out * p.cores for p in placed), limits.axons_out),
     )

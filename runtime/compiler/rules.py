@@ -6,7 +6,7 @@ of a network that is placed on a chip, which yield their results. A new rule is 
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal, TypeAlias
 
 import nir
@@ -18,7 +18,7 @@ from spikedeploy.runtime.chips.chip import READOUTS, Chip, Limits
 from spikedeploy.runtime.compiler.mapping import CoreMapping, Placement, map_to_cores
 from spikedeploy.runtime.compiler.wiring import Population, Topology, topology
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.graph.neurons import SPIKING, DiscreteNeuron
+from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.graph.order import delay_timesteps
 from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, window_of
 
@@ -30,6 +30,7 @@ Value = float | str | None
 _LAST_BIT = 1e-9
 # of the smallest mantissa: what is no more becomes 0 when it is rounded
 _HALF = 0.5
+_NONE = Limits(primitives=(), sources={})
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,16 +38,22 @@ class PlacedNetwork:
     """A network on a chip, which rules are about.
 
     artifact: the network and its convention.
-    chip, limits: of the chip.
-    network: populations and synapses.
-    neurons: the difference equation of each node of neurons.
+    chip: where it is to run.
     """
 
     artifact: Artifact
     chip: Chip
-    limits: Limits
-    network: Topology
-    neurons: dict[str, DiscreteNeuron]
+
+    @property
+    def limits(self) -> Limits:
+        """What fits on the chip; nothing is limited where nothing is published."""
+        return self.chip.limits or _NONE
+
+    @cached_property
+    def network(self) -> Topology:
+        """Populations and synapses."""
+        membranes = self.chip.membrane_output != "none"
+        return topology(self.artifact.graph, membranes, frozenset(self.artifact.sigma_delta))
 
     @cached_property
     def mapping(self) -> CoreMapping:
@@ -68,18 +75,6 @@ class PlacedNetwork:
         """Populations that count as neurons of the chip, not as its outputs."""
         limited = self.limits.outputs is not None
         return [p for p in self.network.populations if not (limited and p.leaves)]
-
-
-def place(artifact: Artifact, chip: Chip, limits: Limits) -> PlacedNetwork:
-    """The artifact on the chip."""
-    graph, membranes = artifact.graph, chip.membrane_output != "none"
-    return PlacedNetwork(
-        artifact=artifact,
-        chip=chip,
-        limits=limits,
-        network=topology(graph, membranes, frozenset(artifact.sigma_delta)),
-        neurons=artifact.neurons,
-    )
 
 
 @dataclass(frozen=True)
@@ -137,11 +132,13 @@ def format_value(value: Value) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-# a rule, and what it measures: (node or None, number), with a note where it needs one
+# a rule, whose name its results are given at the end, and what it measures: (node or None, number),
+# with a note where it needs one
 Rule: TypeAlias = Callable[[PlacedNetwork], Iterable[RuleResult]]
 Measure: TypeAlias = Callable[
     [PlacedNetwork], Iterable[tuple[str | None, float] | tuple[str | None, float, str]]
 ]
+_result = partial(RuleResult, "")
 
 
 def _at_most(unit: str, remedy: str, limit: str, measure: Measure) -> Rule:
@@ -159,13 +156,13 @@ def _compare(
     node: str | None, found: float, limit: float | None, unit: str, remedy: str, note: str = ""
 ) -> RuleResult:
     status: Status = "unknown" if limit is None else "pass" if found <= limit else "fail"
-    return RuleResult("", node, status, found, limit, unit, remedy, note)
+    return _result(node, status, found, limit, unit, remedy, note)
 
 
 def _choose(node: str, found: str, possible: Sequence[str], remedy: str) -> RuleResult:
     """Pass where the chip has what was found."""
     status: Status = "pass" if found in possible else "fail"
-    return RuleResult("", node, status, found, ", ".join(possible) or "none", "", remedy)
+    return _result(node, status, found, ", ".join(possible) or "none", "", remedy)
 
 
 # rules on single nodes: kinds, resets, decays, thresholds, weights, kernels
@@ -176,7 +173,7 @@ def _primitive(design: PlacedNetwork) -> Iterator[RuleResult]:
     for name, node in design.nodes:
         kind, possible = type(node).__name__, design.limits.primitives
         if name in design.network.host:
-            yield RuleResult("", name, "pass", kind, note="computed by the host")
+            yield _result(name, "pass", kind, note="computed by the host")
             continue
         spikes = name in design.artifact.sigma_delta
         if kind in READOUTS and not spikes and design.network.leaving(name):
@@ -194,7 +191,7 @@ def _reset(design: PlacedNetwork) -> Iterator[RuleResult]:
         if node.v_reset.any():
             found = f"v_reset {float(node.v_reset.flat[np.abs(node.v_reset).argmax()]):g}"
             remedy = "Shift the membrane so that it resets to 0, or run the network in float."
-            yield RuleResult("", name, "fail", found, "v_reset 0", "", remedy)
+            yield _result(name, "fail", found, "v_reset 0", "", remedy)
         else:
             remedy = _reset_remedy(reset, type(node).__name__, resets)
             if trained_for := design.artifact.trained_for:
@@ -235,7 +232,7 @@ def _shape(design: PlacedNetwork) -> Iterator[RuleResult]:
         channels, *extents = population.shape
         fits = channels <= limits.channels and max(extents, default=1) <= limits.extent
         status: Status = "pass" if fits else "fail"
-        yield RuleResult("", population.name, status, _by(population.shape), most, "", remedy)
+        yield _result(population.name, status, _by(population.shape), most, "", remedy)
 
 
 def _kernel(design: PlacedNetwork) -> Iterator[RuleResult]:
@@ -247,14 +244,10 @@ def _kernel(design: PlacedNetwork) -> Iterator[RuleResult]:
             continue
         window = window_of(name, node)
         fits = max(window.kernel) <= limits.kernel and {*window.stride} <= {*limits.strides}
-        yield RuleResult(
-            rule="",
-            node=name,
-            status="pass" if fits else "fail",
-            found=f"a kernel of {_by(window.kernel)}, stride {_by(window.stride)}",
-            limit=f"kernels to {limits.kernel}, strides {', '.join(map(str, limits.strides))}",
-            remedy="Train with such a kernel.",
-        )
+        found = f"a kernel of {_by(window.kernel)}, stride {_by(window.stride)}"
+        most = f"kernels to {limits.kernel}, strides {', '.join(map(str, limits.strides))}"
+        status: Status = "pass" if fits else "fail"
+        yield _result(name, status, found, most, "", "Train with such a kernel.")
 
 
 def _by(extents: tuple[int, ...]) -> str:
@@ -294,9 +287,10 @@ def _on_mantissas(judge: Callable[[Floats, float, int, int], RuleResult]) -> Rul
             if not isinstance(node, SPIKING):
                 continue
             weight = max((each.map.largest for each in population.presynaptic), default=0.0)
-            largest = weight * float(np.abs(design.neurons[population.name].gain).max())
+            gain = design.artifact.neurons[population.name].gain
+            largest = weight * float(np.abs(gain).max())
             if widest is None or most is None or not largest:
-                yield RuleResult("", population.name, "unknown")
+                yield _result(population.name, "unknown")
             else:
                 found = judge(node.v_threshold, largest, widest, most)
                 yield replace(found, node=population.name)
@@ -308,36 +302,24 @@ def _weight_bits(threshold: Floats, largest: float, widest: int, most: int) -> R
     """The largest weight is not 0 beside the largest threshold."""
     top = float(threshold.max())
     found = min(float(widest), largest * most / top if top > 0 else widest)
-    return RuleResult(
-        rule="",
-        node=None,
-        status="pass" if found > _HALF else "fail",
-        found=found,
-        limit=f"weights above {_HALF}, to {widest}",
-        unit="mantissa of the largest weight",
-        remedy="Scale the weights up, or the threshold down.",
-    )
+    limit, unit = f"weights above {_HALF}, to {widest}", "mantissa of the largest weight"
+    remedy = "Scale the weights up, or the threshold down."
+    return _result(None, "pass" if found > _HALF else "fail", found, limit, unit, remedy)
 
 
 def _threshold_range(threshold: Floats, largest: float, widest: int, most: int) -> RuleResult:
     """Thresholds are whole numbers within their register when the largest weight fills its own."""
     found = float(threshold.min()) * widest / largest
     dead = found < 0 or 0 < found <= _HALF
-    return RuleResult(
-        rule="",
-        node=None,
-        status="fail" if dead else "pass",
-        found=found,
-        limit=f"thresholds above {_HALF}, to {most}",
-        unit="units of the smallest weight",
-        remedy="Raise the threshold, or clip the weights.",
-        note="thresholds above the range scale the weights down" if found > most else "",
-    )
+    limit, unit = f"thresholds above {_HALF}, to {most}", "units of the smallest weight"
+    remedy = "Raise the threshold, or clip the weights."
+    note = "thresholds above the range scale the weights down" if found > most else ""
+    return _result(None, "fail" if dead else "pass", found, limit, unit, remedy, note)
 
 
 def _decay_range(design: PlacedNetwork) -> Iterator[RuleResult]:
     """Measure the rounding of the losses of current and membrane to what the registers hold."""
-    for name, neuron in sorted(design.neurons.items()):
+    for name, neuron in sorted(design.artifact.neurons.items()):
         if name in design.network.host:
             continue
         losses = {"membrane": (1 - neuron.membrane_decay, design.limits.membrane_loss)}
@@ -347,15 +329,9 @@ def _decay_range(design: PlacedNetwork) -> Iterator[RuleResult]:
         status: Status = "unknown" if len(ranges) < len(losses) else "pass"
         if any(held is not None and not _holds(held, loss) for loss, held in losses.values()):
             status = "fail"
-        yield RuleResult(
-            rule="",
-            node=name,
-            status=status,
-            found="a loss of " + ", ".join(f"{s} {_span(loss)}" for s, (loss, _) in losses.items()),
-            limit=", ".join(ranges) or None,
-            unit="of 1 in a timestep",
-            remedy="Choose another time constant.",
-        )
+        found = "a loss of " + ", ".join(f"{s} {_span(loss)}" for s, (loss, _) in losses.items())
+        unit, remedy = "of 1 in a timestep", "Choose another time constant."
+        yield _result(name, status, found, ", ".join(ranges) or None, unit, remedy)
 
 
 def _holds(held: tuple[float, float], loss: Floats) -> bool:
@@ -374,7 +350,7 @@ def _recurrence(design: PlacedNetwork) -> Iterator[RuleResult]:
     remedy = "Take the loop out, or run the network in float."
     for population in design.network.populations:
         if population.recurrent and design.limits.recurrence is None:
-            yield RuleResult("", population.name, "unknown", "a loop")
+            yield _result(population.name, "unknown", "a loop")
         elif population.recurrent:
             possible = ("a loop",) if design.limits.recurrence else ()
             yield _choose(population.name, "a loop", possible, remedy)
@@ -426,7 +402,7 @@ def _synaptic_memory(design: PlacedNetwork) -> Iterator[RuleResult]:
             most = max(core.kernel for core in limits.layer_cores)
             yield _compare(name, found, most, "entries", remedy)
         elif limits.memory is None:
-            yield RuleResult("", name, "unknown")
+            yield _result(name, "unknown")
         else:
             most, note = limits.memory.size, _note(placement)
             yield _compare(name, found, most, "bits in a core", remedy, note)
@@ -479,7 +455,7 @@ def _cores(design: PlacedNetwork) -> Iterator[RuleResult]:
     if limits.layer_cores:
         yield _layer_cores(design)
     elif found is None or limits.cores is None:
-        yield RuleResult("", None, "unknown", found, None, "cores")
+        yield _result(None, "unknown", found, None, "cores")
     else:
         remedy = "Prune the network, or make its layers smaller."
         result = _compare(None, found, limits.cores, "cores", remedy, _with_one_list(design))
@@ -491,9 +467,9 @@ def _layer_cores(design: PlacedNetwork) -> RuleResult:
     placements, cores = design.mapping.placements, len(design.limits.layer_cores)
     if design.mapping.chips is None:
         found, remedy = f"{len(placements)} layers that find no cores", "Make the layers smaller."
-        return RuleResult("", None, "fail", found, f"{cores} of them", "", remedy)
+        return _result(None, "fail", found, f"{cores} of them", "", remedy)
     note = ", ".join(f"{each.name}: core {each.first}" for each in placements)
-    return RuleResult("", None, "pass", len(placements), cores, "cores", note=note)
+    return _result(None, "pass", len(placements), cores, "cores", note=note)
 
 
 def _with_one_list(design: PlacedNetwork) -> str:
@@ -510,12 +486,12 @@ def _chips(design: PlacedNetwork) -> Iterator[RuleResult]:
     """Chips that hold the cores."""
     found = design.mapping.chips
     if found is None:
-        yield RuleResult("", None, "unknown", None, None, "chips")
+        yield _result(None, "unknown", None, None, "chips")
     elif design.limits.alone:
         yield _compare(None, found, 1, "chips", "Prune the network.")
     else:
         note = "more than one chip, which this one can be joined to" if found > 1 else ""
-        yield RuleResult("", None, "pass", found, None, "chips", note=note)
+        yield _result(None, "pass", found, None, "chips", note=note)
 
 
 def _convention(design: PlacedNetwork) -> Iterator[RuleResult]:
@@ -524,14 +500,14 @@ def _convention(design: PlacedNetwork) -> Iterator[RuleResult]:
     found, note = f"spikes {stated.spikes!r}, floor {stated.floor!r}", stated.describe()
     possible = design.chip.arithmetic.spikes_and_floor
     if possible is None:
-        yield RuleResult("", None, "unknown", found, note=note)
+        yield _result(None, "unknown", found, note=note)
         return
     spikes, floor = possible
     # at the threshold or above it: the compiler makes a remark of it
     near = (stated.spikes, spikes) == ("reached", "above") and stated.floor == floor
     status: Status = "pass" if near or (stated.spikes, stated.floor) == possible else "fail"
     limit = f"spikes {spikes!r}, floor {floor!r}"
-    yield RuleResult("", None, status, found, limit, "", "Run the network in float.", note)
+    yield _result(None, status, found, limit, "", "Run the network in float.", note)
 
 
 # the table: rules on single nodes, which do not apply to the others, then those on the network

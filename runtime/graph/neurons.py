@@ -29,7 +29,7 @@ NIR has no such node. A tool that does not read the metadata sees the integrator
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import nir
 import numpy as np
@@ -241,6 +241,8 @@ class SigmaDelta(Stored):
     bias: of the same shape, added to sigma before the rectification.
     """
 
+    label: ClassVar[str] = "sigma-delta neurons"
+
     threshold: Array
     bias: Array
 
@@ -251,10 +253,7 @@ class SigmaDelta(Stored):
                 f"{self.bias.shape}. Give one of each for each neuron."
             )
         if not (self.threshold > 0).all():
-            raise ArtifactError(
-                f"sigma-delta neurons: threshold holds {self.threshold.min():g}; each must be "
-                "above 0. Export the policy again."
-            )
+            raise self.wrong(f"threshold holds {self.threshold.min():g}; each must be above 0")
 
     def to_record(self) -> Tree:
         """The fields as the file stores them, and a remark for readers of other tools."""

@@ -38,7 +38,7 @@ from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.rules import place
+from spikedeploy.runtime.compiler.rules import PlacedNetwork
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
@@ -177,7 +177,7 @@ class NirController(Player):
         """Layer -> cores that `check` gives to it; None where nothing is known of the chip's."""
         if self.chip is None or self.chip.limits is None:
             return None
-        found = place(self.artifact, self.chip, self.chip.limits).mapping
+        found = PlacedNetwork(self.artifact, self.chip).mapping
         placed = {each.name: each.cores for each in found.placements if each.kind == "neurons"}
         return placed if found.cores else None
 

@@ -40,7 +40,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.compiler.compile import clock_on, compile_program
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.compiler.rules import place
+from spikedeploy.runtime.compiler.rules import PlacedNetwork
 from spikedeploy.runtime.convention import Clock
 from spikedeploy.runtime.errors import ConfigError, TraceError
 from spikedeploy.runtime.traces.verify import Verdict, verify
@@ -137,7 +137,7 @@ def export_program(
     host = host_record(compiled, None if raster is not None else artifact.codec, run)
     named = zoo.called(str(file))
     origin = f"{named if named != str(file) else file.name}, sha256 {zoo.sha256(file)[:16]}"
-    placement = place(artifact, on, on.limits).mapping if on.limits is not None else None
+    placement = PlacedNetwork(artifact, on).mapping if on.limits is not None else None
     text = program_text(run, compiled.clock, placement, host, origin)
     said = f"expected by spikedeploy's emulation of {chip_name}, {source}"
     expected = expected_text(run, rows, text, said)

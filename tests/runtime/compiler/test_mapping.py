@@ -23,7 +23,7 @@ from spikedeploy.runtime.compiler.mapping import (
     mapping_utilisation,
     placement_utilisation,
 )
-from spikedeploy.runtime.compiler.rules import evaluate, place
+from spikedeploy.runtime.compiler.rules import PlacedNetwork, evaluate
 from spikedeploy.runtime.compiler.wiring import topology
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.graph.validate import check_graph
@@ -304,7 +304,7 @@ def test_a_convolutional_network_finds_a_core_of_speck_for_each_layer():
 def test_a_convolutional_network_keeps_every_rule_of_speck():
     artifact = Artifact(neuromorphic_mnist(), None, Convention(1e-3, reset="subtract"))
     on = chip("speck2f")
-    assert [r for r in evaluate(place(artifact, on, on.limits)) if r.failed] == []
+    assert [r for r in evaluate(PlacedNetwork(artifact, on)) if r.failed] == []
 
 
 def test_a_layer_moves_on_when_another_needs_its_core():

@@ -16,7 +16,7 @@ from spikedeploy import zoo
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import CHIPS, Limits, chip
 from spikedeploy.runtime.compiler.compile import check, compile_program
-from spikedeploy.runtime.compiler.rules import NODE_RULES, RULES, evaluate, place
+from spikedeploy.runtime.compiler.rules import NODE_RULES, RULES, PlacedNetwork, evaluate
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError, SpikedeployError
 from tests.graded import one_neuron
@@ -230,7 +230,7 @@ BOUNDARIES = [
 
 
 def statuses(artifact, on, rule):
-    found = evaluate(place(artifact, on, on.limits))
+    found = evaluate(PlacedNetwork(artifact, on))
     return {ruling.status for ruling in found if ruling.rule == rule}
 
 
