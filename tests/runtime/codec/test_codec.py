@@ -124,9 +124,7 @@ def test_the_table_lists_encoders_under_their_kind(kind):
 def test_an_unknown_encoder_is_refused_with_the_known_ones():
     record = codec(3).to_record()
     record["encoder"]["kind"] = "latency"
-    with pytest.raises(
-        ArtifactError, match="'latency'; known encoders are delta"
-    ):
+    with pytest.raises(ArtifactError, match="'latency'; known encoders are delta"):
         Codec.from_record(Record(record, "codec"))
 
 
