@@ -5,7 +5,6 @@ import pytest
 
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.hexapod.env import HexapodEnv
-from spikedeploy.envs.hexapod.robot import Gait
 
 STILL = np.zeros(18)
 
@@ -34,28 +33,8 @@ def test_the_gait_alone_walks_slowly_and_never_falls(walks):
     assert speed == pytest.approx(0.155, abs=0.015)
 
 
-def test_the_gait_alone_stays_clearly_under_success(walks):
-    returns = [info["episode_return"] for info, _ in walks]
-    assert min(returns) > 1750.0
-    assert max(returns) < 2150.0
-    assert not any(info["success"] for info, _ in walks)
-
-
 def test_the_gait_alone_costs_about_as_much_as_an_insect_of_its_size(walks):
     assert np.mean([info["cot"] for info, _ in walks]) == pytest.approx(1.2, abs=0.15)
-
-
-def test_a_wider_swing_of_the_legs_pays_more(env):
-    info, _ = episode(env, 0, lambda observation: wider(env, observation))
-    assert info["episode_return"] > 2400.0
-
-
-def wider(env, observation):
-    """Swing the coxae by 0.65 instead of 0.35 action units."""
-    gait = Gait(yaw=0.30, lift=0.0, extend=0.0)
-    sine, cosine = observation[env.OBSERVATION["phase"]]
-    gait.reset(math.atan2(sine, cosine))
-    return gait.command() / 0.5
 
 
 def test_the_same_seed_gives_the_same_bits_whatever_came_before(env):
@@ -70,14 +49,6 @@ def test_the_same_seed_gives_the_same_bits_whatever_came_before(env):
         second, twin_reward, *_ = fresh.step(twin.uniform(-1.0, 1.0, 18))
         np.testing.assert_array_equal(first, second)
         assert reward == twin_reward
-
-
-def test_seeds_differ_in_ground_body_and_start(env):
-    first, _ = env.reset(seed=1)
-    mass = env._robot.mass
-    second, _ = env.reset(seed=2)
-    assert not np.array_equal(first, second)
-    assert env._robot.mass != mass
 
 
 def test_terms_sum_to_the_reward_and_rewards_to_the_return(env):
@@ -105,14 +76,6 @@ def test_servos_get_six_tenths_of_the_new_command_and_four_of_the_last(env):
         )
 
 
-def test_actions_beyond_one_count_as_one(env):
-    env.reset(seed=0)
-    beyond, *_ = env.step(np.full(18, 7.0))
-    env.reset(seed=0)
-    one, *_ = env.step(np.ones(18))
-    np.testing.assert_array_equal(beyond, one)
-
-
 @pytest.mark.parametrize("wrong", [np.zeros(17), np.zeros((1, 18)), np.full(18, np.nan)])
 def test_an_invalid_action_is_refused_with_its_step(env, wrong):
     env.reset(seed=0)
@@ -130,25 +93,12 @@ def test_a_robot_on_its_back_has_fallen(env):
     assert info["fall"]
 
 
-def test_a_robot_on_its_belly_has_fallen(env):
-    env.reset(seed=0)
-    env._robot.data.qpos[2] = env._terrain.ground(-10.0, 0.0) + 0.03
-    _, _, terminated, *_ = env.step(STILL)
-    assert terminated
-
-
 def test_success_needs_the_return_and_the_feet(env):
     env.reset(seed=0)
     env._return = 2600.0
     assert env.step(STILL)[4]["success"]
     env._robot.data.qpos[3:7] = [0.0, 1.0, 0.0, 0.0]
     assert not env.step(STILL)[4]["success"]
-
-
-def test_an_episode_is_truncated_at_max_steps():
-    env = HexapodEnv(max_steps=3)
-    env.reset(seed=0)
-    assert [env.step(STILL)[3] for _ in range(3)] == [False, False, True]
 
 
 def test_the_support_force_is_off_until_training_raises_it(env):
@@ -163,18 +113,6 @@ def test_the_support_force_is_off_until_training_raises_it(env):
         env.support_force = 0.0
     with pytest.raises(EnvError, match="support_force"):
         env.support_force = 1.5
-
-
-def test_every_disturbance_can_be_switched_off():
-    calm = HexapodEnv(
-        terrain=0.0, pushes=0.0, mass=1.0, payload=0.0, friction=0.9, servo_gain=1.0, max_steps=400
-    )
-    info, fell = episode(calm, 0)
-    assert calm._robot.mass == pytest.approx(2.45)
-    assert not calm._terrain.height.any()
-    assert not fell
-    speed = info["distance"] / 8.0
-    assert speed == pytest.approx(0.155, abs=0.01)
 
 
 def test_the_first_push_comes_after_two_to_five_seconds(env):

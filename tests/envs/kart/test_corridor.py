@@ -29,12 +29,6 @@ def test_a_corridor_of_n_cells_has_n_gates_two_walls_a_cell_and_one_behind_the_s
         assert found.length == pytest.approx(50 + 100 * (count - 1), rel=0.3)
 
 
-def test_walls_are_drawn_once():
-    for found in drawn(9):
-        walls = {tuple(sorted(map(tuple, wall.tolist()))) for wall in found.walls}
-        assert len(walls) == len(found.walls)
-
-
 def test_a_kart_starts_in_the_first_cell_looking_at_the_second():
     for found in drawn(3):
         assert found.start.tolist() == [500.0, 500.0]
@@ -52,13 +46,6 @@ def test_all_twelve_corridors_of_three_cells_turn_up_about_as_often():
     assert len(counts) == 12
     assert min(counts.values()) > 60
     assert max(counts.values()) < 140
-
-
-@pytest.mark.parametrize(
-    ("name", "cells"), [("corridor", 3), ("corridor-7", 7), ("big_S", None), ("corridors", None)]
-)
-def test_a_name_says_how_many_cells(name, cells):
-    assert length_of(name) == cells
 
 
 @pytest.mark.parametrize("name", ["corridor-1", "corridor-65", "corridor-0"])

@@ -9,7 +9,6 @@ import pytest
 
 from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart import track as track_file
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.kart.karts import KartSteerEnv
 from spikedeploy.envs.kart.lidar import LidarOptions
@@ -70,17 +69,6 @@ def test_a_grid_kart_is_at_400_px_s_after_23_steps_and_not_before():
     assert speeds[9] == pytest.approx(600 * (1 - 1.05**-10))
 
 
-@pytest.mark.parametrize(
-    ("name", "direction"),
-    [("up", (0, -1)), ("down", (0, 1)), ("left", (-1, 0)), ("right", (1, 0))],
-)
-def test_a_push_adds_30_px_s_and_moves_the_kart_at_once(name, direction):
-    env = kart("kart-grid")
-    do(env, name)
-    np.testing.assert_allclose(env.velocity, 30 / 1.05 * np.array(direction))
-    np.testing.assert_allclose(env.pose[:2], 30 * DT * np.array(direction))
-
-
 def test_a_grid_kart_loses_half_its_speed_in_14_steps():
     env = kart("kart-grid")
     before = do(env, "right", 10)[4]["speed"]
@@ -92,11 +80,6 @@ def test_no_push_acts_at_400_px_s_not_even_one_that_brakes():
     fast = do(env, "right", 23)[4]["speed"]
     assert do(env, "left")[4]["speed"] == pytest.approx(fast / 1.05)
     assert do(env, "left")[4]["speed"] == pytest.approx((fast / 1.05 - 30) / 1.05)
-
-
-def test_a_grid_kart_has_no_heading():
-    env = kart("kart-grid", track=hall(heading=(1.0, 1.0)))
-    assert do(env, "up", 5)[4]["heading"] == 0.0
 
 
 # -- gazebo
@@ -118,24 +101,6 @@ def test_a_gazebo_kart_turns_by_0_0947_rad_a_step_clockwise_to_the_right():
     assert do(env, "right")[4]["heading"] == pytest.approx(5.68 / 60)
     do(env, "left")
     assert do(env, "left")[4]["heading"] == pytest.approx(5.68 / 60)
-
-
-def test_a_full_turn_of_a_gazebo_kart_takes_66_steps():
-    env = kart("kart-gazebo")
-    headings = [do(env, "right")[4]["heading"] for _ in range(68)]
-    assert headings[66] < math.tau < headings[67]  # the first of 68 does not move yet
-    assert (env.pose[0], env.pose[1]) == (0.0, 0.0)
-
-
-def test_a_gazebo_kart_drives_along_its_heading():
-    env = kart("kart-gazebo")
-    do(env, "right", 10)
-    do(env, "forward", 6)
-    heading = 10 * 5.68 / 60
-    assert env.pose[2] == pytest.approx(heading)
-    np.testing.assert_allclose(
-        env.pose[:2], 5 * 440 / 60 * np.array([math.cos(heading), math.sin(heading)])
-    )
 
 
 # -- steer
@@ -173,12 +138,6 @@ def test_steering_builds_up_and_fades_by_a_third_a_step():
     assert env.turn == pytest.approx(turns[14] / DT)
 
 
-def test_a_steer_kart_turns_at_standstill():
-    env = kart("kart-steer")
-    assert do(env, "left", 5)[4]["heading"] < -0.25
-    assert env.pose[:2] == (0.0, 0.0)
-
-
 def test_a_steer_kart_has_no_lateral_slip():
     env = kart("kart-steer")
     do(env, "accelerate", 40)
@@ -203,13 +162,6 @@ def test_full_continuous_actions_do_what_discrete_ones_do(name, action):
     other.step(np.array(action, float))
     np.testing.assert_allclose(one.pose, other.pose)
     np.testing.assert_allclose(one.velocity, other.velocity)
-
-
-def test_half_a_throttle_accelerates_half_as_much_while_it_steers():
-    env = kart("kart-steer", actions="continuous")
-    env.step(np.array([0.5, 0.25]))
-    assert env.speed == pytest.approx(0.5 * 7.488 / 1.005)
-    assert env.pose[2] == pytest.approx(0.25 * 0.2126 * 0.2)
 
 
 # -- episodes
@@ -294,17 +246,6 @@ def test_standing_still_for_two_seconds_is_a_failure(name):
     assert info["reward_terms"]["crash"] == -5.0
 
 
-def test_driving_in_circles_is_a_failure_too():
-    env = kart("kart-steer")
-    actions = itertools.cycle(["accelerate", "right", "right"])
-    for steps in range(1, 1000):  # noqa: B007
-        _, _, terminated, _, info = do(env, next(actions))
-        if terminated:
-            break
-    assert info["stalled"]
-    assert steps < 300
-
-
 @everyone
 def test_a_kart_that_makes_progress_is_truncated_and_that_is_no_failure(name):
     env = kart(name, max_steps=40)
@@ -368,40 +309,6 @@ def test_starts_fill_the_spread_and_the_headings(name):
         assert 1.4 < headings.max() <= math.pi / 2
 
 
-@everyone
-def test_a_fixed_start_is_the_middle_of_all_starts(name):
-    env = envs.make(name, start="fixed").unwrapped
-    for seed in range(3):
-        info = env.reset(seed=seed)[1]
-        assert (info["x"], info["y"], info["heading"]) == (150.0, 200.0, 0.0)
-
-
-@everyone
-@pytest.mark.parametrize("course", [*track_file.names(), "corridor", "corridor-9"])
-def test_every_track_can_be_driven_on(name, course):
-    env = envs.make(name, track=course)
-    env.action_space.seed(1)
-    observation, info = env.reset(seed=1)
-    for _ in range(300):
-        assert env.observation_space.contains(observation)
-        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        assert math.isfinite(reward)
-        assert 0.0 <= info["progress"] <= 1.0
-        if terminated or truncated:
-            observation, _ = env.reset()
-
-
-def test_the_goal_of_the_first_room_is_elsewhere_in_every_episode():
-    env = envs.make("kart-steer", track="room_1").unwrapped
-    places = []
-    for seed in range(5):
-        env.reset(seed=seed)
-        places.append(env.track.midpoints[-1])
-    assert len(set(places)) == 5
-    env.reset(seed=0)
-    assert env.track.midpoints[-1] == places[0]
-
-
 def test_vector_environments_of_processes_agree_with_a_single_one():
     options = {"track": "small_S"}
     vector = gymnasium.make_vec(
@@ -418,6 +325,18 @@ def test_vector_environments_of_processes_agree_with_a_single_one():
             one, *_ = single.step(1)
     finally:
         vector.close()
+
+
+def test_the_goal_of_the_first_room_is_elsewhere_in_every_episode():
+    env = kart("kart-steer", track="room_1", lidar=LidarOptions(count=9))
+    places = {}
+    for seed in (0, 1, 0):
+        env.reset(seed=seed)
+        places.setdefault(seed, set()).add(env.track.midpoints[-1])
+    assert len(places[0]) == 1
+    assert not places[0] & places[1]
+    with pytest.raises(EnvError, match='render_mode="rgb_array"'):
+        env.render()
 
 
 # -- bad input
@@ -465,16 +384,6 @@ def test_an_invalid_option_is_refused_in_one_line(options, message):
         KartSteerEnv(**options)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_lidar_options_may_be_given_as_they_are():
-    env = envs.make("kart-grid", lidar=LidarOptions(count=9, range=100.0)).unwrapped
-    assert (len(env.lidar.angles), env.lidar.range) == (9, 100.0)
-
-
-def test_a_picture_needs_a_render_mode():
-    with pytest.raises(EnvError, match='render_mode="rgb_array"'):
-        kart("kart-grid").render()
 
 
 @everyone

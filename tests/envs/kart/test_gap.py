@@ -34,12 +34,6 @@ def test_replaying_the_observations_gives_the_same_actions(options):
     assert played.action.shape[1:] == world.action_space.shape
 
 
-def test_a_direction_is_free_up_to_the_wall_in_it():
-    free = driver("stop", "forward", "left", "right").free(np.array([100.0, 20.0, 100.0, 60.0]))
-    # of each ray the other three are beside or behind, farther away than WIDTH or not in the way
-    assert free.tolist() == [100, 20, 100, 60]
-
-
 def test_walls_closer_to_the_lane_than_half_a_kart_block_it():
     angles = np.array([0.0, 0.2])
     columns = {"lidar": slice(0, 2), "velocity": slice(2, 4)}

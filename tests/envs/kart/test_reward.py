@@ -58,59 +58,10 @@ def test_progress_of_a_lap_sums_to_the_path_from_its_start(name):
     assert total(steps, "time") == pytest.approx(-0.01 * len(steps))
 
 
-@everyone
-def test_progress_of_an_episode_sums_to_the_path_covered(name):
-    env = envs.make(name, max_steps=150).unwrapped
-    rng = np.random.default_rng(5)
-    for seed in range(5):
-        first, steps = episode(env, seed, lambda _: int(rng.choice([FORWARD[name], 0, 3])))
-        start = env.track.remaining(first["x"], first["y"], 0)
-        x, y, _ = env.pose
-        end = env.track.remaining(x, y, env.next_gate)
-        assert total(steps, "progress") == pytest.approx((start - end) / 100)
-
-
-@everyone
-def test_passing_a_gate_never_costs_anything(name):
-    """The corner that is cut at a gate is paid; what comes next is a leg, not a jump back."""
-    env = envs.make(name).unwrapped
-    driver = GapDriver.of(env)
-    _, steps = episode(env, 10_001, lambda seen: int(driver.act(seen)))
-    gates = [info["gates"] for _, _, info in steps]
-    at = [k for k in range(1, len(steps)) if gates[k] > gates[k - 1]]
-    assert len(at) == 8
-    assert all(steps[k][1]["progress"] > -0.1 for k in at)
-
-
-def test_driving_forth_and_back_earns_nothing():
-    env = envs.make("kart-grid", start="fixed").unwrapped
-    env.reset(seed=0)
-    earned = []
-    for action in [4] * 10 + [3] * 20 + [4] * 10 + [0] * 60:
-        _, _, _, _, info = env.step(action)
-        earned.append(info["reward_terms"]["progress"])
-    away = env.track.remaining(150.0, 200.0, 0) - env.track.remaining(*env.pose[:2], 0)
-    assert max(earned) > 0.01
-    assert sum(earned) == pytest.approx(away / 100)
-
-
-def test_a_crash_and_a_stall_cost_five_once():
-    terms = PathReward().terms(REST._replace(failed=True))
-    assert terms == {"progress": 0.0, "gate": 0.0, "finish": 0.0, "crash": -5.0, "time": -0.01}
-
-
 def test_weights_are_changed_by_name_and_the_others_stay():
     reward = PathReward({"gate": 2.0, "time": 0})
     terms = reward.terms(REST._replace(gained=50.0, gates=1))
     assert terms == {"progress": 0.5, "gate": 2.0, "finish": 0.0, "crash": 0.0, "time": 0.0}
-
-
-def test_truncation_is_not_penalised_as_a_crash():
-    for preset in ("default", "classic"):
-        env = envs.make("kart-grid", preset=preset, max_steps=20).unwrapped
-        _, steps = episode(env, 0, lambda _: 4)
-        assert len(steps) == 20
-        assert total(steps, "crash") == 0.0
 
 
 # -- classic: kart-simulator's numbers
@@ -149,11 +100,6 @@ def test_classic_ends_pay_kart_simulators_sums_once(kind, crash):
     assert kind.CLASSIC.terms(REST._replace(finish=True))["finish"] == 500_000
 
 
-def test_classic_steering_is_paid_towards_the_gate_and_twice_as_dear_away_from_it():
-    terms = [KartSteerEnv.CLASSIC.terms(REST._replace(steering=k))["steer"] for k in (1, 0, -1)]
-    assert terms == pytest.approx([0.07, 0.0, -0.14])
-
-
 def test_classic_steering_counts_by_the_side_of_the_gate():
     env = envs.make("kart-steer", preset="classic", start="fixed").unwrapped
     env.reset(seed=0)
@@ -164,27 +110,12 @@ def test_classic_steering_counts_by_the_side_of_the_gate():
     assert env.step(left)[4]["reward_terms"]["steer"] == pytest.approx(0.07)
 
 
-def test_classic_pays_increments_and_not_the_running_total():
-    env = envs.make("kart-gazebo", preset="classic", start="fixed").unwrapped
-    env.reset(seed=0)
-    rewards = [env.step(1)[1] for _ in range(12)]
-    # 0.75 a step at full speed: the approach differs a little as the gate's middle is not ahead
-    np.testing.assert_allclose(rewards[1:], 0.746, atol=0.01)
-
-
 @pytest.mark.parametrize(("name", "steps"), [("kart-gazebo", 100), ("kart-steer", 120)])
 def test_classic_karts_may_stand_still_as_long_as_in_kart_simulator(name, steps):
     env = envs.make(name, preset="classic").unwrapped
     _, done = episode(env, 0, lambda _: 0)
     assert len(done) == steps
     assert done[-1][2]["stalled"]
-
-
-def test_a_classic_grid_kart_may_stand_still_without_limit():
-    env = envs.make("kart-grid", preset="classic", max_steps=400).unwrapped
-    _, steps = episode(env, 0, lambda _: 0)
-    assert len(steps) == 400
-    assert not steps[-1][2]["stalled"]
 
 
 @pytest.mark.parametrize(("name", "action"), [("kart-grid", "left"), ("kart-steer", "accelerate")])

@@ -42,11 +42,6 @@ def test_headroom_is_taken_only_where_the_recording_needs_it():
     assert found == Quantisation()
 
 
-def test_proven_headroom_is_never_larger_than_calibrated():
-    calibrated = with_calibrated_headroom(crowd(), chip("loihi1"), some(600))
-    assert weight_of(Quantisation(headroom="proven")) < weight_of(calibrated)
-
-
 def test_tuning_brings_every_layer_nearer_or_leaves_it():
     artifact, low = popsan(), chip("loihi1", weight_bits=3)
     rng = np.random.default_rng(0)
@@ -57,11 +52,6 @@ def test_tuning_brings_every_layer_nearer_or_leaves_it():
     assert after.layers[0].distance < 0.9 * before.layers[0].distance
     assert found.of("n2") != UNTUNED
     assert "'n2': reach" in found.describe()
-
-
-def test_tuning_of_what_is_exact_changes_nothing():
-    found = tuned(crowd(), chip("loihi1"), some(300))
-    assert found.of("n2") == UNTUNED
 
 
 def test_a_chip_of_another_arithmetic_is_not_calibrated():

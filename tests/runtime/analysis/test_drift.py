@@ -12,7 +12,7 @@ from spikedeploy.runtime.analysis.activity import Activity, chip_activity
 from spikedeploy.runtime.analysis.drift import activity, drift, first_divergence
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.quantisation import Quantisation, Tuning
+from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ObservationError
@@ -94,27 +94,6 @@ def test_ablation_steps_add_one_rounding_after_another_and_end_on_the_chip():
     assert last.output == found.output
     assert last.distance == {layer.name: layer.distance for layer in found.layers}
     assert found.ablation[0].distance["n2"] > 0
-
-
-def test_a_rounding_that_changes_nothing_changes_no_spike_on_its_rung():
-    # weights of 1 and -1, a threshold of 128 / 255 and decays of 1/2 are exact
-    rng = np.random.default_rng(0)
-    neurons = cuba(6, alpha=0.5, beta=0.5, threshold=128 / 255)
-    weight = rng.integers(-1, 2, (6, 8)).astype(float)
-    artifact = Artifact(chain(nir.Linear(weight), neurons, width=8, act=6), None, Convention(1e-3))
-    found = drift(artifact, chip("loihi1"), raster_of(artifact))
-    assert [step.distance["n2"] for step in found.ablation[:3]] == [0.0, 0.0, 0.0]
-
-
-def test_a_tuned_threshold_drifts_from_the_rung_of_thresholds_on():
-    artifact = popsan()
-    tuned = Quantisation(tuned={"n2": Tuning(threshold=3.0)})
-    plain, found = (
-        drift(artifact, chip("loihi1"), raster_of(artifact), q).ablation
-        for q in (Quantisation(), tuned)
-    )
-    assert found[0].distance["n2"] == plain[0].distance["n2"]
-    assert found[1].distance["n2"] > 10 * plain[1].distance["n2"]
 
 
 @pytest.mark.parametrize("granularity", ["layer", "channel"])

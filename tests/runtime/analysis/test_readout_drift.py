@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from spikedeploy.emulation.open_loop import measure_inference
-from spikedeploy.runtime.analysis.activity import chip_activity, float_activity
-from spikedeploy.runtime.analysis.calibration import tuned, with_calibrated_headroom
+from spikedeploy.runtime.analysis.calibration import with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
@@ -44,16 +43,6 @@ def test_drift_tells_what_recorded_inputs_fill_and_what_overflows():
     assert many.filled >= 0.99
 
 
-def test_membranes_of_twin_and_ideal_are_equal():
-    artifact = network("second")
-    twin = float_activity(artifact, events())
-    seen = chip_activity(compile_program(artifact, chip("ideal")), events())
-    assert twin.membranes.keys() == seen.membranes.keys() == {"fast", "readout"}
-    for name, rows in twin.membranes.items():
-        np.testing.assert_allclose(rows, seen.membranes[name], rtol=0, atol=1e-12)
-    assert seen.spikes.keys() == {"hidden"}
-
-
 def test_calibration_leaves_room_for_recorded_inputs():
     raster = np.zeros((1, 400, 12), np.uint8)
     weight = compile_program(network("only"), chip("loihi1")).layers[0].synapses[0].weight
@@ -62,11 +51,6 @@ def test_calibration_leaves_room_for_recorded_inputs():
     assert chosen.of("fast").clip_ratio < 1
     (found,) = drift(network("only"), chip("loihi1"), raster, chosen).readouts
     assert found.saturations == 0
-
-
-def test_tuning_passes_over_readouts():
-    assert set(tuned(network("second"), chip("loihi1"), events()).tuned) == {"hidden"}
-    assert not tuned(network("only"), chip("loihi1"), events()).tuned
 
 
 @pytest.mark.parametrize("name", [None, "loihi1", "loihi1:membrane_output=none"])
@@ -89,15 +73,3 @@ def test_neurobench_takes_membranes_for_graded_and_readouts_for_no_spiking_layer
     assert (found.host is not None) == (name is not None and "none" in name)
     if found.host:
         assert found.host.multiplications == 75 * ACTIONS
-
-
-@pytest.mark.parametrize("name", ["truenorth", "odin"])
-def test_drift_of_chips_without_currents_fills_no_register(name):
-    found = drift(network("same", neurons="IF"), chip(name), events(), limits=False)
-    assert all(layer.filled is None for layer in found.layers)
-    assert not found.readouts
-
-
-def test_a_hidden_current_that_adds_up_is_told_too():
-    (hidden,) = drift(network("same"), chip("loihi1"), events()).layers
-    assert 0 < hidden.filled < 1

@@ -62,13 +62,12 @@ def test_a_network_of_bytes_is_a_quarter_of_one_of_floats():
     assert connection_sparsity(floats) == connection_sparsity(whole) == round(2 / 6, 4)
 
 
-def test_a_network_without_weights_has_none_that_are_zero():
-    graph = chain(lif(3), width=3, act=3)
-    assert (connection_sparsity(graph), parameter_count(graph), dense_operations(graph)) == (
-        0.0,
-        0,
-        0,
-    )
+def test_dense_operations_count_zero_weights_and_no_padding():
+    assert dense_operations(network().graph) == 20 * 16 + 16 * 12 + 12 * 3
+    # four places of three taps, less one at each end
+    assert dense_operations(nir.NIRGraph.from_list(convolutions()[0])) == 4 * 3 - 2
+    bare = chain(lif(3), width=3, act=3)
+    assert (connection_sparsity(bare), dense_operations(bare)) == (0, 0)
 
 
 def test_packed_weights_take_the_bits_of_the_chip():
@@ -91,15 +90,6 @@ def test_spikes_of_a_loop_arrive_a_timestep_later():
     )
     # the input's spike reaches 1 neuron; that neuron's spike 1 more; its spike comes too late
     assert found.effective_acs == 1 + 1
-
-
-def test_dense_counts_zero_weights_too():
-    assert dense_operations(network().graph) == 20 * 16 + 16 * 12 + 12 * 3
-
-
-def test_a_convolution_has_no_operations_with_its_padding():
-    # four places of three taps, less one at each end
-    assert dense_operations(nir.NIRGraph.from_list(convolutions()[0])) == 4 * 3 - 2
 
 
 @pytest.mark.parametrize("name", ["ideal", "loihi1"])

@@ -47,16 +47,6 @@ def test_the_energy_of_a_random_network_is_sanafes(case, rate, mapping):
 
 
 @pytest.mark.parametrize("case", NETWORKS)
-def test_energies_are_sanafes_without_a_layout_too_where_nothing_goes_to_a_host(case):
-    network = program(case, seed=4)
-    raster = raster_of(network, 5, 0.2)
-    ledger, _ = run(network, raster)
-    theirs = simulate(network, raster, one_core_each(network))
-    to_host = ledger.by_layer("spike_out")[network.output] * TABLE.joules["message"]
-    assert energy(ledger, TABLE) - to_host == pytest.approx(theirs["energy"]["total"], rel=0.05)
-
-
-@pytest.mark.parametrize("case", NETWORKS)
 def test_the_time_of_layers_on_one_tile_is_an_upper_bound_of_sanafes(case):
     network = program(case, seed=6)
     raster = raster_of(network, 7, 0.2)

@@ -13,7 +13,6 @@ from spikedeploy.runtime.metrics.traffic import (
     Layout,
     MemoryTraffic,
     MessageTraffic,
-    memory_counts,
     memory_traffic,
     placed_messages,
     traffic,
@@ -74,20 +73,6 @@ def test_accumulators_are_read_and_written_once_for_each_operation_of_a_random_n
     assert accesses == 2 * ledger.total("sop")
 
 
-def test_there_is_a_row_for_each_timestep_of_a_stream():
-    network = program()
-    counts = memory_counts(run(network, [[1, 0], [0, 1], [0, 0]]), network)
-    assert counts.shape == (3, 1, 6)
-    assert counts[:, 0, 0].tolist() == [2, 3, 0]
-    assert counts[:, 0, 2].tolist() == [0, 4, 6]
-
-
-def test_fewer_bits_are_fewer_bits_to_read():
-    network = program(weight_bits=4)
-    found = memory_traffic(run(network, [[1, 1]]), network)["n"]
-    assert (found.weight_reads, found.read_bits) == (5, 5 * 4 + 3 * 48)
-
-
 CHIP = chip("loihi1")
 
 
@@ -118,12 +103,6 @@ def test_a_spike_takes_a_message_to_each_core_that_it_reaches(network):
     found = traffic(network, SPIKES, Layout(APART, np.zeros((3, 2), np.int64)))
     # axon 0 reaches layer a, axon 1 both layers, the second layer itself; a's spikes nothing
     assert found == MessageTraffic(message=10 * 1 + 1 * 2 + 2 * 1, hop_x=0, hop_y=0)
-
-
-def test_layers_that_share_a_core_share_a_message(network):
-    ones = {"input": np.array([0, 0]), "a": np.array([1, 1]), "b": np.array([1])}
-    found = traffic(network, SPIKES, Layout(ones, np.zeros((2, 2), np.int64)))
-    assert found.message == 10 + 1 + 2
 
 
 def test_a_layer_on_two_cores_takes_two_messages_and_their_hops(network):

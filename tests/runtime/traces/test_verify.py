@@ -2,20 +2,16 @@
 
 import contextlib
 import json
-import time
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.emulation.trace_replay import replay_trace
-from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import SpikedeployError, TraceError
 from spikedeploy.runtime.traces import fields
 from spikedeploy.runtime.traces.verify import Difference, verify
 from tests.paths import GOLDEN
-from tests.trace_files import recorded_trace
 
 LAVA = GOLDEN / "lava_A_popsan_decays.json"
 
@@ -90,39 +86,6 @@ def test_only_sums_that_are_rounded_together_show_when_lava_rounds(file):
     assert verify(file(together)).difference is None
 
 
-@pytest.mark.parametrize(
-    ("chip", "row", "kept"),
-    [("loihi1", 1, -256), ("loihi1-brian2", 0, -254)],
-)
-def test_readings_disagree_about_odd_mixed_weights(chip, row, kept, file):
-    expected = [[0, 0], [0, 0]]
-    expected[row] = [kept * 64, 254 * 64]
-    record = small(chip, [[-255], [255]], [[1], [0]], expected, exc_inh_split=False)
-    assert verify(file(record)).difference is None
-
-
-def test_nengos_membrane_stays_between_vmin_and_vmax(file):
-    record = small("loihi1-nengo", [[5], [-5]], [[1]], [[320, -320]], vmin=0, vmax=255)
-    record["v"] = [[255, 0]]
-    assert verify(file(record)).difference is None
-
-
-def test_a_board_shows_something_else_where_a_neuron_spikes(file):
-    record = {
-        "source": "a Loihi 2 board",
-        "params": {"weight": 10, "vth": 9, "dv": 163},
-        "input_spikes": [1, 0, 0],
-        "v": [0, 128, 0],
-        "s": [0.0, 1.0, 0.0],
-    }
-    verdict = verify(file(record))
-    assert verdict.chip == "loihi2"
-    assert verdict.difference is None
-    assert (verdict.compared, verdict.passed_over) == (5, 1)
-    record["v"] = [0, 128, 1]
-    assert verify(file(record)).difference == Difference(2, "layer0", 0, "membrane", 1, 0)
-
-
 BOARD = {"weight": 10, "vth": 9, "dv": 163}
 
 
@@ -153,25 +116,6 @@ def test_a_single_neuron_of_a_board_may_be_written_in_many_ways(changed, params,
     assert (verdict.compared, verdict.passed_over) == (5, 1)
 
 
-def test_only_numbers_that_were_passed_over_are_explained(lava, file):
-    verdict = verify(file(lava))
-    assert (verdict.passed_over, verdict.why) == (0, "")
-
-
-def test_tables_may_stand_the_other_way_where_the_file_says_so(lava, file):
-    turned = {name: np.transpose(lava[name]).tolist() for name in ("u", "v", "s", "input_spikes")}
-    said = {"trace_index": "[post][t]", "input_spikes_index": "[pre][t]"}
-    assert verify(file(lava | turned | said)).equal
-
-
-def test_a_sign_mode_in_words_is_read(file):
-    record = json.loads((GOLDEN / "lava_F_mixed_odd_weights.json").read_text())
-    del record["params"]["exc_inh_split"]
-    assert not verify(file(record)).equal
-    record["params"]["sign_mode"] = "SignMode.MIXED"
-    assert verify(file(record)).equal
-
-
 def test_lava_takes_a_decay_that_no_register_holds_and_the_verdict_says_so(file):
     record = small("loihi1", [[3]], [[1], [0], [1]], [[0], [192], [0]])
     record["v"] = record["u"]
@@ -181,7 +125,6 @@ def test_lava_takes_a_decay_that_no_register_holds_and_the_verdict_says_so(file)
     assert verdict.equal
     (remark,) = verdict.remarks
     assert remark.startswith("layer0: dv is 4096, which lava takes and the chip's register of 12")
-    assert verify(file(small("loihi1", [[3]], [[1]], [[0]]))).remarks == ()
     other = {**record, "chip": "loihi1-nengo", "params": {**params, "dv": 4096}}
     with pytest.raises(TraceError, match="dv holds 4096"):
         verify(file(other))
@@ -203,41 +146,9 @@ def test_the_first_difference_is_told(quantity, key, lava, file):
     assert verify(file(lava)).difference == difference
 
 
-def test_within_a_step_the_current_comes_before_what_follows_from_it(lava, file):
-    lava["s"][20][0] ^= 1
-    lava["v"][20][1] += 1
-    lava["u"][20][3] += 1
-    found = verify(file(lava)).difference
-    assert (found.quantity, found.neuron) == ("current", 3)
-
-
-def test_a_difference_in_a_hidden_layer_names_it(file):
-    record = json.loads((GOLDEN / "lava_L_chain_3layers.json").read_text())
-    record["layers"][1]["s"][9][4] ^= 1
-    found = verify(file(record)).difference
-    assert (found.layer, found.step, found.neuron, found.quantity) == ("layer1", 9, 4, "spikes")
-
-
-def test_a_trace_need_not_hold_everything(lava, file):
-    del lava["u"], lava["v"]
-    assert verify(file(lava)).compared == 200
-
-
 def test_fields_without_a_meaning_are_told(lava, file):
     lava["params"]["stochastic"] = 3
     assert verify(file(lava)).unread == ("stochastic",)
-
-
-def test_the_name_of_the_file_helps_where_its_source_does_not(lava, file):
-    lava["source"] = lava["kind"] = ""
-    assert verify(file(lava, "lava_of_my_own.json")).chip == "loihi1"
-
-
-def test_parameters_may_differ_from_neuron_to_neuron(file):
-    record = small("loihi1", [[9], [9]], [[1], [0]], [[0, 0], [576, 576]], vth=[8, 9])
-    record["s"] = [[0, 0], [1, 0]]
-    record["params"]["vth"] = [8, 9]
-    assert verify(file(record)).difference is None
 
 
 def broken(key, value):
@@ -254,6 +165,7 @@ def top(key, value):
         (top("source", "a chip"), "no emulator or chip is known"),
         (top("chip", "loihi9"), "chip 'loihi9' is not known"),
         (top("chip", "ideal"), "can be run but has no trace format"),
+        (lambda record: record.update(u=None, v=None, s=None), "nothing to compare"),
         (top("params", 3), "params: expected an object"),
         (top("input_spikes", [[2] * 12] * 50), "input_spikes holds 2"),
         (top("input_spikes", [[1] * 12] * 49), r"shape \(50, 4\).*\(49, 4\)"),
@@ -278,6 +190,9 @@ def top(key, value):
         (broken("weight_exp", 99), "weight_exp holds 99"),
         (broken("delay", 10**9), "delay holds 1000000000"),
         (broken("exc_inh_split", "yes"), "exc_inh_split is 'yes'"),
+        (broken("delays", [[1, 2]]), "delays has shape"),
+        (broken("delays", [[64] * 12] * 4), "delays holds 64"),
+        (broken("weights_input", [[1] * 12] * 4), "weights_input has shape"),
     ],
 )
 def test_a_broken_file_is_told_what_is_wrong(change, message, lava, file):
@@ -291,12 +206,6 @@ def test_a_broken_file_is_told_what_is_wrong(change, message, lava, file):
 def test_a_file_that_is_no_trace_at_all_is_refused(text, file):
     with pytest.raises(TraceError):
         verify(file(text))
-
-
-def test_a_trace_without_recordings_is_refused(lava, file):
-    del lava["u"], lava["v"], lava["s"]
-    with pytest.raises(TraceError, match="nothing to compare"):
-        verify(file(lava))
 
 
 @pytest.fixture
@@ -337,8 +246,12 @@ JUNK = st.recursive(
 )
 
 
-@settings(max_examples=300, deadline=None)
-@given(st.sampled_from(sorted(GOLDEN.glob("*.json"))), st.randoms(use_true_random=False), JUNK)
+SOURCES = [*sorted(GOLDEN.glob("*.json")), *(GOLDEN / "rtl").glob("odin_random*.json"),
+           *(GOLDEN / "rtl").glob("spiker*.json")]  # fmt: skip
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.sampled_from(SOURCES), st.randoms(use_true_random=False), JUNK)
 def test_junk_in_a_field_is_an_error_or_a_verdict_and_never_a_crash(
     tmp_path_factory, source, rng, junk
 ):
@@ -350,12 +263,6 @@ def test_junk_in_a_field_is_an_error_or_a_verdict_and_never_a_crash(
     path.write_text(json.dumps(record))
     with contextlib.suppress(SpikedeployError):
         assert verify(path).compared > 0
-
-
-def test_a_program_of_a_trace_runs_like_any_other():
-    recorded = recorded_trace(LAVA)
-    ran = trace(recorded.program, np.repeat(recorded.raster, 2, axis=0))
-    np.testing.assert_array_equal(ran["layer0"].spikes[0], ran["layer0"].spikes[1])
 
 
 @pytest.mark.parametrize("value", [["a" * 10_000, ""], [[1, "2"]], [None], [{}], "1"])
@@ -376,23 +283,6 @@ def test_a_replay_that_would_take_too_long_is_refused(limit, trace, monkeypatch)
         verify(GOLDEN / f"{trace}.json")
 
 
-@pytest.mark.parametrize("trace", ["xylo_own_aliases", "rtl/spiker_subtract"])
-def test_what_is_taken_one_by_one_is_part_of_the_work(trace, monkeypatch):
-    monkeypatch.setattr(fields, "_MOST_ONE_BY_ONE", 3)
-    with pytest.raises(TraceError, match="axons and aliases"):
-        verify(GOLDEN / f"{trace}.json")
-
-
-def test_hidden_neurons_of_xylo_are_one_layer_with_their_recurrent_synapses(monkeypatch):
-    path = GOLDEN / "xylo_B_two_syn_bias_rec.json"
-    most = 2 * verify(path).steps
-    monkeypatch.setattr(fields, "_MOST_TICKS", most)
-    assert verify(path).equal
-    monkeypatch.setattr(fields, "_MOST_TICKS", most - 1)
-    with pytest.raises(TraceError, match=f"has {most} layers times timesteps"):
-        verify(path)
-
-
 def test_layers_and_fields_and_numbers_are_limited(lava, file, monkeypatch):
     with pytest.raises(TraceError, match="layers has 257"):
         verify(file({**lava, "layers": [{}] * 257}))
@@ -401,13 +291,6 @@ def test_layers_and_fields_and_numbers_are_limited(lava, file, monkeypatch):
     monkeypatch.setattr(fields, "_MOST_READ", 1000)
     with pytest.raises(TraceError, match=r"makes .* numbers in all layers"):
         verify(GOLDEN / "lava_L_chain_3layers.json")
-
-
-def test_a_long_source_is_read_in_no_time(lava, file):
-    start = time.process_time()
-    with pytest.raises(TraceError, match="no emulator or chip is known"):
-        verify(file({**lava, "source": "hw_loihi" * 200_000, "name": "", "kind": ""}))
-    assert time.process_time() - start < 2
 
 
 def test_nothing_in_a_file_reaches_the_terminal_as_a_command(lava, file):
