@@ -1,15 +1,17 @@
-"""A compiled program as C99 without dependencies: the network in integers, and the codec.
+"""A compiled program as C99 without dependencies, or a float network in 8-bit weights.
 
-The templates are C with gaps, `@NAME@`; what depends on the program is written into them.
+The templates are C in jinja2; loops over layers and the choice of what a layer needs are in them.
 
-to_c          a program and its codec as a folder of C, its self-test, memory and operations
-plan          what C of a program has to know; how large its numbers get; what cannot become C
-declarations  arrays of C with the narrowest types; registers and decays defined for every number
-network       policy.h and policy.c: synapses, neurons, layers
-codec         codec.c: observations to events, spikes and membranes to actions
+to_c          a program and its codec, or a float network, as files of C; memory and operations
+plan          what templates are filled with: integers of layers, types, spikes that are kept
+bounds        how large the numbers of a program get
+refusals      programs, codes and names that are not written in C
+codec         numbers of encoders and decoders in doubles
 int16         the interface in 16-bit integers: what its C equals bit for bit
-int16_writer  codec_i16.c, host_i16.c and their self-test
-int8          a float network in 8-bit weights: what its C equals bit for bit, and that C
-packaging     a Zephyr module, a CMSIS layer, a cycle counter, a README
-templates/    C with gaps
+int8          a float network in 8-bit weights: what its C equals bit for bit
+declarations  numbers and arrays of C in the narrowest types; templates filled
+packaging     which files there are, those around the sources, and how all are written
+templates/    policy.*, rows.c, registers.c, cuba.c, integrate.c: the network;
+              codec.c, encode_*.c, decode.c: observation to action; *_i16: the same in 16 bits;
+              dense_*: 8-bit weights; selftest*, run_*: self-tests; the rest stands around
 """

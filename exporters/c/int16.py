@@ -10,7 +10,7 @@ from math import ceil, floor, log2
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.exporters.c.plan import Plan
+from spikedeploy.exporters.c.plan import Plan, Tap, diagonal_of
 from spikedeploy.runtime.codec.codec import Codec, Normaliser
 from spikedeploy.runtime.codec.delta import LARGEST as X_LARGEST
 from spikedeploy.runtime.codec.delta import PARTS, Code, DeltaEncoder
@@ -101,11 +101,6 @@ def linear_q15(score: Integers, fraction: int) -> Integers:
     return found
 
 
-def score_fraction(largest: float) -> int:
-    """Bits behind the point with which scores up to this magnitude leave one of 31 bits free."""
-    return floor(30 - log2(max(largest, 2.0**-14)))
-
-
 _INT32 = 2**31 - 1
 _INT16 = 2**15
 _WEIGHT_BITS = 12  # of the largest weight of a readout
@@ -139,6 +134,11 @@ class Int16Delta:
         """Largest magnitude of a level q."""
         return int(self.x_max.max()) // PARTS + 1
 
+    @property
+    def bound(self) -> Integers:
+        """(K,) sums of gain o and what is added to it from which an event is sent."""
+        return np.asarray((2 * self.threshold + 1) << self.shift)
+
     def events(self, o: Integers, level: Integers) -> Integers:
         """Signed numbers of events (K,) of observations (obs,) at levels (K,)."""
         parts = (self.gain * o[self.observed] + self.offset) >> self.shift
@@ -161,16 +161,11 @@ class Int16Delta:
 class Int16Term:
     """Contribution of a layer to the scores: (value >> drop) weight.
 
-    layer: its name; of a silent one membranes count, of a spiking one spikes.
-    silent: whether it is one without a threshold.
-    lag: timesteps by which the value is late.
     drop: bits.
     weight: (N, scores).
     """
 
-    layer: str
-    silent: bool
-    lag: int
+    tap: Tap
     drop: int
     weight: Integers
 
@@ -204,6 +199,14 @@ class Int16Codec:
         """Numbers of an action."""
         return 1 if self.chooses else len(self.bias)
 
+    @property
+    def diagonal(self) -> Integers | None:
+        """(scores,) weights where each score is a bias and one membrane as it is now; else None."""
+        term = self.terms[0]
+        if self.chooses or len(self.terms) != 1 or not term.tap.silent or term.tap.lag:
+            return None
+        return diagonal_of(term.weight)
+
     def act(self, score: Integers) -> Integers:
         """The action (act,) of scores."""
         if self.chooses:
@@ -235,7 +238,7 @@ class Int16Player:
         self._machine = Machine(self.program, 1, "none", trace=True, backend="interpreter")
         self._level = np.zeros(len(self.codec.delta.observed), np.int64)
         self._late = [
-            np.zeros((term.lag + 1, len(term.weight)), np.int64) for term in self.codec.terms
+            np.zeros((term.tap.lag + 1, term.tap.size), np.int64) for term in self.codec.terms
         ]
 
     def act(self, o: Integers) -> Integers:
@@ -247,9 +250,9 @@ class Int16Player:
         found = self._machine.recordings
         self.states = {name: each.membrane[0, 0].astype(np.int64) for name, each in found.items()}
         for term, late in zip(self.codec.terms, self._late, strict=True):
-            recorded = found[term.layer]
+            recorded = found[term.tap.layer]
             late[1:] = late[:-1].copy()
-            late[0] = (recorded.membrane if term.silent else recorded.spikes)[0, 0]
+            late[0] = (recorded.membrane if term.tap.silent else recorded.spikes)[0, 0]
             score += (late[-1] >> term.drop) @ term.weight
         return self.codec.act(score)
 
@@ -263,7 +266,7 @@ def int16_codec(plan: Plan) -> Int16Codec | str:
         return "it is written for inferences of one timestep that keep their states"
     if plan.kind != "int32_t":
         return "the states of the network need more than 32 bits"
-    if any(plan.times_max[t.layer] > 1 for t in plan.terms if plan.is_spiking(t)):
+    if any(tap.times_max > 1 for tap in plan.taps if not tap.silent):
         return "a neuron that the output reads can spike several times in a timestep"
     try:
         observations = Int16Observations.of(codec.normaliser)
@@ -322,29 +325,25 @@ def _fix_scores(
     plan: Plan, codec: Codec, observations: Int16Observations, delta: Int16Delta
 ) -> Int16Codec | str:
     """The decoder: weights of scores in a common unit, as fine as 32 bits let them be."""
-    spiking = [plan.is_spiking(term) for term in plan.terms]
-    bounds = [
-        plan.times_max[term.layer] if spikes else plan.states_max(term.layer)
-        for term, spikes in zip(plan.terms, spiking, strict=True)
-    ]
-    weights = []
-    for first, part in plan.score_weights:
-        weight = np.zeros((len(part), len(plan.bias)))
-        weight[:, first : first + part.shape[1]] = part
+    reach, weights = np.zeros(len(plan.bias)), []
+    for tap in plan.taps:
+        weight = np.zeros((tap.size, len(plan.bias)))
+        weight[:, tap.first : tap.first + tap.weight.shape[1]] = tap.weight
         weights.append(weight)
-    parts = zip(bounds, weights, strict=True)
-    largest = np.abs(plan.bias) + sum(bound * np.abs(w).sum(axis=0) for bound, w in parts)
-    fraction = score_fraction(float(largest.max()))
+        most = plan.magnitudes[tap.layer].states if tap.silent else tap.times_max
+        reach = reach + most * np.abs(weight).sum(axis=0)
+    largest = max(float((np.abs(plan.bias) + reach).max()), 2.0**-14)
+    fraction = floor(30 - log2(largest))  # one of 31 bits stays free
     if not LEAST_FRACTION <= fraction < 60:
         return "the scores of its actions need more than 32 bits"
     total, terms = np.rint(plan.bias * 2.0**fraction), []
-    for term, spikes, weight in zip(plan.terms, spiking, weights, strict=True):
-        most = np.abs(weight).max(initial=0) or 1.0
-        drop = 0 if spikes else max(0, int(_WEIGHT_BITS - fraction - np.ceil(np.log2(most))))
+    for tap, weight in zip(plan.taps, weights, strict=True):
+        finest = np.abs(weight).max(initial=0) or 1.0
+        drop = max(0, int(_WEIGHT_BITS - fraction - np.ceil(np.log2(finest)))) * tap.silent
         fixed = np.rint(weight * 2.0 ** (fraction + drop)).astype(np.int64)
         # bits that are dropped are half a unit in the mean
         total += fixed.sum(axis=0) // 2 if drop else 0
-        terms.append(Int16Term(term.layer, not spikes, term.lag, drop, fixed))
+        terms.append(Int16Term(tap, drop, fixed))
     return Int16Codec(
         observations, delta, total.astype(np.int64), tuple(terms), fraction, codec.squash
     )

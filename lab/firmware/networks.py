@@ -44,8 +44,8 @@ from lab.firmware.targets import (
     run,
 )
 from spikedeploy import zoo
+from spikedeploy.exporters.c.packaging import write_texts
 from spikedeploy.exporters.c.to_c import network_in_c
-from spikedeploy.exporters.c.to_c import write as write_c
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
@@ -139,7 +139,7 @@ def without_readout(policy: Artifact) -> Artifact:
 
 
 def _own(name: str, program, raster: NDArray[np.uint8], folder: Path) -> dict:  # noqa: ANN001
-    write_c(network_in_c(program, raster, name, prefix="net"), folder)
+    write_texts(network_in_c(program, raster, name, prefix="net").text, folder)
     _write_header(folder, raster, program.layer(program.output).size, "int8_t")
     (folder / "net_counts.c").write_bytes((SOURCES / "net_counts.c").read_bytes())
     sources = ("net.c", "net_counts.c")

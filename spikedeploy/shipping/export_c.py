@@ -14,16 +14,10 @@ from spikedeploy import envs, zoo
 from spikedeploy.console import say
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.errors import ConfigError
-from spikedeploy.exporters.c.int8 import Int8Mlp, dense_names, mlp_in_c, quantise, read_onnx
-from spikedeploy.exporters.c.plan import check_prefix
-from spikedeploy.exporters.c.to_c import (
-    MAKEFILE,
-    MARK,
-    RECORD,
-    file_names,
-    policy_in_c,
-    write_texts,
-)
+from spikedeploy.exporters.c.int8 import Int8Mlp, quantise, read_onnx
+from spikedeploy.exporters.c.packaging import MAKEFILE, MARK, RECORD, file_names, write_texts
+from spikedeploy.exporters.c.refusals import check_prefix
+from spikedeploy.exporters.c.to_c import mlp_in_c, policy_in_c
 from spikedeploy.make_env import make_env
 from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.policies.onnx import OnnxController
@@ -85,7 +79,9 @@ def export_c(
                 f"--to c: {policy} is a float network, whose C is of no chip; leave --chip out."
             )
         check_prefix(prefix)
-        check_output_folder("-o", folder, dense_names(prefix), (file, policy), force, is_export)
+        check_output_folder(
+            "-o", folder, file_names(prefix, spiking=False), (file, policy), force, is_export
+        )
         return _write_float(file, folder, observations, prefix)
     file = nir_file(policy, "c")
     artifact = load(file)
@@ -96,7 +92,7 @@ def export_c(
             f"{policy} has no codec (observation to spikes), and C of it could not be asked for "
             "actions. Give it one with `spikedeploy run --from`; docs/own-network.md has it."
         )
-    names = file_names(prefix, codec=True)
+    names = file_names(prefix)
     check_output_folder("-o", folder, names, (file, policy), force, is_export)
     # software updates a layer when it is told to, whatever the chip can; its options come first
     clock, software = on.clock or own_clock(artifact.convention), replace(on, clocks=CLOCKS)
@@ -128,8 +124,8 @@ def _write_float(file: Path, folder: Path, observations: int, prefix: str) -> Wr
     """Write the C of an ONNX file, and compare its actions with the float network's."""
     controller, network = OnnxController(file), quantise(read_onnx(file))
     seen, source = _float_episode(controller, network, observations)
-    files = mlp_in_c(network, seen[:_INT8_STEPS], f"{_origin(file)}, in 8-bit weights", prefix)
-    write(files.text, folder, prefix)
+    texts = mlp_in_c(network, seen[:_INT8_STEPS], f"{_origin(file)}, in 8-bit weights", prefix)
+    write(texts, folder, prefix)
     found = network.floats(network.act(network.observations.quantise(seen)))
     apart = np.abs(found - np.asarray(controller.replay(seen)).reshape(found.shape))
     largest = float((apart > 0).mean() if network.chooses else apart.max())
@@ -139,10 +135,10 @@ def _write_float(file: Path, folder: Path, observations: int, prefix: str) -> Wr
         f"{largest:.2%} of choices differ from the float network's, on {source}"
         if network.chooses
         else f"actions differ from the float network's by at most {largest:.4f}, on {source}",
-        f"wrote {folder}: {', '.join(files.text)}",
+        f"wrote {folder}: {', '.join(texts)}",
         f"compare with the specification in Python: make -C {folder} test",
     )
-    return WrittenC(folder, tuple(files.text), facts, lines)
+    return WrittenC(folder, tuple(texts), facts, lines)
 
 
 def _origin(file: Path) -> str:
@@ -187,7 +183,7 @@ def write(texts: Mapping[str, str], folder: Path, prefix: str) -> None:
     They are of another policy, and a firmware that still names them would call both.
     """
     write_texts(texts, folder)
-    for name in set(file_names(prefix, codec=True)) - set(texts):
+    for name in set(file_names(prefix)) - set(texts):
         if not (path := folder / name).is_symlink() and marked(path, MARK):
             path.unlink()
 

@@ -1,28 +1,38 @@
 """Policies in C do what the interpreter does: encoder, network, decoder, whole episodes."""
 
 import ctypes
-import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from spikedeploy import zoo
 from spikedeploy.exporters.c.codec import exponents
-from spikedeploy.exporters.c.to_c import policy_in_c, write
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import Codec, DeltaEncoder, Normaliser
 from spikedeploy.runtime.codec.population import pattern_table
 from spikedeploy.runtime.codec.rate import RateEncoder
-from spikedeploy.runtime.compiler.compile import compile_program, own_clock
+from spikedeploy.runtime.compiler.compile import own_clock
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from tests import readouts
-from tests.c_builds import COMPILERS, SANITIZED, STRICT, built, check_policy, needs_c, passed
+from tests.c_builds import (
+    COMPILERS,
+    LOIHI,
+    SANITIZED,
+    built,
+    called,
+    check_policy,
+    library,
+    needs_c,
+    passed,
+    run,
+    written,
+)
 from tests.networks import event_driven, popsan, spiking_mlp
 
-LOIHI = chip("loihi1")
 ZOO = [name for name in zoo.names() if zoo.path(name).suffix == ".nir"]
 
 
@@ -35,46 +45,25 @@ def walk(codec, steps=40, seed=0):
     return rows * codec.normaliser.std + codec.normaliser.mean
 
 
-def library(folder):
-    """policy_reset and policy_step of an export, as functions on arrays."""
-    words = [
-        COMPILERS[0],
-        *STRICT,
-        "-O1",
-        "-fPIC",
-        "-shared",
-        "-o",
-        "lib.so",
-        "policy.c",
-        "codec.c",
-    ]
-    subprocess.run([*words, "-lm"], cwd=folder, check=True)
-    return ctypes.CDLL(str(folder / "lib.so"))
-
-
 def stepped(loaded, observation, count, kind=np.float64):
     """Result and action of one control step."""
     action = np.zeros(count, kind)
     row = np.ascontiguousarray(observation, np.float64)
-    result = loaded.policy_step(
-        row.ctypes.data_as(ctypes.c_void_p), action.ctypes.data_as(ctypes.c_void_p)
-    )
-    return result, action
+    return called(loaded.policy_step, row, action), action
 
 
 @needs_c
 @pytest.mark.parametrize("name", ZOO)
 def test_every_shipped_policy_equals_the_interpreter(tmp_path, name):
     artifact = load(zoo.path(name))
-    program = compile_program(artifact, LOIHI, clock=own_clock(artifact.convention))
-    assert check_policy(program, artifact.codec, walk(artifact.codec, 12), tmp_path) > 0
+    check_policy(artifact, walk(artifact.codec, 12), tmp_path)
 
 
 def with_rate(mode):
     artifact = spiking_mlp(seed=4)
     encoder = RateEncoder(np.linspace(-1, 0, 6), np.linspace(0.5, 2, 6), mode)
     normaliser = Normaliser(np.arange(6.0), np.ones(6), 3.0)
-    return Artifact(artifact.graph, Codec(normaliser, encoder, 16, "argmax"), artifact.convention)
+    return replace(artifact, codec=Codec(normaliser, encoder, 16, "argmax"))
 
 
 def onto_readouts(kind, delay=0, **options):
@@ -88,12 +77,8 @@ def onto_readouts(kind, delay=0, **options):
 
 POLICIES = {
     "population": lambda: popsan(obs=3, act=2),
-    "population, kept": lambda: Artifact(
-        popsan().graph, popsan().codec, Convention(1e-3, state="kept")
-    ),
-    "population, delays": lambda: Artifact(
-        popsan().graph, popsan().codec, Convention(1e-3, delay=1)
-    ),
+    "population, kept": lambda: replace(popsan(), convention=Convention(1e-3, state="kept")),
+    "population, delays": lambda: replace(popsan(), convention=Convention(1e-3, delay=1)),
     "rate": lambda: with_rate("regular"),
     "random rate": lambda: with_rate("bernoulli"),
     "delta": lambda: event_driven(),
@@ -111,112 +96,75 @@ POLICIES = {
 @pytest.mark.parametrize("name", POLICIES)
 def test_policies_of_every_code_equal_the_interpreter(tmp_path, name):
     artifact = POLICIES[name]()
-    program = compile_program(artifact, LOIHI, clock=own_clock(artifact.convention))
     flags = SANITIZED if name in ("population, delays", "random rate", "delta") else ()
-    assert check_policy(program, artifact.codec, walk(artifact.codec), tmp_path, flags) > 0
+    check_policy(artifact, walk(artifact.codec), tmp_path, flags=flags)
 
 
 @needs_c
 @pytest.mark.parametrize("name", ["int", "int:membrane=12,weight_bits=4", "loihi1-nengo", "loihi2"])
 def test_a_policy_equals_the_interpreter_on_other_chips(tmp_path, name):
     artifact = popsan()
-    program = compile_program(artifact, chip(name), clock=own_clock(artifact.convention))
-    assert check_policy(program, artifact.codec, walk(artifact.codec), tmp_path) > 0
+    check_policy(artifact, walk(artifact.codec), tmp_path, chip(name))
 
 
 @needs_c
-@pytest.mark.parametrize("compiler", COMPILERS)
-def test_every_compiler_builds_it_without_a_warning(tmp_path, compiler):
+def test_every_compiler_builds_it_without_a_warning_and_a_wrong_number_fails(tmp_path):
     artifact = event_driven()
-    files = policy_in_c(
-        compile_program(artifact, LOIHI, clock=own_clock(artifact.convention)),
-        artifact.codec,
-        walk(artifact.codec),
-        "",
-    )
-    write(files, tmp_path)
-    for level in ("-O0", "-O2", "-Os"):
-        assert passed(built(tmp_path, level, compiler=compiler)) > 0
-
-
-@needs_c
-def test_the_makefile_tests_and_builds_a_library_under_another_prefix(tmp_path):
-    artifact = event_driven()
-    program = compile_program(artifact, LOIHI, clock=own_clock(artifact.convention))
-    write(policy_in_c(program, artifact.codec, walk(artifact.codec), "", "walk"), tmp_path)
-    words = ["make", "-s", f"CC={COMPILERS[0]}", "CFLAGS=-O1", "test", "lib"]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "0 differ" in done.stdout
-    assert (tmp_path / "libwalk.so").is_file()
-
-
-@needs_c
-def test_a_self_test_with_a_wrong_number_fails(tmp_path):
-    artifact = event_driven()
-    files = policy_in_c(
-        compile_program(artifact, LOIHI, clock=own_clock(artifact.convention)),
-        artifact.codec,
-        walk(artifact.codec),
-        "",
-    )
-    write(files, tmp_path)
+    written(artifact, tmp_path, walk(artifact.codec))
+    for compiler in COMPILERS:
+        for level in ("-O0", "-O2", "-Os"):
+            assert passed(built(tmp_path, level, compiler=compiler)) > 0
     vectors = (tmp_path / "vectors.h").read_text()
-    head, tail = vectors.split("vector_membrane[", 1)
-    rows = tail.split("\n")
-    rows[1] = (
-        rows[1].replace(" 0,", " 1,", 1)
-        if " 0," in rows[1]
-        else f"    7,{rows[1][4:].split(',', 1)[1]}"
-    )
-    (tmp_path / "vectors.h").write_text(f"{head}vector_membrane[" + "\n".join(rows))
+    head, size, numbers = vectors.partition("vector_membrane[")
+    first, _, rest = numbers.partition("{\n")
+    number, _, rest = rest.partition(",")
+    wrong = f"{head}{size}{first}{{\n    {int(number) + 1},{rest}"
+    (tmp_path / "vectors.h").write_text(wrong)
     with pytest.raises(AssertionError, match="a membrane is"):
         passed(built(tmp_path))
 
 
 @needs_c
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_an_observation_that_is_not_finite_changes_nothing(tmp_path, value):
+def test_the_makefile_tests_and_builds_a_library_under_another_prefix(tmp_path):
     artifact = event_driven()
-    program = compile_program(artifact, LOIHI, clock=own_clock(artifact.convention))
-    seen = walk(artifact.codec)
-    write(policy_in_c(program, artifact.codec, seen, ""), tmp_path)
-    loaded = library(tmp_path)
-    loaded.policy_reset()
-    actions = [stepped(loaded, row, 2)[1] for row in seen]
-    loaded.policy_reset()
-    for row, before in zip(seen, actions, strict=True):
-        bad = row.copy()
-        bad[1] = value
-        assert stepped(loaded, bad, 2)[0] == 1
-        result, action = stepped(loaded, row, 2)
-        assert result == 0
-        np.testing.assert_array_equal(action, before)
+    written(artifact, tmp_path, walk(artifact.codec), prefix="walk")
+    words = ["make", "-s", f"CC={COMPILERS[0]}", "CFLAGS=-O1", "test", "lib"]
+    assert "0 differ" in run(*words, folder=tmp_path)
+    assert (tmp_path / "libwalk.so").is_file()
 
 
 @needs_c
-@pytest.mark.parametrize("seed", [0, 7, 2**40 + 3])
-def test_random_codes_draw_what_the_runtime_draws(tmp_path, seed):
+def test_an_observation_that_is_not_finite_changes_nothing(tmp_path):
+    artifact = event_driven()
+    seen = walk(artifact.codec)
+    written(artifact, tmp_path, seen)
+    loaded = library(tmp_path, "policy.c", "codec.c")
+    loaded.policy_reset()
+    actions = [stepped(loaded, row, 2)[1] for row in seen]
+    for value in (np.nan, np.inf, -np.inf):
+        loaded.policy_reset()
+        for row, before in zip(seen, actions, strict=True):
+            bad = row.copy()
+            bad[1] = value
+            assert stepped(loaded, bad, 2)[0] == 1
+            result, action = stepped(loaded, row, 2)
+            assert result == 0
+            np.testing.assert_array_equal(action, before)
+
+
+@needs_c
+def test_random_codes_draw_what_the_runtime_draws(tmp_path):
     artifact = with_rate("bernoulli")
     seen = walk(artifact.codec)
-    write(
-        policy_in_c(
-            compile_program(artifact, LOIHI, clock=own_clock(artifact.convention)),
-            artifact.codec,
-            seen,
-            "",
-        ),
-        tmp_path,
-    )
-    loaded, controller = (
-        library(tmp_path),
-        SpikingController(artifact, LOIHI, clock=own_clock(artifact.convention)),
-    )
-    controller.reset(seed)
-    loaded.policy_reset()
-    loaded.policy_seed(ctypes.c_uint64(seed))
-    for row in seen:
-        assert stepped(loaded, row, 1, np.int32)[1][0] == controller.act(row)
+    written(artifact, tmp_path, seen)
+    loaded = library(tmp_path, "policy.c", "codec.c")
+    controller = SpikingController(artifact, LOIHI, clock=own_clock(artifact.convention))
+    for seed in (0, 7, 2**40 + 3):
+        controller.reset(seed)
+        loaded.policy_reset()
+        loaded.policy_seed(ctypes.c_uint64(seed))
+        for row in seen:
+            assert stepped(loaded, row, 1, np.int32)[1][0] == controller.act(row)
 
 
 @needs_c
@@ -225,29 +173,17 @@ def test_delta_codes_of_any_scale_send_the_same_events(tmp_path, scale):
     """Numbers on the very edge between two whole numbers are decided as NumPy decides them."""
     obs = 3
     encoder = DeltaEncoder(np.array([0.25, 0.1, 0.3]), most=2)
-    normaliser = Normaliser(
-        np.array([0.0, 1e3, -0.7]) * scale, np.array([1.0, 2.0, 0.3]) * scale, 5.0
-    )
-    source = event_driven(obs=obs)
-    graph = source.graph
-    affine = graph.nodes["n1"]
-    affine.weight = np.random.default_rng(1).normal(size=(8, encoder.width))
-    artifact = Artifact(graph, Codec(normaliser, encoder, 1), source.convention)
+    mean, std = np.array([0.0, 1e3, -0.7]) * scale, np.array([1.0, 2.0, 0.3]) * scale
+    normaliser = Normaliser(mean, std, 5.0)
+    artifact = replace(event_driven(obs=obs), codec=Codec(normaliser, encoder, 1))
+    artifact.graph.nodes["n1"].weight = np.random.default_rng(1).normal(size=(8, encoder.width))
     rng = np.random.default_rng(0)
     parts = rng.integers(-4000, 4000, (60, obs)) + 0.5
     parts[rng.random(parts.shape) < 0.5] -= 0.5
     seen = parts / 256 * encoder.step * normaliser.std + normaliser.mean
     seen[::7] = np.nextafter(seen[::7], np.inf)
     seen[3] = np.array([1e300, -1e300, 5e-324])
-    assert (
-        check_policy(
-            compile_program(artifact, LOIHI, clock=own_clock(artifact.convention)),
-            artifact.codec,
-            seen,
-            tmp_path,
-        )
-        > 0
-    )
+    check_policy(artifact, seen, tmp_path)
 
 
 def test_exponents_are_the_last_that_do_not_exceed_a_drive():
@@ -257,10 +193,7 @@ def test_exponents_are_the_last_that_do_not_exceed_a_drive():
     assert (np.exp(np.nextafter(found, 0)) > edges).all()
 
 
-def test_a_readout_that_the_host_integrates_is_refused():
+def test_a_readout_that_the_host_integrates_is_refused(tmp_path):
     artifact = onto_readouts("same", neurons="IF", state="kept")
-    program = compile_program(
-        artifact, chip("loihi1", membrane_output="none"), clock=own_clock(artifact.convention)
-    )
     with pytest.raises(ConfigError, match="the host integrates"):
-        policy_in_c(program, artifact.codec, walk(artifact.codec), "")
+        written(artifact, tmp_path, walk(artifact.codec), chip("loihi1", membrane_output="none"))

@@ -1,9 +1,13 @@
-/* @mark@
- * @origin@
+{% from encoder ~ ".c" import encoder_functions, encoder_reset, seed_function with context %}
+{% from "decode.c" import decoder_functions, decoder_reset with context %}
+{% set functions = encoder_functions() ~ decoder_functions() %}
+{% set late = decoder_reset() | trim("\n") %}
+/* {{ mark }}
+ * {{ origin }}
  *
  * Observations to input spikes, and what leaves the chip to actions.
  */
-#include "@prefix@.h"
+#include "{{ prefix }}.h"
 
 #include <float.h>
 #include <math.h>
@@ -16,10 +20,10 @@
 #error "double has to be IEEE 754 binary64, and to be computed as such (on x86: -mfpmath=sse)"
 #endif
 
-@declarations@
+{{ out.text }}
 
-#ifdef @PREFIX@_PROBE
-void @prefix@_probe(uint32_t timestep, const @prefix@_id_t *id, uint32_t count);
+#ifdef {{ PREFIX }}_PROBE
+void {{ prefix }}_probe(uint32_t timestep, const {{ id_t }} *id, uint32_t count);
 #endif
 
 /* Whether a number is neither infinite nor no number. */
@@ -30,40 +34,45 @@ static int is_finite(const double *x)
     return ((uint32_t)(bits >> 32) & 0x7FF00000u) != 0x7FF00000u;
 }
 
-const uint32_t @prefix@_interface[4] = {1u, @PREFIX@_OBSERVATIONS, @PREFIX@_ACTIONS, @choices@u};
+const uint32_t {{ prefix }}_interface[4] = {1u, {{ PREFIX }}_OBSERVATIONS, {{ PREFIX }}_ACTIONS, {{ choices }}u};
 
-@codec_functions@
-void @prefix@_reset(void)
+{{ functions }}
+void {{ prefix }}_reset(void)
 {
-    @prefix@_net_reset();
-@encoder_reset@
-@decoder_reset@
+    {{ prefix }}_net_reset();
+{{ encoder_reset() | trim("\n") }}
+{{ late }}
 }
-@seed_function@
-int @prefix@_step(const double observation[@PREFIX@_OBSERVATIONS],
-                @prefix@_action_t action[@PREFIX@_ACTIONS])
+{{ seed_function() }}
+int {{ prefix }}_step(const double observation[{{ PREFIX }}_OBSERVATIONS],
+                {{ prefix }}_action_t action[{{ PREFIX }}_ACTIONS])
 {
     uint32_t timestep;
     uint32_t i;
-    for (i = 0u; i < @PREFIX@_OBSERVATIONS; i++) {
+    for (i = 0u; i < {{ PREFIX }}_OBSERVATIONS; i++) {
         if (is_finite(&observation[i]) == 0) {
-            return @PREFIX@_NOT_FINITE;
+            return {{ PREFIX }}_NOT_FINITE;
         }
     }
-@inference_reset@
+{% if plan.program.convention.state == "kept" %}
+
+{% else %}
+    {{ prefix }}_net_reset();
+{{ late }}
+{% endif %}
     encode_begin(observation);
     decode_begin();
-    for (timestep = 0u; timestep < @PREFIX@_TIMESTEPS; timestep++) {
+    for (timestep = 0u; timestep < {{ PREFIX }}_TIMESTEPS; timestep++) {
         uint8_t *times;
-        @prefix@_id_t *id = @prefix@_net_begin(&times);
+        {{ id_t }} *id = {{ prefix }}_net_begin(&times);
         const uint32_t count = encode(timestep, id);
         (void)times;
-        @prefix@_net_step(count);
+        {{ prefix }}_net_step(count);
         decode_add();
-#ifdef @PREFIX@_PROBE
-        @prefix@_probe(timestep, id, count);
+#ifdef {{ PREFIX }}_PROBE
+        {{ prefix }}_probe(timestep, id, count);
 #endif
     }
     decode_end(action);
-    return @PREFIX@_OK;
+    return {{ PREFIX }}_OK;
 }

@@ -1,11 +1,11 @@
-/* @mark@
+/* {{ mark }}
  *
  * The cycle counter of a core: DWT of ARMv7-M and ARMv8-M Mainline, SysTick of ARMv6-M and ARMv8-M
  * Baseline (24 bits: up to 16.7 million cycles; it takes SysTick from an operating system), mcycle of
  * RISC-V in machine mode. Registers as the architecture manuals of ARM and RISC-V have them.
  */
-#ifndef @PREFIX@_CYCLES_H
-#define @PREFIX@_CYCLES_H
+#ifndef {{ PREFIX }}_CYCLES_H
+#define {{ PREFIX }}_CYCLES_H
 
 #include <stdint.h>
 

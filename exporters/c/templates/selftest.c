@@ -1,9 +1,9 @@
-/* @mark@
+/* {{ mark }}
  *
  * Runs the recorded inferences, and compares every input spike, current, membrane and output spike
- * with what the interpreter computed, bit for bit@actions_too@.
+ * with what the interpreter computed, bit for bit{{ ", and every action to 1e-12" if codec and not choices }}.
  */
-#include "@prefix@.h"
+#include "{{ prefix }}.h"
 #include "vectors.h"
 
 #include <stdio.h>
@@ -29,10 +29,10 @@ static void compare(const char *what, uint32_t row, uint32_t layer, uint32_t n, 
 
 static void compare_layer(uint32_t row, uint32_t index)
 {
-    @prefix@_layer_t view;
+    {{ prefix }}_layer_t view;
     uint32_t n;
     uint32_t next = 0u;
-    @prefix@_net_layer(index, 0u, &view);
+    {{ prefix }}_net_layer(index, 0u, &view);
     for (n = 0u; n < view.size; n++) {
         const size_t place = (size_t)row * VECTOR_NEURONS + vector_first[index] + n;
         uint32_t spikes = 0u;
@@ -52,12 +52,13 @@ static void compare_layer(uint32_t row, uint32_t index)
 static void compare_row(uint32_t row)
 {
     uint32_t index;
-    for (index = 0u; index < @PREFIX@_LAYERS; index++) {
+    for (index = 0u; index < {{ PREFIX }}_LAYERS; index++) {
         compare_layer(row, index);
     }
 }
 
-@run@
+{% include "run_codec.c" if codec else "run_network.c" %}
+
 int main(void)
 {
     run();

@@ -6,7 +6,7 @@ import nir
 import numpy as np
 import pytest
 
-from spikedeploy.exporters.c.plan import check_program
+from spikedeploy.exporters.c.refusals import check_program
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import check, compile_program

@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from spikedeploy import files
-from spikedeploy.exporters.c import to_c
-from spikedeploy.exporters.c.plan import check_prefix
-from spikedeploy.exporters.c.to_c import file_names
+from spikedeploy.exporters.c.packaging import INT16, MARK, file_names, write_texts
+from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping import export_c, exported_run
@@ -39,7 +38,7 @@ def test_it_writes_every_file_and_says_what_they_take(command, file, tmp_path):
     assert code == 0, err
     found = json.loads(out)
     written = {str(path.relative_to(tmp_path / "c")) for path in (tmp_path / "c").rglob("*.*")}
-    names = set(file_names("policy", codec=True)) - {"Makefile", "zephyr/Kconfig"}
+    names = set(file_names("policy")) - {"Makefile", "zephyr/Kconfig"}
     assert written == names
     assert set(found["files"]) == {*names, "Makefile", "zephyr/Kconfig"}
     assert found["int16"] is True
@@ -165,21 +164,21 @@ def test_c_is_written_for_the_clock_in_the_name_of_the_chip(command, file, tmp_p
 
 
 def texts_of(export):
-    names = file_names("policy", codec=True)
-    return {name: f"{to_c.MARK}, {export}\n" for name in names}
+    names = file_names("policy")
+    return {name: f"{MARK}, {export}\n" for name in names}
 
 
 def names_in(folder):
     return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize("renamed", range(len(file_names("policy", codec=True))))
+@pytest.mark.parametrize("renamed", range(len(file_names("policy"))))
 def test_an_export_that_is_killed_leaves_no_makefile_that_builds_a_mixture(
     tmp_path, monkeypatch, renamed
 ):
     for before in ({}, texts_of("old")):
         folder = tmp_path / str(len(before))
-        to_c.write_texts(before, folder)
+        write_texts(before, folder)
         done = []
 
         def killed(source, target, done=done):
@@ -191,16 +190,16 @@ def test_an_export_that_is_killed_leaves_no_makefile_that_builds_a_mixture(
         with monkeypatch.context() as patch:
             patch.setattr(files.os, "replace", killed)
             with pytest.raises(KeyboardInterrupt):
-                to_c.write_texts(texts_of("new"), folder)
+                write_texts(texts_of("new"), folder)
         assert not (folder / "Makefile").exists()
         # and the same command may write there again
         assert export_c.is_export(folder) or not names_in(folder)
-        to_c.write_texts(texts_of("new"), folder)
-        assert {(folder / name).read_text() for name in names_in(folder)} == {f"{to_c.MARK}, new\n"}
+        write_texts(texts_of("new"), folder)
+        assert {(folder / name).read_text() for name in names_in(folder)} == {f"{MARK}, new\n"}
 
 
 def test_a_full_disk_leaves_the_earlier_c_as_it_was(tmp_path, monkeypatch):
-    to_c.write_texts(texts_of("old"), tmp_path)
+    write_texts(texts_of("old"), tmp_path)
     write, done = Path.write_text, []
 
     def full(path, *words, **options):
@@ -212,21 +211,25 @@ def test_a_full_disk_leaves_the_earlier_c_as_it_was(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_text", full)
         with pytest.raises(OSError, match="No space"):
-            to_c.write_texts(texts_of("new"), tmp_path)
+            write_texts(texts_of("new"), tmp_path)
     assert names_in(tmp_path) == set(texts_of("old"))
-    assert {(tmp_path / name).read_text() for name in texts_of("old")} == {f"{to_c.MARK}, old\n"}
+    assert {(tmp_path / name).read_text() for name in texts_of("old")} == {f"{MARK}, old\n"}
 
 
 def test_c_of_another_policy_is_removed_where_it_is_not_replaced(tmp_path):
-    to_c.write_texts(texts_of("old"), tmp_path)
+    write_texts(texts_of("old"), tmp_path)
     (tmp_path / "host_i16.c").write_text("of the user\n")
-    kept = {n: text for n, text in texts_of("new").items() if n not in to_c.INT16_NAMES}
+    kept = {
+        n: text
+        for n, text in texts_of("new").items()
+        if n not in {each.format(prefix="policy") for each in INT16}
+    }
     export_c.write(kept, tmp_path, "policy")
     assert names_in(tmp_path) == {*kept, "host_i16.c"}
 
 
 def test_a_makefile_of_the_user_is_not_taken_for_a_part_of_an_export(tmp_path):
-    to_c.write_texts(texts_of("old"), tmp_path)
+    write_texts(texts_of("old"), tmp_path)
     (tmp_path / "Makefile").write_text("all:\n")
     assert not export_c.is_export(tmp_path)
 

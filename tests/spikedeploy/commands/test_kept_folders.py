@@ -4,7 +4,7 @@ import pytest
 
 from spikedeploy.campaign.sweep import is_sweep
 from spikedeploy.campaign.tune_results import PAGE, is_study
-from spikedeploy.exporters.c.plan import check_prefix
+from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.runtime.errors import ConfigError
 
 SPEC = "env = 'kart-grid'\npolicy = 'gap'\nepisodes = 1\n"

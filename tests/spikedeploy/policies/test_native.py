@@ -5,7 +5,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from spikedeploy.exporters.c.to_c import policy_in_c, write
+from spikedeploy.exporters.c.packaging import write_texts
+from spikedeploy.exporters.c.to_c import policy_in_c
 from spikedeploy.policies import native
 from spikedeploy.policies.native import NativeController, permit
 from spikedeploy.policies.registry import find
@@ -23,7 +24,7 @@ def library(artifact, folder):
     """libpolicy.so of a policy."""
     codec = artifact.codec
     seen = np.zeros((4, codec.encoder.observed))
-    write(policy_in_c(compile_program(artifact, LOIHI), codec, seen, ""), folder)
+    write_texts(policy_in_c(compile_program(artifact, LOIHI), codec, seen, "").text, folder)
     words = [COMPILERS[0], *STRICT, "-O1", "-fPIC", "-shared", "-o", "libpolicy.so", "policy.c"]
     subprocess.run([*words, "codec.c", "-lm"], cwd=folder, check=True)
     return folder / "libpolicy.so"
