@@ -156,8 +156,8 @@ def backend_class(program: Program, name: str) -> type[Backend]:
         name = "interpreter"
     able = {**arithmetic.backends, "interpreter": _INTERPRETER}
     obstacle: str | None = (
-        f"chip {program.chip.name!r} computes with {type(arithmetic).__name__}, which only the "
-        "interpreter supports."
+        f"chip {program.chip.name!r} computes with {type(arithmetic).__name__}, which is "
+        f"supported by {' and '.join(able)} alone."
     )
     for each in _PREFERENCES[name]:
         if each in able:

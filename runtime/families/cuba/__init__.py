@@ -7,8 +7,7 @@ neurons          the registers in integers, and one timestep, with and without r
 quantise         a layer in floats becomes integers; bounds on what registers must hold
 arithmetic       the arithmetics: Loihi's integers, free widths, float64 and float32
 numpy_backend    the NumPy kernels: the window of a layer in few calls; their backend
-numba_program    a program and its memory as the arrays that compiled kernels take
 numba_kernels    the compiled kernels: a window of a whole program in one call
-numba_backend    the backend that runs them
+numba_backend    a program and its memory as their arrays; their backend
 traces           recorded runs of Loihi, as lava, brian2_loihi, nengo-loihi and boards write them
 """

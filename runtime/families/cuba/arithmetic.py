@@ -279,8 +279,6 @@ class CubaFloat64(ArithmeticDefaults):
 
     backends: ClassVar[Mapping[str, str]] = {
         "numpy": "spikedeploy.runtime.families.cuba.numpy_backend:NumpyPipeline",
-        # refuses, and says why
-        "numba": "spikedeploy.runtime.families.cuba.numba_backend:NumbaPipeline",
     }
     rounds: ClassVar[bool] = False
     spikes_max: ClassVar[int] = 1

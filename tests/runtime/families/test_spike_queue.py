@@ -174,7 +174,7 @@ def test_neurons_that_keep_each_other_spiking_are_refused():
 
 def test_what_has_no_queue_is_refused_in_a_sentence():
     program = compile_program(layered(), chip("odin", queue="on"))
-    with pytest.raises(ConfigError, match="only the interpreter supports"):
+    with pytest.raises(ConfigError, match="supported by interpreter alone"):
         Machine(program, backend="numba")
     with pytest.raises(ConfigError, match="the queue of 'odin' is on, and is not written in C"):
         check_program(program)
