@@ -332,7 +332,7 @@ def distill(
     """Train a spiking student that imitates a teacher. A function of yours runs as your code."""
     if resume is None and (teacher is None or env is None):
         raise typer.BadParameter("name a TEACHER and --env ENV, or a run with --resume")
-    from spikedeploy.trainers.distill.plan import earned, student_settings, teacher_options
+    from spikedeploy.commands.distillation import earned, student_settings, teacher_options
 
     recipe, settings = student_settings(teacher, size, encoder, timesteps, budget is not None, chip)
     _run_training(

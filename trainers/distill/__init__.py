@@ -4,5 +4,4 @@ distill.py   settings, labelled states, the algorithm
 teacher.py   what a teacher is, and an environment's observations and actions as its author has them
 teachers.py  teachers by name: run folders, NIR and ONNX files, functions, shipped policies
 sb3.py       from Stable-Baselines3, read without running code
-plan.py      what the command `distill` asks for, and what came of it
 """

@@ -14,7 +14,6 @@ reached yet, or that waits for the next inference, stays at 0 however often the 
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -81,15 +80,13 @@ def _computes(program: Program) -> bool:
         ways == ("event", "linear", "first", "spike", "reached")
         and convention.reset == "zero"
         and convention.floor in ("none", "zero")
-        and all(map(_is_plain, program.layers))
+        and all(layer.spiking and len(layer.synapses) == 1 for layer in program.layers)
+        and not any(
+            layer.bias.any() or layer.voltage_bias.any() or np.any(layer.v_reset)
+            for layer in program.layers
+        )
         and not any(lag for lags in program.lags for lag in lags)
     )
-
-
-def _is_plain(layer: Layer) -> bool:
-    """Return True if a layer has one source, no bias, and a reset to 0."""
-    biased = layer.bias.any() or layer.voltage_bias.any()
-    return layer.spiking and len(layer.synapses) == 1 and not biased and not np.any(layer.v_reset)
 
 
 def _by_events(program: Program, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
@@ -161,62 +158,7 @@ THRESHOLD = 1.0  # of every neuron; the compiler scales it with the weights
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class ChipNeurons:
-    """The neurons of a chip, all alike, with a threshold of THRESHOLD and gains of 1.
-
-    target: the chip
-    alpha, beta: decay factors of current and membrane in a timestep; 0 is no current, 1 no leak
-    dt: [s] one timestep
-    """
-
-    target: Chip
-    alpha: float
-    beta: float
-    dt: float = DT
-
-    def node(self, size: int) -> nir.IF | nir.LIF | nir.CubaLIF:
-        """Return so many of them."""
-        dt, zeros, threshold = self.dt, np.zeros(size), np.full(size, THRESHOLD)
-        if self.beta == 1:
-            return nir.IF(r=np.full(size, 1 / dt), v_threshold=threshold, v_reset=zeros)
-        # tau = dt / (1 - decay) ; r = tau_mem / dt ; w_in = tau_syn / dt
-        per_step = 1 / (1 - self.beta)
-        tau, gain = np.full(size, dt * per_step), np.full(size, per_step)
-        if not self.alpha:
-            return nir.LIF(tau=tau, r=gain, v_leak=zeros, v_reset=zeros, v_threshold=threshold)
-        synaptic = 1 / (1 - self.alpha)
-        return nir.CubaLIF(
-            tau_syn=np.full(size, dt * synaptic),
-            w_in=np.full(size, synaptic),
-            tau_mem=tau,
-            r=gain,
-            v_leak=zeros,
-            v_reset=zeros,
-            v_threshold=threshold,
-        )
-
-
-def chip_artifact(
-    neurons: ChipNeurons,
-    weights: Sequence[Array],
-    readout: nir.Affine,
-    codec: Codec,
-    origin: Provenance | None = None,
-) -> Artifact:
-    """Return a chain of layers with these weights (N, M) as an artifact; its states are reset."""
-    width = weights[0].shape[1]
-    nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([width])})}
-    for number, weight in enumerate(weights, start=1):
-        nodes[f"fc{number}"] = nir.Linear(weight)
-        nodes[f"lif{number}"] = neurons.node(len(weight))
-    nodes["readout"] = readout
-    nodes["output"] = nir.Output({"output": np.array([len(readout.weight)])})
-    graph = nir.NIRGraph(nodes, list(pairwise(nodes)))
-    return Artifact(graph, codec, chip_convention(neurons.target, neurons.dt), origin)
-
-
-def chip_convention(target: Chip, dt: float = DT) -> Convention:
+def _convention(target: Chip, dt: float) -> Convention:
     """Return what the chip's neurons do where they have no choice; else the threshold is taken off.
 
     Several spikes of a timestep are a convention only where the threshold is taken off for each.
@@ -288,8 +230,11 @@ class ChipSnnPolicy(SpikingMlpPolicy):
         head: Head = "continuous",
     ) -> None:
         target = _datasheet(chip)
-        wanted = (0.5 if alpha is None else alpha, 0.9375 if beta is None else beta)
-        decays = _decay_factors(target, *wanted)
+        # where the chip leaves no choice, neurons without a current or without a leak
+        leaks = target.limits is None or target.limits.membrane_loss != (0.0, 0.0)
+        has_current = isinstance(target.arithmetic, XyloRegisters)
+        current_decay = (0.5 if alpha is None else alpha) if has_current else 0.0
+        membrane_decay = (0.9375 if beta is None else beta) if leaks else 1.0
         if coding == "population":
             populations = _populations(target, observations, populations)
         super().__init__(
@@ -299,7 +244,7 @@ class ChipSnnPolicy(SpikingMlpPolicy):
             coding=coding,
             populations=populations or 1,
             timesteps=timesteps,
-            beta=decays[1],
+            beta=membrane_decay,
             threshold=THRESHOLD,
             surrogate=surrogate,
             surrogate_width=surrogate_width,
@@ -307,7 +252,7 @@ class ChipSnnPolicy(SpikingMlpPolicy):
             head=head,
             reach=reach,
         )
-        self.target, self.alpha = target, decays[0]
+        self.target, self.alpha = target, current_decay
         self.limit = limit = _limit(target) if limit is None else limit
         if isinstance(self.encoder, TorchPopulationEncoder):
             # few fields: wide enough that no number between two of them is unseen
@@ -365,28 +310,50 @@ class ChipSnnPolicy(SpikingMlpPolicy):
 
     def artifact(self, origin: Provenance | None = None, dt: float = DT) -> Artifact:
         """Return the policy as an artifact, every number in float64."""
-        neurons = ChipNeurons(self.target, self.alpha, self.beta, dt)
-        readout = nir.Affine(to_array(self.readout.weight), to_array(self.readout.bias))
         weights = [to_array(weight) for weight in self.weights()]
-        return chip_artifact(neurons, weights, readout, codec_of(self), origin)
+        width = np.array([weights[0].shape[1]])
+        nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": width})}
+        for number, weight in enumerate(weights, start=1):
+            nodes[f"fc{number}"] = nir.Linear(weight)
+            nodes[f"lif{number}"] = self._neurons(len(weight), dt)
+        nodes["readout"] = nir.Affine(to_array(self.readout.weight), to_array(self.readout.bias))
+        nodes["output"] = nir.Output({"output": np.array([self.actions])})
+        graph = nir.NIRGraph(nodes, list(pairwise(nodes)))
+        return Artifact(graph, codec_of(self), _convention(self.target, dt), origin)
+
+    def _neurons(self, size: int, dt: float) -> nir.IF | nir.LIF | nir.CubaLIF:
+        """Return neurons of the chip, with a threshold of THRESHOLD and gains of 1."""
+        zeros, threshold = np.zeros(size), np.full(size, THRESHOLD)
+        if self.beta == 1:
+            return nir.IF(r=np.full(size, 1 / dt), v_threshold=threshold, v_reset=zeros)
+        # tau = dt / (1 - decay) ; r = tau_mem / dt ; w_in = tau_syn / dt
+        per_step = 1 / (1 - self.beta)
+        tau, gain = np.full(size, dt * per_step), np.full(size, per_step)
+        rest = {"v_leak": zeros, "v_reset": zeros, "v_threshold": threshold}
+        if not self.alpha:
+            return nir.LIF(tau=tau, r=gain, **rest)
+        synaptic = 1 / (1 - self.alpha)
+        tau_syn, w_in = np.full(size, dt * synaptic), np.full(size, synaptic)
+        return nir.CubaLIF(tau_syn=tau_syn, w_in=w_in, tau_mem=tau, r=gain, **rest)
 
     def program(self) -> Program:
         """Return the chip's program of the present weights."""
         # fused optimisers do not count versions of tensors, so their numbers are compared
-        held = b"".join(p.detach().numpy().tobytes() for p in self._compiled_parameters())
+        parameters = [*self.layers.parameters(), *self.type_weights.parameters()]  # of the chip
+        held = b"".join(p.detach().numpy().tobytes() for p in parameters)
         if self._compiled is None or self._compiled[0] != held:
             program = compile_program(self.artifact(), self.target, clock="gated", limits=False)
             self._compiled = held, program
         return self._compiled[1]
 
-    def _compiled_parameters(self) -> list[nn.Parameter]:
-        """Return what the program depends on: encoder and readout are the host's."""
-        return [*self.layers.parameters(), *self.type_weights.parameters()]
-
     def spikes(self, raster: Tensor) -> list[Tensor]:
         """Return the spikes (T, B, N) of every layer for input spikes (T, B, M)."""
-        if torch.is_grad_enabled():
-            self._project()
+        if torch.is_grad_enabled() and self.signed_axons:
+            # weights that an update gave another sign than their source's go back to 0: further
+            # away they would be 0 for many updates more
+            with torch.no_grad():
+                for number, latent in enumerate(self.layers):
+                    latent.get_parameter("weight").copy_(self._fitting(number))
         program = self.program()
         arrived = np.ascontiguousarray(raster.detach().numpy().swapaxes(0, 1)).astype(np.uint8)
         traces = recorded(program, arrived)
@@ -399,24 +366,11 @@ class ChipSnnPolicy(SpikingMlpPolicy):
             done = traces[layer.name]
             spikes = _tensor(done.spikes, raster)
             membrane = self._before_reset(layer, done, drive.detach())
-            constants = self.alpha, self.beta, self._several(layer), self._subtracts
+            subtracts = program.convention.reset == "subtract"
+            constants = self.alpha, self.beta, self._several(layer), subtracts
             presynaptic = _SpikesOfChip.apply(drive, membrane, spikes, constants, derivative)  # type: ignore[no-untyped-call]
             found.append(presynaptic)
         return found
-
-    @torch.no_grad()
-    def _project(self) -> None:
-        """Bring weights that an update gave another sign than their source's back to 0.
-
-        Further away they would be 0 for many updates more.
-        """
-        if self.signed_axons:
-            for number, layer in enumerate(self.layers):
-                layer.get_parameter("weight").copy_(self._fitting(number))
-
-    @property
-    def _subtracts(self) -> bool:
-        return self.program().convention.reset == "subtract"
 
     def _several(self, layer: Layer) -> bool:
         """Return whether a neuron of the layer may spike several times in a timestep."""
@@ -509,16 +463,6 @@ def _datasheet(name: str) -> Chip:
             "choose free or gated."
         )
     return found
-
-
-def _decay_factors(target: Chip, alpha: float, beta: float) -> tuple[float, float]:
-    """Return the decay factors of current and membrane that the chip's neurons have.
-
-    alpha, beta: what is wanted where the chip leaves a choice
-    """
-    leaks = target.limits is None or target.limits.membrane_loss != (0.0, 0.0)
-    has_current = isinstance(target.arithmetic, XyloRegisters)
-    return alpha if has_current else 0.0, beta if leaks else 1.0
 
 
 def _populations(target: Chip, observations: int, wanted: int | None) -> int:

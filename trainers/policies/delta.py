@@ -131,8 +131,9 @@ class DeltaSnnPolicy(Policy):
         past = torch.zeros(actions, observations if self.skip else 0)
         self.past = PrunedWeight(past)
         self.action_bias = nn.Parameter(torch.zeros(actions))
-        self._beta = nn.Parameter(torch.full((hidden,), _logit(_BETA)))
-        self._gamma = nn.Parameter(torch.full((actions,), _logit(_GAMMA)))
+        beta, gamma = torch.logit(torch.tensor(_BETA)), torch.logit(torch.tensor(_GAMMA))
+        self._beta = nn.Parameter(beta.repeat(hidden))
+        self._gamma = nn.Parameter(gamma.repeat(actions))
         self._gradient = surrogate("atan", surrogate_width)
 
     @property
@@ -180,12 +181,12 @@ class DeltaSnnPolicy(Policy):
         """
         events = self.events(observation, state.level)
         state.level = state.level + events
-        moved = self._arriving(events * self.step, state)
+        moved = self._late("moved", events * self.step, state)
         state.current = self.current_decay * state.current + moved @ self.into().T
         membrane = self.beta * state.membrane + state.current + self.bias
         spikes = (membrane > self.threshold).to(membrane.dtype)
         state.membrane = membrane * (1 - spikes)
-        drive: Tensor = self._delivered(spikes, state) @ self.out().T
+        drive: Tensor = self._late("spikes", spikes, state) @ self.out().T
         past = moved @ self.past().T if self.skip else 0.0
         if self.integrated:
             state.integral = self.current_decay * state.integral + past
@@ -194,19 +195,13 @@ class DeltaSnnPolicy(Policy):
         state.readout = self.gamma * state.readout + drive
         return state.readout + state.integral + self.action_bias, events, spikes
 
-    def _arriving(self, moved: Tensor, state: DeltaState) -> Tensor:
-        """Return what arrives (B, obs) in a control step that sends `moved`."""
+    def _late(self, kind: Literal["moved", "spikes"], sent: Tensor, state: DeltaState) -> Tensor:
+        """Return what arrives in a control step that sends so much: pipelined, what came before."""
         if not self.delay:
-            return moved
-        arriving, state.moved = state.moved, moved
+            return sent
+        arriving: Tensor = getattr(state, kind)
+        setattr(state, kind, sent)
         return arriving
-
-    def _delivered(self, spikes: Tensor, state: DeltaState) -> Tensor:
-        """Return the spikes (B, H) that reach the readout when these are emitted."""
-        if not self.delay:
-            return spikes
-        delivered, state.spikes = state.spikes, spikes
-        return delivered
 
     def unrolled(
         self, seen: Tensor, moved: Tensor, weights: "DeltaWeights", burn_in: int, begins: Tensor
@@ -311,10 +306,6 @@ class _Spike(torch.autograd.Function):
         return upstream * ctx.gradient(excess), None
 
 
-def _logit(share: float) -> float:
-    return float(torch.logit(torch.tensor(share)))
-
-
 class DeltaMlpPolicy(DeltaSnnPolicy):
     """Delta network: signed events into a layer of sigma-delta ReLU neurons, and past it.
 
@@ -374,11 +365,11 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         """
         events = self.events(observation, state.level)
         state.level = state.level + events
-        moved = self._arriving(events * self.step, state)
+        moved = self._late("moved", events * self.step, state)
         state.current = state.current + moved @ self.into().T
         graded = self._graded(torch.relu(state.current + self.bias), state.membrane)
         state.membrane = state.membrane + graded
-        delivered = self._delivered(graded, state)
+        delivered = self._late("spikes", graded, state)
         state.readout = state.readout + (delivered * self.threshold) @ self.out().T
         if self.skip:
             state.readout = state.readout + moved @ self.past().T

@@ -80,16 +80,11 @@ def cuba_lif(
     """Return the spikes (T, B, N) of a current-based leaky integrate-and-fire layer at rest.
 
     drive: (T, B, N) weighted input of each timestep, bias included
-    alpha, beta: decay factors of current and membrane per timestep
+    alpha, beta: decay factors of current and membrane per timestep; alpha 0 makes it a LIF layer
     threshold: a membrane above it spikes and is set to zero
     """
     spikes: Tensor = _CubaLif.apply(drive, alpha, beta, threshold, gradient)  # type: ignore[no-untyped-call]
     return spikes
-
-
-def lif(drive: Tensor, beta: float, threshold: float, gradient: Surrogate) -> Tensor:
-    """Return the spikes (T, B, N) of a leaky integrate-and-fire layer at rest; see `cuba_lif`."""
-    return cuba_lif(drive, 0.0, beta, threshold, gradient)
 
 
 class _CubaLif(torch.autograd.Function):
@@ -222,8 +217,8 @@ def membranes(drive: Tensor, alpha: float, beta: float, threshold: float) -> Ten
     drive: in float32 or float64, the type of the result
     """
     x = _rows(drive)
-    result = np.empty_like(x)
-    _integrate(x, _constants(x, alpha, beta, threshold), _state(x), result)
+    result, state = np.empty_like(x), np.zeros((2, x.shape[1]), x.dtype)
+    _integrate(x, np.array([alpha, beta, threshold], x.dtype), state, result)
     return torch.from_numpy(result).reshape(drive.shape)
 
 
@@ -232,8 +227,11 @@ def gradients(
 ) -> Tensor:
     """Return the gradient (T, B, N) of the drive; arguments as of `_gradients`."""
     v, result = _rows(membrane), _rows(slope)
-    constants = _constants(v, alpha, beta, threshold)
-    _differentiate(v, _rows(upstream), constants, _state(v), result)
+    constants, state = (
+        np.array([alpha, beta, threshold], v.dtype),
+        np.zeros((2, v.shape[1]), v.dtype),
+    )
+    _differentiate(v, _rows(upstream), constants, state, result)
     return torch.from_numpy(result).reshape(slope.shape)
 
 
@@ -241,14 +239,6 @@ def _rows(tensor: Tensor) -> Array:
     """Return a tensor (T, B, N) as an array (T, B N), which shares its memory if contiguous."""
     rows: Array = tensor.detach().contiguous().flatten(1).numpy()
     return rows
-
-
-def _constants(rows: Array, alpha: float, beta: float, threshold: float) -> Array:
-    return np.array([alpha, beta, threshold], rows.dtype)
-
-
-def _state(rows: Array) -> Array:
-    return np.zeros((2, rows.shape[1]), rows.dtype)
 
 
 @jit

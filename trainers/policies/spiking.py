@@ -12,7 +12,6 @@ from spikedeploy.trainers.policies.neurons import (
     cuba_lif,
     firing_rates,
     integrate_and_fire,
-    lif,
     mean_rate,
     surrogate,
 )
@@ -216,7 +215,8 @@ class SpikingMlpPolicy(Policy):
         gradient = surrogate(self.surrogate, self.surrogate_width)
         rasters = [raster]
         for layer in self.layers:
-            rasters.append(lif(layer(rasters[-1]), self.beta, self.threshold, gradient))
+            drive = layer(rasters[-1])
+            rasters.append(cuba_lif(drive, 0.0, self.beta, self.threshold, gradient))
         return rasters[1:]
 
     def forward_spikes(self, raster: Tensor) -> Latent:

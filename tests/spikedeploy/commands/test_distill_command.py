@@ -5,8 +5,8 @@ import runpy
 
 import pytest
 
+from spikedeploy.commands.distillation import earned, student_settings
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.distill.plan import earned, student_settings
 from spikedeploy.trainers.run_folder import RunFolder
 from tests.paths import ROOT
 

@@ -1,4 +1,4 @@
-"""Plan of the command `distill`: recipe and settings; and its outcome."""
+"""What the command `distill` asks for: recipe and settings; and what came of it."""
 
 import json
 from pathlib import Path
@@ -7,7 +7,6 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import metrics
 from spikedeploy.trainers.run_folder import RunFolder
 
-_DENSE, _SPARSE, _FOR_CHIP = "distill-snn", "distill-sparse", "for-chip"
 _CODINGS = {"population": "population", "rate": "regular"}
 
 
@@ -32,8 +31,17 @@ def student_settings(
     if size is not None:
         settings.append(f"policy.hidden={_hidden(size, sparse)}")
     if sparse:
-        _check_sparse(encoder, timesteps)
-        return _SPARSE, settings
+        if encoder not in (None, "delta"):
+            raise ConfigError(
+                f"--encoder {encoder}: a student with --budget sends events by the delta code; "
+                "leave one of the two out"
+            )
+        if timesteps not in (None, 1):
+            raise ConfigError(
+                f"--timesteps {timesteps}: a student with --budget computes one timestep in a "
+                "control step and keeps its states; leave one of the two out"
+            )
+        return "distill-sparse", settings
     if encoder == "delta":
         raise ConfigError(
             "--encoder delta is of event-driven students: give them a budget of operations, as in "
@@ -44,8 +52,8 @@ def student_settings(
     if timesteps is not None:
         settings.append(f"policy.timesteps={timesteps}")
     if chip is not None:
-        return _FOR_CHIP, [*settings, f"policy.chip={json.dumps(chip)}"]
-    return _DENSE, settings
+        return "for-chip", [*settings, f"policy.chip={json.dumps(chip)}"]
+    return "distill-snn", settings
 
 
 def _hidden(size: str, sparse: bool) -> str:
@@ -61,25 +69,11 @@ def _hidden(size: str, sparse: bool) -> str:
     return str(numbers[0] if sparse else numbers)
 
 
-def _check_sparse(encoder: str | None, timesteps: int | None) -> None:
-    if encoder not in (None, "delta"):
-        raise ConfigError(
-            f"--encoder {encoder}: a student with --budget sends events by the delta code; leave "
-            "one of the two out"
-        )
-    if timesteps not in (None, 1):
-        raise ConfigError(
-            f"--timesteps {timesteps}: a student with --budget computes one timestep in a control "
-            "step and keeps its states; leave one of the two out"
-        )
-
-
 def teacher_options(run: Path) -> list[str]:
     """Return the options with which `compare` shows the teacher of a run, too."""
     settings = RunFolder(run).settings()
     units = settings.get("teacher_units")
-    more = [] if units is None else ["--teacher-units", units]
-    return ["--teacher", settings["teacher"], *more]
+    return ["--teacher", settings["teacher"], *(["--teacher-units", units] if units else [])]
 
 
 def earned(run: Path) -> str:
@@ -87,30 +81,27 @@ def earned(run: Path) -> str:
 
     Another says that a budget of operations had nothing pruned.
     """
-    return _returns(RunFolder(run)) + _slack(RunFolder(run))
-
-
-def _slack(folder: RunFolder) -> str:
-    budget = folder.settings().get("budget")
+    folder, line = RunFolder(run), ""
+    settings = folder.settings()
+    if folder.checkpoint("best").is_file():
+        teacher = folder.load("last")[0].get("teacher_return")
+        student, episodes = (
+            folder.load("best")[0]["eval_return"],
+            settings["validation"]["episodes"],
+        )
+        if teacher is not None:
+            line = (
+                f"validation, {episodes} episodes: teacher {teacher:,.4g}, student {student:,.4g}\n"
+            )
+    budget = settings.get("budget")
     if budget is None or not folder.metrics.is_file():
-        return ""
+        return line
     rows = [row for row in metrics.read(folder.metrics) if "operations" in row]
     first = next((place for place, row in enumerate(rows) if "goal" in row), 0)
     pruned = [row["operations"] for row in rows[max(first - 1, 0) :]]  # and the last before
     if not first or max(pruned) > budget:
-        return ""
+        return line
     return (
-        f"the budget of {budget:,.4g} operations did not bind: the student had "
+        f"{line}the budget of {budget:,.4g} operations did not bind: the student had "
         f"{pruned[0]:,.4g} before pruning, so nothing had to be pruned for it\n"
     )
-
-
-def _returns(folder: RunFolder) -> str:
-    if not folder.checkpoint("best").is_file():
-        return ""
-    best, last = folder.load("best")[0], folder.load("last")[0]
-    episodes = folder.settings()["validation"]["episodes"]
-    teacher, student = last.get("teacher_return"), best["eval_return"]
-    if teacher is None:
-        return ""
-    return f"validation, {episodes} episodes: teacher {teacher:,.4g}, student {student:,.4g}\n"
