@@ -218,7 +218,7 @@ def _check_against(
     """Print the comparison with a recording, and exit."""
     from spikedeploy.console import print_json
     from spikedeploy.emulation.design_report import network_path
-    from spikedeploy.emulation.recordings import against_recorded
+    from spikedeploy.emulation.verification import against_recorded
     from spikedeploy.runtime.errors import ConfigError
 
     if chips:
@@ -228,10 +228,9 @@ def _check_against(
         )
     found = against_recorded(network_path(file), recorded, **reading.arguments())
     if json:
-        print_json(found.as_json())
+        print_json(found.record)
     else:
-        for line in found.lines():
-            typer.echo(line)
+        typer.echo("\n".join(found.lines))
     raise typer.Exit(0 if found.equal else 1)
 
 
@@ -275,8 +274,8 @@ def verify(
     Exit code 2: none differs, and a file cannot be replayed.
     """
     from spikedeploy.console import print_json
-    from spikedeploy.emulation.trace_replay import replay_trace
-    from spikedeploy.reports.terminal import print_replays
+    from spikedeploy.emulation.verification import replay_trace
+    from spikedeploy.reports.terminal import print_verifications
 
     played = {"--network": network, "--chip": chip, "--input": input_}
     if any(played.values()) or traces[0].suffix in (".npy", ".npz"):
@@ -291,10 +290,10 @@ def verify(
     for path in traces:
         replays.append(replay_trace(path))
         if not json:
-            print_replays(replays[-1:])
+            print_verifications(replays[-1:])
     if json:
-        print_json([each.as_json() for each in replays])
-    if any(each.verdict is not None and not each.equal for each in replays):
+        print_json([each.record for each in replays])
+    if any(not each.equal and not each.failed for each in replays):
         raise typer.Exit(1)
     raise typer.Exit(0 if all(each.equal for each in replays) else 2)
 
@@ -304,8 +303,8 @@ def _verify_activity(
 ) -> NoReturn:
     """Print recorded layers beside emulated ones, and exit."""
     from spikedeploy.console import print_json
-    from spikedeploy.emulation.recordings import against_activity
-    from spikedeploy.reports.terminal import print_replays
+    from spikedeploy.emulation.verification import against_activity
+    from spikedeploy.reports.terminal import print_verifications
     from spikedeploy.runtime.errors import ConfigError
 
     if missing := [name for name, value in played.items() if not value]:
@@ -326,7 +325,7 @@ def _verify_activity(
         for each in against_activity(recording, network, inputs, chip, **options)
     ]
     if json:
-        print_json([each.as_json() for each in found])
+        print_json([each.record for each in found])
     else:
-        print_replays(found)
+        print_verifications(found)
     raise typer.Exit(0 if all(each.equal for each in found) else 1)

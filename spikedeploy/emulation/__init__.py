@@ -6,6 +6,5 @@ open_loop      a raster through a network, on a chip or in float, and all that i
 rasters        rasters in .npy and .npz files
 drift          where a chip leaves the float twin, with or without calibration
 design_report  a network against the design rules of chips
-recordings     recorded spikes, of the author's framework or of silicon, against ours
-trace_replay   recorded traces against the emulator's arithmetic
+verification   recorded traces and spikes, of emulators, a framework or silicon, against ours
 """

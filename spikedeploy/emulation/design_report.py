@@ -1,13 +1,14 @@
 """A network file against the design rules of chips: whether it fits, and if not, why not."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from spikedeploy import zoo
 from spikedeploy.runtime.artifact.artifact import Artifact, load
-from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip, split_names
+from spikedeploy.runtime.chips.chip import CHIPS, chip, split_names
 from spikedeploy.runtime.compiler.compile import COMPILE, DesignCheck
 from spikedeploy.runtime.compiler.compile import check as check_on
 from spikedeploy.runtime.compiler.mapping import mapping_utilisation, placement_utilisation
@@ -85,15 +86,12 @@ def _fitting_reset(artifact: Artifact, found: DesignCheck) -> str | None:
     broken = {ruling.rule for ruling in found.rulings if ruling.failed}
     if artifact.trained_for or "reset" not in broken or broken - {"reset", COMPILE}:
         return None
-    return next((each for each in found.chip.resets if _passes(artifact, found.chip, each)), None)
-
-
-def _passes(artifact: Artifact, on: Chip, reset: str) -> bool:
-    try:
-        convention = artifact.convention.with_options({"reset": reset})
-    except ConventionError:  # several spikes of a timestep, which are subtracted
-        return False
-    return check_on(replace(artifact, convention=convention), on).passed
+    for reset in found.chip.resets:
+        with suppress(ConventionError):  # several spikes of a timestep, which are subtracted
+            convention = artifact.convention.with_options({"reset": reset})
+            if check_on(replace(artifact, convention=convention), found.chip).passed:
+                return reset
+    return None
 
 
 def statuses(found: DesignCheck) -> dict[str, Status]:
@@ -103,13 +101,12 @@ def statuses(found: DesignCheck) -> dict[str, Status]:
 
 def worst(rulings: Sequence[RuleResult]) -> RuleResult:
     """The first failure, else the pass with the largest count, else unknown, or not applicable."""
-    absent = RuleResult("", None, "not applicable")
-    return min(rulings, key=_rank, default=absent)
 
+    def rank(ruling: RuleResult) -> tuple[int, float]:
+        found = ruling.found if isinstance(ruling.found, int | float) else 0.0
+        return _ORDER.index(ruling.status), 0.0 if ruling.failed else -found
 
-def _rank(ruling: RuleResult) -> tuple[int, float]:
-    found = ruling.found if isinstance(ruling.found, int | float) else 0.0
-    return _ORDER.index(ruling.status), 0.0 if ruling.failed else -found
+    return min(rulings, key=rank, default=RuleResult("", None, "not applicable"))
 
 
 def network_path(reference: str) -> Path:

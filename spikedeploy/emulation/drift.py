@@ -51,12 +51,11 @@ class DriftInputs:
         pieces = np.split(self.raster, np.cumsum(self.episodes or [1] * len(self.raster))[:-1])
         if len(pieces) < 2:
             return self, self
-        return self._of(pieces[::2]), self._of(pieces[1::2])
-
-    def _of(self, pieces: Sequence[Raster]) -> "DriftInputs":
-        part = np.concatenate(pieces)
-        lengths = tuple(map(len, pieces)) if self.episodes else ()
-        return DriftInputs(part, f"{self.source}, {len(part)} of them", lengths)
+        halves = []
+        for each in (pieces[::2], pieces[1::2]):
+            part, lengths = np.concatenate(each), tuple(map(len, each)) if self.episodes else ()
+            halves.append(DriftInputs(part, f"{self.source}, {len(part)} of them", lengths))
+        return halves[0], halves[1]
 
 
 def choose_inputs(
@@ -70,9 +69,15 @@ def choose_inputs(
     options: Mapping[str, Any] = MappingProxyType({}),
 ) -> DriftInputs:
     """Inputs from a raster file, or random at a rate, or else `observed_inputs`."""
-    _check_one_input(artifact)
+    if len(artifact.graph.inputs) > 1:
+        raise ConfigError(
+            f"the network has the inputs {', '.join(sorted(artifact.graph.inputs))}; only networks "
+            "with one can be compared with their float twins. Play it with emulate, in float and "
+            "on the chip."
+        )
     if raster is not None:
-        return _raster_inputs(artifact, raster)
+        (rows,) = by_port(ports(artifact.graph.inputs), in_batch(read_rasters(raster))).values()
+        return DriftInputs(rows.reshape(*rows.shape[:2], -1), str(raster))
     if random is not None:
         return random_inputs(artifact, random, steps, seeds[0])
     if artifact.codec is None:
@@ -81,21 +86,6 @@ def choose_inputs(
             "with --input, or draw spikes with --random RATE"
         )
     return observed_inputs(artifact, find(str(path)), env, seeds, steps, options)
-
-
-def _raster_inputs(artifact: Artifact, path: Path) -> DriftInputs:
-    """The raster (T, *shape) of a file, as one inference."""
-    (rows,) = by_port(ports(artifact.graph.inputs), in_batch(read_rasters(path))).values()
-    return DriftInputs(rows.reshape(*rows.shape[:2], -1), str(path))
-
-
-def _check_one_input(artifact: Artifact) -> None:
-    if len(artifact.graph.inputs) > 1:
-        raise ConfigError(
-            f"the network has the inputs {', '.join(sorted(artifact.graph.inputs))}; only networks "
-            "with one can be compared with their float twins. Play it with emulate, in float and "
-            "on the chip."
-        )
 
 
 def random_inputs(artifact: Artifact, rate: float, timesteps: int, seed: int) -> DriftInputs:
@@ -134,29 +124,20 @@ def observed_inputs(
     played = [rollout(world, player, seed) for seed in seeds]
     world.close()
     encoded = [artifact.codec.encode_episode(p.observation[:-1], p.seed) for p in played]
-    kept = artifact.convention.state == "kept"
-    used = _beginnings(encoded, steps) if kept else [_spread(np.concatenate(encoded), steps)]
-    raster, all_ = np.concatenate(used), sum(map(len, encoded))
-    source = f"{len(raster)} of {all_} control steps of the float twin in {where}, {_seeds(seeds)}"
+    kept, all_ = artifact.convention.state == "kept", sum(map(len, encoded))
+    if kept:
+        share, more = divmod(steps, len(encoded))
+        begun = [rows[: share + (place < more)] for place, rows in enumerate(encoded)]
+        used = [rows for rows in begun if len(rows)]
+    else:
+        chosen = np.linspace(0, all_ - 1, min(steps, all_)).round().astype(int)
+        used = [np.concatenate(encoded)[chosen]]
+    raster, last = np.concatenate(used), f" to {seeds[-1]}" if len(seeds) > 1 else ""
+    source = (
+        f"{len(raster)} of {all_} control steps of the float twin in {where}, "
+        f"seed{'s' * bool(last)} {seeds[0]}{last}"
+    )
     return DriftInputs(raster, source, tuple(map(len, used)) if kept else ())
-
-
-def _beginnings(episodes: Sequence[Raster], steps: int) -> list[Raster]:
-    """The first inferences of each episode, at most `steps` altogether."""
-    share, more = divmod(steps, len(episodes))
-    parts = [rows[: share + (place < more)] for place, rows in enumerate(episodes)]
-    return [part for part in parts if len(part)]
-
-
-def _spread(rows: Raster, steps: int) -> Raster:
-    """At most `steps` inferences at equal distances, the first and the last among them."""
-    count = min(steps, len(rows))
-    chosen: Raster = rows[np.linspace(0, len(rows) - 1, count).round().astype(int)]
-    return chosen
-
-
-def _seeds(seeds: Sequence[int]) -> str:
-    return f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
 
 
 @dataclass(frozen=True)

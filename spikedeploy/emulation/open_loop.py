@@ -20,7 +20,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.runtime.emulator.network import RunningNetwork, chip_called, run_network
 from spikedeploy.runtime.errors import ArtifactError, ObservationError, RuleError
-from spikedeploy.runtime.graph.ports import Port, by_port, ports, split
+from spikedeploy.runtime.graph.ports import by_port, ports, split
 from spikedeploy.runtime.metrics.energy import (
     STATIC,
     TABLES,
@@ -82,36 +82,26 @@ def measure_inference(
     artifact: Artifact, network: RunningNetwork, raster: NDArray[Any], ledger: Ledger
 ) -> Measures:
     """Of the last inference of a network with a trace, which was of the raster (B, T, M)."""
-    program, seen = network.program, network.recordings
+    program, seen, chip = network.program, network.recordings, network.program.chip
     spikes = {program.input: raster, **{name: rows.spikes for name, rows in seen.items()}}
     membranes = {name: rows.membrane for name, rows in seen.items()}
-    latencies = _latencies(program, spikes, ledger)
-    power = next(iter(STATIC.get(program.chip.name, ())), None)  # that of a chip, named first
+    if (model := chip.arithmetic.time_model) is not None:
+        latencies = {model: TIME_MODELS[model](program, spikes)}
+    else:
+        tables = [TABLES[name] for name in chip.energy_tables if TABLES[name].timed]
+        latencies = {table.name: latency_estimate(ledger, table) for table in tables}
+    power = next(iter(STATIC.get(chip.name, ())), None)  # that of a chip, named first
+    # only sigma-delta neurons send graded spikes, and only queues lose some
+    rare = ("graded_sop", "lost_spike")
+    counts = {e: ledger.by_layer(e) for e in EVENTS if e not in rare or ledger.total(e)}
     return Measures(
         neurobench(artifact.graph, program, spikes, membranes),
-        _events(ledger),
+        {name: {event: each[name] for event, each in counts.items()} for name in ledger.layers},
         memory_traffic(ledger, program),
         latencies,
         {name: static_energy(t.value, power) for name, t in latencies.items()} if power else {},
         host_work(program, spikes),
     )
-
-
-def _events(ledger: Ledger) -> dict[str, dict[str, int]]:
-    # only sigma-delta neurons send graded spikes, and only queues lose some
-    rare = ("graded_sop", "lost_spike")
-    events = [event for event in EVENTS if event not in rare or ledger.total(event)]
-    found = {event: ledger.by_layer(event) for event in events}
-    return {name: {event: found[event][name] for event in events} for name in ledger.layers}
-
-
-def _latencies(
-    program: Program, spikes: Mapping[str, NDArray[Any]], ledger: Ledger
-) -> dict[str, EnergyEstimate]:
-    if (model := program.chip.arithmetic.time_model) is not None:
-        return {model: TIME_MODELS[model](program, spikes)}
-    tables = [TABLES[name] for name in program.chip.energy_tables]
-    return {table.name: latency_estimate(ledger, table) for table in tables if table.timed}
 
 
 @dataclass(frozen=True)
@@ -143,78 +133,71 @@ class Emulation:
 
     def save(self, path: Path) -> None:
         """Write a .npz, or NIRData in .h5: spikes and outputs, each by the name of its node."""
-        if path.suffix in NIR_DATA:
-            with replacing(path) as part:
-                everything = {**self.spikes, **self.outputs}
-                write_nir_data(part, everything, self.artifact.convention.dt, mark("emulate"))
-            return
-        with (
-            replacing(path) as part,
-            zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive,
-        ):
-            archive.comment = mark("emulate").encode()
-            for name, rows in {**self.spikes, **self.outputs}.items():
-                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                    np.lib.format.write_array(member, np.asanyarray(rows), allow_pickle=False)
+        own, everything = mark("emulate"), {**self.spikes, **self.outputs}
+        with replacing(path) as part:
+            if path.suffix in NIR_DATA:
+                write_nir_data(part, everything, self.artifact.convention.dt, own)
+                return
+            with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive:
+                archive.comment = own.encode()
+                for name, rows in everything.items():
+                    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                        np.lib.format.write_array(member, np.asanyarray(rows), allow_pickle=False)
 
     @property
     def timesteps(self) -> int:
         """T."""
         return len(next(iter(self.outputs.values())))
 
-    def layers(self) -> dict[str, dict[str, Any]]:
-        """Spiking node -> neurons, spikes, rate [1 per neuron and timestep] and SOPs."""
-        sops = self.ledger.by_layer("sop") if self.ledger else {}
-        return {
+    def as_json(self) -> dict[str, Any]:
+        """Counts over the whole raster, by layer too, energies, and the convention.
+
+        `layers` are those that spike, with the rate per neuron and timestep; `readouts` never do.
+        """
+        ledger, graded = self.ledger, self.artifact.sigma_delta
+        # graded spikes of any size are one each
+        sent = {n: rows != 0 if n in graded else rows for n, rows in self.spikes.items()}
+        sops = ledger.by_layer("sop") if ledger else {}
+        messages = ledger.by_layer("message") if ledger else {}
+        neurons = dict(zip(ledger.layers, ledger.neurons, strict=True)) if ledger else {}
+        layers = {
             name: {
                 "neurons": rows[0].size,
                 "spikes": int(rows.sum()),
                 "rate": float(rows.mean()),
                 "sops": sops.get(name),
             }
-            for name, rows in self._messages().items()
+            for name, rows in sent.items()
         }
-
-    def _messages(self) -> dict[str, NDArray[Any]]:
-        """Spikes of each node; graded ones of any size are one each."""
-        graded = self.artifact.sigma_delta
-        return {n: rows != 0 if n in graded else rows for n, rows in self.spikes.items()}
-
-    def readouts(self) -> dict[str, dict[str, int]]:
-        """Readout layer on the chip -> neurons, SOPs and messages; it never spikes."""
-        if self.ledger is None:
-            return {}
-        neurons = dict(zip(self.ledger.layers, self.ledger.neurons, strict=True))
-        sops, messages = self.ledger.by_layer("sop"), self.ledger.by_layer("message")
-        return {
+        readouts = {
             name: {"neurons": neurons[name], "sops": sops[name], "messages": messages[name]}
-            for name in self.ledger.readouts
+            for name in (ledger.readouts if ledger else ())
         }
-
-    def as_json(self) -> dict[str, Any]:
-        """Counts over the whole raster, by layer too, energies, and the convention."""
+        totals = {
+            name: ledger.total(event) if ledger else None
+            for name, event in {
+                "sops": "sop",
+                "bias_sops": "bias_sop",
+                "neuron_updates": "neuron_update",
+                "saturations": "saturation",
+            }.items()
+        }
         return {
             "chip": self.chip,
             "timesteps": self.timesteps,
             "convention": self.artifact.convention.to_record(),
             "clock": self.clock or None,
-            "spikes": sum(int(rows.sum()) for rows in self._messages().values()),
-            "sops": self._total("sop"),
-            "bias_sops": self._total("bias_sop"),
-            "neuron_updates": self._total("neuron_update"),
-            "saturations": self._total("saturation"),
+            "spikes": sum(each["spikes"] for each in layers.values()),
+            **totals,
             "energy_j": {name: each.value for name, each in self.energies.items()},
             "energy_interval_j": {n: [each.low, each.high] for n, each in self.energies.items()},
             **(self.measures.as_json() if self.measures else {"neurobench": None}),
-            "layers": self.layers(),
-            "readouts": self.readouts(),
+            "layers": layers,
+            "readouts": readouts,
             "outputs": {name: list(rows.shape[1:]) for name, rows in self.outputs.items()},
             "uncounted": self.uncounted or None,
             "remarks": list(self.remarks),
         }
-
-    def _total(self, event: str) -> int | None:
-        return self.ledger.total(event) if self.ledger else None
 
     @property
     def energies(self) -> dict[str, EnergyEstimate]:
@@ -249,8 +232,9 @@ def emulate_artifact(
         options |= {"quantisation": quantisation, "limits": limits}
     network = run_network(artifact, on, trace=True, **options)
     if on is not None:
-        _check_memory(network.program, rows)
-    outputs = _outputs(network.outputs, network.infer(rows))
+        _check_memory(network.program, next(iter(rows.values())).shape[1])
+    found = split(network.outputs, network.infer(rows))
+    outputs = {"output" if len(found) == 1 else name: each[0] for name, each in found.items()}
     if both := sorted(network.spikes.keys() & outputs.keys()):
         raise ArtifactError(f"node {both[0]!r} spikes, but that name is the output's. Rename it.")
     nodes = artifact.graph.nodes
@@ -271,18 +255,11 @@ def emulate_artifact(
     return replace(emulation, ledger=ledger, measures=measures)
 
 
-def _check_memory(program: Program, rows: Mapping[str, Raster]) -> None:
+def _check_memory(program: Program, timesteps: int) -> None:
     """Refuse a raster over which the recorded states would exceed LARGEST bytes."""
-    timesteps = next(iter(rows.values())).shape[1]
     found = _STATE * sum(program.sizes.values()) * program.steps(timesteps)
     if found > LARGEST:
         raise ObservationError(
             f"{timesteps} timesteps of {sum(program.sizes.values())} neurons and inputs take "
             f"{found} bytes; at most {LARGEST}. Play the raster in parts."
         )
-
-
-def _outputs(all_: tuple[Port, ...], rows: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Output node -> (T, *act), from (1, T, act) with the nodes side by side."""
-    found = split(all_, rows)
-    return {"output" if len(found) == 1 else name: each[0] for name, each in found.items()}

@@ -30,7 +30,12 @@ def read_rasters(path: Path) -> Raster | dict[str, Raster]:
         raise ObservationError(f"{path} is no file. Give a .npy or .npz file.")
     try:
         if zipfile.is_zipfile(path):
-            arrays, most = _archive(path), byte_budget(path, FREE, EXPANSION)
+            with zipfile.ZipFile(path) as archive:
+                claimed = sum(member.file_size for member in archive.infolist())
+            _check_claim(path, claimed)
+            # opened here, because numpy leaves it open where the archive is broken
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as members:
+                arrays, most = dict(members), byte_budget(path, FREE, EXPANSION)
             if not arrays:
                 raise ObservationError(f"{path} holds no array. Write at least one with numpy.")
             return {name: _checked(f"{path}: {name}", a, most) for name, a in arrays.items()}
@@ -58,15 +63,6 @@ def read_inputs(path: Path, artifact: Artifact) -> Raster | dict[str, Raster]:
     found = read_nir_data(path, shapes, artifact.convention.dt)
     most = byte_budget(path, FREE, EXPANSION)
     return {name: _checked(f"{path}: {name}", rows, most) for name, rows in found.items()}
-
-
-def _archive(path: Path) -> dict[str, Raster]:
-    with zipfile.ZipFile(path) as archive:
-        claimed = sum(member.file_size for member in archive.infolist())
-    _check_claim(path, claimed)
-    # opened here, because numpy leaves it open where the archive is broken
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-        return dict(arrays)
 
 
 def _check_claim(path: Path, claimed: int) -> None:

@@ -5,8 +5,7 @@ from typing import Any
 
 from spikedeploy.console import print_text
 from spikedeploy.emulation.open_loop import Emulation
-from spikedeploy.emulation.recordings import RecordedActivity
-from spikedeploy.emulation.trace_replay import ReplayedTrace
+from spikedeploy.emulation.verification import Verification
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.reports.columns import (
     WIDTH,
@@ -26,11 +25,12 @@ def print_checks(checks: Iterable[ParityCheck]) -> None:
         print_text(f"{'✓' if check.passed else '✗'} {check.name}: {check.detail}")
 
 
-def print_replays(replays: Iterable[ReplayedTrace | RecordedActivity]) -> None:
+def print_verifications(found: Iterable[Verification]) -> None:
     """Print a line for each trace or recorded layer: ✓ or ✗, the result, what was not compared."""
-    for replay in replays:
-        print(f"{'✓' if replay.equal else '✗'} {replay.path}: {replay.describe()}")
-        for remark in replay.remarks():
+    for each in found:
+        result, *remarks = each.lines
+        print(f"{'✓' if each.equal else '✗'} {each.path}: {result}")
+        for remark in remarks:
             print(f"    {remark}")
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spikedeploy.emulation.trace_replay import replay_trace
+from spikedeploy.emulation.verification import replay_trace
 from spikedeploy.runtime.errors import SpikedeployError, TraceError
 from spikedeploy.runtime.traces import fields
 from spikedeploy.runtime.traces.verify import Difference, verify
@@ -296,11 +296,11 @@ def test_layers_and_fields_and_numbers_are_limited(lava, file, monkeypatch):
 def test_nothing_in_a_file_reaches_the_terminal_as_a_command(lava, file):
     names = {f"\x1b[31mq{n}\nline{'x' * 100}": 1 for n in range(9)}
     replay = replay_trace(file({**lava, **names, "source": "lava \x1b]0;title\x07" + "A" * 9999}))
-    printed = " ".join([replay.describe(), *replay.remarks()])
+    printed = " ".join(replay.lines)
     assert printed.isprintable()
     assert "\\x1b]0;title" in printed
     assert "and 4 more" in printed
     assert len(printed) < 1000
-    refused = replay_trace(file({"chip": "\x1b[31m\ud800" * 999})).describe()
+    (refused,) = replay_trace(file({"chip": "\x1b[31m\ud800" * 999})).lines
     assert refused.isprintable()
     assert len(refused) < 500

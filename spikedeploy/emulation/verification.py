@@ -1,9 +1,9 @@
-"""Recorded spikes against ours: those of the author's framework, and those of silicon.
+"""Recordings of others beside ours: traces of emulators, spikes of a framework and of silicon.
 
-`against_recorded` compares the float twin of an exported file with what the framework computed.
-Where they differ other conventions are tried, in the order in which they are usually to blame:
-reset, delay, dt, threshold rule, then integrator, the tool that wrote the file, and rounding; then
-two of them together.
+`replay_trace` replays a trace file. `against_recorded` compares the float twin of an exported file
+with what the framework computed. Where they differ other conventions are tried, in the order in
+which they are usually to blame: reset, delay, dt, threshold rule, then integrator, the tool that
+wrote the file, and rounding; then two of them together.
 
 `against_activity` compares an emulated chip with spikes of layers that a chip was seen to send, in
 the arrays of the NIR paper: (T, N) of one sample, (N, T) by one of its tools, and spike counts
@@ -11,7 +11,7 @@ the arrays of the NIR paper: (T, N) of one sample, (N, T) by one of its tools, a
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations, islice
 from pathlib import Path
 from typing import Any, get_args
@@ -28,6 +28,9 @@ from spikedeploy.runtime.dialects.tools import WRITERS
 from spikedeploy.runtime.errors import ObservationError, SpikedeployError
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import Port, ports
+from spikedeploy.runtime.traces.fields import escaped, shown_names
+from spikedeploy.runtime.traces.verify import verify
+from spikedeploy.user_errors import one_line
 
 Options = dict[str, Any]  # of artifact.load
 Counts = NDArray[np.int64]
@@ -50,10 +53,55 @@ _TURNED = "read as (neurons, timesteps)"
 
 
 @dataclass(frozen=True)
+class Verification:
+    """A recording beside ours.
+
+    path    of the recording
+    equal   whether every number is the recorded one
+    lines   the result; then the first difference, what was not compared, how it was read
+    record  all of it as plain data
+    failed  whether it could not be compared
+    """
+
+    path: Path
+    equal: bool
+    lines: tuple[str, ...]
+    record: Mapping[str, Any] = field(default_factory=dict)
+    failed: bool = False
+
+
+def replay_trace(path: Path) -> Verification:
+    """A trace file beside the emulator's arithmetic; one that cannot be replayed has failed."""
+    try:
+        found = verify(path)
+    except Exception as error:
+        line = one_line(error)
+        if line is None:
+            raise
+        why = line.removeprefix(f"{path}: ")
+        record = {"file": str(path), "equal": False, "error": why}
+        return Verification(path, False, (f"not replayed: {why}",), record, failed=True)
+    if found.difference is not None:
+        lines = [f"differs on {found.chip}: {found.difference.describe()}"]
+    else:
+        what = f"{found.compared:,} numbers of {found.steps} timesteps"
+        lines = [f"equal on {found.chip}: {what}; recorded by {escaped(found.source, 200)}"]
+    if found.passed_over:
+        lines.append(f"not compared: {found.passed_over} {found.why}")
+    if found.unread:
+        lines.append(f"not compared: fields that are not used: {shown_names(found.unread)}")
+    record = {"file": str(path), **found.as_json(), "error": None}
+    return Verification(path, found.equal, (*lines, *found.remarks), record)
+
+
+# what a framework recorded
+
+
+@dataclass(frozen=True)
 class RecordedDifference:
     """The first output that is not the recorded one.
 
-    count: of outputs that differ, of `compared`.
+    count: of outputs that differ.
     """
 
     inference: int
@@ -63,77 +111,8 @@ class RecordedDifference:
     found: float
     count: int
 
-    def describe(self) -> str:
-        """Where, and both numbers."""
-        neuron = ", ".join(map(str, self.neuron))
-        return (
-            f"inference {self.inference}, timestep {self.timestep}, neuron {neuron}: your "
-            f"framework {self.expected:g}, our float {self.found:g}"
-        )
 
-
-@dataclass(frozen=True)
-class RecordedAgreement:
-    """A recording and the float twin.
-
-    convention: of the file, as it was read, in one line.
-    compared: outputs; `spikes` of them recorded.
-    difference: the first, or None.
-    cause: the options that make both equal, where some were found.
-    nearest: otherwise the single option with which fewest differ, and how many.
-    unread: other arrays of the file.
-    """
-
-    convention: str
-    compared: int
-    spikes: int
-    difference: RecordedDifference | None = None
-    cause: tuple[str, ...] = ()
-    nearest: tuple[str, int] | None = None
-    unread: tuple[str, ...] = ()
-
-    @property
-    def equal(self) -> bool:
-        """True if every output is the recorded one."""
-        return self.difference is None
-
-    def as_json(self) -> dict[str, Any]:
-        """The fields as plain data."""
-        found = self.difference
-        return {
-            "equal": self.equal,
-            **vars(self),
-            "difference": found and {**vars(found), "neuron": list(found.neuron)},
-            "cause": list(self.cause),
-            "nearest": self.nearest and {"option": self.nearest[0], "differ": self.nearest[1]},
-            "unread": list(self.unread),
-        }
-
-    def lines(self) -> Iterator[str]:
-        """Lines for a terminal."""
-        yield self.convention
-        if self.unread:
-            yield f"not compared: {', '.join(self.unread)}"
-        if self.difference is None:
-            yield (
-                f"your framework = our float: equal, {self.compared:,} outputs, "
-                f"{self.spikes:,} spikes"
-            )
-            return
-        yield f"your framework ≠ our float: {self.difference.describe()}"
-        yield f"{self.difference.count:,} of {self.compared:,} outputs differ"
-        if self.cause:
-            yield f"likeliest cause: {' and '.join(self.cause)}, with which all are equal"
-            return
-        near = self.nearest
-        nearest = f"; {near[0]} comes nearest, {near[1]:,} differ" if near else ""
-        yield (
-            f"no option makes both equal{nearest}. Was the input the same, from zero states, "
-            "and the file exported from this network?"
-        )
-
-
-def against_recorded(path: Path, recorded: Path, **options: Any) -> RecordedAgreement:  # noqa: ANN401
+def against_recorded(path: Path, recorded: Path, **options: Any) -> Verification:  # noqa: ANN401
     """The float twin of a file against a recording of the network that it was exported from.
 
     recorded  .npz with `input` (T, *shape) or (B, T, *shape), and `output` likewise
@@ -147,19 +126,44 @@ def against_recorded(path: Path, recorded: Path, **options: Any) -> RecordedAgre
         raise type(error)(f"{error}{hint}") from error
     inputs, outputs, unread = read_recorded(recorded, artifact)
     first = find_difference(artifact, inputs, outputs)
-    cause, nearest = _find_cause(path, given, artifact, inputs, outputs, first)
-    return RecordedAgreement(
-        artifact.convention.describe(),
-        outputs.size,
-        int(np.count_nonzero(outputs)),
-        first,
-        cause,
-        nearest,
-        unread,
-    )
+    cause: tuple[str, ...] = ()
+    nearest = None
+    lines = [artifact.convention.describe()]
+    if unread:
+        lines.append(f"not compared: {', '.join(unread)}")
+    if first is None:
+        counts = f"{outputs.size:,} outputs, {np.count_nonzero(outputs):,} spikes"
+        lines.append(f"your framework = our float: equal, {counts}")
+    else:
+        cause, nearest = _find_cause(path, given, artifact, inputs, outputs, first)
+        neuron = ", ".join(map(str, first.neuron))
+        lines += [
+            f"your framework ≠ our float: inference {first.inference}, timestep {first.timestep}, "
+            f"neuron {neuron}: your framework {first.expected:g}, our float {first.found:g}",
+            f"{first.count:,} of {outputs.size:,} outputs differ",
+        ]
+    if cause:
+        lines.append(f"likeliest cause: {' and '.join(cause)}, with which all are equal")
+    elif first is not None:
+        near = f"; {nearest[0]} comes nearest, {nearest[1]:,} differ" if nearest else ""
+        lines.append(
+            f"no option makes both equal{near}. Was the input the same, from zero states, "
+            "and the file exported from this network?"
+        )
+    record = {
+        "equal": first is None,
+        "convention": artifact.convention.describe(),
+        "compared": outputs.size,
+        "spikes": int(np.count_nonzero(outputs)),
+        "difference": first and {**vars(first), "neuron": list(first.neuron)},
+        "cause": list(cause),
+        "nearest": nearest and {"option": nearest[0], "differ": nearest[1]},
+        "unread": unread,
+    }
+    return Verification(recorded, first is None, tuple(lines), record)
 
 
-def read_recorded(path: Path, artifact: Artifact) -> tuple[Raster, Raster, tuple[str, ...]]:
+def read_recorded(path: Path, artifact: Artifact) -> tuple[Raster, Raster, list[str]]:
     """Input (B, T, *shape) and output (B, T, *shape), and the names of other arrays."""
     arrays = read_rasters(path)
     if not isinstance(arrays, dict) or not {"input", "output"} <= arrays.keys():
@@ -177,7 +181,7 @@ def read_recorded(path: Path, artifact: Artifact) -> tuple[Raster, Raster, tuple
             f"{path}: input has (B, T) = {inputs.shape[:2]}, output {outputs.shape[:2]}. Record "
             "both over the same timesteps."
         )
-    return inputs, outputs, tuple(sorted(arrays.keys() - {"input", "output"}))
+    return inputs, outputs, sorted(arrays.keys() - {"input", "output"})
 
 
 def _batch(path: Path, name: str, rows: Raster, nodes: tuple[Port, ...]) -> Raster:
@@ -235,11 +239,9 @@ def _find_cause(
     artifact: Artifact,
     inputs: Raster,
     outputs: Raster,
-    first: RecordedDifference | None,
+    first: RecordedDifference,
 ) -> tuple[tuple[str, ...], tuple[str, int] | None]:
     """The options that make both equal; or else the nearest one, and how many outputs differ."""
-    if first is None:
-        return (), None
     counts: dict[str, int] = {}
     singles = list(_single_changes(given, artifact))
     for changes in singles:
@@ -310,56 +312,7 @@ def _writer_hint(path: Path, given: Options, recorded: Path) -> str:
     return ""
 
 
-@dataclass(frozen=True)
-class RecordedActivity:
-    """A layer of a recording beside the emulated one.
-
-    path: of the recording.
-    samples, timesteps: of the input.
-    numbers: compared, spikes of a neuron in a timestep or, where times are not compared, in all.
-    agree: of them.
-    recorded, emulated, common: spikes there, here, and of the same neuron and timestep.
-    difference: the first, in words; empty where there is none.
-    """
-
-    path: Path
-    chip: str
-    layer: str
-    samples: int
-    timesteps: int
-    neurons: int
-    numbers: int
-    agree: int
-    recorded: int
-    emulated: int
-    common: int
-    difference: str
-    reading: tuple[str, ...] = ()
-
-    @property
-    def equal(self) -> bool:
-        """True if all numbers agree."""
-        return self.agree == self.numbers
-
-    def describe(self) -> str:
-        """The comparison in one sentence."""
-        of = f"{self.timesteps:,} timesteps of {self.neurons:,} neurons"
-        samples = f" in {self.samples} samples" if self.samples > 1 else ""
-        return (
-            f"layer {self.layer!r} on {self.chip}, {of}{samples}: {self.agree:,} of "
-            f"{self.numbers:,} numbers agree; {self.recorded:,} spikes recorded, "
-            f"{self.emulated:,} emulated, {self.common:,} the same"
-        )
-
-    def remarks(self) -> list[str]:
-        """The first difference, how the array was read, where the chip departs from the file."""
-        first = [f"first difference: {self.difference}"] if self.difference else []
-        return [*first, *self.reading]
-
-    def as_json(self) -> dict[str, Any]:
-        """The fields as plain data."""
-        found = {**vars(self), "file": str(self.path), "equal": self.equal, "error": None}
-        return {**found, "reading": list(self.reading), "path": str(self.path)}
+# what silicon sent
 
 
 def against_activity(
@@ -371,7 +324,7 @@ def against_activity(
     limits: bool = True,
     quantisation: Quantisation = PLAIN,
     **convention: Any,  # noqa: ANN401
-) -> list[RecordedActivity]:
+) -> list[Verification]:
     """Every recorded layer beside the emulated one.
 
     recording  .npy of one layer, or .npz of arrays by the names of their nodes
@@ -386,9 +339,12 @@ def against_activity(
         for rows in _read_samples(inputs, artifact)
     ]
     spikes = {name: np.stack([each.spikes[name] for each in played]) for name in played[0].spikes}
-    first, *others = (_beside(recording, chip, n, rows, spikes) for n, rows in wanted.items())
-    # of the network, so once
-    return [replace(first, reading=(*first.reading, *played[0].remarks)), *others]
+    remarks = played[0].remarks  # of the network, so with the first layer alone
+    found = []
+    for name, rows in wanted.items():
+        found.append(_beside(recording, chip, name, rows, spikes, remarks))
+        remarks = ()
+    return found
 
 
 def _read_layers(path: Path, layer: str | None) -> Mapping[str | None, Raster]:
@@ -426,37 +382,60 @@ def _read_samples(path: Path, artifact: Artifact) -> Raster:
 
 
 def _beside(
-    path: Path, chip: str, name: str | None, rows: Raster, spikes: Mapping[str, NDArray[Any]]
-) -> RecordedActivity:
+    path: Path,
+    chip: str,
+    name: str | None,
+    rows: Raster,
+    spikes: Mapping[str, NDArray[Any]],
+    remarks: tuple[str, ...],
+) -> Verification:
     """A recorded array beside the layer of that name, or beside the only one that it fits."""
     if name is not None and name not in spikes:
         raise ObservationError(
             f"{path}: no layer {name!r} spikes in this network; there are {', '.join(spikes)}"
         )
-    fits = [
-        (layer, *pair)
-        for layer, seen in spikes.items()
-        if name in (None, layer) and (pair := next(_readings(rows, seen), None))
-    ]
-    if len(fits) != 1:
-        raise ObservationError(_ambiguity(path, name, rows, spikes, [layer for layer, *_ in fits]))
-    layer, there, here, reading = fits[0]
-    samples, timesteps, *shape = spikes[layer].shape
-    return RecordedActivity(
-        path,
-        chip,
-        layer,
-        samples,
-        timesteps,
-        neurons=int(np.prod(shape)),
-        numbers=there.size,
-        agree=int((there == here).sum()),
-        recorded=int(there.sum()),
-        emulated=int(here.sum()),
-        common=int(np.minimum(there, here).sum()),
-        difference=_describe_first(there, here),
-        reading=reading,
+    known = spikes if name is None else {name: spikes[name]}
+    fits = {n: pair for n, seen in known.items() if (pair := next(_readings(rows, seen), None))}
+    if len(fits) > 1:
+        layers = " and ".join(fits)
+        raise ObservationError(f"{path}: {layers} have that shape. Name one with --layer.")
+    if not fits:
+        shapes = ", ".join(f"{each} {seen.shape}" for each, seen in known.items())
+        missing = "and no layer fits" if name is None else f"which layer {name!r} does not have"
+        raise ObservationError(
+            f"{path} has shape {rows.shape}, {missing}; emulated, as (samples, timesteps, "
+            f"neurons): {shapes}. Record the layer over the input's timesteps, a row for each, or "
+            "its counts as (bins, samples, neurons)."
+        )
+    ((layer, (there, here, reading)),) = fits.items()
+    samples, timesteps, *_ = spikes[layer].shape
+    neurons = there.shape[2]
+    agree, first = int((there == here).sum()), _describe_first(there, here)
+    sent = [int(each.sum()) for each in (there, here, np.minimum(there, here))]
+    more = f" in {samples} samples" if samples > 1 else ""
+    text = (
+        f"layer {layer!r} on {chip}, {timesteps:,} timesteps of {neurons:,} neurons{more}: "
+        f"{agree:,} of {there.size:,} numbers agree; {sent[0]:,} spikes recorded, {sent[1]:,} "
+        f"emulated, {sent[2]:,} the same"
     )
+    record = {
+        "path": str(path),
+        "chip": chip,
+        "layer": layer,
+        "samples": samples,
+        "timesteps": timesteps,
+        "neurons": neurons,
+        "numbers": there.size,
+        "agree": agree,
+        **dict(zip(("recorded", "emulated", "common"), sent, strict=True)),
+        "difference": first,
+        "reading": [*reading, *remarks],
+        "file": str(path),
+        "equal": agree == there.size,
+        "error": None,
+    }
+    differs = (f"first difference: {first}",) if first else ()
+    return Verification(path, not first, (text, *differs, *reading, *remarks), record)
 
 
 def _readings(rows: Raster, seen: NDArray[Any]) -> Iterator[tuple[Counts, Counts, tuple[str, ...]]]:
@@ -489,23 +468,3 @@ def _describe_first(there: Counts, here: Counts) -> str:
     which = f"sample {sample}, " if len(there) > 1 else ""
     both = f"recorded {there[sample, t, n]}, emulated {here[sample, t, n]}"
     return f"{which}{when}neuron {n}: {both}"
-
-
-def _ambiguity(
-    path: Path,
-    name: str | None,
-    rows: Raster,
-    spikes: Mapping[str, NDArray[Any]],
-    fits: list[str],
-) -> str:
-    """The sentence on an array that fits no layer, or several."""
-    if fits:
-        return f"{path}: {' and '.join(fits)} have that shape. Name one with --layer."
-    known = spikes if name is None else {name: spikes[name]}
-    shapes = ", ".join(f"{each} {seen.shape}" for each, seen in known.items())
-    missing = "and no layer fits" if name is None else f"which layer {name!r} does not have"
-    return (
-        f"{path} has shape {rows.shape}, {missing}; emulated, as (samples, timesteps, "
-        f"neurons): {shapes}. Record the layer over the input's timesteps, a row for each, or its "
-        "counts as (bins, samples, neurons)."
-    )
