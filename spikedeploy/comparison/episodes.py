@@ -162,13 +162,13 @@ def summarise(
     metrics  that are asked for, of any environment
     foreign  whether the environment is not ours, so that its infos mean nothing to us
     """
-    damage = player.damage  # first, like costs: agreement runs the player again
+    damage, costs = player.damage, player.costs(played)  # first: agreement runs the player again
     return Episode(
         total=played.total,
         steps=played.steps,
         success=played.success,
         metrics={} if foreign else measure(played.info),
-        costs=player.costs(played),  # first: agreement runs the player again
+        costs=costs,
         agreement={name: agreement(player, played, other) for name, other in others.items()},
         remarks=player.remarks,
         damage=damage,

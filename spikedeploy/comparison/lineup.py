@@ -11,18 +11,8 @@ from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
 
 # of the shipped policies, in table order: the more a control sees and can compute, the later
-_CONTROLS = (
-    "phase",
-    "bilinear",
-    "fourier",
-    "linear",
-    "mlp-8",
-    "mlp-16",
-    "mlp-32",
-    "mlp-64",
-    "pruned",
-    "small",
-)
+_CONTROLS = ("phase", "bilinear", "fourier", "linear", "mlp-8", "mlp-16", "mlp-32", "mlp-64",
+             "pruned", "small")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -85,26 +75,28 @@ def line_up(
     chosen = [find(file) for file in files] or shipped
     if teacher is not None:
         chosen = [teacher, *(candidate for candidate in chosen if candidate != teacher)]
-    chosen = _distinct(chosen)
     if not chosen:
         how = f"train {short} --recipe ppo-snn" if spec.foreign else "train"
         raise ConfigError(
             f"no policies are shipped for {short} yet: name files or run folders, or train one "
             f"with `spikedeploy {how}`"
         )
-    entries = [
-        Entry(candidate) for candidate in _of_kind("ann", chosen) or _of_kind("ann", shipped)
-    ]
-    ann = entries[0] if entries else None
-    entries[1:] = [Entry(entry.candidate, None, ann) for entry in entries[1:]]
+    chosen = _distinct(chosen)
+    networks = _of_kind("ann", chosen) or _of_kind("ann", shipped)
+    ann = Entry(networks[0]) if networks else None
+    entries = [ann] if ann else []
+    entries += [Entry(candidate, None, ann) for candidate in networks[1:]]
     for candidate in _of_kind("snn", chosen):
         twin = replace(candidate, quantisation=quantisation)
         exported = candidate.format == ".nir"  # a run folder is torch, which no chip runs
         on = ([candidate.default_chip] if chips is None else chips) if exported else ()
         entries += _on_chips(replace(twin, **on_chip), twin, on, ann)
-    built_in = [find(name) for name in spec.controls]
-    rest = [c for c in _controls([*chosen, *shipped]) if c not in built_in]
-    return entries + [Entry(candidate, None, ann) for candidate in [*built_in, *rest]]
+    controls = [find(name) for name in spec.controls]
+    order = {name: place for place, name in enumerate(_CONTROLS)}
+    others = dict.fromkeys(_of_kind("control", [*chosen, *shipped]))
+    ranked = sorted(others, key=lambda control: order.get(control.name, len(order)))
+    controls += [each for each in ranked if each not in controls]
+    return entries + [Entry(candidate, None, ann) for candidate in controls]
 
 
 def make_entries(candidate: Candidate, chip: str | None) -> list[Entry]:
@@ -129,13 +121,6 @@ def _on_chips(
 
 def _of_kind(kind: str, candidates: Sequence[Candidate]) -> list[Candidate]:
     return [candidate for candidate in candidates if candidate.kind == kind]
-
-
-def _controls(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Controls without repetition, those of CONTROLS first and in that order."""
-    controls = dict.fromkeys(_of_kind("control", candidates))
-    order = {name: place for place, name in enumerate(_CONTROLS)}
-    return sorted(controls, key=lambda control: order.get(control.name, len(order)))
 
 
 def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:

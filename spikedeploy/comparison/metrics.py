@@ -61,50 +61,22 @@ _OF_OURS: dict[str, Callable[[Signal], Any]] = {
 WALKING = (
     _Metric("speed", "speed", "mean", "m/s", "mean forward speed [m/s]", ".3f"),
     _Metric("cot", "cot", "last", "CoT", "cost of transport: energy / (m g distance)", ".2f"),
-    _Metric(
-        "heading_error",
-        "heading",
-        "mean size",
-        "heading",
-        "mean absolute heading [rad]; straight ahead is 0",
-        ".3f",
-        unless="turn_error",
-    ),
-    _Metric(
-        "speed_rmse",
-        "speed_error",
-        "root mean square",
-        "speed err.",
-        "RMSE of the forward speed to the command [m/s]",
-        ".3f",
-    ),
-    _Metric(
-        "turn_rmse",
-        "turn_error",
-        "root mean square",
-        "turn err.",
-        "RMSE of the turn rate to the command [rad/s]",
-        ".3f",
-    ),
+    _Metric("heading_error", "heading", "mean size", "heading",
+            "mean absolute heading [rad]; straight ahead is 0", ".3f", unless="turn_error"),
+    _Metric("speed_rmse", "speed_error", "root mean square", "speed err.",
+            "RMSE of the forward speed to the command [m/s]", ".3f"),
+    _Metric("turn_rmse", "turn_error", "root mean square", "turn err.",
+            "RMSE of the turn rate to the command [rad/s]", ".3f"),
     _Metric("falls", "fall", "ever", "falls", "episodes with a fall", ".0%"),
-)
-
-
+)  # fmt: skip
 DRIVING = (
-    _Metric(
-        "lap_time",
-        "lap_time",
-        "last",
-        "lap [s]",
-        "time of the finished episodes [s]",
-        ".2f",
-        after="finish",
-    ),
+    _Metric("lap_time", "lap_time", "last", "lap [s]", "time of the finished episodes [s]", ".2f",
+            after="finish"),
     _Metric("crashes", "crash", "ever", "crashes", "episodes that end at a wall", ".0%"),
     _Metric("stalls", "stalled", "ever", "stalls", "episodes that end without progress", ".0%"),
     _Metric("gates", "gates", "last", "gates", "gates passed, in order", ".1f"),
     _Metric("speed", "speed", "mean", "px/s", "mean speed [px/s]; 100 px are 1 m", ".0f"),
-)
+)  # fmt: skip
 
 
 def drives(signals: Iterable[str]) -> bool:

@@ -65,35 +65,30 @@ class ReturnEstimates:
 
 def iqm(values: ArrayLike) -> float:
     """The interquartile mean: the mean without the lowest and the highest quarter."""
-    return float(_middle(_ordered(values)))
+    return float(_middle(np.sort(np.asarray(values, np.float64), axis=None)))
 
 
 def risk(values: ArrayLike) -> float:
     """The mean of the worst 5 %, of at least one value (NeuroBench, RewardScore: risk)."""
-    return float(_worst(_ordered(values)))
-
-
-def _ordered(values: ArrayLike) -> NDArray[np.float64]:
-    return np.sort(np.asarray(values, dtype=np.float64), axis=None)
+    return float(_worst(np.sort(np.asarray(values, np.float64), axis=None)))
 
 
 def _middle(ordered: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mean (...,) of the middle half of (..., n) in order."""
     size = ordered.shape[-1]
-    middle: NDArray[np.float64] = ordered[..., size // 4 : size - size // 4].mean(-1)
-    return middle
+    return np.asarray(ordered[..., size // 4 : size - size // 4].mean(-1))
 
 
 def _worst(ordered: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mean (...,) of the lowest 5 % of (..., n) in order."""
-    worst: NDArray[np.float64] = ordered[..., : max(1, int(_WORST * ordered.shape[-1]))].mean(-1)
-    return worst
+    return np.asarray(ordered[..., : max(1, int(_WORST * ordered.shape[-1]))].mean(-1))
 
 
 def bootstrap(values: ArrayLike, rng: np.random.Generator) -> Estimate:
     """The mean of `values` (n,) and the interval of means of resamples with replacement."""
     sample = np.asarray(values, dtype=np.float64)
-    return Estimate(float(sample.mean()), _interval(_resampled_means(sample, rng)))
+    picks = rng.integers(sample.size, size=(_RESAMPLES, sample.size))
+    return Estimate(float(sample.mean()), _interval(sample[picks].mean(axis=1)))
 
 
 def stratified(values: ArrayLike, rng: np.random.Generator) -> ReturnEstimates:
@@ -145,12 +140,6 @@ def _draws(
     for _ in range(_RESAMPLES // _TOGETHER):
         drawn = rng.integers(trainings, size=(_TOGETHER, trainings, 1))
         yield drawn, rng.integers(episodes, size=(_TOGETHER, 1, episodes))
-
-
-def _resampled_means(sample: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-    picks = rng.integers(sample.size, size=(_RESAMPLES, sample.size))
-    means: NDArray[np.float64] = sample[picks].mean(axis=1)
-    return means
 
 
 def _interval(resampled: NDArray[np.float64]) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """The result of a comparison in a few sentences."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,13 +26,8 @@ class _Words(NamedTuple):
 
 
 _WALK = _Words("returns", "earn less", "earns as much", "earns more", "earn more")
-_RACE = _Words(
-    "successes",
-    "finish less often",
-    "finishes as often",
-    "finishes more often",
-    "finish more often",
-)
+_RACE = _Words("successes", "finish less often", "finishes as often", "finishes more often",
+               "finish more often")  # fmt: skip
 
 
 def has_few_episodes(row: Row) -> bool:
@@ -77,12 +72,75 @@ def _twin(row: Row) -> bool:
     return not row.get("trained_for")
 
 
-def _beside(row: Row) -> str:
-    """Return the row that a row on a chip is measured against."""
-    return "the twin" if _twin(row) else str(row["reference"])
+def smallest_baseline(row: Row, rows: Sequence[Row]) -> Row | None:
+    """The trained float policy of fewest operations that is not shown to be worse than the row."""
+    words = _RACE if any(map(drives, rows)) else _WALK
+    return min(_trained(_equal(row, rows, words)), key=macs, default=None)
+
+
+def macs(row: Row) -> float:
+    """MACs of an inference with an input that is not 0, all where those are not known."""
+    names = ("macs_effective", "effective_macs", "macs_dense")
+    return next((row[name] for name in names if row.get(name) is not None), math.inf)
+
+
+def _trained(rows: Sequence[Row]) -> list[Row]:
+    return [row for row in rows if row["training_seeds"]]
+
+
+def _equal(row: Row, rows: Sequence[Row], words: _Words) -> list[Row]:
+    """The rows that do not spike and are not shown to be worse."""
+    return [r for r in rows if r["kind"] != "snn" and _difference(r, row, words)[1] >= 0]
+
+
+def _difference(row: Row, other: Row, words: _Words) -> tuple[float, float]:
+    """The 95 % interval of the paired difference."""
+    rng = np.random.default_rng(0)
+    return paired_difference(row[words.field], other[words.field], rng).ci95
+
+
+def _smallest(row: Row, rows: Sequence[Row], words: _Words) -> Iterator[str]:
+    """The float policy of fewest operations that is not shown to be worse, and scripts likewise."""
+    equal = _equal(row, rows, words)
+    networks, count = _trained(equal), len(_trained([r for r in rows if r["kind"] != "snn"]))
+    if networks:
+        baseline = min(networks, key=macs)
+        cost = f"{macs(baseline):,.0f} MACs"
+        cost = cost if math.isfinite(macs(baseline)) else "MACs that were not counted"
+        more = round(row.get("effective_macs") or 0)
+        yield (
+            f"The smallest float policy not shown to {words.less} is {baseline['policy']}: {cost} "
+            f"a control step, to {row['sops_per_inference']:,.0f} synaptic operations"
+            f"{f' and {more:,} MACs' if more else ''} of {row['policy']}."
+        )
+    elif count == 1:
+        yield f"The one float policy here is shown to {words.less}."
+    elif count:
+        yield f"None of the {count} float policies here {words.equal}."
+    rest: list[str] = []
+    better: list[str] = []
+    for each in equal:
+        if not each["training_seeds"]:
+            is_better = _difference(each, row, words)[0] > 0
+            (better if is_better else rest).append(each["policy"])
+    if rest:
+        verb, either = "is" if len(rest) == 1 else "are", " either" * bool(networks)
+        yield f"The {_subject(rest)} {verb} not shown to {words.less}{either}."
+    if better:
+        verb = words.more if len(better) == 1 else words.all_more
+        yield f"The {_subject(better)} {verb} than {row['policy']}."
+
+
+def _subject(names: Sequence[str]) -> str:
+    """`script gait`, `scripts gait and gap`."""
+    return f"script{'s' * (len(names) > 1)} {' and '.join(names)}"
+
+
+# sentences on an SNN on a chip beside its float twin
 
 
 def _keeps(row: Row) -> str:
+    """The share of the return, in an environment of ours."""
     if not _twin(row):
         return _earns(row)
     kept = [f"{row['ratio_to_reference']:.1%} of its float twin's return"]
@@ -93,6 +151,33 @@ def _keeps(row: Row) -> str:
         f"{row['policy']} on {row['chip']} keeps {' and '.join(kept)} "
         f"({row['difference_mean']:+,.0f} to the twin{between}) "
         f"and succeeds in {_share(row)} of {counted(row)}."
+    )
+
+
+def _finishes(row: Row) -> str:
+    """How often it finishes a race."""
+    said = f"{row['policy']} on {row['chip']} finishes {_share(row)} of {counted(row)}"
+    if row["success_difference_mean"] is None:
+        return f"{said}."
+    between = _between(row, "success_difference_ci95", "+.1f", 100)
+    other = "its float twin" if _twin(row) else row["reference"]
+    return f"{said} ({100 * row['success_difference_mean']:+.1f} points to {other}{between})."
+
+
+def _earns(row: Row) -> str:
+    """The return, in an environment that is not ours."""
+    own = _between(row, "return_ci95", ",.4g").removeprefix(", ")
+    other = "the twin" if _twin(row) else str(row["reference"])
+    whose = "its float twin's return" if _twin(row) else f"the return of {other}"
+    share = row["ratio_to_reference"]
+    kept = "" if share is None else f"{share:.1%} of {whose}, "
+    if row["difference_mean"] is not None:
+        between = _between(row, "difference_ci95", "+,.3g")
+        kept += f"{row['difference_mean']:+,.3g} to {other}{between}"
+    succeeded = "" if row["success_rate"] is None else f", and succeeds in {_share(row)} of them"
+    return (
+        f"{row['policy']} on {row['chip']} earns {row['return_mean']:,.4g} "
+        f"({'; '.join(filter(None, (own, kept)))}) in {counted(row)}{succeeded}."
     )
 
 
@@ -110,117 +195,23 @@ def _share(row: Row) -> str:
     return "all" if row["success_rate"] == 1 else f"{row['success_rate']:.0%}"
 
 
-def smallest_baseline(row: Row, rows: Sequence[Row]) -> Row | None:
-    """The trained float policy of fewest operations that is not shown to be worse than the row."""
-    words = _RACE if any(map(drives, rows)) else _WALK
-    networks = _trained(_equal(row, rows, words))
-    return min(networks, key=macs) if networks else None
-
-
-def macs(row: Row) -> float:
-    """MACs of an inference with an input that is not 0, all where those are not known."""
-    names = ("macs_effective", "effective_macs", "macs_dense")
-    return next((row[name] for name in names if row.get(name) is not None), math.inf)
-
-
-def _equal(row: Row, rows: Sequence[Row], words: _Words) -> list[Row]:
-    """The rows that do not spike and are not shown to be worse."""
-    return [r for r in rows if r["kind"] != "snn" and not _below(r, row, words)]
-
-
-def _smallest(row: Row, rows: Sequence[Row], words: _Words) -> list[str]:
-    """The float policy of fewest operations that is not shown to be worse, and scripts likewise."""
-    equal = _equal(row, rows, words)
-    networks, count = _trained(equal), len(_trained([r for r in rows if r["kind"] != "snn"]))
-    found = []
-    if networks:
-        found.append(_named(min(networks, key=macs), row, words))
-    elif count == 1:
-        found.append(f"The one float policy here is shown to {words.less}.")
-    elif count:
-        found.append(f"None of the {count} float policies here {words.equal}.")
-    scripts = [each for each in equal if not each["training_seeds"]]
-    better = [each["policy"] for each in scripts if _above(each, row, words)]
-    if rest := [each["policy"] for each in scripts if each["policy"] not in better]:
-        found.append(_scripts(rest, words, " either" if networks else ""))
-    if better:
-        verb = words.more if len(better) == 1 else words.all_more
-        found.append(f"The {_subject(better)} {verb} than {row['policy']}.")
-    return found
-
-
-def _below(row: Row, other: Row, words: _Words) -> bool:
-    """Return True if a row is shown to be worse: the 95 % interval is below 0."""
-    return _difference(row, other, words)[1] < 0
-
-
-def _above(row: Row, other: Row, words: _Words) -> bool:
-    """Return True if a row is shown to be better: the 95 % interval is above 0."""
-    return _difference(row, other, words)[0] > 0
-
-
-def _difference(row: Row, other: Row, words: _Words) -> tuple[float, float]:
-    """The 95 % interval of the paired difference."""
-    rng = np.random.default_rng(0)
-    return paired_difference(row[words.field], other[words.field], rng).ci95
-
-
-def _trained(rows: Sequence[Row]) -> list[Row]:
-    return [row for row in rows if row["training_seeds"]]
-
-
-def _named(baseline: Row, row: Row, words: _Words) -> str:
-    count = macs(baseline)
-    cost = f"{count:,.0f} MACs" if math.isfinite(count) else "MACs that were not counted"
-    own = f"{row['sops_per_inference']:,.0f} synaptic operations"
-    if more := round(row.get("effective_macs") or 0):
-        own += f" and {more:,} MACs"
-    return (
-        f"The smallest float policy not shown to {words.less} is {baseline['policy']}: {cost} a "
-        f"control step, to {own} of {row['policy']}."
-    )
-
-
-def _scripts(names: Sequence[str], words: _Words, either: str) -> str:
-    verb = "is" if len(names) == 1 else "are"
-    return f"The {_subject(names)} {verb} not shown to {words.less}{either}."
-
-
-def _subject(names: Sequence[str]) -> str:
-    """`script gait`, `scripts gait and gap`."""
-    return f"script{'s' * (len(names) > 1)} {' and '.join(names)}"
+# sentences on the others
 
 
 def _controls(rows: Sequence[Row]) -> str:
-    """Sentence on the baseline and the best control."""
+    """The baseline and the best control."""
     kinds = (*BASELINES, "control")
     plain = [r for r in rows if r["kind"] in kinds and r["ratio_to_float_ann"]]
     if not plain:
         return ""
     best = max(plain, key=lambda row: row["return_mean"])
     baseline = next((row for row in plain if row["kind"] in BASELINES), None)
-    share = f"{best['ratio_to_float_ann']:.1%}"
+    control, share = f"best control ({best['policy']})", f"{best['ratio_to_float_ann']:.1%}"
     if baseline is None:
-        return f"The best control ({best['policy']}) earns {share} of the float ANN's return."
-    alone = (
-        f"{_NAMES[baseline['kind']]} earns {baseline['ratio_to_float_ann']:.1%} of the float ANN's "
-        "return"
-    )
-    return (
-        f"{alone}."
-        if best is baseline
-        else f"{alone}, the best control ({best['policy']}) {share}."
-    )
-
-
-def _finishes(row: Row) -> str:
-    """How often an SNN on a chip finishes, beside its float twin."""
-    said = f"{row['policy']} on {row['chip']} finishes {_share(row)} of {counted(row)}"
-    if row["success_difference_mean"] is None:
-        return f"{said}."
-    between = _between(row, "success_difference_ci95", "+.1f", 100)
-    other = "its float twin" if _twin(row) else row["reference"]
-    return f"{said} ({100 * row['success_difference_mean']:+.1f} points to {other}{between})."
+        return f"The {control} earns {share} of the float ANN's return."
+    alone = f"{_NAMES[baseline['kind']]} earns {baseline['ratio_to_float_ann']:.1%}"
+    beside = "" if best is baseline else f", the {control} {share}"
+    return f"{alone} of the float ANN's return{beside}."
 
 
 def _race(rows: Sequence[Row]) -> str:
@@ -233,36 +224,19 @@ def _race(rows: Sequence[Row]) -> str:
     return f"The float ANN finishes {ann['success_rate']:.0%}, the controls {others}."
 
 
-def _earns(row: Row) -> str:
-    """Sentence on an SNN on a chip beside its float twin, in an environment that is not ours."""
-    own = _between(row, "return_ci95", ",.4g").removeprefix(", ")
-    share, other = row["ratio_to_reference"], _beside(row)
-    whose = "its float twin's return" if _twin(row) else f"the return of {other}"
-    kept = "" if share is None else f"{share:.1%} of {whose}, "
-    if row["difference_mean"] is not None:
-        between = _between(row, "difference_ci95", "+,.3g")
-        kept += f"{row['difference_mean']:+,.3g} to {other}{between}"
-    succeeded = "" if row["success_rate"] is None else f", and succeeds in {_share(row)} of them"
-    return (
-        f"{row['policy']} on {row['chip']} earns {row['return_mean']:,.4g} "
-        f"({'; '.join(filter(None, (own, kept)))}) in {counted(row)}{succeeded}."
-    )
-
-
 def _baselines(rows: Sequence[Row]) -> str:
-    """Sentence on the float ANN and on random actions."""
+    """The float ANN and random actions."""
     names = {"ann": "The float ANN", **_NAMES}
     found = [row for row in rows if row["kind"] in names]
     return " ".join(f"{names[row['kind']]} earns {row['return_mean']:,.4g}." for row in found)
 
 
 def _covered(rows: Sequence[Row]) -> str:
-    """Sentence on what the intervals cover, where no row is of several trainings."""
+    """What the intervals cover, where no row is of several trainings."""
     trained = _trained(rows)
     if len(rows) < 2 or not trained or any(row["training_seeds"] > 1 for row in trained):
         return ""
     measured = "." if any(row.get("foreign") for row in rows) else ": results/pareto.md."
-    covered = (
-        "Rows are" if has_few_episodes(trained[0]) else f"Intervals cover {counted(trained[0])}"
-    )
+    few = has_few_episodes(trained[0])
+    covered = "Rows are" if few else f"Intervals cover {counted(trained[0])}"
     return f"{covered} of one training each; other trainings differ{measured}"
