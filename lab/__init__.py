@@ -8,7 +8,6 @@ firmware     instructions and bytes of exported C, counted in an emulated microc
 peers        golden traces and exports recorded with the tools that they come from
 interop      our networks opened by other tools, every spike compared
 kill         trainings that are killed and resumed, compared with unbroken ones
-walk         files that a reader of the code goes through, until a policy acts or learns
 tables       tables of results/ in README and docs, written anew
 constraints  the tested versions that `./spike` installs
 """

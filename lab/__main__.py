@@ -19,12 +19,10 @@ COMMANDS = {
     "kart-trainings": "lab.experiments.kart_trainings",
     "phase-table": "lab.experiments.phase_table",
     "envs": "lab.bench.envs",
-    "flat-memory": "lab.bench.flat_memory",
     "latency": "lab.bench.latency",
     "parity": "lab.bench.parity",
     "realtime": "lab.bench.realtime",
     "runtime": "lab.bench.runtime",
-    "structure": "lab.bench.structure",
     "sweep": "lab.bench.sweep",
     "versions": "lab.bench.versions",
     "firmware": "lab.firmware.policies",
@@ -40,7 +38,6 @@ COMMANDS = {
     "sanafe-energy": "lab.peers.sanafe_networks",
     "sb3-models": "lab.peers.sb3_models",
     "kill": "lab.kill",
-    "walk": "lab.walk",
     "constraints": "lab.constraints",
 }
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

@@ -8,6 +8,4 @@ parity       torch = NumPy = `ideal` on recorded observations
 realtime     start-up, and closed loops against the robot's clock
 envs         steps per second of the environments
 sweep        sweeps on several nodes, one of which is killed
-flat_memory  memory of a controller over a million steps
-structure    files and changes of file behind one control step
 """

@@ -24,33 +24,20 @@ from spikedeploy import envs
 KARTS = tuple(name for name in envs.ENVS if name.startswith("kart"))
 
 
-def single(name: str, options: dict[str, Any], steps: int) -> tuple[Act, int]:
-    """A function that steps one environment so many times, and that number."""
-    env = envs.make(name, **options)
-    actions = _actions(env.action_space, steps)
+def steps_of(env: Any, steps: int) -> Act:  # noqa: ANN401
+    """A function that steps an environment so many times, by actions that were drawn before."""
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(steps)]
     env.reset(seed=0)
+    several = hasattr(env, "num_envs")  # which reset themselves
 
     def step() -> None:
         for action in actions:
             _, _, terminated, truncated, _ = env.step(action)
-            if terminated or truncated:
+            if not several and (terminated or truncated):
                 env.reset()
 
-    return step, steps
-
-
-def vector(name: str, options: dict[str, Any], steps: int, copies: int) -> tuple[Act, int]:
-    """A function that steps several at once, and the steps of all of them."""
-    several = gymnasium.vector.SyncVectorEnv([partial(envs.make, name, **options)] * copies)
-    rounds = max(1, steps // copies)
-    actions = _actions(several.action_space, rounds)
-    several.reset(seed=0)
-
-    def step() -> None:
-        for action in actions:
-            several.step(action)
-
-    return step, rounds * copies
+    return step
 
 
 def rollouts(recipe: str, options: dict[str, Any], steps: int) -> tuple[Act, int]:
@@ -62,24 +49,12 @@ def rollouts(recipe: str, options: dict[str, Any], steps: int) -> tuple[Act, int
     from spikedeploy.trainers.run_folder import RunFolder
 
     torch.set_num_threads(1)
-    folder = Path(tempfile.mkdtemp())
     settings = [f"env.options.{name}={value}" for name, value in options.items()]
     config = resolve(PpoConfig, recipe, overrides=[*settings, "ghosts=false"])
-    learner = Ppo(config, RunFolder.create(folder, config))
+    learner = Ppo(config, RunFolder.create(Path(tempfile.mkdtemp()), config))
     each = config.horizon * config.env.count
     repeats = max(1, steps // each)
-
-    def collect() -> None:
-        for _ in range(repeats):
-            learner.collect()
-
-    return collect, repeats * each
-
-
-def _actions(space: gymnasium.Space[Any], count: int) -> list[Any]:
-    """So many random actions, drawn before the clock runs."""
-    space.seed(0)
-    return [space.sample() for _ in range(count)]
+    return lambda: [learner.collect() for _ in range(repeats)], repeats * each
 
 
 def main() -> None:
@@ -90,12 +65,14 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=20_000, help="in a round")
     parser.add_argument("--vector", type=int, default=8, help="environments side by side")
     given = parser.parse_args()
+    copies, rounds = given.vector, max(1, given.steps // given.vector)
     rows: dict[str, tuple[Act, int]] = {}
     for name in given.names:
         options = {"track": given.track} if name in KARTS else {}
-        several = f"{name:16} {f'{given.vector} of them':10}"
-        rows[f"{name:16} one       "] = single(name, options, given.steps)
-        rows[several] = vector(name, options, given.steps, given.vector)
+        make = partial(envs.make, name, **options)
+        several = gymnasium.vector.SyncVectorEnv([make] * copies)
+        rows[f"{name:16} one       "] = steps_of(make(), given.steps), given.steps
+        rows[f"{name:16} {f'{copies} of them':10}"] = steps_of(several, rounds), rounds * copies
         if name in KARTS:
             rows[f"{name:16} PPO-SNN   "] = rollouts(f"{name}-snn", options, given.steps)
     taken = interleave({name: [act] for name, (act, _) in rows.items()}, given.rounds)

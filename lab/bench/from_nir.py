@@ -40,43 +40,65 @@ def from_nir(path: str | Path) -> SpikingPolicy | DeltaSnnPolicy:
 
 
 def _policy(artifact: Artifact) -> SpikingPolicy | DeltaSnnPolicy:
-    """Return the artifact as a torch policy."""
-    if artifact.codec is None:
+    codec, nodes = artifact.codec, artifact.graph.nodes
+    if codec is None:
         raise AttributeError("no codec")
-    if isinstance(artifact.codec.encoder, DeltaEncoder):
-        return _event_driven(artifact, artifact.codec, artifact.codec.encoder)
-    cuba = isinstance(artifact.graph.nodes["lif1"], nir.CubaLIF)
-    network = (_popsan if cuba else _spiking_mlp)(artifact, artifact.codec)
-    layers = _layers(artifact.graph)
     arrays: Arrays = {
-        "normalizer.mean": artifact.codec.normaliser.mean,
-        "normalizer.std": artifact.codec.normaliser.std,
-        **{f"layers.{k}.weight": layer.weight for k, layer in enumerate(layers)},
-        **{f"layers.{k}.bias": layer.bias for k, layer in enumerate(layers)},
-        **_encoder(artifact.codec),
-        **_readout(artifact.graph.nodes["readout"], cuba),
+        "normalizer.mean": codec.normaliser.mean,
+        "normalizer.std": codec.normaliser.std,
     }
+    if isinstance(codec.encoder, DeltaEncoder):
+        return _event_driven(artifact, codec, codec.encoder, arrays)
+    cuba = isinstance(nodes["lif1"], nir.CubaLIF)
+    network = (_popsan if cuba else _spiking_mlp)(artifact, codec)
+    for k, layer in enumerate(_layers(artifact.graph)):
+        arrays |= {f"layers.{k}.weight": layer.weight, f"layers.{k}.bias": layer.bias}
+    encoder, readout = codec.encoder, nodes["readout"]
+    if isinstance(encoder, PopulationEncoder):
+        arrays |= {"encoder.mean": encoder.mean, "encoder.log_std": np.log(encoder.std)}
+    elif isinstance(encoder, RateEncoder):
+        arrays |= {"encoder.low": encoder.low, "encoder.high": encoder.high}
+    else:
+        raise AttributeError(f"a code of kind {encoder.kind}")
+    weight = readout.weight
+    if cuba:  # weights (act, P) of the blocks of a block-diagonal readout (act, act·P)
+        actions = np.arange(len(weight))
+        blocks = weight.reshape(len(weight), len(weight), -1)[actions, actions]
+        arrays |= {"decoder_weight": blocks, "decoder_bias": readout.bias}
+    else:
+        arrays |= {"readout.weight": weight, "readout.bias": readout.bias}
     # exact: the float64 numbers of the file were float32
     network.load_state_dict({name: torch.from_numpy(a).float() for name, a in arrays.items()})
     return network
 
 
-def _event_driven(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> DeltaSnnPolicy:
+def _event_driven(
+    artifact: Artifact, codec: Codec, encoder: DeltaEncoder, arrays: Arrays
+) -> DeltaSnnPolicy:
     nodes = artifact.graph.nodes
     policy = _untrained(artifact, codec, encoder)
-    arrays: Arrays = {
-        "normalizer.mean": codec.normaliser.mean,
-        "normalizer.std": codec.normaliser.std,
-        # a step of infinity is of an observation that no synapse reads
-        "step": np.where(np.isfinite(encoder.step), encoder.step, 1.0),
-        "action_bias": nodes["action"].bias,
-    }
+    is_graded = isinstance(policy, DeltaMlpPolicy)
+    is_read = np.isfinite(encoder.step)  # a step of infinity: no synapse reads the observation
+    arrays |= {"step": np.where(is_read, encoder.step, 1.0), "action_bias": nodes["action"].bias}
+
+    def of_observations(node: nir.NIRNode) -> NDArray[np.float64]:
+        """Weights (N, obs), from those of the first channel of each observation."""
+        first = node.weight.reshape(len(node.weight), encoder.observed, -1)[:, :, 0]
+        return np.where(is_read, first / encoder.step, 0.0)
+
     if "skip" in nodes:
-        arrays["past.weight"] = _of_observations(nodes["skip"].weight, encoder)
+        arrays["past.weight"] = of_observations(nodes["skip"])
     if policy.hidden:
-        graded = isinstance(policy, DeltaMlpPolicy)
-        arrays |= (_sigma_delta if graded else _hidden)(artifact, encoder)
-    if not isinstance(policy, DeltaMlpPolicy):
+        arrays["into.weight"] = of_observations(nodes["fc1"])
+        if is_graded:
+            neurons = artifact.sigma_delta["sd1"]
+            arrays["out.weight"] = nodes["fc2"].weight / neurons.threshold
+            arrays |= {"bias": neurons.bias, "threshold": neurons.threshold}
+        else:
+            neuron = discretise("lif1", nodes["lif1"], artifact.convention)
+            arrays |= {"out.weight": nodes["fc2"].weight, "bias": neuron.leak}
+            arrays["_beta"] = _logits(neuron.membrane_decay)
+    if not is_graded:
         arrays["_gamma"] = _logits(_readout_decays(artifact))
     state = policy.state_dict() | {n: torch.from_numpy(a).float() for n, a in arrays.items()}
     masks = {f"{n}.mask": (state[f"{n}.weight"] != 0).float() for n in ("into", "out", "past")}
@@ -102,51 +124,19 @@ def _untrained(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> Delta
     actions = nodes["action"].bias.size
     if graded:
         return DeltaMlpPolicy(encoder.observed, actions, **settings)
+    decays = _readout_decays(artifact)  # of currents: the neurons', or of a readout in their place
+    if neurons is not None:
+        decays = discretise("lif1", neurons, artifact.convention).current_decay
+        if decays is None:
+            raise AttributeError("lif1 has no current")
     settings["integrated"] = "integral" in nodes
-    settings["current_decay"] = round(float(_current_decays(artifact)[0]), _DIGITS)
+    settings["current_decay"] = round(float(decays[0]), _DIGITS)
     return DeltaSnnPolicy(encoder.observed, actions, **settings)
 
 
 def _readout_decays(artifact: Artifact) -> NDArray[np.floating[Any]]:
     node = artifact.graph.nodes["readout"]
     return discretise("readout", node, artifact.convention).membrane_decay
-
-
-def _current_decays(artifact: Artifact) -> NDArray[np.floating[Any]]:
-    """Return the currents' decay factors: of the neurons, or of a readout that stands for them."""
-    if "lif1" not in artifact.graph.nodes:
-        return _readout_decays(artifact)
-    neuron = discretise("lif1", artifact.graph.nodes["lif1"], artifact.convention)
-    if neuron.current_decay is None:
-        raise AttributeError("lif1 has no current")
-    return neuron.current_decay
-
-
-def _hidden(artifact: Artifact, encoder: DeltaEncoder) -> Arrays:
-    nodes = artifact.graph.nodes
-    neuron = discretise("lif1", nodes["lif1"], artifact.convention)
-    return {
-        "into.weight": _of_observations(nodes["fc1"].weight, encoder),
-        "out.weight": nodes["fc2"].weight,
-        "bias": neuron.leak,
-        "_beta": _logits(neuron.membrane_decay),
-    }
-
-
-def _sigma_delta(artifact: Artifact, encoder: DeltaEncoder) -> Arrays:
-    nodes, neurons = artifact.graph.nodes, artifact.sigma_delta["sd1"]
-    return {
-        "into.weight": _of_observations(nodes["fc1"].weight, encoder),
-        "out.weight": nodes["fc2"].weight / neurons.threshold,
-        "bias": neurons.bias,
-        "threshold": neurons.threshold,
-    }
-
-
-def _of_observations(weight: NDArray[np.float64], encoder: DeltaEncoder) -> NDArray[np.float64]:
-    """Return weights (N, obs) of observations, from those of the first channel of each."""
-    first = weight.reshape(len(weight), encoder.observed, -1)[:, :, 0]
-    return np.asarray(np.where(np.isfinite(encoder.step), first / encoder.step, 0.0))
 
 
 def _logits(share: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
@@ -166,23 +156,20 @@ def _popsan(artifact: Artifact, codec: Codec) -> PopsanPolicy:
 
 
 def _spiking_mlp(artifact: Artifact, codec: Codec) -> SpikingMlpPolicy:
+    populations = codec.encoder.width // codec.encoder.observed
+    code: dict[str, Any] = {"coding": "population", "populations": populations}
+    if isinstance(codec.encoder, RateEncoder):
+        code = {"coding": codec.encoder.mode}
     return SpikingMlpPolicy(
         codec.encoder.observed,
         artifact.graph.nodes["readout"].bias.size,
         hidden=[layer.bias.size for layer in _layers(artifact.graph)],
-        **_code(codec),
+        **code,
         timesteps=codec.timesteps,
         clip=codec.normaliser.clip,
         head="discrete" if codec.chooses else "continuous",
         **_neurons(artifact),
     )
-
-
-def _code(codec: Codec) -> dict[str, Any]:
-    if isinstance(codec.encoder, RateEncoder):
-        return {"coding": codec.encoder.mode}
-    populations = codec.encoder.width // codec.encoder.observed
-    return {"coding": "population", "populations": populations}
 
 
 def _layers(graph: nir.NIRGraph) -> list[nir.Affine]:
@@ -203,25 +190,3 @@ def _neurons(artifact: Artifact) -> dict[str, Any]:
     if neuron.current_decay is not None:
         shared["alpha"] = round(float(neuron.current_decay[0]), _DIGITS)
     return shared
-
-
-def _encoder(codec: Codec) -> Arrays:
-    encoder = codec.encoder
-    if isinstance(encoder, PopulationEncoder):
-        return {"encoder.mean": encoder.mean, "encoder.log_std": np.log(encoder.std)}
-    if isinstance(encoder, RateEncoder):
-        return {"encoder.low": encoder.low, "encoder.high": encoder.high}
-    raise AttributeError(f"a code of kind {encoder.kind}")
-
-
-def _readout(readout: nir.Affine, cuba: bool) -> Arrays:
-    if cuba:
-        return {"decoder_weight": _blocks(readout.weight), "decoder_bias": readout.bias}
-    return {"readout.weight": readout.weight, "readout.bias": readout.bias}
-
-
-def _blocks(weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weights (act, P) of the blocks of a block-diagonal readout (act, act·P)."""
-    actions = np.arange(len(weight))
-    own: NDArray[np.float64] = weight.reshape(len(weight), len(weight), -1)[actions, actions]
-    return own

@@ -28,8 +28,11 @@ SEED = 5_000  # of the first walk; evaluation begins at 10,000
 
 def main() -> int:
     """Check every file; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("files", nargs="*", type=Path, help="default: all that are shipped")
+    parser.add_argument("--observations", type=int, default=10_000)
+    arguments = parser.parse_args()
     torch.set_num_threads(1)
-    arguments = parse_options()
     passed = True
     for file in arguments.files or SHIPPED:
         print("/".join(file.parts[-2:]))
@@ -51,11 +54,3 @@ def walk(file: Path, count: int) -> NDArray[np.float64]:
     while sum(map(len, walks)) < count:
         walks.append(rollout(env, controller, SEED + len(walks)).observation)
     return np.concatenate(walks)[:count]
-
-
-def parse_options() -> argparse.Namespace:
-    """Return the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("files", nargs="*", type=Path, help="default: all that are shipped")
-    parser.add_argument("--observations", type=int, default=10_000)
-    return parser.parse_args()

@@ -52,7 +52,8 @@ def main() -> None:
     result = {
         name: {
             **starts(name, given.chip, given.rounds),
-            **loops(name, given.chip, given.steps),
+            "median_s": (found := {b: loop(name, given.chip, given.steps, b) for b in BACKENDS}),
+            "times_real_time": {b: period(name) / sum(medians) for b, medians in found.items()},
         }
         for name in given.names or NAMES
     }
@@ -71,12 +72,10 @@ def starts(name: str, on: str, rounds: int) -> dict[str, float]:
     return {"start_s": wall, "start_cpu_s": cpu}
 
 
-def loops(name: str, on: str, steps: int) -> dict[str, Any]:
-    """Medians [s] of a control step's parts, and by how much they are faster than the robot."""
-    found = {backend: loop(name, on, steps, backend) for backend in BACKENDS}
+def period(name: str) -> float:
+    """The time of a control step [s]."""
     world: Any = make_env(name.partition("/")[0], {}).unwrapped
-    times = {backend: world.CONTROL_DT / sum(medians) for backend, medians in found.items()}
-    return {"median_s": found, "times_real_time": times}
+    return float(world.CONTROL_DT)
 
 
 def loop(name: str, on: str, steps: int, backend: BackendName) -> tuple[float, float]:

@@ -14,7 +14,7 @@ compiled kernels touches, and how long that takes at the speed at which this mac
 that fits its caches, or does not.
 """
 
-import time
+import timeit
 from collections.abc import Callable
 from importlib.util import find_spec
 from typing import Any
@@ -24,7 +24,7 @@ import torch
 
 from lab.bench.nets import Net, Raster, bernoulli, encode, kart, popsan, widen
 from lab.bench.peers import peers
-from lab.bench.turns import Act, interleave, parser_of, report
+from lab.bench.turns import Act, medians, parser_of, report
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 
@@ -36,23 +36,21 @@ def main() -> None:
     """Measure, and print tables or JSON."""
     arguments = parser_of(__doc__).parse_args()
     torch.set_num_threads(1)
-    spikes, population = bernoulli(32, 5, 770, 0.2), encode(1024, 5)
-    driving = bernoulli(32, 32, 20, 0.3)
-    nets = {"popsan": popsan(spikes), "encoded": popsan(population), "kart": kart(driving)}
-    rounds = arguments.rounds
+    rounds, population = arguments.rounds, encode(1024, 5)
+    rasters = {"popsan": bernoulli(32, 5, 770, 0.2), "encoded": population}
+    rasters["kart"] = bernoulli(32, 32, 20, 0.3)
+    nets = {name: (kart if name == "kart" else popsan)(raster) for name, raster in rasters.items()}
+    few = {name: raster[:INPUTS] for name, raster in rasters.items()}
     result = {
-        "popsan, batch 1": compare(nets["popsan"], spikes[:INPUTS], 1, rounds),
-        "popsan with its encoder, batch 1": compare(
-            nets["encoded"], population[:INPUTS], 1, rounds
-        ),
+        "popsan, batch 1": compare(nets["popsan"], few["popsan"], 1, rounds),
+        "popsan with its encoder, batch 1": compare(nets["encoded"], few["encoded"], 1, rounds),
         "popsan with its encoder, batch 1024": compare(nets["encoded"], population, 1024, rounds),
-        "kart, batch 1": compare(nets["kart"], driving[:INPUTS], 1, rounds),
-        "10 x wider": {name: scaling(net, rounds) for name, net in wider(nets, spikes, driving)},
+        "kart, batch 1": compare(nets["kart"], few["kart"], 1, rounds),
+        "10 x wider": {name: scaling(nets[name], few[name], rounds) for name in ("kart", "popsan")},
     }
-    rasters = {"popsan": spikes, "encoded": population, "kart": driving}
     result["memory"] = {
         "copies_GB_per_s": (speeds := {name: copying(size) for name, size in SIZES.items()}),
-        "per_inference": {name: memory(nets[name], rasters[name], speeds) for name in nets},
+        "per_inference": {name: memory(nets[name], few[name], speeds) for name in nets},
     }
     report(result, arguments, table)
 
@@ -85,21 +83,17 @@ OURS = ("numpy", "numba")
 
 def ours(net: Net, batch: int) -> dict[str, Callable[[Raster], Any]]:
     """Our machines for a batch; larger ones come in the chunks that pools cut."""
-    backends = [name for name in OURS if name == "numpy" or find_spec("numba")]
-    if batch == 1:
-        return {name: Machine(net.program, 1, "none", backend=name).infer for name in backends}
-    return {name: Machine(net.program, None, "none", backend=name).infer for name in backends}
+    size = 1 if batch == 1 else None
+    return {
+        name: Machine(net.program, size, "none", backend=name).infer
+        for name in OURS
+        if name == "numpy" or find_spec("numba")
+    }
 
 
 def calls(run: Callable[[Any], Any], inputs: list[Any]) -> list[Act]:
     """One call for each input."""
     return [lambda one=one: run(one) for one in inputs]
-
-
-def medians(candidates: dict[str, list[Act]], rounds: int) -> Times:
-    """Median time [us] of each candidate's calls."""
-    taken = interleave(candidates, rounds)
-    return {name: 1e6 * float(np.median(values)) for name, values in taken.items()}
 
 
 def agreement(net: Net, raster: Raster) -> dict[str, float]:
@@ -115,17 +109,9 @@ def agreement(net: Net, raster: Raster) -> dict[str, float]:
     return {name: float((counts == expected).mean()) for name, counts in found.items()}
 
 
-def wider(nets: dict[str, Net], spikes: Raster, driving: Raster) -> list[tuple[str, list[Any]]]:
-    """Networks, with their wide twins and an input."""
-    return [
-        (name, [nets[name], widen(nets[name], 10), raster[:INPUTS]])
-        for name, raster in (("kart", driving), ("popsan", spikes))
-    ]
-
-
-def scaling(three: list[Any], rounds: int) -> dict[str, Any]:
+def scaling(net: Net, raster: Raster, rounds: int) -> dict[str, Any]:
     """Medians [us] of a network and of its wide twin, which spikes as often."""
-    net, wide, raster = three
+    wide = widen(net, 10)
     candidates, spikes = {}, {}
     for name, one in (("narrow", net), ("wide", wide)):
         traces = trace(one.program, raster)
@@ -144,7 +130,6 @@ def scaling(three: list[Any], rounds: int) -> dict[str, Any]:
 
 def memory(net: Net, raster: Raster, speeds: Times) -> Times:
     """Bytes that an inference of the compiled kernels touches, and how long that takes at least."""
-    raster = raster[:INPUTS]
     traces = trace(net.program, raster)
     presynaptic = [raster, *(traces[a.name].spikes for a in net.program.layers)][: len(net.weights)]
     spikes = [float(rows.sum()) / len(raster) for rows in presynaptic]
@@ -164,14 +149,9 @@ SIZES = {"L2": 200_000, "L3": 4_000_000, "DRAM": 200_000_000}
 def copying(size: int) -> float:
     """Bytes read and written in a nanosecond, from memory of this size."""
     source, target = np.ones(size, np.uint8), np.ones(size, np.uint8)
-    best = min(_once(lambda: np.copyto(target, source)) for _ in range(20))
-    return 2 * size / best / 1e9
-
-
-def _once(act: Act) -> float:
-    start = time.perf_counter()
-    act()
-    return time.perf_counter() - start
+    return (
+        2 * size / min(timeit.repeat(lambda: np.copyto(target, source), number=1, repeat=20)) / 1e9
+    )
 
 
 def table(result: dict[str, Any]) -> str:
@@ -188,20 +168,14 @@ def table(result: dict[str, Any]) -> str:
             lines.append("  copies, GB/s: " + row(part["copies_GB_per_s"]))
             lines += [f"  {name:8} {row(values)}" for name, values in part["per_inference"].items()]
         else:
-            lines += comparison(part)
+            for name, taken in part["median_us"].items():
+                ratios = [
+                    f"{of[name]:7.1f} x {m}" for m, of in part["ratios"].items() if name in of
+                ]
+                lines.append(f"  {name:13}{taken:10.1f}  {' '.join(ratios)}")
+            lines += [f"  {name:13} {why}" for name, why in part["missing"].items()]
+            lines.append("  spikes as the specification: " + row(part["agreement"]))
     return "\n".join(lines)
-
-
-def comparison(part: dict[str, Any]) -> list[str]:
-    """Lines for each candidate."""
-    lines = []
-    for name, taken in part["median_us"].items():
-        ratios = [
-            f"{part['ratios'][m][name]:7.1f} x {m}" for m in part["ratios"] if name not in OURS
-        ]
-        lines.append(f"  {name:13}{taken:10.1f}  {' '.join(ratios)}")
-    lines += [f"  {name:13} {why}" for name, why in part["missing"].items()]
-    return [*lines, "  spikes as the specification: " + row(part["agreement"])]
 
 
 def row(values: dict[str, float]) -> str:

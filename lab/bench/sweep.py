@@ -21,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,7 @@ _CLUSTER = {
     "RAY_AUTH_MODE": "token",
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # then nodes have the address 127.0.0.1
 }
+PARTS = ("nodes", "driver", "scaling")
 _PATIENCE = 1800.0  # [s] for a sweep
 
 
@@ -109,56 +110,44 @@ def cluster() -> Iterator[Any]:
         both.shutdown()
 
 
-def kill_node(spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
-    """Kill a node half-way."""
+def kill(part: str, spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
+    """Kill a node half-way, or the driver, which is started again."""
     with cluster() as (both, second):
-        driver = sweep(spec, folder, "--backend", "ray", "--address", both.address)
-        done = wait_half_way(folder, jobs, driver)
-        both.remove_node(second, allow_graceful=False)
-        code = driver.wait(_PATIENCE)
-    return {"done when killed": done, "exit status": code}
-
-
-def kill_driver(spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
-    """Kill the driver half-way, and start it again."""
-    with cluster() as (both, _):
         words = ("--backend", "ray", "--address", both.address)
         driver = sweep(spec, folder, *words)
-        wait_half_way(folder, jobs, driver)
-        driver.send_signal(signal.SIGKILL)
-        driver.wait()
-        done = len(results(folder))
-        code = sweep(spec, folder, *words).wait(_PATIENCE)
-    return {"done when killed": done, "exit status": code}
+        done = wait_half_way(folder, jobs, driver)
+        if part == "nodes":
+            both.remove_node(second, allow_graceful=False)
+        else:
+            driver.send_signal(signal.SIGKILL)
+            driver.wait()
+            done, driver = len(results(folder)), sweep(spec, folder, *words)
+        return {"done when killed": done, "exit status": driver.wait(_PATIENCE)}
 
 
 def scaling(spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
     """Times of one process and of two; each sweep is whole, from an empty folder."""
     one = run_whole(spec, folder / "1", ProcessBackend(1))
     two = run_whole(spec, folder / "2", ProcessBackend(2))
-    inside = {name: _inside(folder / name) for name in ("1", "2", "serial")}
+    inside = {  # of all jobs [s], without what is around them
+        name: sum(float(line["seconds"]) for line in journal(folder / name))
+        for name in ("serial", "1", "2")
+    }
     return {
         "one process [s]": one,
         "two processes [s]": two,
         "ratio": one / two,
-        "evaluation in serial, in one process, in two [s]": [
-            inside[n] for n in ("serial", "1", "2")
-        ],
+        "evaluation in serial, in one process, in two [s]": list(inside.values()),
         "overhead of a job, to its own evaluation [ms]": 1000 * (one - inside["1"]) / jobs,
         "overhead of a job, to that of serial [ms]": 1000 * (one - inside["serial"]) / jobs,
     }
-
-
-def _inside(folder: Path) -> float:
-    """Time of all jobs [s], without what is around them."""
-    return sum(float(line["seconds"]) for line in journal(folder))
 
 
 def main() -> None:
     """Run the parts and print what they came to."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--jobs", type=int, default=200, help="a multiple of 4")
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
     parser.add_argument("--folder", type=Path, help="where results are kept; else nowhere")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
@@ -169,18 +158,14 @@ def main() -> None:
         run_whole(spec, folder / "serial", SerialBackend())
         wrong = False
         for part in options.only:
-            found = PARTS[part](spec, folder if part == "scaling" else folder / part, options.jobs)
-            kept = [folder / part] if part != "scaling" else [folder / "1", folder / "2"]
+            if part == "scaling":
+                kept, found = [folder / "1", folder / "2"], scaling(spec, folder, options.jobs)
+            else:
+                kept = [folder / part]
+                found = kill(part, spec, *kept, options.jobs)
             verdicts = [verdict(each, folder / "serial", options.jobs) for each in kept]
             wrong |= any(
                 each[fault] for each in verdicts for fault in ("missing", "twice", "different")
             )
             print(json.dumps({part: {**found, "verdict": verdicts}}, indent=2), flush=True)
     sys.exit(wrong)
-
-
-PARTS: dict[str, Callable[[Path, Path, int], dict[str, Any]]] = {
-    "nodes": kill_node,
-    "driver": kill_driver,
-    "scaling": scaling,
-}

@@ -3,23 +3,32 @@
 import argparse
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
+
+import numpy as np
 
 Act = Callable[[], object]
 
 
-def interleave(candidates: Mapping[str, Sequence[Act]], rounds: int) -> dict[str, list[float]]:
+def interleave(candidates: Mapping[str, Iterable[Act]], rounds: int) -> dict[str, list[float]]:
     """Seconds of each candidate's calls, round by round; the first round is not kept."""
-    taken: dict[str, list[float]] = {name: [] for name in candidates}
+    calls = {name: list(acts) for name, acts in candidates.items()}
+    taken: dict[str, list[float]] = {name: [] for name in calls}
     for turn in range(rounds + 1):
-        for name, acts in candidates.items():
+        for name, acts in calls.items():
             for act in acts:
                 start = time.perf_counter()
                 act()
                 if turn:
                     taken[name].append(time.perf_counter() - start)
     return taken
+
+
+def medians(candidates: Mapping[str, Iterable[Act]], rounds: int) -> dict[str, float]:
+    """Median time [us] of each candidate's calls, which take turns."""
+    taken = interleave(candidates, rounds)
+    return {name: 1e6 * float(np.median(values)) for name, values in taken.items()}
 
 
 def parser_of(doc: str | None, rounds: int = 15) -> argparse.ArgumentParser:

@@ -12,8 +12,9 @@ import json
 import os
 import subprocess
 import sys
-import time
+import timeit
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -71,42 +72,33 @@ def serve(backend: str) -> None:
     cases = make_cases(backend)
     for line in sys.stdin:
         case = line.strip()
-        print(
-            json.dumps(list(cases) if case == "cases" else time_inferences(*cases[case])),
-            flush=True,
-        )
+        times = list(cases) if case == "cases" else time_calls(cases[case], case)
+        print(json.dumps(times), flush=True)
 
 
-def make_cases(backend: str) -> dict[str, tuple[Callable[[Any], Any], list[Any]]]:
-    """A pool's inference, and the rasters of a round, of each network and batch."""
+def time_calls(acts: list[Callable[[], Any]], case: str) -> list[float]:
+    """Time of each inference [us], per network of a batch."""
+    batch = int(case.rpartition(" ")[2])
+    return [1e6 * timeit.timeit(act, number=1) / batch for act in acts]
+
+
+def make_cases(backend: str) -> dict[str, list[Callable[[], Any]]]:
+    """The inferences of a round, of each network and batch."""
     from lab.bench.nets import bernoulli, encode, kart, popsan
     from spikedeploy.runtime.emulator.machine import Machine
 
-    spikes, population = bernoulli(1024, 5, 770, 0.2), encode(1024, 5)
-    driving = bernoulli(1024, 32, 20, 0.3)
-    nets = {
-        "popsan, random spikes": (popsan(spikes[:CALIBRATION]), spikes),
-        "popsan with its encoder": (popsan(population[:CALIBRATION]), population),
-        "kart": (kart(driving[:CALIBRATION]), driving),
-    }
-    return {
-        f"{name}, batch {batch}": (
-            Machine(net.program, None, "none", backend=backend).infer,
-            [raster[k : k + batch] for k in range(0, batch * inputs, batch)],
-        )
-        for name, (net, raster) in nets.items()
-        for batch, inputs in INPUTS.items()
-    }
-
-
-def time_inferences(infer: Callable[[Any], Any], rasters: list[Any]) -> list[float]:
-    """Time of each inference [us], per network of a batch."""
-    times = []
-    for raster in rasters:
-        start = time.perf_counter()
-        infer(raster)
-        times.append(1e6 * (time.perf_counter() - start) / len(raster))
-    return times
+    cases = {}
+    for name, make, raster in (
+        ("popsan, random spikes", popsan, bernoulli(1024, 5, 770, 0.2)),
+        ("popsan with its encoder", popsan, encode(1024, 5)),
+        ("kart", kart, bernoulli(1024, 32, 20, 0.3)),
+    ):
+        net = make(raster[:CALIBRATION])
+        for batch, inputs in INPUTS.items():
+            infer = Machine(net.program, None, "none", backend=backend).infer
+            parts = [raster[k : k + batch] for k in range(0, batch * inputs, batch)]
+            cases[f"{name}, batch {batch}"] = [partial(infer, part) for part in parts]
+    return cases
 
 
 def table(median: Times) -> str:

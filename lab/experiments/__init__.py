@@ -7,12 +7,12 @@ training     a training that is found, resumed or started; a row of results that
 networks     a policy at a place — a chip, few bits — for a batch of robots, and what it did
 costs        energies of a row, term by term
 pages        pages from the Markdown of templates/, and what their tables have in common
-kart         how soon networks learn to drive, and how well they do; kart_results, kart_page
+kart         how soon networks learn to drive, and how well they do; kart_page
 kart_trainings  what its trainings left, as archives
 pareto       return against operations and energy; fronts, pareto_page
-robustness   return under disturbances and faults; robustness_page
-gymnasium    sparse policies on the field's own tasks; gymnasium_page
-lineup       shipped policies trained again with other seeds; lineup_page
+robustness   return under disturbances and faults
+gymnasium    sparse policies on the field's own tasks
+lineup       shipped policies trained again with other seeds
 
 Other tables of results/ have a script each:
 

@@ -29,7 +29,6 @@ from lab.experiments.training import Record, read_rows
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.statistics import stratified
 from spikedeploy.files import as_text, replacing, write_text
-from spikedeploy.reports.table import ABSENT
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips import CHIPS as EVERY_CHIP
 from spikedeploy.runtime.chips.chip import chip
@@ -82,13 +81,17 @@ def pairs(only: str | None) -> Iterator[tuple[str, str]]:
                 yield task, name
 
 
+def _file(task: str, name: str) -> Path:
+    return zoo.FOLDER / zoo.FOR_CHIPS / task / f"{name}.nir"
+
+
 # training
 
 
 def train_all(only: str | None, again: bool, runs: Path) -> None:
     """Train and ship what is missing, one after another."""
     for task, name in pairs(only):
-        file = zoo.FOLDER / zoo.FOR_CHIPS / task / f"{name}.nir"
+        file = _file(task, name)
         if _shipped(file) and not again:
             continue
         settings = [*TASKS[task].settings, *FURTHER.get(name, ())]
@@ -175,7 +178,7 @@ def _row(task: str, name: str, seeds: Sequence[int]) -> Record:
             task, _of_float(task) if name == "teacher" else random_actions(task).act_batch, seeds
         )
         return {**base, "sha256": "", "scores": scores}
-    file = zoo.FOLDER / zoo.FOR_CHIPS / task / f"{name}.nir"
+    file = _file(task, name)
     artifact = load(file)
     controller = SpikingController(artifact, chip(name), ledger="total")
     scores = play(task, controller.act_batch, seeds)
@@ -219,10 +222,6 @@ def make_table(episodes: int) -> None:
     write_text(PAGE, page(rows))
 
 
-def _file(task: str, name: str) -> Path:
-    return zoo.FOLDER / zoo.FOR_CHIPS / task / f"{name}.nir"
-
-
 def _place(key: tuple[str, str]) -> tuple[int, int]:
     return list(TASKS).index(key[0]), ("teacher", "random", *CHIPS).index(key[1])
 
@@ -240,21 +239,21 @@ def _write(rows: Sequence[Record]) -> None:
         writer.writerows({**row, "scores": json.dumps(row["scores"])} for row in rows)
 
 
-# the page
-
-
 def page(rows: Table) -> str:
     """The table as Markdown."""
-    tasks = [task for task in TASKS if (task, "teacher") in rows]
-    shares = [["chip", *tasks]]
-    shares += [[f"`{name}`", *(_cell(rows, task, name) for task in tasks)] for name in CHIPS]
-    others = ", ".join(f"`{n}`" for n in EVERY_CHIP if n not in (*CHIPS, "ideal", "int"))
     return render(
-        "chips", shares=shares, details=_details(rows), others=others, **{"WANTED": WANTED}
+        "chips",
+        tasks=[task for task in TASKS if (task, "teacher") in rows],
+        shares=lambda task, name: _share(rows, task, name),
+        rows=[rows[key] for key in sorted(rows, key=_place)],
+        earned=lambda row: stratified([row["scores"]], np.random.default_rng(0)).mean,
+        clock=_clock,
+        others=[name for name in EVERY_CHIP if name not in (*CHIPS, "ideal", "int")],
+        **{"WANTED": WANTED, "CHIPS": CHIPS},
     )
 
 
-def _cell(rows: Table, task: str, name: str) -> str:
+def _share(rows: Table, task: str, name: str) -> str:
     """The share of the teacher's return; where that is negative, from random actions on."""
     if (task, name) not in rows:
         return "not trained"
@@ -263,20 +262,6 @@ def _cell(rows: Table, task: str, name: str) -> str:
     scores = np.array(rows[task, name]["scores"])[None] - lowest
     found = nested_ratio(scores, teacher - lowest)
     return f"{share(found)} {found.mark(WANTED)}"
-
-
-def _details(rows: Table) -> list[list[str]]:
-    lines = [
-        ["task", "policy", "return", "clock", "inputs", "neurons", "T", "SOPs", "spikes", "updates"]
-    ]
-    for task, name in sorted(rows, key=_place):
-        row = rows[task, name]
-        earned = stratified([row["scores"]], np.random.default_rng(0)).mean.text(",.1f")
-        counts = ("inputs", "neurons", "timesteps", "sops", "spikes", "updates")
-        label = f"`{name}`" if name in CHIPS else name
-        cells = [f"{row[key]:,.0f}" if row.get(key) else ABSENT for key in counts]
-        lines.append([task, label, earned, _clock(task, name), *cells])
-    return lines
 
 
 def _clock(task: str, name: str) -> str:

@@ -55,7 +55,7 @@ def is_spiking(row: Mapping[str, Any]) -> bool:
     return row.get("neuron_updates") is not None
 
 
-def has_price(row: Mapping[str, Any], table: str) -> bool:
+def _has_price(row: Mapping[str, Any], table: str) -> bool:
     """Return whether a table prices a row: a float network needs multiply-accumulates.
 
     What a host integrates is not counted, so a row with readouts there has no price.
@@ -71,28 +71,20 @@ def terms(row: Mapping[str, Any], table: str, lean: bool = False) -> dict[str, f
     lean: neuron updates with states of 16 bits and decays by powers of two, derived; in tables of
         chips they cannot be chosen
     """
-    constants = addition_energy(row["constants"])
-    if not is_spiking(row):
+    if is_spiking(row):
+        counts = {event: row.get(name) or 0.0 for event, name in _COLUMNS.items()}
+        chip = chip_terms(counts, TABLES[table])
+        updates = row["neuron_updates"] * LEAN_UPDATE if lean else chip["updates"]
+        values = (
+            chip["operations"] + chip["bias"],
+            updates + chip["idle"],
+            chip["messages"] + chip["spikes"],
+            delta_encoder(row["observations"], row["events"]),
+        )
+    else:
         operations = row["operations"] * TABLES[table].joules.get("mac", 0.0)
-        return _named(operations, 0.0, 0.0, reading_energy(row["observations"]), constants)
-    on_chip = chip_terms(_counts(row), TABLES[table])
-    updates = row["neuron_updates"] * LEAN_UPDATE if lean else on_chip["updates"]
-    return _named(
-        on_chip["operations"] + on_chip["bias"],
-        updates + on_chip["idle"],
-        on_chip["messages"] + on_chip["spikes"],
-        delta_encoder(row["observations"], row["events"]),
-        constants,
-    )
-
-
-def _counts(row: Mapping[str, Any]) -> dict[str, float]:
-    """The counts of a row by the ledger's events."""
-    return {event: row.get(name) or 0.0 for event, name in _COLUMNS.items()}
-
-
-def _named(*values: float) -> dict[str, float]:
-    return dict(zip(TERMS, values, strict=True))
+        values = (operations, 0.0, 0.0, reading_energy(row["observations"]))
+    return dict(zip(TERMS, (*values, addition_energy(row["constants"])), strict=True))
 
 
 def total(row: Mapping[str, Any], table: str, of: str, lean: bool = False) -> float:
@@ -110,9 +102,9 @@ def energies(row: Mapping[str, Any]) -> dict[str, float]:
     """All totals of a row [J], and the terms by horowitz45-int8."""
     found: dict[str, float] = {}
     for table in TABLE_NAMES:
-        if has_price(row, table):
+        if _has_price(row, table):
             found |= {column(table, of): total(row, table, of) for of in TOTALS}
-    if has_price(row, INT8):
+    if found:
         found |= {f"term_{name}_j": joules for name, joules in terms(row, INT8).items()}
         found |= {column(INT8, of, True): total(row, INT8, of, True) for of in TOTALS}
     return found

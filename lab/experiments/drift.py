@@ -158,7 +158,7 @@ def closed_loop(
 
 def outcome(of: Subject, way: Way) -> Outcome:
     """Measure one way to quantise a policy."""
-    say(f"{of.name}: {' '.join(way.cells)}")
+    print(f"{of.name}: {' '.join(way.cells)}", file=sys.stderr)
     on = chip("loihi1", weight_bits=way.bits)
     quantisation = Quantisation(
         way.granularity,  # type: ignore[arg-type]
@@ -194,11 +194,6 @@ def room(of: Subject) -> Lines:
     return rows
 
 
-def say(line: str) -> None:
-    """Print progress, apart from the page."""
-    print(line, file=sys.stderr)
-
-
 # the page
 
 
@@ -206,44 +201,37 @@ def page(
     command: str, subjects: Sequence[Subject], outcomes: Sequence[Sequence[Outcome]], rooms: Lines
 ) -> str:
     """All tables in Markdown."""
-    sections = [section(of, found) for of, found in zip(subjects, outcomes, strict=True)]
-    facts = {"command": command, "summary": summary(outcomes), "rooms": rooms}
-    return render("drift", sections=sections, **facts)
+    pairs = zip(subjects, outcomes, strict=True)
+    return render(
+        "drift",
+        command=command,
+        summary=summary(outcomes),
+        rooms=rooms,
+        sections=[(of, found, _plain_drifts(found)) for of, found in pairs],
+        less=less,
+        error=error,
+        mean=np.mean,
+        steps=ABLATION_STEPS,
+        BITS=BITS,
+    )
 
 
-def section(of: Subject, outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Facts that the template shows of a policy."""
-    layers = [layer.name for layer in _measured(outcomes)[0].layers]
-    heads = ["bits", "scale", "rounding", "tuned", *(f"distance {name}" for name in layers)]
-    lines = [[*heads, "output error", "return − float's [95 %]"]]
-    lines += [cells(of, each) for each in outcomes]
-    return {"of": of, "table": lines, "ablation": ablation(outcomes)}
-
-
-def cells(of: Subject, each: Outcome) -> list[str]:
-    """A row of a policy's table."""
-    if each.drift is None or each.returns is None:
-        return [*each.way.cells, each.why]
-    output = each.drift.output
-    error = f"{output.rms:.1%} other choices" if output.kind == "choice" else f"{output.rms:.4f}"
+def less(of: Subject, each: Outcome) -> str:
+    """How much less an outcome returns than the float twin."""
     form = "+,.0f" if abs(of.returns.mean()) > 1000 else "+,.2f"
-    less = paired_difference(each.returns, of.returns, np.random.default_rng(0))
-    return [
-        *each.way.cells,
-        *(f"{layer.distance:.4f}" for layer in each.drift.layers),
-        error,
-        f"{less.mean:{form}} [{less.ci95[0]:{form}}, {less.ci95[1]:{form}}]",
-    ]
+    return paired_difference(each.returns, of.returns, np.random.default_rng(0)).text(form)
 
 
-def ablation(outcomes: Iterable[Outcome]) -> Lines:
-    """The cost of each rounding, of the plainest way at each number of bits."""
-    plain = _measured(e for e in outcomes if e.way.cells[1:] == ("layer", "nearest", ""))
-    lines = [["rounding", *(f"distance, {bits} bits" for bits in BITS[: len(plain)])]]
-    for k, step in enumerate(plain[0].ablation):
-        distances = [np.mean(list(found.ablation[k].distance.values())) for found in plain]
-        lines.append([ABLATION_STEPS[step.name], *(f"{d:.5f}" for d in distances)])
-    return lines
+def error(each: Drift) -> str:
+    """The error of the actions."""
+    output = each.output
+    return f"{output.rms:.1%} other choices" if output.kind == "choice" else f"{output.rms:.4f}"
+
+
+def _plain_drifts(outcomes: Iterable[Outcome]) -> list[Drift]:
+    """Those of the plainest way at each number of bits, as far as they could be measured."""
+    plain = (each for each in outcomes if each.way.cells[1:] == ("layer", "nearest", ""))
+    return [each.drift for each in plain if each.drift is not None]
 
 
 def summary(every: Sequence[Sequence[Outcome]]) -> Lines:
@@ -274,8 +262,3 @@ def ratio(every: Sequence[Sequence[Outcome]], bits: int, without: Callable[[Way]
             if theirs and way.bits == bits and without(way) != way:
                 logs.append(np.log(mine / theirs))
     return f"{np.exp(np.mean(logs)):.2f}" if logs else ABSENT
-
-
-def _measured(outcomes: Iterable[Outcome]) -> list[Drift]:
-    """The drifts that could be measured."""
-    return [each.drift for each in outcomes if each.drift is not None]

@@ -24,7 +24,7 @@ import numpy as np
 
 from lab.experiments import pages
 from lab.experiments.fronts import Point, pairing_at, points, read_table
-from lab.experiments.gymnasium import MLP, TaskPoint, pick_judged
+from lab.experiments.gymnasium import MLP, pick_judged, role
 from lab.experiments.gymnasium import points as task_points
 from lab.experiments.gymnasium import read_table as read_tasks
 from lab.experiments.pareto_page import NEARLY
@@ -118,10 +118,10 @@ def pairs(results: Path) -> Iterator[Pair]:
     for env in GYMNASIUM:
         tried = task_points([row for row in rows if row["env"] == env])
         spiking = pick_judged(tried, "loihi1")
-        baselines = [p for p in tried if p.role == MLP and p.mean("operations") is not None]
+        baselines = [p for p in tried if role(p) == MLP and p.mean("operations") is not None]
         if spiking and baselines:
             best = min(baselines, key=lambda p: p.mean("operations") or 0.0)
-            yield _pair(env, f"{spiking.role}", "float MLP, pruned", spiking, best)
+            yield _pair(env, role(spiking), "float MLP, pruned", spiking, best)
 
 
 # field of a pair -> columns of the rows that it is the sum of
@@ -140,16 +140,14 @@ _OTHERS = {
 }
 
 
-def _pair(
-    task: str, name: str, baseline: str, mine: Point | TaskPoint, other: Point | TaskPoint
-) -> Pair:
-    def sums(point: Point | TaskPoint, columns: Mapping[str, Sequence[str]]) -> dict[str, float]:
-        return {field: sum(point.mean(n) or 0.0 for n in of) for field, of in columns.items()}
-
+def _pair(task: str, name: str, baseline: str, mine: Point, other: Point) -> Pair:
+    counts = {
+        field: sum(point.mean(column) or 0.0 for column in columns)
+        for point, of in ((mine, _MINE), (other, _OTHERS))
+        for field, columns in of.items()
+    }
     scores = mine.of_teacher.mean, other.of_teacher.mean
-    seeds = len(mine.rows), len(other.rows)
-    counts = sums(mine, _MINE) | sums(other, _OTHERS)
-    return Pair(task, name, baseline, *scores, *seeds, **counts)
+    return Pair(task, name, baseline, *scores, len(mine.rows), len(other.rows), **counts)
 
 
 def encoding(pair: Pair, where: str) -> tuple[float, float]:
@@ -250,17 +248,6 @@ _TIMES = {
 }
 
 
-def _pair_table(found: Sequence[Pair]) -> list[list[str]]:
-    lines = [["task", "spiking", "% of teacher", "seeds", "SOPs", "updates", "of one state",
-              "events", "float", "% of teacher", "seeds", "MACs"]]  # fmt: skip
-    for p in found:
-        mine = [p.spiking, f"{p.score:.1%}", f"{p.seeds}", f"{p.sops:,.1f}", f"{p.updates:,.1f}"]
-        mine += [f"{p.one_state:,.1f}", f"{p.events:,.1f}"]
-        lines.append([p.task, *mine, p.baseline, f"{p.baseline_score:.1%}", f"{p.baseline_seeds}",
-                      f"{p.macs:,.1f}"])  # fmt: skip
-    return lines
-
-
 def operations_ratio(pair: Pair, sums: str, in_registers: bool = False) -> float:
     """Energy of the operations of a pair, spiking over float.
 
@@ -269,45 +256,6 @@ def operations_ratio(pair: Pair, sums: str, in_registers: bool = False) -> float
     prices = TABLES[SUMS[sums]].joules
     read = sram(_INPUT_BITS) if in_registers else 0.0
     return pair.sops * prices["sop"] / (pair.macs * (prices["mac"] - read))
-
-
-def _operation_table(found: Sequence[Pair]) -> list[list[str]]:
-    widths = ("16", "32")
-    heads = ["sums of 16 bits", "of 32 bits"]
-    lines = [["task", "all in registers, no index", *heads,
-              *(f"{head}, inputs in registers" for head in heads)]]  # fmt: skip
-    for pair in found:
-        cells = [operations_ratio(pair, sums) for sums in SUMS]
-        cells += [operations_ratio(pair, sums, in_registers=True) for sums in widths]
-        lines.append([pair.task, *(f"{cell:.2f}" for cell in cells)])
-    return lines
-
-
-def _total_table(found: Sequence[Pair], clock: str) -> list[list[str]]:
-    heads = {"none": "registers", "16": "16 bits", "32": "32 bits"}
-    lines = [
-        ["task", "clock", "encoder"]
-        + [f"{head}, {of}" for head in heads.values() for of in (OWN, "sanafe", "davies2018")]
-    ]
-    said = "gated, pipelined" if clock == "gated" else clock
-    for pair in found:
-        for where in ENCODERS:
-            each = [Energies(pair, sums, where, clock) for sums in SUMS]
-            cells = [
-                f"{e.ratio(e.update_over_sop(of)):.2f}"
-                for e in each
-                for of in (OWN, "sanafe", "davies2018")
-            ]
-            lines.append([pair.task, said, where, *cells])
-    return lines
-
-
-def _flip_table(found: Sequence[Pair]) -> list[list[str]]:
-    lines = [["task", *(f"{where}, {bits}" for where in ENCODERS for bits in SUMS)]]
-    for pair in found:
-        flips = [Energies(pair, s, where, "gated").flips_at for where in ENCODERS for s in SUMS]
-        lines.append([pair.task, *("never" if x <= 0 else f"{x:.2f}" for x in flips)])
-    return lines
 
 
 _LINES = {
@@ -392,18 +340,16 @@ def write(source: Path, results: Path) -> list[Path]:
     """Write page, table and picture from the tables of a folder; return the files."""
     found = list(pairs(source))
     table = list(rows(found))
-    prices = {sums: 1e12 * TABLES[name].joules["sop"] for sums, name in SUMS.items()}
     text = pages.render(
         "energy",
         command=COMMAND,
-        published=", ".join(f"`{name}` {times:.1f}" for name, times in _TIMES.items()),
-        pairs=_pair_table(found),
-        operations=_operation_table(found),
-        gated=_total_table(found, "gated"),
-        free=_total_table(found, "free"),
-        flips=_flip_table(found),
-        **{"TIMES": _TIMES, "SOP": prices, "INSTRUCTION": INSTRUCTION},
+        pairs=found,
+        operations_ratio=operations_ratio,
+        energies=Energies,
+        prices={sums: 1e12 * TABLES[name].joules["sop"] for sums, name in SUMS.items()},
+        **{"TIMES": _TIMES, "INSTRUCTION": INSTRUCTION, "SUMS": list(SUMS), "OWN": OWN},
         **{"OBSERVATION": _OBSERVATION, "EVENT": _EVENT, "NUMBER": _NUMBER},
+        **{"ENCODERS": list(ENCODERS)},
     )
     return [
         write_rows(table, list(table[0]), results / "energy.csv"),

@@ -1,7 +1,7 @@
 """Points of the front: the trainings of a student at one level, and their cheapest baselines."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -25,7 +25,6 @@ _FIRST = (
 )  # fmt: skip
 _LAST = "scores"  # of the episodes, in the order of their seeds
 _POINT = ("student", "trained_by", "level", "place", "part")  # rows that differ in the seed alone
-_TEXT = ("env", "student", "trained_by", "place", "part", "refusal")
 
 
 def write_table(found: Iterable[Record], path: Path) -> Path:
@@ -46,25 +45,23 @@ def write_table(found: Iterable[Record], path: Path) -> Path:
 
 def read_table(path: Path) -> list[Record]:
     """The rows of a CSV; missing fields are None."""
-    return read_rows(path, _TEXT)
+    return read_rows(path, ("env", "student", "trained_by", "place", "part", "refusal"))
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A level of a student at one place, in all its trainings.
+    """A policy at one level and place, in all its trainings.
 
-    student, level, place  as in its rows
-    rows                   of each training seed
-    teacher                scores of the teacher on the same episodes
-    reference              those of the reference; empty where there is none
+    rows       of each training seed
+    teacher    scores of the teacher on the same episodes
+    reference  those of the reference; empty where there is none
+    lowest     the score that counts as none
     """
 
-    student: str
-    level: float
-    place: str
     rows: Sequence[Record]
     teacher: Sequence[float]
     reference: Sequence[float] = ()
+    lowest: float = 0.0
 
     @cached_property
     def of_teacher(self) -> Estimate:
@@ -77,8 +74,8 @@ class Point:
         return self._of(self.reference) if self.reference else None
 
     def _of(self, reference: Sequence[float]) -> Estimate:
-        scores = [row["scores"] for row in self.rows]
-        return nested_ratio(scores, reference)
+        scores = np.array([row["scores"] for row in self.rows])
+        return nested_ratio(scores - self.lowest, np.array(reference) - self.lowest)
 
     @property
     def single(self) -> list[float]:
@@ -100,9 +97,24 @@ class Point:
         return {name: float(np.mean([one[name] for one in each])) for name in TERMS}
 
     @property
+    def student(self) -> str:
+        """Its kind."""
+        return str(self.rows[0]["student"])
+
+    @property
+    def level(self) -> float:
+        """Operations that it aims at."""
+        return float(self.rows[0]["level"])
+
+    @property
+    def place(self) -> str:
+        """Where it ran."""
+        return str(self.rows[0]["place"])
+
+    @property
     def is_rewarded(self) -> bool:
         """Return whether it was trained on with reward."""
-        return _is_rewarded(self.rows[0])
+        return self.rows[0].get("trained_by") == REWARD
 
     @property
     def label(self) -> str:
@@ -136,34 +148,22 @@ def is_kart(row: Record) -> bool:
     return row.get("crashes") is not None
 
 
-def _is_rewarded(row: Record) -> bool:
-    return row.get("trained_by") == REWARD
-
-
-def reference_row(rows: Iterable[Record], name: str = "teacher") -> Record | None:
-    """The row of a policy beside which students stand: `teacher` or `reference`."""
-    return next((row for row in rows if row["student"] == name), None)
-
-
-def reference_rows(rows: Sequence[Record]) -> Iterator[tuple[str, Record]]:
-    """Name and row of each such policy that there is."""
-    for name in ("teacher", "reference"):
-        if (row := reference_row(rows, name)) is not None:
-            yield name, row
+def reference_rows(rows: Iterable[Record]) -> dict[str, Record]:
+    """Name -> row of the policies beside which students stand: `teacher` and `reference`."""
+    found = {row["student"]: row for row in reversed(list(rows))}
+    return {name: found[name] for name in ("teacher", "reference") if name in found}
 
 
 def points(rows: Sequence[Record], part: str = LEVELS) -> list[Point]:
     """All points of a part, student by student: imitation by falling operations, then reward."""
-    found_rows = dict(reference_rows(rows))
-    beside = [found_rows.get(name, {}).get("scores", []) for name in ("teacher", "reference")]
-    if not beside[0]:
+    references = reference_rows(rows)
+    if "teacher" not in references:
         return []
+    beside = [row["scores"] for row in references.values()]
     here = (row for row in rows if row.get("part") == part and row.get("operations") is not None)
     found = [
-        Point(student, level, place, of, *(scores[: len(of[0]["scores"])] for scores in beside))
-        for (student, level, place, _), of in grouped(
-            here, "student", "level", "place", "trained_by"
-        )
+        Point(of, *(scores[: len(of[0]["scores"])] for scores in beside))
+        for _, of in grouped(here, "student", "level", "place", "trained_by")
     ]
     return sorted(found, key=lambda p: (STUDENTS.index(p.student), p.is_rewarded, -p.level))
 
@@ -180,7 +180,7 @@ class Pairing:
     point: Point
     baseline: Point | None
     of: str
-    lean: bool
+    lean: bool = False
     table: str = INT8
 
     @property
@@ -198,8 +198,8 @@ class Pairing:
 
 def pairing(found: Sequence[Point], point: Point, of: str, lean: bool = False) -> Pairing:
     """A spiking point beside its baseline by a total (costs.TOTALS) of horowitz45-int8."""
-    equal = [p for p in found if p.student in FLOAT and p.of_teacher.mean >= point.of_teacher.mean]
-    return Pairing(point, min(equal, key=lambda p: p.energy(of), default=None), of, lean)
+    equal = [p for p in found if p.of_teacher.mean >= point.of_teacher.mean]
+    return Pairing(point, _cheapest(equal, FLOAT, of), of, lean)
 
 
 def pairing_at(
@@ -210,10 +210,7 @@ def pairing_at(
     None where no spiking point has it.
     """
     good = [p for p in found if p.of_teacher.mean >= share]
-    mine = _cheapest(good, SPIKING, of, table, lean)
-    if mine is None:
-        return None
-    return Pairing(mine, _cheapest(good, FLOAT, of, table, False), of, lean, table)
+    return _pair(good, good, of, lean, table)
 
 
 def span_at(
@@ -226,17 +223,21 @@ def span_at(
     """
     reaching = [p for p in found if p.of_teacher.ci95[1] >= share]
     above = [p for p in found if p.of_teacher.ci95[0] >= share]
+    least = _pair(reaching, above, of, lean, table)
+    largest = _pair(above, reaching, of, lean, table)
+    return least.ratio if least else None, largest.ratio if largest else None
 
-    def ratio(spiking: Sequence[Point], baselines: Sequence[Point]) -> float | None:
-        mine = _cheapest(spiking, SPIKING, of, table, lean)
-        theirs = _cheapest(baselines, FLOAT, of, table, False)
-        return Pairing(mine, theirs, of, lean, table).ratio if mine and theirs else None
 
-    return ratio(reaching, above), ratio(above, reaching)
+def _pair(
+    spiking: Sequence[Point], baselines: Sequence[Point], of: str, lean: bool, table: str
+) -> Pairing | None:
+    mine = _cheapest(spiking, SPIKING, of, table, lean)
+    theirs = _cheapest(baselines, FLOAT, of, table)
+    return Pairing(mine, theirs, of, lean, table) if mine else None
 
 
 def _cheapest(
-    found: Sequence[Point], students: Sequence[str], of: str, table: str, lean: bool
+    found: Sequence[Point], students: Sequence[str], of: str, table: str = INT8, lean: bool = False
 ) -> Point | None:
     here = (p for p in found if p.student in students)
     return min(here, key=lambda p: p.energy(of, table, lean), default=None)

@@ -12,7 +12,7 @@ changed is made again.
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -20,24 +20,16 @@ import numpy as np
 
 from lab.experiments import pages
 from lab.experiments.costs import INT8, column, energies, is_spiking
-from lab.experiments.networks import FLOAT, Played, network, play, random_actions
-from lab.experiments.pages import grouped, mean, number, share
-from lab.experiments.ratios import nested_ratio
-from lab.experiments.runner import Design, Part, training_part
-from lab.experiments.training import (
-    Record,
-    StoredRow,
-    TrainingJob,
-    complete,
-    is_complete,
-    read_rows,
-    results,
-)
+from lab.experiments.fronts import Point
+from lab.experiments.networks import FLOAT, network, play, random_actions
+from lab.experiments.pages import grouped, share
+from lab.experiments.runner import Design, Part
+from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows
 from spikedeploy import zoo
 from spikedeploy.comparison.statistics import Estimate, stratified
 from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.reports.plots import BLUE, VERMILION, save
-from spikedeploy.reports.table import ABSENT, write_rows
+from spikedeploy.reports.table import write_rows
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
@@ -260,24 +252,16 @@ class GymnasiumDesign(Design):
 
     def parts(self) -> list[Part]:
         """Each training, and its evaluation after it."""
-        return [
-            part
-            for training in self.trainings()
-            for part in (training_part(training), self._evaluation(training))
-        ]
-
-    def _evaluation(self, training: TaskTraining) -> Part:
-        def perform() -> None:
-            complete(self.rows(training), lambda row: self._evaluate(training, row.of["place"]))
-
-        name = f"{training.name}: evaluation"
-        return Part(name, lambda: not self.is_missing(training), perform, [training.name])
-
-    # rows
+        parts = []
+        for training in self.trainings():
+            rows = partial(self.rows, training)
+            name = f"{training.name}: evaluation"
+            parts += [Part.to_train(training), Part(name, rows, of=training, after=[training.name])]
+        return parts
 
     def rows(self, training: TaskTraining) -> list[StoredRow]:
         """The rows of a training that has ended."""
-        digest = zoo.sha256(training.existing_run / "checkpoints" / "best.safetensors")
+        digest = zoo.sha256(training.checkpoint())
         return [
             StoredRow(
                 Path(self.runs) / "evaluations" / f"{training.name}@{place}.json",
@@ -290,153 +274,90 @@ class GymnasiumDesign(Design):
                     "limit": self.limit,
                     "version": _VERSION,
                 },
+                partial(self._evaluate, training, place),
             )
             for place in self.places(training.role)
         ]
 
-    def is_missing(self, training: TaskTraining) -> bool:
-        """Return whether a training, or a row of it, is missing."""
-        return not training.is_trained or not is_complete(self.rows(training))
-
-    def all_rows(self) -> Iterator[Record]:
-        """The results so far."""
-        for training in self.trainings():
-            yield from results(self.rows(training) if training.is_trained else ())
-
     def _evaluate(self, training: TaskTraining, place: str) -> Record:
         facts = {"env": training.env, "role": training.role, "seed": training.seed, "place": place}
-        env = EnvConfig(name=training.env)
-        if place == RANDOM:
-            actions = random_actions(training.env)
-            facts |= {"role": RANDOM, "seed": None}
-            return facts | _outcomes(play(env, self.episodes, actions, self.limit))
-        file = Path(self.runs) / "policies" / training.name
+        counts: Record = {}
+        env, is_random = EnvConfig(name=training.env), place == RANDOM
         try:
-            made = network(training.existing_run, "best", place, file)
+            if is_random:
+                facts |= {"role": RANDOM, "seed": None}
+                played = play(env, self.episodes, random_actions(training.env), self.limit)
+            else:
+                file = Path(self.runs) / "policies" / training.name
+                made = network(training.existing_run, "best", place, file)
+                played = play(env, self.episodes, made.controller, self.limit)
+                counts |= made.counts(played.walks)
         except RuleError as error:
             return facts | {"refusal": str(error)}
-        played = play(env, self.episodes, made.controller, self.limit)
-        return facts | made.counts(played.walks) | _outcomes(played)
+        return (
+            facts
+            | counts
+            | {
+                "episodes": len(played.returns),
+                "return_mean": float(np.mean(played.returns)),
+                "terminated": float(np.mean(played.terminated)),
+                "steps": float(np.mean([len(walk.observation) for walk in played.walks])),
+                "scores": played.returns,
+            }
+        )
 
     def write(self, results: Path) -> list[Path]:
-        """Write page, tables and pictures of what is complete; return the files."""
-        return _write(self, results)
+        """Write page, table and picture of what is complete; return the files."""
+        table, made = results / "gymnasium.csv", results / "gymnasium.json"
+        new, old = list(self.all_rows()), read_table(table) if table.is_file() else []
+        fresh = {row["env"] for row in new}  # tasks without new rows keep the old ones
+        rows = [*new, *(row for row in old if row["env"] not in fresh)]
+        write_table((row for env in TASKS for row in rows if row["env"] == env), table)
+        write_text(made, as_text(self._facts()))
+        # as they stand in the table, so that the page can be written again from it
+        by_task = {env: [r for r in read_table(table) if r["env"] == env] for env in TASKS}
+        found = {env: points(of) for env, of in by_task.items()}
+        drawn = tasks_figure(found, self.chip)
+        picture = save(drawn, results / "gymnasium.png")
+        rate = rate_of_trained(found, self.chip)
+        page, shown = pages.write_page(
+            results / "gymnasium.md",
+            {"gymnasium.png": drawn},
+            made=read_json(made),
+            verdicts="\n".join(verdict(env, of, self.chip, rate) for env, of in by_task.items()),
+            rows=by_task,
+            points=found,
+            dense={env: reference(env, of, self.chip).operations for env, of in found.items()},
+            earned=earned,
+            is_spiking=is_spiking,
+            tasks=TASKS.values(),
+            **{"SPARSE": SPARSE, "TUNED": TUNED, "DENSE": DENSE, "MLP": MLP, "RANDOM": RANDOM},
+            **{"TIMESTEPS": TIMESTEPS, "RATE": RATE, "LABELS": LABELS, "ENERGY": ENERGY},
+        )
+        return [page, table, made, picture, shown]
 
-
-def _outcomes(played: Played) -> Record:
-    return {
-        "episodes": len(played.returns),
-        "return_mean": float(np.mean(played.returns)),
-        "terminated": float(np.mean(played.terminated)),
-        "steps": float(np.mean([len(walk.observation) for walk in played.walks])),
-        "scores": played.returns,
-    }
-
-
-ENERGY = column(INT8, "updates")  # operations and neuron updates
-_COLUMNS = (
-    "env", "role", "seed", "place", "episodes", "return_mean", "terminated", "steps", "operations",
-    "graded_operations", "bias_operations", "neurons", "neuron_updates", "readout_updates",
-    "neuron_idle", "messages", "events", "spikes_out", "sparsity", "saturations", "observations",
-    "constants", "on_host", ENERGY, "refusal", "scores",
-)  # fmt: skip
-_TEXT = ("env", "role", "place", "refusal")
-LABELS = {
-    TEACHER: "float teacher",
-    DENSE: "dense PopSAN 256-256",
-    SPARSE: "sparse, by imitation",
-    TUNED: "sparse, with reward",
-    MLP: "float MLP, pruned",
-    RANDOM: "random actions",
-}
-ENOUGH, FEW = 0.95, 0.01  # of the teacher's return, and of the dense network's operations
-_NAMED = 6  # of the trainings that are missing
-
-
-def _write(design: GymnasiumDesign, results: Path) -> list[Path]:
-    """Write page, table and picture of the complete rows; return the files."""
-    table, made = results / "gymnasium.csv", results / "gymnasium.json"
-    rows = _merged(list(design.all_rows()), read_table(table) if table.is_file() else [])
-    write_table(rows, table)
-    write_text(made, as_text(_facts(design)))
-    # as they stand in the table, so that the page can be written again from it
-    by_task = {env: [r for r in read_table(table) if r["env"] == env] for env in TASKS}
-    found = {env: points(of) for env, of in by_task.items()}
-    drawn = tasks_figure(found, design.chip)
-    picture = save(drawn, results / "gymnasium.png")
-    rate = rate_of_trained(found, design.chip)
-    page, shown = pages.write_page(
-        results / "gymnasium.md",
-        {"gymnasium.png": drawn},
-        made=read_json(made),
-        verdicts="\n".join(verdict(env, of, design.chip, rate) for env, of in by_task.items()),
-        tables={
-            env: _task_table(env, of, design.chip) if of else [] for env, of in by_task.items()
-        },
-        sizes=_size_table(),
-        **{"SPARSE": SPARSE, "TUNED": TUNED, "DENSE": DENSE, "MLP": MLP},
-        **{"TIMESTEPS": TIMESTEPS, "RATE": RATE},
-    )
-    return [page, table, made, picture, shown]
-
-
-def write_table(found: Iterable[Record], path: Path) -> Path:
-    """Write rows, one a training, with their energies; missing fields stay empty."""
-    return write_rows([row | _energy(row) for row in found], _COLUMNS, path)
-
-
-def _energy(row: Record) -> Record:
-    """The energy of a new row; a row that was read again keeps its own."""
-    if row.get(ENERGY) is not None or (joules := energies(row).get(ENERGY)) is None:
-        return {}
-    return {ENERGY: joules}
-
-
-def read_table(path: Path) -> list[Record]:
-    """The rows of a CSV; missing fields are None."""
-    return read_rows(path, _TEXT)
-
-
-def _merged(new: Sequence[Record], old: Sequence[Record]) -> list[Record]:
-    """The new rows, and the old ones of tasks that have no new ones; task by task."""
-    fresh = {row["env"] for row in new}
-    rows = [*new, *(row for row in old if row["env"] not in fresh)]
-    return [row for env in TASKS for row in rows if row["env"] == env]
-
-
-def _facts(design: GymnasiumDesign) -> Record:
-    """Facts on the making of the page."""
-    trainings = design.trainings()
-    names = design.tasks if len(design.tasks) == 1 else ()
-    text = pages.command(design, *names, sizes=("seeds", "episodes"))
-    return {
-        "command": pages.with_settings(text, design.settings),
-        "chip": design.chip,
-        "missing": _missing(design, trainings),
-        "facts": [
-            f"- {pages.releases('torch', 'numpy', 'gymnasium', 'mujoco')}",
-            f"- {design.episodes} episodes from seed 10,000 on",
-            *pages.other_settings(trainings, "{} was trained with "),
-            *_on_gpu(trainings),
-        ],
-    }
-
-
-def _missing(design: GymnasiumDesign, trainings: Sequence[TaskTraining]) -> str:
-    lack = [training.name for training in trainings if design.is_missing(training)]
-    notes = []
-    if lack:
+    def _facts(self) -> Record:
+        """Facts on the making of the page."""
+        trainings = self.trainings()
+        names = self.tasks if len(self.tasks) == 1 else ()
+        text = pages.command(self, *names, sizes=("seeds", "episodes"))
+        lack = [part.of.name for part in self.parts() if part.of and not part.is_done]
         more = " and others" if len(lack) > _NAMED else ""
-        notes.append(
+        note = (
             f"{len(lack)} of {len(trainings)} trainings, or their rows, are missing: "
             f"{', '.join(lack[:_NAMED])}{more}."
         )
-    if design.limit:
-        notes.append(
-            f"A quick trial, whose episodes end after {design.limit} control steps: its scores "
-            "say nothing."
-        )
-    return f"**{' '.join(notes)}**" if notes else ""
+        return {
+            "command": pages.with_settings(text, self.settings),
+            "chip": self.chip,
+            "missing": pages.missing_text([note] if lack else [], self.limit),
+            "facts": [
+                f"- {pages.releases('torch', 'numpy', 'gymnasium', 'mujoco')}",
+                f"- {self.episodes} episodes from seed 10,000 on",
+                *pages.other_settings(trainings, "{} was trained with "),
+                *_on_gpu(trainings),
+            ],
+        }
 
 
 def _on_gpu(trainings: Sequence[TaskTraining]) -> list[str]:
@@ -451,40 +372,47 @@ def _on_gpu(trainings: Sequence[TaskTraining]) -> list[str]:
     ]
 
 
-@dataclass(frozen=True, eq=False)
-class TaskPoint:
-    """A policy at a place, in all its trainings.
+ENERGY = column(INT8, "updates")  # operations and neuron updates
+_COLUMNS = (
+    "env", "role", "seed", "place", "episodes", "return_mean", "terminated", "steps", "operations",
+    "graded_operations", "bias_operations", "neurons", "neuron_updates", "readout_updates",
+    "neuron_idle", "messages", "events", "spikes_out", "sparsity", "saturations", "observations",
+    "constants", "on_host", ENERGY, "refusal", "scores",
+)  # fmt: skip
+LABELS = {
+    TEACHER: "float teacher",
+    DENSE: "dense PopSAN 256-256",
+    SPARSE: "sparse, by imitation",
+    TUNED: "sparse, with reward",
+    MLP: "float MLP, pruned",
+    RANDOM: "random actions",
+}
+ENOUGH, FEW = 0.95, 0.01  # of the teacher's return, and of the dense network's operations
+_NAMED = 6  # of the trainings that are missing
 
-    role, place  as in its rows
-    rows         of each training seed
-    teacher      scores of the teacher on the same episodes
-    lowest       what counts as no score: 0, or where the teacher earns less, random actions' mean
+
+def write_table(found: Iterable[Record], path: Path) -> Path:
+    """Write rows, one a training, with their energies; missing fields stay empty.
+
+    A row that was read again keeps its own energy.
     """
-
-    role: str
-    place: str
-    rows: Sequence[Record]
-    teacher: Sequence[float]
-    lowest: float
-
-    @cached_property
-    def of_teacher(self) -> Estimate:
-        """Score in parts of the teacher's; the interval covers trainings and episodes."""
-        scores = np.array([row["scores"] for row in self.rows]) - self.lowest
-        return nested_ratio(scores, np.array(self.teacher) - self.lowest)
-
-    @cached_property
-    def earned(self) -> Estimate:
-        """Mean return, with the stratified bootstrap over trainings and episodes."""
-        return stratified([row["scores"] for row in self.rows], np.random.default_rng(0)).mean
-
-    def mean(self, field: str) -> float | None:
-        """Mean of a field over the trainings; None where no row has it."""
-        return mean(self.rows, field)
+    rows = []
+    for row in found:
+        joules = energies(row).get(ENERGY) if row.get(ENERGY) is None else None
+        rows.append(row if joules is None else row | {ENERGY: joules})
+    return write_rows(rows, _COLUMNS, path)
 
 
-def points(rows: Sequence[Record]) -> list[TaskPoint]:
-    """All points of a task, role by role; none before the teacher is evaluated."""
+def read_table(path: Path) -> list[Record]:
+    """The rows of a CSV; missing fields are None."""
+    return read_rows(path, ("env", "role", "place", "refusal"))
+
+
+def points(rows: Sequence[Record]) -> list[Point]:
+    """All points of a task, role by role; none before the teacher is evaluated.
+
+    Where the teacher earns less than nothing, the mean of random actions counts as no score.
+    """
     scores = {row["role"]: row["scores"] for row in rows if row.get("scores")}
     teacher, drawn = scores.get(TEACHER), scores.get(RANDOM)
     if teacher is None:
@@ -492,11 +420,18 @@ def points(rows: Sequence[Record]) -> list[TaskPoint]:
     lowest = 0.0 if np.mean(teacher) > 0 or drawn is None else float(np.mean(drawn))
     whole = (row for row in rows if len(row.get("scores") or ()) == len(teacher))
     order = (TEACHER, DENSE, SPARSE, TUNED, *ROLES, RANDOM)
-    found = [
-        TaskPoint(role, place, of, teacher, lowest)
-        for (role, place), of in grouped(whole, "role", "place")
-    ]
-    return sorted(found, key=lambda point: order.index(point.role))
+    found = [Point(of, teacher, lowest=lowest) for _, of in grouped(whole, "role", "place")]
+    return sorted(found, key=lambda point: order.index(role(point)))
+
+
+def role(point: Point) -> str:
+    """One of ROLES, or RANDOM."""
+    return str(point.rows[0]["role"])
+
+
+def earned(point: Point) -> Estimate:
+    """Mean return, with the stratified bootstrap over trainings and episodes."""
+    return stratified([row["scores"] for row in point.rows], np.random.default_rng(0)).mean
 
 
 @dataclass(frozen=True)
@@ -507,15 +442,15 @@ class Reference:
     measured: bool
 
 
-def reference(env: str, found: Sequence[TaskPoint], chip: str) -> Reference:
+def reference(env: str, found: Sequence[Point], chip: str) -> Reference:
     """Those of the PopSAN that was trained, else what layer sizes and a rate give."""
     for point in found:
-        if (point.role, point.place) == (DENSE, chip):
+        if (role(point), point.place) == (DENSE, chip):
             return Reference(point.mean("operations") or 0.0, measured=True)
     return Reference(TASKS[env].dense_operations(), measured=False)
 
 
-def rate_of_trained(tasks: Mapping[str, Sequence[TaskPoint]], chip: str) -> float | None:
+def rate_of_trained(tasks: Mapping[str, Sequence[Point]], chip: str) -> float | None:
     """Mean spike rate on the chip of the dense networks that were trained; None without one."""
     dense = {env: reference(env, found, chip) for env, found in tasks.items()}
     rates = [
@@ -524,42 +459,10 @@ def rate_of_trained(tasks: Mapping[str, Sequence[TaskPoint]], chip: str) -> floa
     return float(np.mean(rates)) if rates else None
 
 
-def pick_judged(found: Sequence[TaskPoint], chip: str) -> TaskPoint | None:
+def pick_judged(found: Sequence[Point], chip: str) -> Point | None:
     """The policy that a verdict is about: with reward where it was trained so, on the chip."""
-    at = {point.role: point for point in found if point.place == chip}
+    at = {role(point): point for point in found if point.place == chip}
     return at.get(TUNED) or at.get(SPARSE)
-
-
-def _task_table(env: str, rows: Sequence[Record], chip: str) -> list[list[str]]:
-    """Every policy at every place, and what chips refused."""
-    found = points(rows)
-    dense = reference(env, found, chip)
-    lines = [
-        ["policy", "where", "seeds", "return", "% of teacher", "falls", "operations",
-         "% of PopSAN", "energy [pJ]"],
-        *(_line(point, dense) for point in found),
-        *([LABELS[row["role"]], row["place"], f"seed {row['seed']}", f"refused: {row['refusal']}",
-           *[ABSENT] * 5] for row in rows if row.get("refusal")),
-    ]  # fmt: skip
-    return lines
-
-
-def _line(point: TaskPoint, dense: Reference) -> list[str]:
-    operations, joules = point.mean("operations"), point.mean(ENERGY)
-    unit = "SOPs" if is_spiking(point.rows[0]) else "MACs"
-    counted = ABSENT if operations is None else f"{operations:,.0f} {unit}"
-    part = ABSENT if operations is None else f"{operations / dense.operations:.2%}"
-    return [
-        LABELS[point.role],
-        point.place,
-        f"{len(point.rows)}",
-        point.earned.text(",.0f"),
-        ABSENT if point.role == RANDOM else share(point.of_teacher),
-        f"{point.mean('terminated') or 0.0:.0%}",
-        counted,
-        part,
-        number(None if joules is None else joules * pages.PICO),
-    ]
 
 
 def verdict(env: str, rows: Sequence[Record], chip: str, trained: float | None = None) -> str:
@@ -574,54 +477,24 @@ def verdict(env: str, rows: Sequence[Record], chip: str, trained: float | None =
     if point is None:
         return f"* – **{env}**: no spiking policy is evaluated on {chip} yet."
     operations, wanted = point.mean("operations") or 0.0, TASKS[env].wanted
-    earned, bound = (point.of_teacher, ENOUGH) if wanted is None else (point.earned, wanted)
+    mine, seeds = earned(point), len(point.rows)
     few = operations <= FEW * dense.operations
-    mark = earned.mark(bound)
+    mark = point.of_teacher.mark(ENOUGH) if wanted is None else mine.mark(wanted)
     goal = f"{ENOUGH:.0%} of the teacher" if wanted is None else f"a return of {wanted:g}"
+    how = "measured" if dense.measured else f"computed for a rate of {RATE:g}"
+    if trained is not None and not dense.measured:
+        part = operations / TASKS[env].dense_operations(trained)
+        how += f"; {part:.2%} at the {trained:.3f} of those that were trained"
+    lack = ["missed by the return"] if mark == "✗" else []
+    lack += ["missed by the operations"] if not few else []
+    lack += ["the interval of the return is on both sides"] if mark == "≈" else []
     return (
-        f"* {mark if few else '✗'} **{env}**: {point.earned.text(',.0f')}, "
+        f"* {mark if few else '✗'} **{env}**: {mine.text(',.0f')}, "
         f"{share(point.of_teacher)} of the teacher, with {operations:,.0f} SOPs a control step on "
         f"{chip}, {operations / dense.operations:.2%} of the PopSAN's {dense.operations:,.0f} "
-        f"({_how(env, dense, operations, trained)}), {LABELS[point.role]}, {_seeds(point)}. "
-        f"Asked for: {goal} at {FEW:.0%}{_lack(mark, few)}."
+        f"({how}), {LABELS[role(point)]}, {seeds} training seed{'s' if seeds > 1 else ''}. "
+        f"Asked for: {goal} at {FEW:.0%}{'; ' * bool(lack)}{' and '.join(lack)}."
     )
-
-
-def _seeds(point: TaskPoint) -> str:
-    return f"{len(point.rows)} training seed{'s' if len(point.rows) > 1 else ''}"
-
-
-def _how(env: str, dense: Reference, operations: float, trained: float | None) -> str:
-    if dense.measured:
-        return "measured"
-    assumed = f"computed for a rate of {RATE:g}"
-    if trained is None:
-        return assumed
-    part = operations / TASKS[env].dense_operations(trained)
-    return f"{assumed}; {part:.2%} at the {trained:.3f} of those that were trained"
-
-
-def _lack(mark: str, few: bool) -> str:
-    """Reason of a missed verdict, of a return with this mark."""
-    said = ["missed by the return"] if mark == "✗" else []
-    said += ["missed by the operations"] if not few else []
-    said += ["the interval of the return is on both sides"] if mark == "≈" else []
-    return f"; {' and '.join(said)}" if said else ""
-
-
-def _size_table() -> list[list[str]]:
-    """Operations of the dense PopSAN of each task at most, and at the rate that is assumed."""
-    lines = [
-        ["task", "layers", "synapses", "SOPs at most", f"at a rate of {RATE:g}", "budget here"]
-    ]
-    for task in TASKS.values():
-        layers = f"{10 * task.observations}-256-256-{10 * task.actions}"
-        most, some = task.dense_operations(1.0), task.dense_operations()
-        budget = f"{task.budget:,g} ({task.budget / some:.2%})"
-        lines.append(
-            [task.env, layers, *(f"{n:,.0f}" for n in (task.synapses, most, some)), budget]
-        )
-    return lines
 
 
 # Okabe and Ito 2008; markers differ too
@@ -637,7 +510,7 @@ _LOWEST = -5.0  # [%]
 _HIGHEST = 108  # at least: markers at 100 are whole
 
 
-def tasks_figure(found: Mapping[str, Sequence[TaskPoint]], chip: str) -> "Figure":
+def tasks_figure(found: Mapping[str, Sequence[Point]], chip: str) -> "Figure":
     """The points of each task."""
     from matplotlib.figure import Figure
 
@@ -655,15 +528,15 @@ def tasks_figure(found: Mapping[str, Sequence[TaskPoint]], chip: str) -> "Figure
     return figure
 
 
-def _panel(axes: "Axes", env: str, found: Sequence[TaskPoint], chip: str) -> None:
+def _panel(axes: "Axes", env: str, found: Sequence[Point], chip: str) -> None:
+    """Spiking policies on the chip, and float ones where they are."""
     axes.set_title(env, fontsize=9)
     limit = FEW * reference(env, found, chip).operations
     axes.axvline(limit, color=_GREY, linewidth=0.8, linestyle="--")
     axes.axhline(100 * ENOUGH, color=_GREY, linewidth=0.8, linestyle=":")
-    for point in found:
-        operations = point.mean("operations")
-        if point.role in _LOOKS and operations and _is_drawn(point, chip):
-            colour, marker = _LOOKS[point.role]
+    for point in (p for p in found if p.place == chip or role(p) in (TEACHER, MLP)):
+        if role(point) in _LOOKS and (operations := point.mean("operations")):
+            colour, marker = _LOOKS[role(point)]
             estimate = point.of_teacher
             low, high = (100 * abs(end - estimate.mean) for end in estimate.ci95)
             axes.errorbar(
@@ -674,8 +547,3 @@ def _panel(axes: "Axes", env: str, found: Sequence[TaskPoint], chip: str) -> Non
     axes.set_xlim(10, 1e6)
     axes.set_ylim(_LOWEST, max(axes.get_ylim()[1], _HIGHEST))
     pages.plain(axes)
-
-
-def _is_drawn(point: TaskPoint, chip: str) -> bool:
-    """Return whether a point is drawn: spiking policies on the chip, float ones where they are."""
-    return point.place == chip or point.role in (TEACHER, MLP)

@@ -11,8 +11,9 @@ kart-simulator's own figures are from its README's table: its best runs, one see
 finishes on Grid and Steer follow from the steps per finish that it implies.
 """
 
+import csv
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,10 +24,10 @@ from numpy.typing import NDArray
 
 from lab.experiments.networks import evaluate, play
 from lab.experiments.runner import Design, Part
-from lab.experiments.training import Record, StoredRow, TrainingJob, counters
+from lab.experiments.training import Record, StoredRow, TrainingJob, counters, results
 from spikedeploy import envs, zoo
 from spikedeploy.envs.kart.gap import GapDriver
-from spikedeploy.files import as_text, read_json, write_text
+from spikedeploy.files import read_json, replacing
 from spikedeploy.jobs.pool import cores
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.run_record import checked_record
@@ -66,6 +67,8 @@ _QUICK = (
     "steps=64", "horizon=32", "env.count=2", "epochs=1", "minibatch=32", "critic_hidden=[8]",
     "validation.every=64", "validation.episodes=2", "validation.limit=10", "checkpoint_every=64",
 )  # fmt: skip
+FIRST, NTH = "first_finish", f"finish_{COUNT}"
+HELD = f"greedy_{GREEDY:.0%}".removesuffix("%")
 Steps = NDArray[np.float64]
 
 
@@ -151,77 +154,50 @@ class KartTraining(TrainingJob):
             raise ConfigError(f"{path} is missing: put it back, or train again")
         return path
 
-    @property
-    def file(self) -> Path:
-        """The file with the evaluation."""
-        return (self.run or Path()) / "evaluation.json"
+    def stored(self) -> list[StoredRow]:
+        """The evaluation, made with the steps, episodes and chip that it must have been."""
+        steps = counters(self.run).get("env_steps") if self.run else None
+        made = {"env_steps": steps, "episodes": self.episodes, "chip": self.chip}
+        trial = {"recipe": self.recipe, "seed": self.seed}
+        file = (self.run or Path()) / "evaluation.json"
+        return [StoredRow(file, made, self._evaluate, {"trial": trial}, "")]
 
     @property
     def evaluation(self) -> Record | None:
         """The evaluation; None where it is missing, or was made with other steps or episodes."""
-        if self.run is None or not self.file.is_file() or not self.is_trained:
-            return None
-        found, trial = read_json(self.file), {"recipe": self.recipe, "seed": self.seed}
-        made = found.get("of"), found.get("trial")
-        return found if made == (self.evaluated_with, trial) else None
+        return next(results(self.stored() if self.is_trained else ()), None)
 
-    @property
-    def evaluated_with(self) -> Record:
-        """The steps, episodes and chip that an evaluation must have been made with."""
-        steps = counters(self.run).get("env_steps") if self.run else None
-        return {"env_steps": steps, "episodes": self.episodes, "chip": self.chip}
-
-    @property
-    def is_done(self) -> bool:
-        """Return whether it is trained and evaluated."""
-        return self.evaluation is not None
-
-    def perform(self) -> bool:
-        """Train, export and evaluate, as far as it is missing; False if it was interrupted."""
-        if not self.complete():
-            return False
-        if not self.is_done:
-            self._evaluate()
-        return True
-
-    def _evaluate(self) -> None:
+    def _evaluate(self) -> Record:
         """Export the policy and evaluate it, a spiking one also on its chip."""
         from spikedeploy.shipping.export_run import export_run
 
-        run, config = self.run, self.config
-        assert run is not None
+        run, config = self.existing_run, self.config
         exported = export_run(str(run), "onnx" if config.policy.kind == "mlp" else "nir")
         if failed := [check.name for check in exported.checks if not check.passed]:
             raise SpikedeployError(
                 f"{exported.path} does not do what {run} does: {', '.join(failed)}"
             )
         world, file = config.env, str(exported.path)
-        found = {
-            "of": self.evaluated_with,
-            "trial": {"recipe": self.recipe, "seed": self.seed},
+        return {
             "parameters": sum(weights.numel() for weights in load_policy(run).parameters()),
             "rows": evaluate(world.name, world.options, file, self.episodes, self.chip),
         }
-        write_text(self.file, as_text(found))
 
     # on every track
 
     @property
     def exported(self) -> Path | None:
         """The exported policy; None where it is missing or not complete."""
-        if self.run is None or not self.is_done:
+        if self.run is None or self.evaluation is None:
             return None
         files = (self.run / f"policy{ending}" for ending in (".onnx", ".nir"))
         return next((file for file in files if file.is_file()), None)
 
-    def tracks(self, starts: int) -> StoredRow | None:
-        """The finishes on all tracks; None before the training is complete."""
+    def tracks(self, starts: int) -> list[StoredRow]:
+        """The finishes on all tracks."""
         file = self.exported
-        if file is None or self.run is None:
-            return None
-        digest = zoo.sha256(file)
-        made = _tracks_made(starts) | {"policy": digest, "chip": self.chip}
-        return StoredRow(self.run / "tracks.json", made)
+        made = {"policy": file and zoo.sha256(file), "chip": self.chip}
+        return [_track_row((self.run or Path()) / "tracks.json", self, starts, made)]
 
     @property
     def options(self) -> Mapping[str, Any]:
@@ -253,6 +229,8 @@ class Script:
     folder: str
     episodes: int
 
+    preset: ClassVar[str] = DEFAULT
+    seed: ClassVar[None] = None
     options: ClassVar[Mapping[str, Any]] = {}
 
     @property
@@ -260,30 +238,22 @@ class Script:
         """`kart-grid-gap`."""
         return f"{self.world}-{self.policy}"
 
-    @property
-    def file(self) -> Path:
-        """The file with the evaluation."""
-        return Path(self.folder) / f"{self.name}.json"
+    def stored(self) -> list[StoredRow]:
+        """The evaluation."""
+        file = Path(self.folder) / f"{self.name}.json"
+        return [StoredRow(file, {"episodes": self.episodes}, self._evaluate, under="")]
 
     @property
     def evaluation(self) -> Record | None:
         """The evaluation; None where it is missing, or has another number of episodes."""
-        found = read_json(self.file) if self.file.is_file() else {}
-        return found if found.get("of") == {"episodes": self.episodes} else None
+        return next(results(self.stored()), None)
 
-    @property
-    def is_done(self) -> bool:
-        """Return whether it is evaluated."""
-        return self.evaluation is not None
+    def _evaluate(self) -> Record:
+        return {"rows": evaluate(self.world, {}, self.policy, self.episodes, None)}
 
-    def perform(self) -> None:
-        """Evaluate it."""
-        rows = evaluate(self.world, {}, self.policy, self.episodes, None)
-        write_text(self.file, as_text({"of": {"episodes": self.episodes}, "rows": rows}))
-
-    def tracks(self, starts: int) -> StoredRow:
+    def tracks(self, starts: int) -> list[StoredRow]:
         """The finishes on all tracks."""
-        return StoredRow(Path(self.folder) / f"{self.name}-tracks.json", _tracks_made(starts))
+        return [_track_row(Path(self.folder) / f"{self.name}-tracks.json", self, starts, {})]
 
     def driver(self, options: Mapping[str, Any]) -> BatchController:
         """The script, for a batch of karts."""
@@ -295,31 +265,16 @@ class Script:
         return Stateless(lambda seen: np.array([env.action_space.sample() for _ in seen]))
 
 
-def _tracks_made(starts: int) -> Record:
-    return {"tracks": list(TRACKS), "starts": starts, "first_seed": EVALUATION}
+def _track_row(file: Path, driver: KartTraining | Script, starts: int, more: Record) -> StoredRow:
+    """Track -> whether each episode of a driver finished (n,)."""
 
+    def finished(track: str) -> list[int]:
+        options = {**driver.options, "track": track}
+        config = EnvConfig(name=driver.world, options=options)
+        return [int(i["finish"]) for i in play(config, starts, driver.driver(options)).infos]
 
-def read_tracks(driver: KartTraining | Script, starts: int) -> Mapping[str, list[int]] | None:
-    """Track -> whether each episode finished; None where an evaluation is missing."""
-    row = driver.tracks(starts)
-    return row.found if row else None
-
-
-def drive_tracks(driver: KartTraining | Script, starts: int) -> bool:
-    """Evaluate a driver on all tracks; False where its training is not complete."""
-    row = driver.tracks(starts)
-    if row is None:
-        return False
-    row.write({track: _finished(driver, track, starts) for track in TRACKS})
-    return True
-
-
-def _finished(driver: KartTraining | Script, track: str, starts: int) -> list[int]:
-    """Return whether each episode on a track finished."""
-    options = {**driver.options, "track": track}
-    config = EnvConfig(name=driver.world, options=options)
-    played = play(config, starts, driver.driver(options))
-    return [int(info["finish"]) for info in played.infos]
+    made = {"tracks": list(TRACKS), "starts": starts, "first_seed": EVALUATION, **more}
+    return StoredRow(file, made, lambda: {track: finished(track) for track in TRACKS})
 
 
 @dataclass(frozen=True)
@@ -360,21 +315,18 @@ class KartDesign(Design):
         ]
 
     def _training(self, preset: str, world: str, policy: str, seed: int) -> KartTraining:
-        recipe = f"{world}-{policy}" if preset == DEFAULT else f"{world}-{preset}-{policy}"
-        return KartTraining(
-            f"{recipe}-s{seed}", recipe, seed, self.runs, self.overrides(preset), preset=preset,
-            world=world, policy=policy, episodes=self.episodes, chip=self.chip,
-        )  # fmt: skip
+        """With the classic preset only learning counts, in kart-simulator's metric, which ends it.
 
-    def overrides(self, preset: str) -> tuple[str, ...]:
-        """Settings of the trainings of a preset.
-
-        With the classic preset only learning counts, in kart-simulator's metric: with that it ends.
         `--set stop_at_greedy=0.95` goes on until greedy episodes finish, too.
         """
+        recipe = f"{world}-{policy}" if preset == DEFAULT else f"{world}-{preset}-{policy}"
         enough = self.finishes or (COUNT if preset == CLASSIC else 0)
         quick = _QUICK if self.quick else ()
-        return (*_VALIDATION, f"stop_at_finishes={enough}", *quick, *self.settings)
+        overrides = (*_VALIDATION, f"stop_at_finishes={enough}", *quick, *self.settings)
+        return KartTraining(
+            f"{recipe}-s{seed}", recipe, seed, self.runs, overrides, preset=preset, world=world,
+            policy=policy, episodes=self.episodes, chip=self.chip,
+        )  # fmt: skip
 
     def scripts(self) -> list[Script]:
         """All evaluations of built-in policies on big_S."""
@@ -390,26 +342,20 @@ class KartDesign(Design):
 
     def parts(self) -> list[Part]:
         """All parts, the short evaluations first."""
-        scripts = [Part(s.name, partial(_is_done, s), s.perform) for s in self.scripts()]
-        trained = [Part(t.name, partial(_is_done, t), t.perform, (), t) for t in self.trainings()]
-        tracks = [
-            Part(
-                f"{each.name}-tracks",
-                partial(self._has_tracks, each),
-                partial(drive_tracks, each, self.starts),
-                [each.name],
-            )
-            for each in self.drivers()
-        ]
-        return [*scripts, *trained, *tracks]
-
-    def _has_tracks(self, driver: KartTraining | Script) -> bool:
-        return read_tracks(driver, self.starts) is not None
+        return [
+            *(Part(script.name, script.stored) for script in self.scripts()),
+            *(Part(each.name, each.stored, each) for each in self.trainings()),
+            *(
+                Part(
+                    f"{each.name}-tracks", partial(each.tracks, self.starts),
+                    of=None if isinstance(each, Script) else each, after=[each.name],
+                )
+                for each in self.drivers()
+            ),
+        ]  # fmt: skip
 
     def check(self, results: Path) -> None:
         """Refuse unknown settings, and to write over rows that the new tables would not have."""
-        from lab.experiments.kart_results import count_lost
-
         if count := count_lost(self, results / "kart"):
             raise ConfigError(
                 f"the tables of {results / 'kart.md'} have {count} rows that new ones would not, "
@@ -426,29 +372,141 @@ class KartDesign(Design):
         return write(self, results)
 
 
-def _is_done(part: KartTraining | Script) -> bool:
-    return part.is_done
+# results, a record for each training and each evaluation, also as CSV
 
 
-@dataclass(frozen=True)
-class _Peer:
-    """Steps of its networks in one world, in thousands of environment steps.
+def learning(design: KartDesign) -> list[Record]:
+    """A record for each complete training: steps to the first and 300th finish, and greedily."""
+    found = []
+    for training in (each for each in design.trainings() if each.is_trained):
+        ends = training.finishes.tolist()
+        found.append(
+            {
+                **_identity(training),
+                "env_steps": training.env_steps,
+                "finishes": len(ends),
+                FIRST: float(ends[0]) if ends else math.inf,
+                NTH: float(ends[COUNT - 1]) if len(ends) >= COUNT else math.inf,
+                HELD: training.steps_to_greedy(GREEDY),
+            }
+        )
+    return found
 
-    first  policy -> to the first finish of training
-    nth    policy -> to the 300th
+
+def each_finish(design: KartDesign) -> list[Record]:
+    """A record for each finish of each complete training on big_S, up to COUNT."""
+    return [
+        {"recipe": t.recipe, "seed": t.seed, "finish": n, "env_steps": steps}
+        for t in design.trainings()
+        if t.is_trained and t.preset in LEARNING
+        for n, steps in enumerate(map(int, t.finishes[:COUNT]), start=1)
+    ]
+
+
+def count_lost(design: KartDesign, folder: Path) -> int:
+    """The number of rows of earlier tables that are not among those of the design.
+
+    folder  of learning.csv, driving.csv and tracks.csv
     """
-
-    first: Mapping[str, int]
-    nth: Mapping[str, int]
-
-    @property
-    def share(self) -> float:
-        """Steps of the ANN / steps of the SNN."""
-        return self.nth["ann"] / self.nth["snn"]
+    made = {"learning": _trained, "driving": driving, "tracks": heldout}
+    return sum(
+        len(_keys(_read_csv(table)) - _keys(records(design)))
+        for name, records in made.items()
+        if (table := folder / f"{name}.csv").is_file()
+    )
 
 
-PEERS = {
-    "kart-grid": _Peer({"ann": 141, "snn": 175}, {"ann": 402, "snn": 406}),
-    "kart-gazebo": _Peer({"ann": 82, "snn": 22}, {"ann": 431, "snn": 507}),
-    "kart-steer": _Peer({"ann": 156, "snn": 441}, {"ann": 724, "snn": 957}),
+def _trained(design: KartDesign) -> list[Record]:
+    """Complete trainings; their episodes, which are many, are not read."""
+    return [_identity(training) for training in design.trainings() if training.is_trained]
+
+
+def _keys(rows: Iterable[Mapping[str, Any]]) -> set[tuple[str, ...]]:
+    """Keys of the rows of a table, as they stand in it."""
+    names = ("world", "preset", "policy", "seed", "chip", "track")
+    return {tuple("" if row.get(n) is None else str(row[n]) for n in names) for row in rows}
+
+
+def _read_csv(table: Path) -> list[dict[str, str]]:
+    try:
+        with table.open(newline="", encoding="utf-8") as file:
+            return list(csv.DictReader(file))
+    except (OSError, ValueError, csv.Error) as error:
+        raise ConfigError(f"{table} is damaged ({error}): put it back, or move it away") from error
+
+
+_FIELDS = (
+    "chip", "episodes", "success_rate", "lap_time", "crashes", "stalls", "gates", "return_mean",
+    "success_difference_mean", "actions_equal", "sparsity", "spikes_per_inference",
+    "sops_per_inference", "effective_macs", "macs_dense",
+)  # fmt: skip
+
+
+def driving(design: KartDesign) -> list[Record]:
+    """A record for each row of each complete evaluation."""
+    found = []
+    drivers: list[KartTraining | Script] = [*design.trainings(), *design.scripts()]
+    for part in drivers:
+        if (evaluation := part.evaluation) is not None:
+            with checked_record(part.stored()[0].file):
+                about = _identity(part) | {"parameters": None}
+                if not isinstance(part, Script):
+                    about["parameters"] = evaluation["parameters"]
+                found += [about | _driven(row) for row in evaluation["rows"]]
+    return found
+
+
+def _driven(row: Mapping[str, Any]) -> Record:
+    energies, bounds = row["energy_per_inference_j"], row.get("energy_interval_j", {})
+    spikes = row.get("sops_per_inference") is not None
+    lower = [n for n, joules in energies.items() if not spikes and bounds.get(n) == [joules, None]]
+    return {
+        **{field: row.get(field) for field in _FIELDS},
+        "energies_at_least": " ".join(lower),
+        **{f"energy_{table}_j": joules for table, joules in energies.items()},
+    }
+
+
+def heldout(design: KartDesign) -> list[Record]:
+    """A record for each driver and track; `finished` (n,) of its starts."""
+    return [
+        {
+            **_identity(driver),
+            "chip": getattr(driver, "chip", None) if driver.policy == "snn" else None,
+            "track": track,
+            "unseen": track in UNSEEN,
+            "finished": each,
+        }
+        for driver in design.drivers()
+        for found in results(driver.tracks(design.starts))
+        for track, each in found.items()
+    ]
+
+
+def _identity(part: KartTraining | Script) -> Record:
+    return {name: getattr(part, name) for name in ("world", "preset", "policy", "seed")}
+
+
+def write_csv(rows: Sequence[Record], path: Path) -> Path:
+    """Write the rows; missing fields stay empty, and finished episodes are a row of 1 and 0."""
+
+    def cell(value: object) -> object:
+        if isinstance(value, list):
+            return "".join(map(str, value))
+        return f"{value:.10g}" if isinstance(value, float) else value
+
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, names)
+        writer.writeheader()
+        writer.writerows({name: cell(value) for name, value in row.items()} for row in rows)
+    return path
+
+
+# kart-simulator's thousands of environment steps, by its README: policy -> to the first finish of
+# training, and to the 300th
+PEERS: dict[str, dict[str, tuple[int, int]]] = {
+    "kart-grid": {"ann": (141, 402), "snn": (175, 406)},
+    "kart-gazebo": {"ann": (82, 431), "snn": (22, 507)},
+    "kart-steer": {"ann": (156, 724), "snn": (441, 957)},
 }

@@ -15,9 +15,12 @@ from lab.experiments.kart import (
     CORRIDOR,
     COUNT,
     DEFAULT,
+    FIRST,
     GREEDY,
+    HELD,
     LEARNING,
     NETWORKS,
+    NTH,
     PEERS,
     POLICIES,
     PRESETS,
@@ -27,11 +30,6 @@ from lab.experiments.kart import (
     KartDesign,
     KartTraining,
     Steps,
-)
-from lab.experiments.kart_results import (
-    FIRST,
-    HELD,
-    NTH,
     driving,
     each_finish,
     heldout,
@@ -55,8 +53,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Lines = list[list[str]]
-
 
 def write(design: KartDesign, results: Path) -> list[Path]:
     """Write page, tables and picture of the complete parts; return the files."""
@@ -77,12 +73,15 @@ def write(design: KartDesign, results: Path) -> list[Path]:
         design=design,
         missing=_missing(design),
         verdicts="\n".join(said),
-        learning={preset: learning_table(_of_preset(learned, preset)) for preset in PRESETS},
-        driving={preset: _driving_table(_of_preset(driven, preset)) for preset in PRESETS},
-        chip={preset: _chip_table(_of_preset(driven, preset)) for preset in PRESETS},
-        tracks=heldout_table(tracks),
+        learned={preset: _of_preset(learned, preset) for preset in PRESETS},
+        driven={preset: _of_preset(driven, preset) for preset in PRESETS},
+        prices=_prices,
+        tracks=list(_heldout_rows(tracks)),
         facts="\n".join(_facts(design)),
-        **{"COUNT": COUNT, "GREEDY": GREEDY, "UNSEEN": UNSEEN},
+        **{"COUNT": COUNT, "GREEDY": GREEDY, "UNSEEN": UNSEEN, "TRACKS": TRACKS, "WORLDS": WORLDS},
+        **{"POLICIES": POLICIES, "PEERS": PEERS, "FIRST": FIRST, "NTH": NTH, "HELD": HELD},
+        **{"of": of, "steps": steps, "share": share, "drivers": _drivers, "on_chip": on_chip},
+        **{"median": _median, "joules": _joules, "cell": _cell, "FLOAT": FLOAT},
     )
     return [page, *files, shown]
 
@@ -91,13 +90,18 @@ def _of_preset(rows: Iterable[Record], preset: str) -> list[Record]:
     return [row for row in rows if row["preset"] == preset]
 
 
+def _prices(rows: Iterable[Record]) -> list[str]:
+    return list(dict.fromkeys(name for row in rows for name in row if name.startswith("energy_")))
+
+
 def _missing(design: KartDesign) -> str:
     """How many parts are complete, and of what trainings are not; empty where all are."""
     parts = design.parts()
-    done = sum(part.is_done() for part in parts)
+    done = sum(part.is_done for part in parts)
     if done == len(parts):
         return ""
-    left = Counter(f"{t.preset} {t.policy}" for t in design.trainings() if not t.is_done)
+    lack = [t for t in design.trainings() if t.evaluation is None]
+    left = Counter(f"{t.preset} {t.policy}" for t in lack)
     text = f"**{done} of {len(parts)} parts are complete.**"
     missing = ", ".join(f"{name} {count}" for name, count in left.items())
     return f"{text} Trainings that are missing: {missing}." if left else text
@@ -115,9 +119,7 @@ def _facts(design: KartDesign) -> Iterator[str]:
     files = [t.run / "versions.json" for t in trainings if t.run and t.is_trained]
     yield from versions_at_start(versions_text(read_json(file)) for file in files if file.is_file())
     yield from (f"- `--set {setting}`" for setting in design.settings)
-    yield from pages.other_settings(
-        trainings, "✗ {} was trained with other settings than its recipe has now: "
-    )
+    yield from pages.other_settings(trainings, pages.CHANGED)
     yield (
         "- every number: [learning.csv](kart/learning.csv), [driving.csv](kart/driving.csv), "
         "[tracks.csv](kart/tracks.csv), [finishes.csv](kart/finishes.csv)"
@@ -139,9 +141,6 @@ def _end(trainings: Sequence[KartTraining], preset: str) -> str:
     return f"- {preset}: a training ends with{early} its budget of environment steps: {budgets}"
 
 
-# learning, driving, the chip
-
-
 def of(rows: Iterable[Record], world: str, policy: str, **more: object) -> list[Record]:
     """The rows of a policy in a world, and with the other fields that are given."""
     wanted = {"world": world, "policy": policy, **more}
@@ -151,91 +150,6 @@ def of(rows: Iterable[Record], world: str, policy: str, **more: object) -> list[
 def on_chip(rows: Iterable[Record], world: str) -> list[Record]:
     """The spiking policies of a world where they ran on a chip."""
     return [row for row in of(rows, world, "snn") if row["chip"] != FLOAT]
-
-
-def learning_table(rows: Sequence[Record]) -> Lines:
-    """Steps to the first and to the 300th finish, and until greedy episodes finish.
-
-    Of corridors, which kart-simulator has no figures of, without its columns.
-    """
-    beside = not any(row["preset"] == CORRIDOR for row in rows)
-    own = ["first finish", f"{COUNT} finishes", "% of ANN"]
-    heads = [*own, f"greedy {GREEDY:.0%}", "% of ANN"]
-    theirs = [f"kart-simulator: {head}" for head in own if beside]
-    lines = [["world", "policy", "seeds", *heads, *theirs]]
-    for world in WORLDS:
-        for policy in POLICIES:
-            found = of(rows, world, policy)
-            lines.append(
-                [
-                    world,
-                    policy,
-                    f"{len(found)}",
-                    steps(found, FIRST),
-                    steps(found, NTH),
-                    percent_of_ann(rows, world, policy, NTH),
-                    steps(found, HELD),
-                    percent_of_ann(rows, world, policy, HELD),
-                    *(_peer(world, policy) if beside else ()),
-                ]
-            )
-    return lines
-
-
-def _peer(world: str, policy: str) -> list[str]:
-    """kart-simulator's steps to the first and 300th finish, and its SNN's share of its ANN."""
-    peer = PEERS[world]
-    if policy not in peer.first:
-        return 3 * [ABSENT]
-    share = f"{peer.share:.1%}" if policy == "snn" else ABSENT
-    return [f"{peer.first[policy]}k", f"{peer.nth[policy]}k", share]
-
-
-def _driving_table(rows: Sequence[Record]) -> Lines:
-    """Greedy episodes of all policies, medians over the trainings."""
-    prices = list(dict.fromkeys(key for row in rows for key in row if key.startswith("energy_")))
-    heads = {
-        "parameters": ("parameters", ",.0f"),
-        "finished": ("success_rate", ".0%"),
-        "lap [s]": ("lap_time", ".2f"),
-        "crashes": ("crashes", ".0%"),
-        "sparsity": ("sparsity", ".1%"),
-        "spikes": ("spikes_per_inference", ",.0f"),
-        "SOPs": ("sops_per_inference", ",.0f"),
-        "MACs": ("effective_macs", ",.0f"),
-    }
-    energies = [price.removeprefix("energy_").removesuffix("_j") for price in prices]
-    lines = [["world", "policy", "seeds", *heads, *energies]]
-    for world in WORLDS:
-        for label, found in _drivers(rows, world):
-            cells = [
-                _range(found, *how) if head == "finished" else _middle(found, *how)
-                for head, how in heads.items()
-            ]
-            joules = [_joules(found, price) for price in prices]
-            lines.append([world, label, f"{len(found)}", *cells, *joules])
-    return lines
-
-
-def _chip_table(rows: Sequence[Record]) -> Lines:
-    """Every spiking policy on the chip, beside its float twin on the same starts."""
-    lines = [["world", "seed", "float twin", "on the chip", "points", "same action"]]
-    for world in WORLDS:
-        twins = {row["seed"]: row for row in of(rows, world, "snn", chip=FLOAT)}
-        lines += [_beside(row, twins[row["seed"]]) for row in on_chip(rows, world)]
-    return lines
-
-
-def _beside(row: Record, twin: Record) -> list[str]:
-    """A spiking policy on the chip beside its float twin."""
-    return [
-        row["world"],
-        f"{row['seed']}",
-        f"{twin['success_rate']:.0%}",
-        f"{row['success_rate']:.0%}",
-        f"{100 * row['success_difference_mean']:+.0f}",
-        f"{row['actions_equal']:.1%}",
-    ]
 
 
 def steps(rows: Sequence[Record], field: str) -> str:
@@ -299,14 +213,6 @@ def share(
     return AnnShare(ratio_of(np.median, top, bottom), bound)
 
 
-def percent_of_ann(
-    rows: Sequence[Record], world: str, policy: str = "snn", field: str = NTH
-) -> str:
-    """`share` in percent, with its interval; a dash for the ANN itself."""
-    found = share(rows, world, policy, field)
-    return ABSENT if policy == "ann" or found is None else str(found)
-
-
 def _drivers(rows: Sequence[Record], world: str) -> Iterator[tuple[str, list[Record]]]:
     """Label and rows: networks, then controls, then built-in policies."""
     order = {policy: place for place, policy in enumerate(POLICIES)}
@@ -320,18 +226,14 @@ def _values(rows: Sequence[Record], field: str) -> list[float]:
     return [row[field] for row in rows if row.get(field) is not None]
 
 
-def _middle(rows: Sequence[Record], field: str, form: str) -> str:
-    """The median of the rows that have the field."""
+def _median(rows: Sequence[Record], field: str, form: str, with_range: bool = False) -> str:
+    """The median of the rows that have the field, and [least, most] of several."""
     values = _values(rows, field)
-    return format(float(np.median(values)), form) if values else ABSENT
-
-
-def _range(rows: Sequence[Record], field: str, form: str) -> str:
-    """The median [least, most]; a single value without a range."""
-    values, middle = _values(rows, field), _middle(rows, field, form)
-    if len(values) < 2:
-        return middle
-    return f"{middle} [{format(min(values), form)}, {format(max(values), form)}]"
+    if not values:
+        return ABSENT
+    middle = format(float(np.median(values)), form)
+    ends = f" [{format(min(values), form)}, {format(max(values), form)}]"
+    return middle + (ends if with_range and len(values) > 1 else "")
 
 
 def _joules(rows: Sequence[Record], price: str) -> str:
@@ -344,41 +246,25 @@ def _joules(rows: Sequence[Record], price: str) -> str:
 # held-out tracks
 
 _TRAINED_ON = {DEFAULT: "big_S", CORRIDOR: "corridor-8"}
-_RESAMPLES = 10_000
-
-Shares = NDArray[np.float64]
 
 
-def heldout_table(rows: Sequence[Record]) -> Lines:
-    """The share of starts that finish, each driver on each track."""
-    lines = [["world", "trained on", "driver", "seeds", *TRACKS]]
+def _heldout_rows(rows: Sequence[Record]) -> Iterator[tuple[str, str, str, list[Record]]]:
+    """World, track that was trained on, driver, and the rows of its trainings."""
     for world in WORLDS:
         for preset in (CORRIDOR, DEFAULT):
             for policy in POLICIES:
                 if found := of(rows, world, policy, preset=preset):
                     chip = found[0]["chip"]
                     label = f"{policy} · {chip}" if chip else policy
-                    lines.append([world, _TRAINED_ON[preset], label, *_cells(found)])
-        for script in dict.fromkeys(
-            row["policy"] for row in rows if row["seed"] is None and row["world"] == world
-        ):
-            lines += [[world, ABSENT, script, *_cells(of(rows, world, script))]]
-    return lines
+                    yield world, _TRAINED_ON[preset], label, found
+        scripts = (row["policy"] for row in rows if row["seed"] is None and row["world"] == world)
+        for script in dict.fromkeys(scripts):
+            yield world, ABSENT, script, of(rows, world, script)
 
 
-def _cells(rows: Sequence[Record]) -> list[str]:
-    """Number of trainings, then the share on each track."""
-    trainings = {row["seed"] for row in rows} - {None}
-    cells = [_cell([row for row in rows if row["track"] == track]) for track in TRACKS]
-    return [f"{len(trainings)}" if trainings else ABSENT, *cells]
-
-
-def _cell(rows: Sequence[Record]) -> str:
-    if not rows:
-        return ABSENT
-    found = finish_share([row["finished"] for row in rows])
-    low, high = found.ci95
-    return f"{found.mean:.0%} [{100 * low:.0f}, {100 * high:.0f}]"
+def _cell(rows: Sequence[Record], track: str) -> str:
+    finished = [row["finished"] for row in rows if row["track"] == track]
+    return pages.percent(finish_share(finished)) if finished else ABSENT
 
 
 def finish_share(finished: Sequence[Sequence[int]]) -> Estimate:
@@ -393,9 +279,9 @@ def finish_share(finished: Sequence[Sequence[int]]) -> Estimate:
     return nested_ratio(each, np.ones(each.shape[1]))
 
 
-def on_unseen(rows: Sequence[Record], world: str, policy: str, preset: str = CORRIDOR) -> Shares:
-    """The mean share (S,) over the unseen tracks, of each training; one of a script."""
-    found = [r for r in of(rows, world, policy, preset=preset) if r["unseen"]]
+def _on_unseen(rows: Sequence[Record], world: str, policy: str) -> NDArray[np.float64]:
+    """The mean share (S,) over the unseen tracks, of each training in corridors."""
+    found = [r for r in of(rows, world, policy, preset=CORRIDOR) if r["unseen"]]
     return np.array(
         [
             np.mean([np.mean(r["finished"]) for r in found if r["seed"] == seed])
@@ -431,7 +317,7 @@ def _finishes(rows: Sequence[Record], where: str, world: str, policy: str) -> li
     found = of(rows, world, policy)
     if not found:
         return []
-    limit, median = 1000 * PEERS[world].nth[policy], float(np.median([row[NTH] for row in found]))
+    limit, median = 1000 * PEERS[world][policy][1], float(np.median([row[NTH] for row in found]))
     known = math.isfinite(median)
     text = f"{median / 1000:,.0f}k steps" if known else "more steps than it was trained"
     # of a training that ended without, it is only known that it takes longer
@@ -483,7 +369,7 @@ def heldout_verdicts(rows: Sequence[Record]) -> list[str]:
     """On tracks that nothing was trained on: networks beside the script, the SNN beside the ANN."""
     lines = []
     for world in WORLDS:
-        shares = {policy: on_unseen(rows, world, policy) for policy in NETWORKS}
+        shares = {policy: _on_unseen(rows, world, policy) for policy in NETWORKS}
         script = [
             np.mean(row["finished"])
             for row in rows
@@ -547,7 +433,7 @@ def _panel(axes: "Axes", design: KartDesign, preset: str, world: str) -> None:
             lengths = [float(each.env_steps) for each in trained]
             _curve(axes, [each.finishes for each in trained], lengths, policy)
         axes.plot(
-            1000 * PEERS[world].nth[policy], COUNT, "x", color=_COLOURS[policy], clip_on=False,
+            1000 * PEERS[world][policy][1], COUNT, "x", color=_COLOURS[policy], clip_on=False,
             zorder=5, label=f"kart-simulator's {policy.upper()}",
         )  # fmt: skip
     axes.set_title(f"{world}, {preset}", loc="left", fontsize=11, pad=10)

@@ -40,7 +40,7 @@ def pack(runs: Path, archives: Path) -> list[Path]:
     scripts = (runs / f"{part.name}{end}.json" for part in design.scripts() for end in _ENDS)
     files = {_SCRIPTS: [file for file in scripts if file.is_file()]}
     for trial in design.trainings():
-        if trial.is_done:
+        if trial.evaluation is not None:
             files.setdefault(trial.recipe, []).extend(_files(trial))
     written = {archives / f"{name}.zip": sorted(found) for name, found in files.items() if found}
     for archive, found in written.items():

@@ -11,26 +11,26 @@ import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeGuard
+from typing import Any, ClassVar
 
 import numpy as np
 
 from lab.experiments import pages
 from lab.experiments.fronts import read_table as read_pareto
 from lab.experiments.networks import evaluate
-from lab.experiments.pages import mean, versions_at_start, versions_text
+from lab.experiments.pages import grouped, mean, percent, releases, versions_at_start, versions_text
 from lab.experiments.ratios import nested_ratio
 from lab.experiments.runner import Design, Part, command_line
 from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows
 from spikedeploy import zoo
-from spikedeploy.comparison.statistics import Estimate, stratified
+from spikedeploy.comparison.statistics import stratified
 from spikedeploy.files import read_json
-from spikedeploy.reports.table import ABSENT, write_rows
+from spikedeploy.reports.table import write_rows
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.trainers.recipes import RECIPES
-from spikedeploy.trainers.versions import own
 
 TABLE = "lineup.csv"
 _NARROW = "-256"  # ending of a PopSAN with half the neurons in each layer, which is not shipped
@@ -157,43 +157,25 @@ class LineupDesign(Design):
 
     def parts(self) -> list[Part]:
         """Each policy with a seed: its training and its evaluation."""
-        return [self._part(member) for member in self.members()]
-
-    def _part(self, member: Member) -> Part:
-        def perform() -> bool:
-            if member.training is not None and not member.training.complete():
-                return False
-            if self.result(member) is None:
-                self._stored(member).write(self._evaluate(member))
-            return True
-
-        return Part(
-            member.name, lambda: self.result(member) is not None, perform, (), member.training
-        )
+        return [
+            Part(member.name, partial(self._rows, member), member.training)
+            for member in self.members()
+        ]
 
     # rows
 
-    def _stored(self, member: Member) -> StoredRow:
+    def _rows(self, member: Member) -> list[StoredRow]:
         """The row of a policy that is there."""
-        if member.training is None:
-            policy = zoo.sha256(member.shipped)
-        else:
-            policy = zoo.sha256(member.training.existing_run / "checkpoints" / "best.safetensors")
-        made = {"policy": policy, "episodes": self.episodes, "chip": self.chip}
-        return StoredRow(Path(self.runs) / "evaluations" / f"{member.name}.json", made)
-
-    def result(self, member: Member) -> Record | None:
-        """The result; None where the policy is not trained yet, or not evaluated."""
-        if member.training is not None and not member.training.is_trained:
-            return None
-        stored = self._stored(member)
-        row = stored.found
-        if row is not None and not (has_fields(row) and key(row) == member.key):
-            raise ConfigError(f"{stored.file} is damaged: put it back, or move it away")
-        return row
+        weights = member.training.checkpoint() if member.training else member.shipped
+        made = {"policy": zoo.sha256(weights), "episodes": self.episodes, "chip": self.chip}
+        file = Path(self.runs) / "evaluations" / f"{member.name}.json"
+        return [StoredRow(file, made, partial(self._evaluate, member))]
 
     def _evaluate(self, member: Member) -> Record:
-        *_, row = evaluate(member.env, {}, _file(member), self.episodes, self.chip)
+        file = str(member.shipped)
+        if member.training is not None:
+            file = runnable(str(member.training.existing_run))
+        *_, row = evaluate(member.env, {}, file, self.episodes, self.chip)
         about = {"env": member.env, "policy": member.policy, "seed": member.seed}
         about |= {"shipped": member.training is None, "kind": zoo.card(member.like)["kind"]}
         numbers = {name: row[name] for name in _FIELDS if row.get(name) is not None}
@@ -201,10 +183,16 @@ class LineupDesign(Design):
         return about | numbers | {"returns": row["returns"], "successes": successes}
 
     def all_rows(self) -> Iterator[Record]:
-        """The results so far."""
-        for member in self.members():
-            if (row := self.result(member)) is not None:
-                yield row | {"versions": _versions(member)}
+        """The results so far; ConfigError where one is damaged."""
+        for member, part in zip(self.members(), self.parts(), strict=True):
+            for row in part.found:
+                if not (has_fields(row) and key(row) == member.key):
+                    file = self._rows(member)[0].file
+                    raise ConfigError(f"{file} is damaged: put it back, or move it away")
+                versions = zoo.card(member.like)["versions"]
+                if member.training is not None:
+                    versions = read_json(member.training.existing_run / "versions.json")
+                yield row | {"versions": versions_text(versions)}
 
     def read_kept(self, table: Path) -> list[Record]:
         """The rows of the table so far; ConfigError where they cannot stand beside its own.
@@ -222,8 +210,9 @@ class LineupDesign(Design):
                 )
         return rows
 
-    def write_table(self, table: Path) -> None:
-        """Write the complete rows, and those of the table so far that have no new one."""
+    def write(self, results: Path) -> list[Path]:
+        """Write page and table of the complete rows; return the files, the page first."""
+        table = results / TABLE
         new, old = list(self.all_rows()), self.read_kept(table)
         here = {key(row) for row in new}
         rows = [*new, *(row for row in old if key(row) not in here)]
@@ -235,10 +224,33 @@ class LineupDesign(Design):
             _COLUMNS,
             table,
         )
+        # as they stand in the table, so that the page can be written again from it
+        rows = read_table(table)
+        page, shown = pages.write_page(
+            results / "lineup.md",
+            {},
+            command=command_line(),
+            quick=self.quick,
+            missing=self._missing(rows),
+            tasks={
+                env: _task(env, rows, results / "pareto" / f"{env}.csv", self.episodes)
+                for env in dict.fromkeys(row["env"] for row in rows)
+            },
+            versions=[f"- {releases()}", *versions_at_start(row["versions"] for row in rows)],
+        )
+        return [page, table, shown]
 
-    def write(self, results: Path) -> list[Path]:
-        """Write page, tables and pictures of what is complete; return the files."""
-        return _write(self, results)
+    def _missing(self, rows: Sequence[Record]) -> str:
+        """The trainings that have no row; empty where there are none."""
+        there = {key(row) for row in rows}
+        lack = [member for member in self.members() if member.key not in there]
+        found = [
+            f"{env}: {', '.join(f'{name} {count}' for name, count in counts.items())}"
+            for env in self.tasks
+            if (counts := Counter(member.policy for member in lack if member.env == env))
+        ]
+        text = f"**Trainings that are missing, or were not evaluated: {'; '.join(found)}.**"
+        return text if lack else ""
 
 
 def _distilled(env: str) -> dict[str, dict[str, Any]]:
@@ -268,23 +280,24 @@ def _teacher(card: Mapping[str, Any]) -> str:
 
 def has_fields(row: Record) -> bool:
     """Return whether a row has what the page is made of."""
-    returns, successes, count = row.get("returns"), row.get("successes"), row.get("episodes")
+
+    def is_list(values: object) -> bool:
+        if not isinstance(values, list) or len(values) != row.get("episodes"):
+            return False
+        return all(isinstance(each, int | float) for each in values)
+
     return (
         all(isinstance(row.get(name), str) for name in ("env", "policy", "kind"))
         and isinstance(row.get("seed"), int)
         and isinstance(row.get("return_mean"), int | float)
         and all(isinstance(row.get(name, 0.0) or 0.0, int | float) for name in _COUNTS)
-        and all(_numbers(each) and len(each) == count for each in (returns, successes))
+        and all(is_list(row.get(name)) for name in ("returns", "successes"))
     )
 
 
 def key(row: Record) -> tuple[str, str, int]:
     """Environment, policy and seed: what tells rows apart."""
     return row["env"], row["policy"], row["seed"]
-
-
-def _numbers(values: object) -> TypeGuard[list[float]]:
-    return isinstance(values, list) and all(isinstance(each, int | float) for each in values)
 
 
 def read_table(table: Path) -> list[Record]:
@@ -299,70 +312,41 @@ def read_table(table: Path) -> list[Record]:
     return rows
 
 
-def _versions(member: Member) -> str:
-    """Versions when the training began."""
-    if member.training is None or member.training.run is None:
-        return versions_text(zoo.card(member.like)["versions"])
-    return versions_text(read_json(member.training.run / "versions.json"))
-
-
-def _file(member: Member) -> str:
-    """The policy's file: the shipped one, or what is exported from the run."""
-    if member.training is None:
-        return str(member.shipped)
-    return runnable(str(member.training.existing_run))
-
+# the page
 
 _SPARSE = "sparse-gated"
-
-
-def _write(design: LineupDesign, results: Path) -> list[Path]:
-    """Write page and table of the complete rows; return the files, the page first."""
-    table = results / TABLE
-    design.write_table(table)
-    # as they stand in the table, so that the page can be written again from it
-    rows = read_table(table)
-    page, shown = pages.write_page(
-        results / "lineup.md",
-        {},
-        command=command_line(),
-        quick=design.quick,
-        missing=_missing(design, rows),
-        tasks={
-            env: _task(env, rows, results / "pareto" / f"{env}.csv", design.episodes)
-            for env in dict.fromkeys(row["env"] for row in rows)
-        },
-        versions=[f"- spikedeploy {own()}", *versions_at_start(row["versions"] for row in rows)],
-    )
-    return [page, table, shown]
 
 
 def _task(env: str, rows: Sequence[Record], sparse: Path, episodes: int) -> Record:
     """Facts that the template shows of a task; sparse: the table of the pareto experiment."""
     shown = [row for row in rows if row["env"] == env]
-    shown += sparse_rows(env, sparse, episodes) if sparse.is_file() else []
+    shown += _sparse_rows(env, sparse, episodes) if sparse.is_file() else []
+    returns = {policy: [row["returns"] for row in of] for policy, of in grouped(shown, "policy")}
     return {
         "teachers": teachers(env),
-        "table": table(shown),
-        "verdicts": "\n".join(f"- {line}" for line in verdicts(shown)),
+        "policies": [_facts(policy, of, returns) for policy, of in grouped(shown, "policy")],
+        "verdicts": "\n".join(f"- {line}" for line in _verdicts(shown, returns)),
     }
 
 
-def _missing(design: LineupDesign, rows: Sequence[Record]) -> str:
-    """The trainings that have no row; empty where there are none."""
-    there = {key(row) for row in rows}
-    lack = [member for member in design.members() if member.key not in there]
-    if not lack:
-        return ""
-    found = [
-        f"{env}: {', '.join(f'{name} {count}' for name, count in counts.items())}"
-        for env in design.tasks
-        if (counts := Counter(member.policy for member in lack if member.env == env))
-    ]
-    return f"**Trainings that are missing, or were not evaluated: {'; '.join(found)}.**"
+def _facts(policy: str, rows: Sequence[Record], returns: Mapping[str, Any]) -> Record:
+    """Facts on a policy in all its trainings."""
+    means, mine, teacher = [row["return_mean"] for row in rows], returns[policy], returns.get("sac")
+    spikes = rows[0]["kind"] == "snn"
+    successes = [row["successes"] for row in rows if row.get("successes")]
+    return {
+        "name": policy,
+        "operations": mean(rows, "sops_per_inference" if spikes else "macs_effective"),
+        "unit": "SOPs" if spikes else "MACs",
+        "found": stratified(mine, np.random.default_rng(0)),
+        "of_teacher": nested_ratio(mine, teacher) if teacher and policy != "sac" else None,
+        "shipped": next((row["return_mean"] for row in rows if row.get("shipped")), None),
+        "means": means,
+        "success": stratified(successes, np.random.default_rng(0)).mean if successes else None,
+    }
 
 
-def sparse_rows(env: str, table: Path, episodes: int) -> list[Record]:
+def _sparse_rows(env: str, table: Path, episodes: int) -> list[Record]:
     """The trainings of the sparse policy that went on with reward, at its last level."""
     tuned = [
         row
@@ -382,95 +366,30 @@ def sparse_rows(env: str, table: Path, episodes: int) -> list[Record]:
     ]  # fmt: skip
 
 
-def table(rows: Sequence[Record]) -> list[list[str]]:
-    """A line for each policy, in the order of the rows."""
-    teacher = _returns(rows, "sac")
-    lines = [[
-        "policy", "operations", "trainings", "return", "of `sac`", "shipped", "lowest", "highest",
-        "IQM", "risk", "success",
-    ]]  # fmt: skip
-    for policy in dict.fromkeys(row["policy"] for row in rows):
-        own = [row for row in rows if row["policy"] == policy]
-        found = stratified([row["returns"] for row in own], np.random.default_rng(0))
-        means = [row["return_mean"] for row in own]
-        shipped = [row["return_mean"] for row in own if row.get("shipped")]
-        lines.append([
-            policy, _operations(own), f"{len(own)}", found.mean.text(",.0f"),
-            _of(_returns(rows, policy), teacher), f"{shipped[0]:,.0f}" if shipped else ABSENT,
-            f"{min(means):,.0f}", f"{max(means):,.0f}", found.iqm.text(",.0f"),
-            found.risk.text(",.0f"), _success(own),
-        ])  # fmt: skip
-    return lines
-
-
-def _of(returns: Sequence[Sequence[float]], teacher: Sequence[Sequence[float]]) -> str:
-    """`104.2% [103.1, 105.3]` of the teacher; a dash for itself, and without it."""
-    if not teacher or returns == teacher:
-        return ABSENT
-    return _percent(nested_ratio(returns, teacher))
-
-
-def _returns(rows: Sequence[Record], policy: str) -> list[list[float]]:
-    """Returns (S, n) of the trainings of a policy."""
-    return [row["returns"] for row in rows if row["policy"] == policy]
-
-
-def _operations(rows: Sequence[Record]) -> str:
-    """Mean over the trainings, with its unit."""
-    spiking = rows[0]["kind"] == "snn"
-    field = "sops_per_inference" if spiking else "macs_effective"
-    count = mean(rows, field)
-    return ABSENT if count is None else f"{count:,.0f} {'SOPs' if spiking else 'MACs'}"
-
-
-def _success(rows: Sequence[Record]) -> str:
-    each = [row["successes"] for row in rows if row.get("successes")]
-    return _percent(stratified(each, np.random.default_rng(0)).mean, 0) if each else ABSENT
-
-
-def _percent(found: Estimate, digits: int = 1) -> str:
-    low, high = (f"{100 * bound:.{digits}f}" for bound in found.ci95)
-    return f"{found.mean:.{digits}%} [{low}, {high}]"
-
-
-def verdicts(rows: Sequence[Record]) -> list[str]:
+def _verdicts(rows: Sequence[Record], returns: Mapping[str, Any]) -> Iterator[str]:
     """The smallest float policies that earn as much, and how lucky the shipped ones are."""
-    controls = list(dict.fromkeys(row["policy"] for row in rows if row["kind"] == "control"))
-    beside = {other: _returns(rows, other) for other in ("sac", _SPARSE)}
-    found = [_smallest(rows, controls, other, own) for other, own in beside.items() if own]
-    return [*found, *_luck(rows, controls)] if controls else []
-
-
-def _smallest(
-    rows: Sequence[Record], controls: Sequence[str], other: str, beside: list[list[float]]
-) -> str:
-    shares = {policy: nested_ratio(_returns(rows, policy), beside) for policy in controls}
-    equal = [policy for policy in controls if shares[policy].ci95[1] >= 1]
-    if not equal:
-        return f"All of these float policies are shown to earn less than `{other}`."
-    least = min(equal, key=lambda policy: _macs(rows, policy))
-    return (
-        f"The smallest of these float policies not shown to earn less than `{other}` is {least}: "
-        f"{_macs(rows, least):,.0f} MACs, {_percent(shares[least])} of its return."
-    )
-
-
-def _macs(rows: Sequence[Record], policy: str) -> float:
-    """Mean over the trainings of a float policy."""
-    return float(np.mean([row["macs_effective"] for row in rows if row["policy"] == policy]))
-
-
-def _luck(rows: Sequence[Record], controls: Sequence[str]) -> list[str]:
-    """How many shipped trainings earn more than the mean of all of their policy."""
+    controls = dict(grouped((row for row in rows if row["kind"] == "control"), "policy"))
+    macs = {name: mean(of, "macs_effective") or 0.0 for name, of in controls.items()}
+    for other in ("sac", _SPARSE) if controls else ():
+        if other not in returns:
+            continue
+        shares = {name: nested_ratio(returns[name], returns[other]) for name in controls}
+        equal = [name for name in controls if shares[name].ci95[1] >= 1]
+        if not equal:
+            yield f"All of these float policies are shown to earn less than `{other}`."
+            continue
+        least = min(equal, key=macs.__getitem__)
+        yield (
+            f"The smallest of these float policies not shown to earn less than `{other}` is "
+            f"{least}: {macs[least]:,.0f} MACs, {percent(shares[least], 1)} of its return."
+        )
     above = []
-    for policy in controls:
-        own = [row for row in rows if row["policy"] == policy]
+    for own in controls.values():
         shipped = [row["return_mean"] for row in own if row.get("shipped")]
         if shipped and len(own) > 1:
             above.append(shipped[0] > np.mean([row["return_mean"] for row in own]))
-    if not above:
-        return []
-    return [
-        f"{sum(above)} of {len(above)} shipped float policies earn more than the mean of their "
-        "trainings."
-    ]
+    if above:
+        yield (
+            f"{sum(above)} of {len(above)} shipped float policies earn more than the mean of their "
+            "trainings."
+        )

@@ -31,7 +31,6 @@ _TEMPLATES = Environment(
     lstrip_blocks=True,
     autoescape=False,
 )
-_TEMPLATES.filters["table"] = markdown_text
 
 
 def render(template: str, **facts: Any) -> str:  # noqa: ANN401
@@ -89,6 +88,20 @@ def other_settings(trainings: Iterable[TrainingJob], text: str) -> list[str]:
     ]
 
 
+CHANGED = "✗ {} was trained with other settings than its recipe has now: "
+
+
+def missing_text(notes: Sequence[str], limit: int | None) -> str:
+    """What is missing, in bold; of quick trials that they are.
+
+    limit: control steps of an episode; None for all
+    """
+    steps = f"{limit} control steps"
+    quick = f"A quick trial, whose episodes end after {steps}: its scores say nothing."
+    every = [*notes, *([quick] if limit else [])]
+    return f"**{' '.join(every)}**" if every else ""
+
+
 def grouped(rows: Iterable[Record], *fields: str) -> Iterator[tuple[Any, list[Record]]]:
     """Rows that agree in these fields, in the order of the first of each."""
     found: dict[Any, list[Record]] = {}
@@ -127,8 +140,20 @@ def estimate(found: Estimate | None, form: str) -> str:
     return ABSENT if found is None else found.text(form)
 
 
+def percent(found: Estimate, digits: int = 0) -> str:
+    """`97% [95, 99]`."""
+    low, high = (f"{100 * bound:.{digits}f}" for bound in found.ci95)
+    return f"{found.mean:.{digits}%} [{low}, {high}]"
+
+
 def plain(axes: "Axes", which: Literal["major", "both"] = "major") -> None:
     """Leave the axes their left and lower line, and a grid behind what is drawn."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(color="#E6E8EB", which=which)
     axes.set_axisbelow(True)
+
+
+_TEMPLATES.filters |= {
+    "table": markdown_text, "number": number, "pico": pico, "share": share, "estimate": estimate,
+    "percent": percent, "form": format,
+}  # fmt: skip

@@ -11,14 +11,15 @@ sizes have changed is made again.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
 from lab.experiments.networks import Played, is_discrete, network, play
-from lab.experiments.runner import Design, Part, training_part
-from lab.experiments.training import Record, StoredRow, TrainingJob, complete, is_complete, results
+from lab.experiments.runner import Design, Part
+from lab.experiments.training import Record, StoredRow, TrainingJob, results
 from spikedeploy import zoo
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.seeds import EVALUATION
@@ -121,6 +122,7 @@ class ParetoDesign(Design):
         "env": "env", "chip-episodes": "chip_episodes", "levels": "levels"
     }  # fmt: skip
     QUICK: ClassVar = Design.QUICK | {"chip_episodes": 2}
+    ENVS: ClassVar = ENVS
 
     def __post_init__(self) -> None:
         if self.env not in ENVS:
@@ -132,12 +134,11 @@ class ParetoDesign(Design):
     @classmethod
     def of(cls, options: Mapping[str, Any]) -> Any:  # noqa: ANN401
         """The design of the options; karts finish or not, which needs more episodes."""
-        if not (env := options.get("env")) and options.keys() <= cls.OPTIONS.keys():
-            raise ConfigError(f"the experiment pareto needs an environment: {', '.join(ENVS)}")
-        quick = options.get("quick", False)
-        usual = {"runs": str(Path("runs") / ("pareto-quick" if quick else "pareto") / str(env))}
-        more = {"episodes": 300} if not quick and str(env).startswith("kart") else {}
-        return super().of({**usual, **more, **options})
+        env, quick = str(options.get("env")), options.get("quick", False)
+        usual = {"runs": str(Path("runs") / ("pareto-quick" if quick else "pareto") / env)}
+        more = {"episodes": 300} if not quick and env.startswith("kart") else {}
+        given = {**usual, **more, **options}
+        return super().of(given if "env" in options else options)
 
     def _overrides(self, tuned: bool) -> tuple[str, ...]:
         """Settings of every training by imitation, or with reward."""
@@ -168,22 +169,21 @@ class ParetoDesign(Design):
 
         PPO goes on with LIF neurons and with float networks, so delta networks have none.
         """
-        return [
-            self._tuning(start, level)
-            for start in self.imitations()
-            if start.student not in GRADED
-            for level in (BEST, *(() if self.quick else EARLIER.get((self.env, start.student), ())))
-        ]
-
-    def _tuning(self, start: StudentTraining, level: str) -> StudentTraining:
-        earlier = "" if level == BEST else f"-{level}"
-        name = f"{self.env}-tuned-{start.student}{earlier}-s{start.seed}"
-        at_level = (f"start_checkpoint={level}",)
-        return StudentTraining(
-            name, f"{self.env}-sparse-tuned", start.seed, self.runs,
-            (*self._overrides(True), *(at_level if earlier else ())), {"start": start}, at_level,
-            start.student, level,
-        )  # fmt: skip
+        found = []
+        for start in (each for each in self.imitations() if each.student not in GRADED):
+            earlier = () if self.quick else EARLIER.get((self.env, start.student), ())
+            for level in (BEST, *earlier):
+                at_level = (f"start_checkpoint={level}",)
+                suffix, more = ("", ()) if level == BEST else (f"-{level}", at_level)
+                found.append(
+                    StudentTraining(
+                        f"{self.env}-tuned-{start.student}{suffix}-s{start.seed}",
+                        f"{self.env}-sparse-tuned", start.seed, self.runs,
+                        (*self._overrides(True), *more), {"start": start}, at_level,
+                        start.student, level,
+                    )
+                )  # fmt: skip
+        return found
 
     def trainings(self) -> list[StudentTraining]:
         """Trainings of both kinds: within a seed first those by imitation."""
@@ -209,27 +209,15 @@ class ParetoDesign(Design):
 
     def parts(self) -> list[Part]:
         """Each training, and its levels after it; last levels elsewhere come at the end."""
-        parts = [
-            Part(
-                " and ".join(self.references),
-                lambda: is_complete(self.reference_rows()),
-                self._evaluate_references,
-            )
-        ]
+        parts = [Part(" and ".join(self.references), self.reference_rows)]
         for training in self.trainings():
-            parts += [training_part(training), self._evaluation(training, last=False)]
+            parts += [Part.to_train(training), self._evaluation(training, last=False)]
         return [*parts, *(self._evaluation(each, last=True) for each in self.imitations())]
 
     def _evaluation(self, training: StudentTraining, last: bool) -> Part:
-        def is_done() -> bool:
-            return training.is_trained and is_complete(self.rows(training, last, self.levels))
-
-        def perform() -> None:
-            rows = self.rows(training, last, self.levels)
-            complete(rows, lambda row: self._evaluate(training, row))
-
         name = f"{training.name}: {'last level on chips' if last else 'levels'}"
-        return Part(name, is_done, perform, [training.name])
+        rows = partial(self.rows, training, last, self.levels)
+        return Part(name, rows, of=training, after=[training.name])
 
     # rows
 
@@ -246,27 +234,29 @@ class ParetoDesign(Design):
         return [self._row(training, level, place, last) for level in found for place in places]
 
     def _row(self, training: StudentTraining, level: str, place: str, last: bool) -> StoredRow:
-        checkpoint = training.existing_run / "checkpoints" / f"{level}.safetensors"
         made = {
             "recipe": training.recipe,
             "seed": training.seed,
             "level": level,
             "place": place,
             "part": LAST if last else LEVELS,
-            "checkpoint": zoo.sha256(checkpoint),
+            "checkpoint": zoo.sha256(training.checkpoint(level)),
+            **self._sizes(last),
         }
         name = f"{level}@{place}.json".replace(":", "-")
-        return StoredRow(
-            Path(self.runs) / "evaluations" / training.name / name, made | self._sizes(last)
-        )
+        file = Path(self.runs) / "evaluations" / training.name / name
+        return StoredRow(file, made, partial(self._evaluate, training, made))
 
     def reference_rows(self) -> list[StoredRow]:
         """The rows of teacher and reference, on the seeds of every level."""
         folder, sizes = Path(self.runs) / "evaluations", self._sizes(False)
         return [
-            StoredRow(folder / f"{self.env}-{name}.json", {name: policy} | sizes)
+            StoredRow(
+                folder / f"{self.env}-{name}.json", {name: policy} | sizes,
+                partial(self._evaluate_reference, name, policy),
+            )
             for name, policy in self.references.items()
-        ]
+        ]  # fmt: skip
 
     def _sizes(self, last: bool) -> Record:
         return {
@@ -276,25 +266,25 @@ class ParetoDesign(Design):
             "version": _VERSION,
         }
 
-    def _evaluate(self, training: StudentTraining, row: StoredRow) -> Record:
-        level, place = row.of["level"], row.of["place"]
+    def _evaluate(self, training: StudentTraining, of: Record) -> Record:
+        level, place = of["level"], of["place"]
         facts = {
             "env": self.env,
             "student": training.student,
             "seed": training.seed,
             "level": training.aim(level),
             "place": place,
-            "part": row.of["part"],
-            "episodes": row.of["episodes"],
+            "part": of["part"],
+            "episodes": of["episodes"],
         }
         try:
             file = Path(self.runs) / "policies" / f"{training.name}-{level}"
             made = network(training.existing_run, level, place, file)
         except RuleError as error:
             return facts | {"refusal": str(error)}
-        played = play(training.config.env, row.of["episodes"], made.controller, self.limit)
+        played = play(training.config.env, of["episodes"], made.controller, self.limit)
         counts = made.counts(played.walks)
-        if counts.get("on_host") and row.of["part"] == LEVELS:
+        if counts.get("on_host") and of["part"] == LEVELS:
             raise ConfigError(
                 f"{place} has no way out for membranes: the host would integrate "
                 f"{counts['on_host']:g} readouts, which the experiment does not price. Choose a "
@@ -302,21 +292,17 @@ class ParetoDesign(Design):
             )
         return facts | counts | outcomes(played)
 
-    def _evaluate_references(self) -> None:
-        """Make the missing rows of teacher and reference: float policies."""
+    def _evaluate_reference(self, name: str, policy: str) -> Record:
+        """The row of teacher or reference: float policies."""
         from spikedeploy.trainers.distill.teachers import teacher
 
         env = self.imitations()[0].planned().env.model_copy(update={"count": 1})
-
-        def evaluate(row: StoredRow) -> Record:
-            name = next(name for name in self.references if name in row.of)
-            act = teacher(row.of[name], env.name).act_all
-            greedy = _likeliest(act) if is_discrete(env.name, env.options) else act
-            played = play(env, self.episodes, Stateless(greedy), self.limit)
-            facts = {"env": self.env, "student": name, "episodes": self.episodes}
-            return facts | {"place": row.of[name]} | outcomes(played)
-
-        complete(self.reference_rows(), evaluate)
+        act = teacher(policy, env.name).act_all
+        is_choice = is_discrete(env.name, env.options)
+        controller = Stateless((lambda seen: act(seen).argmax(-1)) if is_choice else act)
+        played = play(env, self.episodes, controller, self.limit)
+        facts = {"env": self.env, "student": name, "episodes": self.episodes, "place": policy}
+        return facts | outcomes(played)
 
     def all_rows(self) -> Iterator[Record]:
         """The results so far: those of teacher and reference, then of all trainings."""
@@ -331,10 +317,6 @@ class ParetoDesign(Design):
         from lab.experiments.pareto_page import write
 
         return write(self, results)
-
-
-def _likeliest(logits: Any) -> Any:  # noqa: ANN401 - a teacher's function of observations
-    return lambda seen: logits(seen).argmax(-1)
 
 
 def outcomes(played: Played) -> Record:

@@ -8,9 +8,9 @@ is made again. All policies of a part share the copies of the environment.
 import json
 import re
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -18,9 +18,10 @@ import numpy as np
 
 from lab.experiments import pages
 from lab.experiments.networks import BatchOnChip
+from lab.experiments.pages import grouped
 from lab.experiments.ratios import grouped_ratio
 from lab.experiments.runner import Design, Part
-from lab.experiments.training import Record, StoredRow, is_complete, read_rows, results
+from lab.experiments.training import Record, StoredRow, read_rows
 from spikedeploy import envs, zoo
 from spikedeploy.envs.disturbances import Kind, kinds_of
 from spikedeploy.envs.disturbances import row as row_of
@@ -41,7 +42,7 @@ from spikedeploy.runtime.faults import FAULTS, faults
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.trainers.config import EnvConfig
-from spikedeploy.trainers.sparse.pool import Episodes, Stateless
+from spikedeploy.trainers.sparse.pool import BatchController, Episodes, Stateless
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -78,7 +79,7 @@ class Tested:
         return f"{self.candidate.name} · {self.chip}" if self.chip else self.candidate.name
 
 
-def shipped(env: str, chip: str) -> list[Tested]:
+def _shipped(env: str, chip: str) -> list[Tested]:
     """The shipped float ANNs, small float networks, and spiking policies on the chip."""
     every = [find(str(path)) for path in zoo.policies(env)]
     small = [c for name in _SMALL for c in every if c.name == name and c.kind != "snn"]
@@ -87,14 +88,7 @@ def shipped(env: str, chip: str) -> list[Tested]:
     return [Tested(c, None) for c in [*found, *small]] + [Tested(c, chip) for c in spiking]
 
 
-def named(paths: Sequence[str], chip: str) -> list[Tested]:
-    """Files, float ones first, as `files_of` gave them; those that spike on the chip."""
-    found = [find(path) for path in paths]
-    tested = [Tested(each, chip if each.kind == "snn" else None) for each in found]
-    return sorted(tested, key=lambda each: each.chip is not None)
-
-
-def files_of(names: Sequence[str], env: str, options: Mapping[str, Any]) -> list[str]:
+def _files_of(names: Sequence[str], env: str, options: Mapping[str, Any]) -> list[str]:
     """Files of policies by name; run folders are exported. ConfigError where one does not fit."""
     if own := [name for name in names if name in BUILT_IN]:
         raise ConfigError(f"--policies {own[0]} is built in and has no file. Leave it out.")
@@ -153,6 +147,7 @@ class RobustnessDesign(Design):
         "policies": "files", "set": "options"
     }  # fmt: skip
     QUICK: ClassVar = {"episodes": 2, "specimens": 2, "limit": 25}
+    ENVS: ClassVar = ENVS
 
     def __post_init__(self) -> None:
         try:
@@ -170,22 +165,26 @@ class RobustnessDesign(Design):
     @classmethod
     def of(cls, options: Mapping[str, Any]) -> Any:  # noqa: ANN401
         """The design of the options; files of policies are found, and fit the environment."""
-        if "env" not in options and options.keys() <= cls.OPTIONS.keys():
-            raise ConfigError(f"the experiment robustness needs an environment: {', '.join(ENVS)}")
-        env = str(options.get("env"))
+        if "env" not in options:
+            return super().of(options)
+        env = str(options["env"])
         folder = "robustness-quick" if options.get("quick") else "robustness"
         found = {"runs": str(Path("runs") / folder / file_name(env)), **options}
         if "set" in options:
             found["set"] = parse_options(options["set"])
         names = [n for text in options.get("policies", ()) for n in text.split(",") if n]
         if names:
-            found["policies"] = files_of(names, env, found.get("set", {}))
+            found["policies"] = _files_of(names, env, found.get("set", {}))
         return super().of(found)
 
     @cached_property
     def policies(self) -> list[Tested]:
         """Those that were named, or all that are shipped; spiking ones on the chip."""
-        return named(self.files, self.chip) if self.files else shipped(self.env, self.chip)
+        if not self.files:
+            return _shipped(self.env, self.chip)
+        found = [find(path) for path in self.files]
+        tested = [Tested(each, self.chip if each.kind == "snn" else None) for each in found]
+        return sorted(tested, key=lambda each: each.chip is not None)
 
     def conditions(self, name: str) -> list[Condition]:
         """The conditions of a part: every level of a disturbance or fault, or the undisturbed."""
@@ -229,23 +228,27 @@ class RobustnessDesign(Design):
 
     def parts(self) -> list[Part]:
         """One for each disturbance or fault, and the undisturbed."""
-        return [self._part(name) for name in self.names]
-
-    def _part(self, name: str) -> Part:
-        return Part(name, lambda: not self.is_missing(name), lambda: self._complete(name))
+        return [Part(name, partial(self.rows, name)) for name in self.names]
 
     def bundles(self, names: list[str]) -> list[list[str]]:
         """A job a part; of a quick look, whose parts are shorter than a start, one for many."""
         size = _QUICK_PARTS if self.quick else 1
         return [names[at : at + size] for at in range(0, len(names), size)]
 
-    def check(self, results: Path) -> None:
-        """Nothing is trained."""
-
     # rows
 
-    def stored(self, condition: Condition, tested: Tested) -> StoredRow:
-        """The row of a policy in a condition."""
+    def rows(self, part: str) -> list[StoredRow]:
+        """The rows of a part, of all its levels and policies."""
+        episodes = cache(self._episodes)
+        return [
+            self._row(condition, tested, episodes)
+            for condition in self.conditions(part)
+            for tested in self.tested(part)
+        ]
+
+    def _row(
+        self, condition: Condition, tested: Tested, episodes: Callable[..., Episodes]
+    ) -> StoredRow:
         made = {
             "env": self.env,
             "policy": tested.digest,
@@ -261,67 +264,43 @@ class RobustnessDesign(Design):
         }
         folder = Path(self.runs) / condition.text.replace(":", "-")
         name = f"{tested.candidate.name}{f'@{tested.chip}' if tested.chip else ''}.json"
-        return StoredRow(folder / name.replace(":", "-"), made)
+        evaluate = partial(self._evaluate, condition, tested, episodes)
+        return StoredRow(folder / name.replace(":", "-"), made, evaluate)
 
-    def _rows(self, part: str) -> Iterator[StoredRow]:
-        for condition in self.conditions(part):
-            for tested in self.tested(part):
-                yield self.stored(condition, tested)
-
-    def is_missing(self, part: str) -> bool:
-        """Return whether a row of a part is missing."""
-        return not is_complete(self._rows(part))
-
-    def all_rows(self) -> Iterator[Record]:
-        """The results so far, part by part."""
-        for part in self.names:
-            yield from results(self._rows(part))
-
-    def _complete(self, part: str) -> None:
-        episodes: Episodes | None = None
-        for condition in self.conditions(part):
-            if condition.part == DISTURBANCE:
-                episodes = None  # each level is another world
-            for tested in self.tested(part):
-                row = self.stored(condition, tested)
-                if row.found is None:
-                    episodes = episodes or self._episodes(condition)
-                    row.write(self._evaluate(condition, tested, episodes))
-
-    def _episodes(self, condition: Condition) -> Episodes:
-        disturb = {"disturb": [condition.text]} if condition.part == DISTURBANCE else {}
-        options = {**self.options, **disturb}
+    def _episodes(self, *disturb: str) -> Episodes:
+        """Copies of the environment, which all rows share that it disturbs alike."""
+        options = {**self.options, **({"disturb": list(disturb)} if disturb else {})}
         config = EnvConfig(name=self.env, options=options, count=self.episodes)
         return Episodes(config, self.episodes, self.limit)
 
-    def groups(self, condition: Condition) -> list[int]:
-        """Groups that an interval resamples (n,): the specimen of each episode, else each."""
-        apart = self.specimens if condition.part == FAULT else self.episodes
-        return [k % apart for k in range(self.episodes)]
-
-    def _evaluate(self, condition: Condition, tested: Tested, episodes: Episodes) -> Record:
+    def _evaluate(
+        self, condition: Condition, tested: Tested, shared: Callable[..., Episodes]
+    ) -> Record:
         """Returns of the policy, episode by episode, and what faults of the chip hit."""
+        episodes = shared(*([condition.text] if condition.part == DISTURBANCE else []))
         returns, successes = np.zeros(self.episodes), np.zeros(self.episodes, np.bool_)
         is_known = True  # whether the environment says what a success is
+        is_broken = condition.part == FAULT
         damages: list[Sequence[Damage]] = []
-        groups = np.array(self.groups(condition))
-        for specimen in range(groups.max() + 1 if condition.part == FAULT else 1):
-            of_specimen = groups == specimen if condition.part == FAULT else np.ones_like(groups)
-            places = np.flatnonzero(of_specimen)
+        # what an interval resamples: the specimen of each episode, else each
+        groups = np.arange(self.episodes) % (self.specimens if is_broken else self.episodes)
+        for specimen in range(groups.max() + 1 if is_broken else 1):
+            places = np.flatnonzero((groups == specimen) | (not is_broken))
             seeds = (EVALUATION + places).tolist()
+            controller: BatchController
             if tested.chip is None:
-                act = OnnxController(tested.candidate.path).replay
-                _, returns[places], infos = episodes.play(seeds, Stateless(act))
+                controller = Stateless(OnnxController(tested.candidate.path).replay)
             else:
-                broken = [condition.text] if condition.part == FAULT else []
+                broken = faults([condition.text] if is_broken else [], specimen)
                 spiking = SpikingController(
-                    load(tested.candidate.path), chip(tested.chip), "none",
-                    faults=faults(broken, specimen),
-                )  # fmt: skip
-                _, returns[places], infos = episodes.play(seeds, BatchOnChip(spiking, seeds))
-                damages += [spiking.damage] if spiking.damage else []
+                    load(tested.candidate.path), chip(tested.chip), "none", faults=broken
+                )
+                controller = BatchOnChip(spiking, seeds)
+            _, returns[places], infos = episodes.play(seeds, controller)
+            damages += [spiking.damage] if tested.chip and spiking.damage else []
             successes[places] = [bool(info.get("success", False)) for info in infos]
             is_known = is_known and all("success" in info for info in infos)
+        hit = sum_damage(damages)  # parts of all specimens together, or what happened in all
         return {
             "env": self.env,
             "policy": tested.label,
@@ -335,21 +314,58 @@ class RobustnessDesign(Design):
             "episodes": self.episodes,
             "return_mean": float(returns.mean()),
             "success_rate": float(successes.mean()) if is_known else None,
-            **_hits(damages),
+            **({"hit": hit[0].hit, "of": hit[0].of, "what": hit[0].what} if hit else {}),
             "groups": groups.tolist(),
             "returns": returns.tolist(),
             "successes": successes.astype(int).tolist() if is_known else None,
         }
 
     def write(self, results: Path) -> list[Path]:
-        """Write page, tables and pictures of what is complete; return the files."""
-        return _write(self, results)
+        """Write page, table and picture of the complete rows; return the files.
 
+        Where there are no rows, the table that is there is kept.
+        """
+        found, folder = list(self.all_rows()), results / "robustness"
+        table = folder / f"{file_name(self.env)}.csv"
+        if found or not table.is_file():
+            write_table(found, table)
+            write_text(table.with_suffix(".json"), as_text(self._facts()))
+        others = sorted(path.stem for path in folder.glob("*.csv") if path.stem not in ENVS)
+        tables = {env: folder / f"{env}.csv" for env in (*ENVS, *others)}
+        rows = {env: read_table(path) for env, path in tables.items() if path.is_file()}
+        drawn = {f"robustness/{env}.png": levels_figure(of) for env, of in rows.items()}
+        picture = save(drawn[f"robustness/{table.stem}.png"], table.with_suffix(".png"))
+        page, shown = pages.write_page(
+            results / "robustness.md",
+            drawn,
+            tasks={
+                env: _task(env, of, read_json(tables[env].with_suffix(".json")))
+                for env, of in rows.items()
+            },
+            kept=kept_text,
+            hit=_hit_text,
+            **{"MIDDLE": MIDDLE, "ENOUGH": ENOUGH},
+        )
+        return [page, table, picture, shown]
 
-def _hits(damages: Sequence[Sequence[Damage]]) -> Record:
-    """Parts of all specimens together, or what happened in all episodes."""
-    found = sum_damage(damages)
-    return {"hit": found[0].hit, "of": found[0].of, "what": found[0].what} if found else {}
+    def _facts(self) -> Record:
+        """Facts on the making of a table."""
+        parts = self.parts()
+        left = sum(not part.is_done for part in parts)
+        limit = f", of at most {self.limit} control steps" if self.limit else ""
+        command = pages.command(self, self.env, sizes=["episodes"])
+        command += f" --policies {shlex.quote(','.join(self.files))}" if self.files else ""
+        values = {k: v if isinstance(v, str) else json.dumps(v) for k, v in self.options.items()}
+        settings = (f"{name}={value}" for name, value in values.items())
+        return {
+            "command": pages.with_settings(command, settings),
+            "missing": f"**{left} of {len(parts)} parts are missing.**" if left else "",
+            "facts": [
+                f"- {pages.releases('numpy', 'mujoco', 'pymunk')}",
+                f"- {self.episodes} episodes from seed 10,000 on{limit}; under faults divided "
+                f"among {self.specimens} faulty chips",
+            ],
+        }
 
 
 def file_name(env: str) -> str:
@@ -367,68 +383,25 @@ _COLUMNS = (
 _TEXT = ("env", "policy", "kind", "chip", "part", "name", "unit", "what")
 
 
-def _write(design: RobustnessDesign, results: Path) -> list[Path]:
-    """Write page, table and picture of the complete rows; return the files.
-
-    Where there are no rows, the table that is there is kept.
-    """
-    found, folder = list(design.all_rows()), results / "robustness"
-    table = folder / f"{file_name(design.env)}.csv"
-    if found or not table.is_file():
-        write_table(found, table)
-        write_text(table.with_suffix(".json"), as_text(_facts(design)))
-    others = sorted(path.stem for path in folder.glob("*.csv") if path.stem not in ENVS)
-    tables = {env: folder / f"{env}.csv" for env in (*ENVS, *others)}
-    rows = {env: read_table(path) for env, path in tables.items() if path.is_file()}
-    drawn = {f"robustness/{env}.png": levels_figure(of) for env, of in rows.items()}
-    picture = save(drawn[f"robustness/{table.stem}.png"], table.with_suffix(".png"))
-    page, shown = pages.write_page(
-        results / "robustness.md",
-        drawn,
-        tasks={
-            env: _task(env, of, read_json(tables[env].with_suffix(".json")))
-            for env, of in rows.items()
-        },
-        MIDDLE=MIDDLE,
-        ENOUGH=ENOUGH,
-    )
-    return [page, table, picture, shown]
-
-
 def _task(env: str, rows: list[Record], made: Record) -> Record:
     """Facts that the template shows of an environment."""
     calm = [row for row in rows if row["part"] == UNDISTURBED]
+    tables = {}
+    for title, part in (("Disturbances of the world", DISTURBANCE), ("Faults of the chip", FAULT)):
+        of = [row for row in rows if row["part"] == part]
+        conditions = {
+            f"{name}:{level}": {row["policy"]: row for row in each}
+            for (name, level), each in grouped(of, "name", "level")
+        }
+        tables[title] = (policies(of), conditions, part == FAULT)
     return made | {
         "env": rows[0]["env"] if rows else env,
         "facts": "\n".join(made["facts"]),
         "sentences": "\n".join(sentences(rows)),
         "loses": any((row["return_mean"] or 0) < 0 for row in calm),
-        "undisturbed": _undisturbed_table(calm),
-        "disturbances": _kept_table(rows, DISTURBANCE),
-        "faults": _kept_table(rows, FAULT),
+        "undisturbed": calm,
+        "tables": tables,
     }
-
-
-def _facts(design: RobustnessDesign) -> Record:
-    """Facts on the making of a table."""
-    left, of = sum(map(design.is_missing, design.names)), len(design.names)
-    limit = f", of at most {design.limit} control steps" if design.limit else ""
-    return {
-        "command": _command(design),
-        "missing": f"**{left} of {of} parts are missing.**" if left else "",
-        "facts": [
-            f"- {pages.releases('numpy', 'mujoco', 'pymunk')}",
-            f"- {design.episodes} episodes from seed 10,000 on{limit}; under faults divided among "
-            f"{design.specimens} faulty chips",
-        ],
-    }
-
-
-def _command(design: RobustnessDesign) -> str:
-    text = pages.command(design, design.env, sizes=["episodes"])
-    text += f" --policies {shlex.quote(','.join(design.files))}" if design.files else ""
-    values = {k: v if isinstance(v, str) else json.dumps(v) for k, v in design.options.items()}
-    return pages.with_settings(text, (f"{name}={value}" for name, value in values.items()))
 
 
 def write_table(found: Iterable[Record], path: Path) -> Path:
@@ -444,44 +417,20 @@ def read_table(path: Path) -> list[Record]:
 def with_kept(rows: Sequence[Record]) -> list[Record]:
     """The rows with the share of the undisturbed return that is kept, and its interval."""
     calm = {row["policy"]: row for row in rows if row["part"] == UNDISTURBED}
-    return [row | _share_kept(row, calm.get(row["policy"])) for row in rows]
-
-
-def _share_kept(row: Mapping[str, Any], calm: Mapping[str, Any] | None) -> Record:
-    if calm is None or row["part"] == UNDISTURBED or np.sum(calm["returns"]) <= 0:
-        return {}
-    found = grouped_ratio(row["returns"], calm["returns"], row["groups"])
-    return {"kept": found.mean, "kept_low": found.ci95[0], "kept_high": found.ci95[1]}
+    found = []
+    for row in rows:
+        of, kept = calm.get(row["policy"]), {}
+        if of and row["part"] != UNDISTURBED and np.sum(of["returns"]) > 0:
+            share = grouped_ratio(row["returns"], of["returns"], row["groups"])
+            low, high = share.ci95
+            kept = {"kept": share.mean, "kept_low": low, "kept_high": high}
+        found.append(row | kept)
+    return found
 
 
 def policies(rows: Sequence[Record]) -> list[str]:
     """Labels of the policies, in the order of their rows."""
     return list(dict.fromkeys(row["policy"] for row in rows))
-
-
-def _undisturbed_table(calm: Sequence[Record]) -> list[list[str]]:
-    """Returns and successes where nothing is wrong; empty without rows."""
-    lines = [["policy", "return", "success", "episodes"]] if calm else []
-    for r in calm:
-        success = ABSENT if r["success_rate"] is None else f"{r['success_rate']:.0%}"
-        lines.append([r["policy"], f"{r['return_mean']:,.0f}", success, f"{r['episodes']}"])
-    return lines
-
-
-def _kept_table(rows: Sequence[Record], part: str) -> list[list[str]]:
-    """Shares that each policy keeps at each level; empty without rows of the part."""
-    found = [row for row in rows if row["part"] == part]
-    names = policies(found)
-    by_condition: dict[tuple[str, int], dict[str, Record]] = {}
-    for row in found:
-        by_condition.setdefault((row["name"], row["level"]), {})[row["policy"]] = row
-    lines = [["", "number", *(["hit"] if part == FAULT else []), *names]]
-    for (name, level), each in by_condition.items():
-        first = next(iter(each.values()))
-        hit = [_hit(each)] if part == FAULT else []
-        cells = [kept_text(each.get(policy)) for policy in names]
-        lines.append([f"{name}:{level}", f"{first['number']:g} [{first['unit']}]", *hit, *cells])
-    return lines if found else []
 
 
 def kept_text(row: Record | None) -> str:
@@ -493,27 +442,36 @@ def kept_text(row: Record | None) -> str:
     return f"{row['kept']:.0%} [{100 * row['kept_low']:.0f}, {100 * row['kept_high']:.0f}]"
 
 
-def _hit(each: dict[str, Record]) -> str:
+def _hit_text(rows: Iterable[Record]) -> str:
     """How much a fault hit, policy by policy."""
-    hits = [f"{row['hit'] / max(row['of'], 1):.2g}" for row in each.values() if row.get("of")]
-    what = next((row["what"] for row in each.values() if row.get("what")), "")
-    return f"{', '.join(hits)} of {what}" if hits else ABSENT
+    known = [row for row in rows if row.get("of")]
+    hits = ", ".join(f"{row['hit'] / max(row['of'], 1):.2g}" for row in known)
+    return f"{hits} of {known[0]['what']}" if known else ABSENT
 
 
 def sentences(rows: Sequence[Record]) -> list[str]:
     """Sentences on what spiking policies keep at the middle level, beside the float ANN."""
     middle = [row for row in rows if row["level"] == MIDDLE and row.get("kept") is not None]
     ann = next((row["policy"] for row in rows if row["kind"] == "ann"), None)
+    of_ann = {row["name"]: row for row in middle if row["policy"] == ann}
     found = []
     for policy in dict.fromkeys(row["policy"] for row in rows if row["kind"] == "snn"):
         own = [row for row in middle if row["policy"] == policy]
         for part, word in ((DISTURBANCE, "disturbances"), (FAULT, "faults")):
-            of = [row for row in own if row["part"] == part]
-            if of:
+            if of := [row for row in own if row["part"] == part]:
                 found.append(_kept_of(policy, of, word))
-        beside = _beside(own, [row for row in middle if row["policy"] == ann])
-        if ann and beside is not None:
-            found.append(_worse(policy, ann, beside, _controls(middle)))
+        if ann and of_ann:
+            worse = [
+                _beside(row, beside, middle)
+                for row in own
+                if (beside := of_ann.get(row["name"])) and row["kept"] < ENOUGH <= beside["kept"]
+            ]
+            found.append(
+                f"Where {ann} keeps {ENOUGH:.0%} at level {MIDDLE} and {policy} does not: "
+                f"{', '.join(worse)}."
+                if worse
+                else f"Wherever {ann} keeps {ENOUGH:.0%} at level {MIDDLE}, {policy} does."
+            )
     return [f"* {each}" for each in found]
 
 
@@ -527,39 +485,14 @@ def _kept_of(policy: str, rows: Sequence[Record], word: str) -> str:
     )
 
 
-def _beside(own: Sequence[Record], ann: Sequence[Record]) -> list[tuple[Record, Record]] | None:
-    """Rows in which the float ANN keeps enough and the policy does not; None without an ANN."""
-    if not ann:
-        return None
-    of_ann = {row["name"]: row for row in ann}
-    return [
-        (row, of_ann[row["name"]])
-        for row in own
-        if row["name"] in of_ann and row["kept"] < ENOUGH <= of_ann[row["name"]]["kept"]
-    ]
-
-
-def _controls(rows: Sequence[Record]) -> dict[str, list[str]]:
-    """Condition -> what each float control keeps."""
-    found: dict[str, list[str]] = {}
-    for row in rows:
-        if row["kind"] == "control":
-            found.setdefault(row["name"], []).append(f"{row['policy']} {row['kept']:.0%}")
-    return found
-
-
-def _worse(
-    policy: str, ann: str, pairs: Sequence[tuple[Record, Record]], controls: dict[str, list[str]]
-) -> str:
-    if not pairs:
-        return f"Wherever {ann} keeps {ENOUGH:.0%} at level {MIDDLE}, {policy} does."
-    said = ", ".join(
-        f"{own['name']} ({kept_text(own)} against {kept_text(of)}"
-        + "".join(f"; {control}" for control in controls.get(own["name"], ()))
-        + ")"
-        for own, of in pairs
+def _beside(own: Record, ann: Record, rows: Sequence[Record]) -> str:
+    """What a policy, the float ANN and each float control keep in a condition."""
+    controls = "".join(
+        f"; {row['policy']} {row['kept']:.0%}"
+        for row in rows
+        if row["kind"] == "control" and row["name"] == own["name"]
     )
-    return f"Where {ann} keeps {ENOUGH:.0%} at level {MIDDLE} and {policy} does not: {said}."
+    return f"{own['name']} ({kept_text(own)} against {kept_text(ann)}{controls})"
 
 
 _PANELS = 5

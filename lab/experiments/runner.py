@@ -4,7 +4,7 @@ import argparse
 import shlex
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from importlib import import_module
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from lab.experiments import EXPERIMENTS
-from lab.experiments.training import TrainingJob
+from lab.experiments.training import Record, StoredRow, TrainingJob, results
 from spikedeploy.console import console, print_json
 from spikedeploy.jobs import resumable
 from spikedeploy.jobs.resumable import Job, JobEnd
@@ -43,26 +43,48 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an experiment: a job of its own.
+    """A part of an experiment: a training, its results, or both; a job of its own.
 
     name      for people, and for --only
-    is_done   whether nothing is missing
-    perform   does what is missing; False if it was interrupted
+    rows      the results to be made, which are known once what they are made from is trained
+    training  to be completed before
+    of        the training that the results are of, where another part completes it
     after     names of the parts that must be done before
-    training  what it trains, if anything
     """
 
     name: str
-    is_done: Callable[[], bool]
-    perform: Callable[[], bool | None]
-    after: Sequence[str] = ()
+    rows: Callable[[], Sequence[StoredRow]] = tuple
     training: TrainingJob | None = None
+    of: TrainingJob | None = None
+    after: Sequence[str] = ()
 
+    @classmethod
+    def to_train(cls, training: TrainingJob) -> "Part":
+        """The part that completes a training, after those that it is made from."""
+        after = [parent.name for parent in training.parents.values()]
+        return cls(training.name, training=training, after=after)
 
-def training_part(training: TrainingJob) -> Part:
-    """The part that completes a training, after those that it is made from."""
-    after = [parent.name for parent in training.parents.values()]
-    return Part(training.name, lambda: training.is_trained, training.complete, after, training)
+    @property
+    def found(self) -> Iterator[Any]:
+        """The results so far."""
+        source = self.training or self.of
+        return results(self.rows() if source is None or source.is_trained else ())
+
+    @property
+    def is_done(self) -> bool:
+        """Return whether nothing is missing."""
+        source = self.training or self.of
+        if source is not None and not source.is_trained:
+            return False
+        return all(row.found is not None for row in self.rows())
+
+    def perform(self) -> bool:
+        """Do what is missing; False if it was interrupted."""
+        if self.training is not None and not self.training.complete():
+            return False
+        for row in self.rows():
+            row.complete()
+        return True
 
 
 @dataclass(frozen=True)
@@ -94,6 +116,7 @@ class Design:
     }  # fmt: skip
     QUICK: ClassVar[dict[str, Any]] = {"seeds": 1, "episodes": 2, "limit": 40}
     JOBS: ClassVar[int] = 1  # side by side, if the command does not say
+    ENVS: ClassVar[Sequence[str]] = ()  # of which the command names one
 
     def __post_init__(self) -> None:
         chip_named(self.chip)  # raises on an unknown name
@@ -103,6 +126,10 @@ class Design:
         """The design of the options of a command; ConfigError where one is of others."""
         if other := sorted(options.keys() - cls.OPTIONS):
             raise ConfigError(f"the experiment {cls.NAME} has no {other[0]}. Leave it out.")
+        if cls.ENVS and "env" not in options:
+            raise ConfigError(
+                f"the experiment {cls.NAME} needs an environment: {', '.join(cls.ENVS)}"
+            )
         quick = options.get("quick", False)
         given = {cls.OPTIONS[name]: value for name, value in options.items()}
         if isinstance(given.get("tasks"), str):
@@ -121,6 +148,10 @@ class Design:
     def bundles(self, names: list[str]) -> list[list[str]]:
         """Parts that are one job together."""
         return [[name] for name in names]
+
+    def all_rows(self) -> Iterator[Record]:
+        """The results so far, part by part."""
+        return (row for part in self.parts() for row in part.found)
 
     def check(self, results: Path) -> None:
         """Refuse settings that no training has, before the first one starts."""
@@ -156,7 +187,7 @@ def run_experiment(
     design.check(results)
     parts = {part.name: part for part in design.parts()}
     chosen = _chosen(list(parts), only) if train else []
-    to_do = [name for name in chosen if not parts[name].is_done()]
+    to_do = [name for name in chosen if not parts[name].is_done]
     _check_before(parts, to_do)
     _say(f"{len(to_do)} of {len(parts)} parts to do")
     failed: dict[str, str] = {}
@@ -171,16 +202,20 @@ def run_experiment(
             design.write(results)
             written = time.monotonic()
 
+    def progress(job: Job) -> str:
+        part = parts.get(job.name)
+        return part.training.progress if part and part.training else job.name
+
     def look(running: Sequence[Job]) -> None:
         nonlocal shown
         if time.monotonic() - shown > _EVERY:
             shown = time.monotonic()
-            _say("running: " + "; ".join(_progress(parts.get(job.name), job) for job in running))
+            _say("running: " + "; ".join(map(progress, running)))
 
     made = [_job(design, names, parts) for names in design.bundles(to_do)]
     is_whole = resumable.run(made, jobs or design.JOBS, ended, look)
     files = design.write(results)
-    done = sum(part.is_done() for part in parts.values())
+    done = sum(part.is_done for part in parts.values())
     return Outcome(done, len(parts), failed, not is_whole, files)
 
 
@@ -200,7 +235,7 @@ def _check_before(parts: Mapping[str, Part], to_do: Sequence[str]) -> None:
         if part.training is not None and part.training.run is not None:
             continue  # it is resumed
         for name in part.after:
-            if name not in to_do and not parts[name].is_done():
+            if name not in to_do and not parts[name].is_done:
                 raise ConfigError(
                     f"{part.name} needs {name}, which is not trained yet. Run the experiment "
                     f"without --only, or with --only {name} first."
@@ -217,11 +252,7 @@ def _job(design: Design, names: Sequence[str], parts: Mapping[str, Part]) -> Job
 def perform(experiment: str, design: Mapping[str, Any], parts: Sequence[str]) -> bool:
     """Do some parts of a design (a job of `resumable`); False if one was interrupted."""
     every = {part.name: part for part in design_class(experiment)(**design).parts()}
-    return all(every[name].perform() is not False for name in parts)
-
-
-def _progress(part: Part | None, job: Job) -> str:
-    return job.name if part is None or part.training is None else part.training.progress
+    return all(every[name].perform() for name in parts)
 
 
 def _say(line: str) -> None:
@@ -237,18 +268,7 @@ def design_class(name: str) -> type[Any]:
     return found
 
 
-def _at_least(least: int) -> Callable[[str], int]:
-    """The type of an option that is a whole number."""
-
-    def number(text: str) -> int:
-        if (value := int(text)) < least:
-            raise argparse.ArgumentTypeError(f"{value} is below {least}")
-        return value
-
-    return number
-
-
-# option -> its type or action, metavar, and help; those of each experiment are in Design.OPTIONS
+# option -> its least number and help, or its metavar and help; Design.OPTIONS says whose they are
 _NUMBERS = {
     "seeds": (1, "trainings of each network (kart, lineup 5; others 3)"),
     "controls": (0, "kart: trainings of each control (5)"),
@@ -275,8 +295,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "env", metavar="ENV", nargs="?", help="of kart none, of gymnasium and lineup one task"
     )
-    for option, (least, text) in _NUMBERS.items():
-        parser.add_argument(f"--{option}", type=_at_least(least), metavar="N", help=text)
+    for option, (_, text) in _NUMBERS.items():
+        parser.add_argument(f"--{option}", type=int, metavar="N", help=text)
     for option, (metavar, text) in _LISTS.items():
         parser.add_argument(f"--{option}", action="append", metavar=metavar, help=text)
     parser.add_argument("--chip", help="of the spiking policies (loihi1)")
@@ -295,24 +315,26 @@ def _parser() -> argparse.ArgumentParser:
 
 def main() -> int:
     """Run the command of sys.argv; return its exit code."""
-    given = vars(_parser().parse_args())
-    kind, quick = design_class(given["name"]), given["quick"]
-    options = {
-        name.replace("_", "-"): value
-        for name, value in given.items()
-        if value is not None and value is not False
-    }
+    parser = _parser()
+    options = {name.replace("_", "-"): value for name, value in vars(parser.parse_args()).items()}
+    given = {n: v for n, v in options.items() if v is not None and v is not False}
+    for option, (least, _) in _NUMBERS.items():
+        if given.get(option, least) < least:
+            parser.error(f"argument --{option}: {given[option]} is below {least}")
+    kind, quick = design_class(given["name"]), options["quick"]
     own = {n for other in EXPERIMENTS for n in design_class(other).OPTIONS}
-    design = kind.of(
-        {n: v for n, v in options.items() if n in own and v is not None and v is not False}
-    )
-    results = given["output"] or Path(f"runs/{kind.NAME}-quick" if quick else "results")
+    design = kind.of({n: v for n, v in given.items() if n in own})
+    results = options["output"] or Path(f"runs/{kind.NAME}-quick" if quick else "results")
     pages = (f"{kind.NAME}.md", f"{kind.NAME}.html")
-    check_output_folder(
-        "-o", results, pages, (), given["force"], lambda at: marked(at / pages[0], "python -m lab")
+
+    def is_ours(folder: Path) -> bool:
+        return marked(folder / pages[0], "python -m lab")
+
+    check_output_folder("-o", results, pages, (), options["force"], is_ours)
+    outcome = run_experiment(
+        design, options["only"] or (), options["jobs"], results, options["train"]
     )
-    outcome = run_experiment(design, given["only"] or (), given["jobs"], results, given["train"])
-    if given["json"]:
+    if options["json"]:
         print_json({**vars(outcome), "files": [str(path) for path in outcome.files]})
     else:
         print(f"{outcome.done} of {outcome.of} parts are complete: {outcome.files[0]}")

@@ -60,13 +60,18 @@ class TrainingJob:
             raise ConfigError(f"{self.name} has no run folder")
         return run
 
+    def checkpoint(self, name: str = "best") -> Path:
+        """The weights of a checkpoint of its run."""
+        return self.existing_run / "checkpoints" / f"{name}.safetensors"
+
     def _is_of(self, made: Record) -> bool:
         """Return whether a run has recipe, seed, telling settings and parents of this training."""
         if (made.get("recipe"), made.get("seed")) != (self.recipe, self.seed):
             return False
         wanted = [setting for setting in self.telling if not setting.startswith(_COMPUTED)]
         return _is_within(merged({}, *map(parse_override, wanted)), made) and all(
-            _is_run(made.get(key), parent.run)
+            # wherever the parent was then
+            parent.run is not None and Path(str(made.get(key))).name == parent.run.name
             for key, parent in self.parents.items()
             if key not in _WITH_PARENT  # a training is the same without its walks
         )
@@ -118,32 +123,26 @@ class TrainingJob:
     def _with_parents(self) -> list[str]:
         return [setting for key in self.parents for setting in _WITH_PARENT.get(key, ())]
 
-    def _beginning(self) -> list[str]:
-        """Settings of a new run beside the overrides: the runs that it is made from."""
-        found = []
-        for key, parent in self.parents.items():
-            if parent.run is None or not parent.is_trained:
-                raise ConfigError(f"{self.name} needs {parent.name}, which is not trained yet")
-            found.append(f"{key}={json.dumps(str(parent.run))}")
-        return [*found, *self._with_parents]
-
     def complete(self) -> bool:
         """Train, or go on; False if it was interrupted."""
         with locked(Path(self.folder) / f".{self.name}.lock"):
             if not self.is_trained:
-                self._train(resumable(self.run))
+                self._train(_resumable(self.run))
             return self.is_trained
 
     def _train(self, run: Path | None) -> None:
         from spikedeploy.trainers import train
 
-        if run:
-            train.train(self.recipe, resume=run, runs=self.folder, quiet=True)
-        else:
-            settings = [*self.overrides, *self._beginning()]
-            train.train(
-                self.recipe, overrides=settings, seed=self.seed, runs=self.folder, quiet=True
-            )
+        options: dict[str, Any] = {"resume": run}
+        if run is None:
+            beginning = []
+            for key, parent in self.parents.items():
+                if parent.run is None or not parent.is_trained:
+                    raise ConfigError(f"{self.name} needs {parent.name}, which is not trained yet")
+                beginning.append(f"{key}={json.dumps(str(parent.run))}")
+            overrides = [*self.overrides, *beginning, *self._with_parents]
+            options = {"overrides": overrides, "seed": self.seed}
+        train.train(self.recipe, runs=self.folder, quiet=True, **options)
 
 
 def counters(run: Path) -> Record:
@@ -152,7 +151,7 @@ def counters(run: Path) -> Record:
     return read_json(file) if file.is_file() else {}
 
 
-def resumable(run: Path | None) -> Path | None:
+def _resumable(run: Path | None) -> Path | None:
     """The run folder to resume; one that was killed before its first checkpoint is deleted.
 
     Raises ConfigError where it holds results, which are made after that checkpoint.
@@ -179,48 +178,46 @@ def _is_within(wanted: object, made: object) -> bool:
     return wanted == made
 
 
-def _is_run(setting: object, run: Path | None) -> bool:
-    """Return whether a setting names a run folder, wherever that was then."""
-    return run is not None and isinstance(setting, str) and Path(setting).name == run.name
-
-
 @dataclass(frozen=True)
 class StoredRow:
-    """One row of an experiment, in a file of its own, kept until what made it changes.
+    """A result of an experiment, in a file of its own, kept until what made it changes.
 
-    file  where the result is
-    of    what it must have been made with
+    file   where the result is
+    of     what it must have been made with
+    make   makes it
+    about  what stands beside `of` in the file, and must be the same
+    under  the field of the file that it is; the fields of the file themselves where it is empty
     """
 
     file: Path
     of: Record
+    make: Callable[[], Any]
+    about: Record = field(default_factory=dict)
+    under: str = "row"
 
     @property
-    def found(self) -> Record | None:
+    def found(self) -> Any:  # noqa: ANN401 - JSON, or None
         """The result; None where it is missing or was made with something else."""
-        if not self.file.is_file():
+        made = read_json(self.file) if self.file.is_file() else {}
+        if not all(made.get(name) == value for name, value in self._head.items()):
             return None
-        made = read_json(self.file)
-        return made.get("row") if made.get("of") == self.of else None
+        return made.get(self.under) if self.under else made
 
-    def write(self, row: Record) -> None:
+    @property
+    def _head(self) -> Record:
+        return {"of": self.of, **self.about}
+
+    def write(self, row: Any) -> None:  # noqa: ANN401
         """Write the result."""
-        write_text(self.file, as_text({"of": self.of, "row": row}))
+        write_text(self.file, as_text({**self._head, **({self.under: row} if self.under else row)}))
+
+    def complete(self) -> None:
+        """Make the result if it is missing."""
+        if self.found is None:
+            self.write(self.make())
 
 
-def is_complete(rows: Iterable[StoredRow]) -> bool:
-    """Return whether every row has its result."""
-    return all(row.found is not None for row in rows)
-
-
-def complete(rows: Iterable[StoredRow], evaluate: Callable[[StoredRow], Record]) -> None:
-    """Make the rows that have no result."""
-    for row in rows:
-        if row.found is None:
-            row.write(evaluate(row))
-
-
-def results(rows: Iterable[StoredRow]) -> Iterator[Record]:
+def results(rows: Iterable[StoredRow]) -> Iterator[Any]:
     """The results so far."""
     return (found for row in rows if (found := row.found) is not None)
 
@@ -229,10 +226,6 @@ def read_rows(path: Path, texts: Collection[str]) -> list[Record]:
     """The rows of a CSV; missing fields are None. Columns other than `texts` hold JSON."""
     with path.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    return [{n: _value(text, n in texts) for n, text in row.items()} for row in rows]
-
-
-def _value(text: str, is_text: bool) -> Any:  # noqa: ANN401
-    if not text:
-        return None
-    return text if is_text else json.loads(text)
+    known = [{name: text for name, text in row.items() if text} for row in rows]
+    parsed = [{n: t if n in texts else json.loads(t) for n, t in row.items()} for row in known]
+    return [dict.fromkeys(row) | found for row, found in zip(rows, parsed, strict=True)]

@@ -33,8 +33,8 @@ def test_the_page_of_an_experiment_is_made_of_its_tables(name, options, monkeypa
 
 def test_the_page_of_clocks_is_made_of_its_table():
     found = clocks.read(RESULTS / "clocks.csv")
-    assert {row.task for row in found} == set(clocks.REFERENCES)
-    made = clocks.page(found, found[0].episodes)
+    assert {row["task"] for row in found} == set(clocks.REFERENCES)
+    made = clocks.page(found, found[0]["episodes"])
     assert made == (RESULTS / "clocks.md").read_text("utf-8")
 
 
@@ -45,10 +45,10 @@ def test_the_page_of_chips_is_made_of_its_table():
 
 def test_the_table_counts_the_trainings_whose_policies_are_shipped_with_it():
     for row in clocks.read(RESULTS / "clocks.csv"):
-        if row.clock == "pipelined":
-            middle = "-tuned" if "reward" in row.kind else ""
-            files = list((RESULTS / "clocks").glob(f"{row.task}{middle}-s*.nir"))
-            assert len(files) == row.trainings == len(row.each.split())
+        if row["clock"] == "pipelined":
+            middle = "-tuned" if "reward" in row["kind"] else ""
+            files = list((RESULTS / "clocks").glob(f"{row['task']}{middle}-s*.nir"))
+            assert len(files) == row["trainings"] == len(row["each"].split())
             assert all(load(file).convention.clock == "pipelined" for file in files)
 
 

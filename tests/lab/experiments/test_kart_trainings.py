@@ -11,6 +11,7 @@ import pytest
 from lab.experiments import kart_trainings as trainings
 from lab.experiments.kart import WORLDS, KartDesign
 from lab.experiments.kart_trainings import pack, unpack
+from lab.experiments.runner import Part
 from spikedeploy.files import write_text
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.run_folder import RunFolder
@@ -27,15 +28,17 @@ def trial_of(folder, recipe="kart-grid-snn", seed=0):
     return next(each for each in trials if (each.recipe, each.seed) == (recipe, seed))
 
 
+def perform(trial):
+    return Part(trial.name, trial.stored, trial).perform()
+
+
 def leave(trial, steps=300_000):
     """What a training that took `steps` leaves, with weights that are not packed."""
     run = RunFolder.create(trial.folder, trial.config).path
     (run / "checkpoints/last.safetensors").write_bytes(b"weights")
     (run / "checkpoints/last.json").write_text(json.dumps({"env_steps": steps, "finishes": 1}))
     (run / "policy.nir").write_bytes(b"a policy")
-    own = {"recipe": trial.recipe, "seed": trial.seed}
-    found = {"of": trial.evaluated_with, "trial": own, "parameters": 5, "rows": []}
-    write_text(run / "evaluation.json", json.dumps(found))
+    trial.stored()[0].write({"parameters": 5, "rows": []})
 
 
 def test_what_was_packed_is_done_where_it_is_unpacked(tmp_path):
@@ -43,7 +46,7 @@ def test_what_was_packed_is_done_where_it_is_unpacked(tmp_path):
     leave(trial_of(here))
     leave(trial_of(here, seed=1), steps=10)  # not trained to its end
     (script, *_) = KartDesign(runs=str(here)).scripts()
-    write_text(script.file, "{}")
+    script.stored()[0].write({})
     write_text(here / "kart-notes.json", "of somebody else")
     assert [path.name for path in pack(here, archives)] == ["scripts.zip", "kart-grid-snn.zip"]
     made = {path: path.read_bytes() for path in archives.iterdir()}
@@ -67,7 +70,7 @@ def test_what_was_unpacked_is_not_trained_or_evaluated_anew_in_its_place(asked, 
     trial = replace(trial_of(tmp_path / "there"), **asked)
     before = {path: path.read_bytes() for path in trial.run.rglob("*") if path.is_file()}
     with pytest.raises(ConfigError, match=r"last\.safetensors is missing, .*, or train again"):
-        trial.perform()
+        perform(trial)
     assert {path: path.read_bytes() for path in trial.run.rglob("*") if path.is_file()} == before
 
 
@@ -78,7 +81,7 @@ def test_damaged_records_of_a_training_are_named(name, content, tmp_path):
     leave(trial)
     (trial.run / name).write_bytes(content)
     with pytest.raises(ConfigError, match=rf"{name} is damaged.*: put it back, or move it away"):
-        _ = trial.is_done
+        _ = trial.evaluation
 
 
 def test_the_evaluation_of_another_training_is_none_of_this_one(tmp_path):
@@ -86,8 +89,8 @@ def test_the_evaluation_of_another_training_is_none_of_this_one(tmp_path):
     leave(one)
     leave(other)
     (one.run / "evaluation.json").write_bytes((other.run / "evaluation.json").read_bytes())
-    assert other.is_done
-    assert not one.is_done
+    assert other.evaluation is not None
+    assert one.evaluation is None
 
 
 def test_a_training_that_ended_is_not_deleted_where_its_counters_are_gone(tmp_path):
@@ -96,7 +99,7 @@ def test_a_training_that_ended_is_not_deleted_where_its_counters_are_gone(tmp_pa
     for name in ("last.json", "last.safetensors"):
         (trial.run / "checkpoints" / name).unlink()
     with pytest.raises(ConfigError, match=r"last\.json is missing, and evaluation\.json is there"):
-        trial.perform()
+        perform(trial)
     assert (trial.run / "policy.nir").is_file()
 
 
@@ -116,15 +119,6 @@ def test_a_training_that_ended_and_lost_its_tables_did_not_fail_to_finish(take, 
         take(trial)
 
 
-def test_nothing_is_written_over(tmp_path):
-    leave(trial_of(tmp_path))
-    archive = next(path for path in pack(tmp_path, tmp_path / "zips") if "snn" in path.name)
-    file = trial_of(tmp_path).run / "policy.nir"
-    file.write_bytes(b"another")
-    assert unpack(archive, tmp_path) == 0
-    assert file.read_bytes() == b"another"
-
-
 def test_what_an_archive_holds_is_not_lost(tmp_path):
     leave(trial_of(tmp_path / "all"))
     leave(trial_of(tmp_path / "all", seed=1))
@@ -134,7 +128,9 @@ def test_what_an_archive_holds_is_not_lost(tmp_path):
     with pytest.raises(ValueError, match="which --runs lacks: unpack it there first"):
         pack(tmp_path / "some", tmp_path / "zips")
     assert archive.read_bytes() == made
-    unpack(archive, tmp_path / "some")
+    kept = trial_of(tmp_path / "some").run / "policy.nir"
+    kept.write_bytes(b"a policy")
+    assert unpack(archive, tmp_path / "some") == 5  # nothing is written over
     leave(trial_of(tmp_path / "some", seed=2))
     pack(tmp_path / "some", tmp_path / "zips")
     assert len(ZipFile(archive).namelist()) == 15

@@ -146,15 +146,6 @@ def test_fewer_levels_have_less_to_do_and_keep_the_rows_of_the_others(design, re
     assert "3 episodes of the last level from seed" in text
 
 
-def test_runs_that_were_moved_are_found_again(design, results, tmp_path):
-    moved = tmp_path / "moved"
-    shutil.copytree(design.runs, moved)
-    there = replace(design, runs=str(moved))
-    assert [tuning.run.parent for tuning in there.tunings()] == [moved] * 4
-    shutil.rmtree(there.imitations()[0].run)
-    assert [tuning.run is None for tuning in there.tunings()] == [True, False, False, False]
-
-
 def test_delta_networks_run_where_graded_spikes_do(results):
     graded = [row for row in rows(results) if row["student"] == "delta-mlp"]
     assert {row["place"].split(":")[0] for row in graded} == {"loihi2", "ideal"}
@@ -259,24 +250,10 @@ def test_an_operation_of_a_graded_spike_costs_a_multiply_accumulate():
     assert terms({**LIF, "graded_operations": 40.0}, "davies2018") == terms(LIF, "davies2018")
 
 
-def test_a_float_policy_reads_its_observations_and_has_no_encoder():
-    assert in_pico(terms(MLP, INT8)) == pytest.approx(
-        {
-            "operations": 200 * 1.55, "updates": 0.0, "traffic": 0.0, "encoder": 20 * 2.5,
-            "constants": 8 * 1.35,
-        }
-    )  # fmt: skip
-    assert not any(name.startswith("davies2018") for name in energies(MLP))
-
-
-def test_what_the_host_integrates_has_no_price():
-    assert energies({**LIF, "on_host": 18.0}) == {}
-
-
 def point(student, score, operations, level=100.0):
     costs = LIF if student.startswith("sparse") else MLP
     row = {**costs, "student": student, "operations": operations, "scores": [score, score]}
-    return Point(student, level, "here", [row], [10.0, 10.0])
+    return Point([row | {"level": level, "place": "here"}], [10.0, 10.0])
 
 
 def test_a_baseline_is_the_cheapest_float_student_that_is_not_below():
@@ -363,7 +340,7 @@ def test_robots_at_their_end_are_not_counted():
 
 def test_a_teacher_that_scores_nothing_leaves_no_share():
     beside = point("sparse", 1.0, 50.0)
-    nothing = Point("sparse", 100.0, "here", beside.rows, [0.0, 0.0])
+    nothing = Point(beside.rows, [0.0, 0.0])
     assert math.isnan(nothing.of_teacher.mean)
     assert share(nothing.of_teacher) == "–"
 

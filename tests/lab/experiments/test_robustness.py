@@ -1,19 +1,18 @@
 """The robustness experiment in its smallest size: evaluated, written, resumed."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from lab.experiments import robustness as page
 from lab.experiments.robustness import UNDISTURBED, RobustnessDesign, file_name, read_table
-from lab.experiments.runner import perform, run_experiment
+from lab.experiments.runner import run_experiment
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.envs.disturbances import kinds_of
 from spikedeploy.jobs import resumable
-from spikedeploy.runtime.faults import FAULTS, faults
+from spikedeploy.runtime.faults import faults
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.train import train
 from tests.job_functions import in_this_process
@@ -56,11 +55,6 @@ def test_the_line_up_is_the_ann_a_small_float_network_and_spiking_policies_on_th
     assert labels[:3] == ["ann", "small", "linear"]
     assert "snn · loihi1" in labels[3:]
     assert all(label.endswith("· loihi1") for label in labels[3:])
-
-
-def test_a_part_is_every_disturbance_of_the_world_and_every_fault(design, results, ran):
-    assert design.names == [UNDISTURBED, *kinds_of("kart"), *FAULTS]
-    assert ran[:4] == list(PARTS)
 
 
 def test_faults_are_of_chips_and_disturbances_of_all(design, results):
@@ -125,14 +119,17 @@ def test_what_is_done_is_not_done_again_and_what_has_changed_is(design, results,
     before = len(ran)
     run_experiment(design, PARTS, 1, results)
     assert len(ran) == before
-    row = design.stored(design.conditions("lidar-noise")[1], design.policies[0])
-    row.file.unlink()
+    design.rows("lidar-noise")[1].file.unlink()
     run_experiment(design, PARTS, 1, results)
     assert ran[before:] == ["lidar-noise"]
-    assert replace(design, episodes=4).is_missing("lidar-noise")
-    assert replace(design, chip="loihi2").is_missing("dead-neurons")
-    assert not replace(design, specimens=3).is_missing("lidar-noise")
-    assert replace(design, specimens=3).is_missing("dead-neurons")
+    for changed, name, is_done in (
+        ({"episodes": 4}, "lidar-noise", False),
+        ({"chip": "loihi2"}, "dead-neurons", False),
+        ({"specimens": 3}, "lidar-noise", True),
+        ({"specimens": 3}, "dead-neurons", False),
+    ):
+        parts = {part.name: part for part in replace(design, **changed).parts()}
+        assert parts[name].is_done == is_done
 
 
 def test_the_page_can_be_written_again_from_its_tables(design, results):
@@ -169,21 +166,11 @@ def test_the_page_says_where_the_ann_keeps_enough_and_the_spiking_policy_does_no
     assert found[2].endswith("noise (50% [40, 60] against 95% [85, 105]).")
 
 
-def test_the_page_says_so_where_there_is_no_such_case():
-    found = page.sentences([row_of("ann", "ann", "noise", 0.8), row_of("snn", "snn", "noise", 0.5)])
-    assert found[-1] == "* Wherever ann keeps 90% at level 2, snn does."
-
-
 def test_a_policy_that_earns_nothing_keeps_no_share():
     nothing = {"policy": "p", "part": UNDISTURBED, "returns": [0.0, 0.0], "groups": [0, 1]}
     rows = page.with_kept([nothing, nothing | {"part": "disturbance"}])
     assert all("kept" not in row for row in rows)
     assert page.kept_text(rows[1]) == "–"
-
-
-def test_shipped_policies_can_be_chosen():
-    found = RobustnessDesign.of({"env": ENV, "policies": ["kart-grid/snn,kart-grid/ann"]}).policies
-    assert [tested.label for tested in found] == ["ann", "snn · loihi1"]
 
 
 @pytest.mark.parametrize(("env", "kind"), [("tests.own_env:Reach", "losing"), ("CartPole-v1", "")])
@@ -223,10 +210,6 @@ def test_the_command_runs_a_quick_look(ran, tmp_path, monkeypatch, lab):
     code, out, _ = lab(*words)
     assert (code, json.loads(out)["done"]) == (0, 1)
     assert (tmp_path / "runs" / "robustness-quick" / "robustness.md").is_file()
-
-
-def test_a_job_makes_the_rows_of_its_parts(design, results):
-    assert perform("robustness", asdict(design), ["undisturbed"])
 
 
 @pytest.mark.parametrize("policy", ["bad.onnx", "nowhere"])

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from lab.experiments.kart import KartTraining
-from lab.experiments.pareto import BEST, ParetoDesign, StudentTraining, operations_of
-from lab.experiments.runner import run_experiment
+from lab.experiments.pareto import BEST, ParetoDesign, StudentTraining
+from lab.experiments.runner import Part, run_experiment
 from lab.experiments.training import counters
 from spikedeploy.jobs import resumable
 from spikedeploy.policies.registry import find
@@ -34,6 +34,10 @@ def make(folder, **changes):
     return KartTraining(f"smoke-kart-s{plain['seed']}", **plain)
 
 
+def part(training):
+    return Part(training.name, training.stored, training)
+
+
 def count(monkeypatch, name):
     """Count the calls of a method of trainings."""
     calls, function = [], getattr(KartTraining, name)
@@ -43,8 +47,8 @@ def count(monkeypatch, name):
 
 def test_a_trial_is_trained_exported_and_evaluated(race, tmp_path):
     one = make(tmp_path)
-    assert (one.run, one.is_trained, one.is_done) == (None, False, False)
-    assert one.perform()
+    assert (one.run, one.is_trained, one.evaluation) == (None, False, None)
+    assert part(one).perform()
     assert one.run.name.startswith("smoke-kart-s1-")
     assert counters(one.run)["env_steps"] == 1024
     assert [row["chip"] for row in one.evaluation["rows"]] == ["float", "loihi1"]
@@ -56,25 +60,25 @@ def test_a_trial_is_trained_exported_and_evaluated(race, tmp_path):
 
 def test_what_is_done_is_not_done_again(race, monkeypatch, tmp_path):
     one = make(tmp_path)
-    one.perform()
+    part(one).perform()
     trained, evaluated = count(monkeypatch, "_train"), count(monkeypatch, "_evaluate")
-    assert one.perform()
+    assert part(one).perform()
     assert (trained, evaluated) == ([], [])
     more = make(tmp_path, episodes=4)
-    assert not more.is_done
-    more.perform()
+    assert not part(more).is_done
+    part(more).perform()
     assert (trained, evaluated) == ([], [1])
     assert more.evaluation["rows"][0]["episodes"] == 4
 
 
 def test_a_longer_budget_goes_on_with_the_same_run(race, tmp_path):
     one, longer = make(tmp_path), make(tmp_path, overrides=(*QUICK[1:], "steps=1280"))
-    one.perform()
+    part(one).perform()
     assert not longer.is_trained
-    longer.perform()
+    part(longer).perform()
     assert longer.run == one.run
     assert counters(longer.run)["env_steps"] == 1280
-    assert longer.is_done
+    assert part(longer).is_done
 
 
 def test_an_interrupted_training_goes_on_where_it_stopped(race, monkeypatch, tmp_path):
@@ -83,10 +87,10 @@ def test_an_interrupted_training_goes_on_where_it_stopped(race, monkeypatch, tmp
     asked = iter([False, False, False, True])
     monkeypatch.setattr(Interrupt, "__call__", lambda self: next(asked, False))
     one = make(tmp_path)
-    assert not one.perform()
+    assert not part(one).perform()
     steps, run = counters(one.run)["env_steps"], one.run
     assert 0 < steps < 1024
-    assert one.perform()
+    assert part(one).perform()
     assert one.run == run
     ends = [row["env_steps"] for row in read(run / "episodes.csv")]
     assert ends == sorted(ends)
@@ -94,7 +98,7 @@ def test_an_interrupted_training_goes_on_where_it_stopped(race, monkeypatch, tmp
 
 def test_enough_finishes_end_a_training(race, tmp_path):
     one = make(tmp_path, overrides=(*QUICK, "env.options.luck=6", "stop_at_finishes=4"))
-    one.perform()
+    part(one).perform()
     assert one.is_trained
     assert 4 <= len(one.finishes) < 20
     assert counters(one.run)["env_steps"] < 1024
@@ -121,7 +125,7 @@ def test_greedy_episodes_must_finish_in_two_validations(race, tmp_path, shares, 
 
 def test_both_limits_must_be_reached_where_both_are_set(race, tmp_path):
     both = make(tmp_path, overrides=(*QUICK, "stop_at_finishes=4", "stop_at_greedy=0.95"))
-    make(tmp_path, overrides=QUICK).perform()
+    part(make(tmp_path, overrides=QUICK)).perform()
     last = both.run / "checkpoints/last.json"
     for found, trained in (
         ({"finishes": 4, "held": 1}, False),
@@ -143,9 +147,9 @@ def test_a_broken_export_is_not_evaluated(race, monkeypatch, tmp_path):
     )
     one = make(tmp_path)
     with pytest.raises(SpikedeployError, match=r"does not do what .*: spikes"):
-        one.perform()
+        part(one).perform()
     assert one.is_trained
-    assert not one.is_done
+    assert one.evaluation is None
 
 
 # students of teachers
@@ -199,13 +203,6 @@ def test_an_unfinished_training_is_resumed(asked, calls):
     assert calls[0][1]["resume"] == run
 
 
-def test_a_run_without_a_checkpoint_is_started_anew(asked, calls):
-    run = leave(asked, None)
-    asked.complete()
-    assert "resume" not in calls[0][1]
-    assert not run.exists()
-
-
 def test_a_finished_training_is_reused_whatever_lies_beside_it(asked, calls):
     run = leave(asked, True)
     leave(asked, False)
@@ -229,14 +226,6 @@ def test_settings_that_are_not_the_recipes_are_named(asked):
     assert asked.changed_settings == []
     now = replace(asked, overrides=("walks=8",))
     assert now.changed_settings == ["walks=7"]
-
-
-def test_levels_begin_with_the_most_operations(asked):
-    run = leave(asked, True)
-    for name in ("ops-70", "ops-105", "ops-1e+03", "best", "last"):
-        (run / f"checkpoints/{name}.safetensors").touch()
-    assert asked.levels == ["ops-1e+03", "ops-105", "ops-70"]
-    assert operations_of("ops-1e+03") == 1000
 
 
 # with reward
@@ -345,13 +334,6 @@ def test_a_part_whose_training_before_is_missing_is_refused_at_the_start(
     assert not list(tmp_path.iterdir())
     run_experiment(design, [only, "kart-grid-sparse-s0"], 1, tmp_path / "results")
     assert {"kart-grid-sparse-s0", only} <= set(started)
-
-
-def test_a_part_of_a_training_that_is_there_needs_nothing_more(started, asked, tmp_path):
-    leave(asked, True)
-    design = ParetoDesign(2, str(tmp_path), asked.overrides, env=ENV)
-    run_experiment(design, ["kart-grid-sparse-linear-s1"], 1, tmp_path / "results")
-    assert started[0] == "kart-grid-sparse-linear-s1"
 
 
 def test_files_in_place_of_folders_are_refused_at_the_start(started, tmp_path):
