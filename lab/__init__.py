@@ -3,7 +3,7 @@
 Not installed. Run from a checkout by `python -m lab NAME …` or `./spike lab NAME …`.
 
 experiments  trainings and evaluations whose tables stand in results/
-bench        speed, memory and structure of this code, beside other libraries
+bench        speed of this code, beside other libraries
 firmware     instructions and bytes of exported C, counted in an emulated microcontroller
 peers        golden traces and exports recorded with the tools that they come from
 interop      our networks opened by other tools, every spike compared

@@ -22,11 +22,10 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -62,12 +61,11 @@ def main() -> None:
         for name in options.only:
             rows.append(killer.try_case(CASES[name], options.kills))
             print(table(rows[-1:]), file=sys.stderr, flush=True)
-    print(json.dumps([asdict(row) for row in rows]) if options.json else table(rows))
-    sys.exit(any(row.differences for row in rows))
+    print(json.dumps(rows) if options.json else table(rows))
+    sys.exit(any(row["differences"] for row in rows))
 
 
-@dataclass(frozen=True)
-class Moment:
+class Moment(NamedTuple):
     """When a training is interrupted; never, by default.
 
     seconds: after its start
@@ -79,14 +77,8 @@ class Moment:
     write: int = 0
     stop: bool = False
 
-    @property
-    def kills(self) -> bool:
-        """Return whether it is a kill."""
-        return not self.stop
 
-
-@dataclass(frozen=True)
-class End:
+class End(NamedTuple):
     """How a training ended.
 
     status: FINISHED, FAILED, STOPPED, KILLED, or UNHEARD for a stop before it listened
@@ -101,56 +93,40 @@ class End:
     log: str
 
 
-def load() -> None:
-    """Import what trainings import, so that every fork has it."""
-    for name in (*_MODULES, *(target.split(":")[0] for target in ALGORITHMS.values())):
-        import_module(name)
-
-
-def run_once(
-    recipe: str, settings: Sequence[str], runs: Path, resume: Path | None, moment: Moment
-) -> End:
-    """Train in a process of its own, and return how it ended."""
+def run_once(recipe: str, settings: tuple[str, ...], runs: Path, moment: Moment) -> End:
+    """Train in a process of its own, or resume what is in the folder; return how it ended."""
     began, log, count = time.perf_counter(), runs.parent / "log", runs.parent / "writes"
+    resume = _only(runs)
+    if resume is None:
+        shutil.rmtree(runs, ignore_errors=True)  # it died before it had a configuration
+        runs.mkdir(parents=True)
     sys.stdout.flush()
     process = os.fork()
-    if process == 0:
-        _child(recipe, settings, runs, resume, moment, log, count)
+    if process == 0:  # which leaves without any of its parent's clean-up
+        status = FAILED
+        try:
+            output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            os.dup2(output, 1)
+            os.dup2(output, 2)
+            seen = _watch_files(runs, moment.write)
+            if moment.seconds:
+                number = signal.SIGTERM if moment.stop else signal.SIGKILL
+                timer = threading.Timer(moment.seconds, os.kill, (os.getpid(), number))
+                timer.daemon = True
+                timer.start()
+            stopped, more = Interrupt(), () if resume else settings
+            train(recipe, overrides=more, resume=resume, runs=runs, quiet=True, interrupt=stopped)
+            status = STOPPED if stopped.share is not None else FINISHED
+            count.write_text(str(len(seen)))
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stderr.flush()
+            os._exit(status)
     status = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
-    run = next((file.parent for file in runs.glob("*/config.json")), runs)
     writes = int(count.read_text()) if status == FINISHED else 0
-    return End(run, status, time.perf_counter() - began, writes, log.read_text())
-
-
-def _child(
-    recipe: str, settings: Sequence[str], runs: Path, resume: Path | None, moment: Moment,
-    log: Path, count: Path,
-) -> None:  # fmt: skip
-    """Train, and leave the process without any of its parent's clean-up."""
-    status = FAILED
-    try:
-        output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-        os.dup2(output, 1)
-        os.dup2(output, 2)
-        seen = _watch_files(runs, moment.write)
-        if moment.seconds:
-            number = signal.SIGTERM if moment.stop else signal.SIGKILL
-            threading.Thread(target=_signal, args=(moment.seconds, number), daemon=True).start()
-        interrupt = Interrupt()
-        changes = () if resume else settings
-        train(recipe, overrides=changes, resume=resume, runs=runs, quiet=True, interrupt=interrupt)
-        status = STOPPED if interrupt.share is not None else FINISHED
-        count.write_text(str(len(seen)))
-    except BaseException:
-        traceback.print_exc()
-    finally:
-        sys.stderr.flush()
-        os._exit(status)
-
-
-def _signal(seconds: float, number: int) -> None:
-    time.sleep(seconds)
-    os.kill(os.getpid(), number)
+    taken = time.perf_counter() - began
+    return End(_only(runs) or runs, status, taken, writes, log.read_text())
 
 
 def _watch_files(runs: Path, last: int) -> list[str]:
@@ -167,35 +143,38 @@ def _watch_files(runs: Path, last: int) -> list[str]:
     return seen
 
 
+def _only(runs: Path) -> Path | None:
+    """Return the run folder in a folder, if there is one."""
+    return next((file.parent for file in sorted(runs.glob("*/config.json"))), None)
+
+
 def differences(whole: Path, other: Path | None) -> list[str]:
     """Return what differs between the folder of an unbroken run and another, in words."""
     if other is None:
         return ["there is no run folder"]
-    ours, theirs = _files(whole), _files(other)
-    found = [f"{name} is missing" for name in sorted(ours - theirs)]
-    found += [f"{name} is left over" for name in sorted(theirs - ours)]
-    return found + [
-        f"{name} differs"
-        for name in sorted(ours & theirs)
-        if _content(whole / name) != _content(other / name)
-    ]
+    ours, theirs = _contents(whole), _contents(other)
+    found = [f"{name} is missing" for name in sorted(ours.keys() - theirs)]
+    found += [f"{name} is left over" for name in sorted(theirs.keys() - ours)]
+    both = sorted(ours.keys() & theirs)
+    return found + [f"{name} differs" for name in both if ours[name] != theirs[name]]
 
 
-def _files(run: Path) -> set[str]:
-    """Return the names of a run's files but TensorBoard's."""
-    found = {str(path.relative_to(run)) for path in run.rglob("*") if path.is_file()}
-    return {name for name in found if not name.startswith("events.out.")}
-
-
-def _content(path: Path) -> object:
-    """Return what must be equal of a file."""
-    if path.name in _TITLED:
-        return None
-    if path.name != "metrics.csv":
-        return path.read_bytes()
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    return [{k: v for k, v in row.items() if not k.endswith("_per_s")} for row in rows]
+def _contents(run: Path) -> dict[str, object]:
+    """Return what must be equal of each file of a run but TensorBoard's."""
+    found: dict[str, object] = {}
+    for path in run.rglob("*"):
+        name = str(path.relative_to(run))
+        if not path.is_file() or name.startswith("events.out."):
+            continue
+        if path.name == "metrics.csv":
+            with path.open(newline="") as file:
+                rows = list(csv.DictReader(file))
+            found[name] = [
+                {k: v for k, v in row.items() if not k.endswith("_per_s")} for row in rows
+            ]
+        else:
+            found[name] = None if path.name in _TITLED else path.read_bytes()
+    return found
 
 
 @dataclass(frozen=True)
@@ -239,63 +218,50 @@ def lean(observation: np.ndarray) -> int:
     return int(observation[2] + observation[3] > 0)
 
 
-@dataclass(frozen=True)
-class Row:
-    """Outcome of one case.
-
-    kills, writes: SIGKILLs that met a training, and those of them at a file operation
-    stops: SIGTERMs that met one
-    differences: of each chain that did not end as the unbroken run, in words
-    """
-
-    name: str
-    recipe: str
-    kills: int
-    writes: int
-    stops: int
-    chains: int
-    files: int
-    seconds: float
-    differences: tuple[str, ...]
-
-
 class Killer:
     """Runs cases in a folder."""
 
     def __init__(self, folder: Path, seed: int) -> None:
         self._folder, self._seed = folder, seed
-        load()
+        for name in (*_MODULES, *(target.split(":")[0] for target in ALGORITHMS.values())):
+            import_module(name)  # so that every fork has it
         self._whole: dict[str, End] = {}
 
-    def try_case(self, case: Case, kills: int) -> Row:
-        """Return what came of a case after so many kills."""
+    def try_case(self, case: Case, kills: int) -> dict[str, Any]:
+        """Return what came of a case after so many kills.
+
+        kills, writes: SIGKILLs that met a training, and those of them at a file operation
+        stops: SIGTERMs that met one
+        differences: of each chain that did not end as the unbroken run, in words
+        """
         began, rng = time.perf_counter(), np.random.default_rng([self._seed, len(case.name), kills])
         whole = self.unbroken(case)
         met: list[Moment] = []
         wrong: list[str] = []
         chains = 0
-        while sum(moment.kills for moment in met) < kills:
-            left = kills - sum(moment.kills for moment in met)
+        while (done := sum(not moment.stop for moment in met)) < kills:
             runs = self._folder / case.name / f"chain-{chains}"
-            met += (interruptions := self._chain(case, runs, whole, rng, left))
-            found = differences(whole.run, _only(runs))
-            if found:
+            met += (interruptions := self._chain(case, runs, whole, rng, kills - done))
+            if found := differences(whole.run, _only(runs)):
                 wrong.append(f"{case.name} chain {chains} ({interruptions}): {'; '.join(found)}")
             chains += 1
-        files = sum(path.is_file() for path in whole.run.rglob("*"))
-        deadly = [moment for moment in met if moment.kills]
-        return Row(
-            case.name, case.recipe, len(deadly), sum(m.write > 0 for m in deadly),
-            len(met) - len(deadly), chains, files, time.perf_counter() - began, tuple(wrong),
-        )  # fmt: skip
+        return {
+            "name": case.name,
+            "recipe": case.recipe,
+            "kills": done,
+            "writes": sum(moment.write > 0 for moment in met),
+            "stops": len(met) - done,
+            "chains": chains,
+            "files": sum(path.is_file() for path in whole.run.rglob("*")),
+            "seconds": time.perf_counter() - began,
+            "differences": wrong,
+        }
 
     def unbroken(self, case: Case) -> End:
         """Return how a training ended that nothing stopped."""
         if case.name not in self._whole:
-            end = self._train(case, self._folder / case.name / "whole", Moment())
-            if end.status != FINISHED:
-                raise RuntimeError(f"{case.name} did not finish: {end.log}")
-            self._whole[case.name] = end
+            runs = self._folder / case.name / "whole"
+            self._whole[case.name] = self._finished(case, runs, [])
         return self._whole[case.name]
 
     def _chain(
@@ -306,31 +272,28 @@ class Killer:
         for _ in range(int(rng.integers(1, _MOST + 1))):
             moment = _moment(rng, whole)
             end = self._train(case, runs, moment)
-            if end.status in (KILLED, STOPPED):
-                met.append(moment)
-            elif end.status == FINISHED:
+            if end.status == FINISHED:
                 return met
-            elif end.status == UNHEARD:  # it did not listen yet
-                continue
-            else:
+            if end.status not in (KILLED, STOPPED, UNHEARD):
                 raise RuntimeError(f"{case.name} failed after {met}: {end.log}")
-            if sum(moment.kills for moment in met) == kills:
+            if end.status != UNHEARD:  # else it did not listen yet
+                met.append(moment)
+            if sum(not moment.stop for moment in met) == kills:
                 break
+        self._finished(case, runs, met)
+        return met
+
+    def _finished(self, case: Case, runs: Path, met: list[Moment]) -> End:
         end = self._train(case, runs, Moment())
         if end.status != FINISHED:
             raise RuntimeError(f"{case.name} did not finish after {met}: {end.log}")
-        return met
+        return end
 
     def _train(self, case: Case, runs: Path, moment: Moment) -> End:
-        """Start a training, or resume the one in the folder."""
         settings = case.settings
         if case.start:
             settings = (*settings, f"start={self.unbroken(CASES[case.start]).run}")
-        resume = _only(runs)
-        if resume is None:
-            shutil.rmtree(runs, ignore_errors=True)  # it died before it had a configuration
-            runs.mkdir(parents=True)
-        return run_once(case.recipe, settings, runs, resume, moment)
+        return run_once(case.recipe, settings, runs, moment)
 
 
 def _moment(rng: np.random.Generator, whole: End) -> Moment:
@@ -343,19 +306,15 @@ def _moment(rng: np.random.Generator, whole: End) -> Moment:
     return Moment(seconds=after)
 
 
-def _only(runs: Path) -> Path | None:
-    """Return the run folder in a folder, if there is one."""
-    return next((file.parent for file in sorted(runs.glob("*/config.json"))), None)
-
-
-def table(rows: list[Row]) -> str:
+def table(rows: list[dict[str, Any]]) -> str:
     """Return the rows as a table, and a line for each difference."""
-    head = ("training", "recipe", "kills", "at a write", "stops", "chains", "equal", "files", "s")
+    head = ["training", "recipe", "kills", "at a write", "stops", "chains", "equal", "files", "s"]
     cells = [
-        list(map(str, (
-            r.name, r.recipe, r.kills, r.writes, r.stops, r.chains,
-            r.chains - len(r.differences), r.files, round(r.seconds))))
+        [
+            *(str(r[name]) for name in ("name", "recipe", "kills", "writes", "stops", "chains")),
+            *map(str, (r["chains"] - len(r["differences"]), r["files"], round(r["seconds"]))),
+        ]
         for r in rows
-    ]  # fmt: skip
-    wrong = (difference for row in rows for difference in row.differences)
-    return "\n".join([markdown_text([list(head), *cells]), *wrong])
+    ]
+    wrong = (difference for row in rows for difference in row["differences"])
+    return "\n".join([markdown_text([head, *cells]), *wrong])

@@ -1,4 +1,4 @@
-"""Speed, memory and structure of this code, some of it beside other libraries.
+"""Speed of this code, some of it beside other libraries.
 
 latency      one action, against snnTorch's loop
 runtime      batches of one and of many, against snnTorch, Norse, SpikingJelly and xylosim

@@ -2,8 +2,7 @@
 
 No tool is imported here: each runs in a Python of its own, which `./spike test --peers` makes.
 
-tools         the tools, their Pythons, their versions
 peer_process  what runs there; imports nothing of ours
-cases         files as they are and as they are rewritten for a tool; every spike compared
+cases         the tools; files as they are and as they are rewritten for one; every spike compared
 page          the command, and its table
 """

@@ -5,8 +5,11 @@ again.
 """
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -14,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lab.interop.tools import PEERS, OtherTool, answers, versions
 from spikedeploy import zoo
 from spikedeploy.exporters.check import random_spikes
 from spikedeploy.files import as_text, write_text
@@ -23,6 +25,101 @@ from spikedeploy.runtime.dialects.rewriting import arguments
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import ports
+
+_SCRIPT = Path(__file__).with_name("peer_process.py")
+_SECONDS = 600  # for all jobs of one call
+_RELEASES = ("1.0.1", "1.0.4", "1.0.5", "1.0.6", "1.0.7", "1.0.8")
+
+
+@dataclass(frozen=True)
+class OtherTool:
+    """A tool.
+
+    name      of its environment
+    title     in words
+    importer  whether it computes spikes, and `export --for` knows it
+    missing   why it is never run; empty where it is
+    """
+
+    name: str
+    title: str
+    importer: bool = False
+    missing: str = ""
+
+    @property
+    def release(self) -> str:
+        """The release of nir that it is; empty for other tools."""
+        return self.name.removeprefix("nir==") if self.name.startswith("nir==") else ""
+
+
+PEERS = (
+    OtherTool("norse", "Norse", importer=True),
+    OtherTool("snntorch", "snnTorch", importer=True),
+    OtherTool("spikingjelly", "SpikingJelly", importer=True),
+    OtherTool("rockpool", "Rockpool", importer=True),
+    OtherTool(
+        "sinabs", "sinabs", missing="not opened here: it asks for an older `nir`, and for samna"
+    ),
+    OtherTool("snn-mlir", "snn-mlir check"),
+    *(OtherTool(f"nir=={release}", f"nir {release}") for release in _RELEASES),
+)
+
+
+def pythons(folder: Path, given: Mapping[str, Path]) -> dict[str, Path]:
+    """The Python of each tool that has one: given by name, else FOLDER/NAME/bin/python."""
+    names = [peer.name for peer in PEERS]
+    for name, place in given.items():
+        if name not in names:
+            raise ConfigError(f"--python {name}: there are {', '.join(names)}")
+        if not place.exists():
+            raise ConfigError(f"--python {name}: there is no {place}")
+    own = f"nir=={version('nir')}"
+    places = {name: folder / name / "bin" / "python" for name in names} | dict(given)
+    usual = {own: Path(sys.executable)} if own in names else {}
+    return usual | {n: p.absolute() for n, p in places.items() if p.exists()}
+
+
+def check_given(given: Mapping[str, Path]) -> None:
+    """Refuse a path of --python that is no Python in which its tool is installed."""
+    for peer in PEERS:
+        if peer.name in given and not peer.missing and not versions(peer, given[peer.name]):
+            raise ConfigError(
+                f"--python {peer.name}={given[peer.name]} is not a Python with {peer.name}. Name "
+                "the one in which it is installed."
+            )
+
+
+def versions(peer: OtherTool, python: Path) -> dict[str, str]:
+    """Releases of the packages that a tool reads files with; empty where it is not installed."""
+    try:
+        found = json.loads(_ask([str(python), str(_SCRIPT), peer.name, "versions"], "", 60))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def answers(peer: OtherTool, python: Path, jobs: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """The tool's answer to each job, in their order."""
+    command = [str(python), str(_SCRIPT), peer.name]
+    lines = _ask(command, json.dumps(jobs), _SECONDS).splitlines()
+    yield from map(json.loads, lines)
+    for _ in jobs[len(lines) :]:
+        yield {"opens": False, "message": "its process ended, or took too long"}
+
+
+def _ask(command: list[str], given: str, seconds: float) -> str:
+    """The stdout of a process until it ended, or until its time was over."""
+    try:
+        done = subprocess.run(
+            command, input=given, capture_output=True, text=True, check=False, timeout=seconds
+        )
+    except subprocess.TimeoutExpired as error:
+        written = error.stdout or ""
+        return written.decode() if isinstance(written, bytes) else written
+    return done.stdout
+
+
+# cases
 
 TIMESTEPS = 400
 PLAIN, FOR, OLDER = "as it is", "--for", "--nir-compat"
@@ -217,30 +314,12 @@ def _spikes(found: Case, peer: OtherTool, folder: Path) -> Row:
 
 
 def _read(records: Path) -> list[Row]:
-    if not records.is_file():
-        return []
     try:
-        rows = json.loads(records.read_bytes())
-    except (ValueError, RecursionError):
-        rows = None
-    if not isinstance(rows, list) or not all(map(_is_row, rows)):
-        raise ConfigError(
-            f"--records {records} does not hold what interop found. Name another, or delete it."
-        )
-    return rows
-
-
-def _is_row(row: object) -> bool:
-    """Return whether it has the fields that the page is made of."""
-    if not isinstance(row, dict) or not all(
-        isinstance(row.get(f), str) for f in (*_KEY, "message")
-    ):
-        return False
-    is_importer = row["peer"] in {peer.name for peer in PEERS if peer.importer}
-    found = row.get("meant") if row.get("opens") is True and is_importer else None
-    return (
-        isinstance(row.get("versions"), dict)
-        and row.get("opens") in (None, True, False)
-        and (found is not None or not (row.get("opens") and is_importer))
-        and (found is None or {"compared", "differ", "first", "output"} <= found.keys())
+        rows = json.loads(records.read_bytes()) if records.is_file() else []
+        if all({*_KEY, "message", "versions", "opens"} <= row.keys() for row in rows):
+            return list(rows)
+    except (ValueError, RecursionError, AttributeError, TypeError):
+        pass
+    raise ConfigError(
+        f"--records {records} does not hold what interop found. Name another, or delete it."
     )

@@ -3,16 +3,27 @@
 import argparse
 import re
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from lab.interop.cases import FOR, OLDER, PLAIN, TIMESTEPS, Row, measure
-from lab.interop.tools import PEERS, OtherTool, check_given, pythons
+from jinja2 import Environment, StrictUndefined
+
+from lab.experiments.pages import grouped
+from lab.interop.cases import (
+    FOR,
+    OLDER,
+    PEERS,
+    PLAIN,
+    TIMESTEPS,
+    Row,
+    check_given,
+    measure,
+    pythons,
+)
 from spikedeploy import zoo
 from spikedeploy.console import print_json, say
 from spikedeploy.files import write_text
 from spikedeploy.outputs import check_output, marked
-from spikedeploy.reports.table import markdown_text
 from spikedeploy.runtime.errors import ConfigError
 
 _LONGEST = 110  # characters of a message
@@ -36,41 +47,36 @@ def main() -> None:
     parser.add_argument("--force", action="store_true", help="write over what others made")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    given = _pairs(options.python)
+    given = {}
+    for text in options.python:  # a release of nir is TOOL too: nir==1.0.4=PATH
+        name, _, place = text.rpartition("=")
+        if not name:
+            raise ConfigError(f"--python {text}: give TOOL=PATH")
+        given[name] = Path(place)
     records = options.records or options.output.with_suffix(".json")
-    chosen = _network_files(options.files)
+    chosen = [file for name in options.files or ["shipped"] for file in _network_files(name)]
     _check_written(options.output, records, chosen, options.force)
     places = pythons(options.folder, given)
     check_given(given)
     rows = measure(chosen, places, records, say)
-    write_text(options.output, page(rows, _page_command(options.files, options.output, records)))
+    command = ["python", "-m", "lab", "interop", *options.files, "-o", options.output.as_posix()]
+    if records != options.output.with_suffix(".json"):
+        command += ["--records", records.as_posix()]
+    write_text(options.output, page(rows, shlex.join(command)))
     if options.json:
         print_json(rows)
     else:
         print(f"wrote {options.output}")
 
 
-def _pairs(texts: list[str]) -> dict[str, Path]:
-    """TOOL=PATH of each text; a release of nir is TOOL too: nir==1.0.4=PATH."""
-    pairs = {text: text.rpartition("=") for text in texts}
-    for text, (name, _, _) in pairs.items():
-        if not name:
-            raise ConfigError(f"--python {text}: give TOOL=PATH")
-    return {name: Path(path) for name, _, path in pairs.values()}
-
-
-def _network_files(names: Sequence[str]) -> list[Path]:
-    """The .nir files of these names; `shipped` stands for all shipped policies."""
-    found: list[Path] = []
-    for name in names or ["shipped"]:
-        file = zoo.resolve(name)
-        if name == "shipped":
-            found += [each for each in zoo.policies() if each.suffix == ".nir"]
-        elif file is not None and file.suffix == ".nir" and file.is_file():
-            found.append(file)
-        else:
-            raise ConfigError(f"{name} is no .nir file and no shipped spiking policy")
-    return found
+def _network_files(name: str) -> list[Path]:
+    """The .nir file of a name; `shipped` stands for all shipped policies."""
+    if name == "shipped":
+        return [each for each in zoo.policies() if each.suffix == ".nir"]
+    file = zoo.resolve(name)
+    if file is None or file.suffix != ".nir" or not file.is_file():
+        raise ConfigError(f"{name} is no .nir file and no shipped spiking policy")
+    return [file]
 
 
 def _check_written(page: Path, records: Path, files: Sequence[Path], force: bool) -> None:
@@ -78,20 +84,9 @@ def _check_written(page: Path, records: Path, files: Sequence[Path], force: bool
     check_output("-o", page, files, force, lambda path: marked(path, TITLE))
     if page.resolve() == records.resolve():
         raise ConfigError(f"-o and --records are the same file, {page}. Name another for one.")
-    check_output("--records", records, (*files, page), force, _is_ours)
-
-
-def _is_ours(records: Path) -> bool:
-    with records.open("rb") as file:
-        return file.read(len(_HEAD)) == _HEAD
-
-
-def _page_command(names: Sequence[str], page: Path, records: Path) -> str:
-    """The command that makes the page again."""
-    words = ["python", "-m", "lab", "interop", *names, "-o", page.as_posix()]
-    if records != page.with_suffix(".json"):
-        words += ["--records", records.as_posix()]
-    return shlex.join(words)
+    check_output(
+        "--records", records, (*files, page), force, lambda at: at.read_bytes().startswith(_HEAD)
+    )
 
 
 def page(rows: Sequence[Row], command: str) -> str:
@@ -99,51 +94,31 @@ def page(rows: Sequence[Row], command: str) -> str:
 
     command: that makes it.
     """
-    tools = [
-        f"## {peer.title}\n\n{_table(peer, rows)}\n"
-        for peer in PEERS
-        if peer.importer or peer.missing
-    ]
-    return _TEMPLATE.read_text("utf-8").format(
-        command=command,
-        timesteps=TIMESTEPS,
-        packages=_packages(rows),
-        summary=_summary(rows),
-        tools="\n".join(tools),
-        checked=_checked(rows),
-        releases=_releases(rows),
-    )
-
-
-def _packages(rows: Sequence[Row]) -> str:
-    """Releases of what read the files."""
-    found: dict[str, str] = {}
+    # tool -> file -> variant -> row
+    by_tool = {
+        peer: {file: {row["variant"]: row for row in each} for file, each in grouped(of, "file")}
+        for peer, of in grouped(rows, "peer")
+    }
+    releases: dict[str, str] = {}  # of what read the files
     for row in rows:
         if row["opens"] is not None and not row["peer"].startswith("nir=="):
-            found |= row["versions"]
-    said = ", ".join(f"{name} {found[name].partition('+')[0]}" for name in sorted(found))
-    return f"Releases: {said}." if said else "No tool is installed."
-
-
-def _summary(rows: Sequence[Row]) -> str:
-    """How many files each tool opens, and in which of them every spike is the same."""
-    body = []
-    for peer in PEERS:
-        files = list(_of(peer.name, rows).values())
-        if not peer.importer or any(
-            row["opens"] is None for each in files for row in each.values()
-        ):
-            continue
-        plain, written = ([each[variant] for each in files] for variant in (PLAIN, FOR))
-        body.append(
-            [
-                peer.title,
-                f"{sum(bool(row['opens']) for row in plain)} of {len(plain)}",
-                _equal(plain),
-                _equal(written),
-            ]
-        )
-    return markdown_text([["tool", "opens as it is", "equal as it is", "equal by `--for`"], *body])
+            releases |= row["versions"]
+    template = Environment(
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+        autoescape=False,
+    ).from_string(_TEMPLATE.read_text("utf-8"))  # fmt: skip
+    return template.render(
+        command=command,
+        timesteps=TIMESTEPS,
+        releases=", ".join(f"{n} {releases[n].partition('+')[0]}" for n in sorted(releases)),
+        rows=by_tool,
+        peers=PEERS,
+        is_installed=lambda name: all(
+            row["opens"] is not None for each in by_tool[name].values() for row in each.values()
+        ),
+        **{"PLAIN": PLAIN, "FOR": FOR, "OLDER": OLDER, "equal": _equal, "cell": _cell},
+        **{"verdict": _verdict, "opened": _opened},
+    )
 
 
 def _equal(rows: Sequence[Row]) -> str:
@@ -152,51 +127,21 @@ def _equal(rows: Sequence[Row]) -> str:
     return f"{len(names)} of {len(rows)}{': ' * bool(names)}{', '.join(names)}"
 
 
-def _of(peer: str, rows: Sequence[Row]) -> dict[str, dict[str, Row]]:
-    """File -> variant -> row."""
-    found: dict[str, dict[str, Row]] = {}
-    for row in rows:
-        if row["peer"] == peer:
-            found.setdefault(row["file"], {})[row["variant"]] = row
-    return found
-
-
-def _table(peer: OtherTool, rows: Sequence[Row]) -> str:
-    if peer.missing:
-        return f"{peer.missing[0].upper()}{peer.missing[1:]}."
-    body = [
-        [f"`{file}`", _cell(each[PLAIN]), _cell(each[FOR])]
-        for file, each in _of(peer.name, rows).items()
-    ]
-    return markdown_text([["file", "as it is", f"`--for {peer.name}`"], *body])
-
-
 def _cell(row: Row) -> str:
     """Outcome of a case in words."""
-    if row["opens"] is None:
-        return "not installed"
     if not row["opens"]:
-        return f"refused: {_short(row['message'])}"
-    found = row["meant"]
-    if found["differ"]:
-        timestep, layer, neuron = found["first"]
-        first = f"first in timestep {timestep}, `{layer}`, neuron {neuron}"
-        return f"opens, {found['differ']:,} of {found['compared']:,} differ, {first}{_like(row)}"
-    output = "" if found["output"] == "equal" else f", output {found['output']}"
-    return f"**equal**, {found['compared']:,} compared{output}"
-
-
-def _like(row: Row) -> str:
-    """How far the tool computes what we say that it does."""
-    if isinstance(row["like"], str):
-        return ""
-    apart = row["like"]["differ"]
-    return f"; from `--like` {apart:,} do" if apart else "; as `--like` says"
-
-
-def _checked(rows: Sequence[Row]) -> str:
-    body = [[f"`{file}`", _verdict(each[PLAIN])] for file, each in _of("snn-mlir", rows).items()]
-    return markdown_text([["file", "check"], *body])
+        return _verdict(row)
+    found, like = row["meant"], row["like"]
+    if not found["differ"]:
+        output = "" if found["output"] == "equal" else f", output {found['output']}"
+        return f"**equal**, {found['compared']:,} compared{output}"
+    timestep, layer, neuron = found["first"]
+    first = f"first in timestep {timestep}, `{layer}`, neuron {neuron}"
+    beside = ""  # how far the tool computes what we say that it does
+    if not isinstance(like, str):
+        apart = like["differ"]
+        beside = f"; from `--like` {apart:,} do" if apart else "; as `--like` says"
+    return f"opens, {found['differ']:,} of {found['compared']:,} differ, {first}{beside}"
 
 
 def _verdict(row: Row) -> str:
@@ -205,23 +150,13 @@ def _verdict(row: Row) -> str:
     return "OK" if row["opens"] else f"refused: {_short(row['message'])}"
 
 
-def _releases(rows: Sequence[Row]) -> str:
-    body = [
-        [peer.release, *_counts(_of(peer.name, rows))] for peer in reversed(PEERS) if peer.release
-    ]
-    return markdown_text([["nir", "as it is", "`--nir-compat`"], *body])
-
-
-def _counts(files: dict[str, dict[str, Row]]) -> Iterator[str]:
-    """Files that open, and the first message of those that do not, for both variants."""
-    for variant in (PLAIN, OLDER):
-        found = [each[variant] for each in files.values()]
-        if any(row["opens"] is None for row in found):
-            yield "not installed"
-            continue
-        bad = [row["message"] for row in found if not row["opens"]]
-        said = f"; {_short(bad[0])}" if bad else ""
-        yield f"{len(found) - len(bad)} of {len(found)} open{said}"
+def _opened(rows: Sequence[Row]) -> str:
+    """How many files open, and the first message of those that do not."""
+    if any(row["opens"] is None for row in rows):
+        return "not installed"
+    bad = [row["message"] for row in rows if not row["opens"]]
+    said = f"; {_short(bad[0])}" if bad else ""
+    return f"{len(rows) - len(bad)} of {len(rows)} open{said}"
 
 
 def _short(message: str) -> str:

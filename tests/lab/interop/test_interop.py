@@ -8,10 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lab.interop import cases, tools
-from lab.interop.cases import FOR, PLAIN, case, compare, intended, measure, raster
+from lab.interop import cases
+from lab.interop.cases import (
+    FOR,
+    PEERS,
+    PLAIN,
+    answers,
+    case,
+    compare,
+    intended,
+    measure,
+    pythons,
+    raster,
+    versions,
+)
 from lab.interop.page import page
-from lab.interop.tools import PEERS, pythons, versions
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.errors import ConfigError
 from tests.networks import popsan
@@ -134,8 +145,8 @@ def test_a_python_without_the_tool_is_as_none():
 
 
 def test_a_process_that_ends_early_refuses_the_rest(monkeypatch):
-    monkeypatch.setattr(tools, "_output", lambda *_: '{"opens": true, "message": ""}\n')
-    said = list(tools.answers(TOOL["norse"], Path(sys.executable), [{}, {}]))
+    monkeypatch.setattr(cases, "_ask", lambda *_: '{"opens": true, "message": ""}\n')
+    said = list(answers(TOOL["norse"], Path(sys.executable), [{}, {}]))
     assert [answer["opens"] for answer in said] == [True, False]
     assert "ended" in said[1]["message"]
 
