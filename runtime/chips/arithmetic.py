@@ -17,9 +17,11 @@ from spikedeploy.runtime.chips.layer import (
     Network,
     Numbers,
     StepResult,
+    Synapses,
     with_starts,
 )
 from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.chips.registers import magnitude
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError, RuleError
 
@@ -257,6 +259,19 @@ class Arithmetic(ArithmeticDefaults, Protocol):
 
     def describe(self) -> Description:
         """Neurons, weights and membrane in a few words each."""
+
+
+def check_weights_left(layer: Layer, synapses: Sequence[Synapses], why: str) -> None:
+    """Refuse the layer if all of its weights become 0 in these synapses.
+
+    why: what the largest weight is too small beside, and what to do.
+    """
+    before = max(magnitude(s.weight) for s in layer.synapses)
+    if before > 0 and not any(s.weight.any() for s in synapses):
+        raise RuleError(
+            f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "
+            f"{before:g}, is too small {why}"
+        )
 
 
 def refuse_convention(convention: Convention, chip_name: str) -> NoReturn:

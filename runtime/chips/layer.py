@@ -177,7 +177,7 @@ def with_starts(
     """
     least = {network_input: delay if input_delay is None else input_delay}
     delays = {layer.name: [least.get(s.source, delay) for s in layer.synapses] for layer in layers}
-    starts = _starts(layers, network_input, delays if stagger else None)
+    starts = first_arrivals(layers, network_input, delays if stagger else None)
     return [
         replace(
             layer,
@@ -191,7 +191,7 @@ def with_starts(
     ]
 
 
-def _starts(
+def first_arrivals(
     layers: Sequence[Layer], network_input: str, delays: Mapping[str, Sequence[int]] | None
 ) -> dict[str, int]:
     """Timestep at which the input can first reach each layer; slower paths decide.

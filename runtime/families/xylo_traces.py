@@ -8,7 +8,7 @@ from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.families.xylo import XyloArithmetic, XyloRegisters
+from spikedeploy.runtime.families.xylo import XyloArithmetic
 from spikedeploy.runtime.traces.fields import Fields, Integers, Work
 from spikedeploy.runtime.traces.verify import TraceFile, chain_trace, layer_of, table_of
 
@@ -48,7 +48,7 @@ def xylo_trace(fields: Fields, chip: str) -> TraceFile:
     return chain_trace(fields, [spec, spec], program, counts, _RECORDED, _REPEATED)
 
 
-def _hidden(spec: Fields, registers: XyloRegisters, width: int, work: Work) -> Layer:
+def _hidden(spec: Fields, registers: XyloArithmetic, width: int, work: Work) -> Layer:
     weights = _weights(spec, "weights_in", 0, registers)
     if weights.shape[0] != width:
         found, remedy = f"has {weights.shape[0]} rows", f"Write one for each of {width} inputs."
@@ -67,7 +67,7 @@ def _hidden(spec: Fields, registers: XyloRegisters, width: int, work: Work) -> L
     return replace(layer, aliases=aliases)
 
 
-def _output(spec: Fields, registers: XyloRegisters, hidden: int, work: Work) -> Layer:
+def _output(spec: Fields, registers: XyloArithmetic, hidden: int, work: Work) -> Layer:
     weights = _weights(spec, "weights_out", 2, registers)
     if weights.shape[2] > 1:
         raise spec.wrong("weights_out", f"has shape {weights.shape}", "Outputs have one synapse.")
@@ -87,7 +87,7 @@ def _layer(
     name: str,
     synapses: list[Synapses],
     dashes: tuple[str, ...],
-    registers: XyloRegisters,
+    registers: XyloArithmetic,
 ) -> Layer:
     end, size = "_out" if name == _OUTPUT else "", synapses[0].weight.shape[1]
     limit = registers.state.limit
@@ -118,7 +118,7 @@ def _aliases(spec: Fields, size: int) -> tuple[tuple[int, ...], ...]:
     return rows
 
 
-def _weights(spec: Fields, name: str, place: int, registers: XyloRegisters) -> Integers:
+def _weights(spec: Fields, name: str, place: int, registers: XyloArithmetic) -> Integers:
     """(M, N, K) weights as they are added, after the shift of their matrix."""
     edge = 1 << (registers.weight_bits - 1)
     found = spec.array(name, axes=3, least=-edge, most=edge - 1)

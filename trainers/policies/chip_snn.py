@@ -41,7 +41,7 @@ from spikedeploy.runtime.emulator.interpreter import LayerTrace, trace
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.cuba.numba_kernels import jit
 from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
-from spikedeploy.runtime.families.xylo import XyloRegisters
+from spikedeploy.runtime.families.xylo import XyloArithmetic
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies.delta import DT
 from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
@@ -232,7 +232,7 @@ class ChipSnnPolicy(SpikingMlpPolicy):
         target = _datasheet(chip)
         # where the chip leaves no choice, neurons without a current or without a leak
         leaks = target.limits is None or target.limits.membrane_loss != (0.0, 0.0)
-        has_current = isinstance(target.arithmetic, XyloRegisters)
+        has_current = isinstance(target.arithmetic, XyloArithmetic)
         current_decay = (0.5 if alpha is None else alpha) if has_current else 0.0
         membrane_decay = (0.9375 if beta is None else beta) if leaks else 1.0
         if coding == "population":
@@ -377,7 +377,7 @@ class ChipSnnPolicy(SpikingMlpPolicy):
         arithmetic = self.target.arithmetic
         last = layer.name == self.program().output
         most = getattr(arithmetic, "output_spikes_max", 1) if last else arithmetic.spikes_max
-        is_xylo = isinstance(arithmetic, XyloRegisters)
+        is_xylo = isinstance(arithmetic, XyloArithmetic)
         return (most if is_xylo else arithmetic.spikes_max) > 1
 
     def _before_reset(self, layer: Layer, recorded: LayerTrace, drive: Tensor) -> Tensor:

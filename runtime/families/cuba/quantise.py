@@ -19,20 +19,21 @@ is the largest scale at which no register of the chip can overflow; widths count
 of the chip does not say what happens beyond them.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.layer import NEVER, Layer, Network, Synapses
+from spikedeploy.runtime.chips.arithmetic import check_weights_left
+from spikedeploy.runtime.chips.layer import NEVER, Layer, Network
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
 from spikedeploy.runtime.chips.registers import Register, Rounding, magnitude, round_values
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.cuba.neurons import CubaRegisters
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 # spikes of one sign more than of the other, on the heaviest synapse; a channel of a delta code with
 # steps of 0.3 standard deviations stays below 10, and several channels add up
@@ -86,8 +87,7 @@ def describe_range(
     timesteps: T of an inference; None is a state that is never reset.
     drifts: whether `spikedeploy drift` takes the network.
     """
-    one = float(registers.decay_one)
-    current, membrane = layer.current_decay / one, layer.membrane_decay / one
+    current, membrane = _factors(layer, registers)
     states = [registers.current.limit, registers.push.limit, registers.membrane.limit]
     if layer.spiking and not layer.graded:
         if current.max() < 1 - _SLOW:
@@ -173,37 +173,27 @@ Scale: TypeAlias = float | Floats
 
 
 def _mantissas_per_unit(
-    layer: Layer, registers: CubaRegisters, granularity: Granularity, clip_ratio: float = 1.0
+    layer: Layer, registers: CubaRegisters, granularity: Granularity, clip_ratio: float
 ) -> Scale:
-    """As many as the weights, the threshold and the bias allow.
-
-    clip_ratio: as in Tuning.
-    """
+    """As many as the weights, the threshold and the bias allow."""
+    one_each = granularity == "channel"
     widest_bias = (
         registers.bias_mantissa_max << registers.bias_exponent_max >> registers.mantissa_shift
     )
     limits = (
-        (
-            registers.weight_max * max(clip_ratio, 1.0),
-            [*(s.weight for s in layer.synapses), layer.bias],
-        ),
+        (registers.weight_max * max(clip_ratio, 1.0), [*(s.weight for s in layer.synapses)]),
+        (registers.weight_max * max(clip_ratio, 1.0), [layer.bias]),
         (registers.threshold_max, [layer.threshold if layer.spiking else 0 * layer.bias]),
         (widest_bias, [layer.voltage_bias]),
     )
     scale = np.full(layer.size, np.inf)
     for limit, arrays in limits:
-        found = _largest(arrays)
-        found = found if granularity == "channel" else np.full(layer.size, magnitude(found))
+        found = np.abs(np.concatenate([np.atleast_2d(a) for a in arrays])).max(axis=0, initial=0.0)
+        found = found if one_each else np.full(layer.size, magnitude(found))
         scale = np.minimum(scale, np.divide(limit, found, out=scale.copy(), where=found > 0))
     # a neuron of zeros has no largest number
     scale = np.where(np.isfinite(scale), scale, 1.0) * min(clip_ratio, 1.0)
-    return scale if granularity == "channel" else float(scale.min(initial=np.inf))
-
-
-def _largest(arrays: Sequence[Floats]) -> Floats:
-    """Largest magnitude of each neuron (N,)."""
-    columns = [np.abs(np.atleast_2d(array)).max(axis=0, initial=0.0) for array in arrays]
-    return np.asarray(np.max(columns, axis=0))
+    return scale if one_each else float(scale.min(initial=np.inf))
 
 
 _ROUNDS = 60
@@ -220,20 +210,18 @@ def share_thresholds(scale: Floats, thresholds: Floats, most: int) -> Floats:
     used = np.unique(whole[whole > 0])
     # a threshold of 0 is one of them
     limit = max(most - int((whole <= 0).any()), 1)
-    starts = used if len(used) <= limit else _starts(used, _least_ratio(used, limit))
+    starts = used
+    if len(used) > limit:
+        # smallest ratio of the largest to the smallest of a group with which so many groups do
+        low, ratio = 1.0, float(used[-1] / used[0]) * (1 + 1e-9)
+        for _ in range(_ROUNDS):
+            middle = (low * ratio) ** 0.5
+            low, ratio = (low, middle) if len(_starts(used, middle)) <= limit else (middle, ratio)
+        starts = _starts(used, ratio)
     if not len(starts):
         return scale
     level = starts[np.searchsorted(starts, whole, "right") - 1]
     return np.asarray(np.divide(level, thresholds, out=scale.copy(), where=whole > 0))
-
-
-def _least_ratio(used: Floats, most: int) -> float:
-    """Smallest ratio of the largest to the smallest of a group with which so many groups do."""
-    low, high = 1.0, float(used[-1] / used[0]) * (1 + 1e-9)
-    for _ in range(_ROUNDS):
-        middle = (low * high) ** 0.5
-        low, high = (low, middle) if len(_starts(used, middle)) <= most else (middle, high)
-    return high
 
 
 def _starts(used: Floats, ratio: float) -> Floats:
@@ -245,9 +233,6 @@ def _starts(used: Floats, ratio: float) -> Floats:
     return np.array(starts)
 
 
-Integers = NDArray[np.int64]
-
-
 def quantise(
     layer: Layer, registers: CubaRegisters, quantisation: Quantisation = PLAIN, share: Scale = 1.0
 ) -> Layer:
@@ -255,31 +240,50 @@ def quantise(
 
     share: () or (N,) part of the largest scale that is used; headroom may ask for less than 1.
     """
-    _check_bias(layer, registers)
+    if not registers.bias_mantissa_max and layer.voltage_bias.any():
+        raise RuleError(
+            f"rule bias: layer {layer.name!r}: a voltage bias of "
+            f"{magnitude(layer.voltage_bias):g}; the chip's neurons have none. Set v_leak to 0, "
+            "or take another model of the chip."
+        )
     tuning, rounding = quantisation.of(layer.name), quantisation.rounding or "nearest"
     tuned = replace(layer, threshold=layer.threshold * tuning.threshold)
-    scale = (
-        _mantissas_per_unit(tuned, registers, quantisation.granularity, tuning.clip_ratio) * share
-    )
-    exponent = 0
+    largest = _mantissas_per_unit(tuned, registers, quantisation.granularity, tuning.clip_ratio)
+    scale, exponent = largest * share, 0
     if not layer.spiking:
-        untuned = scale / share / min(tuning.clip_ratio, 1.0)
+        untuned = largest / min(tuning.clip_ratio, 1.0)
         exponent, part = exponent_and_share(layer, registers, untuned)
         scale = scale * part
     elif quantisation.thresholds is not None:
         scale = share_thresholds(np.asarray(scale), tuned.threshold, quantisation.thresholds)
     one = 1 << (registers.mantissa_shift + exponent)
+
+    def weights(values: Floats) -> Integers:
+        """Multiples of the chip's weight step; what a clip ratio above 1 sends further is cut."""
+        steps = round_values(values * scale / registers.weight_step, rounding)
+        most = registers.weight_max
+        return np.clip(steps * registers.weight_step, -most, most) << exponent
+
     quantised = replace(
         layer,
-        synapses=tuple(_synapses(s, scale, registers, rounding, exponent) for s in layer.synapses),
-        bias=_weights(layer.bias, scale, registers, rounding) << exponent,
+        synapses=tuple(
+            replace(s, weight=weights(s.weight).astype(np.int16)) for s in layer.synapses
+        ),
+        bias=weights(layer.bias),
         voltage_bias=_voltage_bias(layer.voltage_bias * scale * one, registers, rounding),
         threshold=_thresholds(tuned, scale, registers, rounding, one),
         current_decay=_decay_factor(layer, "current", registers, rounding),
         membrane_decay=_decay_factor(layer, "membrane", registers, rounding),
         scale=layer.scale / (scale * one),
     )
-    _check_alive(layer, quantised, registers)
+    beside = (
+        f"beside its threshold ({magnitude(layer.threshold):g}, of at most "
+        f"{registers.threshold_max} mantissas) or bias. Scale the weights up, or the others down."
+        if layer.spiking
+        else "beside its bias, or beside what its registers would have to hold. Choose a faster "
+        "leak, or headroom 'none'."
+    )
+    check_weights_left(layer, quantised.synapses, beside)
     return quantised
 
 
@@ -303,30 +307,6 @@ def drop_low_bits(
     return np.asarray(held, np.int16)
 
 
-def _check_bias(layer: Layer, registers: CubaRegisters) -> None:
-    if not registers.bias_mantissa_max and layer.voltage_bias.any():
-        raise RuleError(
-            f"rule bias: layer {layer.name!r}: a voltage bias of "
-            f"{magnitude(layer.voltage_bias):g}; the chip's neurons have none. Set v_leak to 0, "
-            "or take another model of the chip."
-        )
-
-
-def _synapses(
-    synapses: Synapses, scale: Scale, registers: CubaRegisters, rounding: Rounding, exponent: int
-) -> Synapses:
-    weight = _weights(synapses.weight, scale, registers, rounding) << exponent
-    return replace(synapses, weight=weight.astype(np.int16))
-
-
-def _weights(
-    weights: Floats, scale: Scale, registers: CubaRegisters, rounding: Rounding
-) -> Integers:
-    """Multiples of the chip's weight step; what a clip ratio above 1 sends further is clipped."""
-    steps = round_values(weights * scale / registers.weight_step, rounding)
-    return np.clip(steps * registers.weight_step, -registers.weight_max, registers.weight_max)
-
-
 def _thresholds(
     layer: Layer, scale: Scale, registers: CubaRegisters, rounding: Rounding, one: int
 ) -> Integers:
@@ -335,12 +315,6 @@ def _thresholds(
         return np.full(layer.size, NEVER)
     if layer.graded:  # a state of the neuron's program, not a mantissa
         return np.maximum(round_values(layer.threshold * scale * one, rounding), 1)
-    return _threshold(layer, scale, registers, rounding) * one
-
-
-def _threshold(
-    layer: Layer, scale: Scale, registers: CubaRegisters, rounding: Rounding
-) -> Integers:
     if (layer.threshold < 0).any():
         raise RuleError(
             f"rule threshold-range: layer {layer.name!r}: threshold {layer.threshold.min():g} is "
@@ -355,7 +329,7 @@ def _threshold(
             f"{layer.threshold[lost].min():g} is {exact[lost].min():.2g} of the smallest that the "
             "chip can hold beside the largest weight. Clip the weights, or raise the threshold."
         )
-    return np.minimum(mantissa, registers.threshold_max)
+    return np.minimum(mantissa, registers.threshold_max) * one
 
 
 def _voltage_bias(values: Floats, registers: CubaRegisters, rounding: Rounding) -> Integers:
@@ -370,9 +344,9 @@ def _voltage_bias(values: Floats, registers: CubaRegisters, rounding: Rounding) 
 
 def _decay_factor(layer: Layer, of: str, registers: CubaRegisters, rounding: Rounding) -> Integers:
     """Parts of 2**decay_bits left after a timestep, as near as the decay's register allows."""
-    factor = layer.current_decay if of == "current" else layer.membrane_decay
-    offset = registers.current_decay_offset if of == "current" else registers.membrane_decay_offset
-    least, most = offset, registers.decay_max + offset
+    factor = getattr(layer, f"{of}_decay")
+    least = getattr(registers, f"{of}_decay_offset")
+    most = registers.decay_max + least
     if (least > 0 and (factor == 1).any()) or (most < registers.decay_one and (factor == 0).any()):
         raise RuleError(
             f"rule decay-range: layer {layer.name!r}: a {of} that keeps "
@@ -382,24 +356,6 @@ def _decay_factor(layer: Layer, of: str, registers: CubaRegisters, rounding: Rou
         )
     decays = round_values((1 - factor) * registers.decay_one, rounding)
     return registers.decay_one - np.clip(decays, least, most)
-
-
-def _check_alive(layer: Layer, quantised: Layer, registers: CubaRegisters) -> None:
-    """A layer with weights must not lose all of them to the range of its threshold or bias."""
-    before = max(magnitude(s.weight) for s in layer.synapses)
-    if before > 0 and not any(s.fan_out.any() for s in quantised.synapses):
-        if not layer.spiking:
-            raise RuleError(
-                f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "
-                f"{before:g}, is too small beside its bias, or beside what its registers would "
-                "have to hold. Choose a faster leak, or headroom 'none'."
-            )
-        raise RuleError(
-            f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "
-            f"{before:g}, is too small beside its threshold ({magnitude(layer.threshold):g}, of "
-            f"at most {registers.threshold_max} mantissas) or bias. Scale the weights up, or the "
-            "others down."
-        )
 
 
 # largest magnitude for which float64 decays exactly: 2**53 less 12 decay bits, with one to spare
@@ -465,35 +421,30 @@ def spikes_without_overflow(
     exceeds that sum times the peak that follows a single arrival.
     """
     one = 1 << registers.mantissa_shift
-    steady = _largest_integer(layer.bias) * one + _largest_integer(layer.voltage_bias)
-    left = most / _peak(layer, registers, timesteps) - timesteps * steady
-    largest = max(_largest_integer(synapses.weight) for synapses in layer.synapses) * one
-    return max(-1, int(left // largest)) if largest else -1
-
-
-def _peak(layer: Layer, registers: CubaRegisters, timesteps: int) -> float:
-    """Largest current or membrane in a window after a single arrival of 1, without rounding."""
-    current_factor = layer.current_decay / float(registers.decay_one)
-    membrane_factor = layer.membrane_decay / float(registers.decay_one)
-    current, membrane = np.ones(layer.size), np.ones(layer.size)
-    peak = 1.0
+    # of a current or a membrane after a single arrival of 1, without rounding
+    current_factor, membrane_factor = _factors(layer, registers)
+    current, membrane, peak = np.ones(layer.size), np.ones(layer.size), 1.0
     for _ in range(timesteps):
         current = current_factor * current
         membrane = membrane_factor * membrane + current
         peak = max(peak, float(membrane.max()))
-    return peak
+    numbers = (layer.bias, layer.voltage_bias, *(s.weight for s in layer.synapses))
+    bias, push, *weights = (int(magnitude(each.astype(np.int64))) for each in numbers)
+    left = most / peak - timesteps * (bias * one + push)
+    return max(-1, int(left // (max(weights) * one))) if max(weights) else -1
 
 
-def _largest_integer(values: NDArray[Any]) -> int:
-    return int(magnitude(values.astype(np.int64)))
+def _factors(layer: Layer, registers: CubaRegisters) -> tuple[Floats, Floats]:
+    """The parts that currents and membranes (N,) keep."""
+    one = float(registers.decay_one)
+    return layer.current_decay / one, layer.membrane_decay / one
 
 
 def _leaky(
     layer: Layer, registers: CubaRegisters, drive: Floats, bias: NDArray[Any], timesteps: int | None
 ) -> tuple[Floats, Floats]:
     """Largest current and membrane (N,) when so much arrives in every timestep."""
-    current_factor = layer.current_decay / float(registers.decay_one)
-    membrane_factor = layer.membrane_decay / float(registers.decay_one)
+    current_factor, membrane_factor = _factors(layer, registers)
     push = bias.clip(min=0).astype(np.float64)
     if timesteps is None or timesteps > _LONG:
         current = _limit_of_leak(drive, current_factor)
@@ -528,21 +479,6 @@ def with_headroom(
     ]
 
 
-def _overflow_ratio(
-    network: Network, layer: Layer, registers: CubaRegisters, timesteps: int | None
-) -> float:
-    """Largest possible number of the layer over the largest that fits its register."""
-    worst = bounds(network, layer, registers, timesteps)
-    push = worst.current + magnitude(layer.voltage_bias)
-    return max(
-        worst.drive / registers.accumulator.limit,
-        worst.current / registers.current.limit,
-        push / registers.push.limit,
-        worst.above / registers.membrane.limit,
-        worst.below / registers.membrane.limit,
-    )
-
-
 def _quantise_proven(
     network: Network,
     layer: Layer,
@@ -555,7 +491,19 @@ def _quantise_proven(
     for _ in range(_HEADROOM_ROUNDS):
         quantised = quantise(layer, registers, quantisation, share if each else float(share[0]))
         parts = [_select_neuron(quantised, n) for n in range(layer.size)] if each else [quantised]
-        over = np.array([_overflow_ratio(network, part, registers, timesteps) for part in parts])
+        ratios = []
+        for part in parts:
+            # the largest possible number over the largest that fits its register
+            worst = bounds(network, part, registers, timesteps)
+            push = worst.current + magnitude(part.voltage_bias)
+            of_registers = (
+                worst.drive / registers.accumulator.limit,
+                worst.current / registers.current.limit,
+                push / registers.push.limit,
+                max(worst.above, worst.below) / registers.membrane.limit,
+            )
+            ratios.append(max(of_registers))
+        over = np.array(ratios)
         if (over <= 1).all():
             return quantised
         if not np.isfinite(over).all():

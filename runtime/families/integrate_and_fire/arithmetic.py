@@ -11,15 +11,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
+from spikedeploy.runtime.chips.arithmetic import (
+    ArithmeticDefaults,
+    Description,
+    check_weights_left,
+)
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
 from spikedeploy.runtime.chips.quantisation import Quantisation
-from spikedeploy.runtime.chips.registers import Rounding, magnitude, round_values
+from spikedeploy.runtime.chips.registers import Rounding, round_values
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules, update
 from spikedeploy.runtime.families.integrate_and_fire.spike_queue import update_together
 
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# the shift of a membrane that does not leak
+_NO_LEAK = -1
 _LINEAR = (
     "{chip} takes the same amount away in each timestep. Train with IF neurons, or compile with "
     "limits off, which takes away what is lost half-way to the threshold."
@@ -34,24 +43,19 @@ _REMEDIES = {
 }
 
 
-def _check_neurons(
-    layer: Layer, chip_name: str, rules: IntegrateAndFireRules, limits: bool
-) -> None:
-    """Refuse neurons with a current, or with another leak than the chip's, in floats.
-
-    limits: False lets a leak pass that the chip has something near for.
-    """
-    _check_current(layer, chip_name)
-    _check_leak(layer, chip_name, rules, limits)
-
-
 def check_axons(layers: Sequence[Layer], chip_name: str, rules: IntegrateAndFireRules) -> None:
     """Refuse weights that the chip's axons cannot carry, however many bits they have."""
     if rules.signs == "axon":
         _check_signs(layers, chip_name)
-    if rules.axon_types:
-        for layer in layers:
-            _check_types(layer, chip_name, rules.axon_types)
+    for layer in layers if rules.axon_types else ():
+        found = axon_types(np.concatenate([s.weight for s in layer.synapses]))
+        if found > rules.axon_types:
+            raise RuleError(
+                f"rule axon-types: layer {layer.name!r}: its weights need {found} types of axons, "
+                f"put into the first that fits; {chip_name} has {rules.axon_types}, and each "
+                "neuron one weight for each. Train with fewer different weights, or compile with "
+                "limits off."
+            )
 
 
 def axon_types(weight: NDArray[Any]) -> int:
@@ -71,24 +75,26 @@ def axon_types(weight: NDArray[Any]) -> int:
     return len(types)
 
 
-def _check_current(layer: Layer, chip_name: str) -> None:
+def _check_neurons(
+    layer: Layer, chip_name: str, rules: IntegrateAndFireRules, limits: bool
+) -> None:
+    """Refuse neurons with a current, or with another leak than the chip's, in floats.
+
+    limits: False lets a leak pass that the chip has something near for.
+    """
     if layer.current_decay.any():
         raise RuleError(
             f"rule primitive: layer {layer.name!r} has a synaptic current that keeps "
             f"{layer.current_decay.max():.3g} of itself; {chip_name} adds spikes to the membrane. "
             "Train with LIF or IF neurons."
         )
-
-
-def _check_leak(layer: Layer, chip_name: str, rules: IntegrateAndFireRules, limits: bool) -> None:
     other = (layer.membrane_decay == 1) == (rules.leak == "shift")
-    if not other.any() or (rules.leak != "none" and not limits):
-        return
-    found = f"{layer.membrane_decay[other].min():.3g}"
-    remedy = _REMEDIES[rules.leak].format(chip=chip_name)
-    raise RuleError(
-        f"rule decay-range: layer {layer.name!r} keeps {found} of its membrane; {remedy}"
-    )
+    if other.any() and (rules.leak == "none" or limits):
+        raise RuleError(
+            f"rule decay-range: layer {layer.name!r} keeps "
+            f"{layer.membrane_decay[other].min():.3g} of its membrane; "
+            f"{_REMEDIES[rules.leak].format(chip=chip_name)}"
+        )
 
 
 def _check_signs(layers: Sequence[Layer], chip_name: str) -> None:
@@ -108,23 +114,6 @@ def _check_signs(layers: Sequence[Layer], chip_name: str) -> None:
                 )
 
 
-def _check_types(layer: Layer, chip_name: str, most: int) -> None:
-    found = axon_types(np.concatenate([s.weight for s in layer.synapses]))
-    if found > most:
-        raise RuleError(
-            f"rule axon-types: layer {layer.name!r}: its weights need {found} types of axons, put "
-            f"into the first that fits; {chip_name} has {most}, and each neuron one weight for "
-            "each. Train with fewer different weights, or compile with limits off."
-        )
-
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
-# the shift of a membrane that does not leak
-_NO_LEAK = -1
-
-
 def quantise(
     layer: Layer,
     chip_name: str,
@@ -141,13 +130,18 @@ def quantise(
     rounding = rounding or rules.rounding
     bias = layer.bias + layer.voltage_bias
     scale = _scale(layer, bias, rules)
-    low, high = rules.weight_range
     whole_bias = np.clip(round_values(bias * scale, rounding), *rules.bias_range)
     nothing = np.zeros_like(whole_bias)
     quantised = replace(
         layer,
         synapses=tuple(
-            replace(s, weight=_clip(round_values(s.weight * scale, rounding), low, high))
+            # clipping only catches a last bit of the scale
+            replace(
+                s,
+                weight=round_values(s.weight * scale, rounding)
+                .clip(*rules.weight_range)
+                .astype(np.int16),
+            )
             for s in layer.synapses
         ),
         bias=nothing if rules.bias_bits else whole_bias,
@@ -157,33 +151,31 @@ def quantise(
         membrane_decay=_quantise_leak(layer, rules, scale, rounding),
         scale=layer.scale / scale,
     )
-    _check_alive(layer, quantised, chip_name)
+    check_weights_left(
+        layer,
+        quantised.synapses,
+        f"on {chip_name} beside its threshold, {layer.threshold.max():g}, or its bias. Scale the "
+        "weights up, or the others down.",
+    )
     return quantised
 
 
 def _scale(layer: Layer, bias: Floats, rules: IntegrateAndFireRules) -> float:
     """Factor that makes the largest weight, bias or threshold the largest that fits."""
-    ranges = (
-        *((s.weight, rules.weight_range) for s in layer.synapses),
-        (bias, rules.bias_range),
-        (layer.threshold, (0, rules.threshold_max)),
-    )
-    scale = min(_largest_scale(values, *between) for values, between in ranges)
+    ranges = [
+        *((s.weight, *rules.weight_range) for s in layer.synapses),
+        (bias, *rules.bias_range),
+        (layer.threshold, 0, rules.threshold_max),
+    ]
+    scale = np.inf
+    for values, low, high in ranges:
+        top, bottom = float(values.max(initial=0.0)), float(values.min(initial=0.0))
+        above = high / top if top > 0 else np.inf
+        below = low / bottom if bottom < 0 and low < 0 else np.inf
+        scale = min(scale, above, below)
     if not np.isfinite(scale):
         return 1.0
-    return float(2.0 ** np.floor(np.log2(scale))) if rules.scaling == "binary" else scale
-
-
-def _largest_scale(values: Floats, low: int, high: int) -> float:
-    top, bottom = float(values.max(initial=0.0)), float(values.min(initial=0.0))
-    above = high / top if top > 0 else np.inf
-    below = low / bottom if bottom < 0 and low < 0 else np.inf
-    return float(min(above, below))
-
-
-def _clip(weights: Integers, low: int, high: int) -> NDArray[np.int16]:
-    # only catches a last bit of the scale
-    return np.clip(weights, low, high).astype(np.int16)
+    return float(2.0 ** np.floor(np.log2(scale))) if rules.scaling == "binary" else float(scale)
 
 
 def _threshold(
@@ -224,16 +216,6 @@ def _quantise_leak(
     # leak = (1 - beta) threshold / 2
     amount = round_values(lost * layer.threshold * scale / 2, rounding)
     return np.minimum(amount, rules.leak_max)
-
-
-def _check_alive(layer: Layer, quantised: Layer, chip_name: str) -> None:
-    before = max(magnitude(s.weight) for s in layer.synapses)
-    if before > 0 and not any(s.fan_out.any() for s in quantised.synapses):
-        raise RuleError(
-            f"rule weight-bits: layer {layer.name!r}: every weight becomes 0. The largest, "
-            f"{before:g}, is too small on {chip_name} beside its threshold, "
-            f"{layer.threshold.max():g}, or its bias. Scale the weights up, or the others down."
-        )
 
 
 _LEAKS = {
@@ -377,15 +359,8 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         each = ", event by event" if self.adds == "event" else ""
         signs = "and the axon's sign" if self.signs == "axon" else "with the sign"
         types = f", {self.axon_types} a neuron" if self.axon_types else ""
-        return Description(
-            f"{_LEAKS[self.leak]}{each}",
-            f"{self.weight_bits} bits {signs}{types}",
-            self._membrane(),
-        )
-
-    def _membrane(self) -> str:
-        described = self.membrane.describe()
-        if self.floor != 0:
-            return described
-        _, _, overflow = described.partition(", ")
-        return f"{self.membrane.bits - 1} bits unsigned, {overflow}"
+        membrane = self.membrane.describe()
+        if self.floor == 0:
+            membrane = f"{self.membrane.bits - 1} bits unsigned, {membrane.partition(', ')[2]}"
+        weights = f"{self.weight_bits} bits {signs}{types}"
+        return Description(f"{_LEAKS[self.leak]}{each}", weights, membrane)

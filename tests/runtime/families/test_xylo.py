@@ -14,7 +14,7 @@ from spikedeploy.runtime.chips.registers import Register, shift_decay
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import TraceError
-from spikedeploy.runtime.families.xylo import _add_axon, _fire
+from spikedeploy.runtime.families.xylo import _fire
 from spikedeploy.runtime.traces.verify import Difference, verify
 from tests.paths import GOLDEN
 from tests.trace_files import recorded_trace
@@ -252,7 +252,7 @@ def test_many_events_of_an_axon_are_as_many_additions_one_after_another(state):
         for _ in range(count):
             current, over = registers.state.fit_counted(current + weight)
             lost = lost + over
-        found, times = _add_axon(registers, start, weight, count)
+        found, times = registers._add_axon(start, weight, count)
         np.testing.assert_array_equal(found, current)
         np.testing.assert_array_equal(times, lost)
         assert lost.any()
@@ -332,7 +332,7 @@ def test_additions_that_do_not_fit_are_counted_to_the_last_unit(
     current, weight, count, after, lost
 ):
     registers = chip("xylo-a2").arithmetic
-    found = _add_axon(registers, np.array([current]), np.array([weight]), count)
+    found = registers._add_axon(np.array([current]), np.array([weight]), count)
     assert [each.tolist() for each in found] == [[after], [lost]]
 
 
