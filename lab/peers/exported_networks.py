@@ -4,7 +4,7 @@
 
 writes a .nir for each network of a tool that is installed (snntorch, norse, spikingjelly), and a
 .npz (input, output) for each case of it: what a file does not say, such as the reset, makes several
-of one. FOLDER is tests/golden/exports. tests/runtime/artifact/test_writers.py reads what is
+of one. FOLDER is tests/golden/exports. tests/runtime/dialects/test_tools.py reads what is
 committed there, tests/runtime/test_peer_exports.py records it anew where a tool is installed.
 """
 

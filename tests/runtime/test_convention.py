@@ -52,14 +52,6 @@ def test_a_convention_survives_its_record():
     assert (after, after.source) == (before, before.source)
 
 
-@pytest.mark.parametrize("field", ["dt", "reset", "integrator", "delay", "state", "source"])
-def test_a_field_that_is_missing_in_a_record_is_named(field):
-    record = Convention(1e-3).to_record()
-    del record[field]
-    with pytest.raises(ArtifactError, match=f"convention.{field} is missing"):
-        Convention.from_record(Record(record, "convention"))
-
-
 @pytest.mark.parametrize(
     ("field", "value", "wanted"),
     [("dt", "fast", "a finite number"), ("delay", 0.5, "a whole number"), ("reset", 1, "text")],

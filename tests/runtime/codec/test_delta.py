@@ -1,7 +1,5 @@
 """The delta code: events when an observation has moved, exact in integers, with a state."""
 
-import copy
-import pickle
 from fractions import Fraction
 
 import numpy as np
@@ -53,14 +51,6 @@ def test_a_trace_worked_by_hand():
     ):
         assert code.encode(np.array([[x]]), 1, state).tolist() == [[spikes]], x
     assert state.sent.tolist() == [[-2]]
-
-
-def test_halves_of_a_256th_go_to_the_even_one():
-    code = encoder(most=2)  # step 0.5, threshold 154
-    below, above = 0.5 * 154.5 / 256, 0.5 * 155.5 / 256
-    # 154.5 becomes 154, which is not above the threshold; 155.5 becomes 156
-    assert sent(code, [below]) == [[0]]
-    assert sent(code, [above]) == [[1]]
 
 
 def test_a_jump_is_caught_up_in_the_timesteps_of_an_inference_as_in_several():
@@ -119,13 +109,6 @@ def test_every_spike_is_that_of_a_slow_version_in_integers(data, most, code, tim
         assert state.sent.tolist() == [levels]
 
 
-def test_a_step_of_infinity_never_sends():
-    code = encoder([np.inf, 0.5])
-    state = code.start(0)
-    for x in (0.0, 7.0, -1e300):
-        assert not code.encode(np.array([[x, 0.0]]), 2, state).any()
-
-
 def test_what_is_too_many_steps_is_clipped_without_a_warning():
     code = encoder([1e-300, 1e-9], most=256)
     state = code.start(0)
@@ -133,28 +116,6 @@ def test_what_is_too_many_steps_is_clipped_without_a_warning():
         events = code.events(np.array([[1e10, -1e10]]), 5000, state)
     assert state.sent.tolist() == [[2**22, -(2**22)]]
     assert not events[:, -1].any()
-
-
-@pytest.mark.parametrize("timesteps", [1, 3])
-def test_one_hot_and_unary_say_the_same(timesteps):
-    x = np.random.default_rng(0).normal(size=(50, 4, 6))
-    unary, one_hot = (encoder(np.full(6, 0.3), code=code) for code in ("unary", "one-hot"))
-    states = unary.start(0), one_hot.start(0)
-    k = np.arange(1, 4)
-    for row in x:
-        one = unary.encode(row, timesteps, states[0]).reshape(4, timesteps, 6, 2, 3)
-        other = one_hot.encode(row, timesteps, states[1]).reshape(4, timesteps, 6, 2, 3)
-        np.testing.assert_array_equal(one.sum(axis=-1), (other * k).sum(axis=-1))
-        assert other.sum(axis=(-1, -2)).max() <= 1
-
-
-def test_the_level_follows_the_observation_within_the_threshold():
-    x = np.cumsum(np.random.default_rng(1).normal(0, 0.2, (300, 1, 8)), axis=0)
-    code = encoder(np.full(8, 0.4))
-    state = code.start(0)
-    for row in x:
-        code.encode(row, 2, state)
-        assert (np.abs(row / 0.4 - state.sent) <= (154 + 0.5) / 256).all()
 
 
 def test_single_precision_sends_the_same_events_away_from_borders():
@@ -178,23 +139,6 @@ def test_another_batch_is_refused_before_anything_moves():
     with pytest.raises(ObservationError, match=r"levels of 2 robots, .* of 3\. Call reset\(\)"):
         code.encode(np.zeros((3, 1)), 1, state)
     assert state.sent.tolist() == [[1], [1]]
-
-
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))])
-def test_a_copy_of_the_state_goes_its_own_way(copied):
-    code = encoder()
-    state = code.start(0)
-    code.encode(np.array([[0.5]]), 1, state)
-    other = copied(state)
-    code.encode(np.array([[3.0]]), 1, other)
-    assert (state.sent.tolist(), other.sent.tolist()) == ([[1]], [[4]])
-
-
-def test_without_a_state_an_episode_starts():
-    code, x = encoder(), np.array([[0.5]])
-    np.testing.assert_array_equal(code.encode(x, 2), code.encode(x, 2))
-    assert code.remembers
-    assert not code.random
 
 
 def whole(step=(0.5, np.inf), timesteps=1, **fields):

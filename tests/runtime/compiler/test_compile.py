@@ -8,7 +8,7 @@ import pytest
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.layer import Synapses, with_starts
+from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.compiler import wiring
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
@@ -62,13 +62,6 @@ def with_gains():
     return Artifact(chain(affine(8, 6, gain=5.0), neurons, width=8, act=6), None, CONVENTION)
 
 
-def without_weights():
-    """Spikes that go into neurons without weights."""
-    nodes = {"a": affine(8, 6), "l1": cuba(6), "l2": lif(6, tau=0.002, r=2.0, threshold=0.7)}
-    edges = "input->a, a->l1, l1->l2, l2->output"
-    return Artifact(graph(edges, **ends(8, 6), **nodes), None, CONVENTION)
-
-
 NETWORKS = [popsan, skipping, recurrent, integrating, with_gains]
 
 
@@ -96,30 +89,6 @@ def raster(program, batch=3, timesteps=12):
 )
 def test_the_ideal_chip_equals_the_float_graph(build, convention):
     check_against_float(changed(build(), **convention))
-
-
-def test_the_interpreter_equals_the_float_graph_on_the_ideal_chip():
-    artifact = with_gains()
-    program = compile_program(artifact, chip("ideal"))
-    machine = Machine(program, 3, trace=True, backend="interpreter")
-    given = raster(program)
-    machine.infer(given)
-    spikes = machine.recordings[program.output].spikes
-    np.testing.assert_array_equal(spikes, FloatGraph(artifact).run(given)[program.output])
-    assert 0 < spikes.mean() < 1
-
-
-def test_layers_that_only_wait_for_each_other_start_at_once():
-    fixed, weight = chip("loihi1").arithmetic, np.ones((1, 1), np.int16)
-    loop = [
-        layer(fixed, name, weight, (Synapses(source, weight, 1),), decays=(0, 0), threshold=64)
-        for name, source in (("a", "b"), ("b", "a"))
-    ]
-    assert [each.start for each in with_starts(loop, "input", 1, stagger=True)] == [0, 0]
-
-
-def test_spikes_may_go_into_neurons_without_weights():
-    check_against_float(without_weights())
 
 
 def check_against_float(artifact):
@@ -162,19 +131,6 @@ def test_staggered_biases_make_a_delaying_chip_mean_the_same(build):
         assert found.spikes.any()
 
 
-def test_biases_that_all_start_at_once_mean_something_else():
-    artifact = slow(popsan(), bias=5.0)
-    staggered, at_once = (
-        compile_program(artifact, chip("loihi1"), clock=clock) for clock in ("gated", "pipelined")
-    )
-    spikes = raster(staggered)
-    one, other = (Machine(program, 3, trace=True) for program in (staggered, at_once))
-    one.infer(spikes)
-    other.infer(spikes)
-    last = staggered.output
-    assert (one.recordings[last].spikes != other.recordings[last].spikes).any()
-
-
 def test_layers_start_when_the_input_can_have_reached_them():
     program = compile_program(popsan(), chip("loihi1"), clock="gated")
     assert [layer.start for layer in program.layers] == [1, 2, 3]
@@ -189,12 +145,6 @@ def test_a_skip_waits_for_the_layers_that_it_skips():
     assert program.lags == ((0,), (0, 0))
 
 
-def test_a_convention_with_delay_is_not_staggered():
-    program = compile_program(changed(popsan(), delay=1), chip("loihi1"))
-    assert [layer.start for layer in program.layers] == [0, 0, 0]
-    assert program.lags == ((1,), (1,), (1,))
-
-
 def test_gains_are_folded_into_weights_and_biases():
     artifact = with_gains()
     layer = compile_program(artifact, chip("ideal")).layers[0]
@@ -205,12 +155,6 @@ def test_gains_are_folded_into_weights_and_biases():
     np.testing.assert_allclose(layer.bias, node.bias * gain)
     # (dt / tau_mem) v_leak
     np.testing.assert_allclose(layer.voltage_bias, 0.1 * 0.3)
-
-
-def test_the_readout_stays_in_float():
-    program = compile_program(popsan(), chip("loihi1"))
-    np.testing.assert_array_equal(program.readout.weight.T, popsan().graph.nodes["n7"].weight)
-    assert program.output == "n6"
 
 
 def reset_elsewhere():
@@ -330,33 +274,6 @@ def test_a_bias_of_a_convolution_is_that_of_its_channel(shape):
     assert only.bias.tolist() == np.repeat([1.0, -2.0, 3.0, 4.0], size // 4).tolist()
 
 
-def test_impulses_are_sent_a_few_at_a_time_and_fill_no_more_memory_than_they_may(monkeypatch):
-    sent = []
-    respond = wiring._Matrices._respond
-
-    def spied(self, region, start, biased=False):
-        sent.extend(len(rows) for parts in start.values() for rows in parts.values())
-        return respond(self, region, start, biased)
-
-    monkeypatch.setattr(wiring._Matrices, "_respond", spied)
-    nodes = [affine(7, 3), affine(3, 40), affine(40, 5)]
-    artifact = Artifact(chain(*nodes, cuba(5), width=7, act=5), None, CONVENTION)
-    (whole,) = compile_program(artifact, chip("ideal")).layers
-    assert sent == [7, 5]
-    # 40 numbers in the widest node for each impulse
-    for enough, chunks in ((80, [2, 2, 2, 1]), (79, [1] * 7), (1, [1] * 7)):
-        monkeypatch.setattr(wiring, "_MAX_IMPULSE_VALUES", enough)
-        sent.clear()
-        (few,) = compile_program(artifact, chip("ideal")).layers
-        assert sent[: len(chunks)] == chunks
-        np.testing.assert_allclose(few.synapses[0].weight, whole.synapses[0].weight)
-    monkeypatch.setattr(wiring, "_MAX_IMPULSE_VALUES", 1 << 22)
-    monkeypatch.setattr(wiring, "_MAX_IMPULSES", 3)
-    sent.clear()
-    compile_program(artifact, chip("ideal"))
-    assert sent[:3] == [3, 3, 1]
-
-
 def test_a_spike_cannot_arrive_at_once_at_a_layer_that_came_before():
     weight = np.ones((1, 1))
     wires = (Synapses("input", weight, 0), Synapses("a", weight, 1))
@@ -397,20 +314,6 @@ def test_a_chip_refuses_the_spikes_and_the_floor_that_it_has_not(asked):
         compile_program(changed(artifact, **asked), chip("int"))
 
 
-def test_several_inputs_stand_side_by_side_in_the_matrix_of_a_layer():
-    one, two = np.arange(1.0, 7.0).reshape(3, 2), -np.arange(1.0, 13.0).reshape(3, 4)
-    nodes = {
-        "a": nir.Input(np.array([2])), "b": nir.Input(np.array([4])),
-        "wa": nir.Linear(one), "wb": nir.Linear(two), "l1": cuba(3),
-        "output": nir.Output(np.array([3])),
-    }  # fmt: skip
-    network = graph("a->wa, wa->l1, b->wb, wb->l1, l1->output", **nodes)
-    program = compile_program(Artifact(network, None, CONVENTION), chip("ideal"))
-    (only,) = program.layers[0].synapses
-    np.testing.assert_allclose(only.weight, np.hstack([one, two]).T)
-    assert (program.width, [port.name for port in program.inputs]) == (6, ["a", "b"])
-
-
 def test_the_output_is_the_layer_on_the_chip_that_leaves_it_first():
     readout = nir.LI(*(np.full(2, v) for v in (0.01, 1.0, 0.0)))
     nodes = {
@@ -423,20 +326,3 @@ def test_the_output_is_the_layer_on_the_chip_that_leaves_it_first():
     program = compile_program(artifact, chip("loihi1:membrane_output=none"))
     assert [each.name for each in program.host] == ["r"]
     assert program.output == "l1"
-
-
-@pytest.mark.parametrize(
-    ("options", "found"),
-    [
-        ({}, "mixed"),
-        ({"sign_mode": "mixed"}, None),
-        ({"weight_bits": 1}, None),
-        ({"weight_bits": 2}, "mixed"),
-    ],
-)
-def test_weights_of_both_signs_can_share_a_list_where_a_bit_is_left_for_the_sign(options, found):
-    fixed = chip("loihi1", **options).arithmetic
-    other = fixed.with_one_list()
-    assert (other and other.sign_mode) == found
-    assert fixed.weights_have_signs is (fixed.sign_mode == "mixed")
-    assert fixed.weight_lists == (1 if fixed.weights_have_signs else 2)

@@ -10,13 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.chips.chip import LayerCore, SynapticMemory, chip
+from spikedeploy.runtime.chips.chip import SynapticMemory, chip
 from spikedeploy.runtime.compiler.mapping import (
     Entries,
-    assign,
-    axon_bits,
     entries,
-    index_bits,
     list_bits,
     load,
     map_to_cores,
@@ -53,26 +50,6 @@ def alternating(size, fan_in):
     return np.where(np.arange(size) % 2, 1.0, -1.0)[:, None] * np.ones((1, fan_in))
 
 
-@pytest.mark.parametrize(
-    ("synapses", "bits"),
-    [
-        (0, 0),
-        (1, 64),  # 8 + 10 = 18, one word
-        (43, 384),  # 43 x 8 + 10 = 354, six words
-        (64, 576),  # 64 x 8 + 10 = 522, nine words
-        (65, 640),  # a full block and a block of one
-        (128, 1152),
-    ],
-)
-def test_an_axon_takes_blocks_of_64_synapses_in_whole_words(synapses, bits):
-    assert axon_bits(np.array([synapses]), 8).tolist() == [bits]
-
-
-@pytest.mark.parametrize(("neurons", "bits"), [(1, 6), (64, 6), (65, 7), (128, 7), (1024, 10)])
-def test_an_index_has_the_bits_that_name_a_neuron_of_the_core(neurons, bits):
-    assert index_bits(neurons) == bits
-
-
 def test_a_list_is_stored_in_the_way_that_takes_less():
     # one synapse of 100 neurons: 8 + 7 + 10 = 25 bits, a word; dense it would take 576 + 320
     assert list_bits(np.array([[1], [1]]), 100, WORDS, delayed=False).tolist() == [128]
@@ -103,11 +80,6 @@ def test_popsan_takes_more_cores_with_a_list_for_each_sign():
     assert (cores["n2"], cores["n4"], cores["n6"]) == (7, 5, 2)
     # an axon to each of 7 cores: 4096 // 7 = 585 encoders in a core
     assert cores["input"] == 2
-
-
-def test_blocks_are_as_large_as_each_other():
-    found = placed(dense(4, 1025), MIXED).placements[1]
-    assert (found.cores, found.block) == (2, 513)
 
 
 @pytest.mark.parametrize(("size", "cores"), [(1024, 1), (1025, 2), (2048, 2), (2049, 3)])
@@ -168,16 +140,6 @@ def test_registers_for_decays_divide_a_layer():
     assert placed(network, MIXED).placements[1].cores == 3
 
 
-def test_a_zero_weight_is_no_synapse():
-    weight = np.eye(4)
-    weight[0, 1] = 2.0
-    network = chain(nir.Linear(weight), lif(4), width=4, act=4)
-    check_graph(network)
-    (population,) = topology(network).populations
-    assert (population.synapses, population.fan_in) == (5, 2)
-    assert topology(network).fan_out("input", {"n2"}).tolist() == [1, 2, 1, 1]
-
-
 def test_a_convolution_has_less_synapses_at_its_edges():
     weight = np.ones((3, 2, 3, 3))
     node = nir.Conv2d((4, 4), weight, 1, 1, 1, 1, np.zeros(3))
@@ -234,17 +196,6 @@ def test_utilisation_is_what_is_taken_of_what_there_is():
     assert shares.axons_in == 513 / 4096
     # 770 encoders, 1204 neurons and the bias in ten cores
     assert mapping_utilisation(found, MIXED.limits).neurons == pytest.approx(1975 / 10240)
-
-
-def test_entries_of_speck_are_powers_of_two():
-    # 5 x 5 taps take 32, 16 features 16, two channels: 1024; 16 maps of 16 x 16 take 4096
-    node = nir.Conv2d((34, 34), np.ones((16, 2, 5, 5)), 2, 1, 1, 1, np.zeros(16))
-    shape = (16, 16, 16)
-    ends = {"input": nir.Input(np.array([2, 34, 34])), "output": nir.Output(np.array(shape))}
-    neurons = nir.IF(*(np.full(shape, v) for v in (1.0, 1.0)))
-    network = graph("input->c, c->n, n->output", c=node, n=neurons, **ends)
-    check_graph(network)
-    assert entries(network, topology(network).populations[0]) == Entries(1024, 4096)
 
 
 def test_a_linear_map_behind_a_flatten_is_a_kernel():
@@ -305,10 +256,3 @@ def test_a_convolutional_network_keeps_every_rule_of_speck():
     artifact = Artifact(neuromorphic_mnist(), None, Convention(1e-3, reset="subtract"))
     on = chip("speck2f")
     assert [r for r in evaluate(PlacedNetwork(artifact, on)) if r.failed] == []
-
-
-def test_a_layer_moves_on_when_another_needs_its_core():
-    small, large = LayerCore(4, 4), LayerCore(8, 8)
-    both = [Entries(2, 2), Entries(8, 8)]
-    assert assign(both, [large, small]) == {0: 1, 1: 0}
-    assert assign([Entries(8, 8)] * 2, [large, small]) is None

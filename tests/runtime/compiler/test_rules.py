@@ -26,7 +26,6 @@ from tests.runtime.graph.test_generated_graphs import graphs
 
 CONVENTION = Convention(1e-3)
 LOIHI = chip("loihi1")
-XYLO = chip("xylo-a2")
 
 
 def integrate(*shape):
@@ -259,26 +258,10 @@ def test_what_breaks_a_rule_is_refused_by_its_name_with_the_limit_and_the_way_ou
     assert program.layers[0].synapses[0].weight.shape == (4096, 2)
 
 
-def test_what_the_compiler_would_only_round_badly_is_refused_too():
-    # nearer to a membrane that keeps nothing, which the register cannot hold, than to its largest
-    artifact = membrane(1.0001e-3)
-    with pytest.raises(RuleError, match=r"decay-range: node 'n2' has a loss of membrane 0\.99"):
-        compile_program(artifact, LOIHI)
-    assert compile_program(artifact, LOIHI, limits=False).layers[0].membrane_decay.tolist() == [
-        1,
-        1,
-    ]
-
-
 def test_no_way_out_is_promised_where_the_arithmetic_itself_refuses():
     with pytest.raises(RuleError, match="every weight becomes 0") as refusal:
         compile_program(one(neurons=cuba(2, threshold=1e6)), LOIHI)
     assert "limits" not in str(refusal.value)
-
-
-def test_the_ideal_chip_refuses_nothing():
-    compile_program(feed(BIASED, cuba(2), width=4096, act=2), chip("ideal"))
-    assert check(one(5000), chip("ideal")).passed
 
 
 def test_a_network_of_several_chips_passes_with_a_remark_where_chips_can_be_joined():
@@ -303,10 +286,6 @@ def test_every_limit_has_a_source(name):
     assert given - by_definition <= set(limits.sources)
     assert all(limits.sources.values())
     assert set(limits.sources) <= {field.name for field in fields(Limits)}
-
-
-def test_every_chip_has_limits_but_the_two_that_are_none():
-    assert {name for name in CHIPS if chip(name).limits is None} == {"ideal", "int"}
 
 
 NETWORKS = [f"{path.parent.name}/{path.stem}" for path in zoo.policies() if path.suffix == ".nir"]

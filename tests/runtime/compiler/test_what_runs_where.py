@@ -1,7 +1,5 @@
 """Which networks run on which chip, and by which rule the others are refused."""
 
-from dataclasses import replace
-
 import nir
 import numpy as np
 import pytest
@@ -147,41 +145,3 @@ def test_whole_weights_and_integrators_mean_what_they_mean_in_float(name):
     found = trace(compile_program(artifact, chip(name), limits=False), spikes)
     np.testing.assert_array_equal(found["n2"].spikes, expected["n2"])
     assert expected["n2"].any()
-
-
-def test_floors_and_many_spikes_are_refused_where_the_chip_has_none():
-    artifact = signed("subtract")
-    many = replace(artifact, convention=replace(artifact.convention, spikes="many"))
-    with pytest.raises(RuleError, match=r"^rule convention: spikes 'many': a neuron on spiker"):
-        compile_program(many, chip("spiker"))
-    assert compile_program(many, chip("speck2f")).convention.spikes == "many"
-    floored = replace(artifact, convention=replace(artifact.convention, floor="threshold"))
-    with pytest.raises(
-        RuleError, match=r"^rule convention: floor 'threshold': membranes on spiker"
-    ):
-        compile_program(floored, chip("spiker"))
-    assert compile_program(floored, chip("speck2f")).convention.floor == "threshold"
-
-
-def test_a_skip_connection_that_is_too_long_runs_without_limits():
-    rng = np.random.default_rng(0)
-    nodes = {
-        "input": nir.Input(np.array([8])),
-        "a": nir.Linear(rng.choice((-1.0, 1.0), (6, 8))),
-        "l1": leaky(6),
-        "b": nir.Linear(rng.choice((-1.0, 1.0), (6, 6))),
-        "l2": leaky(6),
-        "c": nir.Linear(rng.choice((-1.0, 1.0), (4, 6))),
-        "d": nir.Linear(rng.choice((-1.0, 1.0), (4, 6))),
-        "l3": leaky(4),
-        "output": nir.Output(np.array([4])),
-    }
-    edges = [("input", "a"), ("a", "l1"), ("l1", "b"), ("b", "l2"), ("l2", "c"), ("c", "l3")]
-    edges += [("l1", "d"), ("d", "l3")]
-    graph = nir.NIRGraph(nodes, [*edges, ("l3", "output")])
-    artifact = Artifact(graph, None, Convention(1e-3))
-    with pytest.raises(RuleError, match="need a delay of 4 timesteps; spiker has at most 2"):
-        compile_program(artifact, chip("spiker"))
-    assert trace(compile_program(artifact, chip("spiker"), limits=False), raster())[
-        "l3"
-    ].spikes.any()

@@ -9,10 +9,8 @@ from hypothesis import strategies as st
 from torch.nn import functional
 
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
-from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.errors import ConventionError, ObservationError, RuleError
+from spikedeploy.runtime.errors import ConventionError
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import lif
 
@@ -161,10 +159,6 @@ def test_every_element_has_its_own_delay():
     assert delayed(x, 0.0, 3e-3)[0].tolist() == [[1, 0], [3, 0], [5, 0], [7, 2]]
 
 
-def test_a_delay_longer_than_the_raster_lets_nothing_out():
-    assert not delayed(np.ones((1, 4, 2)), 1e9, 5e-3).any()
-
-
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("taus", [(0.0, 3e-3), (1e-3, 3e-3), (2e-3, 2e-3)])
 def test_what_is_on_its_way_arrives_in_the_next_inference(taus, delay):
@@ -175,13 +169,6 @@ def test_what_is_on_its_way_arrives_in_the_next_inference(taus, delay):
     np.testing.assert_array_equal(np.concatenate(parts, axis=1), delayed(x, *taus))
     running.reset()
     np.testing.assert_array_equal(running.run(x)["output"], delayed(x, *taus))
-
-
-def test_a_past_of_another_batch_is_refused():
-    running = network(alone(nir.Delay(np.array([1e-3])), (1,), (1,)), state="kept")
-    running.run(np.ones((2, 3, 1)))
-    with pytest.raises(ObservationError, match=r"state of 2 networks.* Call reset"):
-        running.run(np.ones((3, 3, 1)))
 
 
 def test_a_delay_that_is_not_whole_timesteps_is_refused():
@@ -215,13 +202,6 @@ def test_a_delay_in_a_loop_counts_once():
 # files and chips
 
 
-def test_the_delay_of_the_convention_applies_to_convolutions():
-    node = nir.Conv1d(2, np.ones((1, 1, 1)), 1, 0, 1, 1, np.zeros(1))
-    x = np.arange(1.0, 7).reshape(1, 3, 1, 2)
-    found = network(alone(node, (1, 2), (1, 2)), delay=1).run(x)["output"]
-    assert found[0, :, 0].tolist() == [[0, 0], [1, 2], [3, 4]]
-
-
 OBLONG = nir.Conv2d(None, np.ones((4, 1, 3, 5)), (2, 1), (1, 0), (1, 2), 2, np.zeros(4))
 
 
@@ -243,10 +223,3 @@ def test_a_file_comes_back_and_computes_the_same(node, shape, tmp_path):
     found = FloatGraph(load(path)).run(x)["output"]
     np.testing.assert_allclose(found, reference(node, x), rtol=0, atol=1e-12)
     assert found.shape[2:] == out
-
-
-def test_a_chip_refuses_by_name_what_it_lacks():
-    node = nir.Threshold(np.ones((1, 4, 4)))
-    artifact = Artifact(alone(node, (1, 4, 4), (1, 4, 4)), None, Convention(1e-3))
-    with pytest.raises(RuleError, match="'n': Threshold has no place on a chip"):
-        compile_program(artifact, chip("ideal"))

@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-from dataclasses import replace
 
 import h5py
 import nir
@@ -54,13 +53,6 @@ def _after(raster):
     return graph
 
 
-def test_a_reset_forgets_what_was_sent():
-    graph = FloatGraph(one_neuron())
-    graph.run(INPUT[:, :2])
-    graph.reset()
-    assert graph.run(INPUT)["sd1"][0, :, 0].tolist() == GRADED
-
-
 def test_a_file_keeps_the_neurons_and_says_what_others_see(tmp_path):
     artifact = delta_network(hidden=(8, 6))
     save(artifact, tmp_path / "a.nir")
@@ -75,20 +67,6 @@ def test_a_file_keeps_the_neurons_and_says_what_others_see(tmp_path):
     with h5py.File(tmp_path / "a.nir") as file:
         remark = file["node/metadata/spikedeploy/sigma_delta/sd1/remark"][()]
     assert b"integrator" in remark
-
-
-def test_another_threshold_is_another_policy():
-    artifact = one_neuron()
-    other = {"sd1": SigmaDelta(np.array([0.6]), np.array([0.25]))}
-    assert digest(replace(artifact, sigma_delta=other)) != digest(artifact)
-
-
-def test_a_file_without_such_neurons_holds_nothing_of_them(tmp_path):
-    artifact = replace(one_neuron(), sigma_delta={})
-    save(artifact, tmp_path / "a.nir")
-    with h5py.File(tmp_path / "a.nir") as file:
-        assert "sigma_delta" not in file["node/metadata/spikedeploy"]
-    assert load(tmp_path / "a.nir").sigma_delta == {}
 
 
 @pytest.mark.parametrize(

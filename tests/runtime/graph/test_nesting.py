@@ -57,12 +57,6 @@ def test_a_file_with_a_graph_inside_is_read_and_can_be_compiled(tmp_path):
     assert sorted(load(tmp_path / "b.nir").graph.nodes) == sorted(back.graph.nodes)
 
 
-def test_the_graph_that_was_given_is_left_as_it_was():
-    before = chain(recurrent(), width=2, act=2)
-    artifact(before)
-    assert sorted(before.nodes) == ["input", "n1", "output"]
-
-
 def test_a_way_past_everything_inside_adds_to_the_way_around():
     ten = nir.Scale(np.full(2, 10.0))
     inner = graph("input->ten, ten->output, input->output", **ends(), ten=ten)

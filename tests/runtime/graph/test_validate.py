@@ -78,13 +78,6 @@ def test_a_convolution_that_is_none_is_refused_by_name(change, message):
         artifact(alone(node, (2, 6, 6), (4, 4, 4)))
 
 
-def test_nir_takes_height_for_width_and_a_group_for_all_so_shapes_are_computed():
-    node = nir.Conv2d((10, 10), np.ones((4, 1, 3, 5)), 1, 0, 1, 2, np.zeros(4))
-    assert (node.input_type["input"][0], node.output_type["output"][2]) == (1, 8)
-    valid = artifact(alone(node, (2, 10, 10), (4, 8, 6)))
-    assert valid.graph.nodes["n"].output_type["output"].tolist() == [4, 8, 6]
-
-
 @pytest.mark.parametrize(
     ("kernel", "stride", "padding", "message"),
     [
@@ -220,17 +213,6 @@ def test_a_node_that_nir_cannot_make_is_named_with_what_there_is(field, value, m
         load(path)
 
 
-def test_the_broken_graph_of_the_nir_paper_is_refused_by_its_inner_node(tmp_path):
-    # paper/03_rnn/extras/*_subgraph.nir: an edge names 'lif', the node is called 'lif1'
-    ends = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
-    edges = [("input", "lif1"), ("lif1", "output"), ("lif", "w_rec"), ("w_rec", "lif")]
-    nodes = {**ends, "lif1": lif(2), "w_rec": nir.Linear(np.eye(2))}
-    inner = nir.NIRGraph(nodes, edges, type_check=False)
-    network = alone(inner, (2,), (2,))
-    with pytest.raises(ArtifactError, match=r"in node 'n': edge 'lif' -> 'w_rec'.* no node 'lif'"):
-        load(written(tmp_path / "a.nir", network))
-
-
 def test_texts_that_hdf5_would_read_for_ever_are_refused(tmp_path):
     path = written(tmp_path / "a.nir", alone(lif(2), (2,), (2,)))
     content = bytearray(path.read_bytes())
@@ -244,11 +226,6 @@ def test_texts_that_hdf5_would_read_for_ever_are_refused(tmp_path):
     path.write_bytes(content)
     with pytest.raises(ArtifactError, match=r"its texts, at byte \d+, are damaged"):
         load(path)
-
-
-def test_zeros_that_compress_well_are_read(tmp_path):
-    network = alone(nir.Linear(np.zeros((1000, 2000))), (2000,), (1000,))
-    assert load(written(tmp_path / "a.nir", network), dt=1e-3).graph.nodes["n"].weight.size == 2e6
 
 
 # numbers
