@@ -29,6 +29,18 @@ def lif(size, tau=0.01, r=10.0, threshold=1.0, v_leak=0.0):
     return nir.LIF(*(np.full(size, float(v)) for v in (tau, r, v_leak, threshold)))
 
 
+def ends(takes=2, puts=2):
+    """The Input and the Output of these shapes."""
+    shapes = np.atleast_1d(takes), np.atleast_1d(puts)
+    return {"input": nir.Input(shapes[0]), "output": nir.Output(shapes[1])}
+
+
+def alone(node, takes, puts):
+    """input -> n -> output, without nir's own checks, which refuse what it infers wrongly."""
+    edges = [("input", "n"), ("n", "output")]
+    return nir.NIRGraph({**ends(takes, puts), "n": node}, edges, type_check=False)
+
+
 def graph(edges, **nodes):
     """A graph from "a->b, b->c" and its nodes."""
     pairs = [tuple(edge.strip().split("->")) for edge in edges.split(",")]
@@ -39,8 +51,7 @@ def chain(*nodes, width, act):
     """input -> n1 -> n2 ... -> output."""
     named = {f"n{i}": node for i, node in enumerate(nodes, start=1)}
     names = ["input", *named, "output"]
-    ends = {"input": nir.Input(np.atleast_1d(width)), "output": nir.Output(np.array([act]))}
-    return nir.NIRGraph({**ends, **named}, list(pairwise(names)))
+    return nir.NIRGraph({**ends(width, act), **named}, list(pairwise(names)))
 
 
 def codec(obs, populations=10, timesteps=5, squash="tanh"):
@@ -105,6 +116,5 @@ def unit_lif(*shape, tau=4e-3, gain=4.0):
 
 def named_chain(takes, puts, **nodes):
     """Input of a shape -> nodes by their names -> output, which nir does not check."""
-    ends = {"input": nir.Input(np.array(takes)), "output": nir.Output(np.array(puts))}
     names = ["input", *nodes, "output"]
-    return nir.NIRGraph({**ends, **nodes}, list(pairwise(names)), type_check=False)
+    return nir.NIRGraph({**ends(takes, puts), **nodes}, list(pairwise(names)), type_check=False)

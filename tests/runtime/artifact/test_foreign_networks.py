@@ -21,7 +21,7 @@ from spikedeploy.runtime.errors import (
     RuleError,
 )
 from spikedeploy.runtime.graph.order import order
-from tests.networks import named_chain, unit_lif
+from tests.networks import ends, named_chain, unit_lif
 
 TWO = np.ones(2)
 
@@ -104,10 +104,9 @@ def test_what_a_small_file_unpacks_to_is_bounded_before_it_is_read(damage, messa
 
 def scales(count, link):
     names = [f"s{number:04}" for number in range(count)]
-    ends = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
     joined = [("input", names[0]), *link(names), (names[-1], "output")]
     nodes = {name: nir.Scale(TWO) for name in names}
-    return nir.NIRGraph({**ends, **nodes}, joined, type_check=False)
+    return nir.NIRGraph({**ends(2, 2), **nodes}, joined, type_check=False)
 
 
 @pytest.mark.parametrize(
@@ -132,9 +131,10 @@ def test_loops_that_interlock_by_the_hundred_are_refused():
     names = [f"n{number:03}" for number in range(500)]
     nodes = {name: unit_lif(2) for name in names}
     both = [*pairwise(names), *((b, a) for a, b in pairwise(names))]
-    ends = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
     graph = nir.NIRGraph(
-        {**ends, **nodes}, [("input", names[0]), *both, (names[-1], "output")], type_check=False
+        {**ends(2, 2), **nodes},
+        [("input", names[0]), *both, (names[-1], "output")],
+        type_check=False,
     )
     with pytest.raises(ArtifactError, match="too many to open one by one"):
         order(graph)

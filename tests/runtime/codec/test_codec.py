@@ -38,13 +38,6 @@ def test_spikes_equal_the_definition_worked_neuron_by_neuron():
             v -= 0.8 * (v > 0.8)
 
 
-def test_spikes_are_bytes_with_time_in_the_middle():
-    spikes = codec(6, populations=4, timesteps=7).encode(np.zeros((2, 6)))
-    assert spikes.shape == (2, 7, 24)
-    assert spikes.dtype == np.uint8
-    assert set(np.unique(spikes)) == {0, 1}
-
-
 def test_the_normaliser_shifts_scales_and_clips():
     normaliser = Normaliser(np.array([1.0, 1.0, 1.0]), np.array([2.0, 2.0, 2.0]), 3.0)
     x = normaliser(np.array([[5.0, 100.0, -100.0]]))

@@ -16,7 +16,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.float_model import FloatGraph
-from tests.networks import chain, cuba, graph, lif, popsan
+from tests.networks import chain, cuba, ends, graph, lif, popsan
 from tests.programs import layer
 
 CONVENTION = Convention(1e-3)
@@ -25,10 +25,6 @@ CONVENTION = Convention(1e-3)
 def affine(fan_in, size, gain=2.0):
     rng = np.random.default_rng(fan_in + size)
     return nir.Affine(gain * rng.normal(size=(size, fan_in)) / fan_in**0.5, rng.normal(size=size))
-
-
-def ends(width, act):
-    return {"input": nir.Input(np.array([width])), "output": nir.Output(np.array([act]))}
 
 
 def skipping():
@@ -139,12 +135,6 @@ def test_layers_start_when_the_input_can_have_reached_them():
     assert [layer.start for layer in compile_program(popsan(), chip("ideal")).layers] == [0, 0, 0]
 
 
-def test_a_skip_waits_for_the_layers_that_it_skips():
-    program = compile_program(skipping(), chip("loihi1"), clock="gated")
-    assert sorted(program.delays[1]) == [1, 2]
-    assert program.lags == ((0,), (0, 0))
-
-
 def test_gains_are_folded_into_weights_and_biases():
     artifact = with_gains()
     layer = compile_program(artifact, chip("ideal")).layers[0]
@@ -199,34 +189,12 @@ def test_a_long_loop_runs_when_every_connection_takes_a_timestep():
     assert Machine(program, 3).infer(raster(program)).any()
 
 
-def test_matrices_may_take_exactly_so_many_bytes(monkeypatch):
-    two = chain(affine(8, 6), cuba(6), affine(6, 5), cuba(5), width=8, act=5)
-    took = 8 * (8 * 6 + 6 * 5 + 5 * 5)  # the last onto the output
-    monkeypatch.setattr(wiring, "_MAX_BYTES", took)
-    compile_program(Artifact(two, None, CONVENTION), chip("loihi1"))
-    monkeypatch.setattr(wiring, "_MAX_BYTES", took - 1)
-    with pytest.raises(RuleError, match=f"the weights take {took} bytes by here"):
-        compile_program(Artifact(two, None, CONVENTION), chip("loihi1"))
-
-
 def test_weights_of_zero_behind_delays_keep_the_shortest():
     late = nir.Delay(np.array([0.0, 0.001, 0.002, 0.0]))
     nodes = [late, nir.Linear(np.zeros((3, 4))), cuba(3)]
     artifact = Artifact(chain(*nodes, width=4, act=3), None, CONVENTION)
     (only,) = compile_program(artifact, chip("ideal")).layers
     assert [synapses.delay for synapses in only.synapses] == [0]
-
-
-def test_what_trains_with_another_reset_is_told_how_snntorch_says_it():
-    late = replace(CONVENTION, reset="subtract-delayed")
-    artifact = Artifact(chain(affine(8, 6), cuba(6), width=8, act=6), None, late)
-    with pytest.raises(RuleError, match=r"reset_mechanism, and reset_delay=False"):
-        compile_program(artifact, chip("loihi1"))
-    zero = Artifact(chain(affine(8, 6), lif(6), width=8, act=6), None, CONVENTION)
-    with pytest.raises(
-        RuleError, match=r"with that reset, give it as an option \(--reset subtract\)"
-    ):
-        compile_program(zero, chip("xylo-a2"))
 
 
 def placed(matrix):
@@ -257,21 +225,6 @@ def test_only_the_identity_passes_spikes_on_as_they_are(matrix):
     expected = FloatGraph(artifact).run(given)["output"]
     assert expected.any()
     np.testing.assert_allclose(Machine(program, 3).infer(given), expected)
-
-
-@pytest.mark.parametrize("shape", [(2, 2), (3, 2)])
-def test_a_bias_of_a_convolution_is_that_of_its_channel(shape):
-    rng = np.random.default_rng(0)
-    convolution = nir.Conv2d(
-        input_shape=shape, weight=rng.normal(size=(4, 1, 1, 1)), stride=1, padding=0,
-        dilation=1, groups=1, bias=np.array([1.0, -2.0, 3.0, 4.0]),
-    )  # fmt: skip
-    nodes = [convolution, nir.Flatten({"input": np.array([4, *shape])}, 0, -1)]
-    size = 4 * shape[0] * shape[1]
-    network = chain(*nodes, cuba(size, threshold=3.0), width=(1, *shape), act=size)
-    artifact = Artifact(network, None, CONVENTION)
-    (only,) = compile_program(artifact, chip("ideal")).layers
-    assert only.bias.tolist() == np.repeat([1.0, -2.0, 3.0, 4.0], size // 4).tolist()
 
 
 def test_a_spike_cannot_arrive_at_once_at_a_layer_that_came_before():

@@ -24,7 +24,7 @@ from spikedeploy.runtime.compiler.rules import PlacedNetwork, evaluate
 from spikedeploy.runtime.compiler.wiring import topology
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.graph.validate import check_graph
-from tests.networks import chain, cuba, graph, lif
+from tests.networks import chain, cuba, ends, graph, lif
 
 MIXED = chip("loihi1", sign_mode="mixed")
 SPLIT = chip("loihi1")
@@ -132,20 +132,11 @@ def test_a_spike_needs_no_more_axons_than_it_has_synapses():
         assert [placement.axons_out for placement in found] == axons
 
 
-def test_registers_for_decays_divide_a_layer():
-    neurons = lif(70)
-    neurons.tau = np.linspace(0.002, 0.01, 70)
-    network = chain(nir.Linear(np.ones((70, 3))), neurons, width=3, act=70)
-    # 70 different decays, 32 in a core
-    assert placed(network, MIXED).placements[1].cores == 3
-
-
 def test_a_convolution_has_less_synapses_at_its_edges():
     weight = np.ones((3, 2, 3, 3))
     node = nir.Conv2d((4, 4), weight, 1, 1, 1, 1, np.zeros(3))
-    ends = {"input": nir.Input(np.array([2, 4, 4])), "output": nir.Output(np.array([3, 4, 4]))}
     neurons = nir.IF(*(np.full((3, 4, 4), v) for v in (1.0, 1.0)))
-    network = graph("input->c, c->n, n->output", c=node, n=neurons, **ends)
+    network = graph("input->c, c->n, n->output", c=node, n=neurons, **ends([2, 4, 4], [3, 4, 4]))
     check_graph(network)
     (population,) = topology(network).populations
     into, out = population.presynaptic[0].map.into, population.presynaptic[0].map.out
@@ -154,28 +145,6 @@ def test_a_convolution_has_less_synapses_at_its_edges():
     assert into.reshape(3, 4, 4)[2, 1].tolist() == [12, 18, 18, 12]
     assert out.reshape(2, 4, 4)[1, 0].tolist() == [12, 18, 18, 12]
     assert into.sum() == out.sum()
-
-
-def test_strides_and_groups_count_what_the_kernel_touches():
-    # 5 pixels, kernel 3, stride 2: places at 0 and 2; pixel 2 is used twice
-    node = nir.Conv1d(5, np.ones((4, 1, 3)), 2, 0, 1, 2, np.zeros(4))
-    ends = {"input": nir.Input(np.array([2, 5])), "output": nir.Output(np.array([4, 2]))}
-    neurons = nir.IF(*(np.full((4, 2), v) for v in (1.0, 1.0)))
-    edges = [("input", "c"), ("c", "n"), ("n", "output")]
-    # nir takes the channels of one group for all of them
-    network = nir.NIRGraph({"c": node, "n": neurons, **ends}, edges, type_check=False)
-    check_graph(network)
-    found = topology(network).populations[0].presynaptic[0].map
-    assert found.into.tolist() == [3] * 8
-    assert found.out.reshape(2, 5).tolist() == [[2, 2, 4, 2, 2]] * 2
-
-
-def test_two_maps_in_a_row_have_at_most_the_product_of_their_fans():
-    network = chain(nir.Linear(np.eye(6)[:4]), nir.Linear(np.ones((2, 4))), lif(2), width=6, act=2)
-    check_graph(network)
-    (population,) = topology(network).populations
-    assert population.presynaptic[0].map.most
-    assert (population.fan_in, population.presynaptic[0].map.out.size) == (4, 6)
 
 
 def test_the_host_computes_what_no_neuron_follows():

@@ -108,14 +108,6 @@ def test_a_chip_reads_what_the_page_says(name, primitive):
             compile_program(artifact, on)
 
 
-@pytest.mark.parametrize("name", ["loihi1", "spinnaker2", "truenorth"])
-def test_membranes_between_neurons_break_the_rule_of_kinds(name):
-    nodes = [neurons("IF", 4), readout("LI"), nir.Linear(np.eye(4)), neurons("IF", 4)]
-    artifact = Artifact(chain(*nodes, width=4, act=4), None, Convention(DT, "zero"))
-    (broken,) = [r for r in check(artifact, chip(name)).of("primitive") if r.failed]
-    assert (broken.node, broken.found) == ("n2", "LI before neurons")
-
-
 @pytest.mark.parametrize("name", ["loihi1", "loihi1:membrane_output=none"])
 def test_readouts_take_cores_where_they_are_on_the_chip(name):
     nodes = [nir.Linear(np.eye(4)), neurons("LIF", 4), nir.Linear(np.eye(4)), readout("LI")]

@@ -1,10 +1,7 @@
 """Each design rule, by a network that just keeps it and one that just breaks it."""
 
 import json
-import re
 from dataclasses import fields, replace
-from importlib import import_module
-from pathlib import Path
 
 import nir
 import numpy as np
@@ -20,7 +17,7 @@ from spikedeploy.runtime.compiler.rules import NODE_RULES, RULES, PlacedNetwork,
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError, SpikedeployError
 from tests.graded import one_neuron
-from tests.networks import chain, cuba, graph, lif, popsan
+from tests.networks import chain, cuba, ends, graph, lif, popsan
 from tests.paths import ROOT
 from tests.runtime.graph.test_generated_graphs import graphs
 
@@ -71,15 +68,6 @@ def sized(layers):
     return feed(*nodes, width=2, act=2)
 
 
-def maps(features):
-    """Feature maps of 32 x 32 integrators."""
-    node = nir.Conv2d((32, 32), np.ones((features, 1, 1, 1)), 1, 0, 1, 1, np.zeros(features))
-    shape = (features, 32, 32)
-    ends = {"input": nir.Input(np.array([1, 32, 32])), "output": nir.Output(np.array(shape))}
-    edges = "input->c, c->n, n->output"
-    return Artifact(graph(edges, c=node, n=integrate(*shape), **ends), None, CONVENTION)
-
-
 def looped(loop):
     nodes = {
         "a": nir.Linear(np.ones((2, 2))),
@@ -107,14 +95,15 @@ def convolved(size, kernel, stride=1, features=2):
     node = nir.Conv2d((size, size), weight, stride, 0, 1, 1, np.zeros(features))
     extent = (size - kernel) // stride + 1
     shape = (features, extent, extent)
-    ends = {"input": nir.Input(np.array([1, size, size])), "output": nir.Output(np.array(shape))}
     edges = "input->c, c->n, n->output"
-    return Artifact(graph(edges, c=node, n=integrate(*shape), **ends), None, CONVENTION)
+    return Artifact(
+        graph(edges, c=node, n=integrate(*shape), **ends([1, size, size], shape)), None, CONVENTION
+    )
 
 
 def heard_by(layers):
     """A layer presynaptic to so many others, whose spikes meet in the last."""
-    nodes = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
+    nodes = ends(2, 2)
     nodes |= {name: integrate(2) for name in ("a", "z")}
     edges = ["input->wa", "wa->a", "z->output", "wz->z"]
     nodes |= {name: nir.Linear(np.ones((2, 2))) for name in ("wa", "wz")}
@@ -159,7 +148,7 @@ BOUNDARIES = [
     ("neurons", "xylo-a3", xylo(hidden=496), xylo(hidden=497)),
     ("neurons", "xylo-imu", xylo(hidden=248), xylo(hidden=249)),
     ("neurons", "odin", one(size=256), one(size=257)),
-    ("neurons", "speck2f", maps(64), maps(65)),
+    ("neurons", "speck2f", convolved(32, 1, features=64), convolved(32, 1, features=65)),
     ("fan-in", "truenorth", one(256), one(257)),
     ("fan-in", "odin", one(256), one(257)),
     ("fan-out", "xylo-a2", xylo(hidden=65, there=64), xylo(hidden=65, there=65)),
@@ -258,12 +247,6 @@ def test_what_breaks_a_rule_is_refused_by_its_name_with_the_limit_and_the_way_ou
     assert program.layers[0].synapses[0].weight.shape == (4096, 2)
 
 
-def test_no_way_out_is_promised_where_the_arithmetic_itself_refuses():
-    with pytest.raises(RuleError, match="every weight becomes 0") as refusal:
-        compile_program(one(neurons=cuba(2, threshold=1e6)), LOIHI)
-    assert "limits" not in str(refusal.value)
-
-
 def test_a_network_of_several_chips_passes_with_a_remark_where_chips_can_be_joined():
     few = {"neurons_per_core": 1, "cores": 2, "input_cores": False}
     (found,) = check(one(size=5), limited(**few)).of("chips")
@@ -304,16 +287,10 @@ def test_every_node_of_a_shipped_policy_is_judged_by_every_rule(policy, name):
     assert {ruling.rule for ruling in found.rulings} == {*RULES, "compile"}
     if found.passed:
         compile_program(artifact, on)
-
-
-@pytest.mark.parametrize("policy", NETWORKS)
-@pytest.mark.parametrize("name", [name for name in CHIPS if name.startswith("loihi")])
-def test_shipped_policies_fit_on_loihi(policy, name):
-    found = check(load(zoo.path(policy)), chip(name))
-    if name == "loihi1-brian2" and "/sparse" in policy:
+    elif name.startswith("loihi"):
+        # neurons of brian2's model have no voltage bias
+        assert (name, "/sparse" in policy) == ("loihi1-brian2", True)
         assert [ruling.rule for ruling in found.rulings if ruling.failed] == ["compile"]
-        return  # neurons of its model have no voltage bias
-    assert found.passed
 
 
 @settings(max_examples=60, deadline=None)
@@ -372,21 +349,3 @@ COMPILER_RULES = ("bias", "clock", "matrix", "headroom")
 def test_every_rule_is_documented():
     page = (ROOT / "docs" / "check.md").read_text(encoding="utf-8")
     assert all(f"`{rule}`" in page for rule in (*RULES, *COMPILER_RULES, "compile"))
-
-
-COMPILER = [
-    "chips.arithmetic", "chips.layer",
-    "compiler.compile", "compiler.program", "compiler.wiring",
-    "families.cuba.arithmetic", "families.cuba.quantise",
-    "families.integrate_and_fire.arithmetic", "families.xylo",
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("module", COMPILER)
-def test_every_refusal_of_the_compiler_begins_with_the_name_of_a_rule(module):
-    code = Path(import_module(f"spikedeploy.runtime.{module}").__file__).read_text(encoding="utf-8")
-    raised = re.findall(r'raise RuleError\(\s*f?"(.{,30})', code)
-    named = {text.partition(": ")[0].removeprefix("rule ") for text in raised}
-    # Xylo's obstacles, which may be remarks, come with their rules
-    assert named
-    assert named <= {*RULES, *COMPILER_RULES, "{rule}"}

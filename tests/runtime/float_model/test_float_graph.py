@@ -10,16 +10,12 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.float_model import FloatGraph, FloatNeurons
 from spikedeploy.runtime.graph.order import order
-from tests.networks import chain, cuba, graph, lif, popsan
+from tests.networks import chain, cuba, ends, graph, lif, popsan
 
 
 def network(nodes, **convention):
     """A running graph without codec at dt = 1 ms."""
     return FloatGraph(Artifact(nodes, None, Convention(1e-3, **convention)))
-
-
-def ends(width, act):
-    return {"input": nir.Input(np.array([width])), "output": nir.Output(np.array([act]))}
 
 
 def column(*values):
@@ -66,13 +62,6 @@ def test_a_cuba_lif_neuron_worked_by_hand():
     nodes = chain(cuba(1, alpha=0.5, beta=0.5), width=1, act=1)
     assert network(nodes).run(column(0.4, 0, 0))["n1"].ravel().tolist() == [0, 0, 0]
     assert network(nodes).run(column(0.4, 0.4, 0))["n1"].ravel().tolist() == [0, 1, 0]
-
-
-def test_a_lif_neuron_spikes_only_above_its_threshold():
-    # b = 0.9, (1-b) r = 1: V = 0.9 V + x; V = 1 is not above 1
-    nodes = chain(lif(1), width=1, act=1)
-    assert network(nodes).run(column(1.0, 0.1))["n1"].ravel().tolist() == [0, 0]
-    assert network(nodes).run(column(1.0, 0.2))["n1"].ravel().tolist() == [0, 1]
 
 
 def test_the_leak_pulls_the_membrane_and_the_reset_goes_to_v_reset():
@@ -163,34 +152,6 @@ def test_the_order_of_nodes_and_edges_changes_no_bit():
             np.testing.assert_array_equal(values, before[name])
 
 
-def test_what_arrives_at_a_node_is_summed():
-    nodes = graph(
-        "input->a, input->b, a->sum, b->sum, input->sum, sum->output",
-        **ends(2, 2),
-        a=nir.Linear(np.array([[1.0, 2.0], [3.0, 4.0]])),
-        b=nir.Affine(np.eye(2), np.array([10.0, 20.0])),
-        sum=nir.Scale(np.array([1.0, -1.0])),
-    )
-    found = network(nodes).run(np.array([[[1.0, 1.0]]]))
-    # a: 3, 7 | b: 11, 21 | input: 1, 1
-    assert found["output"].ravel().tolist() == [15.0, -29.0]
-
-
-def test_flatten_scale_and_threshold_do_what_they_say():
-    flatten = nir.Flatten({"input": np.array([2, 3])}, start_dim=0)
-    nodes = graph(
-        "input->flat, flat->scale, scale->bit, bit->output",
-        input=nir.Input(np.array([2, 3])),
-        output=nir.Output(np.array([6])),
-        flat=flatten,
-        scale=nir.Scale(np.arange(6.0)),
-        bit=nir.Threshold(np.full(6, 2.0)),
-    )
-    found = network(nodes).run(np.ones((1, 4, 2, 3)))
-    assert found["bit"].shape == (1, 4, 6)
-    assert found["output"][0, 0].tolist() == [0, 0, 0, 1, 1, 1]
-
-
 # loops
 
 
@@ -260,30 +221,6 @@ def test_a_loop_without_a_neuron_is_refused_by_name():
         network(nodes)
 
 
-def test_loops_equal_a_loop_written_out():
-    rng = np.random.default_rng(0)
-    w_in, w_rec, w_out = rng.normal(size=(9, 4)), rng.normal(size=(9, 9)), rng.normal(size=(3, 9))
-    nodes = graph(
-        "input->w_in, w_in->cell, cell->w_rec, w_rec->cell, cell->w_out, w_out->output",
-        **ends(4, 3),
-        cell=cuba(9),
-        w_in=nir.Linear(w_in),
-        w_rec=nir.Linear(w_rec),
-        w_out=nir.Linear(w_out),
-    )
-    raster = (rng.random((6, 40, 4)) < 0.3).astype(float)
-    current, membrane, spikes = np.zeros((3, 6, 9))
-    wanted = np.zeros((6, 40, 9))
-    for t in range(40):
-        current = 0.9 * current + raster[:, t] @ w_in.T + spikes @ w_rec.T
-        membrane = 0.8 * membrane + current
-        wanted[:, t] = spikes = (membrane > 0.5).astype(float)
-        membrane = membrane * (1 - spikes)
-    found = network(nodes).run(raster)
-    np.testing.assert_array_equal(found["cell"], wanted)
-    np.testing.assert_allclose(found["output"], wanted @ w_out.T, rtol=0, atol=1e-12)
-
-
 # state and number type
 
 
@@ -298,13 +235,6 @@ def test_a_state_that_is_kept_makes_parts_equal_the_whole(nodes, delay):
     for name, values in whole.items():
         joined = np.concatenate([part[name] for part in parts], axis=1)
         np.testing.assert_allclose(joined, values, rtol=0, atol=1e-12)
-
-
-def test_a_state_that_is_reset_makes_every_inference_the_first():
-    artifact = popsan()
-    raster, running = spikes_in(artifact), FloatGraph(artifact)
-    first = running.run(raster)
-    equal(running.run(raster), first)
 
 
 def test_a_state_of_another_batch_is_refused():

@@ -12,13 +12,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConventionError
 from spikedeploy.runtime.float_model import FloatGraph
-from tests.networks import lif
-
-
-def alone(node, shape, out):
-    """input -> node -> output, without nir's own checks, which refuse what it infers wrongly."""
-    nodes = {"input": nir.Input(np.array(shape)), "n": node, "output": nir.Output(np.array(out))}
-    return nir.NIRGraph(nodes, [("input", "n"), ("n", "output")], type_check=False)
+from tests.networks import alone, lif
 
 
 def network(graph, dtype=np.float64, **convention):
@@ -116,15 +110,6 @@ def test_many_rows_at_once_equal_each_alone(monkeypatch):
     np.testing.assert_allclose(ran(node, x), whole, rtol=0, atol=1e-12)
 
 
-def test_a_convolution_keeps_the_type_of_numbers():
-    node = nir.Conv1d(5, np.ones((1, 1, 3)), 1, 0, 1, 1, np.zeros(1))
-    found = network(alone(node, (1, 5), (1, 3)), np.float32).run(np.ones((1, 1, 1, 5)))
-    assert (found["output"].dtype, found["output"].ravel().tolist()) == (np.float32, [3, 3, 3])
-    pool = nir.AvgPool2d(*(np.array([2, 2]) for _ in range(2)), np.array([0, 0]))
-    found = network(alone(pool, (1, 2, 2), (1, 1, 1)), np.float32).run(np.ones((1, 1, 1, 2, 2)))
-    assert found["output"].dtype == np.float32
-
-
 def test_every_row_of_stacked_weights_has_a_matrix_of_its_own():
     weight = np.arange(12.0).reshape(2, 3, 2)
     node = nir.Affine(weight, np.ones((2, 3)))
@@ -157,18 +142,6 @@ def test_every_element_has_its_own_delay():
     x = np.arange(1.0, 9).reshape(1, 4, 2)
     assert delayed(x, 1e-3, 2e-3)[0].tolist() == [[0, 0], [1, 0], [3, 2], [5, 4]]
     assert delayed(x, 0.0, 3e-3)[0].tolist() == [[1, 0], [3, 0], [5, 0], [7, 2]]
-
-
-@pytest.mark.parametrize("delay", [0, 1])
-@pytest.mark.parametrize("taus", [(0.0, 3e-3), (1e-3, 3e-3), (2e-3, 2e-3)])
-def test_what_is_on_its_way_arrives_in_the_next_inference(taus, delay):
-    x = np.random.default_rng(0).normal(size=(2, 12, 2))
-    node = nir.Delay(np.array(taus))
-    running = network(alone(node, (2,), (2,)), state="kept", delay=delay)
-    parts = [running.run(part)["output"] for part in np.split(x, [1, 5, 6], axis=1)]
-    np.testing.assert_array_equal(np.concatenate(parts, axis=1), delayed(x, *taus))
-    running.reset()
-    np.testing.assert_array_equal(running.run(x)["output"], delayed(x, *taus))
 
 
 def test_a_delay_that_is_not_whole_timesteps_is_refused():

@@ -56,9 +56,3 @@ def test_a_delayed_reset_to_zero_discards_the_input_of_a_cubalif_and_keeps_that_
     current_based = cuba(1, alpha=0.0, beta=0.5, dt=1e-3, threshold=1.0)
     assert spikes(HALVING, "zero-delayed", 2, 2, 2) == [1, 1, 1]
     assert spikes(current_based, "zero-delayed", 2, 2, 2) == [1, 0, 1]
-
-
-@pytest.mark.parametrize("reset", ["zero-delayed", "subtract-delayed", "subtract-ahead", "none"])
-def test_a_raster_in_pieces_gives_the_same(reset):
-    inputs = np.random.default_rng(0).random(40) * 2
-    assert spikes(HALVING, reset, *inputs) == spikes(HALVING, reset, *inputs, pieces=7)

@@ -24,17 +24,6 @@ def test_a_neuron_by_hand():
     assert graph.nodes["sd1"].membrane[0, 0] == SIGMA[-1]
 
 
-def test_what_was_sent_adds_up_to_the_activation_within_a_threshold():
-    artifact = delta_network()
-    graph = FloatGraph(artifact)
-    neurons = artifact.sigma_delta["sd1"]
-    sent = 0
-    for row in np.moveaxis(rasters(), 1, 0):
-        sent = sent + graph.run(row[:, None])["sd1"][:, 0]
-        activation = np.maximum(graph.nodes["sd1"].membrane + neurons.bias, 0)
-        assert (np.abs(activation - sent * neurons.threshold) < neurons.threshold).all()
-
-
 def test_the_state_goes_on_from_run_to_run_and_with_copies():
     raster = rasters()
     whole = FloatGraph(delta_network(hidden=(8, 6))).run(raster)

@@ -20,7 +20,7 @@ from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import concatenate, split
 from spikedeploy.runtime.graph.shapes import infer_shapes
-from tests.networks import chain, graph, lif
+from tests.networks import chain, ends, graph, lif
 
 TIMESTEPS = 8
 KINDS = ("conv", "grouped", "sum", "avg", "scale", "delay", "affine", "conv1d", "flatten")
@@ -214,10 +214,6 @@ def test_generated_networks_on_loihi_equal_the_interpreter(network, seed, name):
         np.testing.assert_array_equal(machine.ledger.counts, slow.ledger.counts)
 
 
-def ends(shape, act):
-    return {"input": nir.Input(np.array(shape)), "output": nir.Output(np.array(act))}
-
-
 def artifact(network):
     return Artifact(network, None, Convention(1e-3))
 
@@ -234,15 +230,6 @@ def test_a_convolution_and_a_pool_become_one_matrix():
     wanted = [[1, 0], [11, 0], [10, 1], [0, 11], [0, 10]]
     np.testing.assert_array_equal(layer.synapses[0].weight, wanted)
     assert layer.bias.tolist() == [1.0, 1.0]
-
-
-def test_a_delay_becomes_the_delay_of_its_synapses():
-    network = chain(nir.Delay(np.array([0.0, 3e-3])), lif(2, 4e-3, 4.0), width=2, act=2)
-    program = compile_program(artifact(network), chip("loihi1"))
-    (layer,) = program.layers
-    # loihi1 takes one timestep for any synapse, which the layer's start makes up for
-    assert layer.start == 1
-    assert [(s.delay, s.fan_out.tolist()) for s in layer.synapses] == [(1, [1, 0]), (4, [0, 1])]
 
 
 def test_a_bias_before_a_delay_is_refused():
@@ -282,23 +269,6 @@ def test_inputs_lie_side_by_side_in_the_order_of_their_names():
     assert program.layers[0].synapses[0].weight.ravel().tolist() == [1, 2, 3, 4]
     rasters = {"b": np.array([[[[0, 1]]]]), "a": np.array([[[1, 0]]])}
     assert concatenate(program.inputs, rasters).tolist() == [[[1, 0, 0, 1]]]
-
-
-def test_an_output_may_read_several_layers():
-    edges = "input->a, a->b, a->twice, twice->output, b->output"
-    nodes = {
-        "a": lif(1, 4e-3, 4.0, 0.5),
-        "b": lif(1, 4e-3, 4.0, 0.5),
-        "twice": nir.Scale(2 * np.ones(1)),
-    }
-    program = compile_program(artifact(graph(edges, **ends([1], [1]), **nodes)), chip("ideal"))
-    machine = Machine(program, trace=True)
-    # both spike at once: 2 of a and 1 of b
-    assert machine.infer(np.array([[[1], [0]]], np.uint8)).ravel().tolist() == [3, 0]
-    assert program.to_host == {"a", "b"}
-    # what a alone goes through; b comes as it is
-    assert [(of, weight.tolist()) for of, weight in program.readouts] == [("a", [[2.0]])]
-    assert machine.ledger.by_layer("message") == {"a": 2, "b": 2}
 
 
 @pytest.mark.parametrize("kind", ["LI", "CubaLI", "I"])

@@ -11,7 +11,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.order import order
-from tests.networks import cuba, lif
+from tests.networks import cuba, ends, lif
 
 TIMESTEPS = 7
 
@@ -58,8 +58,9 @@ def graphs(draw):
         i, j = sorted(draw(st.tuples(*[st.sampled_from(spiking)] * 2)))
         nodes[f"w{back}"] = nir.Linear(rng.normal(size=(2, 2)))
         edges |= {(names[j], f"w{back}"), (f"w{back}", names[i])}
-    ends = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
-    return nir.NIRGraph({**nodes, **ends}, draw(st.permutations(sorted(edges))), type_check=False)
+    return nir.NIRGraph(
+        {**nodes, **ends(2, 2)}, draw(st.permutations(sorted(edges))), type_check=False
+    )
 
 
 def walked(network, late, x):

@@ -10,11 +10,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.float_model import FloatGraph
-from tests.networks import chain, graph, lif
-
-
-def ends(width=2, act=2):
-    return {"input": nir.Input(np.array([width])), "output": nir.Output(np.array([act]))}
+from tests.networks import chain, ends, graph, lif
 
 
 def artifact(network):
@@ -35,17 +31,6 @@ def test_a_graph_inside_computes_what_it_computes_alone():
     alone = FloatGraph(artifact(recurrent())).run(2.0 * raster)
     assert found.keys() == {"n2.lif", "output"}
     np.testing.assert_array_equal(found["n2.lif"], alone["lif"])
-
-
-def test_graphs_nested_twice_are_flattened():
-    inner = chain(lif(2), width=2, act=2)
-    nested = artifact(chain(chain(inner, lif(2), width=2, act=2), width=2, act=2))
-    assert sorted(nested.graph.nodes) == ["input", "n1.n1.n1", "n1.n2", "output"]
-    assert set(nested.graph.edges) == {
-        ("input", "n1.n1.n1"),
-        ("n1.n1.n1", "n1.n2"),
-        ("n1.n2", "output"),
-    }
 
 
 def test_a_file_with_a_graph_inside_is_read_and_can_be_compiled(tmp_path):

@@ -19,12 +19,7 @@ from spikedeploy.runtime.errors import (
     SpikedeployError,
 )
 from spikedeploy.runtime.float_model import FloatGraph
-from tests.networks import chain, cuba, lif
-
-
-def alone(node, shape, out):
-    nodes = {"input": nir.Input(np.array(shape)), "n": node, "output": nir.Output(np.array(out))}
-    return nir.NIRGraph(nodes, [("input", "n"), ("n", "output")], type_check=False)
+from tests.networks import alone, chain, cuba, ends, lif
 
 
 def artifact(network):
@@ -94,30 +89,21 @@ def test_a_pool_that_is_none_is_refused_by_name(kernel, stride, padding, message
         artifact(alone(node, (2, 6, 6), (2, 4, 4)))
 
 
-def test_a_pool_of_one_axis_is_refused_by_what_it_takes():
-    node = nir.SumPool2d(*(np.array(v) for v in ([2, 2], [1, 1], [0, 0])))
-    with pytest.raises(ArtifactError, match=r"'n': \(6,\) arrives, but it takes \(C, H, W\)"):
-        artifact(alone(node, (6,), (6,)))
-
-
-@pytest.mark.parametrize(("start", "end"), [(2, 1), (0, 3), (-4, -1)])
-def test_axes_that_are_not_there_are_not_flattened(start, end):
-    node = nir.Flatten({"input": None}, start, end)
-    with pytest.raises(ArtifactError, match="node 'n': "):
-        artifact(alone(node, (2, 3, 4), (24,)))
-
-
-@pytest.mark.parametrize("value", [-1e-3, np.nan, np.inf])
-def test_a_delay_that_is_none_is_refused(value):
-    node = nir.Delay(np.array([1e-3, value]))
-    with pytest.raises(ArtifactError, match="node 'n': delay holds"):
-        artifact(alone(node, (2,), (2,)))
-
-
-def test_a_threshold_below_the_reset_is_refused():
-    node = lif(2, threshold=-1.0)
-    with pytest.raises(ArtifactError, match="'n': v_threshold holds -1, below its v_reset 0"):
-        artifact(alone(node, (2,), (2,)))
+@pytest.mark.parametrize(
+    ("node", "shape", "message"),
+    [
+        (nir.Delay(np.array([1e-3, -1e-3])), (2,), "delay holds -0.001 s"),
+        (nir.Delay(np.array([1e-3, np.nan])), (2,), "delay holds nan"),
+        (lif(2, threshold=-1.0), (2,), "v_threshold holds -1, below its v_reset 0"),
+        (nir.Flatten({"input": None}, 2, 1), (2, 3, 4), "axes 2 to 1 cannot be flattened"),
+        (nir.Flatten({"input": None}, 0, 3), (2, 3, 4), "axes 0 to 3 cannot be flattened"),
+        (nir.Flatten({"input": None}, -4, -1), (2, 3, 4), "start_dim holds -4"),
+        (nir.SumPool2d(*np.array([[2, 2], [1, 1], [0, 0]])), (6,), r"takes \(C, H, W\)"),
+    ],
+)
+def test_a_node_that_cannot_be_computed_is_refused_by_name(node, shape, message):
+    with pytest.raises(ArtifactError, match=f"node 'n': .*{message}"):
+        artifact(alone(node, shape, (2,)))
 
 
 @pytest.mark.parametrize("kind", [lif, cuba], ids=["LIF", "CubaLIF"])
@@ -164,7 +150,7 @@ def test_a_name_that_no_file_can_hold_is_refused(name):
     ],
 )
 def test_a_node_beside_the_way_is_refused_by_name(edges, message):
-    nodes = {"input": nir.Input(np.array([2])), "output": nir.Output(np.array([2]))}
+    nodes = ends(2, 2)
     named = {name for edge in edges for name in edge} - {"input", "output"}
     nodes |= {name: lif(2) for name in named}
     with pytest.raises(ArtifactError, match=message):
