@@ -7,8 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.errors import SpikedeployError
 
-class EnvError(Exception):
+
+class EnvError(SpikedeployError):
     """An environment, an option, an action or a file that is not valid."""
 
 

@@ -139,16 +139,14 @@ class NetworkRun(Emulation):
         """Counts, energies and the raster, for notebooks."""
         from spikedeploy.reports.page import notebook_card, notebook_picture
 
-        counts = {"timesteps": self.timesteps, "spikes": self._spikes()}
+        spikes = sum(int(np.count_nonzero(rows)) for rows in self.spikes.values())
+        counts = {"timesteps": self.timesteps, "spikes": spikes}
         if self.ledger is not None:
             counts["synaptic operations"] = self.ledger.total("sop")
         facts = {name: f"{count:,}" for name, count in counts.items()}
         facts |= {f"energy, {name}": f"{joules:.3g} J" for name, joules in self.energy.items()}
         shown = notebook_picture(self.plot()) if self.spikes else ""
         return notebook_card(f"One inference on {self.chip}", facts) + shown
-
-    def _spikes(self) -> int:
-        return sum(int(np.count_nonzero(rows)) for rows in self.spikes.values())
 
 
 @dataclass(frozen=True)
@@ -248,7 +246,8 @@ def compare(
     from spikedeploy.shipping.exported_run import runnable
 
     names = [runnable(_named(policy)) for policy in policies]
-    chips = chips or _chips(policies)
+    networks = [policy for policy in policies if isinstance(policy, LoadedNetwork)]
+    chips = chips or tuple(dict.fromkeys(each.chip for each in networks if each.chip != FLOAT))
     entries = line_up(env, names, tuple(chips) or None)
     comparison = compare_policies(env, entries, range(seed, seed + episodes), workers, options)
     words = ["spikedeploy", "compare", env, *names]
@@ -256,13 +255,6 @@ def compare(
     words += ["--episodes", str(episodes), "--seed", str(seed)]
     words += [word for name, value in options.items() for word in ("--set", f"{name}={value}")]
     return ComparedPolicies({**report.document(comparison), "command": shlex.join(words)})
-
-
-def _chips(policies: Sequence[str | Path | LoadedNetwork]) -> tuple[str, ...]:
-    """Chips that loaded networks are on; none where each policy runs on its own."""
-    networks = [policy for policy in policies if isinstance(policy, LoadedNetwork)]
-    found = dict.fromkeys(each.chip for each in networks if each.chip != FLOAT)
-    return tuple(found)
 
 
 def _named(policy: "str | Path | LoadedNetwork") -> str:

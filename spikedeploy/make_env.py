@@ -45,7 +45,10 @@ def parse_options(
             place = place.setdefault(group, {})
             if not isinstance(place, dict):
                 raise ConfigError(f"--set {text}: {group!r} was given as a whole already")
-        place[last] = _value(value)
+        try:
+            place[last] = json.loads(value)
+        except ValueError:
+            place[last] = value
     if success is not None:
         options["success"] = success
     disturbances = list(disturb)
@@ -55,10 +58,3 @@ def parse_options(
 def disturbed_by(options: Mapping[str, Any]) -> tuple[str, ...]:
     """The disturbances in the options of an environment."""
     return tuple(options.get("disturb", ()))
-
-
-def _value(text: str) -> Any:  # noqa: ANN401
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text

@@ -68,14 +68,19 @@ def _episode(
 ) -> dict[str, Any]:
     played = [record(env, e.candidate, e.chip, e.label, seed, table) for e in entries]
     last = played[-1]
-    twin = next((each for each in played[:-1] if each.network is not None), None)
+    twin, distance = next((each for each in played[:-1] if each.network is not None), None), None
+    if twin is not None:
+        # (S,) root mean square of the difference of their observations, until one ends
+        steps = min(last.played.steps, twin.played.steps)
+        apart = last.played.observation[:steps] - twin.played.observation[:steps]
+        distance = pack(np.sqrt(np.mean(apart.reshape(steps, -1) ** 2, axis=1)))
     return {
         "title": title,
         "seed": seed,
         "period": last.period,
         "scene": last.shapes,
         "players": [_player(each, each is last) for each in played],
-        "distance": None if twin is None else pack(_distance(last, twin)),
+        "distance": distance,
         "twin": twin is not None,
         "first_spike": None if twin is None else first_difference(last, twin),
     }
@@ -100,14 +105,6 @@ def _player(each: "RecordedEpisode", has_network: bool) -> dict[str, Any]:
     }
 
 
-def _distance(one: "RecordedEpisode", other: "RecordedEpisode") -> Floats:
-    """(S,) root mean square of the difference of their observations, until one ends."""
-    steps = min(one.played.steps, other.played.steps)
-    apart = one.played.observation[:steps] - other.played.observation[:steps]
-    found: Floats = np.sqrt(np.mean(apart.reshape(steps, -1) ** 2, axis=1))
-    return found
-
-
 def first_difference(one: "RecordedEpisode", other: "RecordedEpisode") -> dict[str, Any] | None:
     """The first spike of a layer that only one of two networks has; None where there is none.
 
@@ -116,17 +113,14 @@ def first_difference(one: "RecordedEpisode", other: "RecordedEpisode") -> dict[s
     if one.network is None or other.network is None:
         return None
     found = []
-    for place, (name, raster) in enumerate(one.network.rasters.items()):
+    for name, raster in one.network.rasters.items():
         twin = other.network.rasters.get(name, raster)
         steps = min(len(raster), len(twin))
         differs = np.argwhere((raster[:steps] != 0) != (twin[:steps] != 0))
         if len(differs):
             step, timestep, neuron = differs[0].tolist()
-            found.append((step, timestep, place, name, neuron))
-    if not found:
-        return None
-    step, timestep, _, name, neuron = min(found)
-    return {"step": step, "timestep": timestep, "layer": name, "neuron": neuron}
+            found.append({"step": step, "timestep": timestep, "layer": name, "neuron": neuron})
+    return min(found, key=lambda first: (first["step"], first["timestep"]), default=None)
 
 
 # one episode
@@ -291,35 +285,29 @@ def network_json(trace: NetworkTrace, most_neurons: float = math.inf) -> dict[st
 
     most_neurons  of a layer whose spikes are shown, twice as many as of one with membranes
     """
-    large = {
-        name: raster
-        for name, raster in trace.rasters.items()
-        if raster.size > _MOST_BITS or raster.shape[2] > most_neurons
-    }
+    layers, left_out = [], []
+    for name, raster in trace.rasters.items():
+        steps, timesteps, neurons = raster.shape
+        if raster.size > _MOST_BITS or neurons > most_neurons:
+            left_out.append(f"{name}: {neurons:,} neurons")
+            continue
+        membranes = trace.membranes.get(name)
+        if membranes is None or membranes.size > _MOST_MEMBRANES or 2 * neurons > most_neurons:
+            membranes = None
+        layers.append(
+            {
+                "name": name,
+                "timesteps": timesteps,
+                "spikes": pack_bits(raster.reshape(steps * timesteps, neurons)),
+                "count": int(np.count_nonzero(raster)),
+                "membranes": None if membranes is None else pack(membranes),
+            }
+        )
     return {
-        "layers": [
-            _layer(name, raster, trace.membranes.get(name), most_neurons / 2)
-            for name, raster in trace.rasters.items()
-            if name not in large
-        ],
-        "left_out": [f"{name}: {raster.shape[2]:,} neurons" for name, raster in large.items()],
+        "layers": layers,
+        "left_out": left_out,
         "sops": None if trace.sops is None else pack(trace.sops),
         "energy": None if trace.energy is None else pack(trace.energy),
-    }
-
-
-def _layer(
-    name: str, raster: NDArray[Any], membranes: Floats | None, most: float
-) -> dict[str, Any]:
-    steps, timesteps, neurons = raster.shape
-    if membranes is not None and (membranes.size > _MOST_MEMBRANES or neurons > most):
-        membranes = None
-    return {
-        "name": name,
-        "timesteps": timesteps,
-        "spikes": pack_bits(raster.reshape(steps * timesteps, neurons)),
-        "count": int(np.count_nonzero(raster)),
-        "membranes": None if membranes is None else pack(membranes),
     }
 
 
@@ -339,7 +327,11 @@ def info_curves(info: Mapping[str, Floats]) -> list[dict[str, Any]]:
             curve("speed", "m/s", info["speed"], info["command_speed"]),
             curve("turn rate", "rad/s", turn, info["command_turn"]),
         ]
-    units = _OWN if "slip" in info else _KART if "gates" in info else _foreign_units(info)
+    if "slip" in info or "gates" in info:
+        units = _OWN if "slip" in info else _KART
+    else:  # the first numbers of somebody else's infos that change
+        changing = [name for name, values in info.items() if np.ptp(np.nan_to_num(values)) > 0]
+        units = dict.fromkeys(changing[:_MOST_CURVES], "")
     return [curve(name, unit, info[name]) for name, unit in units.items() if name in info]
 
 
@@ -351,12 +343,6 @@ def curve(title: str, unit: str, values: Floats, wanted: Floats | None = None) -
         "values": pack(values),
         "wanted": None if wanted is None else pack(wanted),
     }
-
-
-def _foreign_units(info: Mapping[str, Floats]) -> dict[str, str]:
-    """The first numbers of somebody else's infos that change."""
-    changing = [name for name, values in info.items() if np.ptp(np.nan_to_num(values)) > 0]
-    return dict.fromkeys(changing[:_MOST_CURVES], "")
 
 
 # scenes
@@ -401,9 +387,10 @@ class _Bodies:
 
     def shapes(self) -> dict[str, Any]:
         """Geoms in the frames of their bodies, and the heights of the ground."""
-        model = self._model
+        model, colours = self._model, self._colours()
         kinds = [_KINDS.get(int(kind), "") for kind in model.geom_type]
-        shown = [g for g, kind in enumerate(kinds) if kind and self._is_shown(g)]
+        seen = (colours[:, 3] > 0) & (model.geom_group <= _DECOR)
+        shown = [g for g, kind in enumerate(kinds) if kind and seen[g]]
         return {
             "kind": "bodies",
             "geoms": [
@@ -413,34 +400,32 @@ class _Bodies:
                     "size": _round(model.geom_size[g]),
                     "position": _round(model.geom_pos[g]),
                     "quaternion": _round(model.geom_quat[g]),
-                    "colour": _round(self._colour(g)[:3]),
+                    "colour": _round(colours[g, :3]),
                 }
                 for g in shown
                 if kinds[g] not in _GROUND and model.geom_bodyid[g] > 0
             ],
-            "ground": self._ground([g for g in shown if kinds[g] in _GROUND]),
+            "ground": self._ground(next((g for g in shown if kinds[g] in _GROUND), None)),
         }
 
     def pose(self) -> Floats:
         """(N, 7) of the bodies besides the world."""
         return np.concatenate([self._data.xpos[1:], self._data.xquat[1:]], axis=1)
 
-    def _is_shown(self, geom: int) -> bool:
-        return bool(self._colour(geom)[3] > 0 and self._model.geom_group[geom] <= _DECOR)
+    def _colours(self) -> Floats:
+        """(G, 4) of the geoms: their own, or those of their materials."""
+        colours = np.array(self._model.geom_rgba, np.float64)
+        of = np.asarray(self._model.geom_matid)
+        is_default = (of >= 0) & np.isclose(colours, [0.5, 0.5, 0.5, 1]).all(axis=1)
+        colours[is_default] = self._model.mat_rgba[of[is_default]]
+        return colours
 
-    def _colour(self, geom: int) -> Floats:
-        material = int(self._model.geom_matid[geom])
-        own = material < 0 or not np.allclose(self._model.geom_rgba[geom], [0.5, 0.5, 0.5, 1])
-        found = self._model.geom_rgba[geom] if own else self._model.mat_rgba[material]
-        return np.asarray(found, np.float64)
-
-    def _ground(self, geoms: list[int]) -> dict[str, Any] | None:
+    def _ground(self, geom: int | None) -> dict[str, Any] | None:
         """Height of a plane, or heights (rows along y, columns along x) of rough ground."""
-        if not geoms:
+        if geom is None:
             return None
-        model, geom = self._model, geoms[0]
-        height = float(model.geom_pos[geom, 2])
-        field = int(model.geom_dataid[geom])
+        model = self._model
+        height, field = float(model.geom_pos[geom, 2]), int(model.geom_dataid[geom])
         if field < 0:
             return {"height": height}
         rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
@@ -448,11 +433,8 @@ class _Bodies:
         start = int(model.hfield_adr[field])
         heights = model.hfield_data[start : start + rows * columns].reshape(rows, columns)
         every = max(1, round(_COARSE * (columns - 1) / (2 * x)))
-        return {
-            "height": height,
-            "half": [x, y],
-            "heights": pack(height + top * heights[::every, ::every]),
-        }
+        kept = pack(height + top * heights[::every, ::every])
+        return {"height": height, "half": [x, y], "heights": kept}
 
 
 class _Kart:
@@ -463,13 +445,8 @@ class _Kart:
 
     def shapes(self) -> dict[str, Any]:
         """Walls and gates [px]; y points down."""
-        track = self._env.track
-        return {
-            "kind": "track",
-            "walls": _round(track.walls, 1),
-            "gates": _round(track.gates, 1),
-            "radius": RADIUS,
-        }
+        lines = {name: _round(getattr(self._env.track, name), 1) for name in ("walls", "gates")}
+        return {"kind": "track", **lines, "radius": RADIUS}
 
     def pose(self) -> Floats:
         """(1, 3) x [px], y [px] and heading [rad]."""

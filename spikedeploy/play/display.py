@@ -16,25 +16,25 @@ _REMEDY = "`spikedeploy replay --video` and `run --video` need none"
 
 def check_display() -> None:
     """Refuse to open a window where there is no display."""
-    if not (_always_there() or _chosen() or any(map(os.environ.get, _DISPLAYS))):
+    if not (_has_display() or _is_chosen()):
         raise ConfigError(f"no display: neither {' nor '.join(_DISPLAYS)} is set; {_REMEDY}")
 
 
 def has_desktop() -> bool:
     """Return True if somebody sits at a terminal on a desktop, where a page can be opened."""
-    return sys.stdout.isatty() and (_always_there() or any(map(os.environ.get, _DISPLAYS)))
+    return sys.stdout.isatty() and _has_display()
 
 
 def check_driver(driver: str) -> None:
     """Refuse a window that SDL opened in memory, because the display could not be reached."""
-    if driver in _INVISIBLE and not _chosen():
+    if driver in _INVISIBLE and not _is_chosen():
         display = next(filter(None, map(os.environ.get, _DISPLAYS)), "")
         raise ConfigError(f"no display: {display or 'it'} cannot be reached; {_REMEDY}")
 
 
-def _always_there() -> bool:
-    return sys.platform in ("darwin", "win32")
+def _has_display() -> bool:
+    return sys.platform in ("darwin", "win32") or any(map(os.environ.get, _DISPLAYS))
 
 
-def _chosen() -> bool:
+def _is_chosen() -> bool:
     return any(map(os.environ.get, _CHOSEN))
