@@ -18,31 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.kart.lidar import CLASSIC_RAYS, Lidar, LidarOptions, Observer
+from spikedeploy.envs.kart.lidar import Lidar, LidarOptions
 from spikedeploy.envs.kart.track import Track, corridor, length_of, load
 from spikedeploy.envs.kart.world import KartState, KartWorld
 
 _STALL = 120  # [steps] without progress after which a kart has stalled
 _PROGRESS = 20.0  # [px] by which the remaining path must become shorter to count
 _SLOW = 25.0  # [px/s] below which kart-simulator counts a kart as standing still
-
-
-class StallRule:
-    """Stalled when the remaining path has not become 20 px shorter within 2 s.
-
-    remaining  length of the path at the start [px]
-    """
-
-    def __init__(self, remaining: float) -> None:
-        self._best, self._steps = remaining, 0
-
-    def stalled(self, remaining: float, approach: float, speed: float) -> bool:
-        """Add a step: remaining path [px], decrease of the gate's distance [px], speed [px/s]."""
-        if remaining < self._best - _PROGRESS:
-            self._best, self._steps = remaining, 0
-        else:
-            self._steps += 1
-        return self._steps >= _STALL
 
 
 @dataclass(frozen=True)
@@ -57,15 +39,24 @@ class ClassicLimits:
     receding: int
 
 
-class ClassicStallRule:
-    """Stalled as in kart-simulator: standing still or moving away from the gate for too long."""
+class _StallRule:
+    """Tells a kart that has stalled.
 
-    def __init__(self, limits: ClassicLimits) -> None:
-        self._limits = limits
-        self._still = self._receding = 0
+    Its remaining path [px] has not become 20 px shorter within 2 s; by kart-simulator's limits it
+    stood still or moved away from the gate for too long.
+    """
+
+    def __init__(self, remaining: float, limits: ClassicLimits | None) -> None:
+        self._best, self._limits = remaining, limits
+        self._steps = self._still = self._receding = 0
 
     def stalled(self, remaining: float, approach: float, speed: float) -> bool:
-        """Add a step, as in StallRule."""
+        """Add a step: remaining path [px], decrease of the gate's distance [px], speed [px/s]."""
+        if self._limits is None:
+            self._steps += 1
+            if remaining < self._best - _PROGRESS:
+                self._best, self._steps = remaining, 0
+            return self._steps >= _STALL
         self._still = self._still + 1 if speed < _SLOW else 0
         self._receding = self._receding + 1 if approach < 0 else 0
         still = 0 < self._limits.still <= self._still
@@ -171,56 +162,17 @@ class ClassicReward:
         }
 
 
-Reward = PathReward | ClassicReward
-
-
-def one_of(name: str, found: object, allowed: Sequence[object]) -> None:
+def check_choice(name: str, found: object, *allowed: object) -> None:
     """Raise EnvError unless the value of an option is one of those allowed."""
     if found not in allowed:
         raise EnvError(f"{name} {found!r} is unknown; known: {', '.join(map(repr, allowed))}")
 
 
-def steps_of(found: object) -> None:
-    """Raise EnvError unless the value of max_steps is a whole number from 1."""
-    if not isinstance(found, int) or found < 1:
-        raise EnvError(f"max_steps must be a whole number from 1, found {found!r}")
-
-
-def part(name: str, found: object) -> float:
-    """The value of an option above 0 and up to 1; EnvError if it is another."""
+def _part(name: str, found: object) -> float:
     number = isinstance(found, (int, float)) and not isinstance(found, bool)
     if not number or not 0.0 < found <= 1.0:  # type: ignore[operator]
         raise EnvError(f"option {name}: {found!r} is not a number above 0 and up to 1")
     return float(found)  # type: ignore[arg-type]
-
-
-def track_of(track: str | Path | Track) -> Track:
-    """The track of this name, file or kind; of corridors, which are drawn anew, any one."""
-    if isinstance(track, Track):
-        return track
-    cells = length_of(track) if isinstance(track, str) else None
-    return load(track) if cells is None else corridor(cells, np.random.default_rng(0))
-
-
-def lidar_options(
-    given: LidarOptions | Mapping[str, Any] | None, reach: float, classic: bool
-) -> LidarOptions:
-    """The given options, over those of the preset and the environment's range `reach` [px]."""
-    if isinstance(given, LidarOptions):
-        return given
-    defaults: dict[str, Any] = {"range": reach}
-    if classic:
-        # kart-simulator's rays begin straight behind the kart, and none points ahead
-        defaults |= {"count": CLASSIC_RAYS, "facing": -math.pi}
-    return LidarOptions.of(given or {}, **defaults)
-
-
-def reward_of(reward: str | Mapping[str, float], classic: ClassicReward) -> Reward:
-    """The reward of this name, or with these weights; `classic` is the environment's own."""
-    if isinstance(reward, Mapping):
-        return PathReward(reward)
-    one_of("reward", reward, ("default", "classic"))
-    return classic if reward == "classic" else PathReward()
 
 
 def action_name(action: Any, names: Sequence[str]) -> str:  # noqa: ANN401
@@ -235,6 +187,17 @@ def action_name(action: Any, names: Sequence[str]) -> str:  # noqa: ANN401
     return names[place]
 
 
+_SIZES = {  # of every component of an observation except the LIDAR's
+    "position": 2,
+    "velocity": 2,
+    "heading": 2,
+    "gate": 3,
+    "progress": 1,
+    "speed": 1,
+}
+_CLASSIC_BOX = 54.0, 81.0, 990.0, 958.0  # left, top, right, bottom [px] on every track
+_CLASSIC_RAYS = 59  # 60 were asked for
+
 FloatArray = NDArray[np.float64]
 
 CONTROL_DT = 1.0 / 60.0  # [s]
@@ -245,7 +208,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
 
     preset      "default", or "classic": kart-simulator's observation, reward and termination
     track       a name of track_file.names(), `corridor`, `corridor-N`, a .json file, or a Track
-    observe     components, keys of observation.SIZES or "lidar"; None takes the preset's
+    observe     components, keys of _SIZES or "lidar"; None takes the preset's
     lidar       LidarOptions, or some of them by name, which replace the environment's defaults
     reward      "default", "classic", or weights by name that replace some of the default's
     max_steps   control steps after which an episode is truncated
@@ -285,26 +248,39 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         power: float = 1.0,
         render_mode: str | None = None,
     ) -> None:
-        one_of("preset", preset, ("default", "classic"))
-        one_of("start", start, ("random", "fixed"))
-        one_of("render_mode", render_mode, (None, "rgb_array"))
-        steps_of(max_steps)
-        self._grip, self._power = part("grip", grip), part("power", power)
-        classic = preset == "classic"
+        check_choice("preset", preset, "default", "classic")
+        check_choice("start", start, "random", "fixed")
+        check_choice("render_mode", render_mode, None, "rgb_array")
+        if not isinstance(max_steps, int) or max_steps < 1:
+            raise EnvError(f"max_steps must be a whole number from 1, found {max_steps!r}")
+        self._grip, self._power = _part("grip", grip), _part("power", power)
+        classic = self._classic = preset == "classic"
         self.max_steps, self.render_mode = max_steps, render_mode
-        self._classic, self._start_fixed = classic, start == "fixed"
-        self.lidar = Lidar(lidar_options(lidar, self.RANGE, classic))
-        self._reward = reward_of(preset if reward is None else reward, self.CLASSIC)
+        self._start_fixed = start == "fixed"
+        if not isinstance(lidar, LidarOptions):
+            # kart-simulator's rays begin straight behind the kart, and none points ahead
+            rays = {"count": _CLASSIC_RAYS, "facing": -math.pi} if classic else {}
+            lidar = LidarOptions.of(lidar or {}, range=self.RANGE, **rays)
+        self.lidar = Lidar(lidar)
+        self._reward = self._reward_of(preset if reward is None else reward)
         self._corridor = length_of(track) if isinstance(track, str) else None
-        self._base_track = track_of(track)
+        if self._corridor is not None:  # any one: each episode has its own
+            track = corridor(self._corridor, np.random.default_rng(0))
+        self._base_track = track if isinstance(track, Track) else load(track)
         self._build(self._base_track)
         default = self.CLASSIC_OBSERVE if classic else self.OBSERVE
-        self._observer = Observer(self, default if observe is None else observe, classic)
-        self.OBSERVATION = self._observer.columns
-        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (self._observer.size,), np.float64)
+        self.OBSERVATION = self._columns(default if observe is None else observe)
+        size = max(place.stop for place in self.OBSERVATION.values())
+        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float64)
         self.action_space: gymnasium.Space[Any] = gymnasium.spaces.Discrete(len(self.ACTIONS))
         self._begin()
         self._reset_state()
+
+    def _reward_of(self, reward: str | Mapping[str, float]) -> PathReward | ClassicReward:
+        if isinstance(reward, Mapping):
+            return PathReward(reward)
+        check_choice("reward", reward, "default", "classic")
+        return self.CLASSIC if reward == "classic" else PathReward()
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -343,7 +319,6 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         self._begin()
         self._place_at_start()
         self._reset_state()
-        self._measure()
         return self._observation(), self._info({}, finish=False, crash=False, stalled=False)
 
     def step(self, action: Any) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:  # noqa: ANN401
@@ -361,11 +336,11 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         outcome = self._outcome(before, now, passed, finish, crash)
         terms = self._reward.terms(outcome)
         stalled = outcome.failed and not crash
-        self._measure()
+        observation = self._observation()
         info = self._info(terms, finish=finish, crash=crash, stalled=stalled)
-        over = self._steps >= self.max_steps
         ended = finish or outcome.failed
-        return self._observation(), sum(terms.values()), ended, over and not ended, info
+        over = self._steps >= self.max_steps and not ended
+        return observation, sum(terms.values()), ended, over, info
 
     def render(self) -> Any:  # noqa: ANN401
         """A picture (H, W, 3) uint8 of the track and the kart."""
@@ -391,7 +366,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         turn           [rad/s]
         """
         state = KartState(x, y, heading, (velocity[0], velocity[1]), turn, next_gate)
-        return self._observer(self, state, self.lidar.distances(x, y, heading))
+        return self._observe(state, self.lidar.distances(x, y, heading))
 
     def progress_at(self, state: KartState) -> float:
         """Completed share of the path from the start, in [0, 1]."""
@@ -433,8 +408,8 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         """Read the initial state, and start progress and stall detection from it."""
         self._state = self._read_state()
         self._remaining = self._remaining_path(self._state)
-        rule = ClassicStallRule(self.CLASSIC_LIMITS) if self._classic else None
-        self._stall = rule or StallRule(self._remaining)
+        limits = self.CLASSIC_LIMITS if self._classic else None
+        self._stall = _StallRule(self._remaining, limits)
 
     def _place_at_start(self) -> None:
         low, high = self.track.heading
@@ -476,12 +451,69 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         steering = self._steering() if math.sin(towards) > 0 else -self._steering()
         return StepOutcome(gained, approach, passed, since, finish, failed, self.speed, steering)
 
-    def _measure(self) -> None:
-        """Measure with the LIDAR; `scan` (R,) holds the distances [px]."""
-        self.scan = self.lidar.measure(*self.pose, self.np_random)
+    def _columns(self, names: Sequence[str]) -> dict[str, slice]:
+        """Component -> slice of the observation."""
+        known = ["lidar", *_SIZES]
+        for name in names:
+            if name not in known:
+                raise EnvError(f"observe: unknown component {name!r}; known: {', '.join(known)}")
+        if len(set(names)) != len(names) or not names:
+            raise EnvError(f"observe: {', '.join(names) or 'nothing'}: name each component once")
+        columns, end = {}, 0
+        for name in names:
+            size = len(self.lidar.angles) if name == "lidar" else _SIZES[name]
+            columns[name] = slice(end, end := end + size)
+        return columns
 
     def _observation(self) -> FloatArray:
-        return self._observer(self, self._state, self.scan)
+        """Measure with the LIDAR, whose distances (R,) [px] `scan` holds, and observe."""
+        self.scan = self.lidar.measure(*self.pose, self.np_random)
+        return self._observe(self._state, self.scan)
+
+    def _observe(self, state: KartState, scan: FloatArray) -> FloatArray:
+        """The observation (obs,) of a state in which the LIDAR measured `scan` (R,) [px]."""
+        last = next(reversed(self.OBSERVATION.values()))
+        values = np.empty(last.stop)
+        for name, place in self.OBSERVATION.items():
+            values[place] = self._component(name, state, scan)
+        # np.maximum and np.minimum take a third of the time of np.clip
+        np.maximum(values, -1.0, out=values)
+        np.minimum(values, 1.0, out=values)
+        return values
+
+    def _component(
+        self, name: str, state: KartState, scan: FloatArray
+    ) -> Sequence[float] | FloatArray:
+        if name == "lidar":
+            return self._seen_walls(scan)
+        if name == "heading":
+            return math.cos(state.heading), math.sin(state.heading)
+        if name == "velocity":
+            return self.observed_velocity(state)
+        if name == "speed":
+            return (2.0 * math.hypot(*state.velocity) / self.CLASSIC_SPEED - 1.0,)
+        if name == "position":
+            left, top, right, bottom = _CLASSIC_BOX if self._classic else self.track.box
+            across, down = (state.x - left) / (right - left), (state.y - top) / (bottom - top)
+            return 2.0 * across - 1.0, 2.0 * down - 1.0
+        if name == "progress":
+            return (2.0 * self.progress_at(state) - 1.0,)
+        # cosine and sine of the next gate's bearing from the heading, and its distance
+        middles = self.track.midpoints
+        x, y = middles[min(state.next_gate, len(middles) - 1)]
+        bearing = math.atan2(y - state.y, x - state.x) - state.heading
+        distance = math.hypot(x - state.x, y - state.y)
+        return math.cos(bearing), math.sin(bearing), 1.0 - 2.0 * distance / self.lidar.range
+
+    def _seen_walls(self, scan: FloatArray) -> FloatArray:
+        """+1 for a wall at the kart's centre, -1 for none within range."""
+        reach = self.lidar.range
+        if not self._classic:
+            return 1.0 - scan * (2.0 / reach)
+        # rays without a hit, or with one in the last 2 px, count as range + range / 600, as in
+        # kart-simulator, which adds the range in metres over 6 to a length in px
+        most = reach + reach / 600.0
+        return 1.0 - np.where(scan > reach - 2.0, most, scan) * (2.0 / most)
 
     def _info(
         self, terms: dict[str, float], *, finish: bool, crash: bool, stalled: bool

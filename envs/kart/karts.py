@@ -15,7 +15,7 @@ from spikedeploy.envs.kart.env import (
     ClassicReward,
     KartEnv,
     action_name,
-    one_of,
+    check_choice,
 )
 from spikedeploy.envs.kart.world import KartState
 
@@ -142,7 +142,7 @@ class KartSteerEnv(KartEnv):
         actions: Literal["discrete", "continuous"] = "discrete",
         **options: Any,  # noqa: ANN401
     ) -> None:
-        one_of("actions", actions, ("discrete", "continuous"))
+        check_choice("actions", actions, "discrete", "continuous")
         self._continuous = actions == "continuous"
         super().__init__(**options)
         if self._continuous:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pygame
@@ -122,28 +122,19 @@ def thick_line(surface: pygame.Surface, colour: Any, a: Floats, b: Floats, width
         pygame.draw.circle(surface, colour, tuple(end), width / 2)
 
 
+_scenes: dict[tuple[bytes, ...], Scene] = {}
+_MOST_SCENES = 16
+
+
 def scene(track: Track, size: tuple[int, int]) -> Scene:
     """The scene of a track, cached by what the track looks like."""
-    return _scene(_TrackKey(track), size)
-
-
-@lru_cache(maxsize=16)
-def _scene(key: _TrackKey, size: tuple[int, int]) -> Scene:
-    return Scene(key.track, size)
-
-
-class _TrackKey:
-    """A track as cache key: equal to another one with the same geometry."""
-
-    def __init__(self, track: Track) -> None:
-        self.track = track
-        self._geometry = (track.walls.tobytes(), track.gates.tobytes(), track.start.tobytes())
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _TrackKey) and self._geometry == other._geometry
-
-    def __hash__(self) -> int:
-        return hash(self._geometry)
+    looks = (track.walls, track.gates, track.start, np.array(size))
+    key = tuple(part.tobytes() for part in looks)
+    if key not in _scenes:
+        if len(_scenes) >= _MOST_SCENES:
+            del _scenes[next(iter(_scenes))]
+        _scenes[key] = Scene(track, size)
+    return _scenes[key]
 
 
 _SIZE = (720, 720)  # of a picture [screen px]
@@ -158,20 +149,10 @@ _HELMET: Colour = (244, 247, 252)
 _KART_FINE = 8  # factor at which a kart is drawn, before it is rotated and downscaled
 
 
-class _Place(Protocol):
-    """Map from track to screen coordinates: a Scene, or a view that is drawn elsewhere."""
-
-    @property
-    def scale(self) -> float:
-        """[screen px / px]."""
-
-    def at(self, points: ArrayLike) -> Floats:
-        """Screen points (…, 2) of points (…, 2) [px] of the track."""
-
-
 def picture(env: Any, size: tuple[int, int] = _SIZE) -> NDArray[np.uint8]:  # noqa: ANN401
     """Image (H, W, 3) of the current state of a kart environment."""
-    return _pixels(drawn(env, size))
+    turned = pygame.surfarray.array3d(drawn(env, size)).swapaxes(0, 1)
+    return np.ascontiguousarray(turned, np.uint8)
 
 
 def drawn(env: Any, size: tuple[int, int] = _SIZE) -> pygame.Surface:  # noqa: ANN401
@@ -182,13 +163,6 @@ def drawn(env: Any, size: tuple[int, int] = _SIZE) -> pygame.Surface:  # noqa: A
     _draw_scan(surface, place, env.pose, _ray_angles(env), env.scan, env.lidar.range)
     draw_kart(surface, place, _facing(env), KART)
     return surface
-
-
-def _pixels(surface: pygame.Surface) -> NDArray[np.uint8]:
-    """Pixels (H, W, 3) of a surface."""
-    turned = pygame.surfarray.array3d(surface).swapaxes(0, 1)
-    found: NDArray[np.uint8] = np.ascontiguousarray(turned, np.uint8)
-    return found
 
 
 def _facing(env: Any) -> tuple[float, float, float]:  # noqa: ANN401
@@ -238,12 +212,15 @@ def _draw_scan(
 
 def draw_kart(
     surface: pygame.Surface,
-    place: _Place,
+    place: Any,  # noqa: ANN401
     pose: tuple[float, float, float],
     colour: Colour,
     alpha: int = 255,
 ) -> None:
-    """Draw a kart from above, as large as its collision circle."""
+    """Draw a kart from above, as large as its collision circle.
+
+    place  a Scene, or another map to the screen that has `scale` and `at`
+    """
     turn = round(-np.degrees(pose[2])) % 360
     sprite = _sprite(colour, max(7, round(2 * RADIUS * place.scale)), turn, alpha)
     surface.blit(sprite, sprite.get_rect(center=tuple(np.rint(place.at(pose[:2])).astype(int))))

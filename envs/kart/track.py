@@ -140,7 +140,8 @@ def _path(count: int, rng: np.random.Generator) -> list[Cell]:
     while True:
         path: list[Cell] = [(0, 0)]
         while len(path) < count:
-            choices = [cell for cell in _beside(path[-1]) if _is_free(cell, path)]
+            earlier = {other for cell in path[:-1] for other in (cell, *_beside(cell))}
+            choices = [cell for cell in _beside(path[-1]) if cell not in earlier]
             if not choices:
                 break  # a dead end: start again
             path.append(choices[int(rng.integers(len(choices)))])
@@ -150,10 +151,6 @@ def _path(count: int, rng: np.random.Generator) -> list[Cell]:
 
 def _beside(cell: Cell) -> list[Cell]:
     return [(cell[0] + dx, cell[1] + dy) for dx, dy in _DIRECTIONS]
-
-
-def _is_free(cell: Cell, path: list[Cell]) -> bool:
-    return cell not in path and not any(other in path[:-1] for other in _beside(cell))
 
 
 def _side(cell: Cell, side: Cell) -> FloatArray:
@@ -173,9 +170,23 @@ _RIM = RADIUS + 2 * _CELL  # [px] largest distance of a barrier from its nearest
 
 def check(track: Track, where: str) -> None:
     """Raise EnvError unless walls are closed, the start is free and every gate can be reached."""
-    _check_size(track, where)
-    _check_start(track, where)
-    free, origin = _free_map(track)
+    points = np.concatenate([track.walls, track.gates, [[track.start, track.start]]]).reshape(-1, 2)
+    sides = np.ptp(points, axis=0)
+    widest = float(max(*sides, track.spread, track.sway))
+    if widest > _LARGEST_TRACK or np.prod(sides) > _LARGEST_AREA:
+        raise EnvError(
+            f"{where}: the track, its spread or its sway are {widest:g} px wide and cover "
+            f"{np.prod(sides):g} square px; at most {_LARGEST_TRACK:g} and {_LARGEST_AREA:g}. "
+            "Scale it down"
+        )
+    offsets = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]]) * track.spread
+    clearance = distances(track.start + offsets, track.walls).min()
+    if clearance <= RADIUS:
+        raise EnvError(
+            f"{where}: a kart of radius {RADIUS} px can start {clearance:.1f} px from a wall; "
+            "move the start or lower its spread"
+        )
+    free, origin = _free_map(track, points)
     reached = _flood(free, _cell(track.start, origin))
     if reached[0].any() or reached[-1].any() or reached[:, 0].any() or reached[:, -1].any():
         raise EnvError(
@@ -183,38 +194,14 @@ def check(track: Track, where: str) -> None:
             "track without passing the finish. Close the polyline, or draw the finish across the "
             "opening"
         )
-    cells = origin + _CELL * np.argwhere(reached)
+    cells, last = origin + _CELL * np.argwhere(reached), len(track.gates)
     for number, gate in enumerate(track.gates, start=1):
-        _check_gate_crossings(track, gate, number, where)
         # the finish is a barrier of the map: free cells end a rim's distance before it
-        _check_gate_reachable(
-            gate, number, where, cells, _CELL if number < len(track.gates) else _RIM
-        )
+        _check_gate(track, gate, f"{where}: gate {number}", cells, _CELL if number < last else _RIM)
     for shift in (-track.sway, track.sway) if track.sway else ():
         swayed = track.gates[-1] + (0.0, shift)
-        _check_gate_crossings(track, swayed, len(track.gates), f"{where}, swayed by {shift:g} px")
-        _check_gate_reachable(
-            swayed, len(track.gates), f"{where}, swayed by {shift:g} px", cells, _RIM
-        )
-
-
-def _check_size(track: Track, where: str) -> None:
-    points = np.concatenate([track.walls, track.gates, [[track.start, track.start]]]).reshape(-1, 2)
-    widest = float(np.ptp(points, axis=0).max())
-    if widest > _LARGEST_TRACK:
-        raise EnvError(
-            f"{where}: the track is {widest:g} px wide; at most {_LARGEST_TRACK:g}. Scale it down"
-        )
-    if (moved := max(track.spread, track.sway)) > _LARGEST_TRACK:
-        raise EnvError(
-            f"{where}: spread {track.spread:g} and sway {track.sway:g}, and {moved:g} px are more "
-            f"than a track has, {_LARGEST_TRACK:g}. Make them smaller"
-        )
-    if (area := float(np.prod(np.ptp(points, axis=0)))) > _LARGEST_AREA:
-        raise EnvError(
-            f"{where}: the track covers {area:g} square px; at most {_LARGEST_AREA:g}. Scale it "
-            "down"
-        )
+        place = f"{where}, swayed by {shift:g} px: gate {last}"
+        _check_gate(track, swayed, place, cells, _RIM)
 
 
 def distances(points: FloatArray, segments: FloatArray) -> FloatArray:
@@ -228,9 +215,8 @@ def distances(points: FloatArray, segments: FloatArray) -> FloatArray:
     return result
 
 
-def _free_map(track: Track) -> tuple[NDArray[np.bool_], FloatArray]:
+def _free_map(track: Track, points: FloatArray) -> tuple[NDArray[np.bool_], FloatArray]:
     """Map of the cells (x, y) in which a kart touches neither wall nor finish, and its origin."""
-    points = np.concatenate([track.walls, track.gates, [[track.start, track.start]]]).reshape(-1, 2)
     origin = points.min(axis=0) - 3 * RADIUS
     shape = np.ceil((points.max(axis=0) + 3 * RADIUS - origin) / _CELL).astype(int)
     barriers = np.concatenate([track.walls, track.gates[-1:]])
@@ -281,18 +267,11 @@ def _cell(point: FloatArray, origin: FloatArray) -> tuple[int, int]:
     return int(x), int(y)
 
 
-def _check_start(track: Track, where: str) -> None:
-    offsets = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]]) * track.spread
-    clearance = distances(track.start + offsets, track.walls).min()
-    if clearance <= RADIUS:
-        raise EnvError(
-            f"{where}: a kart of radius {RADIUS} px can start {clearance:.1f} px from a wall; "
-            "move the start or lower its spread"
-        )
+def _check_gate(track: Track, gate: FloatArray, name: str, cells: FloatArray, limit: float) -> None:
+    """Refuse a gate that a wall crosses, except near its ends, which may stick out a little.
 
-
-def _check_gate_crossings(track: Track, gate: FloatArray, number: int, where: str) -> None:
-    """Refuse a gate that crosses a wall, except near its ends, which may stick out a little."""
+    Refuse one that is farther than `limit` [px] from every reachable cell (n, 2).
+    """
     (a, b), along = gate, gate[1] - gate[0]
     starts, walls = track.walls[:, 0], track.walls[:, 1] - track.walls[:, 0]
     # a + share along = start + u wall;  [p, q] = px qy - py qx
@@ -304,17 +283,10 @@ def _check_gate_crossings(track: Track, gate: FloatArray, number: int, where: st
     crossed = inner & (u >= 0.0) & (u <= 1.0)
     if crossed.any():
         place = a + share[crossed][0] * (b - a)
-        raise EnvError(f"{where}: gate {number} is crossed by a wall at {_at(place)}; shorten it")
-
-
-def _check_gate_reachable(
-    gate: FloatArray, number: int, where: str, cells: FloatArray, limit: float
-) -> None:
-    """Refuse a gate that is farther than `limit` [px] from every reachable cell (n, 2)."""
+        raise EnvError(f"{name} is crossed by a wall at {_at(place)}; shorten it")
     if distances(cells, gate[None]).min() > limit:
         raise EnvError(
-            f"{where}: gate {number} is off the track: no kart can get from the start to "
-            f"{_at(gate[0])}-{_at(gate[1])}"
+            f"{name} is off the track: no kart can get from the start to {_at(a)}-{_at(b)}"
         )
 
 
@@ -347,7 +319,10 @@ def load(track: str | Path) -> Track:
     path = Path(track)
     if path.suffix != ".json":
         if str(track) not in names():
-            raise EnvError(_describe_unknown(str(track)))
+            known = [*names(), "corridor"]
+            close = difflib.get_close_matches(str(track), known, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}."
+            raise EnvError(f"unknown track {str(track)!r}; {hint} A file of your own ends in .json")
         path = FOLDER / f"{track}.json"
     try:
         found = path.stat()
@@ -355,8 +330,7 @@ def load(track: str | Path) -> Track:
         raise EnvError(f"track {path}: {error.strerror}") from error
     if not path.is_file() or found.st_size > _LARGEST:
         raise EnvError(f"track {path}: no file, or more than {_LARGEST} bytes: no track is so long")
-    changed = found.st_mtime_ns
-    return _read(path, changed)
+    return _read(path, found.st_mtime_ns)
 
 
 @lru_cache(maxsize=32)
@@ -387,7 +361,7 @@ def parse(tree: object, where: str) -> Track:
         sway=float(_numbers(fields.get("sway", 0.0), (), f"{where}: sway")),
         polylines=polylines,
     )
-    if len(track.walls) > _MOST_WALLS or len(track.gates) > _MOST_WALLS:
+    if max(len(track.walls), len(track.gates)) > _MOST_WALLS:
         raise EnvError(
             f"{where}: {len(track.walls)} segments of walls and {len(track.gates)} gates; at most "
             f"{_MOST_WALLS} of each. Draw with fewer points"
@@ -420,10 +394,8 @@ def _points(value: object, where: str) -> FloatArray:
     points = _numbers(value, (None, 2), where)
     if len(points) < 2:
         raise EnvError(f"{where}: {len(points)} point; a line needs two")
-    lengths = np.hypot(*np.diff(points, axis=0).T)
-    if not lengths.all():
-        place = int(np.flatnonzero(lengths == 0)[0]) + 1
-        raise EnvError(f"{where}: points {place} and {place + 1} are the same")
+    if (equal := np.flatnonzero((np.diff(points, axis=0) == 0).all(axis=1))).size:
+        raise EnvError(f"{where}: points {equal[0] + 1} and {equal[0] + 2} are the same")
     return points
 
 
@@ -454,10 +426,3 @@ def _fields(
         fault = f"{missing[0]!r} is missing" if missing else f"unknown field {unknown[0]!r}"
         raise EnvError(f"{where}: {fault}; it has {', '.join([*needed, *optional])}")
     return value
-
-
-def _describe_unknown(name: str) -> str:
-    known = [*names(), "corridor"]
-    close = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}."
-    return f"unknown track {name!r}; {hint} A file of your own ends in .json"

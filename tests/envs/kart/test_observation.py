@@ -66,7 +66,7 @@ def test_classic_rays_without_a_hit_have_kart_simulators_value(name, rim, reach)
     env = made(name, preset="classic")
     place = env.OBSERVATION["lidar"]
     scan = np.linspace(19.2, reach, 59)
-    seen = env._observer(env, env._state, scan)[place]
+    seen = env._observe(env._state, scan)[place]
     assert seen[0] == pytest.approx(rim, abs=0.005)
     most = reach + reach / 600  # c = metres / 6, added to px
     hit = scan <= reach - 2
