@@ -182,7 +182,6 @@ def _period(env: gymnasium.Env[Any, Any]) -> float | None:
 
 
 def _numbers(info: Mapping[str, Any]) -> dict[str, Any]:
-    """The numbers of an info, as Python has them."""
     plain = {str(key): v.item() if isinstance(v, np.generic) else v for key, v in info.items()}
     return {key: v for key, v in plain.items() if isinstance(v, bool | int | float)}
 

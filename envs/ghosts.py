@@ -28,6 +28,7 @@ from spikedeploy.envs import archive
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout
 
+POSE = ("x", "y", "heading", "speed")
 _VERSION = 1  # of the file layout
 _UNITS = np.array([16.0, 16.0, 1024.0, 16.0])  # file units of x, y, heading and speed
 _EACH = {  # arrays with one entry per episode
@@ -74,27 +75,30 @@ class Ghost:
         return len(self.reward)
 
     @classmethod
-    def from_rollout(cls, played: Rollout) -> Ghost:
-        """The ghost of a rollout, whose infos must contain the poses."""
-        missing = {"x", "y", "heading", "speed"} - played.info.keys()
-        if missing:
-            raise EnvError(
-                f"a rollout of {played.env_id} has no {', '.join(sorted(missing))} in its infos, "
-                "so it leaves no ghost; only karts do"
-            )
-        info = {name: values[-1] for name, values in played.info.items()}
-        poses = np.stack([played.info[name] for name in ("x", "y", "heading", "speed")], axis=1)
-        # the pose before the first step is not recorded
-        path: Floats = np.concatenate((poses[:1], poses)).astype(np.float32)
+    def of(
+        cls,
+        path: Any,  # noqa: ANN401
+        action: Any,  # noqa: ANN401
+        reward: Any,  # noqa: ANN401
+        last: Mapping[str, Any],
+        **of: int,
+    ) -> Ghost:
+        """The ghost of a drive.
+
+        path  (S + 1, 4) x, y, heading and speed
+        last  info of the last step
+        of    env_step and seed
+        """
+        path = np.asarray(path, np.float32)
         return cls(
             pose=path[:, :3],
             speed=path[:, 3],
-            action=played.action,
-            reward=played.reward.astype(np.float32),
-            finish=bool(info.get("finish", False)),
-            crash=bool(info.get("crash", False)),
-            gates=int(info.get("gates", 0)),
-            seed=played.seed,
+            action=np.asarray(action),
+            reward=np.asarray(reward, np.float32),
+            finish=bool(last.get("finish", False)),
+            crash=bool(last.get("crash", False)),
+            gates=int(last.get("gates", 0)),
+            **of,
         )
 
 
@@ -118,8 +122,18 @@ class Ghosts:
 
     @classmethod
     def from_rollout(cls, played: Rollout) -> Ghosts:
-        """A rollout as the only ghost."""
-        return cls(played.env_id, [Ghost.from_rollout(played)], played.options)
+        """A rollout as the only ghost; its infos must contain the poses."""
+        if missing := set(POSE) - played.info.keys():
+            raise EnvError(
+                f"a rollout of {played.env_id} has no {', '.join(sorted(missing))} in its infos, "
+                "so it leaves no ghost; only karts do"
+            )
+        poses = np.stack([played.info[name] for name in POSE], axis=1)
+        last = {name: values[-1] for name, values in played.info.items()}
+        # the pose before the first step is not recorded
+        path = np.concatenate((poses[:1], poses))
+        ghost = Ghost.of(path, played.action, played.reward, last, seed=played.seed)
+        return cls(played.env_id, [ghost], played.options)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file described above, atomically."""
@@ -139,7 +153,11 @@ class Ghosts:
 
     def _arrays(self) -> dict[str, Any]:
         header = {"version": _VERSION, "env_id": self.env_id, "options": dict(self.options)}
-        paths = [_units(ghost) for ghost in self.drives]
+        # x, y, heading and speed (4, S + 1) in file units
+        tables = (np.column_stack((ghost.pose, ghost.speed)) for ghost in self.drives)
+        paths = [np.rint(table.astype(np.float64) * _UNITS).astype(np.int64).T for table in tables]
+        actions = [ghost.action for ghost in self.drives] or [np.zeros(0, np.uint8)]
+        action = np.concatenate(actions)
         each: dict[str, Any] = {
             name: np.array([getattr(ghost, name) for ghost in self.drives], kind)
             for name, kind in _EACH.items()
@@ -148,30 +166,15 @@ class Ghosts:
             "header": np.array(json.dumps(header, default=str)),
             "start": _join([path[:, :1] for path in paths], (4, 0), np.int32),
             "moves": _join([np.diff(path) for path in paths], (4, 0), np.int32),
-            "action": _actions([ghost.action for ghost in self.drives]),
+            "action": action.astype(np.uint8 if action.dtype.kind in "iu" else np.float32),
             "reward": _round(_join([g.reward for g in self.drives], (0,), np.float32)),
             **each,
         }
 
 
-def _units(ghost: Ghost) -> NDArray[np.int64]:
-    """x, y, heading and speed (4, S + 1) in file units."""
-    path = np.column_stack((ghost.pose, ghost.speed)).astype(np.float64)
-    whole: NDArray[np.int64] = np.rint(path * _UNITS).astype(np.int64).T
-    return whole
-
-
 def _join(parts: list[Any], empty: tuple[int, ...], kind: type) -> NDArray[Any]:
     """Arrays joined along their last axis; an empty one if there are none."""
     return np.concatenate([np.zeros(empty), *parts], axis=-1).astype(kind)
-
-
-def _actions(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    """All actions in the smallest type that holds them."""
-    if not parts:
-        return np.zeros(0, np.uint8)
-    joined = np.concatenate(parts)
-    return joined.astype(np.uint8 if np.issubdtype(joined.dtype, np.integer) else np.float32)
 
 
 def _round(values: Floats) -> Floats:
@@ -202,50 +205,32 @@ def _header(arrays: dict[str, Any], path: str | os.PathLike[str]) -> dict[str, A
 
 
 def _check_arrays(arrays: dict[str, Any]) -> None:
-    """Raise ValueError where an array has other axes than its kind, or no finite numbers."""
-    axes = {"start": 2, "moves": 2, "reward": 1, **dict.fromkeys(_EACH, 1)}
+    """Raise ValueError where arrays hold no finite numbers, or are not of the same episodes."""
     for name in _PARTS:
         found = arrays[name]
         if found.dtype.kind not in "biuf" or not np.isfinite(found).all():
             raise ValueError(f"{name} holds {found.dtype} values, or not finite ones")
-        if not found.ndim or found.ndim != axes.get(name, found.ndim):
-            raise ValueError(f"{name} has the shape {found.shape}")
-    count = len(arrays["steps"])
-    if any(len(arrays[name]) != count for name in _EACH) or arrays["start"].shape != (4, count):
-        raise ValueError(f"{count} episodes, but arrays of other lengths")
-    if len(arrays["moves"]) != 4 or (count and arrays["steps"].min() < 0):
-        raise ValueError("moves do not have four values, or an episode has negative steps")
+    count = arrays["steps"].size
+    if count and arrays["steps"].min() < 0:
+        raise ValueError("an episode has negative steps")
+    total = int(arrays["steps"].sum())
+    shapes = {"start": (4, count), "moves": (4, total), "reward": (total,)}
+    shapes |= dict.fromkeys(_EACH, (count,)) | {"action": (total, *arrays["action"].shape[1:])}
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape:
+            raise ValueError(f"{name} has shape {arrays[name].shape}, the episodes ask for {shape}")
 
 
 def _drives(arrays: dict[str, Any]) -> list[Ghost]:
-    """The ghosts in the arrays of a file."""
-    steps = arrays["steps"].astype(np.int64)
-    total = int(steps.sum())
-    for name in ("moves", "action", "reward"):
-        found = arrays[name].shape[1 if name == "moves" else 0]
-        if found != total:
-            raise ValueError(f"{name} of {found} steps, the episodes have {total}")
-    ends = np.cumsum(steps)
-    return [_drive(arrays, k, slice(end - steps[k], end)) for k, end in enumerate(ends)]
-
-
-def _drive(arrays: dict[str, Any], k: int, span: slice) -> Ghost:
-    start, moves = arrays["start"][:, k : k + 1], arrays["moves"][:, span]
-    path = (np.cumsum(np.concatenate((start, moves), axis=1), axis=1).T / _UNITS).astype(np.float32)
-    return Ghost(
-        pose=path[:, :3],
-        speed=path[:, 3],
-        action=arrays["action"][span],
-        reward=arrays["reward"][span],
-        finish=bool(arrays["finish"][k]),
-        crash=bool(arrays["crash"][k]),
-        gates=int(arrays["gates"][k]),
-        env_step=int(arrays["env_step"][k]),
-        seed=int(arrays["seed"][k]),
-    )
-
-
-POSE = ("x", "y", "heading", "speed")
+    found, end = [], 0
+    for k, steps in enumerate(arrays["steps"].tolist()):
+        span = slice(end, end := end + steps)
+        units = np.concatenate((arrays["start"][:, k : k + 1], arrays["moves"][:, span]), axis=1)
+        path = (np.cumsum(units, axis=1).T / _UNITS).astype(np.float32)
+        last = {name: arrays[name][k] for name in ("finish", "crash", "gates")}
+        of = {name: int(arrays[name][k]) for name in ("env_step", "seed")}
+        found.append(Ghost.of(path, arrays["action"][span], arrays["reward"][span], last, **of))
+    return found
 
 
 class GhostRecorder:
@@ -258,22 +243,30 @@ class GhostRecorder:
 
     def __init__(self, env_id: str, options: Mapping[str, Any], copies: int = 1) -> None:
         self._env_id, self._options = env_id, dict(options)
-        self._copies = [_Drive() for _ in range(copies)]
+        self._copies: list[_Drive | None] = [None] * copies
         self._ended: list[Ghost] = []
 
     def begin(self, copy: int, info: Mapping[str, Any], seed: int = -1) -> None:
         """Record a reset; the info, or any other mapping, holds the initial POSE."""
-        self._copies[copy] = _Drive(info, seed)
+        self._copies[copy] = _Drive(seed, [_pose(info)])
 
     def add(
         self, copy: int, info: Mapping[str, Any], action: NDArray[Any] | float, reward: float
     ) -> None:
         """Record a step."""
-        self._copies[copy].add(info, action, reward)
+        drive = self._copies[copy]
+        if drive is None:
+            raise EnvError("a ghost needs the pose at reset: call begin before add")
+        drive.path.append(_pose(info))
+        drive.actions.append(np.array(action))
+        drive.rewards.append(reward)
+        drive.last = info
 
     def end(self, copy: int, env_step: int = 0) -> None:
         """Finish the episode of a copy, after `env_step` environment steps of the training."""
-        self._ended.append(self._copies[copy].ghost(env_step))
+        drive, self._copies[copy] = self._copies[copy] or _Drive(-1), None
+        made = (drive.path, drive.actions, drive.rewards, drive.last)
+        self._ended.append(Ghost.of(*made, env_step=env_step, seed=drive.seed))
 
     def take(self) -> Ghosts:
         """Ghosts of the episodes that ended since the last call, in that order."""
@@ -281,37 +274,15 @@ class GhostRecorder:
         return Ghosts(self._env_id, ended, self._options)
 
 
+@dataclass
 class _Drive:
     """An unfinished episode."""
 
-    def __init__(self, info: Mapping[str, Any] | None = None, seed: int = -1) -> None:
-        self._path = [] if info is None else [_pose(info)]
-        self._actions: list[NDArray[Any]] = []
-        self._rewards: list[float] = []
-        self._last: Mapping[str, Any] = {}
-        self._seed = seed
-
-    def add(self, info: Mapping[str, Any], action: NDArray[Any] | float, reward: float) -> None:
-        if not self._path:
-            raise EnvError("a ghost needs the pose at reset: call begin before add")
-        self._path.append(_pose(info))
-        self._actions.append(np.array(action))
-        self._rewards.append(reward)
-        self._last = info
-
-    def ghost(self, env_step: int) -> Ghost:
-        path = np.array(self._path, np.float32)
-        return Ghost(
-            pose=path[:, :3],
-            speed=path[:, 3],
-            action=np.array(self._actions),
-            reward=np.array(self._rewards, np.float32),
-            finish=bool(self._last.get("finish", False)),
-            crash=bool(self._last.get("crash", False)),
-            gates=int(self._last.get("gates", 0)),
-            env_step=env_step,
-            seed=self._seed,
-        )
+    seed: int
+    path: list[tuple[float, ...]] = field(default_factory=list)
+    actions: list[NDArray[Any]] = field(default_factory=list)
+    rewards: list[float] = field(default_factory=list)
+    last: Mapping[str, Any] = field(default_factory=dict)
 
 
 def _pose(info: Mapping[str, Any]) -> tuple[float, ...]:

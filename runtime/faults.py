@@ -154,8 +154,6 @@ def _vary_thresholds(program: Program, number: float, rng: np.random.Generator) 
 
 
 def _change_weights(change: ChangeWeights) -> Break:
-    """A fault that replaces a share of the stored weights."""
-
     def damage_layers(program: Program, number: float, rng: np.random.Generator) -> Hit:
         if not program.chip.arithmetic.own_weights:
             raise ConfigError(
@@ -204,7 +202,6 @@ def _zeros(steps: Integers, bits: int, signed: bool, rng: np.random.Generator) -
 
 
 def _largest(steps: Integers, bits: int, signed: bool, rng: np.random.Generator) -> Integers:
-    """The largest magnitude, with the sign that each has."""
     return np.asarray(np.sign(steps) * ((1 << (bits - signed)) - 1))
 
 

@@ -121,7 +121,6 @@ class HexapodCommandEnv(HexapodEnv):
         return int(self.np_random.integers(shortest, longest + 1))
 
     def _track(self, motion: Motion) -> None:
-        """Update smoothed speed along the body and turn rate, their errors, length of the path."""
         forward, _ = _planar(motion)
         self._speed += SMOOTHING * (forward - self._speed)
         self._turn += SMOOTHING * (motion.angular_velocity[2] - self._turn)
@@ -142,7 +141,6 @@ class HexapodCommandEnv(HexapodEnv):
         return turn - self._turn, speed - self._speed, speed, turn
 
     def _info(self, motion: Motion, terms: dict[str, float], fall: bool) -> dict[str, Any]:
-        """Info of this step, with the command that was in force during it."""
         speed, turn = self._command
         return super()._info(motion, terms, fall) | {
             "command_speed": speed,

@@ -51,14 +51,6 @@ class PushTable:
     interval: tuple[int, int]
 
 
-@dataclass(frozen=True)
-class _Push:
-    """One push: kick (x, y) [m/s] and spin [rad/s]."""
-
-    kick: tuple[float, float]
-    spin: float
-
-
 class Pushes:
     """Pushes at random intervals; scale 0 switches them off and leaves the schedule as it is."""
 
@@ -71,15 +63,15 @@ class Pushes:
         """Draw the time of the first push."""
         self._next = self._interval(rng)
 
-    def at(self, step: int, rng: np.random.Generator) -> _Push | None:
-        """Return the push due at this control step, if any."""
+    def at(self, step: int, rng: np.random.Generator) -> tuple[tuple[float, float], float] | None:
+        """Return the push due at this control step, if any: kick (x, y) [m/s], spin [rad/s]."""
         if step < self._next:
             return None
         self._next = step + self._interval(rng)
         speed = self.scale * rng.uniform(*self.table.kick)
         direction = rng.uniform(-math.pi, math.pi)
         spin = self.scale * rng.normal(0.0, self.table.spin)
-        return _Push((speed * math.cos(direction), speed * math.sin(direction)), spin)
+        return (speed * math.cos(direction), speed * math.sin(direction)), spin
 
     def _interval(self, rng: np.random.Generator) -> int:
         shortest, longest = self.table.interval
@@ -398,10 +390,9 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         return np.minimum(np.maximum(action, -1.0), 1.0)
 
     def _move(self, action: FloatArray) -> Motion:
-        """Apply a push if one is due, drive the servos for a control step, and measure."""
         push = self._pushes.at(self._step, self.np_random)
         if push is not None:
-            self._robot.push(push.kick, push.spin)
+            self._robot.push(*push)
         # filtered = 0.6 (gait + authority x action) + 0.4 filtered
         command = self._gait.command() + self.AUTHORITY * action
         self._filtered = _FILTER * command + (1.0 - _FILTER) * self._filtered
@@ -436,7 +427,6 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         return values
 
     def _info(self, motion: Motion, terms: dict[str, float], fall: bool) -> dict[str, Any]:
-        """Info of this step and of the episode so far."""
         weight = self._robot.mass * GRAVITY
         return {
             "reward_terms": terms,
@@ -462,7 +452,6 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         """Update the task's commands before the next observation."""
 
     def _track(self, motion: Motion) -> None:
-        """Update smoothed speed and distance along the course."""
         self._speed += SMOOTHING * (motion.velocity[0] - self._speed)
         self._distance = motion.position[0] - self.FIELD.start[0]
 

@@ -22,28 +22,19 @@ LEGS = ("RF", "RM", "RR", "LF", "LM", "LR")
 # cosine, so that one sign per leg is the whole coupling. In LEGS the tripods alternate.
 
 
+_FREQUENCY = 1.25  # [Hz]
+_YAW = 0.35  # [action unit] amplitude of the coxa
+_LIFT = 0.45  # [action unit] amplitude of the femur during swing
+_EXTEND = 0.20  # [action unit] amplitude of the tibia during swing
+
+
 class Gait:
     """Open-loop tripod gait.
 
-    phase      [rad], in [0, 2 pi)
-    frequency  [Hz]
-    yaw        [action unit] amplitude of the coxa
-    lift       [action unit] amplitude of the femur during swing
-    extend     [action unit] amplitude of the tibia during swing
+    phase  [rad], in [0, 2 pi)
     """
 
-    def __init__(
-        self,
-        frequency: float = 1.25,
-        yaw: float = 0.35,
-        lift: float = 0.45,
-        extend: float = 0.20,
-    ) -> None:
-        self.frequency = frequency
-        self.yaw = yaw
-        self.lift = lift
-        self.extend = extend
-        self.phase = 0.0
+    phase = 0.0
 
     def reset(self, phase: float) -> None:
         """Set the phase [rad]."""
@@ -51,16 +42,16 @@ class Gait:
 
     def advance(self, dt: float) -> None:
         """Advance the phase by dt [s]."""
-        self.phase = (self.phase + math.tau * self.frequency * dt) % math.tau
+        self.phase = (self.phase + math.tau * _FREQUENCY * dt) % math.tau
 
     def command(self) -> NDArray[np.float64]:
         """Command (18,) at the current phase, leg by leg coxa, femur, tibia [action unit]."""
         sine = math.sin(self.phase)
         # forward while sin(phase) > 0, when the foot is in the air
-        coxa = -self.yaw * math.cos(self.phase)
+        coxa = -_YAW * math.cos(self.phase)
         swing, other = max(0.0, sine), max(0.0, -sine)
-        one = coxa, self.lift * swing, self.extend * swing
-        opposite = -coxa, self.lift * other, self.extend * other
+        one = coxa, _LIFT * swing, _EXTEND * swing
+        opposite = -coxa, _LIFT * other, _EXTEND * other
         return np.array((*one, *opposite) * 3)
 
 
@@ -150,7 +141,6 @@ def _stretch(lattice: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _blur(height: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Binomial blur (1, 2, 1)/4 along both axes."""
     for axis in (0, 1):
         neighbours = np.roll(height, 1, axis) + np.roll(height, -1, axis)
         height = 0.5 * height + 0.25 * neighbours
@@ -354,7 +344,6 @@ def _slip(readings: list[float]) -> float:
 
 
 def _xml(field: Field) -> str:
-    """The model's XML with its height field sized for this ground."""
     root = ElementTree.parse(_XML).getroot()
     hfield = root.find("asset/hfield")
     if hfield is None:

@@ -389,14 +389,12 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         """Direction of steering: 1 clockwise, -1 counterclockwise, 0 none."""
 
     def _build(self, track: Track) -> None:
-        """Build the physics of a track, and give its walls to the LIDAR."""
         self.track = track
         self.lidar.set_walls(track.walls)
         self._world = KartWorld(track, self._grip)
         self._kart = self._world.kart
 
     def _begin(self) -> None:
-        """Clear the variables of the last episode."""
         self._world.clear()
         self._steps: int = 0
         self._since_gate: int = 0
@@ -426,11 +424,9 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         return KartState(x, y, self._kart.angle, (vx, vy), self._turn, self._next)
 
     def _remaining_path(self, state: KartState) -> float:
-        """Length of the path through the midpoints of the remaining gates [px]."""
         return self.track.remaining(state.x, state.y, state.next_gate)
 
     def _pass_gates(self) -> int:
-        """Pass the gates that the kart touches, in order; return their number."""
         first = self._next
         while self._next in self._world.touching:
             self._next += 1
@@ -439,7 +435,6 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
     def _outcome(
         self, before: KartState, now: KartState, passed: int, finish: bool, crash: bool
     ) -> StepOutcome:
-        """Return the outcome of the step between two states."""
         remaining = self._remaining_path(now)
         x, y = self.track.midpoints[min(before.next_gate, len(self.track.gates) - 1)]
         approach = math.hypot(before.x - x, before.y - y) - math.hypot(now.x - x, now.y - y)
@@ -452,7 +447,6 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         return StepOutcome(gained, approach, passed, since, finish, failed, self.speed, steering)
 
     def _columns(self, names: Sequence[str]) -> dict[str, slice]:
-        """Component -> slice of the observation."""
         known = ["lidar", *_SIZES]
         for name in names:
             if name not in known:

@@ -86,7 +86,6 @@ class GapDriver:
         return float(angle), float(free[best])
 
     def _steer(self, scan: FloatArray, velocity: FloatArray) -> str:
-        """Action of a kart with a heading."""
         angle, free = self.course(scan, _LEAN * velocity[1])
         if abs(angle) > _TOLERANCE:
             return "right" if angle > 0 else "left"
@@ -96,7 +95,6 @@ class GapDriver:
         return "accelerate" if speed < safe else "brake"
 
     def _push(self, scan: FloatArray, velocity: FloatArray) -> str:
-        """Action of a kart that is pushed in screen directions."""
         angle, free = self.course(scan, float(np.arctan2(velocity[1], velocity[0])))
         # push along the larger component of the missing velocity
         wanted = min(1.0, free / _CAUTION["push"]) * np.array([np.cos(angle), np.sin(angle)])

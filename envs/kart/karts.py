@@ -92,7 +92,6 @@ class KartGazeboEnv(KartEnv):
         self._command = action_name(action, self.ACTIONS)
 
     def _move(self) -> None:
-        """Set the velocities of the next step."""
         speed = self._power * SPEED if self._command == "forward" else 0.0
         heading = self._kart.angle
         self._kart.velocity = speed * math.cos(heading), speed * math.sin(heading)
@@ -179,7 +178,6 @@ class KartSteerEnv(KartEnv):
         self._kart.velocity = self._forward * math.cos(heading), self._forward * math.sin(heading)
 
     def _move(self) -> None:
-        """Turn the kart together with its velocity, and apply drag."""
         change = _SHARE * self._wheel
         self._wheel /= _RELEASE
         self._forward /= _DRAG

@@ -93,7 +93,6 @@ class Scene:
             within.to_surface(surface, setsurface=target, unsetcolor=None)
 
     def _checkers(self, surface: pygame.Surface) -> None:
-        """Draw the finish as two rows of squares."""
         a, b = _FINE * self.at(self.track.gates[-1])
         along = (b - a) / max(float(np.hypot(*(b - a))), 1.0)
         across = np.array([-along[1], along[0]])
@@ -174,7 +173,6 @@ def _facing(env: Any) -> tuple[float, float, float]:  # noqa: ANN401
 
 
 def _ray_angles(env: Any) -> Floats:  # noqa: ANN401
-    """Current directions of the LIDAR's rays (R,) [rad]."""
     angles: Floats = np.asarray(env.lidar.angles, np.float64)
     return angles + env.pose[2] if env.TURNS else angles
 
@@ -198,7 +196,6 @@ def _draw_scan(
     distances: Floats,
     reach: float,
 ) -> None:
-    """Draw the LIDAR's rays, with a dot where they hit a wall."""
     centre = np.array(pose[:2])
     ends = centre + distances[:, None] * np.stack((np.cos(angles), np.sin(angles)), axis=1)
     start, ends = place.at(centre), place.at(ends)
@@ -227,7 +224,6 @@ def draw_kart(
 
 
 def _glow(surface: pygame.Surface, a: Floats, b: Floats, width: int) -> None:
-    """Draw a bright line in a translucent band of the same colour."""
     veil = pygame.Surface(surface.get_size(), pygame.SRCALPHA)
     for factor, alpha in ((7, 22), (4, 44)):
         pygame.draw.line(veil, (*_NEXT, alpha), tuple(a), tuple(b), factor * width)
@@ -237,7 +233,6 @@ def _glow(surface: pygame.Surface, a: Floats, b: Floats, width: int) -> None:
 
 @lru_cache(maxsize=4096)
 def _sprite(colour: Colour, size: int, turn: int, alpha: int) -> pygame.Surface:
-    """A kart rotated by whole degrees."""
     scale = size / (2 * RADIUS * _KART_FINE)
     sprite = pygame.transform.rotozoom(_large(colour), turn, scale)
     sprite.set_alpha(alpha)

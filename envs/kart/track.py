@@ -257,7 +257,6 @@ def _flood(free: NDArray[np.bool_], seed: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def _runs(row: NDArray[np.bool_]) -> tuple[list[int], list[int]]:
-    """Where runs of free cells start, and where they end."""
     edges = np.flatnonzero(np.diff(row, prepend=False, append=False))
     return edges[::2].tolist(), edges[1::2].tolist()
 
@@ -335,7 +334,6 @@ def load(track: str | Path) -> Track:
 
 @lru_cache(maxsize=32)
 def _read(path: Path, changed: int) -> Track:
-    """Read and check a file; cached until its modification time `changed` changes."""
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, OSError, RecursionError) as error:
@@ -383,7 +381,6 @@ def _gates(value: object, where: str) -> FloatArray:
 
 
 def _lines(value: object, where: str) -> tuple[FloatArray, ...]:
-    """A non-empty list of lines."""
     if not isinstance(value, list) or not value:
         raise EnvError(f"{where}s: must be a list of lines, at least one; found {str(value)[:60]}")
     return tuple(_points(line, f"{where} {number}") for number, line in enumerate(value, 1))

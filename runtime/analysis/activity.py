@@ -62,8 +62,6 @@ class Activity:
 
 
 def _concatenate(parts: Sequence[Activity]) -> Activity:
-    """The inferences of several activities of a network, one after another."""
-
     def join(field: str) -> dict[str, NDArray[Any]]:
         rows = [getattr(part, field) for part in parts]
         return {name: np.concatenate([each[name] for each in rows]) for name in rows[0]}
@@ -194,7 +192,6 @@ def _part(state: NDArray[Any], bits: int) -> float:
 
 
 def _reached(node: FloatNeurons, before: NDArray[Any] | None) -> NDArray[Any]:
-    """The membrane (B, *N) of the last timestep before its reset."""
     # V = b V + I + leak
     kept = node.leak if before is None else node.b * before + node.leak
     return np.asarray(node.current + kept)

@@ -407,7 +407,6 @@ def diagnose(
 
 
 def _health(spikes: NDArray[Any]) -> Health:
-    """Of a layer with these spikes (B, T, N)."""
     rate = spikes.mean()
     return "dead" if rate == 0 else "saturated" if rate > _SATURATED else ""
 
@@ -415,7 +414,6 @@ def _health(spikes: NDArray[Any]) -> Health:
 def _cause_beside(
     layer: Layer, found: Health, spikes: Mapping[str, NDArray[Any]], twin: Activity
 ) -> tuple[Cause | None, str]:
-    """The cause where it is none of the chip's roundings."""
     own = twin.spikes[layer.name]
     alike = _health(own) == found
     biased = bool(layer.bias.any() or layer.voltage_bias.any())
@@ -440,7 +438,6 @@ def _unexplained(saturations: int) -> str:
 def _cause_in(
     step: str, before: Layer, after: Layer, decay_one: int, saturations: int
 ) -> tuple[Cause, str]:
-    """The rounding step after which a layer is dead or saturated, with numbers."""
     if step == "weights":
         return "weights", _describe_weights(before, after)
     if step == "thresholds":

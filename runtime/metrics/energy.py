@@ -197,7 +197,6 @@ def _marginal_prices(prices: Mapping[str, float]) -> dict[str, float]:
 def _estimate(
     joules: float, upper: float, counts: Mapping[str, float], table: EnergyTable
 ) -> EnergyEstimate:
-    """The energy with its interval, from what it is by the upper prices."""
     # where only some prices are the least of their process, nothing else may be added up
     priced = {event for event, count in counts.items() if count and event in table.joules}
     low = joules * table.uncertainty.low if not table.least or priced <= table.least else 0.0
@@ -393,7 +392,6 @@ def xylo_clocks(program: Program, spikes: Mapping[str, NDArray[Any]]) -> float:
 
 
 def _hidden_clocks(layer: Layer, rate: float) -> float:
-    """Clock cycles of one hidden neuron, its recurrent synapses and its spikes."""
     loops = [s for s in layer.synapses if s.source == layer.name and s.current == 0]
     fan_out = sum(float(synapses.fan_out.mean()) for synapses in loops)
     # aliases of a neuron, and neurons that have it as an alias: the same on average

@@ -278,6 +278,5 @@ def _buffers(node: nir.NIRNode) -> int:
 
 
 def _stored_values(constant: Any) -> int:  # noqa: ANN401
-    """Values that a buffer holds: one where all neurons share it."""
     values = np.asarray(constant)
     return 1 if np.all(values == values.flat[0]) else values.size

@@ -103,28 +103,12 @@ def test_a_delayed_observation_is_one_of_before_and_the_phase_is_of_now():
     assert np.array_equal(late.observation[:, phase], calm.observation[:, phase])
 
 
-def test_a_command_delay_shifts_the_walk_and_not_the_recorded_actions():
-    calm, late = played("kart-grid"), played("kart-grid", disturb=["command-delay=1"])
-    assert np.array_equal(calm.action[: late.steps], late.action[: calm.steps])
-    assert not np.array_equal(calm.observation[1], late.observation[1])
-
-
 def test_dropout_of_everything_shows_the_first_measurement_for_ever():
     blind = played("kart-gazebo", disturb=["dropout=1"])
     lidar = envs.make("kart-gazebo").unwrapped.OBSERVATION["lidar"]
     rest = np.delete(blind.observation, np.r_[lidar], axis=1)
     assert (rest == rest[0]).all()
     assert not (blind.observation[:, lidar] == blind.observation[0, lidar]).all()
-
-
-def test_a_slope_is_felt_by_the_inertial_unit_and_turns_the_weight():
-    env = envs.make("hexapod", disturb=["slope=9"], terrain=0.0)
-    observation, _ = env.reset(seed=0)
-    robot = env.unwrapped._robot
-    assert np.linalg.norm(robot.model.opt.gravity) == pytest.approx(9.81)
-    heading = env.unwrapped._robot.sense().heading
-    gravity = observation[env.unwrapped.OBSERVATION["gravity"]] * (0.3, 0.3, 1.0)
-    assert gravity[0] == pytest.approx(-np.sin(np.radians(9)) * np.cos(heading), abs=1e-3)
 
 
 def test_a_dead_leg_is_another_one_in_another_episode_and_whole_again_without():

@@ -51,17 +51,6 @@ def spikes(batch=3, timesteps=30, width=8, seed=1):
     return (rng.random((batch, timesteps, width)) < 0.3).astype(np.uint8)
 
 
-def same_layers(left, right):
-    return all(
-        np.array_equal(a.threshold, b.threshold)
-        and np.array_equal(a.bias, b.bias)
-        and all(
-            np.array_equal(s.weight, t.weight) for s, t in zip(a.synapses, b.synapses, strict=True)
-        )
-        for a, b in zip(left.layers, right.layers, strict=True)
-    )
-
-
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_has_three_rising_levels_within_its_bounds(name):
     found = FAULTS[name]
@@ -151,15 +140,6 @@ def test_only_stored_weights_are_hit_and_stay_in_their_range(name):
             assert np.abs(new.astype(int)).max() <= largest * max(step, 2)
 
 
-def test_stuck_weights_are_0_or_the_largest_with_their_sign():
-    program = program_on("loihi1")
-    old = program.layers[0].synapses[0].weight
-    zero = inject(program, faults(["stuck-zero=0.3"])).layers[0].synapses[0].weight
-    most = inject(program, faults(["stuck-max=0.3"])).layers[0].synapses[0].weight
-    assert set(np.unique(zero[zero != old])) == {0}
-    assert np.array_equal(most[most != old], 255 * np.sign(old[most != old]))
-
-
 @pytest.mark.parametrize(("sign_mode", "signed"), [("split", False), ("mixed", True)])
 def test_a_flipped_weight_differs_in_one_bit_of_what_the_chip_stores(sign_mode, signed):
     artifact = popsan()
@@ -177,30 +157,7 @@ def test_a_flipped_weight_differs_in_one_bit_of_what_the_chip_stores(sign_mode, 
             assert (np.sign(old) * np.sign(new) >= 0).all()
 
 
-def test_mismatched_thresholds_are_multiples_of_the_chips_step_and_in_range():
-    program = program_on("loihi1")
-    broken = inject(program, faults(["threshold-mismatch=1"]))
-    step, largest = program.chip.arithmetic.threshold_range
-    for layer in broken.layers:
-        assert (layer.threshold % step == 0).all()
-        assert layer.threshold.min() >= step
-        assert layer.threshold.max() <= largest
-    assert not same_layers(program, broken)
-
-
 # upsets
-
-
-@pytest.mark.parametrize("artifact", [popsan, event_driven])
-def test_a_chip_with_upsets_of_probability_nearly_0_does_what_a_whole_one_does(artifact):
-    rows = np.random.default_rng(0).normal(size=(20, 3))
-    rare = faults([f"{name}=1e-300" for name in OVER_TIME])
-    whole = SpikingController(artifact(), chip("loihi1"))
-    upset = SpikingController(artifact(), chip("loihi1"), faults=rare)
-    for row in rows:
-        assert np.array_equal(whole.act(row), upset.act(row))
-    assert [damage.hit for damage in upset.damage] == [0, 0, 0]
-    assert np.array_equal(whole.ledger.counts, upset.ledger.counts)
 
 
 def test_upsets_happen_as_often_as_their_probability_and_on_the_interpreter_alone():

@@ -32,7 +32,6 @@ _STATE = 1 << 40
 
 
 def _with_probes(*names: str) -> tuple[str, ...]:
-    """The names, and those with the mark of a board's probe before or after."""
     marked = [(f"{n}_{mark}", f"{mark}_{n}") for n in names for mark in _PROBES]
     return (*names, *(each for pair in marked for each in pair))
 
@@ -130,7 +129,6 @@ def _read_weights(spec: Fields, arithmetic: CubaFixedPoint, fan_in: int) -> _Wei
 
 
 def _matrix(spec: Fields, name: str, fan_in: int, unit: int = 1) -> Integers:
-    """(N, M) weights, in either orientation."""
     found = spec.array(name, axes=2, least=-256 * unit, most=255 * unit)
     if found.ndim < 2:
         # one neuron with several axons, or one axon onto several neurons
@@ -144,7 +142,6 @@ def _matrix(spec: Fields, name: str, fan_in: int, unit: int = 1) -> Integers:
 
 
 def _with_options(spec: Fields, arithmetic: CubaFixedPoint, weights: _Weights) -> CubaFixedPoint:
-    """The arithmetic of a chip that was set up as the fields say."""
     # where nothing is rounded, a negative exponent moves the weights by fewer bits
     shift = _SHIFT + min(weights.exponent, 0) * (arithmetic.exponents == "exact")
     if shift < 0:

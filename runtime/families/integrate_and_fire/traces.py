@@ -223,7 +223,6 @@ def _describe_event(step: int, event: Event) -> str:
 
 
 def _effects(done: Sequence[WorkedEvent]) -> dict[str, Integers]:
-    """Quantity -> (E, N) of events one after another."""
     size = len(done[0].membrane) if done else 0
     return {
         "membrane": np.array([each.membrane for each in done]).reshape(len(done), size),
@@ -243,7 +242,6 @@ def _mark(rows: Sequence[Sequence[int]], size: int) -> Integers:
 def _in_timesteps(
     done: Sequence[WorkedEvent], steps: Sequence[int], timesteps: int, size: int
 ) -> dict[str, Integers]:
-    """Quantity -> (T, N) of the events at the end of each timestep."""
     membrane, spikes = (np.zeros((timesteps, size), np.int64) for _ in range(2))
     for step, event in zip(steps, done, strict=True):
         membrane[step] = event.membrane
@@ -252,7 +250,6 @@ def _in_timesteps(
 
 
 def _read_events(spec: Fields, timesteps: int, width: int, size: int) -> _Events | None:
-    """The events in the fields; None where there are none."""
     if spec.name("events") is None:
         return None
     most = {"tref": 1, "axon": width, "neuron": size}
@@ -428,7 +425,6 @@ def spiker_trace(fields: Fields, chip: str) -> TraceFile:
 
 
 def _program(specs: list[Fields], chip: Chip, width: int) -> Program:
-    """The layers one after another, on the chip with the widths that they name."""
     arithmetic = chip.arithmetic
     if not isinstance(arithmetic, IntegrateAndFire):
         raise specs[0].wrong("chip", f"{chip.name} does not leak by shifts", "Name spiker.")
@@ -451,7 +447,6 @@ def _program(specs: list[Fields], chip: Chip, width: int) -> Program:
 
 
 def _same(specs: list[Fields], name: str, default: int, most: int) -> int:
-    """A width that all layers share."""
     found = {spec.integer(name, default=default, least=2, most=most) for spec in specs}
     if len(found) > 1:
         raise specs[0].wrong(name, "differs from layer to layer", "Split the trace in two.")

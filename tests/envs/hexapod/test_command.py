@@ -56,16 +56,6 @@ def test_the_observed_command_is_the_one_that_the_next_step_is_scored_by(env):
         np.testing.assert_allclose(seen, [info["command_speed"], info["command_turn"]], atol=1e-12)
 
 
-def test_observed_errors_are_command_less_smoothed_motion(env):
-    env.reset(seed=1)
-    for _ in range(60):
-        observation, _, _, _, info = env.step(STILL)
-    place = env.OBSERVATION
-    assert observation[place["speed_error"]][0] * 0.4 == pytest.approx(info["speed_error"])
-    assert observation[place["turn_error"]][0] * 0.8 == pytest.approx(info["turn_error"])
-    assert info["speed_error"] == pytest.approx(info["command_speed"] - info["speed"])
-
-
 def test_the_gait_alone_neither_falls_nor_follows(walks):
     assert not any(infos[-1]["fall"] for infos in walks)
     assert all(len(infos) == 1000 for infos in walks)

@@ -22,7 +22,7 @@ def test_pushes_come_at_the_stated_intervals_and_strengths():
     gaps = np.diff([0, *(step for step, _ in found)])
     assert gaps.min() >= 10
     assert gaps.max() <= 20
-    speeds = [math.hypot(*push.kick) for _, push in found]
+    speeds = [math.hypot(*kick) for _, (kick, _) in found]
     assert min(speeds) >= 0.1
     assert max(speeds) <= 0.2
 
@@ -30,7 +30,7 @@ def test_pushes_come_at_the_stated_intervals_and_strengths():
 def test_scale_zero_keeps_the_schedule_and_removes_the_force():
     full, none = schedule(1.0), schedule(0.0)
     assert [step for step, _ in full] == [step for step, _ in none]
-    assert all(push.kick == (0.0, 0.0) and push.spin == 0.0 for _, push in none)
+    assert all(push == ((0.0, 0.0), 0.0) for _, push in none)
 
 
 def test_a_number_is_kept_and_a_pair_is_drawn_from():

@@ -84,15 +84,6 @@ def test_an_invalid_action_is_refused_with_its_step(env, wrong):
         env.step(wrong)
 
 
-def test_a_robot_on_its_back_has_fallen(env):
-    env.reset(seed=0)
-    env._robot.data.qpos[3:7] = [0.0, 1.0, 0.0, 0.0]
-    _, _, terminated, truncated, info = env.step(STILL)
-    assert terminated
-    assert not truncated
-    assert info["fall"]
-
-
 def test_success_needs_the_return_and_the_feet(env):
     env.reset(seed=0)
     env._return = 2600.0

@@ -62,17 +62,6 @@ def test_the_body_frame_is_that_of_mujoco(robot):
     assert motion.heading == pytest.approx(np.arctan2(rotation[1, 0], rotation[0, 0]))
 
 
-def test_a_coxa_above_zero_swings_the_foot_forward_on_both_sides(robot):
-    before = {leg: robot.data.site(f"{leg}_foot").xpos.copy() for leg in ("RM", "LM")}
-    robot.data.qpos[3:7] = [1.0, 0.0, 0.0, 0.0]
-    mujoco.mj_forward(robot.model, robot.data)
-    before = {leg: robot.data.site(f"{leg}_foot").xpos.copy() for leg in ("RM", "LM")}
-    robot.data.qpos[7::3] += 0.2
-    mujoco.mj_forward(robot.model, robot.data)
-    for leg, position in before.items():
-        assert robot.data.site(f"{leg}_foot").xpos[0] > position[0] + 0.02
-
-
 def test_power_is_averaged_over_the_substeps(robot):
     twin = Robot(FIELD)
     twin.rebuild(**FLAT)

@@ -63,14 +63,6 @@ def test_a_spike_is_where_the_membrane_before_the_reset_is_above_the_threshold(n
     assert any(spikes.any() for spikes in seen.spikes.values())
 
 
-def test_the_ideal_chip_reaches_what_the_float_twin_reaches():
-    artifact = popsan()
-    raster = raster_of(artifact)
-    ideal = chip_activity(compile_program(artifact, chip("ideal")), raster)
-    for name, reached in float_activity(artifact, raster).reached.items():
-        np.testing.assert_allclose(ideal.reached[name], reached, rtol=0, atol=1e-12)
-
-
 def train(*times, length=8):
     spikes = np.zeros((1, length, 1), np.uint8)
     spikes[0, list(times)] = 1

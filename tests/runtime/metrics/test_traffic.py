@@ -54,25 +54,6 @@ def test_a_synaptic_operation_reads_a_weight_and_an_update_writes_both_states():
     }
 
 
-def test_accumulators_are_read_and_written_once_for_each_operation_of_a_random_network():
-    rng = np.random.default_rng(3)
-    used = chip("loihi1")
-    weight = rng.integers(-9, 10, (7, 5)).astype(np.int16) * (rng.random((7, 5)) < 0.4)
-    synapses = (Synapses("input", weight, delay=0),)
-    leaky = {"decays": (2000, 300), "threshold": 20 << 6, "start": 0}
-    neurons = layer(used.arithmetic, "n", weight.T, synapses, **leaky)
-    network = Program(used, Convention(1e-3), "input", 7, (neurons,), "n", None)
-    rows = (rng.random((40, 7)) < 0.3).astype(np.uint8)
-    accesses = 0
-    for row in rows:  # a list of targets for each spike; a sum is read, added to and written
-        for axon in np.flatnonzero(row):
-            for target in range(5):
-                accesses += 2 if weight[axon, target] else 0
-    ledger = run(network, rows)
-    assert accesses == memory_traffic(ledger, network)["n"].accumulator_accesses > 0
-    assert accesses == 2 * ledger.total("sop")
-
-
 CHIP = chip("loihi1")
 
 

@@ -61,18 +61,6 @@ def test_control_steps_of_the_clock_free_are_the_tools_timesteps(path, backend):
                 np.testing.assert_array_equal(found, expected[row : row + 1])
 
 
-def test_synapses_with_delays_of_their_own_are_lists_of_their_own():
-    recorded = recorded_trace(GOLDEN / "lava_delays.json")
-    delays = {synapses.delay for synapses in recorded.program.layer("layer1").synapses}
-    assert delays == set(range(1, 10))
-    trace = json.loads((GOLDEN / "lava_delays.json").read_text())
-    given, weights = (np.array(trace["layers"][1][key]).T for key in ("delays", "weights"))
-    for synapses in recorded.program.layer("layer1").synapses:
-        if synapses.source == "layer0":
-            expected = np.where(given == synapses.delay, weights, 0)
-            np.testing.assert_array_equal(synapses.weight, expected)
-
-
 def test_random_networks_on_nengo_loihis_emulator_equal_ours(tmp_path):
     if find_spec("nengo_loihi") is None:
         pytest.skip("nengo-loihi is not installed; ./spike test --peers compares with it")

@@ -1,6 +1,7 @@
 """Equal to simulations of the RTL of ODIN, tinyODIN and Spiker+, recorded and by a plain model."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -89,59 +90,53 @@ def test_the_interpreter_equals_the_simulation_at_the_end_of_every_timestep(path
 
 
 # what no recording here has: edges of thresholds, counts, hosts, full queues, registers
+ODIN_KINDS = {
+    "thresholds from 0": {"thr": [*range(8), 254, 255], "low": -2},
+    "counts": {"most": 4},
+    "up to 255": {"thr": (250, 256), "most": 9, "low": -1},
+    "start and disabled": {"start": list(range(0, 100, 10)), "disabled": [0, 1] * 5},
+    "random order": {"order": "random", "most": 2},
+    "recurrent": {"loop": True},
+    "recurrent with disabled neurons": {"loop": True, "disabled": [0, 0, 1, 0, 1] * 2},
+    "recurrent in random order": {"loop": True, "order": "random"},
+    "recurrent relayed": {"loop": True, "host": "relays"},
+    "step": {"loop": True, "host": "step", "thr": (6, 16)},
+    "open loop in steps": {"host": "step"},
+    "stream": {"loop": True, "host": "stream", "thr": (6, 16)},
+    "full queue": dict(size=96, loop="layers", thr=(6, 20), low=0, steps=6, rate=0.2),
+    "full queue in steps": dict(
+        size=80, loop="layers", thr=(9, 40), low=-3, steps=6, rate=0.6, host="step"
+    ),
+    "full queue in a stream": dict(
+        size=60, loop="layers", thr=(20, 60), low=-3, steps=12, rate=0.5, host="stream"
+    ),
+    "spikes at the time reference": dict(
+        size=60, loop="layers", thr=(30, 90), start=[200] * 60, steps=3, host="step"
+    ),
+}
+TINYODIN_KINDS = {
+    "thresholds": {"thr": [0, 1, 2, 3, 5, 8, 2047, 2048, 4095, 40]},
+    "down and up": {"start": [-2000] * 5 + [2000] * 5, "most": 9, "thr": (2040, 2048)},
+    "recurrent": {"loop": True, "host": "step"},
+    "full queue": dict(size=256, loop="layers", thr=(1, 7), low=3, steps=2, rate=0.3, host="step"),
+}
+SPIKER_KINDS = {
+    "recurrent": dict(sizes=(8, 7), loop=True),
+    "three layers": dict(sizes=(9, 8, 7, 6), shift=5),
+    "loops, fixed reset": dict(sizes=(9, 8, 7), loop=True, reset="fixed", v_reset=(-9, 10)),
+    "narrow": dict(sizes=(20, 9), bits=6, shift=9, rate=0.8, threshold=(5, 30)),
+    "wide weights": dict(sizes=(8, 7), weight=8, threshold=(50, 200)),
+    "thresholds below 0": dict(sizes=(8, 7, 6), threshold=(-9, 3), reset="fixed", loop=True),
+    **{f"shift {n}": dict(sizes=(8, 6), shift=n) for n in (0, 1, 10)},
+}
 KINDS = {
-    "odin, thresholds from 0": lambda s: random_odin(ODIN, s, thr=[*range(8), 254, 255], low=-2),
-    "odin, counts": lambda s: random_odin(ODIN, s, most=4),
-    "odin, up to 255": lambda s: random_odin(ODIN, s, thr=(250, 256), most=9, low=-1),
-    "odin, start and disabled": lambda s: random_odin(
-        ODIN, s, start=list(range(0, 100, 10)), disabled=[0, 1] * 5
-    ),
-    "odin, random order": lambda s: random_odin(ODIN, s, order="random", most=2),
-    "odin, recurrent": lambda s: random_odin(ODIN, s, loop=True),
-    "odin, recurrent with disabled neurons": lambda s: random_odin(
-        ODIN, s, loop=True, disabled=[0, 0, 1, 0, 1] * 2
-    ),
-    "odin, recurrent in random order": lambda s: random_odin(ODIN, s, loop=True, order="random"),
-    "odin, recurrent relayed": lambda s: random_odin(ODIN, s, loop=True, host="relays"),
-    "odin, step": lambda s: random_odin(ODIN, s, loop=True, host="step", thr=(6, 16)),
-    "odin, open loop in steps": lambda s: random_odin(ODIN, s, host="step"),
-    "odin, stream": lambda s: random_odin(ODIN, s, loop=True, host="stream", thr=(6, 16)),
-    "odin, full queue": lambda s: random_odin(
-        ODIN, s, size=96, loop="layers", thr=(6, 20), low=0, steps=6, rate=0.2
-    ),
-    "odin, full queue in steps": lambda s: random_odin(
-        ODIN, s, size=80, loop="layers", thr=(9, 40), low=-3, steps=6, rate=0.6, host="step"
-    ),
-    "odin, full queue in a stream": lambda s: random_odin(
-        ODIN, s, size=60, loop="layers", thr=(20, 60), low=-3, steps=12, rate=0.5, host="stream"
-    ),
-    "odin, spikes at the time reference": lambda s: random_odin(
-        ODIN, s, size=60, loop="layers", thr=(30, 90), start=[200] * 60, steps=3, host="step"
-    ),
-    "tinyodin, thresholds": lambda s: random_odin(
-        TINYODIN, s, thr=[0, 1, 2, 3, 5, 8, 2047, 2048, 4095, 40]
-    ),
-    "tinyodin, down to -2048 and up": lambda s: random_odin(
-        TINYODIN, s, start=[-2000] * 5 + [2000] * 5, most=9, thr=(2040, 2048)
-    ),
-    "tinyodin, recurrent": lambda s: random_odin(TINYODIN, s, loop=True, host="step"),
-    "tinyodin, full queue": lambda s: random_odin(
-        TINYODIN, s, size=256, loop="layers", thr=(1, 7), low=3, steps=2, rate=0.3, host="step"
-    ),
-    "spiker, recurrent": lambda s: random_spiker(s, (8, 7), loop=True),
-    "spiker, three layers": lambda s: random_spiker(s, (9, 8, 7, 6), shift=5),
-    "spiker, layers with loops and a fixed reset": lambda s: random_spiker(
-        s, (9, 8, 7), loop=True, reset="fixed", v_reset=(-9, 10)
-    ),
-    "spiker, narrow": lambda s: random_spiker(
-        s, (20, 9), bits=6, shift=9, rate=0.8, threshold=(5, 30)
-    ),
-    "spiker, wide weights": lambda s: random_spiker(s, (8, 7), weight=8, threshold=(50, 200)),
-    "spiker, thresholds below 0": lambda s: random_spiker(
-        s, (8, 7, 6), threshold=(-9, 3), reset="fixed", loop=True
-    ),
-    **{f"spiker, shift {n}": lambda s, n=n: random_spiker(s, (8, 6), shift=n) for n in (0, 1, 10)},
-}  # fmt: skip
+    **{f"odin, {name}": partial(random_odin, ODIN, **of) for name, of in ODIN_KINDS.items()},
+    **{
+        f"tinyodin, {name}": partial(random_odin, TINYODIN, **of)
+        for name, of in TINYODIN_KINDS.items()
+    },
+    **{f"spiker, {name}": partial(random_spiker, **of) for name, of in SPIKER_KINDS.items()},
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)
