@@ -69,16 +69,12 @@ def operators(path: Path) -> OnnxOperators:
         nodes = [list(_fields(value)) for number, value in inside if number == _NODE]
         tensors = [value for number, value in inside if number == _INITIALIZER]
         return OnnxOperators(
-            tuple(_operator(node) for node in nodes),
+            tuple(next((v.decode() for n, v in node if n == _OPERATOR), "") for node in nodes),
             any(number == _FUNCTIONS for number, _ in model) or any(map(_nested, nodes)),
             tuple(tuple(_dims(tensor)) for tensor in tensors),
         )
     except (ValueError, IndexError) as error:
         raise ArtifactError(f"{path} is not an ONNX file that can be run: {error}") from error
-
-
-def _operator(node: list[tuple[int, bytes]]) -> str:
-    return next((v.decode() for number, v in node if number == _OPERATOR), "")
 
 
 def _nested(node: list[tuple[int, bytes]]) -> bool:
@@ -142,19 +138,7 @@ def session(path: str | Path) -> Any:  # noqa: ANN401
         found = file.stat()
         _check(file, found.st_size, found.st_mtime_ns)
     network = _opened(path)
-    _check_text(path, network)
-    return network
-
-
-def has_policy_metadata(network: Any) -> bool:  # noqa: ANN401
-    """Return whether its metadata are those of our policies, which fix environment and units."""
-    said: dict[str, str] = network.get_modelmeta().custom_metadata_map
-    return {"env", "recipe"} <= said.keys()
-
-
-def _check_text(path: str | Path, network: Any) -> None:  # noqa: ANN401
-    """Raise ArtifactError where names or metadata, which are decoded when read, are no text."""
-    try:
+    try:  # names and metadata are decoded when they are read
         for each in (*network.get_inputs(), *network.get_outputs()):
             _ = each.name, each.shape
         _ = network.get_modelmeta().custom_metadata_map
@@ -162,6 +146,13 @@ def _check_text(path: str | Path, network: Any) -> None:  # noqa: ANN401
         raise ArtifactError(
             f"{path} has names or metadata that are no text ({error}). Export it again"
         ) from None
+    return network
+
+
+def has_policy_metadata(network: Any) -> bool:  # noqa: ANN401
+    """Return whether its metadata are those of our policies, which fix environment and units."""
+    said: dict[str, str] = network.get_modelmeta().custom_metadata_map
+    return {"env", "recipe"} <= said.keys()
 
 
 def _opened(path: str | Path) -> Any:  # noqa: ANN401
@@ -185,12 +176,8 @@ def _check(path: Path, size: int, changed: int) -> None:
             f"{path} has loops, branches or functions of its own, whose time nothing bounds. "
             "Export the network without them."
         )
-    if not found.elementary:
-        _try(path, found.names)
-
-
-def _try(path: Path, names: tuple[str, ...]) -> None:
-    """Run the file once in a process with limits."""
+    if found.elementary:
+        return
     words = [sys.executable, "-c", f"from {__name__} import trial; trial()", str(path)]
     try:
         done = subprocess.run(words, capture_output=True, text=True, timeout=6 * _SECONDS)
@@ -204,12 +191,12 @@ def _try(path: Path, names: tuple[str, ...]) -> None:
         why = lines[-1] if done.returncode == 1 and lines else limits
     raise ArtifactError(
         f"{path} cannot be run once on zeros: {why[:300]}. It has the operators "
-        f"{', '.join(sorted(set(names)))[:200]}; export a plain dense network."
+        f"{', '.join(sorted(set(found.names)))[:200]}; export a plain dense network."
     )
 
 
 def trial() -> None:
-    """Run a file on zeros, within limits; what the process of `_try` does."""
+    """Run a file on zeros, within limits; what the process of `_check` does."""
     import resource
 
     own = Path("/proc/self/statm")

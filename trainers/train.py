@@ -120,18 +120,15 @@ def _budgeted(config: C, budget: str | None) -> C:
 
 def _with_paths(config: C) -> C:
     """Return it with the folders of the runs that are meant now; later names may mean others."""
-    names = ((key, str(getattr(config, key, ""))) for key in ("teacher", "start", "pool"))
-    found = {key: str(RunFolder.find(name).path) for key, name in names if _is_short(name)}
-    return config.model_copy(update=found)
-
-
-def _is_short(name: str) -> bool:
-    """Return whether this is "last", or the beginning of a run's name and nothing else."""
-    if name == "last":
-        return True
     from spikedeploy.trainers.distill.teachers import shipped
 
-    return shipped(name) is None and not is_target(name) and is_beginning(name)
+    found = {}
+    for key in ("teacher", "start", "pool"):
+        name = str(getattr(config, key, ""))
+        short = shipped(name) is None and not is_target(name) and is_beginning(name)
+        if name == "last" or short:
+            found[key] = str(RunFolder.find(name).path)
+    return config.model_copy(update=found)
 
 
 @contextmanager

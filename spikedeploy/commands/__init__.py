@@ -7,6 +7,7 @@ options      options that several commands share, and groups of them
 closed_loop  run, compare, reproduce, demo, serve: policies in their environments
 open_loop    emulate, drift, check, verify: networks without an environment
 training     train, distill, tune, sweep, runs, visualize
+distillation recipe and settings that `distill` means, and what came of it
 exporting    export, publish
 windows      play, replay, draw
 listings     policies, chips, energy, envs, recipes, doctor

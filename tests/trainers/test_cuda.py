@@ -91,7 +91,7 @@ def test_actions_and_the_saved_policy_follow_the_actor():
     seen = torch.ones(1, OBSERVATIONS)
     trained = sac.actor.policy(seen.cuda()).cpu()
     assert torch.allclose(sac.policy(seen), trained, atol=1e-5)
-    assert torch.allclose(sac._acting.actor.policy(seen), trained, atol=1e-5)
+    assert torch.allclose(sac._follower.actor.policy(seen), trained, atol=1e-5)
 
 
 @needs_gpu

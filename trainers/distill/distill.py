@@ -195,16 +195,15 @@ class Distill(Runner[DistillConfig]):
         self.teacher_return = score(self._teacher, self._config.env, self._config.validation)
 
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
-        if self._due_for_collection and not self._collect(stopped):
+        config = self._config
+        # the updates for the iterations collected so far are done
+        due = self.iterations <= self.updates * config.iterations // config.updates
+        if due and not self._collect(stopped):
             return False
-        self._update()
+        observation, label = self.dataset.sample(config.batch, self._rng)
+        self._losses = self.learner.update(observation, label, self.updates / config.updates)
+        self.updates += 1
         return True
-
-    @property
-    def _due_for_collection(self) -> bool:
-        """True if the updates for the iterations collected so far are done."""
-        done = self.updates * self._config.iterations // self._config.updates
-        return self.iterations <= done
 
     def _collect(self, stopped: Callable[[], bool]) -> bool:
         """Collect the labelled states of an iteration; return whether it was not stopped."""
@@ -215,23 +214,10 @@ class Distill(Runner[DistillConfig]):
         observation, label, self._returns = found
         self.dataset.add(observation, label)
         self.iterations += 1
-        self._fit_normaliser()
+        if self.iterations == 1 or self.env_steps <= self._config.normaliser.finish:
+            seen = self.policy.features_of(self.dataset.observation.double()).numpy()
+            self.policy.normalizer.adopt(Moments.of(seen))
         return True
-
-    @torch.no_grad()
-    def _fit_normaliser(self) -> None:
-        """Fit the normaliser to the dataset, unless it is frozen."""
-        if self.iterations > 1 and self.env_steps > self._config.normaliser.finish:
-            return
-        seen = self.policy.features_of(self.dataset.observation.double()).numpy()
-        self.policy.normalizer.adopt(Moments.of(seen))
-
-    def _update(self) -> None:
-        """Take one gradient step on a random batch of the dataset."""
-        observation, label = self.dataset.sample(self._config.batch, self._rng)
-        progress = self.updates / self._config.updates
-        self._losses = self.learner.update(observation, label, progress)
-        self.updates += 1
 
     def _evaluate(self) -> dict[str, float]:
         row = super()._evaluate()

@@ -65,7 +65,7 @@ class CudaLearner(SacLearner):
             raise ConfigError("device: this PyTorch finds no CUDA device; set device=cpu")
         super().__init__(config, policy)
         self._mean_policy = copy.deepcopy(policy).to("cuda")
-        self._acting = _Follower(self.actor)
+        self._follower = _Follower(self.actor)
         for module in self.modules.values():
             module.to("cuda")
         self._optimise()
@@ -81,12 +81,13 @@ class CudaLearner(SacLearner):
     def adopt(self, moments: Moments) -> None:
         """Normalise observations by these statistics."""
         super().adopt(moments)
-        self._acting.actor.policy.normalizer.adopt(moments)
+        self._follower.actor.policy.normalizer.adopt(moments)
 
-    def explore(self, observation: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return actions (B, act) drawn from the distribution of a recent actor."""
-        self._acting.follow(self.actor)
-        return self._drawn(self._acting.actor, torch.from_numpy(observation).float())
+    @property
+    def _acting(self) -> GaussianActor:
+        """A recent copy of the actor."""
+        self._follower.follow(self.actor)
+        return self._follower.actor
 
     def settle(self) -> None:
         """Copy the averaged policy from the GPU."""
@@ -133,7 +134,7 @@ class CudaLearner(SacLearner):
         """Restore the tensors of a checkpoint, the policy's under "policy." included."""
         super().load(named)
         self._mean_policy.load_state_dict(self.policy.state_dict())
-        self._acting.actor.load_state_dict(self.actor.state_dict())
+        self._follower.actor.load_state_dict(self.actor.state_dict())
 
 
 class _Follower:

@@ -88,22 +88,14 @@ class SacConfig(RunConfig):
     checkpoint_every: Positive = 25_000
 
     @model_validator(mode="after")
-    def _begins_above_zero(self) -> "SacConfig":
+    def _can_be_trained(self) -> "SacConfig":
         if self.learn_temperature and self.temperature.start <= 0:
             raise ValueError(
                 f"temperature.start: {self.temperature.start:g} cannot be learned from, as its "
                 "logarithm is: begin above 0, or set learn_temperature=false"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _computes_in_float32(self) -> "SacConfig":
         if self.device == "cuda" and self.precision != "float32":
             raise ValueError("device: cuda computes in float32 here: set precision=float32 as well")
-        return self
-
-    @model_validator(mode="after")
-    def _observes_everything(self) -> "SacConfig":
         if isinstance(self.policy, MlpConfig) and self.policy.features != "all":
             raise ValueError("sac learns from all observations: distil policies that observe less")
         return self
@@ -320,13 +312,15 @@ class SacLearner(Learner):
         share = max(self._config.averaging, _AVERAGED / (updates + _AVERAGED - 1))
         move_towards(self._averaged, self.actor.policy, share)
 
-    def explore(self, observation: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return actions (B, act) drawn from the actor's distribution."""
-        return self._drawn(self.actor, torch.from_numpy(observation).float())
+    @property
+    def _acting(self) -> GaussianActor:
+        """The actor that explores."""
+        return self.actor
 
     @torch.no_grad()
-    def _drawn(self, actor: nn.Module, observation: Tensor) -> NDArray[np.float64]:
-        action: Tensor = actor(observation)[0]
+    def explore(self, observation: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return actions (B, act) drawn from the actor's distribution."""
+        action: Tensor = self._acting(torch.from_numpy(observation).float())[0]
         return action.double().numpy()
 
     def settle(self) -> None:
@@ -341,12 +335,14 @@ class SacLearner(Learner):
         return self._step(batch, temperature if learned is None else learned.value)
 
     def _step(self, batch: ReplayBatch, temperature: float | Tensor) -> dict[str, Tensor]:
-        observation = self._normalized(batch.observation)
+        observation = self.actor.policy.normalizer(batch.observation)
         with self._autocast():
             goal = self._goal(batch, temperature)
         # separate contexts, because each caches low-precision copies of the weights
         with self._autocast():
-            critic_loss = self._critic_loss(observation, batch.action, goal)
+            first, second = self.critic(observation, batch.action)
+            mse = nn.functional.mse_loss
+            critic_loss = mse(first, goal) + mse(second, goal)
         self._descend("critic", critic_loss)
         with self._autocast():
             actor_loss, entropy = self._actor_loss(observation, batch, temperature)
@@ -365,50 +361,35 @@ class SacLearner(Learner):
             parameter.grad = gradient
         self.optimizers[f"{name}_adam"].step()
 
-    def _normalized(self, observation: Tensor) -> Tensor:
-        normalized: Tensor = self.actor.policy.normalizer(observation)
-        return normalized
-
     @torch.no_grad()
     def _goal(self, batch: ReplayBatch, temperature: float | Tensor) -> Tensor:
         """Return the targets of the critics (B,)."""
         action, log_prob, _ = self.actor(batch.following)
-        value = torch.minimum(*self.target(self._normalized(batch.following), action))
+        following = self.actor.policy.normalizer(batch.following)
+        value = torch.minimum(*self.target(following, action))
         # y = r + gamma (1 - terminated) (min Q'(s', a') - temperature log p(a'))
         value = value - temperature * log_prob
         goal: Tensor = batch.reward + self._config.gamma * (1 - batch.terminated) * value
         return goal
 
-    def _critic_loss(self, observation: Tensor, action: Tensor, goal: Tensor) -> Tensor:
-        first, second = self.critic(observation, action)
-        return nn.functional.mse_loss(first, goal) + nn.functional.mse_loss(second, goal)
-
     def _actor_loss(
         self, observation: Tensor, batch: ReplayBatch, temperature: float | Tensor
     ) -> tuple[Tensor, Tensor]:
         """Return the actor's loss and the policy's entropy."""
+        config = self._config
         action, log_prob, latent = self.actor(batch.observation)
         value = torch.minimum(*self.critic(observation, action))
-        loss = (temperature * log_prob - value).mean() + self._penalty(latent)
-        if self._config.smoothness:
-            loss = loss + self._config.smoothness * self._action_change(latent, batch.following)
-        return loss, -log_prob.detach().mean()
-
-    def _action_change(self, latent: Latent, following: Tensor) -> Tensor:
-        """Return the mean squared change of the policy's action to the following states."""
-        # a policy whose action jumps between neighbouring states makes the joints chatter
-        after = self.actor.policy.latent(following).mean
-        change: Tensor = torch.tanh(after) - torch.tanh(latent.mean)
-        return change.square().sum(-1).mean()
-
-    def _penalty(self, latent: Latent) -> Tensor:
-        """Return the penalties of saturated actions and of high firing rates."""
         # a large mean saturates tanh and leads to bang-bang control
-        penalty = self._config.mean_penalty * latent.mean.square().sum(-1).mean()
-        if self._config.rate_penalty:
-            excess = excess_rate(latent.rates, self._config.rate_target)
-            penalty = penalty + self._config.rate_penalty * excess
-        return penalty
+        penalty = config.mean_penalty * latent.mean.square().sum(-1).mean()
+        if config.rate_penalty:
+            penalty = penalty + config.rate_penalty * excess_rate(latent.rates, config.rate_target)
+        loss = (temperature * log_prob - value).mean() + penalty
+        if config.smoothness:
+            # a policy whose action jumps between neighbouring states makes the joints chatter
+            after = self.actor.policy.latent(batch.following).mean
+            change = (torch.tanh(after) - torch.tanh(latent.mean)).square().sum(-1).mean()
+            loss = loss + config.smoothness * change
+        return loss, -log_prob.detach().mean()
 
     def _autocast(self) -> torch.autocast:
         enabled = self._config.precision == "bfloat16"

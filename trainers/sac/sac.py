@@ -60,12 +60,6 @@ class Sac(EnvRunner[SacConfig]):
         return True
 
     @property
-    def _temperature(self) -> float:
-        if self.learner.temperature is not None:
-            return self.learner.temperature.value
-        return self._config.temperature.at(self.env_steps)
-
-    @property
     def _support_force(self) -> float:
         return self._config.support_force.at(self.env_steps)
 
@@ -102,12 +96,14 @@ class Sac(EnvRunner[SacConfig]):
         return super()._row()
 
     def _metrics(self) -> dict[str, float]:
+        learned = self.learner.temperature
+        scheduled = self._config.temperature.at(self.env_steps)
         return {
             "env_steps": self.env_steps,
             "updates": self.updates,
             "episodes": self.episodes,
             "support_force": self._support_force,
-            "temperature": self._temperature,
+            "temperature": scheduled if learned is None else learned.value,
             **{name: float(loss) for name, loss in self._losses.items()},
         }
 
