@@ -517,15 +517,13 @@ class Ppo(EnvRunner[PpoConfig]):
                 path.unlink()
 
     def _metrics(self) -> dict[str, float]:
-        names = ("env_steps", "iterations", "episodes", "finishes")
-        return {**{name: getattr(self, name) for name in names}, **self._learned}
+        return self._learned
 
     def _state(self) -> dict[str, Any]:
         return {**super()._state(), self._table.key: self._ended}
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         super()._restore(state, tensors)
-        self.iterations, self.held = state["iterations"], state["held"]
-        self.finishes, self._ended = state["finishes"], state[self._table.key]
+        self._ended = state[self._table.key]
         self._table.rewind(self.env_steps)
         self._delete_ghosts(after=self.iterations)

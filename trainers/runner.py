@@ -116,8 +116,9 @@ class Runner(ABC, Generic[C]):
     """One run of an algorithm.
 
     Config: model of the configuration
-    COLUMNS: names of the metrics, of which the first is the step; those of spiking layers follow
-    COUNTERS: attributes saved in checkpoints, of which the first is the step
+    COLUMNS: names of the metrics, of which the first is the step
+    RATES: whether columns for the sparsity of spiking layers follow
+    COUNTERS: attributes that are reported and saved in checkpoints, of which the first is the step
     SPEED: name of the metric of steps per second
     VALIDATES_AT_END: whether the last policy is validated, even if it is not due
     policy: what is validated and saved
@@ -126,6 +127,7 @@ class Runner(ABC, Generic[C]):
 
     Config: ClassVar[type[RunConfig]]
     COLUMNS: ClassVar[tuple[str, ...]]
+    RATES: ClassVar[bool] = True
     COUNTERS: ClassVar[tuple[str, ...]]
     SPEED: ClassVar[str] = "steps_per_s"
     VALIDATES_AT_END: ClassVar[bool] = True
@@ -135,7 +137,7 @@ class Runner(ABC, Generic[C]):
     @classmethod
     def columns(cls, config: RunConfig) -> tuple[str, ...]:
         """Return the names of the metrics, of which the first is the step."""
-        layers = range(1, spiking_layers(config.policy) + 1)
+        layers = range(1, spiking_layers(config.policy) + 1) if cls.RATES else ()
         return (*cls.COLUMNS, *(f"sparsity_lif{k}" for k in layers))
 
     @classmethod
@@ -199,11 +201,11 @@ class Runner(ABC, Generic[C]):
 
     @abstractmethod
     def _metrics(self) -> dict[str, float]:
-        """Return the algorithm's metrics of training."""
+        """Return the algorithm's metrics of training, counters left out."""
 
     @abstractmethod
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
-        """Restore counters and everything else that `_state` and `_tensors` saved."""
+        """Restore what `_state` and `_tensors` saved."""
 
     def _begin(self) -> None:
         """Prepare a new run, as opposed to one that is resumed."""
@@ -268,7 +270,8 @@ class Runner(ABC, Generic[C]):
         """Return the metrics of training since the last row."""
         (then, step), now = self._clock, time.perf_counter()
         self._clock = now, self.step
-        row = {**self._metrics(), self.SPEED: (self.step - step) / (now - then)}
+        counters = {name: getattr(self, name) for name in self.COUNTERS if name != "best"}
+        row = {**counters, **self._metrics(), self.SPEED: (self.step - step) / (now - then)}
         returns, self._returns = self._returns, []
         return {**row, "episode_return": float(np.mean(returns))} if returns else row
 
@@ -290,6 +293,9 @@ class Runner(ABC, Generic[C]):
         """Restore the checkpoint "last"."""
         state, tensors = self._run.load("last")
         self.learner.load(tensors)
+        for name in self.COUNTERS:
+            if not isinstance(getattr(type(self), name, None), property):
+                setattr(self, name, state[name])
         self.best = -np.inf if state["best"] is None else state["best"]
         self._logged, self._returns = state["logged"], state["returns"]
         self._rng.bit_generator.state = state["rng"]
@@ -330,7 +336,6 @@ class EnvRunner(Runner[C]):
         return {**self._moments.tensors(), **under_way}
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
-        self.episodes = state["episodes"]
         self._moments = Moments.restored(tensors, state["observed"])
         under_way = with_prefix("under_way", tensors)
         self._envs.restore(state["under_way"], under_way, state["env_steps"])

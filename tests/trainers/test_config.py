@@ -12,16 +12,6 @@ from spikedeploy.trainers.sparse.student import SparseConfig
 from spikedeploy.trainers.train import algorithm
 
 
-def test_the_defaults_are_the_seed_projects_table():
-    config = resolve(SacConfig, "hexapod-sac")
-    assert (config.learning_rate, config.gamma, config.tau) == (3e-4, 0.99, 0.005)
-    assert (config.batch, config.buffer, config.warm_up) == (128, 1_000_000, 10_000)
-    assert (config.epsilon, config.temperature.start) == (1e-6, 0.05)
-    assert resolve(SacConfig, "hexapod-popsan").steps == 500_000
-    assert config.policy.hidden == config.critic_hidden == (512, 512)
-    assert config.support_force.at(150_000) == 0.0
-
-
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_every_recipe_resolves_and_survives_json(recipe):
     model = algorithm(RECIPES[recipe].algorithm).Config

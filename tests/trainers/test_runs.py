@@ -75,12 +75,6 @@ def test_a_finished_run_is_left_as_it_is(tmp_path, world):
         train("smoke", resume=run, overrides=["steps=800"], runs=tmp_path, quiet=True)
 
 
-def test_a_run_of_another_recipe_is_not_resumed(tmp_path, world):
-    run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
-    with pytest.raises(ConfigError, match="is a run of 'smoke', not of 'smoke-popsan'"):
-        train("smoke-popsan", resume=run, runs=tmp_path, quiet=True)
-
-
 def test_load_policy_takes_best_and_else_last(tmp_path):
     run = RunFolder.create(tmp_path, resolve(SacConfig, "smoke"))
     last_policy, best_policy = MlpPolicy(2, 1, (3,)), MlpPolicy(2, 1, (3,))
@@ -219,23 +213,6 @@ def test_a_training_that_is_refused_leaves_no_run_folder(tmp_path, world):
         assert list(tmp_path.iterdir()) == [whole]
 
 
-def test_a_training_that_fails_later_keeps_what_it_learned(tmp_path, world, monkeypatch):
-    from spikedeploy.trainers.sac.sac import Sac
-
-    iterate = Sac._iterate
-
-    def failing(self, stopped):
-        if self.step > 150:
-            raise ConfigError("no more")
-        return iterate(self, stopped)
-
-    monkeypatch.setattr(Sac, "_iterate", failing)
-    with pytest.raises(ConfigError, match="no more"):
-        train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
-    (run,) = tmp_path.iterdir()
-    assert RunFolder(run).checkpoint("last").is_file()
-
-
 def test_a_resumed_run_that_is_refused_keeps_its_configuration(tmp_path, world):
     run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
     before = (run / "config.json").read_bytes()
@@ -294,17 +271,6 @@ def test_a_picture_of_damaged_metrics_is_refused_by_name(tmp_path):
         path.write_bytes(content)
         with pytest.raises(ConfigError, match=r"metrics\.csv is no table of numbers"):
             read(path)
-
-
-def test_a_page_that_is_written_meanwhile_changes_nothing_that_is_learned(tmp_path, world):
-    watched = []
-    runs = [
-        train("smoke", overrides=TINY, runs=tmp_path / name, seed=7, quiet=True, watch=watch)
-        for name, watch in (("alone", None), ("watched", watched.append))
-    ]
-    assert set(watched) == {runs[1]}
-    states = [(run / "checkpoints/last.safetensors").read_bytes() for run in runs]
-    assert states[0] == states[1]
 
 
 @pytest.fixture
@@ -369,16 +335,6 @@ def test_files_in_ghosts_that_training_did_not_write_stay(tmp_path):
     resumed(run)
     assert mine.read_bytes() == b"whatever"
     assert not later.exists()
-
-
-@pytest.mark.parametrize("content", [b"\x00" * 90, b"1,2,3\n"])
-def test_damaged_episodes_are_named(content, tmp_path):
-    run = train("smoke-kart", overrides=KART, runs=tmp_path, quiet=True, interrupt=After(4))
-    (run / "episodes.csv").write_bytes(content)
-    with pytest.raises(ConfigError, match=r"episodes\.csv is damaged: .*move it away"):
-        resumed(run)
-    (run / "episodes.csv").unlink()
-    resumed(run)
 
 
 def test_a_row_that_a_full_disk_cut_off_after_the_checkpoint_is_dropped(run):

@@ -225,20 +225,14 @@ class Distill(Runner[DistillConfig]):
         return row
 
     def _metrics(self) -> dict[str, float]:
-        return {
-            "updates": self.updates,
-            "env_steps": self.env_steps,
-            "iteration": self.iterations - 1,
-            **{name: float(loss) for name, loss in self._losses.items()},
-        }
+        losses = {name: float(loss) for name, loss in self._losses.items()}
+        return {"iteration": self.iterations - 1, **losses}
 
     def _tensors(self) -> dict[str, Tensor]:
         return self.dataset.tensors()
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         self.dataset.load(tensors)
-        self.updates, self.iterations = state["updates"], state["iterations"]
-        self.teacher_return = state["teacher_return"]
 
 
 class DistillLearner(Learner):

@@ -99,9 +99,6 @@ class Sac(EnvRunner[SacConfig]):
         learned = self.learner.temperature
         scheduled = self._config.temperature.at(self.env_steps)
         return {
-            "env_steps": self.env_steps,
-            "updates": self.updates,
-            "episodes": self.episodes,
             "support_force": self._support_force,
             "temperature": scheduled if learned is None else learned.value,
             **{name: float(loss) for name, loss in self._losses.items()},
@@ -132,12 +129,10 @@ class Sac(EnvRunner[SacConfig]):
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         super()._restore(state, tensors)
-        self.updates, self._losses = state["updates"], state["losses"]
-        checksum = state["replay_sha256"]
+        self._losses, checksum = state["losses"], state["replay_sha256"]
         self._take_replay(checksum)
-        if self.finished:
-            return
-        self._buffer.load(self._run.replay, checksum)
+        if not self.finished:
+            self._buffer.load(self._run.replay, checksum)
 
 
 def check_shaping(weights: Mapping[str, float], env: EnvConfig) -> None:

@@ -200,13 +200,8 @@ class SparsePpo(Runner[SparsePpoConfig]):
         "eval_return", "eval_gain", "eval_operations", "eval_falls", "eval_finish",
     )  # fmt: skip
     COUNTERS = ("iterations", "env_steps", "start_return", "allowed", "best")
-    SPEED = "iterations_per_s"
+    SPEED, RATES = "iterations_per_s", False
     learner: "SparsePpoLearner"
-
-    @classmethod
-    def columns(cls, config: RunConfig) -> tuple[str, ...]:
-        """Return the names of the metrics, of which the first is the step."""
-        return cls.COLUMNS
 
     def __init__(self, config: SparsePpoConfig, run: RunFolder) -> None:
         runs = run.path.parent
@@ -279,14 +274,12 @@ class SparsePpo(Runner[SparsePpoConfig]):
         super()._report(journal, before)
 
     def _metrics(self) -> dict[str, float]:
-        return {"iterations": self.iterations, "env_steps": self.env_steps, **self._learned}
+        return self._learned
 
     def _state(self) -> dict[str, Any]:
         return {"first": self._first}
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
-        self.iterations, self.env_steps = state["iterations"], state["env_steps"]
-        self.start_return, self.allowed = state["start_return"], state["allowed"]
         self._first = state["first"]
 
 
@@ -296,20 +289,20 @@ class SparsePpo(Runner[SparsePpoConfig]):
 class NoisyActions:
     """Gaussian around the deterministic action tanh(mean), executed within [-1, 1].
 
-    spread: standard deviation [action]
+    temperature: standard deviation [action]
     """
 
-    def __init__(self, spread: float) -> None:
-        self.spread = spread
+    def __init__(self, temperature: float) -> None:
+        self.temperature = temperature
 
     def draw(self, mean: Tensor) -> Tensor:
         """Return actions (B, act) drawn around those of the means (B, act), before clipping."""
-        return torch.tanh(mean) + self.spread * torch.randn_like(mean)
+        return torch.tanh(mean) + self.temperature * torch.randn_like(mean)
 
     def log_probability(self, mean: Tensor, drawn: Tensor) -> Tensor:
         """Return the log-probability (B,) of drawn actions, but for a constant."""
         # log p = -1/2 sum ((a - tanh(mean)) / spread)^2 ; the same spread for all of an iteration
-        return -0.5 * ((drawn - torch.tanh(mean)) / self.spread).square().sum(-1)
+        return -0.5 * ((drawn - torch.tanh(mean)) / self.temperature).square().sum(-1)
 
     def action(self, drawn: Tensor) -> Tensor:
         """Return the action of the environment (B, act) in [-1, 1]."""
@@ -464,11 +457,7 @@ class SparsePpoLearner(Learner):
         """Set everything that falls from the first iteration, 0, to the last, 1."""
         discrete = isinstance(self.head, CategoricalHead)
         first, last = self._config.temperature if discrete else self._config.noise
-        value = first + (last - first) * progress
-        if isinstance(self.head, NoisyActions):
-            self.head.spread = value
-        else:
-            self.head.temperature = value
+        self.head.temperature = first + (last - first) * progress
 
     def operations(self, pool: WalkPool) -> float:
         """Return the mean operations of a control step on new walks, and prepare their windows."""

@@ -19,7 +19,7 @@ from spikedeploy import envs
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.schema import validated
-from spikedeploy.trainers.config import C, RunConfig, amended
+from spikedeploy.trainers.config import C, amended
 from spikedeploy.trainers.distill.teachers import same_teacher, teacher
 from spikedeploy.trainers.env_batch import TRAINING_SEEDS, EnvBatch
 from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, from_config
@@ -169,13 +169,8 @@ class Sparse(Runner[SparseConfig]):
     )  # fmt: skip
     COUNTERS = ("updates", "phase", "start", "collections", "teacher_return")
     SPEED = "updates_per_s"
-    VALIDATES_AT_END = False
+    VALIDATES_AT_END = RATES = False
     learner: "SparseLearner"
-
-    @classmethod
-    def columns(cls, config: RunConfig) -> tuple[str, ...]:
-        """Return the names of the metrics, of which the first is the step."""
-        return cls.COLUMNS
 
     def __init__(self, config: SparseConfig, run: RunFolder) -> None:
         self._chip = chip(config.chip)  # refused before environments are made
@@ -340,8 +335,6 @@ class Sparse(Runner[SparseConfig]):
 
     def _metrics(self) -> dict[str, float]:
         return {
-            "updates": self.updates,
-            "phase": self.phase,
             "walks": len(self.pool),
             "loss": self._loss,
             "operations": operations(self._student.synapses()),
@@ -356,8 +349,6 @@ class Sparse(Runner[SparseConfig]):
         return {"binary": torch.from_numpy(self._binary)}
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
-        for name in self.COUNTERS:
-            setattr(self, name, state[name])
         self._sums = state["pool_sha256"]
         self.pool.add(own_walks(self._run.path, self._sums, self._sizes))
         self._binary = tensors["binary"].numpy()

@@ -98,26 +98,6 @@ def test_a_stopped_run_resumes_to_the_same_bits(policy, stop, stroll, tmp_path):
         )
 
 
-@pytest.mark.parametrize("kill", [14, 25])
-def test_a_killed_run_goes_on_from_its_last_checkpoint_with_the_same_walks(kill, stroll, tmp_path):
-    config = settings(teacher=stroll, checkpoint_every=10)
-    whole, _ = learned(config, tmp_path)
-    part = RunFolder.create(tmp_path, config)
-    rows = Rows()
-
-    def stopped():
-        if rows.count >= kill:
-            raise KeyboardInterrupt
-        return False
-
-    with pytest.raises(KeyboardInterrupt):
-        Sparse(config, part).learn(rows, stopped)
-    assert part.load("last")[0]["updates"] == kill // 10 * 10
-    learned(config, tmp_path, run=part)
-    assert_same(whole, part)
-    assert walks_in(whole) == walks_in(part)
-
-
 def assert_same(one, other):
     expected, found = (each.load("last") for each in (one, other))
     assert expected[0] == found[0]
@@ -195,29 +175,6 @@ def test_a_missing_or_damaged_file_of_walks_is_named(damage, message, stroll, tm
     if "missing" not in message:
         with pytest.raises(ConfigError, match=message):
             learned(settings(teacher=stroll, pool=str(run.path)), tmp_path)
-
-
-def test_binary_observations_step_by_their_whole_swing(stroll, tmp_path, monkeypatch):
-    step = toy_stroll_env.StrollEnv.step
-
-    def with_contact(self, action):
-        observation, *rest = step(self, action)
-        observation[2] = 3.0 if observation[0] > 0 else 1.0
-        return observation, *rest
-
-    monkeypatch.setattr(toy_stroll_env.StrollEnv, "step", with_contact)
-    reset = toy_stroll_env.StrollEnv.reset
-
-    def with_first(self, *, seed=None, options=None):
-        observation, info = reset(self, seed=seed, options=options)
-        observation[2] = 1.0
-        return observation, info
-
-    monkeypatch.setattr(toy_stroll_env.StrollEnv, "reset", with_first)
-    run, _ = learned(settings(teacher=stroll), tmp_path, until=1)
-    policy = run.policy("last")
-    assert (policy.normalizer.mean[2], policy.normalizer.std[2], policy.step[2]) == (1, 2, 1)
-    assert policy.step[:2].tolist() == [0.5, 0.5]
 
 
 @pytest.mark.parametrize("policy", [POLICIES[0], POLICIES[2]])

@@ -90,17 +90,6 @@ def test_it_can_start_at_an_earlier_level_of_pruning(start, tmp_path):
     assert synapses[0] > synapses[1]
 
 
-def test_masks_stay_as_they_are_while_weights_learn(start, tmp_path):
-    overrides = [f"start={start}", "actor_rate=1e-3", "learns=all"]
-    run = train("smoke-sparse-tuned", overrides=overrides, runs=tmp_path, quiet=True)
-    before, after = load_policy(start), load_policy(run, "last")
-    for name in ("into", "out", "past"):
-        old, new = getattr(before, name), getattr(after, name)
-        assert torch.equal(old.mask, new.mask)
-        assert not torch.equal(old.weight, new.weight)
-        assert torch.equal(old.weight[old.mask == 0], new.weight[old.mask == 0])
-
-
 def test_the_float_baseline_learns_in_the_same_way(tmp_path):
     baseline = train("smoke-sparse-mlp", overrides=SHORT, runs=tmp_path, quiet=True)
     run = train("smoke-sparse-tuned", overrides=[f"start={baseline}"], runs=tmp_path, quiet=True)
