@@ -71,15 +71,14 @@ class Metrics:
     def _fault(self, logged: float | None) -> str:
         """Return what is wrong with the file; nothing where its rows go to `logged`."""
         try:
-            rows = _rows(self._lines())
-            names, *cells = csv.reader(self._lines().splitlines())
+            rows = _rows(text := self._lines())
+            names, *cells = csv.reader(text.splitlines())
         except (ValueError, TypeError, csv.Error):
             return "it is no table of numbers"
-        if unknown := [name for name in names if name not in self.columns]:
-            return f"its first line is not the names of columns, it has {unknown[0]!r:.60}"
         steps = [row.get(self.columns[0], math.nan) for row in rows]
-        if not all(map(math.isfinite, steps)) or any(len(each) != len(names) for each in cells):
-            return f"a row has no {self.columns[0]}, or is cut off"
+        whole = all(map(math.isfinite, steps)) and all(len(each) == len(names) for each in cells)
+        if not whole or not set(names) <= set(self.columns):
+            return "its first line is not the names of its columns, or a row is cut off"
         if steps and logged is not None and max(steps) < logged:
             return f"its rows end at {max(steps):g}, and were written up to {logged:g}"
         return ""

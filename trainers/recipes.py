@@ -57,8 +57,8 @@ def _recipes(data: Mapping[str, Any]) -> Iterator[tuple[str, Recipe]]:
         for (row, above), (column, beside) in (
             (each, other) for each in _split(rows) for other in columns.items()
         ):
-            words = {"row": row, "column": column}
-            words |= {key: text.format(**words) for key, text in _words(above, beside).items()}
+            words, both = {"row": row, "column": column}, {**above, **beside}
+            words |= {k: v.format(**words) for k, v in both.items() if k != "settings"}
             cells = dict(_split(entry.get("cells", {})))
             settings = merged(
                 {},
@@ -77,10 +77,6 @@ def _split(rows: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield each row under each of its names."""
     for names, row in rows.items():
         yield from ((name, row) for name in names.split(","))
-
-
-def _words(*tables: Mapping[str, Any]) -> dict[str, str]:
-    return {key: text for each in tables for key, text in each.items() if key != "settings"}
 
 
 def _filled(value: Any, row: str) -> Any:  # noqa: ANN401

@@ -234,13 +234,13 @@ def interrupted(tmp_path, world):
     [
         (lambda old: b"\x89\xfe\x00" * 50, "no table of numbers"),
         (lambda old: b"", "no table of numbers"),
-        (lambda old: old.split(b"\n", 1)[1], "its first line is not the names of columns"),
+        (lambda old: old.split(b"\n", 1)[1], "its first line is not the names of its columns"),
         (lambda old: old[:-9], "its rows end at 120, and .* to 160"),
         (lambda old: old.replace(b",,", b",", 1), "is cut off"),
         (lambda old: b"\n".join(old.split(b"\n")[:3]) + b"\n", "its rows end at 80, and .* to 160"),
         (
             lambda old: old.replace(b"env_steps,", b"env_steps,odd_", 1),
-            "names of columns, it has 'odd_",
+            "not the names of its columns",
         ),
     ],
 )
