@@ -305,7 +305,10 @@ class PpoLearner(Learner):
 
     def __init__(self, config: PpoConfig, policy: Policy) -> None:
         self._config, self.policy = config, policy
-        _shrink(policy)
+        last = [module for module in policy.modules() if isinstance(module, nn.Linear)][-1]
+        with torch.no_grad():
+            last.weight.mul_(_SMALL)
+            last.bias.zero_()
         self.head: CategoricalHead | GaussianHead
         if policy.head == "discrete":
             self.head = CategoricalHead()
@@ -365,13 +368,6 @@ class PpoLearner(Learner):
 
     def _update(self, part: RolloutBatch) -> dict[str, float]:
         """Take one gradient step of actor and critic."""
-        row = self._improve_actor(part)
-        seen = self.policy.normalizer(part.observation)
-        loss = functional.mse_loss(self.critic(seen), part.target)
-        descend(self._critic_adam, self.critic, loss, self._config.gradient_norm)
-        return {**row, "critic_loss": float(loss.detach())}
-
-    def _improve_actor(self, part: RolloutBatch) -> dict[str, float]:
         config, latent = self._config, self.policy.forward_encoded(part.encoded)
         change = self.head.log_probability(latent.mean, part.drawn) - part.log_probability
         gain, row = clipped_gain(change, part.advantage, config.clip)
@@ -379,18 +375,13 @@ class PpoLearner(Learner):
         # L = -gain - c H
         loss = -gain - self._entropy * entropy
         if config.rate_penalty:
-            excess = excess_rate(latent.rates, config.rate_target)
-            loss = loss + config.rate_penalty * excess
+            loss = loss + config.rate_penalty * excess_rate(latent.rates, config.rate_target)
         descend(self._actor_adam, self.actor, loss, config.gradient_norm)
-        return {"actor_loss": float(loss.detach()), "entropy": float(entropy.detach()), **row}
-
-
-@torch.no_grad()
-def _shrink(policy: Policy) -> None:
-    """Scale down the policy's last layer."""
-    last = [module for module in policy.modules() if isinstance(module, nn.Linear)][-1]
-    last.weight.mul_(_SMALL)
-    last.bias.zero_()
+        seen = self.policy.normalizer(part.observation)
+        error = functional.mse_loss(self.critic(seen), part.target)
+        descend(self._critic_adam, self.critic, error, config.gradient_norm)
+        losses = {"actor_loss": loss, "entropy": entropy, "critic_loss": error}
+        return {**row, **{name: float(value.detach()) for name, value in losses.items()}}
 
 
 # -- a run

@@ -34,7 +34,7 @@ from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.export_run import kind_of
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.policies import Policy, PrunedMlpPolicy
-from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight
+from spikedeploy.trainers.policies.policy import PrunedWeight
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.pool import BatchController, Episodes, Stateless, Walk
 from spikedeploy.trainers.sparse.student import FloatController

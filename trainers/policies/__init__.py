@@ -3,12 +3,11 @@
 POLICIES is the table of kinds; `from_config` builds a policy from a configuration, `build` from
 the spec in a checkpoint.
 
-policy.py      Policy, what it computes before an action is chosen, observation normalisation
-mlp.py         float multilayer perceptron or a linear map, and its inputs
+policy.py      Policy, what it computes before an action; normalisation; weights with masks
+mlp.py         float multilayer perceptron or linear map, its inputs; a pruned one, with a skip
 spiking.py     several timesteps an inference: encoders, PopSAN, spiking MLP
 chip_snn.py    the same in the integers of a chip, from code to output neurons
 delta.py       one timestep a control step: delta code, LIF or sigma-delta neurons, NIR graphs
-pruned_mlp.py  weights with masks, and a small float network of them with a skip connection
 neurons.py     LIF and CuBa-LIF layers with surrogate gradients, compiled, and firing rates
 """
 
@@ -19,9 +18,8 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import PolicyConfig, known
 from spikedeploy.trainers.policies.chip_snn import ChipSnnPolicy
 from spikedeploy.trainers.policies.delta import DeltaMlpPolicy, DeltaSnnPolicy
-from spikedeploy.trainers.policies.mlp import Features, MlpPolicy, features
+from spikedeploy.trainers.policies.mlp import Features, MlpPolicy, PrunedMlpPolicy, features
 from spikedeploy.trainers.policies.policy import Head, Latent, Policy
-from spikedeploy.trainers.policies.pruned_mlp import PrunedMlpPolicy
 from spikedeploy.trainers.policies.spiking import PopsanPolicy, SpikingMlpPolicy
 
 __all__ = [

@@ -253,7 +253,11 @@ class ChipSnnPolicy(SpikingMlpPolicy):
             reach=reach,
         )
         self.target, self.alpha = target, current_decay
-        self.limit = limit = _limit(target) if limit is None else limit
+        if limit is None:  # at most 0.5, with which the threshold is a whole number:
+            # 7/16 of 3 bits, 15/32 of 5 bits with the sign, 127/256 of 8
+            most = getattr(target.arithmetic, "weight_range", (0, 1))[1]
+            limit = float(most / 2.0 ** math.ceil(math.log2(most / _LARGEST)))
+        self.limit = limit
         if isinstance(self.encoder, TorchPopulationEncoder):
             # few fields: wide enough that no number between two of them is unseen
             spacing = 2 * reach / max(self.populations - 1, 1)
@@ -482,13 +486,6 @@ def _populations(target: Chip, observations: int, wanted: int | None) -> int:
             "chip."
         )
     return wanted or most
-
-
-def _limit(target: Chip) -> float:
-    """Return the largest weight [thresholds], at most 0.5: the threshold is then a whole number."""
-    most = getattr(target.arithmetic, "weight_range", (0, 1))[1]
-    # 7/16 of 3 bits, 15/32 of 5 bits with the sign, 127/256 of 8
-    return float(most / 2.0 ** math.ceil(math.log2(most / _LARGEST)))
 
 
 def _passing(value: Tensor, gradient_to: Tensor) -> Tensor:

@@ -41,10 +41,10 @@ from spikedeploy.trainers.policies.policy import (
     Head,
     Latent,
     Policy,
+    PrunedWeight,
     TorchNormaliser,
     to_array,
 )
-from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Float policy: a multilayer perceptron or a linear map, of all observations or of features."""
+"""Float policies: a perceptron or linear map, of observations or features, and a pruned one."""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations_with_replacement, pairwise
@@ -13,6 +13,7 @@ from spikedeploy.trainers.policies.policy import (
     Head,
     Latent,
     Policy,
+    PrunedWeight,
     TorchNormaliser,
     full_precision,
 )
@@ -147,3 +148,59 @@ def features(name: str, observations: int, columns: Mapping[str, slice] | None =
         return [column for each in found for column in each]
 
     return Features(name, observations, of("phase"), of("command"), of(*_ERRORS))
+
+
+class PrunedMlpPolicy(Policy):
+    """A float network with ReLU, a linear path past it, and masks on all weights.
+
+    hidden: widths of the hidden layers; none make it a linear policy
+    skip: whether the observation also reaches the output directly
+    layers, biases: weights of each hidden layer, then of the output; and their biases
+    past: weights of the skip connection
+    """
+
+    kind = "pruned-mlp"
+
+    def __init__(
+        self,
+        observations: int,
+        actions: int,
+        hidden: Sequence[int] = (16,),
+        skip: bool = True,
+        clip: float = 4.0,
+        head: Head = "continuous",
+    ) -> None:
+        super().__init__()
+        self.observations, self.actions, self.hidden = observations, actions, tuple(hidden)
+        self.skip, self.head = skip and bool(hidden), head
+        self.normalizer = TorchNormaliser(observations, clip)
+        widths = list(pairwise((observations, *hidden, actions)))
+        # (He et al. 2015)
+        self.matrices = nn.ModuleList(
+            PrunedWeight(torch.randn(n, m) * (2 / m) ** 0.5) for m, n in widths
+        )
+        self.biases = nn.ParameterList(torch.zeros(n) for _, n in widths)
+        self.past = PrunedWeight(torch.zeros(actions, observations if self.skip else 0))
+        self.latent_size = widths[-1][0]
+
+    @property
+    def layers(self) -> list[PrunedWeight]:
+        """Weights of each hidden layer, then of the output."""
+        return [matrix for matrix in self.matrices if isinstance(matrix, PrunedWeight)]
+
+    def activations(self, observation: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """Return mean (B, act), and the inputs (B, M) of every matrix."""
+        seen = self.normalizer(observation)
+        inputs = [seen]
+        *hidden, last = zip(self.layers, self.biases, strict=True)
+        for matrix, bias in hidden:
+            inputs.append(torch.relu(inputs[-1] @ matrix().T + bias))
+        mean = inputs[-1] @ last[0]().T + last[1]
+        if self.skip:
+            mean = mean + seen @ self.past().T
+        return mean, inputs
+
+    def latent(self, observation: Tensor) -> Latent:
+        """Return mean and last hidden activations."""
+        mean, inputs = self.activations(observation)
+        return Latent(full_precision(nn.Identity(), mean), inputs[-1])

@@ -23,8 +23,7 @@ from spikedeploy.trainers.config import C, amended
 from spikedeploy.trainers.distill.teachers import same_teacher, teacher
 from spikedeploy.trainers.env_batch import TRAINING_SEEDS, EnvBatch
 from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, from_config
-from spikedeploy.trainers.policies.policy import Moments
-from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight
+from spikedeploy.trainers.policies.policy import Moments, PrunedWeight
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder, with_prefix
 from spikedeploy.trainers.runner import Learner, Runner, adam, descend, set_rate
@@ -235,7 +234,9 @@ class Sparse(Runner[SparseConfig]):
         rounded = isinstance(self._student, DeltaStudent) and self._student.offsets
         walking = self._deployed() if rounded else self.policy
         self._collect(FloatController(walking), self._config.walks)
-        if self._retunes and isinstance(self.policy, DeltaSnnPolicy):
+        polished = self.phase + 1 >= len(self._phases) - self._config.polish
+        when = ("always",) if polished else ("always", "before-polish")
+        if self._config.retune in when and isinstance(self.policy, DeltaSnnPolicy):
             step = retuned(self.policy, self.pool, self._binary, self._config)
             self.policy.step.copy_(torch.from_numpy(step))
         self._set_thresholds()
@@ -243,13 +244,6 @@ class Sparse(Runner[SparseConfig]):
         self.phase += 1
         self.start = operations(self._student.synapses())
         self.learner.restart()
-
-    @property
-    def _retunes(self) -> bool:
-        """True if the encoder's steps are set again before the next phase."""
-        polished = self.phase + 1 >= len(self._phases) - self._config.polish
-        choice = self._config.retune
-        return choice == "always" or (choice == "before-polish" and not polished)
 
     def _set_thresholds(self) -> None:
         """Set the thresholds of a delta network by the walks that are encoded."""

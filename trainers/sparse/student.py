@@ -42,7 +42,7 @@ from spikedeploy.trainers.policies.delta import (
     delta_encoder,
     live_neurons,
 )
-from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight, SynapseGroup
+from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup
 from spikedeploy.trainers.run_folder import with_prefix
 from spikedeploy.trainers.sparse.pool import BatchController, WalkPool, Windows
 

@@ -21,8 +21,12 @@ from spikedeploy.trainers.policies import (
     from_config,
 )
 from spikedeploy.trainers.policies.mlp import features
-from spikedeploy.trainers.policies.policy import Moments, TorchNormaliser
-from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight, SynapseGroup
+from spikedeploy.trainers.policies.policy import (
+    Moments,
+    PrunedWeight,
+    SynapseGroup,
+    TorchNormaliser,
+)
 from tests.delta_policies import delta_mlp, delta_policy, pruned_mlp, walk
 
 SMALL = {"hidden": (16, 12), "populations": 4, "timesteps": 5}

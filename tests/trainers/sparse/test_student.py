@@ -8,7 +8,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.policies.delta import delta_artifact, live_neurons
-from spikedeploy.trainers.policies.pruned_mlp import PrunedWeight, SynapseGroup
+from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool
 from spikedeploy.trainers.sparse.student import (
     DeltaStudent,
