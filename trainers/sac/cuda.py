@@ -153,20 +153,17 @@ class _Follower:
     @torch.no_grad()
     def follow(self, source: GaussianActor) -> None:
         """Take over the parameters that have arrived, and send for newer ones."""
-        if self._sent is not None and not self._arrived():
-            return
         if self._sent is not None:
+            self._late += 1
+            if self._late >= _LATE:
+                self._sent.synchronize()
+            if not self._sent.query():
+                return
             nn.utils.vector_to_parameters(self._pinned.clone(), self.actor.parameters())
         flat = nn.utils.parameters_to_vector(source.parameters())
         self._pinned.copy_(flat, non_blocking=True)
         self._sent, self._late = torch.cuda.Event(), 0  # type: ignore[no-untyped-call]
         self._sent.record()
-
-    def _arrived(self) -> bool:
-        self._late += 1
-        if self._late >= _LATE:
-            self._sent.synchronize()
-        return bool(self._sent.query())
 
 
 def _on_gpu(array: NDArray[np.float32] | NDArray[np.int64]) -> Tensor:

@@ -390,41 +390,29 @@ def tiles(pool: WalkPool, window: int, burn_in: int) -> Tiles:
     )
 
 
-@dataclass(frozen=True)
-class Course:
-    """Rewards of W walks, as arrays that are filled with zeros behind their ends.
+def walk_advantages(
+    earned: Sequence[Earned],
+    values: Sequence[Tensor],
+    gamma: float,
+    trace: float,
+    scale: Tensor | float = 1.0,
+) -> tuple[Tensor, Tensor]:
+    """Return advantages (S, W) of W walks, zeros behind their ends, and which steps are of a walk.
 
-    reward: (S, W)
-    terminated, ended: (S, W) whether the episode ended in a terminal state; whether it ended
-    counts: (S, W) whether a step is part of the walk
+    values: (S_k + 1,) of each walk, that of its end included
+    scale: of the rewards, by which they are divided
     """
-
-    reward: Tensor
-    terminated: Tensor
-    ended: Tensor
-    counts: Tensor
-
-    @classmethod
-    def of(cls, earned: Sequence[Earned]) -> "Course":
-        """Return what walks earned."""
-        reward = pad_sequence([torch.from_numpy(each.reward) for each in earned])
-        lengths = torch.tensor([len(each.reward) for each in earned])
-        step = torch.arange(len(reward))[:, None]
-        last = step == lengths - 1
-        stopped = torch.tensor([each.terminated for each in earned])
-        return cls(reward, last & stopped, last, step < lengths)
-
-    def advantages(
-        self, values: Sequence[Tensor], gamma: float, trace: float, scale: Tensor | float = 1.0
-    ) -> Tensor:
-        """Return advantages (S, W) for values (S_k + 1,) of each walk, that of its end included.
-
-        scale: of the rewards, by which they are divided
-        """
-        value = pad_sequence([each[:-1] for each in values])
-        following = pad_sequence([each[1:] for each in values])
-        ends = self.terminated, self.ended
-        return advantages(self.reward / scale, value, following, *ends, gamma, trace)
+    reward = pad_sequence([torch.from_numpy(each.reward) for each in earned])
+    lengths = torch.tensor([len(each.reward) for each in earned])
+    step = torch.arange(len(reward))[:, None]
+    ended = step == lengths - 1
+    terminated = ended & torch.tensor([each.terminated for each in earned])
+    value, following = (
+        pad_sequence(list(each))
+        for each in zip(*((value[:-1], value[1:]) for value in values), strict=True)
+    )
+    found = advantages(reward / scale, value, following, terminated, ended, gamma, trace)
+    return found, step < lengths
 
 
 class SparsePpoLearner(Learner):
@@ -508,7 +496,7 @@ class SparsePpoLearner(Learner):
 
     def _assess(self, pool: WalkPool, earned: Sequence[Earned], row: dict[str, float]) -> Tensor:
         """Return advantages (S, W), after which the critic learns from them."""
-        config, course = self._config, Course.of(earned)
+        config = self._config
         seen = [  # (S + 1, obs) of each walk, the observation after its last step included
             self.policy.normalizer(
                 torch.from_numpy(np.concatenate([walk.observation, each.final[None]]))
@@ -517,14 +505,15 @@ class SparsePpoLearner(Learner):
         ]
         if self.scale.isnan():
             zeros = [each.new_zeros(len(each)) for each in seen]
-            returns = course.advantages(zeros, config.gamma, 1.0)[course.counts]
+            found, counts = walk_advantages(earned, zeros, config.gamma, 1.0)
+            returns = found[counts]
             self.scale = returns.std() + _EPS
             self.critic.value.bias.data.fill_(float(returns.mean() / self.scale))
         with torch.no_grad():
             values = [self.critic(each) for each in seen]
-        advantage = course.advantages(values, config.gamma, config.trace, self.scale)
+        advantage, counts = walk_advantages(earned, values, config.gamma, config.trace, self.scale)
         target = [advantage[: len(value) - 1, k] + value[:-1] for k, value in enumerate(values)]
-        error = advantage[course.counts].var() / torch.cat(target).var()
+        error = advantage[counts].var() / torch.cat(target).var()
         row["explained"] = 1.0 - float(error)
         row["critic_loss"] = self._fit(torch.cat([each[:-1] for each in seen]), torch.cat(target))
         return advantage

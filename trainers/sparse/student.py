@@ -488,32 +488,21 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
             rows = live if name == "into" else torch.arange(policy.actions)
             columns = live if name == "out" else torch.arange(policy.observations)
             offsets[name][rows[:, None], columns[None]] = torch.from_numpy(error.T).float()
-        if not graded:
-            _add_neuron_offsets(offsets, policy, live, before, after, target)
+        if graded:
+            continue
+        decay = torch.from_numpy(after.membrane_decay / target.arithmetic.decay_one).float()
+        if before.name == "readout" and policy.hidden:
+            offsets["gamma"] = decay - policy.gamma
+        if before.spiking:
+            bias = after.voltage_bias * after.scale - before.voltage_bias
+            threshold = after.threshold * after.scale - before.threshold
+            offsets["beta"][live] = decay - policy.beta[live]
+            offsets["bias"][live] = torch.from_numpy(bias).float()
+            offsets["threshold"][live] = torch.from_numpy(threshold).float()
     # what pruning took out stays out
     masks = {name: getattr(policy, name).mask for name in ("into", "out", "past")}
     matrices = {name: offsets[name] * mask for name, mask in masks.items()}
     return matrices if graded else offsets | matrices
-
-
-def _add_neuron_offsets(
-    offsets: dict[str, Tensor],
-    policy: DeltaSnnPolicy,
-    live: Tensor,
-    before: Any,  # noqa: ANN401
-    after: Any,  # noqa: ANN401
-    target: Chip,
-) -> None:
-    """Write what rounding adds to decay factors, biases and thresholds of a layer."""
-    decay = torch.from_numpy(after.membrane_decay / target.arithmetic.decay_one).float()
-    if before.name == "readout" and policy.hidden:
-        offsets["gamma"] = decay - policy.gamma
-    if before.spiking:
-        offsets["beta"][live] = decay - policy.beta[live]
-        bias = after.voltage_bias * after.scale - before.voltage_bias
-        threshold = after.threshold * after.scale - before.threshold
-        offsets["bias"][live] = torch.from_numpy(bias).float()
-        offsets["threshold"][live] = torch.from_numpy(threshold).float()
 
 
 @torch.no_grad()
