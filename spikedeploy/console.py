@@ -63,6 +63,11 @@ def print_json(data: object) -> None:
     print(as_text(data), end="")
 
 
+def print_result(json: bool, record: object, *lines: str) -> None:
+    """Write a record as JSON, or else lines."""
+    print(as_text(record).rstrip() if json else "\n".join(lines))
+
+
 def say(line: str) -> None:
     """Write a line on stderr, which leaves stdout for results."""
     console(stderr=True).print(

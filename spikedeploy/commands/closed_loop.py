@@ -6,28 +6,24 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from spikedeploy import seeds
 from spikedeploy.commands.options import (
-    Backend,
+    Computes,
     Damaged,
-    Energy,
-    Force,
-    Json,
-    LimitsOption,
     OnChip,
-    PolicyChip,
     Reading,
-    Seed,
-    Tables,
+    Switch,
+    TablesChoice,
     TeacherUnits,
-    Workers,
     World,
     with_groups,
 )
+from spikedeploy.console import print_json, say
+from spikedeploy.errors import ConfigError
 
 if TYPE_CHECKING:
     from spikedeploy.comparison.comparison import Comparison
@@ -35,7 +31,6 @@ if TYPE_CHECKING:
     from spikedeploy.shipping.cards import Settings
     from spikedeploy.shipping.reproduce import Reproduction
 
-_clock = partial(typer.Option, rich_help_panel="By the clock")
 # of which the numbers of an evaluation depend most
 _PACKAGES = ("mujoco", "pymunk", "numpy", "onnxruntime", "torch")
 
@@ -44,45 +39,11 @@ _PACKAGES = ("mujoco", "pymunk", "numpy", "onnxruntime", "torch")
 class ByTheClock:
     """Options for a closed loop in real time, and one that is watched."""
 
-    rate: Annotated[
-        float | None,
-        _clock(
-            help=r"Control steps per second \[Hz] by the clock; missed deadlines are counted.",
-            show_default="as fast as it can",
-        ),
-    ] = None
-    deadline: Annotated[
-        str | None,
-        _clock(
-            metavar="TIME",
-            help="With --rate: 20ms; of a control step.",
-            show_default="the period",
-        ),
-    ] = None
-    lasting: Annotated[
-        str | None,
-        _clock(
-            "--duration",
-            metavar="TIME",
-            help="With --rate: 60s; episodes are played until it has passed, the last to its end.",
-        ),
-    ] = None
-    watch: Annotated[
-        bool,
-        _clock(
-            "--watch",
-            help="Show robot, spikes, energy, deadlines in a browser of this machine.",
-        ),
-    ] = False
-    port: Annotated[
-        int | None,
-        _clock(
-            min=1,
-            max=65535,
-            help="With --watch: TCP port.",
-            show_default="one that is free",
-        ),
-    ] = None
+    rate: float | None = None
+    deadline: str | None = None
+    lasting: str | None = None
+    watch: bool = False
+    port: int | None = None
 
     def check(self, film: bool, several: bool) -> None:
         """Refuse combinations that mean nothing."""
@@ -110,50 +71,27 @@ class ByTheClock:
 
 
 def run(
-    policy: Annotated[
-        str, typer.Argument(metavar="FILE", help="A .onnx or .nir file, run folder, shipped name.")
-    ],
+    *,
+    policy: str,
     world: World,
     on_chip: OnChip,
     damaged: Damaged,
     reading: Reading,
     clock: ByTheClock,
-    env: Annotated[
-        str | None,
-        typer.Option(
-            help="Environment: short name, id of gymnasium, or module:Class.",
-            show_default="the one it was made for",
-        ),
-    ] = None,
-    chip: PolicyChip = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes.")] = 1,
-    seed: Seed = seeds.EVALUATION,
-    sampled: Annotated[
-        bool,
-        typer.Option("--sampled", help="Draw actions by their probability, not the likeliest."),
-    ] = False,
-    video: Annotated[Path | None, typer.Option(help="MP4 of the first episode.")] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Folder for report.html, which replays episodes."),
-    ] = None,
-    energy: Energy = None,
-    native: Annotated[
-        bool,
-        typer.Option("--native", help="FILE is a .so that you built; its code runs as you."),
-    ] = False,
-    codec: Annotated[
-        Path | None,
-        typer.Option(
-            exists=True,
-            dir_okay=False,
-            help="With --from: .json, how observations become spikes and output actions.",
-        ),
-    ] = None,
-    backend: Backend = "numpy",
-    shown: Tables = "one",
-    force: Force = False,
-    json: Json = False,
+    env: str | None = None,
+    chip: str | None = None,
+    episodes: int = 1,
+    seed: int = seeds.EVALUATION,
+    sampled: bool = False,
+    video: Path | None = None,
+    output: Path | None = None,
+    energy: list[str] | None = None,
+    native: bool = False,
+    codec: Path | None = None,
+    backend: Computes = "numpy",
+    tables: TablesChoice = "one",
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Run one policy in its environment: returns, successes and costs."""
     from spikedeploy.comparison.evaluation import run_policy
@@ -172,12 +110,12 @@ def run(
         if sampled:
             raise typer.BadParameter("-o replays greedy episodes: leave --sampled out")
         _check_output_folder(output, [policy], force)
-    tables = checked_table_names(energy or ())
+    prices = checked_table_names(energy or ())
     metrics = checked_metrics(world.metric or ())
     clock.check(video is not None, episodes > 1)
     policy = _adopt(policy, reading, codec, env, chip, on_chip, force)
     options = world.options()
-    with clock.loop(tables) as loop:
+    with clock.loop(prices) as loop:
         comparison = run_policy(
             runnable(policy),
             env or trained_in(policy),
@@ -192,10 +130,10 @@ def run(
             backend=backend,
             **on_chip.arguments(),
         )
-    document = _report(replace(comparison, tables=tables), options, output, loop)
+    document = _report(replace(comparison, tables=prices), options, output, loop)
     from spikedeploy.reports.terminal import print_run  # after the first action, which is sooner
 
-    _print(document, json, print_run, shown, output, video)
+    _print(document, json, print_run, tables, output, video)
 
 
 def _adopt(
@@ -259,7 +197,6 @@ def _print(
     output: Path | None,
     video: Path | None = None,
 ) -> None:
-    from spikedeploy.console import print_json
 
     if json:
         print_json(document)
@@ -270,61 +207,28 @@ def _print(
 
 
 def compare(
-    env: Annotated[
-        str,
-        typer.Argument(
-            metavar="ENV",
-            help="Environment; `envs` lists ours; or an id of gymnasium, or module:Class.",
-        ),
-    ],
+    *,
+    env: str,
     world: World,
     on_chip: OnChip,
     damaged: Damaged,
-    files: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[FILE]…",
-            help="Policies: .onnx, .nir, run folders, shipped names. The float ANN, the "
-            "built-in players and the controls are added.",
-            show_default="all that are shipped",
-        ),
-    ] = None,
-    chips: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Chips for the spiking policies, separated by commas, or the option again.",
-            show_default="what each was trained for, else loihi1",
-        ),
-    ] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes of each row.")] = 20,
-    seed: Seed = seeds.EVALUATION,
-    teacher: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TEACHER",
-            help="A row for a teacher, as `distill` takes it; a function of yours runs as your "
-            "code.",
-        ),
-    ] = None,
-    teacher_units: Annotated[
-        TeacherUnits | None,
-        typer.Option(help="Units of its actions.", show_default="those of its kind"),
-    ] = None,
-    energy: Energy = None,
-    workers: Workers = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Folder for report.json, report.html and plots."),
-    ] = None,
-    tables: Tables = "one",
-    force: Force = False,
-    json: Json = False,
+    files: list[str] | None = None,
+    chips: list[str] | None = None,
+    episodes: int = 20,
+    seed: int = seeds.EVALUATION,
+    teacher: str | None = None,
+    teacher_units: TeacherUnits | None = None,
+    energy: list[str] | None = None,
+    workers: int | None = None,
+    output: Path | None = None,
+    tables: TablesChoice = "one",
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
     from spikedeploy.comparison.evaluation import compare_policies
     from spikedeploy.comparison.lineup import line_up, remark_on_chip
     from spikedeploy.comparison.metrics import checked_metrics
-    from spikedeploy.console import say
     from spikedeploy.policies.scripts import teacher_candidate
     from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.chips.chip import split_names
@@ -351,15 +255,13 @@ def compare(
 
 
 def demo(
-    tables: Tables = "one",
-    show: Annotated[
-        bool, typer.Option("--open/--no-open", help="Open the page, where there is a desktop.")
-    ] = True,
-    force: Force = False,
-    json: Json = False,
+    *,
+    tables: TablesChoice = "one",
+    show: bool = True,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Replay shipped policies on an emulated Loihi beside float ones: a page with their spikes."""
-    from spikedeploy.console import print_json
     from spikedeploy.play.display import has_desktop
     from spikedeploy.shipping.demo_reports import FOLDER, write_demo
 
@@ -374,32 +276,20 @@ def demo(
 
 
 def serve(
-    policy: Annotated[
-        str, typer.Argument(metavar="FILE", help="A .nir file, run folder, shipped name.")
-    ],
-    chip: PolicyChip = None,
-    port: Annotated[
-        int, typer.Option(min=0, max=65535, help="TCP port; 0 for one that is free.")
-    ] = 5555,
-    address: Annotated[
-        str,
-        typer.Option(
-            help="IPv4 address to listen on. Nothing is authenticated: any other than 127.0.0.1 "
-            "lets whoever reaches it drive the policy."
-        ),
-    ] = "127.0.0.1",
-    clients: Annotated[int, typer.Option(min=1, max=1024, help="Most clients at a time.")] = 32,
-    idle: Annotated[
-        str, typer.Option(metavar="TIME", help="A client that is silent so long is forgotten.")
-    ] = "60s",
-    limits: LimitsOption = "on",
-    backend: Backend = "numpy",
-    json: Json = False,
+    *,
+    policy: str,
+    chip: str | None = None,
+    port: int = 5555,
+    address: str = "127.0.0.1",
+    clients: int = 32,
+    idle: str = "60s",
+    limits: Switch = "on",
+    backend: Computes = "numpy",
+    json: bool = False,
 ) -> None:
     """Answer observations with actions over ZeroMQ, on this machine."""
     import threading
 
-    from spikedeploy.console import print_json, say
     from spikedeploy.realtime.paced_loop import duration
     from spikedeploy.realtime.server import PolicyServer, ServedPolicy
     from spikedeploy.shipping.exported_run import runnable
@@ -420,37 +310,17 @@ def serve(
 
 
 def reproduce(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[NAME]…",
-            help="Shipped policies, paths of cards, folders with a report.json of `compare`.",
-            show_default="all shipped policies",
-        ),
-    ] = None,
-    episodes: Annotated[
-        int | None, typer.Option(min=1, help="Only the first seeds.", show_default="all recorded")
-    ] = None,
-    env: Annotated[
-        str | None,
-        typer.Option(
-            metavar="module:Class",
-            help="Environment of your own that a record names, whose code may be run.",
-        ),
-    ] = None,
-    update: Annotated[
-        bool,
-        typer.Option(
-            "--update", help="Write the numbers found into cards, where all returns are equal."
-        ),
-    ] = False,
-    force: Force = False,
-    workers: Workers = None,
-    json: Json = False,
+    *,
+    names: list[str] | None = None,
+    episodes: int | None = None,
+    env: str | None = None,
+    update: bool = False,
+    force: bool = False,
+    workers: int | None = None,
+    json: bool = False,
 ) -> None:
     """Evaluate policies again as recorded; say equal or the first difference, and exit 1 then."""
     from spikedeploy import zoo
-    from spikedeploy.console import print_json
     from spikedeploy.make_env import confirm
     from spikedeploy.shipping import reproduce as again
     from spikedeploy.shipping.cards import recorded
@@ -471,7 +341,6 @@ def reproduce(
 
 def settings(command: str) -> "Settings":
     """The settings that a report's command gives, read as `compare` reads it today."""
-    from spikedeploy.runtime.errors import ConfigError
     from spikedeploy.shipping.cards import Settings
 
     _, verb, *words = [*shlex.split(command), "", ""]
@@ -497,8 +366,6 @@ def settings(command: str) -> "Settings":
 
 def _parse(command: str, words: list[str]) -> dict[str, Any]:
     """The parameters of a `compare`."""
-    from spikedeploy.runtime.errors import ConfigError
-
     given: dict[str, Any] = {}
     app = typer.Typer(add_completion=False)
     app.command()(with_groups(compare, call=given.update))

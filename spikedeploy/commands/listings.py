@@ -5,27 +5,35 @@ import platform
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from spikedeploy.commands.options import Json
+from spikedeploy.console import print_json
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from spikedeploy.reports.table import Table
 
 
-def _name(what: str) -> Any:  # noqa: ANN401 - an argument of typer
-    return typer.Argument(metavar="[NAME]", help=f"One {what} in full.", show_default="all")
+def _show(data: object, tables: "Iterable[Table]", json: bool, note: str = "") -> None:
+    """Print the data as JSON, or the tables and a note."""
+    if json:
+        print_json(data)
+        return
+    for table in tables:
+        table.print()
+    if note:
+        typer.echo(note)
 
 
-def policies(
-    name: Annotated[str | None, _name("policy")] = None,
-    json: Json = False,
-) -> None:
+def policies(*, name: str | None = None, json: bool = False) -> None:
     """List the shipped policies, by the names that the commands take."""
     if name is not None:
         _policy(name, json)
         return
     from spikedeploy import zoo
-    from spikedeploy.console import print_json
     from spikedeploy.policies.registry import BUILT_IN, find
     from spikedeploy.reports.table import Table
 
@@ -36,35 +44,33 @@ def policies(
         row = {"name": name, "kind": candidate.kind, "env": candidate.env, "file": candidate.path}
         rows.append({**row, "recipe": card.get("recipe"), "chip": candidate.chip})
         rows[-1]["return_mean"] = zoo.mean_return(card) if card.get("evaluation") else None
-    if json:
-        print_json(rows)
-        return
     columns = ("name", "kind", "env", "recipe", "return_mean")
     cells = [[_text(row[column]) for column in columns] for row in rows if row["name"] not in apart]
-    Table(("name", "kind", "environment", "recipe", "return"), cells, "Policies").print()
     folders: dict[str, list[str]] = {}
     for folder, _, last in (name.rpartition("/") for name in apart):
         folders.setdefault(f"{folder}/", []).append(last)
-    cells = [[folder, ", ".join(names)] for folder, names in folders.items()]
-    heads = ("name begins with", "and ends with one of")
-    Table(heads, cells, "For one chip each, and the teachers that they imitate").print()
+    tables = [
+        Table(("name", "kind", "environment", "recipe", "return"), cells, "Policies"),
+        Table(
+            ("name begins with", "and ends with one of"),
+            [[folder, ", ".join(names)] for folder, names in folders.items()],
+            "For one chip each, and the teachers that they imitate",
+        ),
+    ]
+    _show(rows, tables, json)
 
 
 def _policy(name: str, json: bool) -> None:
     """Print the card of a policy, and its evaluation."""
     from spikedeploy import zoo
-    from spikedeploy.console import print_json
     from spikedeploy.policies.registry import find
     from spikedeploy.reports.datasheets import policy_facts
     from spikedeploy.reports.terminal import print_rows
 
     candidate, card = find(name), zoo.card(name)
     facts = card or {"file": candidate.path, "kind": candidate.kind, "env": candidate.env}
-    if json:
-        print_json({"name": name, **facts})
-        return
-    policy_facts(name, facts).print()
-    if card.get("evaluation"):
+    _show({"name": name, **facts}, [policy_facts(name, facts)], json)
+    if card.get("evaluation") and not json:
         print_rows("As it was evaluated", card["evaluation"])
 
 
@@ -72,137 +78,75 @@ def _text(value: object) -> str:
     return f"{value:,.0f}" if isinstance(value, float) else str(value or "–")
 
 
-def chips(
-    name: Annotated[str | None, _name("chip")] = None,
-    json: Json = False,
-    markdown: Annotated[
-        bool, typer.Option("--markdown", help="Print the table of docs/chips.md.")
-    ] = False,
-) -> None:
+def chips(*, name: str | None = None, json: bool = False, markdown: bool = False) -> None:
     """List the chips: their arithmetic, and what it was compared with.
 
     Fields can be changed wherever a chip is named: --chip int:weight_bits=4,membrane=12. The file
     of a datasheet can be named instead: --chip ./mine.toml.
     """
-    from spikedeploy.console import print_json
-    from spikedeploy.reports.datasheets import chip_list, chip_summaries, chip_table
+    from spikedeploy.reports.datasheets import chip_list, chip_summaries, chip_table, datasheet
     from spikedeploy.runtime.chips.chip import CHIPS, chip
 
     if name is not None:
-        _chip(name, json)
+        found = chip(name)
+        _show(chip_list([found])[0], datasheet(found), json)
         return
     known = [chip(each) for each in CHIPS]
-    if json:
-        print_json(chip_list(known))
-    elif markdown:
+    if markdown and not json:
         typer.echo(chip_table(known).markdown())
     else:
-        chip_summaries(known).print()
-        chip_table(known).print()
-
-
-def _chip(name: str, json: bool) -> None:
-    """Print everything about a chip, with the source of every number."""
-    from spikedeploy.console import print_json
-    from spikedeploy.reports.datasheets import chip_list, datasheet
-    from spikedeploy.runtime.chips.chip import chip
-
-    found = chip(name)
-    if json:
-        print_json(chip_list([found])[0])
-        return
-    for table in datasheet(found):
-        table.print()
+        _show(chip_list(known), (chip_summaries(known), chip_table(known)), json)
 
 
 def energy(
-    name: Annotated[str | None, _name("energy table")] = None,
-    json: Json = False,
-    markdown: Annotated[
-        bool, typer.Option("--markdown", help="Print the table of docs/energy.md.")
-    ] = False,
-    break_even: Annotated[
-        bool, typer.Option("--break-even", help="Spike rates below which spiking costs less.")
-    ] = False,
+    *, name: str | None = None, json: bool = False, markdown: bool = False, break_even: bool = False
 ) -> None:
     """List the energy tables: prices of events, sources, uncertainty."""
-    from spikedeploy.console import print_json
     from spikedeploy.reports import datasheets
+    from spikedeploy.runtime.metrics.energy import YAN2024, energy_table
 
     if name is not None:
-        _energy(name, json)
+        table = energy_table(name)
+        priced = next(each for each in datasheets.price_list()["tables"] if each["name"] == name)
+        _show(priced, datasheets.energy_sheet(table), json)
+    elif markdown and not json:
+        lines = datasheets.break_even_table().markdown if break_even else datasheets.energy_markdown
+        typer.echo(lines())
     elif break_even:
-        _break_even(json, markdown)
-    elif json:
-        print_json(datasheets.price_list())
-    elif markdown:
-        typer.echo(datasheets.energy_markdown())
+        data = {"rates": datasheets.break_even_list(), "yan2024": YAN2024}
+        _show(data, [datasheets.break_even_table()], json, datasheets.BREAK_EVEN_NOTE)
     else:
-        for table in datasheets.energy_overview():
-            table.print()
-        typer.echo(datasheets.energy_choice())
+        tables, note = datasheets.energy_overview(), datasheets.energy_choice()
+        _show(datasheets.price_list(), tables, json, note)
 
 
-def _energy(name: str, json: bool) -> None:
-    """Print everything about an energy table."""
-    from spikedeploy.console import print_json
-    from spikedeploy.reports.datasheets import energy_sheet, price_list
-    from spikedeploy.runtime.metrics.energy import energy_table
-
-    table = energy_table(name)
-    if json:
-        print_json(next(each for each in price_list()["tables"] if each["name"] == name))
-        return
-    for each in energy_sheet(table):
-        each.print()
-
-
-def _break_even(json: bool, markdown: bool) -> None:
-    """Print the break-even lines."""
-    from spikedeploy.console import print_json
-    from spikedeploy.reports import datasheets
-    from spikedeploy.runtime.metrics.energy import YAN2024
-
-    if json:
-        print_json({"rates": datasheets.break_even_list(), "yan2024": YAN2024})
-    elif markdown:
-        typer.echo(datasheets.break_even_table().markdown())
-    else:
-        datasheets.break_even_table().print()
-        typer.echo(datasheets.BREAK_EVEN_NOTE)
-
-
-def envs(json: Json = False) -> None:
+def envs(*, json: bool = False) -> None:
     """List the environments."""
-    from spikedeploy.console import print_json
     from spikedeploy.envs import ENVS
     from spikedeploy.reports.table import Table
 
     rows = [(spec.short, spec.id, spec.summary) for spec in ENVS.values()]
-    if json:
-        print_json([dict(zip(("name", "id", "summary"), row, strict=True)) for row in rows])
-    else:
-        Table(("name", "id", "task"), rows, "Environments").print()
+    data = [dict(zip(("name", "id", "summary"), row, strict=True)) for row in rows]
+    _show(data, [Table(("name", "id", "task"), rows, "Environments")], json)
 
 
-def recipes(json: Json = False) -> None:
+def recipes(*, json: bool = False) -> None:
     """List the training recipes, by algorithm."""
-    from spikedeploy.console import print_json
     from spikedeploy.reports.table import Table
     from spikedeploy.trainers import ALGORITHMS
     from spikedeploy.trainers.recipes import RECIPES, budget
 
     rows = [(name, recipe.algorithm, recipe.summary) for name, recipe in RECIPES.items()]
-    if json:
-        print_json([dict(zip(("name", "algorithm", "summary"), row, strict=True)) for row in rows])
-        return
+    tables = []
     for algorithm in ALGORITHMS:
         cells = [
             (name, summary, budget(RECIPES[name])) for name, of, summary in rows if of == algorithm
         ]
         heads = ["name", "trains", "operations"][: 3 if any(cell[2] for cell in cells) else 2]
         shown = [cell[: len(heads)] for cell in cells]
-        Table(heads, shown, f"Recipes of the algorithm {algorithm}").print()
+        tables.append(Table(heads, shown, f"Recipes of the algorithm {algorithm}"))
+    _show([dict(zip(("name", "algorithm", "summary"), row, strict=True)) for row in rows], tables,
+          json)  # fmt: skip
 
 
 RUN = ("numpy", "nir", "h5py", "gymnasium", "mujoco", "onnxruntime", "matplotlib", "av")
@@ -224,24 +168,19 @@ class DoctorFinding:
     detail: str
 
 
-def doctor(json: Json = False) -> None:
+def doctor(*, json: bool = False) -> None:
     """Check versions, threads, rendering and the shipped policies; exit 1 if one fails."""
-    from spikedeploy.console import print_json
+    from spikedeploy import zoo
     from spikedeploy.reports.table import Table
 
-    found = findings()
-    if json:
-        print_json([vars(finding) for finding in found])
-    else:
-        marks = {True: "✓", False: "✗", None: " "}
-        rows = [(marks[f.ok], f.name, f.detail) for f in found]
-        Table(("", "what", "found"), rows, "Doctor").print()
+    found = [*_versions(), _tested(), _threads(), _tried("rendering", _draw)]
+    found += [_tried(name, partial(_opened, name)) for name in zoo.names()]
+    marks = {True: "✓", False: "✗", None: " "}
+    rows = [(marks[f.ok], f.name, f.detail) for f in found]
+    _show(
+        [vars(finding) for finding in found], [Table(("", "what", "found"), rows, "Doctor")], json
+    )
     raise typer.Exit(1 if any(finding.ok is False for finding in found) else 0)
-
-
-def findings() -> list[DoctorFinding]:
-    """Everything that is examined, in order."""
-    return [*_versions(), _tested(), _threads(), _tried("rendering", _draw), *_policies()]
 
 
 def _versions() -> Iterator[DoctorFinding]:
@@ -284,14 +223,6 @@ def _draw() -> str:
     height, width, _ = env.render().shape  # type: ignore[union-attr]
     env.close()
     return f"{width} × {height} pixels through MUJOCO_GL={os.environ.get('MUJOCO_GL', 'default')}"
-
-
-def _policies() -> Iterator[DoctorFinding]:
-    """Return True if every shipped policy opens."""
-    from spikedeploy import zoo
-
-    for name in zoo.names():
-        yield _tried(name, partial(_opened, name))
 
 
 def _opened(name: str) -> str:

@@ -1,61 +1,32 @@
 """`emulate`, `drift`, `check` and `verify`: networks without an environment."""
 
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Any, NoReturn
 
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import (
-    Energy,
-    EnvOptions,
-    Force,
-    Json,
-    Markdown,
-    OnChip,
-    PageFolder,
-    Reading,
-    Seed,
-)
+from spikedeploy.commands.options import OnChip, Reading
+from spikedeploy.console import print_json
+from spikedeploy.errors import ConfigError
 
 
 def emulate(
-    file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, metavar="FILE.nir")],
-    chip: Annotated[str, typer.Option(help="Chip, or 'float'.")],
-    input_: Annotated[
-        Path,
-        typer.Option(
-            "--input",
-            exists=True,
-            dir_okay=False,
-            help="Spikes (T, *shape), 0 or 1, .npy; several inputs by name, .npz; or NIRData, .h5. "
-            "In float any numbers.",
-        ),
-    ],
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Spikes of each node and `output`, or each Output, .npz, or NIRData, .h5.",
-        ),
-    ],
+    *,
+    file: Path,
+    chip: str,
+    input_: Path,
+    output: Path,
     reading: Reading,
     on_chip: OnChip,
-    backend: Annotated[
-        str | None,
-        typer.Option(
-            help="What computes a chip: auto, numpy, numba or interpreter.", show_default="numpy"
-        ),
-    ] = None,
-    energy: Energy = None,
-    force: Force = False,
-    json: Json = False,
+    backend: str | None = None,
+    energy: list[str] | None = None,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Run any NIR network on recorded spikes, and count what the chip does."""
     from dataclasses import replace
 
-    from spikedeploy.console import print_json
     from spikedeploy.emulation.open_loop import emulate_artifact
     from spikedeploy.emulation.rasters import read_inputs
     from spikedeploy.outputs import check_output, mark, marked
@@ -79,45 +50,27 @@ def emulate(
 
 
 def drift(
-    file: Annotated[str, typer.Argument(metavar="FILE", help="A .nir file, run, or shipped name.")],
+    *,
+    file: str,
     reading: Reading,
     on_chip: OnChip,
-    chip: Annotated[
-        str | None,
-        typer.Option(help="Chip.", show_default="what it was trained for, else loihi1"),
-    ] = None,
-    input_: Annotated[
-        Path | None,
-        typer.Option("--input", exists=True, dir_okay=False, help="Spikes (T, *shape), .npy."),
-    ] = None,
-    random: Annotated[
-        float | None,
-        typer.Option(min=0, max=1, help="Draw spikes at this rate, --steps timesteps of them."),
-    ] = None,
-    env: Annotated[
-        str | None,
-        typer.Option(help="Environment to observe.", show_default="the one it was made for"),
-    ] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes to observe.")] = 1,
-    steps: Annotated[int, typer.Option(min=1, help="Control steps used of them.")] = 200,
-    seed: Seed = seeds.EVALUATION,
-    set_: EnvOptions = None,
-    calibrate: Annotated[
-        bool, typer.Option("--calibrate", help="Leave headroom for half of the inputs.")
-    ] = False,
-    tune: Annotated[
-        bool, typer.Option("--tune", help="Search clipping and thresholds on half of the inputs.")
-    ] = False,
-    tau: Annotated[
-        float, typer.Option(min=0.01, help="Time constant of the spike distance, in timesteps.")
-    ] = 5.0,
-    markdown: Markdown = False,
-    output: PageFolder = None,
-    force: Force = False,
-    json: Json = False,
+    chip: str | None = None,
+    input_: Path | None = None,
+    random: float | None = None,
+    env: str | None = None,
+    episodes: int = 1,
+    steps: int = 200,
+    seed: int = seeds.EVALUATION,
+    set_: list[str] | None = None,
+    calibrate: bool = False,
+    tune: bool = False,
+    tau: float = 5.0,
+    markdown: bool = False,
+    output: Path | None = None,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Compare a chip with the float twin spike by spike, and attribute differences to roundings."""
-    from spikedeploy.console import print_json
     from spikedeploy.emulation.design_report import network_path
     from spikedeploy.emulation.drift import choose_inputs, drift_report
     from spikedeploy.make_env import parse_options
@@ -152,41 +105,21 @@ def drift(
 
 
 def check(
-    file: Annotated[
-        str,
-        typer.Argument(metavar="FILE", help="A .nir file, a run, or the name of a shipped policy."),
-    ],
+    *,
+    file: str,
     reading: Reading,
-    chip: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Chip, or 'all'; several with commas between them, or the option again.",
-            show_default="all",
-        ),
-    ] = None,
-    rules: Annotated[
-        bool, typer.Option("--rules", help="Print every rule, kept or broken, and the layers.")
-    ] = False,
-    against: Annotated[
-        Path | None,
-        typer.Option(
-            exists=True,
-            dir_okay=False,
-            metavar="RECORDED.npz",
-            help="Compare the float twin with `input` and `output` spikes that your framework "
-            "recorded, instead of checking chips.",
-        ),
-    ] = None,
-    output: PageFolder = None,
-    force: Force = False,
-    json: Json = False,
+    chip: list[str] | None = None,
+    rules: bool = False,
+    against: Path | None = None,
+    output: Path | None = None,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Check whether a network fits on chips, rule by rule and node by node.
 
     Exit code 0: every chip that was named passes; of 'all', at least one that has limits. With
     --against: the float twin equals the recording.
     """
-    from spikedeploy.console import print_json
     from spikedeploy.emulation.design_report import ALL, design_report, network_path
     from spikedeploy.outputs import check_output_folder
     from spikedeploy.reports.design import design_page, print_report
@@ -216,10 +149,8 @@ def _check_against(
     file: str, recorded: Path, chips: list[str] | None, reading: Reading, json: bool
 ) -> NoReturn:
     """Print the comparison with a recording, and exit."""
-    from spikedeploy.console import print_json
     from spikedeploy.emulation.design_report import network_path
     from spikedeploy.emulation.verification import against_recorded
-    from spikedeploy.runtime.errors import ConfigError
 
     if chips:
         raise ConfigError(
@@ -235,37 +166,15 @@ def _check_against(
 
 
 def verify(
-    traces: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="TRACE.json…",
-            help="Trace files; with --network, spikes of a layer that a chip was seen to send, "
-            ".npy, or of several by name, .npz.",
-        ),
-    ],
+    *,
+    traces: list[Path],
     reading: Reading,
     on_chip: OnChip,
-    network: Annotated[
-        Path | None,
-        typer.Option(
-            exists=True, dir_okay=False, metavar="FILE.nir", help="What the chip ran, of a .npy."
-        ),
-    ] = None,
-    chip: Annotated[str | None, typer.Option(help="Chip that --network ran on.")] = None,
-    input_: Annotated[
-        Path | None,
-        typer.Option(
-            "--input",
-            exists=True,
-            dir_okay=False,
-            help="Its input spikes, (T, *shape), or (B, T, *shape) of B samples, .npy.",
-        ),
-    ] = None,
-    layer: Annotated[
-        str | None,
-        typer.Option(help="Node that was recorded.", show_default="the one of that shape"),
-    ] = None,
-    json: Json = False,
+    network: Path | None = None,
+    chip: str | None = None,
+    input_: Path | None = None,
+    layer: str | None = None,
+    json: bool = False,
 ) -> None:
     """Replay traces; say equal or the first difference, and exit 1 if any differs.
 
@@ -273,7 +182,6 @@ def verify(
 
     Exit code 2: none differs, and a file cannot be replayed.
     """
-    from spikedeploy.console import print_json
     from spikedeploy.emulation.verification import replay_trace
     from spikedeploy.reports.terminal import print_verifications
 
@@ -302,10 +210,8 @@ def _verify_activity(
     recordings: list[Path], played: dict[str, Any], options: dict[str, Any], json: bool
 ) -> NoReturn:
     """Print recorded layers beside emulated ones, and exit."""
-    from spikedeploy.console import print_json
     from spikedeploy.emulation.verification import against_activity
     from spikedeploy.reports.terminal import print_verifications
-    from spikedeploy.runtime.errors import ConfigError
 
     if missing := [name for name, value in played.items() if not value]:
         given = [name for name in played if name not in missing]

@@ -5,97 +5,32 @@ from collections.abc import Callable
 from contextlib import suppress
 from json import dumps
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import typer
 
-from spikedeploy import seeds
-from spikedeploy.commands.options import Encoders, Force, Json, Settings, Workers
+from spikedeploy.commands.options import Encoders
+from spikedeploy.console import name_program, print_json, print_text, program_name, say
+from spikedeploy.errors import ConfigError
 
 _RUNS = Path("runs")
-TrainingSeed = Annotated[
-    int | None,
-    typer.Option(
-        min=seeds.TRAINING.start,
-        max=seeds.TRAINING.stop - 1,
-        help="Seed of the training.",
-        show_default="0",
-    ),
-]
-ForChip = Annotated[
-    str | None,
-    typer.Option(
-        "--for",
-        metavar="CHIP",
-        help="Train in the integers of this chip, imitating a teacher; recipe for-chip.",
-        show_default="in float",
-    ),
-]
-Resume = Annotated[
-    str | None, typer.Option(metavar="RUN|last", help="Resume a run, or the newest.")
-]
-Runs = Annotated[Path, typer.Option(help="Folder in which the run folder is made.")]
 
 
 def train(
-    what: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="RECIPE|ENV",
-            help="Name of a recipe; `recipes` lists them. With --recipe an environment: short "
-            "name, id of gymnasium, or module:Class.",
-            show_default="with --resume that of the run",
-        ),
-    ] = None,
-    recipe: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Recipe for any environment, such as ppo-snn or sac-popsan; `recipes` lists them.",
-            show_default="the first argument",
-        ),
-    ] = None,
-    chip: ForChip = None,
-    config: Annotated[
-        Path | None, typer.Option(exists=True, dir_okay=False, help="TOML file with settings.")
-    ] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="One setting, as in --set env.count=8."),
-    ] = None,
-    budget: Annotated[
-        str | None,
-        typer.Option(
-            metavar="sops=N|macs=N",
-            help="Operations of a control step, of sparse recipes: spiking or float.",
-            show_default="the recipe's",
-        ),
-    ] = None,
-    seed: TrainingSeed = None,
-    several: Annotated[
-        str | None,
-        typer.Option(
-            "--seeds",
-            metavar="0-4|0,2,5",
-            help="Train with several seeds side by side, each as a command of its own.",
-            show_default="one training",
-        ),
-    ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(min=1, help="With --seeds: trainings side by side.", show_default="all cores"),
-    ] = None,
-    resume: Resume = None,
-    runs: Runs = _RUNS,
-    films: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            help="Films of a greedy episode of the best checkpoint so far, evenly over the "
-            "training, the last at its end.",
-        ),
-    ] = 0,
-    json: Json = False,
+    *,
+    what: str | None = None,
+    recipe: str | None = None,
+    chip: str | None = None,
+    config: Path | None = None,
+    set_: list[str] | None = None,
+    budget: str | None = None,
+    seed: int | None = None,
+    several: str | None = None,
+    jobs: int | None = None,
+    resume: str | None = None,
+    runs: Path = _RUNS,
+    films: int = 0,
+    json: bool = False,
 ) -> None:
     """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on."""
     if what is None and (resume is None or recipe is not None):
@@ -129,7 +64,6 @@ def _for_chip(env: str | None, chip: str | None, given: list[str]) -> list[str]:
     if not any(each.replace(" ", "").startswith("teacher=") for each in given):
         from spikedeploy import envs, zoo
         from spikedeploy.envs.foreign import check_target, is_target
-        from spikedeploy.runtime.errors import ConfigError
 
         envs.spec(env)  # refuses a name that none has, before it asks for a teacher
         if is_target(env):
@@ -166,7 +100,6 @@ def _run_training(
     """
     if resume is not None and seed is not None:
         raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
-    from spikedeploy.console import print_json, program_name, say
     from spikedeploy.reports.runs import LivePage
     from spikedeploy.shipping.exported_run import trained_in
     from spikedeploy.shipping.training_films import TrainingFilms
@@ -193,7 +126,6 @@ def _run_training(
 
 def _show_run(run: Path) -> None:
     """Write page, card and curves; a failure here does not affect the training."""
-    from spikedeploy.console import say
     from spikedeploy.runtime.errors import SpikedeployError
     from spikedeploy.shipping.run_card import write_run_files
     from spikedeploy.user_errors import one_line
@@ -206,18 +138,13 @@ def _show_run(run: Path) -> None:
 
 
 def visualize(
-    runs: Annotated[
-        list[str],
-        typer.Argument(help="Run folders, or their names under runs/.", metavar="RUN…"),
-    ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="PNG to write.")] = Path(
-        "reports/curves.png"
-    ),
-    force: Force = False,
-    json: Json = False,
+    *,
+    runs: list[str],
+    output: Path = Path("reports/curves.png"),
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Draw the learning curves of training runs into one PNG."""
-    from spikedeploy.console import print_json
     from spikedeploy.outputs import check_output, mark, marked
     from spikedeploy.reports.plots import draw_curves, read_curve
     from spikedeploy.trainers.run_folder import existing_run
@@ -244,7 +171,6 @@ def _run_seeds(
 ) -> None:
     """Train with each seed of a text such as `0-4`; print a line each and a table."""
     from spikedeploy.campaign.training_seeds import train_seeds
-    from spikedeploy.console import print_json, print_text, say
     from spikedeploy.jobs.pool import cores
     from spikedeploy.reports.table import Table
     from spikedeploy.seeds import training_seeds
@@ -279,55 +205,19 @@ def _run_seeds(
 
 
 def distill(
-    teacher: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="TEACHER",
-            help="Policy to imitate: .onnx (of rsl_rl too), .zip of Stable-Baselines3, "
-            "my_module:function, a run folder, or a shipped policy.",
-            show_default="with --resume that of the run",
-        ),
-    ] = None,
-    env: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ENV",
-            help="Short name, id of gymnasium, or module:Class.",
-            show_default="with --resume that of the run",
-        ),
-    ] = None,
-    size: Annotated[
-        str | None,
-        typer.Option(
-            metavar="N,N…",
-            help="Neurons of the hidden layers; one layer with --budget.",
-            show_default="64,64, or the recipe's",
-        ),
-    ] = None,
-    encoder: Annotated[
-        Encoders | None,
-        typer.Option(
-            help="Code of the observation.", show_default="population; delta with --budget"
-        ),
-    ] = None,
-    timesteps: Annotated[
-        int | None,
-        typer.Option(min=1, help="Timesteps T of an inference.", show_default="8; 1 with --budget"),
-    ] = None,
-    budget: Annotated[
-        str | None,
-        typer.Option(
-            metavar="sops=N",
-            help="Synaptic operations of a control step: an event-driven student, pruned to them.",
-            show_default="none",
-        ),
-    ] = None,
-    chip: ForChip = None,
-    set_: Settings = None,
-    seed: TrainingSeed = None,
-    resume: Resume = None,
-    runs: Runs = Path("runs"),
-    json: Json = False,
+    *,
+    teacher: str | None = None,
+    env: str | None = None,
+    size: str | None = None,
+    encoder: Encoders | None = None,
+    timesteps: int | None = None,
+    budget: str | None = None,
+    chip: str | None = None,
+    set_: list[str] | None = None,
+    seed: int | None = None,
+    resume: str | None = None,
+    runs: Path = Path("runs"),
+    json: bool = False,
 ) -> None:
     """Train a spiking student that imitates a teacher. A function of yours runs as your code."""
     if resume is None and (teacher is None or env is None):
@@ -353,72 +243,26 @@ _Objective = Literal["return", "return-at-sops", "return,sops"]
 
 
 def tune(
-    recipe: Annotated[
-        str, typer.Argument(metavar="RECIPE", help="Name of a recipe; `recipes` lists them.")
-    ],
-    env: Annotated[
-        str | None,
-        typer.Option(help="Environment of a recipe for any: short name, id, or module:Class."),
-    ] = None,
-    objective: Annotated[
-        _Objective,
-        typer.Option(
-            help="Return; return within --sops; or both return and SOPs, with the Pareto front."
-        ),
-    ] = "return",
-    sops: Annotated[
-        float | None,
-        typer.Option(min=1, metavar="N", help="Most SOPs of a control step, of return-at-sops."),
-    ] = None,
-    search: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY=low..high[:log]|KEY=a|b",
-            help="What a setting may be, may be repeated.",
-            show_default="the recipe's own; docs/tuning.md lists them",
-        ),
-    ] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="One setting of every training."),
-    ] = None,
-    trials: Annotated[int, typer.Option(min=1, help="Trials of the search in all.")] = 50,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes side by side, a core each.")] = 1,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes that judge a trial.")] = 20,
-    chip: Annotated[
-        str | None,
-        typer.Option(
-            help="Chip of a spiking policy; 'float' for its float twin.",
-            show_default="that which it is trained for, or loihi1",
-        ),
-    ] = None,
-    seed: Annotated[
-        int,
-        typer.Option(
-            min=seeds.TRAINING.start, max=seeds.TRAINING.stop - 1, help="Seed of the trainings."
-        ),
-    ] = 0,
-    storage: Annotated[
-        str | None,
-        typer.Option(
-            metavar="URL",
-            help="Database of the search, for several machines, such as postgresql://…",
-            show_default="a journal file in the folder",
-        ),
-    ] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of the search, which goes on there.", show_default="runs/tune/RECIPE"
-        ),
-    ] = None,
-    json: Json = False,
+    *,
+    recipe: str,
+    env: str | None = None,
+    objective: _Objective = "return",
+    sops: float | None = None,
+    search: list[str] | None = None,
+    set_: list[str] | None = None,
+    trials: int = 50,
+    jobs: int = 1,
+    episodes: int = 20,
+    chip: str | None = None,
+    seed: int = 0,
+    storage: str | None = None,
+    folder: Path | None = None,
+    json: bool = False,
 ) -> None:
     """Search for the settings of a recipe with Optuna; go on where it stopped."""
     from spikedeploy.campaign.tune import tune as find
     from spikedeploy.campaign.tune_plan import TuningPlan
     from spikedeploy.campaign.tune_results import PAGE, SHOWN, is_study
-    from spikedeploy.console import print_json, say
     from spikedeploy.outputs import check_output_folder
 
     plan = TuningPlan(
@@ -452,50 +296,22 @@ BackendName = Literal["serial", "process", "ray"]
 
 
 def sweep(
-    spec: Annotated[
-        Path,
-        typer.Argument(
-            metavar="SPEC.toml",
-            exists=True,
-            dir_okay=False,
-            help="The grid: env, policy, chip, bits, disturb, fault, specimen, seed; "
-            "docs/sweeps.md.",
-        ),
-    ],
-    backend: Annotated[
-        BackendName,
-        typer.Option(help="This process, several of one thread each, or tasks of Ray."),
-    ] = "process",
-    workers: Workers = None,
-    address: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HOST:PORT",
-            help="With --backend ray: a cluster that is running; 'auto' for that of this machine.",
-            show_default="Ray is started here, and ended",
-        ),
-    ] = None,
-    retry: Annotated[
-        bool, typer.Option("--retry", help="Run those again that failed, too.")
-    ] = False,
-    run: Annotated[
-        bool, typer.Option(help="Run missing jobs; --no-run only shows what is there.")
-    ] = True,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o", "--output", help="Folder of the results.", show_default="runs/sweeps/NAME"
-        ),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
+    *,
+    spec: Path,
+    backend: BackendName = "process",
+    workers: int | None = None,
+    address: str | None = None,
+    retry: bool = False,
+    run: bool = True,
+    output: Path | None = None,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Evaluate a grid of policies, chips, disturbances and seeds; run again, it goes on."""
     from spikedeploy import jobs
     from spikedeploy.campaign.sweep import is_sweep, load_sweep, run_sweep
     from spikedeploy.campaign.sweep_grid import read_grid
     from spikedeploy.campaign.sweep_page import NUMBERS, PAGE, SHOWN, print_sweep
-    from spikedeploy.console import print_json, say
     from spikedeploy.outputs import check_output_folder
 
     grid = read_grid(spec)
@@ -523,19 +339,13 @@ SortKey = Literal["return", "success", "operations", "share", "age", "name"]
 
 
 def runs(
-    folder: Annotated[
-        Path, typer.Option("--runs", help="Folder with the run folders; also those below it.")
-    ] = Path("runs"),
-    sort: Annotated[
-        SortKey, typer.Option(help="Column to sort by; the best, newest or first are on top.")
-    ] = "age",
-    env: Annotated[
-        str | None, typer.Option(help="Only of this environment.", show_default="all")
-    ] = None,
-    json: Json = False,
+    *,
+    folder: Path = Path("runs"),
+    sort: SortKey = "age",
+    env: str | None = None,
+    json: bool = False,
 ) -> None:
     """List training runs: validation return, success, operations, how far each came, age."""
-    from spikedeploy.console import name_program, print_json
     from spikedeploy.reports.runs import find_runs, run_table
 
     rows, damaged = find_runs(folder, env, sort)
