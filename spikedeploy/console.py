@@ -110,8 +110,6 @@ def progress(description: str, total: int) -> Iterator[Callable[[], None]]:
 
 
 class _Lines:
-    """Progress in lines, with a pause of at least PAUSE between them."""
-
     def __init__(self, description: str, total: int) -> None:
         self._description, self._total, self._done = description, total, 0
         self._printed = time.monotonic()

@@ -7,7 +7,6 @@ import time
 from importlib import import_module
 from pathlib import Path
 
-from spikedeploy.files import locked
 from spikedeploy.jobs.resumable import JobEnd
 from spikedeploy.runtime.errors import ConfigError
 
@@ -43,14 +42,6 @@ def linger(path):
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Path(path).write_text("begun")
     time.sleep(60)
-
-
-def turn(path):
-    """Work alone, and note when."""
-    with locked(Path(path).with_name("lock")):
-        Path(path).write_text(f"{time.time()}")
-        time.sleep(0.5)
-        Path(path).write_text(f"{Path(path).read_text()} {time.time()}")
 
 
 def in_this_process(names):

@@ -70,7 +70,6 @@ def load_sweep(grid: SweepGrid, folder: Path) -> Sweep:
 
 
 def _stored(grid: SweepGrid, jobs: Sequence[JobSpecification], store: "SweepFolder") -> Sweep:
-    """The results that are there."""
     sweep = Sweep(grid, jobs)
     for job in jobs:
         if (stored := store.read(job)) is not None:
@@ -125,7 +124,6 @@ def evaluate_job(job: SweepJob) -> dict[str, Any]:
 
 
 def _check_versions(of: JobSpecification) -> None:
-    """Refuse to compute with other versions than the job names."""
     here: Mapping[str, str | None] = versions_for(of.env)
     for package, version in of.versions.items():
         if here.get(package) != version:
@@ -136,7 +134,6 @@ def _check_versions(of: JobSpecification) -> None:
 
 
 def _candidate(of: JobSpecification, policy: bytes | None) -> Candidate:
-    """The policy, as the job has it on its chip."""
     return replace(
         find(of.format if policy is None else str(_file(of, policy))),
         name=of.policy,
@@ -158,7 +155,6 @@ def _file(of: JobSpecification, policy: bytes) -> Path:
 
 @cache
 def _temporary_folder() -> TemporaryDirectory[str]:
-    """A folder for policies, as long as this process lives."""
     return TemporaryDirectory(prefix="spikedeploy-")
 
 

@@ -267,7 +267,6 @@ def expand(grid: SweepGrid) -> SweepPlan:
 
 
 def _check_chips(names: tuple[str, ...], grid: SweepGrid) -> None:
-    """Refuse chips and bits that do not exist before a job is run."""
     for name, bits in product(names, grid.bits):
         if name != FLOAT:
             chip(name, **({} if bits is None else {"weight_bits": bits}))

@@ -135,7 +135,6 @@ def _page(sweep: Sweep) -> list[str]:
 
 
 def _axes(rows: Sequence[Record]) -> list[Column]:
-    """The axes on which rows differ; the policy at least."""
     names = ("env", "policy", "chip", "disturb", "fault")
     axes = [Column(name, "", _plain(name)) for name in names]
     found = [axis for axis in axes if len({axis.cell(row) for row in rows}) > 1] or axes[1:2]
@@ -145,7 +144,6 @@ def _axes(rows: Sequence[Record]) -> list[Column]:
 
 
 def _measured(rows: Sequence[Record]) -> list[Column]:
-    """Columns of the measurements that some row has."""
     success = (
         Column(
             "finished", "episodes that reach the last gate, with the 95% interval", format_success
@@ -180,7 +178,6 @@ def _difference_cell(row: Mapping[str, Any]) -> str:
 
 
 def _line(sweep: Sweep, job: JobSpecification, table: str) -> Record:
-    """A job in the CSV, its columns in their order."""
     row = sweep.rows.get(job.key, {})
     prices = row.get("energy_per_inference_j", {})
     return {

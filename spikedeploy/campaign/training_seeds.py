@@ -113,7 +113,6 @@ def perform(place: str, films: int = 0, **arguments: Any) -> bool:  # noqa: ANN4
 
 
 def _ending(seed: int, end: JobEnd, place: Path) -> SeedTraining:
-    """The end of a training, from its process and its run folder."""
     if end.failed:
         return SeedTraining(seed, failed=f"{end.last_line.removeprefix('error: ')} ({end.job.log})")
     if not place.is_file():

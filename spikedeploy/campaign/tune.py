@@ -295,7 +295,6 @@ def run_trial(plan: dict[str, Any], storage: str, folder: str, name: str, trials
 
 
 def _train(plan: TuningPlan, values: Mapping[str, Any], runs: Path, stop: Interrupt) -> Path:
-    """The run of a trial, resumed where the trial was interrupted before."""
     return train(
         plan.recipe,
         env=plan.env or None,
@@ -311,7 +310,6 @@ def _train(plan: TuningPlan, values: Mapping[str, Any], runs: Path, stop: Interr
 def _values(
     plan: TuningPlan, trial: "optuna.Trial", earned: float, sops: float | None
 ) -> list[float]:
-    """The objectives of a trial, whose return and SOPs are noted."""
     trial.set_user_attr(RETURN, earned)
     trial.set_user_attr(SOPS, sops)
     if not plan.counts_sops:

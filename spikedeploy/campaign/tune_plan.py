@@ -9,89 +9,25 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from spikedeploy.errors import ConfigError
+from spikedeploy.files import read_toml
+from spikedeploy.reports.runs import flatten
 from spikedeploy.trainers.config import RunConfig, amended, known, resolve, spiking_layers
 from spikedeploy.trainers.recipes import RECIPES
 
 if TYPE_CHECKING:
-    from optuna.distributions import (
-        CategoricalDistribution,
-        FloatDistribution,
-        IntDistribution,
-    )
+    from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
     Distribution: TypeAlias = CategoricalDistribution | FloatDistribution | IntDistribution
 
 FIRST_SEED = 9_000  # of evaluations: validation of trainings begins below, `compare` above
 Objective = Literal["return", "return-at-sops", "return,sops"]
 _RANGE = re.compile(r"(?P<low>.+?)\.\.(?P<high>.+?)(?P<log>:log)?")
-_RL = ("gamma=0.95..0.999", "critic_hidden=[64,64]|[128,128]|[256,256]")
-# learning rates over two orders of magnitude, discounts, batches
-_ALGORITHMS: Mapping[str, Sequence[str]] = {
-    "ppo": (
-        *_RL,
-        "actor_rate.start=1e-4..1e-2:log",
-        "critic_rate=1e-4..1e-2:log",
-        "minibatch=64|128|256|512",
-        "horizon=64|128|256",
-        "epochs=3..12",
-        "clip=0.1..0.3",
-        "trace=0.9..0.99",
-        "entropy.start=1e-4..0.05:log",
-    ),
-    "sac": (
-        *_RL,
-        "learning_rate=1e-4..3e-3:log",
-        "batch=64|128|256",
-        "tau=0.002..0.02:log",
-        "temperature.start=0.01..0.5:log",
-    ),
-    "distill": (
-        "learning_rate=1e-4..1e-2:log",
-        "batch=64|128|256|512",
-        "noise=0.0..0.3",
-        "mixing=0.0..0.6",
-    ),
-    "sparse": (
-        "learning_rate=1e-3..1e-2:log",
-        "level_rate=5e-4..5e-3:log",
-        "polish_rate=2e-4..3e-3:log",
-        "penalty=0.002..0.5:log",
-        "step=0.25..1.0",
-        "noise=0.1..0.5",
-        "polish=2..8",
-    ),
-    "sparse-ppo": (
-        "actor_rate=1e-5..3e-4:log",
-        "critic_rate=3e-4..3e-3:log",
-        "target_kl=0.003..0.03:log",
-        "gamma=0.95..0.995",
-        "imitation=0.1..3.0:log",
-    ),
-}
-# widths and what makes spikes, of each kind of policy
-_POLICIES: Mapping[str, Sequence[str]] = {
-    "mlp": ("policy.hidden=[32,32]|[64,64]|[128,128]|[256,256]",),
-    "popsan": (
-        "policy.hidden=[64,64]|[128,128]|[256,256]",
-        "policy.populations=4..10",
-        "policy.threshold=0.3..1.0",
-    ),
-    "chip-snn": ("policy.hidden=[16]|[32]|[64]", "policy.timesteps=4|8|16"),
-    "spiking-mlp": (
-        "policy.hidden=[32,32]|[64,64]|[128,128]",
-        "policy.timesteps=4..16",
-        "policy.beta=0.7..0.98",
-        "policy.threshold=0.4..1.2",
-    ),
-    "delta-snn": ("policy.hidden=8|16|32|64", "policy.most=1..4"),
-    "delta-mlp": ("policy.hidden=8|16|32|64", "policy.most=1..4", "policy.threshold=0.2..1.0"),
-    "pruned-mlp": ("policy.hidden=[8]|[16]|[32]|[64]",),
-}
+_SEARCHES = read_toml(Path(__file__).with_name("searches.toml"))
 _SPIKES = ("rate_penalty=0.01..1.0:log", "rate_target=0.03..0.2")
-_ENDS_WITH_POLICY = ("sparse-ppo",)  # goes on with the policy of another run
 
 
 @dataclass(frozen=True)
@@ -136,7 +72,8 @@ class TuningPlan:
                 "--objective return-at-sops takes --sops N, the most SOPs of a control step; the "
                 "other objectives take none"
             )
-        if self.counts_sops and not spiking_layers(self.config.policy) and not self._events:
+        policy = self.config.policy  # one of events has SOPs without hidden neurons too
+        if self.counts_sops and not (spiking_layers(policy) or policy.kind.startswith("delta-")):
             raise ConfigError(
                 f"{self.recipe} trains a float policy, which has no SOPs: --objective return"
             )
@@ -150,11 +87,6 @@ class TuningPlan:
     def has_two(self) -> bool:
         """True where there are two objectives."""
         return self.objective == "return,sops"
-
-    @property
-    def _events(self) -> bool:
-        """True where a policy without hidden neurons sends events into a readout."""
-        return self.config.policy.kind in ("delta-snn", "delta-mlp")
 
     @property
     def name(self) -> str:
@@ -228,9 +160,9 @@ def space(
 
 def default_search(config: RunConfig) -> tuple[str, ...]:
     """The default search of a recipe, as texts of --search."""
-    texts = list(_ALGORITHMS.get(config.algorithm, ()))
-    if config.algorithm not in _ENDS_WITH_POLICY:
-        texts += _POLICIES[config.policy.kind]
+    texts = [*_SEARCHES["algorithms"].get(config.algorithm, ())]
+    if config.algorithm != "sparse-ppo":  # which goes on with the policy of another run
+        texts += _SEARCHES["policies"][config.policy.kind]
     if spiking_layers(config.policy) and config.algorithm in ("ppo", "sac", "distill"):
         texts += _SPIKES
     names = settings_of(config)
@@ -239,15 +171,7 @@ def default_search(config: RunConfig) -> tuple[str, ...]:
 
 def settings_of(config: RunConfig) -> list[str]:
     """The settings of a configuration, by the names that `--set` takes."""
-    return sorted(_dotted(config.model_dump(mode="json"), ""))
-
-
-def _dotted(settings: Mapping[str, Any], path: str) -> list[str]:
-    names: list[str] = []
-    for key, value in settings.items():
-        nested = isinstance(value, Mapping) and value
-        names += _dotted(value, f"{path}{key}.") if nested else [path + key]
-    return names
+    return sorted(name for name, _ in flatten(config.model_dump(mode="json")))
 
 
 def parse_search(text: str) -> "tuple[str, Distribution]":
@@ -270,9 +194,11 @@ def _range(text: str, low: str, high: str, log: bool) -> "Distribution":
     from optuna.distributions import FloatDistribution, IntDistribution
 
     try:
-        first, last = _number(low), _number(high)
+        first, last = (int(n) if re.fullmatch(r"[+-]?\d+", n) else float(n) for n in (low, high))
     except ValueError:
-        raise _refusal(text, f": {low} and {high} must be numbers") from None
+        first = last = math.nan
+    if not (math.isfinite(first) and math.isfinite(last)):
+        raise _refusal(text, f": {low} and {high} must be numbers")
     if not first < last:
         raise _refusal(text, f": {low} must be below {high}")
     if log and first <= 0:
@@ -282,18 +208,7 @@ def _range(text: str, low: str, high: str, log: bool) -> "Distribution":
     return FloatDistribution(first, last, log)
 
 
-def _number(text: str) -> float:
-    try:
-        return int(text)
-    except ValueError:
-        number = float(text)
-        if not math.isfinite(number):
-            raise
-        return number
-
-
 def _limits(distribution: "Distribution") -> Sequence[Any]:
-    """The ends of a range, or all choices."""
     choices: Sequence[Any] | None = getattr(distribution, "choices", None)
     return choices or (distribution.low, distribution.high)  # type: ignore[union-attr]
 

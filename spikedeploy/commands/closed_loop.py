@@ -164,7 +164,6 @@ def _adopt(
 
 
 def _check_output_folder(output: Path, inputs: Sequence[str], force: bool) -> None:
-    """Refuse a folder whose files are not those of a report."""
     from spikedeploy.outputs import check_output_folder
     from spikedeploy.reports import comparison as report
 
@@ -365,7 +364,6 @@ def settings(command: str) -> "Settings":
 
 
 def _parse(command: str, words: list[str]) -> dict[str, Any]:
-    """The parameters of a `compare`."""
     given: dict[str, Any] = {}
     app = typer.Typer(add_completion=False)
     app.command()(with_groups(compare, call=given.update))
@@ -379,7 +377,6 @@ def _parse(command: str, words: list[str]) -> dict[str, Any]:
 
 
 def _lines(found: "Reproduction") -> list[str]:
-    """Lines for a terminal."""
     some = f"{found.episodes} of {found.of}" if found.episodes < found.of else f"{found.of}"
     lines = [
         f"{'✓' if found.equal else '✗'} {found.name}: {found.verdict} "

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 
 def _show(data: object, tables: "Iterable[Table]", json: bool, note: str = "") -> None:
-    """Print the data as JSON, or the tables and a note."""
     if json:
         print_json(data)
         return
@@ -61,7 +60,6 @@ def policies(*, name: str | None = None, json: bool = False) -> None:
 
 
 def _policy(name: str, json: bool) -> None:
-    """Print the card of a policy, and its evaluation."""
     from spikedeploy import zoo
     from spikedeploy.policies.registry import find
     from spikedeploy.reports.datasheets import policy_facts
@@ -215,7 +213,6 @@ def _threads() -> DoctorFinding:
 
 
 def _draw() -> str:
-    """A rendered picture in words."""
     from spikedeploy import envs
 
     env = envs.make("hexapod", render_mode="rgb_array")

@@ -64,11 +64,10 @@ def with_groups(
 
 
 def _parameters(of: Callable[..., Any]) -> list[inspect.Parameter]:
-    """Those of a command, each group replaced by its fields."""
     hints, found = get_type_hints(of), list[inspect.Parameter]()
     for name, own in inspect.signature(of).parameters.items():
-        hint = hints[name]
-        found += _parameters(hint) if is_dataclass(hint) else [_option(of.__name__, own, hint)]
+        hint, is_group = hints[name], is_dataclass(hints[name])
+        found += _parameters(hint) if is_group else [_option(of.__name__, own, hint)]
     return found
 
 

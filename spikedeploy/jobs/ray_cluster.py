@@ -94,7 +94,6 @@ class RayBackend(JobBackend):
         return found
 
     def _room(self) -> int:
-        """Cores that can be used now: nodes come and go."""
         found = int(self._ray.cluster_resources().get("CPU", 0)) or 1
         return min(found, self._workers or found)
 
@@ -107,7 +106,6 @@ def _chunk_size(seconds: float | None, left: int, cores: int) -> int:
 
 
 def _started(ray: Any, address: str | None, options: Mapping[str, Any]) -> Any:  # noqa: ANN401
-    """Ray, connected to a cluster or started here."""
     try:
         ray.init(
             address or "local",
@@ -135,5 +133,4 @@ def _has_token() -> bool:
 
 
 def _chunk(function: Function, jobs: Sequence[tuple[int, Any]]) -> list[JobResult]:
-    """The results to some jobs, on a worker."""
     return [run_job(function, index, job) for index, job in jobs]

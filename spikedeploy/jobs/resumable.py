@@ -118,7 +118,6 @@ def run(
 
 
 def _ready(waiting: Sequence[Job], running: "Sequence[_Process]") -> Job | None:
-    """The first job that waits for none of the others."""
     left = {job.name for job in (*waiting, *(process.job for process in running))}
     return next((job for job in waiting if not left & set(job.after)), None)
 
@@ -137,8 +136,6 @@ def _stop(running: "Sequence[_Process]", ended: Callable[[JobEnd], None]) -> Non
 
 
 class _Process:
-    """A running job."""
-
     def __init__(self, job: Job) -> None:
         self.job, self._start = job, time.monotonic()
         job.log.parent.mkdir(parents=True, exist_ok=True)

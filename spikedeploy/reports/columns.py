@@ -2,10 +2,12 @@
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from spikedeploy.comparison.metrics import DRIVING, WALKING, drives
 from spikedeploy.comparison.summary import counted, has_few_episodes
+from spikedeploy.files import read_toml
 from spikedeploy.reports.table import (
     ABSENT,
     Cell,
@@ -81,7 +83,6 @@ def _success_difference(row: Row) -> str:
 
 
 def _score(row: Row) -> str:
-    """The normalised score in percent."""
     value = row["normalised_score"]
     return ABSENT if value is None else f"{100 * value:.0f}"
 
@@ -94,162 +95,15 @@ def _divergence(row: Row) -> str:
     return "never" if step is None else f"{step:,.0f}"
 
 
-_NAME = Column("policy", "policy · chip; `float` is the float twin of a spiking policy", label)
-
-_RETURNS = (
-    Column("return", "mean return of an episode, with its 95% bootstrap interval", format_return),
-    Column(
-        "IQM",
-        "interquartile mean of the returns, without the lowest and the highest quarter, likewise",
-        _estimate("return_iqm", "return_iqm_ci95"),
-    ),
-    Column(
-        "risk",
-        "mean return of the worst 5% of the episodes, likewise",
-        _estimate("risk", "risk_ci95"),
-    ),
-)
-_WALK = (
-    *_RETURNS,
-    Column("success", "episodes that succeed", field_cell("success_rate", ".0%")),
-    Column(
-        "of ANN", "mean return / that of the float ANN", field_cell("ratio_to_float_ann", ".1%")
-    ),
-    Column("score", "normalised return: the gait alone is 0, the float ANN 100", _score),
-    *(Column(m.title, m.meaning, field_cell(m.name, m.form)) for m in WALKING),
-)
-_DRIVE = (
-    Column(
-        "finished",
-        "episodes that reach the last gate, with the 95% Wilson interval",
-        format_success,
-    ),
-    *(Column(m.title, m.meaning, field_cell(m.name, m.form)) for m in DRIVING),
-    *_RETURNS,
-    Column("score", "normalised return: random actions are 0, the float ANN 100", _score),
-)
-_EARN = (
-    *_RETURNS,
-    Column(
-        "success",
-        "episodes that succeed: by the key of --success, or return the registered threshold",
-        field_cell("success_rate", ".0%"),
-    ),
-    Column(
-        "of ANN", "mean return / that of the float ANN", field_cell("ratio_to_float_ann", ".1%")
-    ),
-    Column("score", "normalised return: random actions are 0, the float ANN 100", _score),
-)
-_AGREEMENT = (
-    Column(
-        "reference",
-        "policy that the row is compared with: on a chip its float twin, else the float ANN",
-        field_cell("reference", ""),
-    ),
-    Column(
-        "difference",
-        "paired difference of return on the same seeds, with its 95% bootstrap interval",
-        format_difference,
-    ),
-    Column("ratio", "mean return / that of the reference", field_cell("ratio_to_reference", ".1%")),
-    Column(
-        "finished",
-        "paired difference of the finish rate on the same seeds, in percentage points, with its "
-        "95% bootstrap interval",
-        _success_difference,
-    ),
-    Column(
-        "same action",
-        "share of equal actions, both asked on the observations that the reference recorded",
-        field_cell("actions_equal", ".1%"),
-    ),
-    Column("as ANN", "the same, with the float ANN", field_cell("actions_equal_to_ann", ".1%")),
-    Column(
-        "action RMSE",
-        "RMSE over all actions, both asked on the observations that the reference recorded",
-        field_cell("action_rmse", ".4f"),
-    ),
-    Column("to ANN", "the same, with the float ANN", field_cell("rmse_to_ann", ".4f")),
-    Column(
-        "diverges",
-        "median first control step at which an action differs from the reference's by more than "
-        "0.01 in the closed loop",
-        _divergence,
-    ),
-)
-_CLOCK = Column(
-    "clock",
-    "how layers advance: gated, one after the other; pipelined, all at once, a timestep for each "
-    "connection; free, all in every timestep until the last has seen the input",
-    field_cell("clock", ""),
-)
-_OPERATIONS = (
-    _CLOCK,
-    Column("sparsity", "1 - spikes / (neurons × T), spiking layers", field_cell("sparsity", ".1%")),
-    Column("spikes", "spikes of the spiking layers", field_cell("spikes_per_inference", ",.0f")),
-    Column("input", "spikes of the encoder", field_cell("input_spikes_per_inference", ",.0f")),
-    Column(
-        "SOPs",
-        "synaptic operations: spikes × non-zero fan-out, from the encoder on",
-        field_cell("sops_per_inference", ",.0f"),
-    ),
-    Column(
-        "+ bias",
-        "synaptic operations of the always-on axon that carries the biases",
-        field_cell("bias_sops_per_inference", ",.0f"),
-    ),
-    Column(
-        "ACs",
-        "NeuroBench Effective_ACs: non-zero inputs × non-zero weights where inputs are spikes, the "
-        "readout included",
-        field_cell("effective_acs", ",.0f"),
-    ),
-    Column(
-        "MACs",
-        "NeuroBench Effective_MACs: the same where inputs are numbers",
-        field_cell("effective_macs", ",.0f"),
-    ),
-    Column(
-        "dense",
-        "NeuroBench Dense: all inputs × all weights, in all T timesteps",
-        field_cell("macs_dense", ",.0f"),
-    ),
-    Column(
-        "sat.",
-        "numbers that did not fit a register of the chip, in all episodes",
-        field_cell("saturations", ",.0f"),
-    ),
-)
-
-
-_SIZE = (
-    Column(
-        "bytes",
-        "NeuroBench Footprint: parameters in float32, and the constants of the neurons",
-        field_cell("footprint", ",.0f"),
-    ),
-    Column(
-        "packed",
-        "bytes of all weights and biases on the chip, in its widths",
-        field_cell("footprint_packed", ",.0f"),
-    ),
-    Column(
-        "zero weights",
-        "NeuroBench ConnectionSparsity: weights of the file that are 0",
-        field_cell("connection_sparsity", ".1%"),
-    ),
-)
-
-
 def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
     """Title -> columns that some row fills."""
     title, columns = _earnings(rows)
-    clocked = _drop_empty((_CLOCK,), rows)
+    clocked = _drop_empty(_COLUMNS["operations"][:1], rows)
     found = {
         title: [*clocked, *_drop_empty(columns, rows), *measured_columns(rows)],
-        "Does it act like its reference?": _drop_empty(_AGREEMENT, rows),
-        "How large is the network?": _drop_empty(_SIZE, rows),
-        "What does an inference take?": _drop_empty(_OPERATIONS, rows),
+        "Does it act like its reference?": _drop_empty(_COLUMNS["agreement"], rows),
+        "How large is the network?": _drop_empty(_COLUMNS["size"], rows),
+        "What does an inference take?": _drop_empty(_COLUMNS["operations"], rows),
         COST: _drop_empty(_price_columns(rows), rows),
         "Where does the energy go, in nJ?": _term_columns(rows),
     }
@@ -265,18 +119,24 @@ def markdown_tables(rows: Sequence[Row]) -> str:
 
 
 def _escaped(table: Table) -> Table:
-    """The table with heads and names of policies as plain Markdown."""
     heads = [escape_markdown(head) for head in table.columns]
     return Table(heads, [[escape_markdown(name), *rest] for name, *rest in table.rows])
 
 
 def _earnings(rows: Sequence[Row]) -> tuple[str, Sequence[Column]]:
     """The title and the columns of the first table, by the kind of world that the rows are of."""
+    returns = _COLUMNS["returns"]
     if any(row.get("foreign") for row in rows):
-        return "What does it earn?", _EARN
-    if any(map(drives, rows)):
-        return "Does the kart still finish?", _DRIVE
-    return "Does the robot still walk?", _WALK
+        return "What does it earn?", [*returns, *_COLUMNS["earn"]]
+    driving = any(map(drives, rows))
+    of_world = [
+        Column(m.title, m.meaning, field_cell(m.name, m.form))
+        for m in (DRIVING if driving else WALKING)
+    ]
+    if driving:
+        columns = [*_COLUMNS["drive"], *of_world, *returns, *_COLUMNS["drive_score"]]
+        return "Does the kart still finish?", columns
+    return "Does the robot still walk?", [*returns, *_COLUMNS["walk"], *of_world]
 
 
 def measured_columns(rows: Sequence[Row]) -> list[Column]:
@@ -327,7 +187,6 @@ def _price_columns(rows: Sequence[Row]) -> list[Column]:
 
 
 def _term(name: str) -> Cell:
-    """A cell with a term by the one table, `?` where it is unknown."""
 
     def cell(row: Row) -> str:
         if name in row.get("energy_unknown", {}).get(COMMON_TABLE, ()):
@@ -339,13 +198,11 @@ def _term(name: str) -> Cell:
 
 
 def _format_nj(value: float) -> str:
-    """In nJ, three digits or all before the point."""
     nano = 1e9 * value
     return f"{nano:,.0f}" if nano >= 100 else f"{nano:.3g}"
 
 
 def _of_table(field: str) -> Cell:
-    """A cell with the joules of the field by the one table."""
 
     def cell(row: Row) -> str:
         value = row.get(field, {}).get(COMMON_TABLE)
@@ -366,7 +223,6 @@ def _total(row: Row) -> str:
 
 
 def _unpriced(row: Row) -> str:
-    """The unknown terms."""
     return ", ".join(row.get("energy_unknown", {}).get(COMMON_TABLE, ())) or ABSENT
 
 
@@ -381,58 +237,46 @@ def _static(row: Row) -> str:
 
 
 def _level(row: Row) -> str:
-    """Synaptic operations: against the dense float ANN, and against the one that skips zeros."""
     fields = ("break_even_sops", "break_even_sops_zero_skipping")
     found = [row.get(field, {}).get(COMMON_TABLE) for field in fields]
     levels = [f"{value:,.0f}" if value > 0 else "none" for value in found if value is not None]
     return " / ".join(levels) or ABSENT
 
 
-_WHERE = (
-    Column(
-        "operations",
-        f"by table {COMMON_TABLE}, in all columns: synaptic operations; of float networks all "
-        "multiply-accumulates",
-        _term("operations"),
-    ),
-    Column(
-        "skipping zeros",
-        "of float networks: multiply-accumulates with an input that is not 0, instead of all",
-        _of_table("energy_zero_skipping_j"),
-    ),
-    Column("bias", "the axon of the biases; of float networks their addition", _term("bias")),
-    Column("updates", "neurons with something to add up", _term("updates")),
-    Column(
-        "encoder",
-        "numbers to spikes; of float networks the reading of observations",
-        _term("encoder"),
-    ),
-    Column("readout", "weights and constants on the host", _term("readout")),
-    Column("resets", "states set to 0 between inferences", _term("resets")),
-    Column(
-        "all known",
-        "sum of the known terms; ≥ where every price is the least of its process, + ? where some "
-        "terms have no price",
-        _total,
-    ),
-    Column(
-        "level at",
-        "SOPs at which the spiking policy would cost as much as the float ANN, dense / skipping "
-        "zeros; none where its other terms alone cost more",
-        _level,
-    ),
-    Column("no price", "terms that happen and that the table has no price for", _unpriced),
-    Column(
-        "static",
-        "a published static power of the chip over a control step, by its measurement; never added",
-        _static,
-    ),
-)
+# names of columns.toml
+_CELLS: dict[str, Cell] = {
+    "return": format_return,
+    "iqm": _estimate("return_iqm", "return_iqm_ci95"),
+    "risk": _estimate("risk", "risk_ci95"),
+    "score": _score,
+    "success": format_success,
+    "difference": format_difference,
+    "success_difference": _success_difference,
+    "divergence": _divergence,
+    "zero_skipping": _of_table("energy_zero_skipping_j"),
+    "total": _total,
+    "level": _level,
+    "unpriced": _unpriced,
+    "static": _static,
+}
+
+
+def _column(title: str, meaning: str, **cell: str) -> Column:
+    if "field" in cell:
+        return Column(title, meaning, field_cell(cell["field"], cell["form"]))
+    return Column(title, meaning, _CELLS[cell["cell"]] if "cell" in cell else _term(cell["term"]))
+
+
+_COLUMNS = {
+    name: tuple(_column(**each) for each in columns)
+    for name, columns in read_toml(Path(__file__).with_name("columns.toml")).items()
+}
+_NAME = Column("policy", "policy · chip; `float` is the float twin of a spiking policy", label)
 
 
 def _term_columns(rows: Sequence[Row]) -> list[Column]:
     """The terms that some row pays, or does not know."""
-    return [c for c in _WHERE if {c.cell(row) for row in rows} - {ABSENT, "0"}]
+    return [c for c in _COLUMNS["terms"] if {c.cell(row) for row in rows} - {ABSENT, "0"}]
 
 
 # one table of 80 columns, and one line

@@ -101,7 +101,6 @@ def _disturbances(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def _energy_tables(rows: Sequence[Row]) -> dict[str, str]:
-    """Energy table -> its source."""
     names = dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"])
     return {name: describe_table(energy_table(name)) for name in names}
 
@@ -195,7 +194,6 @@ def policy_table(rows: Sequence[Row], env: str) -> Table:
 
 
 def _table(columns: Sequence[Column], rows: Sequence[Row]) -> Table:
-    """The table with the CSS class of each row: chip, or its kind."""
     kinds = [
         "chip" if row["kind"] == "snn" and row["chip"] != "float" else row["kind"] for row in rows
     ]
@@ -203,7 +201,6 @@ def _table(columns: Sequence[Column], rows: Sequence[Row]) -> Table:
 
 
 def _drawings(rows: Sequence[Row], shown: Mapping[str, Any]) -> dict[str, Markup]:
-    """Title of a table -> the drawing below it."""
     alt = "Return of each episode, mean and any 95% interval of each row"
     drawings = {next(iter(shown)): svg(returns_figure(rows), alt)}
     if any(row["energy_per_inference_j"] for row in rows):
@@ -236,7 +233,6 @@ def _steps(document: Document) -> list[tuple[str, str]]:
 
 
 def _provenance(document: Document) -> list[tuple[str, str]]:
-    """How the report was made."""
     first, count = document["seeds"]["first"], document["seeds"]["count"]
     facts = {
         "environment": document["env_id"],

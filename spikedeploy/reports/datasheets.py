@@ -70,7 +70,6 @@ def datasheet(of: Chip) -> Iterator[Table]:
 
 
 def _fields(of: Any, sources: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:  # noqa: ANN401
-    """The fields that have a value, in words, with their sources."""
     every: tuple[Field[Any], ...] = fields(of)
     for name in (field.name for field in every if field.name not in _OTHER_FIELDS):
         value = getattr(of, name)
@@ -117,7 +116,6 @@ def chip_list(chips: Iterable[Chip]) -> list[dict[str, Any]]:
 
 
 def _data(value: Any) -> Any:  # noqa: ANN401
-    """A value as JSON holds it; a register by its fields."""
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
 
 
@@ -152,7 +150,6 @@ def _time_certainty(table: EnergyTable) -> str:
 
 
 def _chips_of(table: EnergyTable) -> list[str]:
-    """Chips whose datasheets name the table."""
     return [name for name in CHIPS if table.name in chip(name).energy_tables]
 
 
@@ -303,7 +300,6 @@ def break_even_table() -> Table:
 
 
 def _rate(rate: float) -> str:
-    """In percent; a spiking network costs more at any rate, or less at any."""
     return "never" if rate <= 0 else "always" if rate >= 1 else f"{100 * rate:.1f} %"
 
 

@@ -81,13 +81,11 @@ def _broken_names(check: DesignCheck) -> str:
 
 
 def _broken_rules(check: DesignCheck) -> list[str]:
-    """A line for each broken rule, of its worst result."""
     results = [worst(check.of(rule)) for rule in statuses(check)]
     return [result.describe(check.chip.name) for result in results if result.failed]
 
 
 def _notes(check: DesignCheck) -> list[str]:
-    """Notes on rules that are kept."""
     results = {rule: worst(check.of(rule)) for rule in statuses(check)}
     return [f"{rule}: {r.note}" for rule, r in results.items() if r.note and not r.failed]
 
@@ -106,7 +104,6 @@ def _rules_by_chip(checks: Sequence[DesignCheck], dash: str = "-") -> Table:
 
 
 def _rules(check: DesignCheck) -> Table:
-    """Every rule of a chip: its status, what was found, the limit, where."""
     rows = [_rule(check, rule) for rule in statuses(check)]
     return Table(("rule", "", "found", "limit", "node"), rows, f"Rules of {check.chip.name}")
 
@@ -157,7 +154,6 @@ def _layer(placement: Placement, limits: Limits) -> tuple[str, ...]:
 
 
 def _cores(placement: Placement) -> str:
-    """The number of cores, and their indices."""
     if placement.first is None:
         return f"{placement.cores:,}"
     last = placement.first + placement.cores - 1
@@ -225,7 +221,6 @@ def _numbers(checks: Sequence[DesignCheck]) -> Iterator[HeadlineNumber]:
 
 
 def _chips(checks: Sequence[DesignCheck]) -> Table:
-    """A line for each chip."""
     rows = []
     for each in checks:
         cores = f"{each.mapping.cores:,}" if each.mapping.cores else ABSENT
@@ -237,7 +232,6 @@ def _chips(checks: Sequence[DesignCheck]) -> Table:
 
 
 def _check(check: DesignCheck) -> dict[str, Any]:
-    """Everything that the page has of one chip."""
     limits = check.chip.limits
     return {
         "chip": check.chip.name,

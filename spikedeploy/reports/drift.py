@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from itertools import cycle
 
 from markupsafe import Markup
 
@@ -10,13 +10,16 @@ from spikedeploy.emulation.drift import DriftReport
 from spikedeploy.emulation.open_loop import SILENT
 from spikedeploy.reports.headline import HeadlineNumber
 from spikedeploy.reports.page import provenance, render
-from spikedeploy.reports.plots import BLUE, VERMILION, svg, without_formulas
+from spikedeploy.reports.plots import (
+    BLUE,
+    LEGEND_ABOVE,
+    VERMILION,
+    framed_figure,
+    svg,
+    without_formulas,
+)
 from spikedeploy.reports.table import ABSENT, Table
 from spikedeploy.runtime.analysis.drift import Drift, OutputDrift
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 ABLATION_STEPS = {
     "clock": "layers that run on (clock free)",
@@ -33,6 +36,27 @@ _MEANINGS = {
     "lost": "neurons that spike in float and never on the chip",
     "woken": "neurons that spike on the chip and never in float",
     "saturations": "numbers that did not fit a register",
+}
+# head -> format of the fields
+_LAYERS = {
+    "layer": "{name}",
+    "neurons": "{neurons:,}",
+    "rate, float": "{float_rate:.4f}",
+    "rate, chip": "{chip_rate:.4f}",
+    "differ": "{differing:.2%}",
+    "distance": "{distance:.4f}",
+    "lost": "{lost}",
+    "woken": "{woken}",
+    "saturations": "{saturations:,}",
+    "first difference": "{place}",
+}
+_READOUTS = {
+    "readout": "{name}",
+    "neurons": "{neurons:,}",
+    "error, rms": "{rms:.4g}",
+    "range, float": "{range:.4g}",
+    "register": "{register}",
+    "saturations": "{saturations:,}",
 }
 _COLOURS = (VERMILION, "#E69F00", BLUE, "#009E73", "#CC79A7", "#8A939E")
 _MARKERS = "osvD^P"
@@ -78,9 +102,21 @@ def drift_tables(report: DriftReport) -> Iterator[Table]:
     drift = report.drift
     title = f"Drift of {report.policy} on {drift.chip}"
     yield Table(("what", "found"), _summary(report), title)
-    yield _layers(drift)
+    place = "inference {}, timestep {}, neuron {}"
+    layers = [
+        {**vars(each), "place": place.format(*each.first) if each.first else ABSENT}
+        for each in drift.layers
+    ]
+    yield Table.filled(_LAYERS, layers, "Layers")
     if drift.readouts:
-        yield _readouts(drift)
+        readouts = [
+            {
+                **vars(each),
+                "register": ABSENT if each.filled is None else f"{each.filled:.1%} filled",
+            }
+            for each in drift.readouts
+        ]
+        yield Table.filled(_READOUTS, readouts, "Readouts")
     if drift.ablation:
         names = [layer.name for layer in drift.layers]
         rows = [
@@ -130,43 +166,6 @@ def _error(output: OutputDrift) -> str:
     return f"{output.rms:.4f} rms, {output.largest:.4f} at most"
 
 
-def _layers(drift: Drift) -> Table:
-    heads = ("layer", "neurons", "rate, float", "rate, chip", "differ", "distance", "lost",
-             "woken", "saturations", "first difference")  # fmt: skip
-    rows = [
-        (
-            layer.name,
-            f"{layer.neurons:,}",
-            f"{layer.float_rate:.4f}",
-            f"{layer.chip_rate:.4f}",
-            f"{layer.differing:.2%}",
-            f"{layer.distance:.4f}",
-            str(layer.lost),
-            str(layer.woken),
-            f"{layer.saturations:,}",
-            "inference {}, timestep {}, neuron {}".format(*layer.first) if layer.first else ABSENT,
-        )
-        for layer in drift.layers
-    ]
-    return Table(heads, rows, "Layers")
-
-
-def _readouts(drift: Drift) -> Table:
-    heads = ("readout", "neurons", "error, rms", "range, float", "register", "saturations")
-    rows = [
-        (
-            each.name,
-            f"{each.neurons:,}",
-            f"{each.rms:.4g}",
-            f"{each.range:.4g}",
-            ABSENT if each.filled is None else f"{each.filled:.1%} filled",
-            f"{each.saturations:,}",
-        )
-        for each in drift.readouts
-    ]
-    return Table(heads, rows, "Readouts")
-
-
 # numbers and drawings of the page
 
 
@@ -190,11 +189,8 @@ def _numbers(drift: Drift) -> Iterator[HeadlineNumber]:
 
 def _rates(drift: Drift) -> Markup:
     """Spike rates of the layers in float and on the chip, a line for each layer."""
-    from matplotlib.figure import Figure
-
     layers = drift.layers
-    figure = Figure(figsize=(8, 1.1 + 0.42 * len(layers)))
-    axes = figure.add_subplot()
+    figure, axes = framed_figure(1.1 + 0.42 * len(layers))
     rates = [(layer.float_rate, layer.chip_rate) for layer in layers]
     axes.hlines(range(len(layers)), *zip(*map(sorted, rates), strict=True), color="#8A939E")
     for place, (colour, label) in enumerate(((BLUE, "float twin"), (VERMILION, drift.chip))):
@@ -205,36 +201,24 @@ def _rates(drift: Drift) -> Markup:
     axes.set_ylim(len(layers) - 0.5, -0.5)
     axes.set_xlim(0, 1.08 * max(max(pair) for pair in rates) or 1)
     axes.set_xlabel("spikes for each neuron and timestep")
-    return _finish(figure, axes, "Spike rates of the layers, of the float twin and on the chip")
+    axes.legend(**LEGEND_ABOVE, ncols=4)
+    return svg(figure, "Spike rates of the layers, of the float twin and on the chip")
 
 
 def _ablation(drift: Drift) -> Markup:
     """Distance from the float twin after each kind of rounding, a line for each layer."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8, 3.2))
-    axes = figure.add_subplot()
+    figure, axes = framed_figure(3.2)
     steps = range(len(drift.ablation))
-    for place, layer in enumerate(drift.layers):
+    for layer, colour, marker in zip(drift.layers, cycle(_COLOURS), cycle(_MARKERS), strict=False):
         distances = [step.distance[layer.name] for step in drift.ablation]
-        look = _COLOURS[place % len(_COLOURS)], _MARKERS[place % len(_MARKERS)]
         label = without_formulas(layer.name)
-        axes.plot(steps, distances, color=look[0], marker=look[1], label=label)
+        axes.plot(steps, distances, color=colour, marker=marker, label=label)
     axes.set_xticks(steps, [_in_lines(ABLATION_STEPS[step.name]) for step in drift.ablation])
     axes.set_ylim(bottom=0)
     axes.set_ylabel("distance of the spikes")
-    return _finish(figure, axes, "Distance from the float twin after each kind of rounding")
+    axes.legend(**LEGEND_ABOVE, ncols=4)
+    return svg(figure, "Distance from the float twin after each kind of rounding")
 
 
 def _in_lines(text: str) -> str:
-    """The text in two or three lines."""
     return text.replace(": ", ":\n").replace(" and ", "\nand ").replace(", ", ",\n")
-
-
-def _finish(figure: "Figure", axes: "Axes", alt: str) -> Markup:
-    """The figure with a light frame and its legend above."""
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(color="#E6E8EB")
-    axes.set_axisbelow(True)
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=4, frameon=False)
-    return svg(figure, alt)

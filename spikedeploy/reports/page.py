@@ -7,9 +7,10 @@ import re
 import shlex
 import sys
 from base64 import b64encode
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from datetime import datetime, timezone
-from functools import cache
+from functools import cache, partial
+from html import unescape
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
@@ -25,13 +26,15 @@ from spikedeploy.trainers.versions import own
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-    from markdown_it.token import Token
     from matplotlib.figure import Figure
 
 # what replays recorded episodes
 REPLAY_ASSETS = ("unpack.js", "bodies.js", "track.js", "strips.js", "instrument.js")
 FILES = ("report.html", "report.json")
 _COMMENT = re.compile(r"<!--.*?-->\n?")
+_PICTURE = re.compile(r'<p><img src="(?P<source>[^"]*)" alt="(?P<alt>[^"]*)" /></p>')
+_TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
+_CELLS = re.compile(r"<t[hd]>(.*?)</t[hd]>", re.DOTALL)
 _HEADS = re.compile(r"(?=<h\d>)")
 _FOLDED = re.compile(r"<h3>(.*?)</h3>\n?", re.DOTALL)  # head of a section that is folded
 
@@ -117,8 +120,7 @@ def render_markdown(text: str, figures: "Mapping[str, Figure]") -> str:
     # what looks like HTML in the text is a name that a user chose, and is escaped
     parser = MarkdownIt("commonmark", {"html": False}).enable("table")
     title, _, body = _COMMENT.sub("", text).partition("\n")
-    tokens = list(_align_tables(list(_draw_pictures(parser.parse(body), figures))))
-    html = parser.renderer.render(tokens, parser.options, {})
+    html = _PICTURE.sub(partial(_draw, figures), _TABLE.sub(_table, parser.render(body)))
     return render("text", title=title.lstrip("# "), sections=map(_section, _HEADS.split(html)))
 
 
@@ -128,60 +130,17 @@ def _section(html: str) -> tuple[Markup, Markup]:
     return (Markup(head[1]), Markup(html[head.end() :])) if head else (Markup(), Markup(html))
 
 
-def _draw_pictures(tokens: "Sequence[Token]", figures: "Mapping[str, Figure]") -> "Iterator[Token]":
-    """The tokens with a drawing in place of each paragraph that is a picture."""
-    waiting = iter(enumerate(tokens))
-    for place, each in waiting:
-        picture = _picture(tokens[place + 1]) if each.type == "paragraph_open" else None
-        if picture is None:
-            yield each
-            continue
-        drawing = figures.get(str(picture.attrs["src"]))
-        yield _html(f"<figure>{svg(drawing, picture.content)}</figure>" if drawing else "")
-        next(waiting), next(waiting)  # the picture, and the end of its paragraph
+def _draw(figures: "Mapping[str, Figure]", picture: re.Match[str]) -> str:
+    drawing = figures.get(picture["source"])
+    return f"<figure>{svg(drawing, unescape(picture['alt']))}</figure>" if drawing else ""
 
 
-def _picture(inline: "Token") -> "Token | None":
-    """The picture that is all of a paragraph."""
-    children = inline.children or []
-    return children[0] if len(children) == 1 and children[0].type == "image" else None
-
-
-def _align_tables(tokens: "Sequence[Token]") -> "Iterator[Token]":
-    """The tokens with every table in a card of its own, and columns of words at the left."""
-    column = 0
-    for place, each in enumerate(tokens):
-        if each.type == "table_open":
-            table = _table(tokens[place:])
-            yield _html('<div class="card">')
-        elif each.type == "tr_open":
-            column = 0
-        elif each.type in ("th_open", "td_open"):
-            kind = table.cell_class(column, tokens[place + 1].content)
-            each.attrs = {"class": kind} if kind else {}
-            column += 1
-        yield each
-        if each.type == "table_close":
-            yield _html("</div>")
-
-
-def _table(tokens: "Sequence[Token]") -> Table:
-    """The table that begins here."""
-    rows: list[list[str]] = []
-    for place, each in enumerate(tokens):
-        if each.type == "table_close":
-            break
-        if each.type == "tr_open":
-            rows.append([])
-        elif each.type in ("th_open", "td_open"):
-            rows[-1].append(tokens[place + 1].content)
-    return Table(rows[0], rows[1:])
-
-
-def _html(text: str) -> "Token":
-    from markdown_it.token import Token
-
-    return Token("html_block", "", 0, content=text)
+def _table(found: re.Match[str]) -> str:
+    """A table of Markdown as other tables of pages."""
+    lines = found[0].split("</tr>")[:-1]
+    heads, *rows = ([Markup(cell) for cell in _CELLS.findall(row)] for row in lines)
+    parts: Any = _environment().get_template("parts.html.j2").module
+    return str(parts.table(Table(heads, rows)))
 
 
 # notebooks

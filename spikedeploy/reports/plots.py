@@ -57,7 +57,6 @@ _CSS_COLOURS = {
 
 
 def _colour(row: Row) -> str:
-    """The colour of a row: float ANN, float SNN, SNN on a chip, or any other kind."""
     if row["kind"] == "snn":
         return _PURPLE if row["chip"] == "float" else VERMILION
     return BLUE if row["kind"] == "ann" else _GREY
@@ -88,7 +87,6 @@ def returns_figure(rows: Sequence[Row]) -> "Figure":
 
 
 def _limit_returns(axes: "Axes", rows: Sequence[Row]) -> None:
-    """Show the trained policies in full; a row that lies far below them is an arrow at the edge."""
     trained = [r for row in rows if row["kind"] in ("ann", "snn") for r in row["returns"]]
     if not trained:
         return
@@ -124,7 +122,7 @@ def energy_figure(rows: Sequence[Row]) -> "Figure":
     axes.xaxis.set_major_formatter(EngFormatter(unit="J"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("energy per inference, estimated from published tables")
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(tables), frameon=False)
+    axes.legend(**LEGEND_ABOVE, ncols=len(tables))
     _name_rows(axes, rows)
     return figure
 
@@ -287,14 +285,11 @@ def _draw(axes: "Axes", panel: CurvePanel, rows: Sequence[Mapping[str, float]]) 
             axes.plot(steps, drawn, color=colour, marker=marker, linewidth=1.6, label=name)
     axes.set_ylabel(panel.title)
     axes.set_ylim(*_limits(panel, values))
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(color=_GRID)
-    axes.set_axisbelow(True)
+    _lighten(axes)
     axes.legend(loc="lower right", bbox_to_anchor=(1, 0.98), ncols=5, frameon=False, fontsize=9)
 
 
 def _limits(panel: CurvePanel, values: Sequence[float]) -> tuple[float | None, float | None]:
-    """Ends of the axis: 0 to 1 for shares, and none so far away that it squashes the rest."""
     if panel.share:
         return -0.03, 1.03
     low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
@@ -335,20 +330,34 @@ def svg(figure: "Figure", alt: str) -> Markup:
     return Markup(drawn.replace("<svg", head, 1))
 
 
-def _figure(lines: int) -> "tuple[Figure, Axes]":
-    """Axes for that many lines of text, with a light frame."""
+LEGEND_ABOVE: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0, 1), "frameon": False}
+
+
+def framed_figure(height: float) -> "tuple[Figure, Axes]":
+    """Axes of that height [inches] with a light frame."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8, 1.2 + 0.42 * lines))
+    figure = Figure(figsize=(8, height))
     axes = figure.add_subplot()
-    axes.spines[["top", "right", "left"]].set_visible(False)
-    axes.grid(axis="x", color=_GRID)
+    _lighten(axes)
+    return figure, axes
+
+
+def _lighten(axes: "Axes") -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(color=_GRID)
     axes.set_axisbelow(True)
+
+
+def _figure(lines: int) -> "tuple[Figure, Axes]":
+    """Axes for that many lines of text, with no line at the left."""
+    figure, axes = framed_figure(1.2 + 0.42 * lines)
+    axes.spines["left"].set_visible(False)
+    axes.grid(False, axis="y")
     return figure, axes
 
 
 def _name_rows(axes: "Axes", rows: Sequence[Row]) -> None:
-    """Label the lines from top to bottom."""
     names = [without_formulas(label(row)) for row in rows]
     axes.set_yticks(range(len(rows)), names)
     axes.set_ylim(len(rows) - 0.5, -0.5)

@@ -170,7 +170,6 @@ def find_runs(
 
 
 def _runs_below(folder: Path, deep: int) -> Iterator[Path]:
-    """The runs in a folder, then those of its folders."""
     yield from runs_in(folder)
     if deep and folder.is_dir():
         for each in sorted(folder.iterdir()):

@@ -10,6 +10,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from markupsafe import Markup
+
 from spikedeploy.console import console
 from spikedeploy.files import replacing
 
@@ -69,6 +71,21 @@ class Table:
         meanings = {column.title: column.meaning for column in columns}
         return cls(heads, cells, title, True, meanings, kinds)
 
+    @classmethod
+    def filled(
+        cls,
+        forms: Mapping[str, str],
+        records: Iterable[Row],
+        title: str = "",
+        numbers: bool = False,
+    ) -> "Table":
+        """The table of some records, whose cells are formats filled with the record's fields.
+
+        forms  head -> format
+        """
+        rows = [[form.format_map(record) for form in forms.values()] for record in records]
+        return cls(tuple(forms), rows, title, numbers)
+
     def print(self, width: int | None = None) -> None:
         """Write the table on stdout.
 
@@ -118,7 +135,11 @@ class Table:
 
     def cell_class(self, column: int, cell: str) -> str:
         """The CSS class of a cell in a column; lines of `text` break."""
-        return "text" if len(cell) > _LONGEST_CELL else self.classes[column]
+        return "text" if len(_text(cell)) > _LONGEST_CELL else self.classes[column]
+
+
+def _text(cell: str) -> str:
+    return cell.striptags() if isinstance(cell, Markup) else cell
 
 
 def _literal(cell: str) -> "Text":
@@ -130,8 +151,8 @@ def _literal(cell: str) -> "Text":
 
 def _has_words(cells: Sequence[str]) -> bool:
     """True if most cells with any content are no numbers."""
-    filled = [cell for cell in cells if cell not in ("", ABSENT)]
-    return sum(_NUMBER.match(cell) is not None for cell in filled) * 2 < len(filled)
+    filled = [text for text in map(_text, cells) if text not in ("", ABSENT)]
+    return sum(_NUMBER.match(text) is not None for text in filled) * 2 < len(filled)
 
 
 def markdown_text(lines: Sequence[Sequence[str]]) -> str:

@@ -84,7 +84,6 @@ def print_rows(title: str, rows: Sequence[Row], env: str = "") -> None:
 
 
 def _print_clocks(rows: Sequence[Row]) -> None:
-    """Print how the layers of each network on a chip advance, a line."""
     clocks: dict[tuple[str, str], list[str]] = {}
     for row in rows:
         if row.get("clock") and row["chip"] not in (None, "float"):
@@ -207,7 +206,6 @@ def _emulation_facts(emulation: Emulation) -> dict[str, str]:
 
 
 def _operations(measures: Mapping[str, Any] | None) -> dict[str, float]:
-    """NeuroBench's scalar metrics, by its names."""
     if measures is None:
         return {}
     flat = {**measures, **measures["SynapticOperations"]}

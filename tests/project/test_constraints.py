@@ -40,27 +40,6 @@ def test_every_requirement_has_an_upper_bound_and_its_tested_version_is_within(r
     assert number(low) <= number(PINS[name]) < number(high)
 
 
-def test_the_file_says_by_which_command_it_is_made_and_what_to_do_without_a_version():
-    head = "\n".join(line for line in LINES if line.startswith("#"))
-    assert "python -m lab constraints > spikedeploy/constraints.txt" in head
-    assert "pip install -c constraints.txt" in head
-    assert "leave out `-c constraints.txt`" in head
-
-
-def test_pins_name_no_local_build_so_that_plain_pip_finds_them():
-    assert all(re.fullmatch(r"[\d.]+(\.post\d+)?", version) for version in PINS.values())
-
-
-def test_a_version_that_is_not_for_the_oldest_python_says_so(monkeypatch):
-    class Found:
-        version, metadata = "2.4.6+cpu", {"Requires-Python": ">=3.11, <4"}
-
-    monkeypatch.setattr(constraints, "distribution", lambda name: Found)
-    assert constraints.line("numpy") == 'numpy==2.4.6; python_version >= "3.11"'
-    Found.metadata = {"Requires-Python": ">=3.9"}
-    assert constraints.line("numpy") == "numpy==2.4.6"
-
-
 @pytest.fixture
 def versions(monkeypatch):
     """What is installed: everything as tested, unless it is said."""

@@ -36,10 +36,6 @@ def spike(home, *words, cwd=None):
     return done, [line.split(" ")[0] for line in lines], lines
 
 
-def test_it_is_a_posix_script():
-    subprocess.run(["sh", "-n", ROOT / "spike"], check=True)
-
-
 @pytest.mark.parametrize(
     ("verb", "extra"),
     [
@@ -70,16 +66,28 @@ def test_the_second_call_installs_nothing(checkout):
     assert spike(checkout, "test")[1] == ["python"]
 
 
-def test_a_changed_project_is_installed_again(checkout):
+@pytest.mark.parametrize("file", ["pyproject.toml", "constraints.txt"])
+def test_a_changed_project_is_installed_again(file, checkout):
     spike(checkout, "demo")
-    (checkout / "pyproject.toml").write_text("version 2")
+    (checkout / file).write_text("another version")
     assert spike(checkout, "demo")[1] == ["pip", "spikedeploy"]
 
 
-def test_other_tested_versions_are_installed(checkout):
-    spike(checkout, "demo")
-    (checkout / "constraints.txt").write_text("numpy==2.1")
-    assert spike(checkout, "demo")[1] == ["pip", "spikedeploy"]
+@pytest.mark.parametrize(
+    ("words", "called"),
+    [
+        ([], "spikedeploy {tmp} --help"),
+        (["test", "-x"], "python {home} -m pytest -n 2 --dist worksteal -x"),
+        (["docs"], "mkdocs {home} build --strict"),
+        (["test", "--peers", "norse"], "python {home} -m lab live-peers norse"),
+        (["lab", "drift", "-o", "x.md"], "python {home} -m lab drift -o x.md"),
+    ],
+)
+def test_words_that_are_not_of_the_command_line_run_in_the_checkout(
+    words, called, checkout, tmp_path
+):
+    _, _, lines = spike(checkout, *words, cwd=tmp_path)
+    assert lines[-1] == called.format(home=checkout, tmp=tmp_path)
 
 
 def test_where_a_tested_version_is_missing_others_are_installed_and_that_is_said(checkout):
@@ -104,32 +112,6 @@ def test_hints_name_the_script_as_it_was_called(checkout):
     program = checkout / ".venv/bin/spikedeploy"
     program.write_text(f'#!/bin/sh\necho "$SPIKEDEPLOY_COMMAND" >> "{checkout}/calls"\n')
     assert spike(checkout, "runs")[2][-1] == str(checkout / "spike")
-
-
-def test_without_words_it_prints_the_help(checkout):
-    assert spike(checkout)[2][-1].endswith(" --help")
-
-
-def test_the_suite_runs_in_the_checkout_on_two_cores(checkout, tmp_path):
-    _, _, lines = spike(checkout, "test", "-x", cwd=tmp_path)
-    assert lines[-1] == f"python {checkout} -m pytest -n 2 --dist worksteal -x"
-
-
-def test_docs_builds_the_site_of_the_checkout(checkout, tmp_path):
-    _, programs, lines = spike(checkout, "docs", cwd=tmp_path)
-    assert programs[0] == "pip"
-    assert lines[-1] == f"mkdocs {checkout} build --strict"
-
-
-def test_peers_are_compared_with_by_a_script_of_the_checkout(checkout, tmp_path):
-    _, _, lines = spike(checkout, "test", "--peers", "norse", cwd=tmp_path)
-    assert lines[-1] == f"python {checkout} -m lab live-peers norse"
-
-
-def test_the_lab_runs_in_the_checkout(checkout, tmp_path):
-    _, programs, lines = spike(checkout, "lab", "drift", "-o", "results/drift.md", cwd=tmp_path)
-    assert programs[0] == "pip"
-    assert lines[-1] == f"python {checkout} -m lab drift -o results/drift.md"
 
 
 def test_the_suite_runs_without_xylosim_where_it_cannot_be_built(checkout):

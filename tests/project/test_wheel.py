@@ -99,11 +99,6 @@ def installed(line):
     return line if line.split("/")[0] == "spikedeploy" else f"spikedeploy/{line}"
 
 
-@pytest.mark.parametrize("name", LINKED)
-def test_a_link_to_a_folder_is_relative(name):
-    assert os.readlink(ROOT / "spikedeploy" / name) == f"../{name}"
-
-
 def test_the_list_of_packages_is_that_of_the_folders():
     inits = [Path(line) for line in tracked() if line.split("/")[0] in FOLDERS]
     folders = [installed(str(path.parent)) for path in inits if path.name == "__init__.py"]
@@ -116,21 +111,9 @@ def test_the_wheels_only_top_level_name_is_spikedeploy(wheel):
     assert {name for name in found if not name.endswith(".dist-info")} == {"spikedeploy"}
 
 
-@pytest.mark.parametrize("name", sorted(FOLDERS))
-def test_every_module_and_data_file_of_a_folder_is_in_the_wheel(name, wheel):
-    expected = {installed(line) for line in tracked() if line.startswith(f"{name}/")}
-    assert expected
+def test_every_module_and_data_file_is_in_the_wheel(wheel):
+    expected = {installed(line) for line in tracked() if line.split("/")[0] in FOLDERS}
     assert expected - {f"spikedeploy/{link}" for link in LINKED} <= set(wheel.namelist())
-
-
-def test_the_wheel_says_that_it_is_typed(wheel):
-    assert "spikedeploy/py.typed" in wheel.namelist()
-
-
-def test_the_wheel_installs_the_command(wheel):
-    (name,) = (name for name in wheel.namelist() if name.endswith("entry_points.txt"))
-    text = wheel.read(name).decode()
-    assert "spikedeploy = spikedeploy.cli:main" in text
 
 
 def test_the_source_distribution_holds_each_file_once(unpacked):
@@ -155,13 +138,13 @@ def test_the_source_distribution_builds_the_same_wheel(unpacked, wheel, folder):
             assert other.read(name) == wheel.read(name), name
 
 
-@pytest.fixture(scope="module", params=["wheel", "sdist"])
-def python(request, folder):
-    """Python of a virtual environment into which a distribution was installed, without a network.
+@pytest.fixture(scope="module")
+def python(wheel_file, folder):
+    """Python of a virtual environment into which the wheel was installed, without a network.
 
     What spikedeploy depends on is seen from there; an editable install of it is not.
     """
-    file, home = request.getfixturevalue(f"{request.param}_file"), folder / f"in {request.param}"
+    home = folder / "installed"
     called(sys.executable, "-m", "venv", home, cwd=folder)
     pip = [home / "bin/python", "-m", "pip", "--disable-pip-version-check"]
     # older Pythons put one into every environment that is too old to build this project
@@ -169,7 +152,7 @@ def python(request, folder):
     site = next(home.glob("lib/python*/site-packages"))
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
     offline = ["--no-deps", "--no-index", "--no-build-isolation", "--force-reinstall"]
-    called(*pip, "install", *offline, file, cwd=folder)
+    called(*pip, "install", *offline, wheel_file, cwd=folder)
     return home / "bin/python"
 
 
@@ -198,9 +181,7 @@ def test_a_script_beside_packages_of_the_same_names_uses_both(python, project):
     assert "loihi1" in out
 
 
-@pytest.mark.parametrize("words", [["--help"], ["chips"], ["check", "hexapod/popsan"]])
-@pytest.mark.parametrize("start", ["module", "command"])
-def test_the_command_line_runs_beside_packages_of_the_same_names(python, project, start, words):
-    begin = [python, "-m", "spikedeploy"] if start == "module" else [python.parent / "spikedeploy"]
-    out = called(*begin, *words, cwd=project)
-    assert {"--help": "compare", "chips": "xylo-a2", "check": "loihi1"}[words[0]] in out
+def test_the_command_line_runs_beside_packages_of_the_same_names(python, project):
+    assert "compare" in called(python, "-m", "spikedeploy", "--help", cwd=project)
+    out = called(python.parent / "spikedeploy", "check", "hexapod/popsan", cwd=project)
+    assert "loihi1" in out

@@ -121,12 +121,12 @@ def test_an_environment_alone_goes_with_for(words):
 def test_without_a_shipped_teacher_one_is_asked_for():
     said = r"no float teacher of Acrobot-v1 is shipped.*distill my_module:pilot --env Acrobot-v1"
     with pytest.raises(ConfigError, match=said):
-        train("Acrobot-v1", chip="odin")
+        train(what="Acrobot-v1", chip="odin")
 
 
 def test_a_misspelt_environment_is_said_before_a_teacher_is_asked_for():
     with pytest.raises(EnvError, match=r"has no 'Reech'; did you mean 'Reach'\?"):
-        train("tests.own_env:Reech", chip="odin")
+        train(what="tests.own_env:Reech", chip="odin")
 
 
 def test_they_are_listed_beside_the_others(command):

@@ -7,7 +7,6 @@ import pytest
 
 from spikedeploy.campaign import training_seeds
 from spikedeploy.campaign.training_seeds import SeedTraining, SeedTrainings, train_seeds
-from spikedeploy.jobs import resumable
 from spikedeploy.jobs.resumable import INTERRUPTED, JobEnd
 from spikedeploy.trainers.train import train
 from tests.paths import ROOT
@@ -49,13 +48,6 @@ def test_options_that_do_not_go_together_are_refused(words, said, command):
     code, _, err = command(*WORDS, *words)
     assert code == 2
     assert said in " ".join(err.replace("│", " ").split())
-
-
-def test_an_unknown_recipe_is_refused_before_processes_are_started(command, monkeypatch):
-    monkeypatch.setattr(resumable, "run", None)
-    code, _, err = command("train", "ppo-mpl", "--seeds", "0-4")
-    assert code == 2
-    assert "unknown recipe 'ppo-mpl'" in err
 
 
 @pytest.fixture

@@ -31,11 +31,3 @@ def test_trials_are_trained_exported_and_judged_on_the_chip(command, tmp_path, m
     assert words.startswith("spikedeploy train tests.own_env:Reach --recipe ppo-snn --set steps")
     assert "--set actor_rate.start=0.00" in words
     assert (tmp_path / "tune.md").is_file()
-
-
-def test_a_setting_that_does_not_exist_is_refused_before_anything_is_made(command, tmp_path):
-    folder = tmp_path / "new"
-    code, _, err = command("tune", "smoke", "--search", "gama=0..1", "--folder", folder)
-    assert code == 2
-    assert "did you mean gamma" in err
-    assert not folder.exists()

@@ -7,95 +7,11 @@ import nir
 import numpy as np
 import pytest
 
-from spikedeploy import zoo
-from spikedeploy.comparison.lineup import line_up
-from spikedeploy.emulation.design_report import design_report, statuses, worst
-from spikedeploy.policies.registry import find
-from spikedeploy.runtime.artifact.artifact import load, save
+from spikedeploy.emulation.design_report import design_report
 from spikedeploy.runtime.chips.chip import CHIPS
 from spikedeploy.runtime.compiler.rules import RULES
 from tests import toy_stroll_env
-from tests.networks import chain, cuba, popsan
-
-RULING = {
-    "rule": str,
-    "node": (str, type(None)),
-    "status": str,
-    "found": (int, float, str, type(None)),
-    "limit": (int, float, str, type(None)),
-    "unit": str,
-    "remedy": str,
-    "note": str,
-}
-LAYER = {
-    "name": str,
-    "kind": str,
-    "neurons": int,
-    "synapses": int,
-    "fan_in": int,
-    "fan_out": int,
-    "cores": int,
-    "first": (int, type(None)),
-    "block": int,
-    "memory": (int, type(None)),
-    "axons_in": int,
-    "axons_out": int,
-    "estimated": bool,
-    "utilisation": (dict, type(None)),
-}
-CHIP = {
-    "chip": str,
-    "passed": bool,
-    "membrane_output": str,
-    "clock": (str, type(None)),
-    "clock_assumed": (bool, type(None)),
-    "timesteps_more": (int, type(None)),
-    "timesteps_late": (list, type(None)),
-    "fits_with_reset": (str, type(None)),
-    "rules": dict,
-    "rulings": list,
-    "mapping": dict,
-    "limits": (dict, type(None)),
-}
-
-
-@pytest.fixture
-def wide(tmp_path):
-    """A file with more sources than a core of Loihi has axons."""
-    artifact = popsan(obs=411)
-    path = tmp_path / "wide.nir"
-    save(artifact, path)
-    return path
-
-
-def of_shape(found, shape):
-    assert found.keys() == shape.keys()
-    for key, kind in shape.items():
-        assert isinstance(found[key], kind), key
-
-
-def test_json_has_the_documented_fields(command):
-    code, out, err = command("check", "hexapod/popsan", "--json")
-    report = json.loads(out)
-    assert (code, err) == (0, "")
-    assert report.keys() == {"file", "convention", "passed", "chips"}
-    assert [each["chip"] for each in report["chips"]] == list(CHIPS)
-    for each in report["chips"]:
-        of_shape(each, CHIP)
-        assert set(each["rules"]) == {*RULES, "compile"}
-        for ruling in each["rulings"]:
-            of_shape(ruling, RULING)
-        for layer in each["mapping"]["layers"]:
-            of_shape(layer, LAYER)
-
-
-def test_json_says_how_many_cores_each_layer_takes(command):
-    _, out, _ = command("check", "hexapod/popsan", "--chip", "loihi2", "--json")
-    ((chip,), mapping) = json.loads(out)["chips"], json.loads(out)["chips"][0]["mapping"]
-    assert chip["passed"]
-    assert mapping["cores"] == sum(layer["cores"] for layer in mapping["layers"])
-    assert mapping["chips"] == 1
-    assert 0 < mapping["utilisation"]["memory"] <= 1
+from tests.networks import chain, cuba
 
 
 @pytest.mark.parametrize(
@@ -208,15 +124,6 @@ def test_a_policy_of_another_chip_is_sent_there_and_not_given_another_reset(comm
     assert "--reset" not in err
 
 
-def test_a_file_of_another_tool_needs_its_timestep(command, tmp_path):
-    path = tmp_path / "foreign.nir"
-    nir.write(path, chain(nir.Linear(np.ones((2, 3))), cuba(2, dt=1e-4), width=3, act=2))
-    assert command("check", path, "--chip", "loihi1")[0] == 0
-    code, out, _ = command("check", path, "--chip", "loihi1", "--dt", "0.00005", "--json")
-    assert json.loads(out)["convention"]["dt"] == 5e-5
-    assert code == 0
-
-
 @pytest.mark.parametrize(
     ("reference", "options", "message"),
     [
@@ -231,24 +138,6 @@ def test_what_cannot_be_checked_is_one_line(reference, options, message, command
     assert (code, out) == (2, "")
     assert err.count("\n") == 1
     assert message in err
-
-
-def test_the_worst_ruling_of_a_rule_stands_for_it():
-    report = design_report("hexapod/popsan", ["xylo-a2"])
-    (found,) = report.checks
-    assert statuses(found)["fan-out"] == "fail"
-    assert worst(found.of("fan-out")).node == "lif1"
-    assert worst([]).status == "not applicable"
-
-
-def test_emulate_refuses_what_does_not_fit_and_emulates_it_without_limits(command, wide, tmp_path):
-    raster = tmp_path / "spikes.npy"
-    np.save(raster, np.ones((5, 4110), np.uint8))
-    words = ("emulate", wide, "--chip", "loihi1", "--input", raster, "-o", tmp_path / "out.npz")
-    code, _, err = command(*words)
-    assert code == 1
-    assert "rule axons-in: node 'n2' has 4,111 sources of a core" in err
-    assert command(*words, "--limits", "off")[0] == 0
 
 
 @pytest.fixture
@@ -274,16 +163,3 @@ def test_run_and_compare_refuse_what_does_not_fit_and_play_it_without_limits(com
     code, out, _ = command(*words, "--limits", "off")
     assert code == 0
     assert [row["limits"] for row in json.loads(out)["rows"] if row["chip"] == "loihi1"] == [False]
-
-
-def test_a_line_up_says_that_limits_are_off(monkeypatch, tmp_path):
-    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
-    labels = [entry.label for entry in line_up("stroll", (), ["loihi1"], limits=False)]
-    assert "popsan · loihi1, limits off" in labels
-    assert "popsan · float" in labels
-    assert find("stroll/popsan").limits
-
-
-def test_shipped_networks_are_read_as_they_were_trained():
-    path = zoo.path("hexapod/popsan")
-    assert design_report("hexapod/popsan", ["loihi1"]).artifact.convention == load(path).convention

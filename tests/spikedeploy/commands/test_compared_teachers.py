@@ -55,14 +55,6 @@ def test_workers_play_a_function_of_the_current_folder(rows, tmp_path):
     assert rows(LEVELS, "--teacher", "my_level:act", workers=2)["my_level:act"]["returns"] == [5, 5]
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "dqn"])
-def test_a_model_of_stable_baselines3_is_the_float_ann(algorithm, rows):
-    found = rows("CartPole-v1", "--teacher", SB3 / f"{algorithm}.zip")
-    assert found[algorithm]["kind"] == "ann"
-    assert found["random"]["ratio_to_float_ann"] is not None
-    assert found["random"]["reference"] == algorithm
-
-
 def test_an_onnx_file_of_others_acts_in_units_of_the_environment(tmp_path):
     file = shutil.copy(ROOT / "tests/golden/rsl_rl/policy.onnx", tmp_path)
     assert teacher_candidate(str(file)).format == "teacher"

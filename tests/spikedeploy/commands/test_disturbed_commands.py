@@ -4,10 +4,6 @@ import json
 
 import pytest
 
-from spikedeploy.envs.disturbances import kinds_of
-from spikedeploy.runtime.faults import FAULTS
-from tests.paths import ROOT
-
 SHORT = ("--set", "max_steps=12", "--json")
 
 
@@ -45,15 +41,6 @@ def test_run_names_disturbances_and_counts_what_faults_hit(command):
     assert lost["hit"] / lost["of"] == pytest.approx(0.1, rel=0.2)
 
 
-def test_what_happens_over_time_is_counted_in_all_episodes(command):
-    one = told(command, "run", "kart-grid/snn", "--fault", "lost-spikes:2")
-    two = told(command, "run", "kart-grid/snn", "--fault", "lost-spikes:2", "--episodes", "2")
-    last = told(command, "run", "kart-grid/snn", "--fault", "lost-spikes:2", "--seed", "10001")
-    first, both, second = (each["rows"][0]["faults"][0] for each in (one, two, last))
-    assert both["of"] == first["of"] + second["of"]
-    assert both["hit"] == first["hit"] + second["hit"]
-
-
 def test_another_specimen_is_another_chip(command):
     words = ("run", "kart-grid/snn", "--fault", "stuck-max=0.2")
     assert told(command, *words)["rows"] != told(command, *words, "--specimen", "1")["rows"]
@@ -71,17 +58,6 @@ def test_compare_breaks_the_chip_and_neither_float_twin_nor_baselines(command):
         ("snn", "loihi1"), ("sparse", "loihi1"), ("sparse-gated", "loihi1"),
     ]  # fmt: skip
     assert not any("faults" in row for row in whole["rows"])
-
-
-def test_tables_say_in_words_what_was_wrong(command):
-    code, out, _ = command(
-        "run", "kart-grid/snn", "--set", "max_steps=5", "--disturb", "grip:2", "--fault",
-        "stuck-zero:1",
-    )  # fmt: skip
-    assert code == 0
-    said = " ".join(out.split())
-    assert "Disturbed by grip:2 (0.9 [share of each change that is lost" in said
-    assert "fault stuck-zero:1 (0.01) hits 59 of 5,860 weights" in said
 
 
 def test_a_report_says_so_too(command, tmp_path):
@@ -107,18 +83,3 @@ def test_what_cannot_be_is_refused_in_a_line(command, words, said):
     code, _, err = command("run", "kart-grid/snn", *words)
     assert code == 2
     assert said in err
-
-
-def test_the_page_lists_every_disturbance_and_fault_with_its_numbers():
-    page = (ROOT / "docs/robustness.md").read_text(encoding="utf-8")
-    for world in ("hexapod", "kart", "foreign"):
-        for name, kind in kinds_of(world).items():
-            assert f"| `{name}` | {kind.meaning} | {kind.unit} |" in page
-            assert " / ".join(f"{number:g}" for number in kind.levels[world]) in page
-            assert kind.source in page
-
-    for name in FAULTS:
-        kind = FAULTS[name]
-        assert f"| `{name}` | {kind.meaning} | {kind.unit} |" in page
-        assert " / ".join(f"{number:g}" for number in kind.levels) in page
-        assert kind.source in page

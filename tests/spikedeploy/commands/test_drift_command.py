@@ -43,16 +43,6 @@ def test_a_shipped_policy_is_compared_on_what_its_float_twin_observes(command, s
     ]  # fmt: skip
 
 
-def test_what_is_observed_is_what_the_float_twin_would_hear(stroll):
-    candidate = find("stroll/popsan")
-    artifact = load(candidate.path)
-    inputs = observed_inputs(artifact, candidate, None, range(10_000, 10_002), 1000)
-    assert inputs.raster.shape == (40, 5, 30)
-    assert inputs.source.endswith("seeds 10000 to 10001")
-    few = observed_inputs(artifact, candidate, None, range(10_000, 10_002), 2)
-    np.testing.assert_array_equal(few.raster, inputs.raster[[0, 39]])
-
-
 def test_a_raster_is_compared_in_any_file(command, raster):
     words = ("drift", "p.nir", "--input", "raster.npy", "--rounding", "truncate")
     code, out, _ = command(*words, "--quantise", "channel", "--chip", "loihi1", "--json")
@@ -116,12 +106,6 @@ def test_without_codec_and_raster_it_says_what_to_give(command, tmp_path):
     assert "--input" in err
 
 
-def test_a_file_that_is_not_there_is_one_line(command):
-    code, _, err = command("drift", "nowhere.nir")
-    assert code == 2
-    assert err.startswith("error: no network at 'nowhere.nir': no such file or shipped policy;")
-
-
 def test_emulate_takes_the_same_quantisation(command, raster):
     outputs = {}
     for options in ((), ("--quantise", "channel"), ("--rounding", "truncate")):
@@ -131,14 +115,6 @@ def test_emulate_takes_the_same_quantisation(command, raster):
             outputs[options] = found["n2"]
     assert (outputs["--quantise", "channel"] != outputs[()]).any()
     assert (outputs["--rounding", "truncate"] != outputs[()]).any()
-
-
-def test_kept_states_are_heard_from_the_first_step_on(stroll):
-    candidate = find("stroll/popsan")
-    artifact = load(candidate.path, state="kept")
-    all_of_them = observed_inputs(load(candidate.path), candidate, None, [10_000], 1000)
-    first = observed_inputs(artifact, candidate, None, [10_000], 3)
-    np.testing.assert_array_equal(first.raster, all_of_them.raster[:3])
 
 
 def test_kept_states_begin_anew_with_each_episode(stroll):

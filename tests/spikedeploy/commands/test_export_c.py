@@ -3,8 +3,6 @@
 import errno
 import json
 import os
-import re
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -15,7 +13,6 @@ from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping import export_c, exported_run
-from tests.c_builds import COMPILERS, needs_c
 from tests.networks import event_driven, popsan
 
 CHIP = ("--to", "c", "--chip", "loihi1")
@@ -109,21 +106,6 @@ def test_no_file_of_the_build_and_no_device_of_windows_can_be_the_prefix(prefix)
     # nor in other letters, which are one file where the disk knows no case
     with pytest.raises(ConfigError, match="small letters"):
         check_prefix(prefix.upper())
-
-
-@needs_c
-def test_no_header_that_the_files_include_can_be_the_prefix(tmp_path):
-    """Of the headers that those include in turn, too: PREFIX.h comes before them by -I."""
-    named = "".join(f"#include <{name}.h>\n" for name in ("math", "stdint", "stdio", "string"))
-    (tmp_path / "all.c").write_text(named)
-    words = [COMPILERS[0], "-M", "all.c"]
-    found = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    stems = set(re.findall(r"/include/(?:[\w-]+-linux-gnu/)?([a-z][a-z0-9_]*)\.h", found))
-    assert {"stdint", "math"} <= stems
-    for stem in stems:
-        with pytest.raises(ConfigError, match="is the name of a header"):
-            check_prefix(stem)
-    check_prefix("stdint_policy")
 
 
 def test_a_float_policy_is_written_in_8_bits_and_says_how_far_its_actions_move(
@@ -226,16 +208,3 @@ def test_c_of_another_policy_is_removed_where_it_is_not_replaced(tmp_path):
     }
     export_c.write(kept, tmp_path, "policy")
     assert names_in(tmp_path) == {*kept, "host_i16.c"}
-
-
-def test_a_makefile_of_the_user_is_not_taken_for_a_part_of_an_export(tmp_path):
-    write_texts(texts_of("old"), tmp_path)
-    (tmp_path / "Makefile").write_text("all:\n")
-    assert not export_c.is_export(tmp_path)
-
-
-@pytest.mark.parametrize("given", ["loihi1", "loihi1:clock=gated"])
-def test_c_of_a_gated_policy_assumes_nothing_of_a_chip(given, command, file):
-    words = ("export", file, "--to", "c", "-o", "c", "--observations", "5", "--chip", given)
-    code, out, _ = command(*words)
-    assert (code, "nothing published says" in out) == (0, False)

@@ -51,21 +51,6 @@ def test_emulate_prices_by_the_tables_that_are_named(command, emulate):
     assert "did you mean 'odin'" in err
 
 
-def test_the_energy_tables_are_listed_with_their_sources(command):
-    found = json.loads(command("energy", "--json")[1])
-    by_name = {table["name"]: table for table in found["tables"]}
-    assert "pre-silicon" in by_name["davies2018"]["provenance"]
-    assert by_name["sanafe"]["uncertainty"]["is"] == "no bound known"
-    assert "11.7 %" in by_name["sanafe"]["provenance"]
-    assert by_name["truenorth"]["included"] == ["updates", "idle", "messages", "spikes", "resets"]
-    powers = {power["name"]: power for power in found["static"]}
-    assert powers["frady2020"]["watts"] == 0.104
-    assert (powers["popsan2020"]["watts"], powers["popsan2020"]["share"]) == (1.084, 1 / 8)
-    out = command("energy")[1]
-    assert "truenorth" in out
-    assert "450 to 1500" in out
-
-
 def test_run_prices_by_the_tables_that_are_named(command, monkeypatch, tmp_path):
     toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     monkeypatch.chdir(tmp_path)
@@ -73,18 +58,6 @@ def test_run_prices_by_the_tables_that_are_named(command, monkeypatch, tmp_path)
     # 5.3 pJ a synaptic operation, those of the biases included
     sops = row["sops_per_inference"] + row["bias_sops_per_inference"]
     assert row["energy_per_inference_j"] == {"reckon": pytest.approx(sops * 5.3e-12)}
-
-
-def test_compare_prices_by_the_tables_that_are_named(command, monkeypatch, tmp_path):
-    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
-    monkeypatch.chdir(tmp_path)
-    words = ("compare", "stroll", "--episodes", 2, "--workers", 1, "--energy", "spinnaker2")
-    rows = json.loads(command(*words, "--json")[1])["rows"]
-    spiking = [row for row in rows if row["chip"] == "loihi1"]
-    assert all(row["energy_per_inference_j"].keys() == {"spinnaker2"} for row in spiking)
-    assert all(row["energy_per_inference_j"] == {} for row in rows if row["kind"] == "ann")
-    low, high = spiking[0]["energy_interval_j"]["spinnaker2"]
-    assert low < high < 4 * low
 
 
 def test_the_page_about_energy_shows_what_the_command_prints(command):

@@ -80,13 +80,6 @@ def test_drift_has_a_table_of_readouts(command, files, file):
     assert "fast" in json.dumps(found)
 
 
-def test_chips_say_how_membranes_leave(command):
-    found = {each["name"]: each for each in json.loads(told(command, "chips", "--json"))}
-    assert found["loihi1"]["membrane_output"] == "probe"
-    assert found["truenorth"]["membrane_output"] == "none"
-    assert found["xylo-a2"]["sources"]["membrane_output"].startswith("rockpool")
-
-
 def policy():
     """One timestep a control step, and states that live on."""
     code = RateEncoder(np.full(INPUTS, -1.0), np.ones(INPUTS))

@@ -50,17 +50,6 @@ def test_a_network_of_another_tool_drives_and_spikes_as_its_author_meant(
     assert "your framework = our float: equal" in out
 
 
-def test_it_runs_on_a_chip_and_stays_a_policy(here, command):
-    words = ("--from", "norse", "--codec", "codec.json", *ENV, "--json")
-    first = json.loads(command("run", "norse_lifcell.nir", *words)[1])["rows"][0]
-    again = json.loads(command("run", "norse_lifcell.policy.nir", *ENV, "--json")[1])["rows"][0]
-    assert first["chip"] == "loihi1"
-    assert (first["returns"], first["sops_per_inference"]) == (
-        again["returns"],
-        again["sops_per_inference"],
-    )
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -80,19 +69,6 @@ def test_what_is_missing_is_asked_for(words, said, here, command):
     assert code == 2
     assert out == ""
     assert said in " ".join(err.split())
-
-
-def test_a_reset_that_the_chip_does_not_have_is_exit_code_1(here, command):
-    words = ("--from", "snntorch", "--codec", "codec.json", "--chip", "loihi1")
-    code, _, err = command("run", "snntorch_leaky.nir", *ENV, *words)
-    assert code == 1
-    assert "rule reset" in err
-
-
-def test_a_reset_that_no_chip_has_is_counted_in_float(here, command):
-    words = ("snntorch_leaky.nir", "--from", "snntorch", "--codec", "codec.json", *ENV)
-    row = json.loads(command("run", *words, "--chip", "float", "--json")[1])["rows"][0]
-    assert row["sops_per_inference"] > 0
 
 
 def test_a_file_of_somebody_else_is_kept_and_ones_own_is_written_again(here, command):

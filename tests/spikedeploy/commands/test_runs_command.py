@@ -2,7 +2,6 @@
 
 import json
 import os
-import socket
 
 import pytest
 
@@ -57,14 +56,6 @@ def test_every_column_that_sorts_is_one_that_the_command_takes():
     assert set(SortKey.__args__) == set(SORTS)
 
 
-def test_a_damaged_run_is_left_out_and_said(two, command):
-    (two / "walk-a/config.json").write_text("{")
-    code, out, err = command("runs", "--json")
-    assert (code, [row["name"] for row in json.loads(out)]) == (0, ["walk-b"])
-    assert "left out" in err
-    assert "walk-a" in err
-
-
 @pytest.mark.parametrize("name", ["eval_return", "eval_finish"])
 def test_a_run_whose_scores_are_no_numbers_is_left_out_and_said(name, two, command):
     for record in (two / "walk-a/checkpoints").glob("*.json"):
@@ -72,13 +63,6 @@ def test_a_run_whose_scores_are_no_numbers_is_left_out_and_said(name, two, comma
     code, out, err = command("runs", "--json")
     assert (code, [row["name"] for row in json.loads(out)]) == (0, ["walk-b"])
     assert "is damaged (ValueError" in " ".join(err.split())
-
-
-def test_strange_locks_keep_nobody_waiting(two, command):
-    os.mkfifo(two / "walk-a/.lock")
-    (two / "walk-b/.lock").write_text(f"{10**25} {socket.gethostname()}")
-    code, out, _ = command("runs", "--json")
-    assert (code, [row["running"] for row in json.loads(out)]) == (0, [False, False])
 
 
 def test_links_to_folders_are_not_followed(two, command):
@@ -118,8 +102,3 @@ def test_an_ambiguous_beginning_lists_the_runs(two, command):
     for words in asked:
         code, _, err = command(*words.split())
         assert (code, "runs/walk-a, runs/walk-b" in err) == (2, True), words
-
-
-def test_a_shipped_policy_and_a_file_come_before_runs(two):
-    (two / "walk-a").rename(two / "stroll")
-    assert runnable("stroll/sac") == "stroll/sac"

@@ -2,7 +2,6 @@
 
 import json
 
-import numpy as np
 import pytest
 
 from spikedeploy.exporters.to_nir import to_nir
@@ -99,37 +98,3 @@ def test_drift_compares_what_spikes_and_the_actions(command, event):
         assert 0 < found["output"]["rms"] < 0.5
         # the network is gated and keeps its states, and layers of the chip run free
         assert [rung["name"] for rung in found["rungs"]][:2] == ["clock", "weights"]
-
-
-def test_a_raster_is_emulated_and_counted(command, event, stroll):
-    spikes = (np.random.default_rng(0).random((20, 18)) < 0.1).astype(np.uint8)
-    np.save(stroll / "in.npy", spikes)
-    for chip in ("float", "loihi1:clock=gated"):
-        words = ("--chip", chip, "--input", stroll / "in.npy", "-o", stroll / "out.npz")
-        code, out, _ = command("emulate", event, *words, "--json")
-        found = json.loads(out)
-        assert code == 0
-        sparsity = found["neurobench"]["ActivationSparsity"]
-        if "lif1" in found["layers"]:
-            assert sparsity == pytest.approx(1 - found["layers"]["lif1"]["rate"])
-        else:
-            assert sparsity == 0
-        assert found["sops"] == found["neurobench"]["SynapticOperations"]["Effective_ACs"]
-        assert command("emulate", event, *words)[0] == 0
-
-
-def test_design_rules_are_checked(command, event):
-    code, out, _ = command("check", event, "--chip", "loihi1", "--chip", "loihi2", "--json")
-    assert code == 0
-    assert json.loads(out)["passed"]
-
-
-def test_it_is_compared_with_its_teacher_and_its_run_folder(command, event, stroll):
-    gated = "loihi1:clock=gated"
-    words = ("--episodes", 2, "--workers", 1, "--chips", gated, "-o", stroll / "report")
-    code, out, _ = command("compare", "stroll", event, "stroll/sac", *words, "--json")
-    assert code == 0
-    found = {row["chip"]: row for row in json.loads(out)["rows"] if row["policy"] == "event"}
-    on_chip, twin = (found[chip]["sops_per_inference"] for chip in (gated, "float"))
-    assert twin == pytest.approx(on_chip, rel=0.3)
-    assert (stroll / "report" / "report.html").is_file()

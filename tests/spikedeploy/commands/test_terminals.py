@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 import typer
 
@@ -15,13 +14,11 @@ from spikedeploy import cli, console
 from spikedeploy.console import progress
 from spikedeploy.play.display import check_driver
 from spikedeploy.reports.table import Table
-from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.chips.chip import CHIPS, chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metrics.energy import TABLES
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig
 from tests import toy_stroll_env
-from tests.networks import popsan
 from tests.paths import ROOT
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER")
@@ -71,10 +68,6 @@ def test_the_version_is_printed(command):
     assert out.startswith("spikedeploy ")
 
 
-def test_shells_can_complete(command):
-    assert "--install-completion" in command("--help")[1]
-
-
 def test_a_terminal_of_ascii_gets_ascii():
     ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     done = called("spikedeploy energy horowitz45-int8; spikedeploy chips", **ascii_only)
@@ -97,11 +90,6 @@ def test_a_full_disk_is_one_line():
     assert done.returncode == 2
     assert done.stderr.startswith(b"error: No space left on device")
     assert done.stderr.count(b"\n") == 1
-
-
-def test_a_reader_that_leaves_is_no_error():
-    done = called("spikedeploy energy | head -n 1")
-    assert (done.returncode, done.stderr) == (0, b"")
 
 
 def test_a_reader_that_leaves_is_not_a_network_that_does_not_fit():
@@ -150,15 +138,6 @@ def test_a_display_that_cannot_be_reached_is_none(monkeypatch):
     check_driver("dummy")  # as asked for
 
 
-def test_a_raster_of_another_width_is_called_that(command, tmp_path):
-    save(popsan(), tmp_path / "p.nir")
-    np.save(tmp_path / "in.npy", np.zeros((5, 29), np.uint8))
-    words = ("--input", tmp_path / "in.npy", "-o", tmp_path / "out.npz", "--chip", "loihi1")
-    code, _, err = command("emulate", tmp_path / "p.nir", *words)
-    assert code == 2
-    assert "the raster is 29 wide; node 'input' takes 30 spike trains" in err
-
-
 @pytest.mark.parametrize("name", CHIPS)
 def test_a_chip_is_printed_in_full(name, command):
     code, out, _ = command("chips", name)
@@ -193,10 +172,6 @@ def test_an_entry_that_is_not_there_is_one_line(verb, command):
     code, out, err = command(verb, "nowhere")
     assert (code, out) == (2, "")
     assert err.count("\n") == 1
-
-
-def test_energies_come_with_the_table_to_quote(command):
-    assert "Quote horowitz45-int8" in command("energy")[1]
 
 
 def test_sparse_recipes_show_their_budget(command):

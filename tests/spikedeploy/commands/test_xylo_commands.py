@@ -1,6 +1,5 @@
 """Xylo from the command line: the same commands as for any chip."""
 
-import html
 import json
 from dataclasses import replace
 
@@ -46,13 +45,6 @@ def test_emulate_plays_a_foreign_network(name, files, command, tmp_path):
     assert any("up to 31 times in a timestep" in remark for remark in document["remarks"])
 
 
-def test_emulate_prints_what_the_chip_does_otherwise(files, command, tmp_path):
-    net, spikes, *_ = files
-    words = ("emulate", net, "--chip", "xylo-a2", "--reset", "subtract", "--input", spikes)
-    _, out, _ = command(*words, "-o", tmp_path / "out.npz")
-    assert "a power of two" in out
-
-
 def test_emulate_refuses_a_reset_to_zero(files, command, tmp_path):
     net, spikes, *_ = files
     words = ("emulate", net, "--chip", "xylo-a2", "--input", spikes, "-o", tmp_path / "out.npz")
@@ -83,25 +75,6 @@ def test_a_policy_on_xylo_acts_in_its_environment(command, monkeypatch, tmp_path
     assert row["chip"] == "xylo-a2"
     assert row["sops_per_inference"] > 0
     assert row["sparsity"] is None  # neurons of Xylo spike several times in a timestep
-
-
-def test_reports_say_what_xylo_does_otherwise_than_the_file(command, monkeypatch, tmp_path):
-    shipped = toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
-    policy = popsan(obs=3, act=2, hidden=(16, 12))
-    convention = replace(policy.convention, reset="subtract")
-    file = shipped / "popsan.nir"
-    save(replace(policy, convention=convention, provenance=toy_stroll_env.ORIGIN), file)
-    asked = ("stroll", file, "--chips", "xylo-a2,ideal", "--episodes", "1", "--seed", "10000")
-    asked += ("--workers", "1", "--limits", "off", "--tables", "all")
-    code, out, err = command("compare", *asked, "-o", tmp_path / "out")
-    assert code == 0, err
-    document = json.loads((tmp_path / "out/report.json").read_text(encoding="utf-8"))
-    ((label, remarks),) = document["remarks"].items()
-    assert label == "popsan · xylo-a2, limits off"
-    assert any("up to 31 times in a timestep" in remark for remark in remarks)
-    texts = [(tmp_path / "out" / f"report.{kind}").read_text("utf-8") for kind in ("md", "html")]
-    for text in (" ".join(out.split()), *map(html.unescape, texts)):
-        assert all(label in text and remark in text for remark in remarks)
 
 
 def test_emulate_shifts_the_weights_of_a_xylo(files, command, tmp_path):

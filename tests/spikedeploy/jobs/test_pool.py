@@ -100,13 +100,6 @@ def test_what_cannot_be_sent_back_is_an_error_and_kills_no_worker():
     assert all("pickle" in str(result.error).lower() for result in found)
 
 
-def test_processes_are_kept_for_later_jobs():
-    with ProcessBackend(1) as backend:
-        first = [result.worker for result in backend.run(square, [1, 2])]
-        again = [result.worker for result in backend.run(square, [1, 2])]
-    assert len({*first, *again}) == 1
-
-
 def test_processes_that_cannot_start_are_a_sentence_and_not_an_endless_row(tmp_path):
     script = tmp_path / "unguarded.py"
     script.write_text("""
@@ -170,11 +163,6 @@ def test_workers_have_one_thread_and_leave_this_process_alone():
         found = jobs.in_order(variable, list(WORKER_ENVIRONMENT), lambda: None)
     assert found == list(WORKER_ENVIRONMENT.values())
     assert dict(os.environ) == before
-
-
-def test_a_killed_worker_is_one_clear_line(tmp_path):
-    with local_backend(2) as jobs, pytest.raises(SpikedeployError, match="fewer --workers"):
-        jobs.in_order(die, [tmp_path / "a", tmp_path / "b"], lambda: None)
 
 
 def test_ctrl_c_ends_at_once_and_does_not_wait_for_jobs():

@@ -45,13 +45,6 @@ def test_every_job_is_done_in_a_process_of_its_own(tmp_path):
     assert {(tmp_path / name).read_text() for name in "abc"} == {"done"}
 
 
-def test_only_so_many_run_at_a_time(tmp_path):
-    seen = []
-    jobs = [job(name, "write", tmp_path) for name in "abcd"]
-    run(jobs, 2, lambda end: None, lambda running: seen.append(len(running)))
-    assert max(seen) == 2
-
-
 def test_a_job_waits_for_those_that_it_needs_and_lets_others_go_first(tmp_path):
     ends = []
     needy = replace(job("a", "write", tmp_path), after=("b", "long done"))
@@ -122,15 +115,3 @@ run([job("a", "wait", Path({str(tmp_path)!r}))], 1, print)
     while (tmp_path / "a").read_text() != "checkpoint" and time.monotonic() < deadline:
         time.sleep(0.05)
     assert (tmp_path / "a").read_text() == "checkpoint"
-
-
-def test_two_processes_take_turns_at_what_is_done_alone(tmp_path):
-    run([job(name, "turn", tmp_path) for name in "ab"], 2, lambda end: None)
-    times = sorted(tuple(map(float, (tmp_path / name).read_text().split())) for name in "ab")
-    assert times[1][0] >= times[0][1]
-
-
-def test_a_log_keeps_the_words_of_every_attempt(tmp_path):
-    for _ in range(2):
-        run([job("bad", "fail", tmp_path)], 1, lambda end: None)
-    assert (tmp_path / "logs/bad.log").read_text().count("the shop was closed") == 2

@@ -1,7 +1,6 @@
 """The page of a comparison: what it leads with, and how it behaves in a browser."""
 
 import re
-from io import BytesIO
 
 import pytest
 from matplotlib.colors import to_hex
@@ -114,18 +113,6 @@ def test_png_plots_have_the_colours_of_the_page_by_day():
         assert list(dict.fromkeys(found)) == [by_day[name] for name in kinds]
 
 
-def test_the_arrow_of_a_row_far_below_is_inside_the_axes():
-    rows = [ANN, row("popsan", "snn", "loihi1"), row("gait", "gait", None, 100)]
-    figure = returns_figure(rows)
-    (axes,) = figure.axes
-    figure.savefig(BytesIO())
-    (arrow,) = (line for line in axes.lines if line.get_marker() == "<")
-    (x, y) = arrow.get_transform().transform(arrow.get_xydata())[0]
-    half = arrow.get_markersize() / 2 * figure.dpi / 72  # [pixel]
-    assert axes.bbox.x0 <= x - half < axes.bbox.x0 + 20
-    assert axes.transData.inverted().transform((x, y))[1] == pytest.approx(2)
-
-
 def ready(browser, episode="0"):
     from selenium.webdriver.support.ui import WebDriverWait
 
@@ -187,31 +174,3 @@ def test_an_axis_that_cuts_outliers_says_how_far_they_go(browser, outlier, ends)
         return said;"""
     )
     assert browser.execute_script(script, outlier) == ends
-
-
-@pytest.mark.parametrize("width", [390, 1280])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_nothing_is_wider_than_the_screen_in_light_and_dark(browser, page, width, scheme):
-    size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    feature = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", feature)
-    browser.get(page.as_uri())
-    ready(browser)
-    shown = "getComputedStyle(document.body).backgroundColor"
-    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
-    assert (browser.execute_script(f"return {shown}") == "rgb(18, 22, 28)") is (scheme == "dark")
-    for details in browser.find_elements("tag name", "details"):
-        details.find_element("tag name", "summary").click()
-    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
-
-
-def test_the_page_prints_with_everything_unfolded(browser, page):
-    browser.get(page.as_uri())
-    ready(browser)
-    printed = browser.execute_cdp_cmd("Page.printToPDF", {})["data"]
-    assert len(printed) > 20_000
-    opened = browser.execute_script(
-        "return document.querySelectorAll('details:not([open])').length"
-    )
-    assert opened == 0

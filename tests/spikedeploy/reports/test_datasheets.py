@@ -25,14 +25,6 @@ def test_the_documentation_has_the_table_that_the_command_prints(command):
     assert f"\n\n{out}\n" in PAGE.read_text("utf-8")
 
 
-@pytest.mark.parametrize("name", sorted(CHIPS))
-def test_people_see_every_chip_and_what_it_was_compared_with(name, command):
-    row = shown(chip(name))
-    assert row["compared with"] == chip(name).evidence
-    assert all(row.values())
-    assert name in command("chips")[1]
-
-
 @pytest.mark.parametrize(
     ("used", "weights", "membrane"),
     [

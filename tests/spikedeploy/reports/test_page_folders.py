@@ -24,10 +24,3 @@ def test_a_page_is_written_again_by_its_command_and_by_no_other(stroll, command)
         assert (code, "--force" in err) == (2, True)
     assert (stroll / "out/report.json").read_bytes() == before
     assert command(*DRIFT, "-o", "out", "--force")[0] == 0
-
-
-def test_a_page_of_rules_goes_without_a_recording(stroll, command):
-    (stroll / "seen.npz").write_bytes(b"")
-    code, _, err = command(*CHECK, "--against", "seen.npz", "-o", "out")
-    assert code == 2
-    assert "leave --against out" in err

@@ -129,17 +129,6 @@ def test_every_page_fits_phones_and_desktops_in_light_and_dark_and_on_paper(brow
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
 
 
-def test_no_figure_of_a_drift_is_wider_than_a_phone(browser, network, tmp_path):
-    (tmp_path / "x.html").write_text(of_drift(network, None, None), encoding="utf-8")
-    size = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    browser.get((tmp_path / "x.html").as_uri())
-    figures = browser.find_elements("tag name", "figure")
-    assert len(figures) == 2
-    script = "return arguments[0].scrollWidth <= arguments[0].clientWidth"
-    assert all(browser.execute_script(script, each) for each in figures)
-
-
 def test_the_cores_that_are_drawn_hold_every_neuron_once(network):
     for name in ("loihi1", "loihi2", "truenorth", "spinnaker2"):
         (check,) = report_of("small.nir", network, [name]).checks

@@ -1,19 +1,17 @@
 """The report: data and a page that say the same, and a sentence that is true."""
 
 import json
-import re
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
-from spikedeploy import envs
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.summary import summary
 from spikedeploy.reports import comparison as report
 from spikedeploy.reports.columns import short_columns, tables
-from spikedeploy.reports.table import Table, format_si, price_cell
+from spikedeploy.reports.table import Table, price_cell
 from spikedeploy.reports.terminal import print_comparison
 from tests import toy_stroll_env
 
@@ -87,14 +85,6 @@ def test_names_of_files_are_shown_as_they_are_and_are_no_markup(document, tmp_pa
     assert r"| a\|b \# c \<script\>alert(1)\</script\> \[d\](e) f\_g" in plain.read_text("utf-8")
     assert "<script>alert" not in page.read_text("utf-8")
     assert "&lt;script&gt;" in page.read_text("utf-8")
-
-
-def test_numbers_that_json_lacks_become_null(document, tmp_path):
-    document["rows"][0]["return_mean"] = float("nan")
-    report.write({**document, "extra": float("inf")}, tmp_path)
-    text = (tmp_path / "report.json").read_text()
-    assert not re.search(r"NaN|Infinity", text)
-    assert json.loads(text)["extra"] is None
 
 
 CONTROLS = {"effective_macs": None}
@@ -171,20 +161,6 @@ def test_tables_pages_and_plots_of_few_episodes_have_no_interval(document, tmp_p
         assert len(each["return_ci95"]) == 2
 
 
-def test_what_an_environments_returns_can_show_is_said_in_every_report(document, tmp_path, capsys):
-    document["env_remark"] = "Strolls are not comparable with runs."
-    report.write(document, tmp_path)
-    print_comparison(document)
-    assert document["env_remark"] in " ".join(capsys.readouterr().out.split())
-    for file in ("report.html", "report.md", "report.json"):
-        assert document["env_remark"] in (tmp_path / file).read_text(encoding="utf-8")
-
-
-def test_the_walkers_have_such_a_remark():
-    assert "cannot be compared with Spikerman's" in envs.spec("hexapod").remark
-    assert "peaked kernel" in envs.spec("hexapod-command").remark
-
-
 def test_rows_have_iqm_and_risk_with_intervals_beside_the_mean(document):
     for found in document["rows"]:
         low, high = found["risk_ci95"]
@@ -195,25 +171,6 @@ def test_rows_have_iqm_and_risk_with_intervals_beside_the_mean(document):
         assert len(found["successes"]) == found["episodes"]
     seeds = {found["policy"]: found["training_seeds"] for found in document["rows"]}
     assert seeds == {"sac": 1, "popsan": 1, "gait": None}
-
-
-def test_a_policy_alone_needs_no_sentence():
-    alone = row("popsan", "snn", "loihi1", reference=None, ratio_to_float_ann=None)
-    assert summary([alone]) == ""
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (1.3e-5, "13.00 µ"),
-        (2e-7, "0.20 µ"),
-        (1.7e-8, "17.00 n"),
-        (0.0019, "1.90 m"),
-        (0.0, "0.00 n"),
-    ],
-)
-def test_prices_are_readable_at_any_size(value, text):
-    assert format_si(value) == text
 
 
 @pytest.mark.parametrize(

@@ -63,10 +63,6 @@ def pages(site):
     return {file.resolve(): Page(text) for file, text in texts.items() if file.stem != "404"}
 
 
-def test_it_builds_without_a_warning(site):
-    assert [line for line in site[1].splitlines() if not line.startswith(("INFO", "  - "))] == []
-
-
 def test_it_has_every_page_of_docs_and_the_api(pages, site):
     names = {file.relative_to(site[0].resolve()).with_suffix("").as_posix() for file in pages}
     docs = {page.relative_to(ROOT).with_suffix("").as_posix() for page in ROOT.glob("docs/**/*.md")}
@@ -102,9 +98,3 @@ def test_reading_it_fetches_nothing_from_elsewhere(pages, site):
     } == set()
     styles = [file.read_text("utf-8") for file in folder.rglob("*.css")]
     assert not any(re.search(r"@import|url\(['\"]?(https?:)?//", text) for text in styles)
-
-
-def test_it_can_be_searched_without_a_server(site):
-    assert "docs/tutorials/first-chip-run" in (site[0] / "search/search_index.js").read_text(
-        "utf-8"
-    )
