@@ -65,7 +65,10 @@ def print_json(data: object) -> None:
 
 def print_result(json: bool, record: object, *lines: str) -> None:
     """Write a record as JSON, or else lines."""
-    print(as_text(record).rstrip() if json else "\n".join(lines))
+    if json:
+        print_json(record)
+    elif lines:
+        print("\n".join(lines))
 
 
 def say(line: str) -> None:

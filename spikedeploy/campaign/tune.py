@@ -113,8 +113,6 @@ def _job(plan: TuningPlan, storage: str, folder: Path, number: int, trials: int)
 
 
 class _Progress:
-    """Writes down how each job ended, and the page; gives up where all trials fail."""
-
     def __init__(
         self, plan: TuningPlan, study: "optuna.Study", folder: Path, say: Callable[[str], object]
     ) -> None:
@@ -122,9 +120,15 @@ class _Progress:
         self._failed = 0
 
     def __call__(self, end: JobEnd) -> None:
+        """Write down how a job ended, and the page; give up where all trials fail."""
+        from optuna.trial import TrialState
+
         mine = [t for t in self._study.trials if t.user_attrs.get(_JOB) == end.job.name]
-        if end.failed:
-            self._note_death(mine, end)
+        for trial in mine:
+            if end.failed and trial.state.name == "RUNNING":  # its process was killed
+                why = f"its process ended with status {end.status}: {end.last_line}"
+                self._study.set_user_attr(f"{REASON} {trial.number}", why)
+                self._study.tell(trial.number, state=TrialState.FAIL)
         found = outcomes(self._plan, self._study)
         numbers = [trial.number for trial in mine]
         told = next((each for each in reversed(found) if each.number in numbers), None)
@@ -133,16 +137,6 @@ class _Progress:
         self._failed = self._failed + 1 if end.failed else -_HOPELESS
         if self._failed == _HOPELESS and not any(each.earned is not None for each in found):
             raise ConfigError(f"the first {_HOPELESS} trials failed: {end.last_line}")
-
-    def _note_death(self, trials: "list[optuna.trial.FrozenTrial]", end: JobEnd) -> None:
-        """End a trial in the study whose process was killed."""
-        from optuna.trial import TrialState
-
-        for trial in trials:
-            if trial.state.name == "RUNNING":
-                why = f"its process ended with status {end.status}: {end.last_line}"
-                self._study.set_user_attr(f"{REASON} {trial.number}", why)
-                self._study.tell(trial.number, state=TrialState.FAIL)
 
 
 def _requeue(study: "optuna.Study", folder: Path) -> None:

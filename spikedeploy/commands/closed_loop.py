@@ -22,7 +22,7 @@ from spikedeploy.commands.options import (
     World,
     with_groups,
 )
-from spikedeploy.console import print_json, say
+from spikedeploy.console import print_json, print_result, say
 from spikedeploy.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -298,10 +298,8 @@ def serve(
     server = PolicyServer(served, address, port, clients, forgotten)
     if address != "127.0.0.1":
         say(f"warning: {address} is open to other machines, and nothing is authenticated")
-    if json:
-        print_json({"endpoint": server.endpoint, **served.info()})
-    else:
-        typer.echo(f"serving {served.name} on {served.chip} at {server.endpoint}")
+    line = f"serving {served.name} on {served.chip} at {server.endpoint}"
+    print_result(json, {"endpoint": server.endpoint, **served.info()}, line)
     try:
         server.serve(threading.Event())
     finally:

@@ -7,7 +7,7 @@ import typer
 
 from spikedeploy import seeds
 from spikedeploy.commands.options import OnChip, Reading
-from spikedeploy.console import print_json
+from spikedeploy.console import print_json, print_result
 from spikedeploy.errors import ConfigError
 
 
@@ -158,10 +158,7 @@ def _check_against(
             "chip. Give one of them; `drift` compares a chip with the float twin."
         )
     found = against_recorded(network_path(file), recorded, **reading.arguments())
-    if json:
-        print_json(found.record)
-    else:
-        typer.echo("\n".join(found.lines))
+    print_result(json, found.record, *found.lines)
     raise typer.Exit(0 if found.equal else 1)
 
 

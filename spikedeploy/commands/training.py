@@ -10,7 +10,14 @@ from typing import Any, Literal
 import typer
 
 from spikedeploy.commands.options import Encoders
-from spikedeploy.console import name_program, print_json, print_text, program_name, say
+from spikedeploy.console import (
+    name_program,
+    print_json,
+    print_result,
+    print_text,
+    program_name,
+    say,
+)
 from spikedeploy.errors import ConfigError
 
 _RUNS = Path("runs")
@@ -154,10 +161,8 @@ def visualize(
     check_output("-o", output, folders, force, lambda path: marked(path, own))
     curves = [read_curve(run / "metrics.csv", run.resolve().name) for run in folders]
     picture = draw_curves(curves, output, own)
-    if json:
-        print_json({"path": str(picture), "curves": [vars(each) for each in curves]})
-    else:
-        typer.echo(f"wrote {picture}")
+    record = {"path": str(picture), "curves": [vars(each) for each in curves]}
+    print_result(json, record, f"wrote {picture}")
 
 
 def _run_seeds(
@@ -274,20 +279,11 @@ def tune(
     # a study goes on; other people's files of these names stay
     check_output_folder("--folder", where, (PAGE, SHOWN, "journal.log"), (), False, is_study)
     found = find(plan, where, trials, jobs, storage, (lambda line: None) if json else say)
-    if json:
-        print_json(
-            {
-                "trials": [vars(trial) for trial in found.trials],
-                "best": [
-                    {**vars(trial), "command": plan.command(trial.settings)} for trial in found.best
-                ],
-                "files": [str(path) for path in found.files],
-            }
-        )
-    else:
-        for trial in found.best:
-            typer.echo(plan.command(trial.settings))
-        typer.echo(f"wrote {where / PAGE}")
+    commands = [plan.command(trial.settings) for trial in found.best]
+    best = [{**vars(t), "command": c} for t, c in zip(found.best, commands, strict=True)]
+    record = {"trials": [vars(trial) for trial in found.trials], "best": best}
+    record["files"] = [str(path) for path in found.files]
+    print_result(json, record, *commands, f"wrote {where / PAGE}")
     raise typer.Exit(130 if found.interrupted else 0 if found.best else 1)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.console import name_program, print_json, program_name
+from spikedeploy.console import name_program, print_json, print_result, program_name
 
 
 def play(
@@ -38,14 +38,11 @@ def play(
     drive = open_session(env, options, policy, chip, seed, record)
     show(DriveApp(drive, env))
     drive.close()
-    if json:
-        files = [str(path) for path in drive.files]
-        print_json({"episodes": [vars(outcome) for outcome in drive.outcomes], "files": files})
-        return
-    for number, outcome in enumerate(drive.outcomes, 1):
-        typer.echo(f"{number}: {outcome.line}")
-    for path in drive.files:
-        typer.echo(f"wrote {path}")
+    files = [str(path) for path in drive.files]
+    lines = [f"{number}: {outcome.line}" for number, outcome in enumerate(drive.outcomes, 1)]
+    lines += [f"wrote {path}" for path in files]
+    outcomes = [vars(outcome) for outcome in drive.outcomes]
+    print_result(json, {"episodes": outcomes, "files": files}, *lines)
 
 
 def replay(

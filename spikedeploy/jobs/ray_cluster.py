@@ -1,8 +1,6 @@
 """Tasks of Ray, on this machine or on a cluster that is running.
 
-Jobs go out in chunks of about two seconds, so that a task costs little beside its work, and come
-back in the order of completion. Where a worker or a node dies, Ray runs its chunks again elsewhere;
-a chunk that it gives up is taken apart here, and each of its jobs tried once more alone.
+Where a worker or a node dies, Ray runs its jobs again elsewhere; one that kills every worker fails.
 """
 
 import os
@@ -23,9 +21,8 @@ from spikedeploy.jobs.pool import (
     run_job,
 )
 
-_CHUNK = 2.0  # [s] of work in a task
-_AHEAD = 2  # chunks for each core, one that runs and one that waits
-_RETRIES = 2  # of a chunk, by Ray
+_AHEAD = 2  # jobs for each core, one that runs and one that waits
+_RETRIES = 2  # of a job, by Ray
 _POLL = 1.0  # [s] between two looks at how many cores there are
 _RAY = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "token"}
 # Ray gives its nodes the address of the machine unless it takes itself for a single node; then
@@ -59,50 +56,29 @@ class RayBackend(JobBackend):
 
     def run(self, function: Function, jobs: Sequence[Any]) -> Iterator[JobResult]:
         """The results in the order of completion."""
-        task = self._ray.remote(max_retries=_RETRIES)(_chunk)
-        waiting, alone = deque(range(len(jobs))), deque[int]()
-        running: dict[Any, tuple[list[int], bool]] = {}  # task -> its jobs; whether it is the last
-        seconds: float | None = None  # of a job, a running mean
-        while waiting or alone or running:
-            room = self._room()
-            while (waiting or alone) and len(running) < room * _AHEAD:
-                last = bool(alone)
-                count = 1 if last else _chunk_size(seconds, len(waiting), room)
-                indices = [(alone or waiting).popleft() for _ in range(count)]
-                sent = task.remote(function, [(index, jobs[index]) for index in indices])
-                running[sent] = indices, last
+        task = self._ray.remote(max_retries=_RETRIES)(run_job)
+        waiting = deque(enumerate(jobs))
+        running: dict[Any, int] = {}  # task -> index of its job
+        while waiting or running:
+            while waiting and len(running) < _AHEAD * self._room():
+                index, job = waiting.popleft()
+                running[task.remote(function, index, job)] = index
             ended, _ = self._ray.wait(list(running), timeout=_POLL)
             for each in ended:
-                indices, last = running.pop(each)
-                for result in self._results(each, indices):
-                    if result is not None:
-                        seconds = 0.8 * (seconds or result.seconds) + 0.2 * result.seconds
-                        yield result
-                    elif last:
-                        yield from map(lost, indices)
-                    else:
-                        alone.extend(indices)
+                yield self._result(each, running.pop(each))
 
-    def _results(self, task: Any, indices: Sequence[int]) -> list[JobResult] | list[None]:  # noqa: ANN401
-        """The results of a task that has ended; one None where its worker was killed."""
+    def _result(self, task: Any, index: int) -> JobResult:  # noqa: ANN401
         try:
-            found: list[JobResult] = self._ray.get(task)
+            found: JobResult = self._ray.get(task)
         except self._ray.exceptions.RayTaskError as error:  # of what travels, not of a job
-            return [JobResult(index, error=error) for index in indices]
+            return JobResult(index, error=error)
         except self._ray.exceptions.RayError:
-            return [None]
+            return lost(index)
         return found
 
     def _room(self) -> int:
         found = int(self._ray.cluster_resources().get("CPU", 0)) or 1
         return min(found, self._workers or found)
-
-
-def _chunk_size(seconds: float | None, left: int, cores: int) -> int:
-    """Jobs of the next chunk: one before their time [s] is known, few at the end."""
-    if seconds is None:
-        return 1
-    return max(1, min(int(_CHUNK / max(seconds, 1e-3)), -(-left // (2 * cores))))
 
 
 def _started(ray: Any, address: str | None, options: Mapping[str, Any]) -> Any:  # noqa: ANN401
@@ -130,7 +106,3 @@ def _token() -> str:
 
 def _has_token() -> bool:
     return any(os.environ.get(name) for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
-
-
-def _chunk(function: Function, jobs: Sequence[tuple[int, Any]]) -> list[JobResult]:
-    return [run_job(function, index, job) for index, job in jobs]

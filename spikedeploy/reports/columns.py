@@ -43,11 +43,13 @@ def _estimate(field: str, between: str, sign: str = "") -> Cell:
             return ABSENT
         low, high = row[between]
         form = f"{sign},.{_digits(row)}f"
-        if has_few_episodes(row):
-            return f"{row[field]:{form}}"
-        return f"{row[field]:{form}} [{low:{form}}, {high:{form}}]"
+        return _around(row, f"{row[field]:{form}}", f"{low:{form}}", f"{high:{form}}")
 
     return cell
+
+
+def _around(row: Row, mean: str, low: str, high: str) -> str:
+    return mean if has_few_episodes(row) else f"{mean} [{low}, {high}]"
 
 
 format_return = _estimate("return_mean", "return_ci95")  # `3,413 [3,405, 3,420]`
@@ -67,19 +69,15 @@ def format_success(row: Row) -> str:
     if row.get("success_ci95") is None:
         return ABSENT
     low, high = row["success_ci95"]
-    if has_few_episodes(row):
-        return f"{row['success_rate']:.0%}"
-    return f"{row['success_rate']:.0%} [{100 * low:.0f}, {100 * high:.0f}]"
+    return _around(row, f"{row['success_rate']:.0%}", f"{100 * low:.0f}", f"{100 * high:.0f}")
 
 
 def _success_difference(row: Row) -> str:
     """The paired difference of the success rate in percentage points: `+1.0 [-1.0, +3.0]`."""
     if row["success_difference_mean"] is None or not drives(row):
         return ABSENT
-    low, high = row["success_difference_ci95"]
-    if has_few_episodes(row):
-        return f"{100 * row['success_difference_mean']:+.1f}"
-    return f"{100 * row['success_difference_mean']:+.1f} [{100 * low:+.1f}, {100 * high:+.1f}]"
+    found = (row["success_difference_mean"], *row["success_difference_ci95"])
+    return _around(row, *(f"{100 * each:+.1f}" for each in found))
 
 
 def _score(row: Row) -> str:

@@ -20,6 +20,7 @@ from spikedeploy.runtime.metrics.energy import (
 
 _PICO, _NANO = 1e-12, 1e-9
 _FACTS = ("what", "found")
+_OF_POWERS = ("source", "provenance", "watts", "share", "whole")
 _OTHER_FIELDS = ("name", "summary", "evidence", "arithmetic", "sources", "limits")  # no rows of all
 
 
@@ -233,11 +234,7 @@ def price_list() -> dict[str, list[dict[str, Any]]]:
             {
                 "name": power.name,
                 "chip": name,
-                "source": power.source,
-                "provenance": power.provenance,
-                "watts": power.watts,
-                "share": power.share,
-                "whole": power.whole,
+                **{key: getattr(power, key) for key in _OF_POWERS},
             }
             for name, powers in STATIC.items()
             for power in powers

@@ -5,7 +5,6 @@ import subprocess
 import sys
 from dataclasses import replace
 
-import nir
 import numpy as np
 import pytest
 
@@ -17,7 +16,7 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.trainers.policies.delta import delta_artifact
 from tests.delta_policies import delta_mlp
-from tests.networks import chain, cuba, event_driven, graph
+from tests.networks import chain, cuba, event_driven
 from tests.paths import ROOT
 
 SCRIPT = ROOT / "tests/project/recount.py"
@@ -93,48 +92,6 @@ def test_a_delta_code_with_kept_states_is_recounted(code, timesteps, tmp_path):
     found, controller = check(path, tmp_path)
     check_operations(found, controller.ledger)
     assert 0 < found["spikes/input"].mean() < 6 * timesteps
-
-
-@pytest.mark.parametrize(
-    ("membranes", "state", "squash"),
-    [
-        ("LI", "kept", "tanh"),
-        ("LI", "reset", "argmax"),
-        ("CubaLI", "kept", "none"),
-        ("CubaLI", "reset", "tanh"),
-        ("I", "kept", "tanh"),
-    ],
-)
-def test_readouts_of_membranes_with_a_skip_are_recounted(membranes, state, squash, tmp_path):
-    policy = with_membranes(membranes)
-    policy = replace(
-        policy,
-        convention=replace(policy.convention, state=state),
-        codec=replace(policy.codec, squash=squash),
-    )
-    save(policy, tmp_path / "event.nir")
-    found, _ = check(tmp_path / "event.nir", tmp_path)
-    assert found["sops/n2"].any()
-    assert found["sops/read"].any()
-
-
-def with_membranes(kind):
-    """The event-driven network with neurons that are read, from the input and the hidden layer."""
-    policy = event_driven()
-    nodes = dict(policy.graph.nodes)
-    width, act = policy.codec.encoder.width, 2
-    full = {name: np.full(act, value) for name, value in READ[kind].items()}
-    nodes["skip"] = nir.Linear(np.random.default_rng(1).normal(size=(act, width)))
-    nodes["read"] = getattr(nir, kind)(**full)
-    edges = "input->n1, n1->n2, n2->n3, n3->read, input->skip, skip->read, read->output"
-    return replace(policy, graph=graph(edges, **nodes))
-
-
-READ = {
-    "LI": {"tau": 2e-3, "r": 2.0, "v_leak": 0.1},
-    "CubaLI": {"tau_syn": 3e-3, "tau_mem": 2e-3, "r": 2.0, "v_leak": 0.0, "w_in": 3.0},
-    "I": {"r": 100.0},
-}
 
 
 @pytest.mark.parametrize(("reset", "integrator"), [("subtract", "euler"), ("zero", "exponential")])

@@ -116,20 +116,6 @@ def test_every_module_and_data_file_is_in_the_wheel(wheel):
     assert expected - {f"spikedeploy/{link}" for link in LINKED} <= set(wheel.namelist())
 
 
-def test_the_source_distribution_holds_each_file_once(unpacked):
-    assert unpacked.name.startswith("spikedeploy-")
-    found = {str(path.relative_to(unpacked)) for path in unpacked.rglob("*") if path.is_file()}
-    assert {"pyproject.toml", "LICENSE", "README.md"} <= found
-    expected = {line for line in tracked() if line.split("/")[0] in FOLDERS}
-    assert expected - {f"spikedeploy/{link}" for link in LINKED} <= found
-    assert not [name for name in found if name.startswith(tuple(map(installed, LINKED)))]
-    # beside what was asked for, only what setuptools writes
-    rest = {name.split("/")[0] for name in found} - FOLDERS
-    assert rest == {"pyproject.toml", "LICENSE", "README.md", "PKG-INFO", "setup.cfg"} | {
-        name for name in rest if name.endswith(".egg-info")
-    }
-
-
 def test_the_source_distribution_builds_the_same_wheel(unpacked, wheel, folder):
     shutil.copytree(unpacked, folder / "third tree")
     with ZipFile(build("wheel", folder / "third tree", folder / "second wheel")) as other:

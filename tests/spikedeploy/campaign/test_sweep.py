@@ -206,14 +206,6 @@ def test_cells_pool_the_seeds_and_differ_from_the_undisturbed_seed_by_seed(grid,
     assert cells(rows[:-1])[-1]["difference_mean"] is None  # not all of its seeds are there yet
 
 
-def test_every_job_stands_in_the_csv(grid, serial):
-    run_sweep(grid, serial, SerialBackend())
-    lines = list(csv.DictReader((serial / "sweep.csv").read_text().splitlines()))
-    assert [line["key"] for line in lines] == [job.key for job in expand(grid).jobs]
-    assert {line["status"] for line in lines} == {"done"}
-    assert json.loads(lines[0]["returns"])
-
-
 def test_the_command_runs_shows_and_goes_on(spec, serial, command):
     code, out, err = command("sweep", spec, "-o", serial, "--backend", "serial")
     assert code == 0, err

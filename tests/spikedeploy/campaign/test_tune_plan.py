@@ -81,7 +81,6 @@ def test_what_is_fixed_is_not_searched():
         ({"recipe": "smoke-popsan", "objective": "return-at-sops"}, "--sops N"),
         ({"recipe": "smoke-popsan", "sops": 5.0}, "--sops N"),
         ({"recipe": "smoke", "objective": "return,sops"}, "float policy"),
-        ({"recipe": "smoke", "objective": "speed"}, "known: return, return-at-sops"),
     ],
 )
 def test_a_plan_that_makes_no_sense_is_refused(fields, why):

@@ -56,21 +56,6 @@ def test_people_see_layers_rules_and_the_convention(command):
     assert all(rule in out for rule in RULES)
 
 
-def test_people_see_what_the_compiler_says(command):
-    _, out, _ = command("check", "kart-grid/snn", "--chip", "xylo-a2")
-    (line,) = [line for line in out.splitlines() if line.startswith("✗ compile: ")]
-    assert line.startswith("✗ compile: rule reset: reset 'zero': ")
-    assert line.endswith("run in float.")
-
-
-def test_people_see_rules_by_chips(command):
-    _, out, _ = command("check", "hexapod/popsan", "--rules")
-    assert "✓ loihi1: 15 cores" in out
-    assert "✗ speck2f: breaks primitive, synaptic-memory" in out
-    (row,) = [line for line in out.splitlines() if line.startswith(" weight-bits")][:1]
-    assert "✗" not in row
-
-
 def test_without_rules_people_see_the_verdict_and_what_is_broken(command):
     _, out, _ = command("check", "hexapod/popsan")
     lines = out.splitlines()

@@ -1,7 +1,6 @@
 """`distill`: from anybody's teacher to a spiking student that runs on a chip."""
 
 import json
-import runpy
 
 import pytest
 
@@ -130,11 +129,3 @@ def test_options_that_do_not_go_together_are_refused(asked, message):
     *options, sparse = asked
     with pytest.raises(ConfigError, match=message):
         student_settings("a.zip", *options, sparse)
-
-
-def test_the_example_goes_from_a_zip_file_to_a_chip(here):
-    example = runpy.run_path(str(ROOT / "examples/sb3_to_chip.py"))
-    model = ROOT / "tests/golden/sb3/ppo.zip"
-    settings = [*QUICK, "policy.hidden=[8]", "policy.timesteps=2"]
-    found = example["main"](model, "CartPole-v1", settings, episodes=1)
-    assert "loihi1" in [row["chip"] for row in found.rows]

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.errors import ObservationError
 from tests import toy_stroll_env
 from tests.networks import event_driven, popsan
@@ -41,16 +39,6 @@ def test_a_shipped_policy_is_compared_on_what_its_float_twin_observes(command, s
     assert [step["name"] for step in found["rungs"]] == [
         "weights", "thresholds", "decays", "states"
     ]  # fmt: skip
-
-
-def test_a_raster_is_compared_in_any_file(command, raster):
-    words = ("drift", "p.nir", "--input", "raster.npy", "--rounding", "truncate")
-    code, out, _ = command(*words, "--quantise", "channel", "--chip", "loihi1", "--json")
-    found = json.loads(out)
-    wanted = drift(popsan(), chip("loihi1"), raster[None], Quantisation("channel", "truncate"))
-    assert code == 0
-    assert found["first"] == json.loads(json.dumps(wanted.as_json()["first"]))
-    assert "a scale for each channel, rounding 'truncate'" in found["quantisation"]
 
 
 @pytest.fixture(autouse=True)
@@ -104,17 +92,6 @@ def test_without_codec_and_raster_it_says_what_to_give(command, tmp_path):
     assert code == 2
     assert "crowd.nir has no codec" in err
     assert "--input" in err
-
-
-def test_emulate_takes_the_same_quantisation(command, raster):
-    outputs = {}
-    for options in ((), ("--quantise", "channel"), ("--rounding", "truncate")):
-        words = ("emulate", "p.nir", "--input", "raster.npy", "--chip", "loihi1", "-o", "o.npz")
-        assert command(*words, *options)[0] == 0
-        with np.load(Path("o.npz")) as found:
-            outputs[options] = found["n2"]
-    assert (outputs["--quantise", "channel"] != outputs[()]).any()
-    assert (outputs["--rounding", "truncate"] != outputs[()]).any()
 
 
 def test_kept_states_begin_anew_with_each_episode(stroll):

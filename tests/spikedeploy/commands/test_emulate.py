@@ -2,7 +2,6 @@
 
 import json
 import zipfile
-from itertools import pairwise
 
 import nir
 import numpy as np
@@ -113,44 +112,6 @@ def test_each_primitive_computes_what_nir_says(kind, emulate):
     code, arrays, _, err = emulate(network, x, *words)
     assert not code, err
     np.testing.assert_allclose(arrays["output"], wanted, atol=1e-12)
-
-
-def convolutional():
-    """Two maps of 4 × 4 to two neurons of 2 × 2, pooled to 2 neurons."""
-    weight = np.random.default_rng(0).normal(size=(2, 1, 3, 3))
-    conv = nir.Conv2d((4, 4), weight, 1, 0, 1, 1, np.zeros(2))
-    cells = nir.LIF(*(np.full((2, 2, 2), v) for v in (4e-3, 4.0, 0.0, 1.0, 0.0)))
-    pool = nir.SumPool2d(TWO, TWO, 0 * TWO)
-    flat = nir.Flatten({"input": np.array([2, 1, 1])}, 0, -1)
-    nodes = {"conv": conv, "cells": cells, "pool": pool, "flat": flat, "last": lif(2, 4e-3, 4.0)}
-    names = ["input", *nodes, "output"]
-    ends = {"input": nir.Input(np.array([1, 4, 4])), "output": nir.Output(np.array([2]))}
-    return nir.NIRGraph({**ends, **nodes}, list(pairwise(names)), type_check=False)
-
-
-@pytest.mark.parametrize("chip", ["ideal", "loihi1"])
-def test_a_convolutional_network_runs_on_a_chip(chip, emulate):
-    raster = np.random.default_rng(1).random((20, 1, 4, 4)) < 0.5
-    _, wanted, _, _ = emulate(convolutional(), raster, "--chip", "float")
-    code, found, out, err = emulate(convolutional(), raster, "--chip", chip)
-    assert not code, err
-    assert found["cells"].shape == (20, 2, 2, 2)
-    assert wanted["cells"].any()
-    # 8 bits of weight move few spikes of a network of 10
-    assert (found["cells"] != wanted["cells"]).mean() <= (0.0 if chip == "ideal" else 0.05)
-    assert "dt=0.001 s" in out
-    # and who says so
-    assert "tau/r" in " ".join(out.split())
-
-
-def test_the_table_says_neurons_spikes_rate_and_sops_of_each_layer(emulate):
-    _, arrays, out, _ = emulate(
-        convolutional(), np.ones((5, 1, 4, 4)), "--chip", "loihi1", "--json"
-    )
-    layer = json.loads(out)["layers"]["cells"]
-    spikes = int(arrays["cells"].sum())
-    # every one of 16 axons has its part of the 9 weights of 8 neurons
-    assert layer == {"neurons": 8, "spikes": spikes, "rate": spikes / 40, "sops": 5 * 9 * 8}
 
 
 def two_ways():

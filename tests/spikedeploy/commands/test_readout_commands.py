@@ -5,13 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from spikedeploy.runtime.artifact.artifact import Artifact, load, save
-from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.codec.codec import Codec, Normaliser
-from spikedeploy.runtime.codec.rate import RateEncoder
-from spikedeploy.runtime.emulator.controllers import SpikingController
-from tests.networks import ORIGIN
-from tests.readouts import ACTIONS, INPUTS, events, network
+from spikedeploy.runtime.artifact.artifact import save
+from tests.readouts import ACTIONS, events, network
 
 
 @pytest.fixture
@@ -78,28 +73,3 @@ def test_drift_has_a_table_of_readouts(command, files, file):
     assert "filled" in text
     found = json.loads(told(command, "drift", file, "--input", "raster.npy", "--json"))
     assert "fast" in json.dumps(found)
-
-
-def policy():
-    """One timestep a control step, and states that live on."""
-    code = RateEncoder(np.full(INPUTS, -1.0), np.ones(INPUTS))
-    identity = Normaliser(np.zeros(INPUTS), np.ones(INPUTS), 1.0)
-    bare = network("second")
-    return Artifact(bare.graph, Codec(identity, code, 1, "tanh"), bare.convention, ORIGIN)
-
-
-@pytest.mark.parametrize("name", ["float", "ideal", "loihi1", "loihi1:membrane_output=none"])
-def test_a_policy_of_one_timestep_acts_again_as_it_did(name, tmp_path):
-    save(policy(), tmp_path / "p.nir")
-    on = None if name == "float" else chip(name)
-    rng = np.random.default_rng(0)
-    observations = rng.uniform(-1, 1, (20, 4, INPUTS))
-    controller = SpikingController(load(tmp_path / "p.nir"), on)
-    controller.reset(7)
-    first = [controller.act_batch(row) for row in observations[:10]]
-    rest = [controller.act_batch(row) for row in observations[10:]]
-    controller.reset(7)
-    np.testing.assert_array_equal(
-        [controller.act_batch(row) for row in observations], [*first, *rest]
-    )
-    assert np.ptp(rest) > 0

@@ -85,12 +85,6 @@ def test_a_file_of_somebody_else_is_kept_and_ones_own_is_written_again(here, com
     assert target.read_bytes() != before
 
 
-def test_nothing_is_written_for_an_environment_that_does_not_exist(here, command):
-    words = ("--from", "norse", "--codec", "codec.json", "--env", "hexapodd")
-    assert command("run", "norse_lifcell.nir", *words)[0] == 2
-    assert not (here / "norse_lifcell.policy.nir").exists()
-
-
 def test_what_no_chip_takes_leaves_the_policy_of_before(here, command):
     words = ("snntorch_leaky.nir", "--from", "snntorch", "--codec", "codec.json", *ENV)
     assert command("run", *words, "--reset", "zero", "--json")[0] == 0

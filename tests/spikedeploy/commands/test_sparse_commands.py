@@ -6,8 +6,6 @@ import pytest
 
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.trainers import ALGORITHMS
-from spikedeploy.trainers.recipes import RECIPES
 from tests import toy_stroll_env
 from tests.delta_policies import delta_policy
 
@@ -58,15 +56,6 @@ def test_a_budget_of_another_kind_is_one_clear_line(recipe, budget, line, comman
     assert line in err
     assert len(err.splitlines()) == 1
     assert not (stroll / "runs").exists()
-
-
-def test_recipes_are_listed_by_algorithm(command):
-    _, out, _ = command("recipes")
-    places = [out.index(f"Recipes of the algorithm {name}") for name in ALGORITHMS]
-    assert places == sorted(places)
-    assert places[-2] < out.index("hexapod-sparse") < places[-1]
-    _, out, _ = command("recipes", "--json")
-    assert [row["name"] for row in json.loads(out)] == list(RECIPES)
 
 
 @pytest.mark.parametrize("chip", ["float", "loihi1", "loihi2", "loihi1:membrane_output=none"])

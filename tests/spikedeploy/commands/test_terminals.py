@@ -174,14 +174,6 @@ def test_an_entry_that_is_not_there_is_one_line(verb, command):
     assert err.count("\n") == 1
 
 
-def test_sparse_recipes_show_their_budget(command):
-    lines = command("recipes")[1].splitlines()
-    (row,) = [line for line in lines if line.startswith(" hexapod-sparse ")]
-    assert row.rstrip().endswith("56 SOPs")
-    (row,) = [line for line in lines if line.startswith(" hexapod-small-mlp ")]
-    assert row.rstrip().endswith("70 MACs")
-
-
 def test_export_takes_the_format_from_the_file_or_the_policy(command, stroll):
     spiking = toy_stroll_env.run_folder(stroll / "runs", PopsanConfig(hidden=(6,), populations=3))
     words = ("export", spiking, "--observations", 30)

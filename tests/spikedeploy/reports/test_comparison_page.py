@@ -73,15 +73,6 @@ def test_numbers_say_what_they_leave_out():
     assert energy.beside[-1] == "by loihi1's own tables: 33.00 nJ (davies2018)"
 
 
-def test_runs_have_the_names_of_the_table():
-    run = "ppo-snn-CartPole-v1-s0-20261122-131751"
-    twin = row(run, "snn", "float", 490, sops=90)
-    chip = row(run, "snn", "loihi1", 485, sops=90, **{**CHIP, "reference": f"{run} · float"})
-    kept, operations = headline([twin, chip], "CartPole-v1")
-    assert kept.beside[1].endswith(" to ppo-snn-s0 · float")
-    assert operations.title == "operations of a control step, ppo-snn-s0 · loihi1"
-
-
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
@@ -157,20 +148,3 @@ def test_a_link_leads_to_a_step_of_an_episode(browser, page):
     browser.get(f"{page.as_uri()}#episode=99&step=x")
     ready(browser, "1")
     assert now(browser).endswith("control step 0 of 20")
-
-
-@pytest.mark.parametrize(
-    ("outlier", "ends"), [(784, ["727, cut: up to 784", "3"]), (727, ["727", "3"])]
-)
-def test_an_axis_that_cuts_outliers_says_how_far_they_go(browser, outlier, ends):
-    script = (
-        asset("strips.js")
-        + """
-        const values = [3, ...Array(998).fill(727), arguments[0]].map((v, k) => (k < 9 ? 3 : v));
-        const lines = [{ at: (step) => values[step], rows: 1000, player: null }], said = [];
-        const context = document.createElement("canvas").getContext("2d");
-        context.fillText = (text) => said.push(text);
-        new LinesStrip("", lines, "").draw(context, 300, 64, 0, 1000, { series: [] });
-        return said;"""
-    )
-    assert browser.execute_script(script, outlier) == ends

@@ -12,7 +12,7 @@ from spikedeploy.emulation.design_report import report_of
 from spikedeploy.emulation.drift import drift_report, random_inputs
 from spikedeploy.jobs.pool import SerialBackend
 from spikedeploy.policies import run_record
-from spikedeploy.reports.design import core_drawing, core_fills, design_page
+from spikedeploy.reports.design import core_fills, design_page
 from spikedeploy.reports.drift import drift_page
 from spikedeploy.reports.page import render_markdown
 from spikedeploy.reports.plots import curves_figure
@@ -141,11 +141,6 @@ def test_the_cores_that_are_drawn_hold_every_neuron_once(network):
         drawn = design_page(report_of("small.nir", network, [name]))
         assert drawn.count("<g>") + drawn.count('<g class="over">') >= mapping.cores
         assert f"core {fills[0].number}: {fills[0].layer}, {fills[0].neurons:,} neurons" in drawn
-
-
-def test_a_chip_without_cores_has_no_drawing(network):
-    (check,) = report_of("small.nir", network, ["xylo-a2"]).checks
-    assert core_drawing(check.mapping, check.chip.limits, "xylo-a2") is None
 
 
 def test_a_value_far_away_does_not_squash_the_curve(run):
