@@ -101,7 +101,7 @@ def progress(description: str, total: int) -> Iterator[Callable[[], None]]:
     """
     screen = console(stderr=True)
     if not screen.is_terminal:
-        yield _Lines(description, total).advance
+        yield _lines(description, total)
         return
     from rich.markup import escape
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
@@ -112,14 +112,14 @@ def progress(description: str, total: int) -> Iterator[Callable[[], None]]:
         yield lambda: bar.advance(task)
 
 
-class _Lines:
-    def __init__(self, description: str, total: int) -> None:
-        self._description, self._total, self._done = description, total, 0
-        self._printed = time.monotonic()
+def _lines(description: str, total: int) -> Callable[[], None]:
+    done, printed = 0, time.monotonic()
 
-    def advance(self) -> None:
-        """One more is done."""
-        self._done += 1
-        if time.monotonic() - self._printed >= PAUSE:
-            self._printed = time.monotonic()
-            say(f"{self._description}: {self._done} of {self._total}")
+    def advance() -> None:
+        nonlocal done, printed
+        done += 1
+        if time.monotonic() - printed >= PAUSE:
+            printed = time.monotonic()
+            say(f"{description}: {done} of {total}")
+
+    return advance
