@@ -281,7 +281,7 @@ def tune(
     found = find(plan, where, trials, jobs, storage, (lambda line: None) if json else say)
     commands = [plan.command(trial.settings) for trial in found.best]
     best = [{**vars(t), "command": c} for t, c in zip(found.best, commands, strict=True)]
-    record = {"trials": [vars(trial) for trial in found.trials], "best": best}
+    record: dict[str, Any] = {"trials": [vars(t) for t in found.trials], "best": best}
     record["files"] = [str(path) for path in found.files]
     print_result(json, record, *commands, f"wrote {where / PAGE}")
     raise typer.Exit(130 if found.interrupted else 0 if found.best else 1)
