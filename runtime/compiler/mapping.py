@@ -113,7 +113,7 @@ def map_to_cores(network: Topology, chip: Chip) -> CoreMapping:
             memory=weigh(p, block).memory,
             axons_in=weigh(p, block).axons_in,
             axons_out=block * _target_cores(network, p.name, cores),
-            estimated=any(projection.map.weight is None for projection in p.presynaptic),
+            estimated=any(projection.weight is None for projection in p.presynaptic),
         )
         for p, block in zip(populations, blocks.values(), strict=True)
     ]
@@ -137,8 +137,8 @@ def _unplaced(network: Topology, population: Population) -> Placement:
         fan_in=population.fan_in,
         fan_out=int(network.fan_out(population.name).max()),
         block=population.size,
-        axons_in=sum(projection.map.out.size for projection in population.presynaptic),
-        estimated=any(projection.map.most for projection in population.presynaptic),
+        axons_in=sum(projection.out.size for projection in population.presynaptic),
+        estimated=any(projection.most for projection in population.presynaptic),
     )
 
 
@@ -191,7 +191,7 @@ def _target_cores(network: Topology, name: str, cores: Mapping[str, int]) -> int
     """Cores that a neuron of a population, or an input, projects to; at most its synapses."""
     synapses: dict[str, int] = {}
     for projection in network.leaving(name):
-        most = int(projection.map.out.max())
+        most = int(projection.out.max())
         synapses[projection.target] = synapses.get(projection.target, 0) + most
     return sum(min(cores[target], most) for target, most in synapses.items())
 
@@ -246,10 +246,10 @@ def load(population: Population, limits: Limits, lists: int, block: int) -> Load
     """
     axons = bits = 0
     for projection in population.presynaptic:
-        counts = projection.map.in_blocks(block, lists)
+        counts = projection.in_blocks(block, lists)
         axons += int(np.count_nonzero(sum(counts), axis=0).max())
         if limits.memory is not None:
-            delayed = projection.map.delayed
+            delayed = projection.delayed
             found = sum(list_bits(count, block, limits.memory, delayed) for count in counts)
             bits += int(np.max(found))
     if limits.input_cores and population.biased:
@@ -351,7 +351,7 @@ def _assign_one(
 def entries(graph: nir.NIRGraph, population: Population) -> Entries:
     """The entries of a population, with the kernels of all that projects onto it."""
     features, *space = population.shape
-    kernel = sum(_kernel_entries(graph, each.map.maps) for each in population.presynaptic)
+    kernel = sum(_kernel_entries(graph, each.maps) for each in population.presynaptic)
     return Entries(kernel, features * 2 ** sum(_log2(extent) for extent in space))
 
 

@@ -261,8 +261,8 @@ def _axon_signs(design: PlacedNetwork) -> Iterator[RuleResult]:
     unit = "sources with weights of both signs"
     remedy = "Train with sources of one sign, or double them."
     for name in (*design.network.inputs, *(p.name for p in design.network.populations)):
-        maps = [projection.map for projection in design.network.leaving(name)]
-        if weights := [each.weight for each in maps if each.weight is not None]:
+        found = design.network.leaving(name)
+        if weights := [each.weight for each in found if each.weight is not None]:
             up = np.any([(weight > 0).any(axis=1) for weight in weights], axis=0)
             down = np.any([(weight < 0).any(axis=1) for weight in weights], axis=0)
             yield _compare(name, int((up & down).sum()), 0, unit, remedy)
@@ -286,7 +286,7 @@ def _on_mantissas(judge: Callable[[Floats, float, int, int], RuleResult]) -> Rul
             node = design.artifact.graph.nodes[population.name]
             if not isinstance(node, SPIKING):
                 continue
-            weight = max((each.map.largest for each in population.presynaptic), default=0.0)
+            weight = max((each.largest for each in population.presynaptic), default=0.0)
             gain = design.artifact.neurons[population.name].gain
             largest = weight * float(np.abs(gain).max())
             if widest is None or most is None or not largest:
@@ -429,7 +429,7 @@ def _input_targets(design: PlacedNetwork) -> Iterator[tuple[None, int]]:
     found = 0
     for population in design.inside:
         presynaptic = [p for p in population.presynaptic if p.source in design.network.inputs]
-        if into := [projection.map.into for projection in presynaptic]:
+        if into := [projection.into for projection in presynaptic]:
             found += int(np.count_nonzero(np.sum(into, axis=0)))
     yield None, found
 

@@ -91,14 +91,15 @@ def _arriving(
     return found
 
 
-# the synapses of a projection, without their matrix
+# populations and their projections, without matrices
 
 
 @dataclass(frozen=True, eq=False)
-class SynapseMap:
-    """The synapses from M sources to N targets.
+class Projection:
+    """All synapses that come from M sources to N targets by one way.
 
-    out: (M,) of each source.
+    source, target: names of an input or population, and of a population.
+    out: (M,) synapses of each source.
     into: (N,) of each target.
     weight: (M, N) where they are listed; None where they are not (convolutions), or no longer.
     largest: greatest magnitude among their weights.
@@ -110,6 +111,8 @@ class SynapseMap:
     maps: names of the nodes between them that have a fan or flatten.
     """
 
+    source: str
+    target: str
     out: Counts
     into: Counts
     weight: Floats | None = None
@@ -156,24 +159,26 @@ class SynapseMap:
         return before
 
 
-def _merge(maps: Sequence[SynapseMap]) -> SynapseMap:
+def _merge(ways: Sequence[Projection]) -> Projection:
     """Several ways between the same sources and targets, as one."""
-    if len(maps) == 1:
-        return maps[0]
-    sources, targets = maps[0].out.size, maps[0].into.size
-    return SynapseMap(
-        out=np.minimum(np.sum([each.out for each in maps], axis=0), targets),
-        into=np.minimum(np.sum([each.into for each in maps], axis=0), sources),
-        largest=sum(each.largest for each in maps),
-        biased=any(each.biased for each in maps),
-        delayed=any(each.delayed for each in maps),
-        late=any(each.late for each in maps),
+    first, *others = ways
+    if not others:
+        return first
+    return replace(
+        first,
+        out=np.minimum(np.sum([way.out for way in ways], axis=0), first.into.size),
+        into=np.minimum(np.sum([way.into for way in ways], axis=0), first.out.size),
+        weight=None,
+        largest=sum(way.largest for way in ways),
+        biased=any(way.biased for way in ways),
+        delayed=any(way.delayed for way in ways),
+        late=any(way.late for way in ways),
         most=True,
-        maps=tuple(dict.fromkeys(name for each in maps for name in each.maps)),
+        maps=tuple(dict.fromkeys(name for way in ways for name in way.maps)),
     )
 
 
-def _extend(way: SynapseMap, name: str, node: nir.NIRNode) -> SynapseMap:
+def _extend(way: Projection, name: str, node: nir.NIRNode) -> Projection:
     """The way with one more node at its end."""
     if isinstance(node, nir.Delay):
         return replace(way, delayed=way.delayed or bool(node.delay.any()))
@@ -183,37 +188,37 @@ def _extend(way: SynapseMap, name: str, node: nir.NIRNode) -> SynapseMap:
         way = replace(way, maps=(*way.maps, name))
     if not isinstance(node, _MAPS):
         return way
-    last = _map_of(name, node)
+    out, into, weight, most = _fans(name, node)
+    own = 1.0 if isinstance(node, POOLS) else float(np.abs(node.weight).max())
+    biased = isinstance(node, _BIASED) and bool(node.bias.any())
     if way.is_one_to_one:
-        largest = way.largest * last.largest
-        return replace(last, largest=largest, delayed=way.delayed, late=way.late, maps=way.maps)
+        largest = way.largest * own
+        return replace(
+            way, out=out, into=into, weight=weight, largest=largest, biased=biased, most=most
+        )
     return replace(
         way,
-        out=np.minimum(way.out * last.out.max(), last.into.size),
-        into=np.minimum(last.into * way.into.max(), way.out.size),
+        out=np.minimum(way.out * out.max(), into.size),
+        into=np.minimum(into * way.into.max(), way.out.size),
         weight=None,
-        largest=way.largest * last.largest * float(way.into.max()),
-        biased=way.biased or last.biased,
+        largest=way.largest * own * float(way.into.max()),
+        biased=way.biased or biased,
         most=True,
     )
 
 
-def _map_of(name: str, node: nir.NIRNode) -> SynapseMap:
-    """The synapses of one node with a fan."""
+def _fans(name: str, node: nir.NIRNode) -> tuple[Counts, Counts, Floats | None, bool]:
+    """Of one map: `out`, `into`, `weight` and `most`, as in Projection."""
     if isinstance(node, POOLS):
-        return SynapseMap(*_convolved_counts(node, window_of(name, node), 1, 1))
-    largest = float(np.abs(node.weight).max())
-    biased = isinstance(node, _BIASED) and bool(node.bias.any())
+        return *_convolved_counts(node, window_of(name, node), 1, 1), None, False
     if isinstance(node, CONVOLUTIONS):
         features = len(node.weight) // int(np.ravel(node.groups)[0])
         channels = int(node.weight.shape[1])
-        out, into = _convolved_counts(node, window_of(name, node), features, channels)
-        return SynapseMap(out, into, None, largest, biased)
+        return *_convolved_counts(node, window_of(name, node), features, channels), None, False
     # (..., N, M): of a stack of maps, each has its own part
     out, into = (np.count_nonzero(node.weight, axis=axis).ravel() for axis in (-2, -1))
-    if node.weight.ndim == 2:
-        return SynapseMap(out, into, node.weight.T, largest, biased)
-    return SynapseMap(out, into, None, largest, biased, most=True)
+    listed = node.weight.ndim == 2
+    return out, into, node.weight.T if listed else None, not listed
 
 
 def _convolved_counts(
@@ -239,18 +244,6 @@ def _convolved_counts(
         np.broadcast_to(out, tuple(node.input_type["input"])).ravel(),
         np.broadcast_to(into, tuple(node.output_type["output"])).ravel(),
     )
-
-
-# populations and their projections
-
-
-@dataclass(frozen=True, eq=False)
-class Projection:
-    """All synapses of a population that come from one source by one way."""
-
-    source: str
-    target: str
-    map: SynapseMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,22 +273,22 @@ class Population:
     @property
     def biased(self) -> bool:
         """True if a map adds something to it in every timestep."""
-        return any(projection.map.biased for projection in self.presynaptic)
+        return any(projection.biased for projection in self.presynaptic)
 
     @property
     def fan_in(self) -> int:
         """Synapses of the neuron that has most; no more than that, where ways are many."""
-        return sum(int(projection.map.into.max()) for projection in self.presynaptic)
+        return sum(int(projection.into.max()) for projection in self.presynaptic)
 
     @property
     def synapses(self) -> int:
         """All that reach it."""
-        return sum(int(projection.map.into.sum()) for projection in self.presynaptic)
+        return sum(int(projection.into.sum()) for projection in self.presynaptic)
 
     @property
     def recurrent(self) -> bool:
         """True if a loop closes here."""
-        return any(projection.map.late for projection in self.presynaptic)
+        return any(projection.late for projection in self.presynaptic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,7 +321,7 @@ class Topology:
     def fan_out(self, name: str, targets: Collection[str] | None = None) -> Counts:
         """(M,) synapses that each spike of an input or population reaches, in these targets."""
         found = self.leaving(name)
-        out = [c.map.out for c in found if targets is None or c.target in targets]
+        out = [c.out for c in found if targets is None or c.target in targets]
         return np.sum(out, axis=0) if out else np.zeros(1, np.int64)
 
 
@@ -372,10 +365,10 @@ def _projections(graph: nir.NIRGraph) -> dict[str, tuple[Projection, ...]]:
         names, late = order(graph, into)
     before = sources(graph)
     populations = [n for n in names if isinstance(graph.nodes[n], _POPULATIONS)]
-    ways: dict[str, dict[str, SynapseMap]] = {}
+    ways: dict[str, dict[str, Projection]] = {}
     for name in (*populations, *graph.inputs):
         ones = np.broadcast_to(np.int64(1), math.prod(_shape(graph.nodes[name])))
-        ways[name] = {name: SynapseMap(ones, ones)}
+        ways[name] = {name: Projection(name, "", ones, ones)}
     followed = 0
     for name in (name for name in names if name not in ways):
         found = _arriving(name, before, ways, late, _closing)
@@ -389,15 +382,15 @@ def _projections(graph: nir.NIRGraph) -> dict[str, tuple[Projection, ...]]:
         ways[name] = {source: _extend(_merge(each), name, node) for source, each in found.items()}
     return {
         name: tuple(
-            Projection(source, name, way)
-            for source, each in _arriving(name, before, ways, late, _closing).items()
+            replace(way, target=name)
+            for each in _arriving(name, before, ways, late, _closing).values()
             for way in each
         )
         for name in populations
     }
 
 
-def _closing(source: str, way: SynapseMap) -> tuple[str, SynapseMap]:
+def _closing(source: str, way: Projection) -> tuple[str, Projection]:
     return source, replace(way, late=True)
 
 

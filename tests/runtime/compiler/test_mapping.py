@@ -139,7 +139,7 @@ def test_a_convolution_has_less_synapses_at_its_edges():
     network = graph("input->c, c->n, n->output", c=node, n=neurons, **ends([2, 4, 4], [3, 4, 4]))
     check_graph(network)
     (population,) = topology(network).populations
-    into, out = population.presynaptic[0].map.into, population.presynaptic[0].map.out
+    into, out = population.presynaptic[0].into, population.presynaptic[0].out
     # corners see 2 x 2 pixels, edges 2 x 3, the middle 3 x 3, of 2 channels; each for 3 features
     assert into.reshape(3, 4, 4)[0, 0].tolist() == [8, 12, 12, 8]
     assert into.reshape(3, 4, 4)[2, 1].tolist() == [12, 18, 18, 12]
