@@ -55,7 +55,11 @@ CHUNK_VALUES = 1 << 22
 def build_node(name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike) -> Node:
     """The function that computes a node; ArtifactError for kinds that are not supported."""
     if isinstance(node, DENSE):
-        return _dense_node(node, dtype)
+        bias = node.bias.astype(dtype) if isinstance(node, nir.Affine) else None
+        if node.weight.ndim > 2:
+            return partial(_stacked, node.weight.astype(dtype), bias)
+        # (M, N) in C order, which BLAS multiplies in half the time
+        return partial(_dense, np.ascontiguousarray(node.weight.T, dtype=dtype), bias)
     if isinstance(node, CONVOLUTIONS):
         return convolution(name, node, dtype)
     if isinstance(node, POOLS):
@@ -65,7 +69,7 @@ def build_node(name: str, node: nir.NIRNode, convention: Convention, dtype: DTyp
         size = math.prod(window.kernel) if isinstance(node, nir.AvgPool2d) else 1
         return partial(_in_chunks, window, partial(_pool, size))
     if isinstance(node, nir.Delay):
-        return Delay(name, delay_timesteps(name, node, convention))
+        return Delay(delay_timesteps(name, node, convention))
     if isinstance(node, NEURONS):
         return FloatNeurons(name, node, convention, dtype)
     if isinstance(node, (nir.Input, nir.Output)):
@@ -99,8 +103,7 @@ class Delay:
     timesteps: (*N) delay of each element.
     """
 
-    def __init__(self, name: str, timesteps: NDArray[np.int64]) -> None:
-        self.name = name
+    def __init__(self, timesteps: NDArray[np.int64]) -> None:
         self.timesteps = timesteps
         # (B, up to the longest delay, *N), the inputs of the timesteps before, as far as known
         self.past: Array | None = None
@@ -111,7 +114,7 @@ class Delay:
 
     def __call__(self, x: Array) -> Array:
         """Output (B, T, *N) of the next T timesteps."""
-        rows = x if self.past is None else self._since(self.past, x)
+        rows = x if self.past is None else np.concatenate([self.past, x], axis=1)
         first = rows.shape[1] - x.shape[1]
         output = np.zeros_like(x)
         for steps in np.unique(self.timesteps):
@@ -120,23 +123,6 @@ class Delay:
             output[:, x.shape[1] - arriving.shape[1] :, delayed] = arriving[..., delayed]
         self.past = rows[:, max(0, rows.shape[1] - self.timesteps.max()) :]
         return output
-
-    def _since(self, past: Array, x: Array) -> Array:
-        if len(past) != len(x):
-            raise ObservationError(
-                f"node {self.name!r} holds the inputs of {len(past)} networks, the raster is for "
-                f"{len(x)}. Call reset() between batches of different size."
-            )
-        return np.concatenate([past, x], axis=1)
-
-
-def _dense_node(node: nir.NIRNode, dtype: DTypeLike) -> Node:
-    """Affine or Linear."""
-    bias = node.bias.astype(dtype) if isinstance(node, nir.Affine) else None
-    if node.weight.ndim > 2:
-        return partial(_stacked, node.weight.astype(dtype), bias)
-    # (M, N) in C order, which BLAS multiplies in half the time
-    return partial(_dense, np.ascontiguousarray(node.weight.T, dtype=dtype), bias)
 
 
 def _dense(weight: Array, bias: Array | None, x: Array) -> Array:
@@ -210,7 +196,6 @@ class FloatNeurons:
         self, name: str, node: nir.NIRNode, convention: Convention, dtype: DTypeLike
     ) -> None:
         layer = discretise(name, node, convention)
-        self.name = name
         self.reset_mode = convention.reset
         self.late = layer.threshold is not None and convention.reset in _LATE
         self.spikes = convention.spikes
@@ -231,7 +216,9 @@ class FloatNeurons:
     def __call__(self, x: Array) -> Array:
         """Spikes or membranes (B, T, *N) of the next T timesteps."""
         output = np.empty_like(x)
-        current, membrane = self._state(x[:, 0])
+        current = membrane = np.zeros_like(x[:, 0])
+        if self.current is not None and self.membrane is not None:
+            current, membrane = self.current, self.membrane
         drive = x * self.gain
         for t in range(x.shape[1]):
             # I = a I + gain x
@@ -283,7 +270,6 @@ class FloatNeurons:
         return membrane if self.floor is None else np.maximum(membrane, self.floor)
 
     def _spikes(self, membrane: Array, threshold: Array) -> NDArray[Any]:
-        """Number of spikes (B, *N) in this timestep."""
         if self.spikes == "above":
             return np.asarray(membrane > threshold)
         reached = membrane >= threshold
@@ -292,17 +278,6 @@ class FloatNeurons:
         # n = floor((V - v_reset) / (threshold - v_reset))
         count = np.floor((membrane - self.v_reset) / (threshold - self.v_reset))
         return np.asarray(count * reached)
-
-    def _state(self, like: Array) -> tuple[Array, Array]:
-        """Current and membrane before the first timestep, of the shape of its input."""
-        if self.current is None or self.membrane is None:
-            return np.zeros_like(like), np.zeros_like(like)
-        if self.membrane.shape != like.shape:
-            raise ObservationError(
-                f"node {self.name!r} holds the state of {len(self.membrane)} networks, the raster "
-                f"is for {len(like)}. Call reset() between batches of different size."
-            )
-        return self.current, self.membrane
 
 
 class SigmaDeltaNeurons(FloatNeurons):
@@ -342,7 +317,6 @@ class SigmaDeltaNeurons(FloatNeurons):
 
 
 def _floor(threshold: NDArray[np.float64] | None, convention: Convention) -> Array | None:
-    """Lower bound of the membranes (*N), or None where there is none."""
     if threshold is None or convention.floor == "none":
         return None
     return np.zeros_like(threshold) if convention.floor == "zero" else -threshold
@@ -367,7 +341,13 @@ class FloatGraph:
         self.dtype = np.dtype(dtype)
         self.inputs, self.outputs = ports(self.graph.inputs), ports(self.graph.outputs)
         self.sigma_delta = artifact.sigma_delta
-        self.spiking = _spiking(self.graph, self.sigma_delta)
+        kinds, graded = (*SPIKING, nir.Threshold), self.sigma_delta
+        nodes = sorted(self.graph.nodes.items())
+        self.spiking = [n for n, node in nodes if isinstance(node, kinds) or n in graded]
+        if "output" in self.spiking:
+            raise ArtifactError(
+                "node 'output' spikes, but that name is reserved for the readout. Rename it."
+            )
         self.timing = artifact.timing
         self.sources = sources(self.graph)
         self.nodes = self._build()
@@ -408,7 +388,11 @@ class FloatGraph:
             name: np.concatenate([step[name] for step in steps], axis=1)
             for name in (*self.spiking, *(port.name for port in self.outputs))
         }
-        trace: Trace = {name: values[name].astype(self._kind(name)) for name in self.spiking}
+        many = self.spiking if self.convention.spikes == "many" else self.sigma_delta
+        trace: Trace = {
+            name: values[name].astype(np.int64 if name in many else np.uint8)
+            for name in self.spiking
+        }
         for port in self.outputs:
             trace["output" if len(self.outputs) == 1 else port.name] = values[port.name]
         return trace
@@ -423,13 +407,8 @@ class FloatGraph:
             nodes[name] = SigmaDeltaNeurons(name, node, self.convention, self.dtype, neurons)
         for name, timesteps in self.timing.delays.items():
             # without the timestep that its late edges take
-            nodes[name] = Delay(name, timesteps)
+            nodes[name] = Delay(timesteps)
         return nodes
-
-    def _kind(self, name: str) -> type[np.integer[Any]]:
-        """The type of the spikes of a node."""
-        many = self.convention.spikes == "many" or name in self.sigma_delta
-        return np.int64 if many else np.uint8
 
     def _advance(self, x: Mapping[str, Array]) -> dict[str, Array]:
         """Output (B, T, *shape) of every node for the next T timesteps."""
@@ -496,13 +475,3 @@ class FloatGraph:
                 f"the graph holds the state of {held} networks, the raster is for {batch}. Call "
                 "reset() between batches of different size."
             )
-
-
-def _spiking(graph: nir.NIRGraph, graded: Mapping[str, SigmaDelta]) -> list[str]:
-    kinds = (*SPIKING, nir.Threshold)
-    names = sorted(n for n, node in graph.nodes.items() if isinstance(node, kinds) or n in graded)
-    if "output" in names:
-        raise ArtifactError(
-            "node 'output' spikes, but that name is reserved for the readout. Rename it."
-        )
-    return names

@@ -157,7 +157,6 @@ class Stored:
 
 
 def _read(record: Record, each: "Field[Any]") -> object:
-    """The value of a field, by its type."""
     if each.type is int:
         return record.integer(each.name)
     if each.type is float:

@@ -63,7 +63,7 @@ class Artifact:
         check_sigma_delta(self.graph, self.sigma_delta)
         self._discretise()
         if self.codec is not None:
-            _check_width(self.graph, self.codec)
+            self._check_width(self.codec)
 
     def _discretise(self) -> None:
         nodes = sorted(self.graph.nodes.items())
@@ -72,6 +72,21 @@ class Artifact:
                 delay_timesteps(name, node, self.convention)
         neurons = {n: discretise(n, m, self.convention) for n, m in nodes if isinstance(m, NEURONS)}
         object.__setattr__(self, "neurons", neurons)
+
+    def _check_width(self, codec: Codec) -> None:
+        inputs, outputs = self.graph.inputs, self.graph.outputs
+        if len(inputs) != 1 or len(outputs) != 1:
+            raise ArtifactError(
+                f"a codec needs one Input and one Output node; the graph has the inputs "
+                f"{', '.join(sorted(inputs))} and the outputs {', '.join(sorted(outputs))}. Join "
+                "them, or store the graph without a codec."
+            )
+        (name,) = inputs
+        if (width := int(np.prod(inputs[name].input_type["input"]))) != codec.encoder.width:
+            raise ArtifactError(
+                f"the codec makes {codec.encoder.width} spike trains, node {name!r} takes {width}. "
+                "Export the policy again."
+            )
 
     @cached_property
     def timing(self) -> Timing:
@@ -188,7 +203,6 @@ def _parts(path: str, tree: Mapping[str, object]) -> Iterator[bytes | memoryview
 
 
 def _stamped(artifact: Artifact) -> nir.NIRGraph:
-    """The graph, nodes and edges sorted, with the artifact's metadata."""
     record = _record(artifact)
     if artifact.provenance is not None:
         record["origin"] = replace(artifact.provenance, sha256=digest(artifact)).to_record()
@@ -272,46 +286,19 @@ def _stored(graph: nir.NIRGraph) -> Artifact:
     neurons = {name: SigmaDelta.from_record(graded.group(name)) for name in sorted(graded.fields)}
     del graph.metadata[_KEY]
     artifact = Artifact(graph, codec, convention, found, neurons)
-    _check_timestep(graph, convention)
-    if found is not None:
-        _check_digest(artifact, found)
-    # after the digest, which is of the numbers as they were exported
-    floats = with_floats(graph)
-    return artifact if floats is graph else replace(artifact, graph=floats)
-
-
-def _check_timestep(graph: nir.NIRGraph, convention: Convention) -> None:
-    """Raise ArtifactError where the gains of the same file contradict its dt."""
     evidence = infer_timestep(graph)
-    if evidence.dt is None or not evidence.confirmed:
-        return
-    if not np.isclose(evidence.dt, convention.dt, rtol=1e-3):
+    agrees = evidence.dt is None or np.isclose(evidence.dt, convention.dt, rtol=1e-3)
+    if evidence.confirmed and not agrees:
         raise ArtifactError(
             f"the metadata state dt = {convention.dt:g} s, the nodes {evidence.dt:g} s "
             f"({evidence.reason}). Export the policy again."
         )
-
-
-def _check_digest(artifact: Artifact, provenance: Provenance) -> None:
-    if (found := digest(artifact)) != provenance.sha256:
+    if found is not None and (sha256 := digest(artifact)) != found.sha256:
         raise ArtifactError(
-            f"the policy is not the one that was exported: its SHA-256 is {found[:12]}…, its "
-            f"provenance states {provenance.sha256[:12]}…. Export the policy again; if the change "
+            f"the policy is not the one that was exported: its SHA-256 is {sha256[:12]}…, its "
+            f"provenance states {found.sha256[:12]}…. Export the policy again; if the change "
             f"is intended, delete metadata/{_KEY}/origin from the file."
         )
-
-
-def _check_width(graph: nir.NIRGraph, codec: Codec) -> None:
-    if len(graph.inputs) != 1 or len(graph.outputs) != 1:
-        raise ArtifactError(
-            f"a codec needs one Input and one Output node; the graph has the inputs "
-            f"{', '.join(sorted(graph.inputs))} and the outputs "
-            f"{', '.join(sorted(graph.outputs))}. Join them, or store the graph without a codec."
-        )
-    for name, node in graph.inputs.items():
-        width = int(np.prod(node.input_type["input"]))
-        if width != codec.encoder.width:
-            raise ArtifactError(
-                f"the codec makes {codec.encoder.width} spike trains, node {name!r} takes {width}. "
-                "Export the policy again."
-            )
+    # after the digest, which is of the numbers as they were exported
+    floats = with_floats(graph)
+    return artifact if floats is graph else replace(artifact, graph=floats)

@@ -127,6 +127,5 @@ def pattern_table(threshold: float, timesteps: int, dtype: str) -> _PatternTable
 
 
 def _differ(low: Drives, high: Drives, threshold: float, timesteps: int) -> NDArray[np.bool_]:
-    """True where the ends of an interval have different patterns."""
     at_low, at_high = (integrate(ends, threshold, timesteps) for ends in (low, high))
     return np.asarray((at_low != at_high).any(axis=0))

@@ -171,7 +171,6 @@ def float_program(artifact: Artifact, chip: Chip, graph: LayerGraph, clock: Cloc
 
 
 def _describe_readout(layer: Layer, chip: Chip) -> str:
-    """How the membranes of a readout layer leave the chip, in a sentence."""
     ways = {
         "probe": "which the host reads from their registers",
         "graded": "which are sent as graded spikes",
@@ -184,7 +183,6 @@ def _describe_readout(layer: Layer, chip: Chip) -> str:
 
 
 def _describe_host(layer: Layer, chip: Chip) -> str:
-    """Describe the host's part for a readout layer, in a sentence."""
     fan_outs = [
         f"{synapses.fan_out.mean():.3g} additions for each spike of {synapses.source!r}"
         for synapses in layer.synapses

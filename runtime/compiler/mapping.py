@@ -356,7 +356,6 @@ def entries(graph: nir.NIRGraph, population: Population) -> Entries:
 
 
 def _kernel_entries(graph: nir.NIRGraph, maps: Sequence[str]) -> int:
-    """Entries of the kernels on one way."""
     total, flattened = 0, None
     for node in (graph.nodes[name] for name in maps):
         if isinstance(node, nir.Flatten):
@@ -375,7 +374,6 @@ def _kernel_entries(graph: nir.NIRGraph, maps: Sequence[str]) -> int:
 
 
 def _log2(number: int) -> int:
-    """The binary logarithm, rounded up."""
     return (number - 1).bit_length()
 
 

@@ -200,7 +200,6 @@ def _reset(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def _reset_remedy(reset: str, kind: str, resets: Sequence[str]) -> str:
-    """Remedy for a reset that a chip does not have, with neurons of this kind."""
     if reset == "zero-delayed" and kind in ("LIF", "IF"):
         return "Give --reset zero, with which these neurons spike alike."
     if reset == "subtract-delayed" and kind == "IF":
@@ -215,7 +214,6 @@ def _reset_remedy(reset: str, kind: str, resets: Sequence[str]) -> str:
 
 
 def _graded(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """Sigma-delta neurons only where neurons send graded spikes to neurons."""
     possible = () if design.chip.arithmetic.graded_bits is None else ("graded spikes",)
     remedy = "Choose loihi2 or ideal, or run the network in float."
     for name in sorted(design.artifact.sigma_delta):
@@ -236,7 +234,6 @@ def _shape(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def _kernel(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """Kernels and strides of convolutions."""
     if (limits := design.limits.convolutions) is None:
         return
     for name, node in design.nodes:
@@ -269,7 +266,6 @@ def _axon_signs(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def _weight_values(design: PlacedNetwork) -> Iterator[tuple[str, int]]:
-    """Different weights of a neuron, where a chip has a table of few."""
     for name, node in design.nodes:
         dense = isinstance(node, DENSE) and name not in design.network.host
         if dense and design.limits.weight_values is not None:
@@ -346,7 +342,6 @@ def _span(values: Floats) -> str:
 
 
 def _recurrence(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """Loops only where neurons can be presynaptic to themselves."""
     remedy = "Take the loop out, or run the network in float."
     for population in design.network.populations:
         if population.recurrent and design.limits.recurrence is None:
@@ -357,7 +352,6 @@ def _recurrence(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def _delay(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """Delays fit into the chip's."""
     for name, node in design.nodes:
         if isinstance(node, nir.Delay):
             steps = int(delay_timesteps(name, node, design.artifact.convention).max())
@@ -417,7 +411,6 @@ def _fan_out(design: PlacedNetwork) -> Iterator[tuple[str, int]]:
 
 
 def _destinations(design: PlacedNetwork) -> Iterator[tuple[str, int]]:
-    """Postsynaptic layers of a layer, where they are limited."""
     if design.limits.destinations is not None:
         for population in design.network.populations:
             targets = {each.target for each in design.network.leaving(population.name)}
@@ -425,7 +418,6 @@ def _destinations(design: PlacedNetwork) -> Iterator[tuple[str, int]]:
 
 
 def _input_targets(design: PlacedNetwork) -> Iterator[tuple[None, int]]:
-    """Neurons with synapses from inputs."""
     found = 0
     for population in design.inside:
         presynaptic = [p for p in population.presynaptic if p.source in design.network.inputs]
@@ -435,14 +427,12 @@ def _input_targets(design: PlacedNetwork) -> Iterator[tuple[None, int]]:
 
 
 def _output_sources(design: PlacedNetwork) -> Iterator[tuple[None, int]]:
-    """Neurons with synapses onto outputs."""
     targets = {population.name for population in design.outputs}
     fan_outs = [design.network.fan_out(population.name, targets) for population in design.inside]
     yield None, sum(int(np.count_nonzero(fan_out)) for fan_out in fan_outs)
 
 
 def _fan_out_mean(design: PlacedNetwork) -> Iterator[tuple[None, float]]:
-    """Synapses of all neurons, over the neurons."""
     targets = {population.name for population in design.inside}
     synapses = sum(int(design.network.fan_out(name, targets).sum()) for name in sorted(targets))
     neurons = sum(population.size for population in design.inside)
@@ -450,7 +440,6 @@ def _fan_out_mean(design: PlacedNetwork) -> Iterator[tuple[None, float]]:
 
 
 def _cores(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """Cores that the network takes."""
     limits, found = design.limits, design.mapping.cores
     if limits.layer_cores:
         yield _layer_cores(design)
@@ -463,7 +452,6 @@ def _cores(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def _layer_cores(design: PlacedNetwork) -> RuleResult:
-    """A core for each layer."""
     placements, cores = design.mapping.placements, len(design.limits.layer_cores)
     if design.mapping.chips is None:
         found, remedy = f"{len(placements)} layers that find no cores", "Make the layers smaller."
@@ -483,7 +471,6 @@ def _with_one_list(design: PlacedNetwork) -> str:
 
 
 def _chips(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """Chips that hold the cores."""
     found = design.mapping.chips
     if found is None:
         yield _result(None, "unknown", None, None, "chips")

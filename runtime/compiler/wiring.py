@@ -160,7 +160,6 @@ class Projection:
 
 
 def _merge(ways: Sequence[Projection]) -> Projection:
-    """Several ways between the same sources and targets, as one."""
     first, *others = ways
     if not others:
         return first
@@ -179,7 +178,6 @@ def _merge(ways: Sequence[Projection]) -> Projection:
 
 
 def _extend(way: Projection, name: str, node: nir.NIRNode) -> Projection:
-    """The way with one more node at its end."""
     if isinstance(node, nir.Delay):
         return replace(way, delayed=way.delayed or bool(node.delay.any()))
     if isinstance(node, nir.Scale):
@@ -357,7 +355,6 @@ def topology(graph: nir.NIRGraph, membranes: bool = True, graded: Collection[str
 
 
 def _projections(graph: nir.NIRGraph) -> dict[str, tuple[Projection, ...]]:
-    """The projections onto each population, followed from node to node."""
     try:
         names, late = order(graph)
     except ArtifactError:  # a loop without a neuron, which a Delay may open
@@ -470,7 +467,6 @@ def wiring(
 
 
 def _check_sources(graph: nir.NIRGraph, block: "_Block", sigma_delta: Collection[str]) -> None:
-    """Refuse neurons that receive membranes: between neurons there are only spikes."""
     for source in block.sources:
         node = graph.nodes[source]
         spikes = source in sigma_delta or isinstance(node, SPIKING)

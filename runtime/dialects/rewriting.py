@@ -136,22 +136,21 @@ def _neurons(
     ends: dict[str, Values],
 ) -> nir.NIRNode:
     """The node with time constants and gains of 1 at the dt of the tool."""
-    dt, tau = theirs.dt, _time_constant(neuron.membrane_decay, theirs)
+
+    def time_constant(decay: Values) -> Values:
+        with np.errstate(divide="ignore"):
+            if theirs.integrator == "exponential":
+                return np.asarray(-theirs.dt / np.log(decay))
+            return np.asarray(theirs.dt / (1 - decay))
+
+    dt, tau = theirs.dt, time_constant(neuron.membrane_decay)
     if kind is nir.IF:
         return nir.IF(r=np.full(tau.shape, 1 / dt), **ends)
     if neuron.current_decay is None:
         return nir.LIF(tau=tau, r=tau / dt, v_leak=v_leak, **ends)
-    tau_syn = _time_constant(neuron.current_decay, theirs)
+    tau_syn = time_constant(neuron.current_decay)
     synapse = {"tau_syn": tau_syn, "w_in": tau_syn / dt}
     return nir.CubaLIF(tau_mem=tau, r=tau / dt, v_leak=v_leak, **synapse, **ends)
-
-
-def _time_constant(decay: Values, theirs: Convention) -> Values:
-    """Time constants [s] with these decay factors."""
-    with np.errstate(divide="ignore"):
-        if theirs.integrator == "exponential":
-            return np.asarray(-theirs.dt / np.log(decay))
-        return np.asarray(theirs.dt / (1 - decay))
 
 
 def _moved_threshold(threshold: Values, own: Convention, theirs: Convention) -> Values:
@@ -176,7 +175,6 @@ def _sources(name: str, nodes: Nodes, edges: EdgeList) -> Iterator[str]:
 
 
 def _scaled_weights(name: str, node: nir.NIRNode, factor: Values, offset: Values) -> nir.NIRNode:
-    """The node with its output multiplied by a factor, and an offset added."""
     if not isinstance(node, DENSE):
         channels = factor.reshape(len(factor), -1), offset.reshape(len(offset), -1)
         if not all(is_uniform(each) for pair in channels for each in pair):
@@ -192,7 +190,6 @@ def _scaled_weights(name: str, node: nir.NIRNode, factor: Values, offset: Values
 def _check_decays(
     name: str, before: nir.NIRNode, own: Convention, after: nir.NIRNode, theirs: Convention
 ) -> None:
-    """Refuse decay factors that the tool has no time constant for, such as 1."""
     times = [getattr(after, f) for f in ("tau", "tau_mem", "tau_syn") if hasattr(after, f)]
     if not all(np.isfinite(tau).all() and (tau > 0).all() for tau in times):
         raise ConventionError(f"node {name!r}: a decay factor of 0 or 1 has no time constant there")
@@ -209,13 +206,10 @@ def _check_as_read(graph: nir.NIRGraph, theirs: Convention, name: str) -> None:
     for each, node in sorted(graph.nodes.items()):
         if isinstance(node, SPIKING):
             ours = discretise(each, node, theirs)
-            if not _is_equal(ours, discretise(each, read.nodes[each], convention)):
+            other = discretise(each, read.nodes[each], convention)
+            pairs = zip(vars(ours).values(), vars(other).values(), strict=True)
+            if not all(
+                (a is None and b is None) or np.allclose(a, b, rtol=_ROUNDED, atol=1e-12)
+                for a, b in pairs
+            ):
                 raise ConventionError(f"node {each!r}: it would read other neurons")
-
-
-def _is_equal(one: DiscreteNeuron, other: DiscreteNeuron) -> bool:
-    """True if two difference equations are the same but for rounding."""
-    return all(
-        (a is None and b is None) or np.allclose(a, b, rtol=_ROUNDED, atol=1e-12)
-        for a, b in zip(vars(one).values(), vars(other).values(), strict=True)
-    )

@@ -115,7 +115,6 @@ def discretise(name: str, node: nir.NIRNode, convention: Convention) -> Discrete
 
 
 def _rounding(node: nir.NIRNode) -> float:
-    """Relative rounding error of a neuron's parameters, from their dtype."""
     return ROUNDING.get(node.r.dtype.type, ROUNDING[np.float64])
 
 

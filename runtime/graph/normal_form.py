@@ -140,7 +140,6 @@ def with_floats(graph: nir.NIRGraph) -> nir.NIRGraph:
 
 
 def _replaced(graph: nir.NIRGraph, nodes: Nodes) -> nir.NIRGraph:
-    """The graph with other nodes; itself where they are its own."""
     if all(node is graph.nodes[name] for name, node in nodes.items()):
         return graph
     again = {**graph.nodes, **nodes}

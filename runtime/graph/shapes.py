@@ -197,7 +197,6 @@ def multiplications(name: str, node: nir.NIRNode, puts: Shape) -> int:
 
 
 def _shapes(graph: nir.NIRGraph) -> Shapes:
-    """The shapes of every node, from those that nodes state and along the edges."""
     sources: dict[str, list[str]] = {name: [] for name in graph.nodes}
     targets: dict[str, list[str]] = {name: [] for name in graph.nodes}
     for source, target in graph.edges:
@@ -246,12 +245,10 @@ def _stated(name: str, node: nir.NIRNode) -> Shape | None:
 
 
 def _channels(node: nir.NIRNode) -> int:
-    """C of a convolution; its weight holds the channels of one group."""
     return int(node.weight.shape[1]) * int(node.groups)
 
 
 def _output(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
-    """The output shape of a node for this input shape."""
     if math.prod(takes) > MAX_VALUES:
         raise ArtifactError(
             f"node {name!r}: {takes} is more than {MAX_VALUES} values. Correct its shape."
