@@ -67,15 +67,11 @@ def test_rasters_of_booleans_numbers_files_and_names_are_alike(out):
 
 
 def test_masked_values_are_refused_and_other_numbers_are_named_by_their_range():
-    net = sd.load(NET, dt=1e-3).on("loihi1")
-    raster = np.load(RASTER)
+    net, raster = sd.load(NET, dt=1e-3).on("loihi1"), np.load(RASTER)
     with pytest.raises(ObservationError, match=r"masked values.* Fill them"):
         net.run(np.ma.MaskedArray(raster, mask=np.ones(raster.shape, bool)))
-    with pytest.raises(
-        ObservationError, match="holds numbers from 0 to 300; a chip takes"
-    ) as wrong:
+    with pytest.raises(ObservationError, match=r"^(?!.*float64).* from 0 to 300; a chip takes"):
         net.run(raster.astype(np.uint64) * 300)
-    assert "float64" not in str(wrong.value)
 
 
 def test_a_network_moves_between_chips_and_stays_as_it_was():
@@ -119,14 +115,16 @@ def test_a_comparison_is_that_of_the_command(stroll, command):
     assert "report.html" in [file.name for file in found.write("out")]
 
 
-def test_a_loaded_policy_is_compared_and_drives(stroll):
-    net = sd.load("stroll/popsan").on("loihi1")
+def test_a_loaded_policy_drives_and_is_compared_on_its_chip_and_as_its_file_says(stroll):
+    net = sd.load("stroll/popsan").on("loihi2")
     rows = sd.compare("stroll", [net], episodes=1).rows
-    (on_chip,) = [row for row in rows if row["chip"] == "loihi1"]
+    (on_chip,) = [row for row in rows if row["chip"] == "loihi2"]
     walk = rollout(sd.make("stroll"), net.controller(), seed=10_000)
     assert walk.total == pytest.approx(on_chip["return_mean"])
     with pytest.raises(ArtifactError, match="no codec"):
         sd.compare("stroll", [sd.load(NET, dt=1e-3)])
+    with pytest.raises(ArtifactError, match="loaded with other options than it states"):
+        sd.compare("stroll", [sd.load("stroll/popsan", reset="subtract")], episodes=1)
 
 
 def test_what_does_not_spike_is_refused(stroll):
@@ -169,15 +167,6 @@ def test_a_file_is_read_as_its_author_meant_it_and_checked_so():
     assert net.artifact.convention.reset == "subtract-delayed"
     assert not net.check("loihi1").passed  # its reset is none of Loihi's
     assert sd.load(file, written_by="snntorch", reset="zero").check("loihi1").passed
-
-
-def test_a_loaded_policy_is_compared_on_its_chip_and_as_its_file_says(stroll):
-    path = stroll.parent / next(stroll.glob("zoo/*/*.nir"))
-    rows = sd.compare("stroll", [sd.load(path).on("loihi2")], episodes=1).rows
-    assert {row["chip"] for row in rows} >= {"float", "loihi2"}
-    other = sd.load(path, reset="subtract")
-    with pytest.raises(ArtifactError, match="loaded with other options than it states"):
-        sd.compare("stroll", [other], episodes=1)
 
 
 def test_the_last_run_is_compared_by_its_name(stroll):

@@ -48,14 +48,21 @@ def test_a_device_as_input_does_not_hang(tmp_path, command):
     refused(command(*words), "/dev/zero is no file")
 
 
+def checked(cwd, *words, **environ):
+    """`check` in a process of its own, whose stderr is empty."""
+    command = [sys.executable, "-m", "spikedeploy", "check", *words]
+    done = subprocess.run(
+        command, cwd=cwd, env={**environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
 def test_packages_called_runtime_or_envs_of_somebody_else_are_not_imported(tmp_path):
     for name in ("runtime", "envs", "trainers", "exporters"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise RuntimeError('not ours')")
-    words = [sys.executable, "-m", "spikedeploy", "check", str(NET)]
-    environ = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(words, cwd=tmp_path, env=environ, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
+    checked(tmp_path, str(NET), **os.environ)
 
 
 def test_names_of_any_script_no_home_and_a_folder_that_takes_nothing(tmp_path):
@@ -63,11 +70,8 @@ def test_names_of_any_script_no_home_and_a_folder_that_takes_nothing(tmp_path):
     strange.mkdir()
     shutil.copy(NET, strange / "é.nir")
     environ = {name: value for name, value in os.environ.items() if name != "HOME"}
-    words = [sys.executable, "-m", "spikedeploy", "check", str(strange / "é.nir"), "--json"]
-    environ["PYTHONPATH"] = str(ROOT)
-    done = subprocess.run(words, cwd="/proc", env=environ, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "[bold]" in json.dumps(json.loads(done.stdout), ensure_ascii=False)
+    found = checked("/proc", str(strange / "é.nir"), "--json", **environ)
+    assert "[bold]" in json.dumps(json.loads(found), ensure_ascii=False)
 
 
 def test_a_window_of_the_hexapod_without_a_display_is_an_error_of_ours(monkeypatch):

@@ -72,16 +72,14 @@ def test_the_page_and_its_two_files_are_all_there_is_to_read(view):
         assert asked(view, path)[0] == 404
 
 
-@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "localhost:80:80",
-                                  "127.0.0.1@evil.example", "", "0.0.0.0"])  # fmt: skip
-def test_names_that_only_lead_to_this_machine_are_refused(view, host):
-    for path in ("/", "/live.js", "/events"):
-        assert asked(view, path, Host=host)[0] == 403
-
-
-@pytest.mark.parametrize("host", ["localhost", "LOCALHOST:9000", "127.0.0.1:1"])
-def test_a_forwarded_port_is_served(view, host):
-    assert asked(view, Host=host)[0] == 200
+@pytest.mark.parametrize(("host", "status"), [
+    ("evil.example", 403), ("127.0.0.1.evil.example", 403), ("localhost:80:80", 403),
+    ("127.0.0.1@evil.example", 403), ("", 403), ("0.0.0.0", 403),
+    ("localhost", 200), ("LOCALHOST:9000", 200), ("127.0.0.1:1", 200),
+])  # fmt: skip
+def test_names_that_only_lead_to_this_machine_are_refused(view, host, status):
+    for path in ("/", "/live.js") if status == 200 else ("/", "/live.js", "/events"):
+        assert asked(view, path, Host=host)[0] == status
 
 
 def test_pages_of_other_origins_may_link_here_and_no_more(view):

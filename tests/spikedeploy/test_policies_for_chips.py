@@ -9,9 +9,9 @@ import typer
 from lab.experiments import chip_policies
 from spikedeploy import envs, zoo
 from spikedeploy.commands.training import train
-from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.comparison.lineup import line_up, remark_on_chip
 from spikedeploy.envs.errors import EnvError
+from spikedeploy.policies.registry import find
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips import CHIPS
 from spikedeploy.runtime.chips.chip import chip
@@ -59,18 +59,14 @@ def test_at_least_six_chips_beside_loihi1_have_policies_for_two_tasks():
     assert sum(len(found) >= 2 for name, found in tasks.items() if name != "loihi1") >= 6
 
 
-def test_they_are_found_by_name_and_stand_in_no_line_up(file):
-    name = f"chips/{file.parent.name}/{file.stem}"
+def test_it_is_found_by_name_runs_on_its_chip_and_stands_in_no_line_up(file):
+    name, env = f"chips/{file.parent.name}/{file.stem}", file.parent.name
     assert zoo.path(name) == file
     assert file not in zoo.policies()
     assert name not in zoo.names()
-
-
-def test_it_runs_on_its_chip_where_none_is_named_and_says_so_where_another_is(file):
-    policy, env = f"chips/{file.parent.name}/{file.stem}", file.parent.name
     entries = line_up(env, [str(file)], None)
     assert [e.chip for e in entries if e.candidate.kind == "snn"] == [file.stem]
-    assert run_policy(policy, None, None, range(1)).rows[0].entry.chip == file.stem
+    assert find(name).default_chip == file.stem
     assert not remark_on_chip(entries[0])
     beside = line_up(env, [str(file)], ["int"])[0]
     assert f"was trained for {file.stem}, and runs on int here" in remark_on_chip(beside)
@@ -78,22 +74,24 @@ def test_it_runs_on_its_chip_where_none_is_named_and_says_so_where_another_is(fi
 
 def test_chips_are_separated_by_commas_or_given_again(command):
     words = ("compare", "CartPole-v1", "chips/CartPole-v1/tinyodin", "--episodes", "1", "--json")
-    for more in (["--chips", "tinyodin,int"], ["--chips", "tinyodin", "--chips", "int"]):
-        code, out, err = command(*words, "--workers", "1", *more)
-        assert code == 0, err
-        chips = [row["chip"] for row in json.loads(out)["rows"] if row["kind"] == "snn"]
-        assert chips == ["tinyodin", "int"]
-        assert "tinyodin was trained for tinyodin, and runs on int here" in err
+    code, out, err = command(
+        *words, "--workers", "1", "--chips", "tinyodin,int", "--chips", "ideal"
+    )
+    assert code == 0, err
+    chips = [row["chip"] for row in json.loads(out)["rows"] if row["kind"] == "snn"]
+    assert chips == ["tinyodin", "int", "ideal"]
+    assert "tinyodin was trained for tinyodin, and runs on int here" in err
 
 
 def test_the_table_names_the_teacher_that_is_shipped_and_chips_without_a_policy():
     assert zoo.teacher("CartPole-v1") == "chips/CartPole-v1/teacher"
     assert zoo.teacher("hexapod") == "hexapod/sac"
     assert zoo.teacher("Acrobot-v1") is None
+    counts = dict.fromkeys(("inputs", "neurons", "timesteps", "sops", "spikes", "updates"), 12.3)
+    scores = {"teacher": [-100.0, -110.0], "random": [-1100.0, -1110.0], "odin": [-110.0, -120.0]}
     rows = {
-        ("Pendulum-v1", "teacher"): {"scores": [-100.0, -110.0]},
-        ("Pendulum-v1", "random"): {"scores": [-1100.0, -1110.0]},
-        ("Pendulum-v1", "odin"): {"scores": [-110.0, -120.0], "sops": 12.3},
+        ("Pendulum-v1", name): {"task": "Pendulum-v1", "chip": name, "scores": found, **counts}
+        for name, found in scores.items()
     }
     page = chip_policies.page(rows)
     assert "| `odin` | 99.0% [99.0%, 99.0%] ✓ |" in page
@@ -112,21 +110,16 @@ def test_episodes_side_by_side_earn_what_they_earn_alone():
     assert min(together) > 50
 
 
-@pytest.mark.parametrize("words", [{"what": None}, {"what": "CartPole-v1", "recipe": "ppo-snn"}])
-def test_an_environment_alone_goes_with_for(words):
-    with pytest.raises(typer.BadParameter):
+@pytest.mark.parametrize(("words", "error", "said"), [
+    ({"what": None}, typer.BadParameter, None),
+    ({"what": "CartPole-v1", "recipe": "ppo-snn"}, typer.BadParameter, None),
+    ({"what": "Acrobot-v1"}, ConfigError,
+     r"no float teacher of Acrobot-v1 is shipped.*distill my_module:pilot --env Acrobot-v1"),
+    ({"what": "tests.own_env:Reech"}, EnvError, r"has no 'Reech'; did you mean 'Reach'\?"),
+])  # fmt: skip
+def test_for_goes_with_an_environment_that_has_a_teacher(words, error, said):
+    with pytest.raises(error, match=said):
         train(**{"recipe": None, **words}, chip="odin")
-
-
-def test_without_a_shipped_teacher_one_is_asked_for():
-    said = r"no float teacher of Acrobot-v1 is shipped.*distill my_module:pilot --env Acrobot-v1"
-    with pytest.raises(ConfigError, match=said):
-        train(what="Acrobot-v1", chip="odin")
-
-
-def test_a_misspelt_environment_is_said_before_a_teacher_is_asked_for():
-    with pytest.raises(EnvError, match=r"has no 'Reech'; did you mean 'Reach'\?"):
-        train(what="tests.own_env:Reech", chip="odin")
 
 
 def test_they_are_listed_beside_the_others(command):

@@ -9,7 +9,7 @@ import pytest
 from spikedeploy import zoo
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies import costs
-from spikedeploy.policies.costs import UNCOUNTED, Costs, _resetting, priced_by, spiking_costs
+from spikedeploy.policies.costs import Costs, _resetting, priced_by, spiking_costs
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.artifact.artifact import load, save
@@ -97,38 +97,29 @@ def test_a_chip_is_priced_by_its_own_tables_and_one_that_float_networks_share():
 
 def test_energy_per_inference_is_the_mean_of_single_inferences(snn):
     player = NirController(str(snn), "loihi1")
+
+    def joules():
+        return spiking_costs(player.ledger, player.program, player.chip).energy_j["sanafe"].value
+
     alone = []
     for observation in OBSERVATIONS:
         player.reset(0)
         player.act(observation)
-        alone.append(
-            spiking_costs(player.ledger, player.program, player.chip).energy_j["sanafe"].value
-        )
+        alone.append(joules())
     player.reset(0)
     player.replay(OBSERVATIONS)
-    found = spiking_costs(player.ledger, player.program, player.chip)
-    assert found.energy_j["sanafe"].value == pytest.approx(np.mean(alone))
+    assert joules() == pytest.approx(np.mean(alone))
 
 
-def test_effective_macs_of_a_relu_network_skip_its_zeros(tmp_path):
-    path = toy_stroll_env.ann(tmp_path / "ann.onnx", hidden=(8,))
-    player = OnnxController(path)
+def test_a_float_network_costs_its_macs_of_which_zeros_can_be_skipped(tmp_path):
+    player = OnnxController(toy_stroll_env.ann(tmp_path / "ann.onnx", hidden=(8,)))
     (hidden,) = player._session.run(["hidden1"], {"observation": OBSERVATIONS.astype("float32")})
     active = np.count_nonzero(hidden, axis=1).mean()
     assert 0 < active < 8
     assert player.effective_macs(OBSERVATIONS) == pytest.approx(3 * 8 + active * 2)
-
-
-def test_a_float_network_costs_its_dense_macs_in_energy(tmp_path):
-    player = OnnxController(toy_stroll_env.ann(tmp_path / "ann.onnx", hidden=(8,)))
     found = player.costs(played(OBSERVATIONS))
     assert found.dense == 3 * 8 + 8 * 2
     assert found.energy_j["horowitz45"].value == mac_energy(40, TABLES["horowitz45"])
-
-
-def test_a_float_network_has_both_costs_and_names_what_it_does_not_count(tmp_path):
-    player = OnnxController(toy_stroll_env.ann(tmp_path / "ann.onnx", hidden=(8,)))
-    found = player.costs(played(OBSERVATIONS))
     int8 = found.energy_terms_j["horowitz45-int8"]
     # 40 products; 8 + 2 biases, each fetched and added; three observations read
     assert pytest.approx({k: 1e12 * v for k, v in int8.items()}) == {
@@ -142,28 +133,21 @@ def test_a_float_network_has_both_costs_and_names_what_it_does_not_count(tmp_pat
     assert found.energy_unknown["davies2018"] == ("operations", "activations")
 
 
-def test_a_script_and_a_run_folder_say_that_they_are_not_counted():
-    found = costs.mean([UNCOUNTED, UNCOUNTED], [1, 2])
-    assert set(found.energy_unknown) == set(TABLES)
-    assert set(found.energy_unknown.values()) == {("operations",)}
-    assert found.energy_terms_j == {}
-
-
-@pytest.mark.parametrize("name", TABLES)
-def test_the_terms_of_a_policy_on_chip_add_up_to_its_energy(name, snn):
+def test_the_terms_of_a_policy_on_chip_add_up_to_its_energy_by_every_table(snn):
     player = NirController(str(snn), "loihi1")
     player.replay(OBSERVATIONS)
     found = player.costs(played(OBSERVATIONS))
-    terms, unknown = found.energy_terms_j[name], found.energy_unknown[name]
-    on_chip = sum(joules for term, joules in terms.items() if term in ON_CHIP)
-    assert on_chip == pytest.approx(found.energy_j[name].value, rel=1e-12)
-    assert not set(terms) & set(unknown)
-    assert {*terms, *unknown, *TABLES[name].included} == {*TERMS} - {"activations"}
-    # Gaussians have no price; states begin at 0 in every inference, which tables of chips lack
-    assert "encoder" in unknown
-    assert ("resets" in unknown) == (name != "truenorth" and not name.startswith("horowitz45"))
-    # the 20 output neurons have one weight each, two constants
-    assert terms["readout"] == pytest.approx((found.effective_acs - found.sops + 2) * 1.35e-12)
+    for name, table in TABLES.items():
+        terms, unknown = found.energy_terms_j[name], found.energy_unknown[name]
+        on_chip = sum(joules for term, joules in terms.items() if term in ON_CHIP)
+        assert on_chip == pytest.approx(found.energy_j[name].value, rel=1e-12)
+        assert not set(terms) & set(unknown)
+        assert {*terms, *unknown, *table.included} == {*TERMS} - {"activations"}
+        # Gaussians have no price; states begin at 0 in every inference, which tables of chips lack
+        assert "encoder" in unknown
+        assert ("resets" in unknown) == (name != "truenorth" and not name.startswith("horowitz45"))
+        # the 20 output neurons have one weight each, two constants
+        assert terms["readout"] == pytest.approx((found.effective_acs - found.sops + 2) * 1.35e-12)
 
 
 def test_states_that_are_kept_are_not_reset(snn, tmp_path):

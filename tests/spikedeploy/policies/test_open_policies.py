@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -73,15 +72,10 @@ def test_an_event_driven_policy_answers_for_an_episode_in_its_order(chip, world,
     np.testing.assert_array_equal(np.tanh(traced.scores), played.action)
 
 
-@pytest.mark.parametrize(
-    ("kind", "name", "expected"),
-    [
-        (".onnx", "sac", "ann"),
-        (".nir", "popsan", "snn"),
-        ("gait", "gait", "gait"),
-        ("random", "random", "random"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "name", "expected"), [
+    (".onnx", "sac", "ann"), (".nir", "popsan", "snn"), ("gait", "gait", "gait"),
+    ("random", "random", "random"),
+])  # fmt: skip
 def test_a_candidate_says_what_it_is(kind, name, expected, world, tmp_path):
     candidate = find(write(kind, tmp_path))
     assert (candidate.name, candidate.kind) == (name, expected)
@@ -109,69 +103,41 @@ def test_shipped_policies_go_by_short_names(world, monkeypatch, tmp_path):
         find("stroll/sax")
 
 
-def test_a_policy_for_another_environment_is_one_clear_line(world, tmp_path):
-    candidate = find(str(toy_stroll_env.snn(tmp_path / "p.nir", env="spikedeploy/Hexapod-v0")))
-    with pytest.raises(
-        ConfigError, match=r"p.nir was made for spikedeploy/Hexapod-v0, not for test"
-    ):
-        open_policy(candidate, "float", world)
-
-
-def test_a_policy_that_observes_another_number_is_one_clear_line(world):
+def test_a_policy_that_does_not_fit_is_one_clear_line(world, tmp_path):
+    other = find(str(toy_stroll_env.snn(tmp_path / "p.nir", env="spikedeploy/Hexapod-v0")))
+    with pytest.raises(ConfigError, match=r"p.nir was made for spikedeploy/Hexapod-v0, not for"):
+        open_policy(other, "float", world)
     odd = Candidate("x.onnx", "x", "ann", ".onnx", observed=5, actions=2)
     with pytest.raises(ConfigError, match=r"x.onnx observes 5 numbers; test/Stroll-v0 has 3"):
         open_policy(odd, None, world)
-
-
-def test_a_chip_is_for_what_spikes_and_what_spikes_needs_one(world, tmp_path):
     with pytest.raises(ConfigError, match="does not spike"):
         open_policy(find(write(".onnx", tmp_path)), "loihi1", world)
     with pytest.raises(ConfigError, match="name a chip, or 'float'"):
         open_policy(find(write(".nir", tmp_path)), None, world)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("seen", [[0.0, np.nan, 0.0], [0.0, np.inf, 0.0], [0.0] * 4])
 @pytest.mark.parametrize("kind", [".onnx", ".nir"])
-def test_an_observation_that_is_no_number_is_refused(bad, kind, world, tmp_path):
-    candidate = find(write(kind, tmp_path))
-    player = open_policy(candidate, "loihi1" if kind == ".nir" else None, world)
-    with pytest.raises(ObservationError, match="finite"):
-        player.act(np.array([0.0, bad, 0.0]))
+def test_what_is_no_observation_is_refused(seen, kind, world, tmp_path):
+    player = open_policy(find(write(kind, tmp_path)), "loihi1" if kind == ".nir" else None, world)
+    with pytest.raises(ObservationError, match=r"finite|3 numbers|shape"):
+        player.act(np.array(seen))
 
 
-def test_an_observation_of_the_wrong_size_is_refused(tmp_path):
-    player = OnnxController(toy_stroll_env.ann(tmp_path / "p.onnx"))
-    with pytest.raises(ObservationError, match="observes 3 numbers"):
-        player.act(np.zeros(4))
-
-
-def test_a_broken_onnx_file_is_refused(tmp_path):
-    path = tmp_path / "broken.onnx"
-    path.write_bytes(b"not a model")
-    with pytest.raises(ArtifactError, match=r"broken.onnx is not an ONNX file"):
-        find(str(path))
-
-
-def test_a_nir_file_without_codec_is_sent_to_emulate(tmp_path):
-    path = toy_stroll_env.snn(tmp_path / "p.nir")
-    artifact = load(path)
-    bare = type(artifact)(artifact.graph, None, artifact.convention)
-    save(bare, tmp_path / "bare.nir")
-    with pytest.raises(ArtifactError, match=r"has no codec.*spikedeploy emulate"):
-        find(str(tmp_path / "bare.nir"))
-
-
-def test_an_unknown_suffix_is_refused(tmp_path):
-    (tmp_path / "policy.pt").write_bytes(b"")
-    with pytest.raises(ConfigError, match=r"neither .onnx, .nir nor a run folder"):
-        find(str(tmp_path / "policy.pt"))
+def test_files_that_are_no_policies_are_refused(tmp_path):
+    artifact = load(toy_stroll_env.snn(tmp_path / "p.nir"))
+    save(replace(artifact, codec=None), tmp_path / "bare.nir")
+    for name, content, says in (
+        ("bare.nir", None, r"has no codec.*spikedeploy emulate"),
+        ("broken.onnx", b"not a model", r"broken.onnx is not an ONNX file"),
+        ("policy.pt", b"", r"neither .onnx, .nir nor a run folder"),
+    ):
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        with pytest.raises((ArtifactError, ConfigError), match=says):
+            find(str(tmp_path / name))
 
 
 def test_onnx_runs_on_one_thread(tmp_path):
     options = OnnxController(toy_stroll_env.ann(tmp_path / "p.onnx"))._session.get_session_options()
     assert options.intra_op_num_threads == 1
-
-
-def test_the_gait_fits_any_environment(world):
-    assert open_policy(find("gait"), None, world).act(np.zeros(3)).tolist() == [0, 0]
-    assert isinstance(world, gymnasium.Env)

@@ -85,23 +85,16 @@ def expected(rows):
     return [controller.act(row).tolist() for row in rows]
 
 
-def test_a_client_gets_the_actions_of_the_policy_bit_for_bit(policy, connect):
-    client, rows = connect(), observations(policy, 30, 1)
-    assert ask(client, do="reset", seed=0) == {"ok": True, "seed": 0}
-    answers = [ask(client, do="act", observation=row.tolist()) for row in rows]
-    assert [answer["action"] for answer in answers] == expected(rows)
-    assert [answer["step"] for answer in answers] == list(range(1, 31))
-
-
-def test_clients_have_episodes_of_their_own(policy, connect):
-    clients = [connect(), connect(zmq.REQ)]
-    rows = [observations(policy, 10, seed) for seed in (1, 2)]
+def test_clients_get_the_actions_of_the_policy_each_of_its_own_episode(policy, connect):
+    clients, rows = [connect(), connect()], [observations(policy, 10, seed) for seed in (1, 2)]
     for client in clients:
-        ask(client, do="reset")
+        assert ask(client, do="reset", seed=0) == {"ok": True, "seed": 0}
     found = [[], []]
     for k in range(10):
         for each, client in enumerate(clients):
-            found[each].append(ask(client, do="act", observation=rows[each][k].tolist())["action"])
+            answer = ask(client, do="act", observation=rows[each][k].tolist())
+            assert answer["step"] == k + 1
+            found[each].append(answer["action"])
     assert found == [expected(rows[0]), expected(rows[1])]
 
 
@@ -164,18 +157,15 @@ def test_what_is_no_request_is_answered_by_a_sentence_and_the_episode_goes_on(po
     assert [first["action"], second["action"]] == expected(rows)
 
 
-@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 400])
-def test_numbers_that_are_none_are_refused(policy, connect, number):
-    client = connect()
-    ask(client, do="reset")
-    body = ", ".join([number, *["0"] * (policy.observed - 1)])
-    answer = sent(client, f'{{"do": "act", "observation": [{body}]}}'.encode())
-    assert not answer["ok"]
-
-
-def test_act_before_reset_is_refused(policy, connect):
-    answer = ask(connect(), do="act", observation=[0.0] * policy.observed)
+def test_numbers_that_are_none_and_act_before_reset_are_refused(policy, connect):
+    client, zeros = connect(), ["0"] * (policy.observed - 1)
+    answer = ask(client, do="act", observation=[0.0] * policy.observed)
     assert "send reset first" in answer["error"]
+    ask(client, do="reset")
+    for number in ("NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 400):
+        body = ", ".join([number, *zeros])
+        answer = sent(client, f'{{"do": "act", "observation": [{body}]}}'.encode())
+        assert not answer["ok"], number
 
 
 def test_a_message_that_is_too_large_ends_its_connection_and_nobody_elses(policy, connect):
@@ -230,14 +220,8 @@ def test_clients_are_few_and_idle_ones_are_forgotten(policy):
     with pytest.raises(RequestError, match="send reset first"):
         clients.answer(b"a", act, 11)
     clients.answer(b"c", reset, 11)
-    clients.answer(b"c", Request("bye"), 12)
+    clients.answer(b"c", Request("bye"), 12)  # and d never had an episode
     clients.answer(b"a", reset, 12)
-
-
-def test_a_client_that_connects_and_asks_for_no_episode_takes_no_place(policy):
-    clients = Clients(policy, most=1, idle=60)
-    clients.answer(b"a", Request("info"), 0)
-    clients.answer(b"b", Request("reset"), 0)
 
 
 def test_a_request_that_meets_a_bug_is_answered_and_the_server_lives(policy, connect, monkeypatch):
@@ -257,18 +241,15 @@ def test_addresses_and_ports_that_are_none_are_refused(policy, server):
         PolicyServer(policy, port=int(server.endpoint.rpartition(":")[2]))
 
 
-def test_what_does_not_spike_is_not_served():
-    with pytest.raises(ConfigError, match="no spiking policy"):
-        ServedPolicy("hexapod/sac")
-
-
-def test_the_float_twin_is_served_too():
+def test_the_float_twin_is_served_too_and_what_does_not_spike_is_not():
     episode = ServedPolicy(POLICY, "float").episode()
     episode.reset(0)
     controller = load(POLICY).controller()
     row = [0.1] * controller.codec.encoder.observed
     found = episode.act(Request("act", observation=row))["action"]
     assert found == controller.act(row).tolist()
+    with pytest.raises(ConfigError, match="no spiking policy"):
+        ServedPolicy("hexapod/sac")
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
