@@ -1,15 +1,11 @@
 """Recipes: what to train, as differences from an algorithm's defaults; tables in recipes.toml."""
 
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
+from spikedeploy.files import read_toml
 
 Settings = dict[str, Any]
 
@@ -86,6 +82,4 @@ def _filled(value: Any, row: str) -> Any:  # noqa: ANN401
     return value.replace("{row}", row) if isinstance(value, str) else value
 
 
-RECIPES: dict[str, Recipe] = dict(
-    _recipes(tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")))
-)
+RECIPES: dict[str, Recipe] = dict(_recipes(read_toml(Path(__file__).with_suffix(".toml"))))

@@ -26,7 +26,6 @@ A register is its bits and what it does when it is full; "none" is None.
 
 import difflib
 import re
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from functools import lru_cache
@@ -36,16 +35,12 @@ from typing import Any, Literal, cast, get_args, get_origin
 
 import numpy as np
 
+from spikedeploy.files import read_toml
 from spikedeploy.runtime.chips import ARITHMETICS, CHIPS
 from spikedeploy.runtime.chips.arithmetic import Arithmetic
 from spikedeploy.runtime.chips.registers import OVERFLOWS, Register
 from spikedeploy.runtime.convention import CLOCKS, Clock
 from spikedeploy.runtime.errors import ChipError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
 __all__ = ["CHIPS", "Chip", "chip"]
 
@@ -408,10 +403,9 @@ def _read_toml(path: Path) -> dict[str, Any]:
     if path.stat().st_size > _MOST_BYTES:
         raise ChipError(f"it has more than {_MOST_BYTES} bytes, which no datasheet needs.")
     try:
-        tables: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        return read_toml(path)
     except (ValueError, RecursionError) as error:
         raise ChipError(f"invalid TOML ({error}). Correct that line.") from None
-    return tables
 
 
 def _check_tables(tables: dict[str, Any]) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import math
-import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, field, fields, replace
@@ -20,6 +19,7 @@ from spikedeploy import envs, zoo
 from spikedeploy.comparison.metrics import checked_metrics
 from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.errors import ConfigError
+from spikedeploy.files import read_toml
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.registry import BUILT_IN, DEFAULT_CHIP, FLOAT, Candidate, check_fit, find
 from spikedeploy.runtime.chips.chip import chip
@@ -29,11 +29,6 @@ from spikedeploy.schema import validated
 from spikedeploy.seeds import EVALUATION, listed_numbers
 from spikedeploy.trainers.config import known
 from spikedeploy.trainers.versions import installed
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
 OWN, NONE = "own", "none"  # the chip's own bits; no disturbance or fault
 _VERSION = 1  # of what a result holds; a higher one makes all results again
@@ -147,7 +142,7 @@ def _shown(value: object) -> str:
 def read_grid(path: Path) -> SweepGrid:
     """The grid in a TOML file; ConfigError names the key that is wrong, or unknown."""
     try:
-        found: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        found = read_toml(path)
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:

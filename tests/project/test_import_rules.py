@@ -16,7 +16,7 @@ from tests.paths import ROOT
 # libraries that each package may import; `runtime` computes with NumPy alone
 LIBRARIES = {
     "envs": {"numpy", "gymnasium", "mujoco", "pymunk", "pygame"},
-    "runtime": {"numpy", "nir", "h5py", "numba", "tomli"},
+    "runtime": {"numpy", "nir", "h5py", "numba"},
     "trainers": {
         "numpy", "torch", "pydantic", "safetensors", "tomli", "gymnasium",
         "matplotlib", "onnxruntime", "rich",

@@ -68,19 +68,25 @@ def torch_layer(node, convention, whole):
         "init_hidden": True,
     }
     if isinstance(node, (nir.LIF, nir.IF)):
-        beta = float(1 - convention.dt / node.tau[0]) if isinstance(node, nir.LIF) else 1.0
-        return snntorch.Leaky(beta=beta, threshold=float(node.v_threshold[0]), **options)
+        beta = float(1 - convention.dt / node.tau.flat[0]) if isinstance(node, nir.LIF) else 1.0
+        return snntorch.Leaky(beta=beta, threshold=float(node.v_threshold.flat[0]), **options)
     if isinstance(node, nir.CubaLIF):
         decays = [float(1 - convention.dt / tau[0]) for tau in (node.tau_syn, node.tau_mem)]
         return snntorch.Synaptic(*decays, threshold=float(node.v_threshold[0]), **options)
-    biased = isinstance(node, nir.Affine)
-    linear = torch.nn.Linear(*node.weight.T.shape, bias=biased)
+    if isinstance(node, nir.Flatten):
+        return torch.nn.Flatten()
+    biased = not isinstance(node, nir.Linear)
+    if isinstance(node, nir.Conv2d):
+        channels, *kernel = node.weight.shape[1:]
+        made = torch.nn.Conv2d(channels, len(node.weight), kernel, node.stride, node.padding)
+    else:
+        made = torch.nn.Linear(*node.weight.T.shape, bias=biased)
     dtype = torch.int8 if whole else torch.float32
     held = torch.as_tensor(np.ascontiguousarray(node.weight)).to(dtype)
-    linear.weight = torch.nn.Parameter(held, requires_grad=False)
+    made.weight = torch.nn.Parameter(held, requires_grad=False)
     if biased:
-        linear.bias = torch.nn.Parameter(torch.as_tensor(node.bias), requires_grad=False)
-    return linear
+        made.bias = torch.nn.Parameter(torch.as_tensor(node.bias), requires_grad=False)
+    return made
 
 
 def theirs(tool, model, spikes):
@@ -239,38 +245,11 @@ def convolutional():
 
 
 def test_a_convolutional_network_on_a_chip_has_neurobenchs_numbers(tool):
-    import snntorch
-    import torch
-    from neurobench.models import SNNTorchModel
-
     artifact = convolutional()
-    nodes = artifact.graph.nodes
-    options = {"init_hidden": True, "reset_mechanism": "zero", "reset_delay": False}
-
-    class Twin(torch.nn.Module):
-        def __init__(self):
-            super().__init__()
-            self.n1 = torch.nn.Conv2d(1, 3, 3, stride=2, padding=1)
-            self.n1.weight.data = torch.as_tensor(nodes["n1"].weight)
-            self.n1.bias.data = torch.as_tensor(nodes["n1"].bias)
-            self.n2 = snntorch.Leaky(beta=0.9, threshold=0.7, **options)
-            self.n3 = torch.nn.Flatten()
-            self.n4 = torch_layer(nodes["n4"], artifact.convention, whole=False)
-            self.n5 = snntorch.Leaky(beta=0.9, threshold=0.5, **options)
-
-        def forward(self, x):
-            for module in self.children():
-                x = module(x)
-            return x, None
-
-        def reset(self):
-            self.n2.reset_mem()
-            self.n5.reset_mem()
-
     spikes = (np.random.default_rng(1).random((4, 16, 1, 6, 6)) < 0.3).astype(np.uint8)
     program = compile_program(artifact, IDEAL)
     found = measured(program, artifact.graph, spikes.reshape(4, 16, 36)).as_json()
     del found["Footprint_packed"]
-    wanted = theirs(tool, SNNTorchModel(Twin()), spikes)
+    wanted = theirs(tool, torch_twin(artifact), spikes)
     assert found == wanted
     assert wanted["SynapticOperations"]["Effective_ACs"] > 500
