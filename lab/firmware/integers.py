@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from lab.firmware import dense
 from lab.firmware.policies import observe
-from lab.firmware.table import INTEGERS, integer_table, options_of, publish
+from lab.firmware.table import INTEGERS, options_of, publish
 from lab.firmware.targets import TARGETS, count_split, measure_size, run
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.statistics import bootstrap, paired_difference
@@ -63,7 +63,7 @@ def main() -> None:
                 rows += _measured(f"{task}/{policy}", options)
     intro = f"Of {options.episodes} episodes, made by `python -m lab firmware-integers "
     intro += "--emlearn VENV/bin/python --write`:\n\n"
-    publish(options, rows, integer_table(rows), INTEGERS, intro)
+    publish(options, rows, INTEGERS, intro)
 
 
 def _measured(name: str, options: argparse.Namespace) -> list[dict]:

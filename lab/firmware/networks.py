@@ -20,9 +20,9 @@ import json
 import re
 import sys
 import tempfile
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from lab.firmware import dense
 from lab.firmware.snn_to_linalg import lower
-from lab.firmware.table import NETWORKS, network_table, options_of, publish
+from lab.firmware.table import NETWORKS, options_of, publish
 from lab.firmware.targets import (
     BESIDE,
     SOURCES,
@@ -92,7 +92,7 @@ def main() -> None:
         if options.only in ("", name):
             with tempfile.TemporaryDirectory() as folder:
                 rows += _network(name, tools, Path(folder))
-    publish(options, rows, network_table(rows), NETWORKS)
+    publish(options, rows, NETWORKS)
     sys.exit(any(row["differ"] for row in rows))
 
 
@@ -114,7 +114,10 @@ def _network(name: str, tools: Tools, folder: Path) -> list[dict]:
         place.mkdir()
         _write_mlir(tools, folder / "net.nir", kind, raster, place)
         rows[-1] |= {target: _built(tools, target, place) for target in BESIDE}
-        _host(tools, place)
+        triple = run(["gcc", "-dumpmachine"], place).strip()
+        native = (f"-mtriple={triple}", "-mcpu=native", "--relocation-model=pic")
+        _object(tools.llvm, place, 64, "-O3", native)
+        build_shared(place, "mlir_net.c", "net.o")
     for row in rows:
         found = _counts(folder / row["kind"], raster, wanted["float32"].shape[1])
         row["unlike"] = int((found != wanted["float32"]).sum())
@@ -148,33 +151,30 @@ def _own(name: str, program, raster: NDArray[np.uint8], folder: Path) -> dict:  
     return {"policy": name, "by": "spikedeploy, loihi1", "kind": "own", **found}
 
 
-def _counts(folder: Path, raster: NDArray[np.uint8], outputs: int) -> NDArray[np.int64]:
-    """(S, N) spikes of each output neuron in each inference."""
-    step, places, _ = _played(folder, raster)
-    action, found = (ctypes.c_int32 * outputs)(), []
-    for place in places:
-        step(place, action)
-        found.append(list(action))
-    return np.array(found)
-
-
-def _played(folder: Path, raster: NDArray[np.uint8]) -> tuple:
-    """The C that plays a raster, the address of each inference's, and the memory that these are."""
+def _played(folder: Path, raster: NDArray[np.uint8]) -> Callable[[ctypes.Array], Iterator[None]]:
+    """The C that plays a raster into an array of spike counts, inference by inference."""
     kept = raster.reshape(len(raster), -1)
     kept = kept.astype(np.float32 if folder.name == "float32" else np.int8)
     places = [row.ctypes.data_as(ctypes.c_void_p) for row in kept]
-    return ctypes.CDLL(str(folder / "timed.so")).policy_step, places, kept
+    step = ctypes.CDLL(str(folder / "timed.so")).policy_step
+
+    def play(action: ctypes.Array) -> Iterator[None]:
+        for place, _ in zip(places, kept, strict=True):  # which must outlive its address
+            step(place, action)
+            yield
+
+    return play
+
+
+def _counts(folder: Path, raster: NDArray[np.uint8], outputs: int) -> NDArray[np.int64]:
+    """(S, N) spikes of each output neuron in each inference."""
+    action = (ctypes.c_int32 * outputs)()
+    return np.array([list(action) for _ in _played(folder, raster)(action)])
 
 
 def _inference_ns(folder: Path, raster: NDArray[np.uint8]) -> float:
-    step, places, _kept = _played(folder, raster)
-    action = (ctypes.c_int32 * _MOST)()
-    return 1e9 * best(partial(_all, step, places, action)) / len(places)
-
-
-def _all(step: Callable, places: list, action: ctypes.Array) -> None:
-    for place in places:
-        step(place, action)
+    play, action = _played(folder, raster), (ctypes.c_int32 * _MOST)()
+    return 1e9 * best(lambda: deque(play(action), 0)) / len(raster)
 
 
 # through snn-mlir and LLVM
@@ -221,23 +221,14 @@ static const {element} vector_observation[] = {{{numbers}}};
 def _built(tools: Tools, target: str, folder: Path) -> dict:
     """Demands on a microcontroller."""
     triple = ("-mtriple=thumbv7em-none-eabi", "-mcpu=cortex-m4", *_FLOAT_ABI[target])
-    _object(tools, folder, 32, "-O2", triple)
+    _object(tools.llvm, folder, 32, "-O2", triple)
     return count_instructions(target, folder, ("mlir_net.c", "net.o"))
 
 
-def _host(tools: Tools, folder: Path) -> None:
-    """A shared object for this machine."""
-    triple = run(["gcc", "-dumpmachine"], folder).strip()
-    options = (f"-mtriple={triple}", "-mcpu=native", "--relocation-model=pic")
-    _object(tools, folder, 64, "-O3", options)
-    build_shared(folder, "mlir_net.c", "net.o")
-
-
-def _object(tools: Tools, folder: Path, index: int, level: str, options: tuple[str, ...]) -> None:
+def _object(llvm: Path, folder: Path, index: int, level: str, options: tuple[str, ...]) -> None:
     passes = [f"-{x}=index-bitwidth={index}" if x in _WIDE else f"-{x}" for x in _PASSES]
-    llvm = tools.llvm
-    lower = [str(llvm / "mlir-opt"), *passes, str(folder / "network.mlir")]
-    code = pipe([str(llvm / "mlir-translate"), "--mlir-to-llvmir"], pipe(lower))
+    code = pipe([str(llvm / "mlir-opt"), *passes, str(folder / "network.mlir")])
+    code = pipe([str(llvm / "mlir-translate"), "--mlir-to-llvmir"], code)
     triple = [word for word in options if word.startswith("-m")]
     code = pipe([str(llvm / "opt"), level, *triple, "-S"], code)
     out = ["-filetype=obj", "-", "-o", str(folder / "net.o")]
@@ -246,21 +237,16 @@ def _object(tools: Tools, folder: Path, index: int, level: str, options: tuple[s
 
 def _caller(states: list[int], output: int, kind: str) -> str:
     """C that plays a raster from zero states, as the main.c of snn-mlir plays its input."""
-    text = (SOURCES / "mlir_net.c").read_text()
-    count = len(states)
-    fields = "".join(f"    {_STATE[kind]} s{k}[{size}];\n" for k, size in enumerate(states))
-    made = "".join(
-        f"    memref_t d{k} = {{state.s{k}, state.s{k}, 0, {size}, 1}};\n"
-        for k, size in enumerate(states)
-    )
     gaps = {
-        "@ELEMENT@": _ELEMENT[kind],
-        "@FIELDS@": fields,
-        "@MEMREFS@": made,
-        "@POINTERS@": ", ".join(["memref_t *"] * (count + 2)),
-        "@STATES@": "".join(f"&d{k}, " for k in range(count)),
-        "@OUTPUT@": str(output),
+        "ELEMENT": _ELEMENT[kind],
+        "FIELDS": "".join(f"    {_STATE[kind]} s{k}[{n}];\n" for k, n in enumerate(states)),
+        "MEMREFS": "".join(
+            f"    memref_t d{k} = {{state.s{k}, state.s{k}, 0, {n}, 1}};\n"
+            for k, n in enumerate(states)
+        ),
+        "POINTERS": ", ".join(["memref_t *"] * (len(states) + 2)),
+        "STATES": "".join(f"&d{k}, " for k in range(len(states))),
+        "OUTPUT": str(output),
     }
-    for gap, value in gaps.items():
-        text = text.replace(gap, value)
-    return text
+    text = (SOURCES / "mlir_net.c").read_text()
+    return re.sub(r"@([A-Z]+)@", lambda found: gaps[found[1]], text)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lab.firmware import dense
-from lab.firmware.table import PEERS, options_of, peer_table, publish
+from lab.firmware.table import PEERS, options_of, publish
 from lab.firmware.targets import BESIDE, SOURCES, best, build_shared, count_instructions, in_turns
 from spikedeploy import zoo
 from spikedeploy.policies.onnx import OnnxController
@@ -42,7 +42,7 @@ def main() -> None:
         if options.only in ("", task):
             with tempfile.TemporaryDirectory() as folder:
                 rows += _task(task, options.emlearn, Path(folder))
-    publish(options, rows, peer_table(rows), PEERS)
+    publish(options, rows, PEERS)
     sys.exit(any(row["error"] > _TOLERANCE for row in rows))
 
 

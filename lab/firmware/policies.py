@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lab.firmware.table import OWN, options_of, publish, table
+from lab.firmware.table import OWN, options_of, publish
 from lab.firmware.targets import (
     SOURCES,
     attempt,
@@ -59,7 +59,7 @@ def main() -> None:
                 rows.append(measure(name, Path(folder), options.episodes))
             print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
     intro = f"Of {options.episodes} episodes each, made by `python -m lab firmware --write`:\n\n"
-    publish(options, rows, table(rows), OWN, intro)
+    publish(options, rows, OWN, intro)
     sys.exit(any(row["differing"] or not row["passed"] for row in rows))
 
 

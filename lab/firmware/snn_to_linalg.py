@@ -43,33 +43,29 @@ def lower(text: str) -> str:
 
 
 def _linear(found: re.Match[str]) -> Iterator[str]:
-    inputs, weights, bias, output, *types = found.groups()
-    incoming, matrix, outgoing = types
-    kind, size = _element(outgoing), outgoing
+    inputs, weights, bias, output, incoming, matrix, outgoing = found.groups()
+    kind, is_real = _element(outgoing), _element(outgoing) == "f32"
     zero = f"%zero_{output[1:]}"
-    yield f"{zero} = arith.constant {'0.0' if kind == 'f32' else '0'} : {kind}"
-    yield f"linalg.fill ins({zero} : {kind}) outs({output} : {size})"
-    if kind == "f32":
-        yield (
-            f"linalg.matvec ins({weights}, {inputs} : {matrix}, {incoming}) "
-            f"outs({output} : {outgoing})"
-        )
+    yield f"{zero} = arith.constant {'0.0' if is_real else '0'} : {kind}"
+    yield f"linalg.fill ins({zero} : {kind}) outs({output} : {outgoing})"
+    product = f"ins({weights}, {inputs} : {matrix}, {incoming}) outs({output} : {outgoing})"
+    if is_real:
+        yield f"linalg.matvec {product}"
     else:
-        kinds = (_element(matrix), _element(incoming), kind)
         yield (
             f'linalg.generic {{indexing_maps = [{_MATRIX}], iterator_types = ["parallel", '
-            f'"reduction"]}} ins({weights}, {inputs} : {matrix}, {incoming}) '
-            f"outs({output} : {outgoing}) {{"
+            f'"reduction"]}} {product} {{'
         )
-        yield f"^bb0(%w: {kinds[0]}, %x: {kinds[1]}, %sum: {kind}):"
-        yield f"%we = arith.extsi %w : {kinds[0]} to {kind}"
-        yield f"%xe = arith.extsi %x : {kinds[1]} to {kind}"
-        yield f"%product = arith.muli %we, %xe : {kind}"
-        yield f"%next = arith.addi %sum, %product : {kind}"
-        yield f"linalg.yield %next : {kind}\n}}"
+        yield f"""^bb0(%w: {_element(matrix)}, %x: {_element(incoming)}, %sum: {kind}):
+%we = arith.extsi %w : {_element(matrix)} to {kind}
+%xe = arith.extsi %x : {_element(incoming)} to {kind}
+%product = arith.muli %we, %xe : {kind}
+%next = arith.addi %sum, %product : {kind}
+linalg.yield %next : {kind}
+}}"""
     if bias:
-        add = "arith.addf" if kind == "f32" else "arith.addi"
-        body = [f"%next = {add} %o0, %i0 : {kind}", f"linalg.yield %next : {kind}"]
+        add = "arith.addf" if is_real else "arith.addi"
+        body = f"%next = {add} %o0, %i0 : {kind}\nlinalg.yield %next : {kind}"
         yield from _each([(bias, outgoing)], [(output, outgoing)], body)
 
 
@@ -77,11 +73,9 @@ def _rescale(found: re.Match[str]) -> Iterator[str]:
     inputs, output, own, wanted, incoming, outgoing = found.groups()
     shift, kind = int(wanted) - int(own), _element(outgoing)
     by = "arith.shli" if shift > 0 else "arith.shrsi"
-    body = [
-        f"%by = arith.constant {abs(shift)} : {kind}",
-        f"%next = {by} %i0, %by : {kind}",
-        f"linalg.yield %next : {kind}",
-    ]
+    body = f"""%by = arith.constant {abs(shift)} : {kind}
+%next = {by} %i0, %by : {kind}
+linalg.yield %next : {kind}"""
     yield from _each([(inputs, incoming)], [(output, outgoing)], body)
 
 
@@ -92,52 +86,43 @@ def _neurons(found: re.Match[str]) -> Iterator[str]:
     if float(values.get("v_reset_int", 0)) or float(values.get("v_reset_float", 0)):
         raise ValueError("a reset to another membrane than 0 is not translated")
     incoming, *kinds = types.split(", ")
-    state = states.split(", ")
     kind, spike = _element(incoming), _element(outgoing)
     real = kind == "f32"
-    end = "float" if real else "int"
-    decays = ["cur_decay", "vol_decay"] if name == "cubalif" else ["decay"]
-    add, body, now = "arith.addf" if real else "arith.addi", [], "%i0"
-    for k, decay in enumerate(decays):
-        value = values[f"{decay}_{end}"]
-        body += _decayed(k, value, kind, values.get("d_scale", "0"))
-        body += [f"%n{k} = {add} %d{k}, {now} : {kind}"]
-        now = f"%n{k}"
+    end, add = ("float", "arith.addf") if real else ("int", "arith.addi")
     compare = "arith.cmpf ogt" if real else "arith.cmpi sgt"
     zero, one = ("0.0", "1.0") if real else ("0", "1")
-    body += [
-        f"%threshold = arith.constant {values[f'threshold_{end}']} : {kind}",
-        f"%above = {compare}, {now}, %threshold : {kind}",
-        f"%none = arith.constant {zero} : {kind}",
-        f"%quiet = arith.constant {zero} : {spike}",
-        f"%fires = arith.constant {one} : {spike}",
-        f"%left = arith.select %above, %none, {now} : {kind}",
-        f"%spike = arith.select %above, %fires, %quiet : {spike}",
-    ]
+    decays = ["cur_decay", "vol_decay"] if name == "cubalif" else ["decay"]
+    body, now = "", "%i0"
+    for k, decay in enumerate(decays):
+        body += _decayed(k, values[f"{decay}_{end}"], real, values.get("d_scale", "0"))
+        body += f"\n%n{k} = {add} %d{k}, {now} : {kind}\n"
+        now = f"%n{k}"
     kept = ["%n0"] * (len(decays) - 1)
-    names = ", ".join([*kept, "%left", "%spike"])
-    body.append(f"linalg.yield {names} : {', '.join([kind] * len(decays) + [spike])}")
-    outputs = [*zip(state, kinds, strict=True), (output, outgoing)]
+    body += f"""%threshold = arith.constant {values[f"threshold_{end}"]} : {kind}
+%above = {compare}, {now}, %threshold : {kind}
+%none = arith.constant {zero} : {kind}
+%quiet = arith.constant {zero} : {spike}
+%fires = arith.constant {one} : {spike}
+%left = arith.select %above, %none, {now} : {kind}
+%spike = arith.select %above, %fires, %quiet : {spike}
+linalg.yield {", ".join([*kept, "%left", "%spike"])} : {f"{kind}, " * len(decays)}{spike}"""
+    outputs = [*zip(states.split(", "), kinds, strict=True), (output, outgoing)]
     yield from _each([(inputs, incoming)], outputs, body)
 
 
-def _decayed(k: int, value: str, kind: str, scale: str) -> list[str]:
+def _decayed(k: int, value: str, real: bool, scale: str) -> str:
     """%dk, the state %ok times its decay factor; in integers by 64 bits, as Q12."""
-    if kind == "f32":
-        return [f"%f{k} = arith.constant {value} : f32", f"%d{k} = arith.mulf %f{k}, %o{k} : f32"]
-    return [
-        f"%f{k} = arith.constant {value} : i64",
-        f"%e{k} = arith.extsi %o{k} : i32 to i64",
-        f"%p{k} = arith.muli %f{k}, %e{k} : i64",
-        f"%s{k} = arith.constant {scale} : i64",
-        f"%r{k} = arith.shrsi %p{k}, %s{k} : i64",
-        f"%d{k} = arith.trunci %r{k} : i64 to i32",
-    ]
+    if real:
+        return f"%f{k} = arith.constant {value} : f32\n%d{k} = arith.mulf %f{k}, %o{k} : f32"
+    return f"""%f{k} = arith.constant {value} : i64
+%e{k} = arith.extsi %o{k} : i32 to i64
+%p{k} = arith.muli %f{k}, %e{k} : i64
+%s{k} = arith.constant {scale} : i64
+%r{k} = arith.shrsi %p{k}, %s{k} : i64
+%d{k} = arith.trunci %r{k} : i64 to i32"""
 
 
-def _each(
-    ins: list[tuple[str, str]], outs: list[tuple[str, str]], body: list[str]
-) -> Iterator[str]:
+def _each(ins: list[tuple[str, str]], outs: list[tuple[str, str]], body: str) -> Iterator[str]:
     """A body for each element: %i0 … of what is read, %o0 … of what is written."""
     maps = ", ".join([_SAME] * (len(ins) + len(outs)))
     words = [
@@ -151,7 +136,7 @@ def _each(
     names = [f"%i{k}: {_element(t)}" for k, (_, t) in enumerate(ins)]
     names += [f"%o{k}: {_element(t)}" for k, (_, t) in enumerate(outs)]
     yield f"^bb0({', '.join(names)}):"
-    yield from body
+    yield body
     yield "}"
 
 

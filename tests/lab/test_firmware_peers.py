@@ -4,15 +4,7 @@ import numpy as np
 import pytest
 
 from lab.firmware import dense, snn_to_linalg
-from lab.firmware.table import (
-    INTEGERS,
-    NETWORKS,
-    PAGE,
-    PEERS,
-    integer_table,
-    network_table,
-    peer_table,
-)
+from lab.firmware.table import INTEGERS, NETWORKS, OWN, PAGE, PEERS, table
 from spikedeploy import zoo
 from spikedeploy.policies.onnx import OnnxController
 
@@ -51,11 +43,6 @@ def test_observations_of_a_self_test_are_those_of_its_c(tmp_path):
     assert dense.read_observations(tmp_path).tolist() == [[0.5, -1.25], [3.0, 0.0]]
 
 
-def test_the_table_on_the_page_has_the_columns_of_the_command():
-    head = peer_table([]).splitlines()[0]
-    assert f"<!-- {PEERS} -->\n{head}" in PAGE.read_text(encoding="utf-8")
-
-
 MODULE = """module {
     snn.linear ins(%x, %w) bias(%b : memref<2xi32>) out(%y) {w_scale = 7 : i64} : memref<3xi8>, memref<2x3xi8> -> memref<2xi32>
     snn.rescale ins(%y) out(%z) {w_scale = 7 : i64, d_scale = 12 : i64} : memref<2xi32> -> memref<2xi32>
@@ -88,12 +75,8 @@ def test_what_is_not_translated_is_refused(line):
         snn_to_linalg.lower(line)
 
 
-def test_the_table_of_networks_has_the_columns_of_its_command():
-    head = network_table([]).splitlines()[0]
-    assert f"<!-- {NETWORKS} -->\n{head}" in PAGE.read_text(encoding="utf-8")
-
-
-def test_the_table_of_integers_on_the_page_has_the_columns_of_the_command():
+@pytest.mark.parametrize("place", [OWN, PEERS, NETWORKS, INTEGERS])
+def test_a_table_on_the_page_has_the_columns_of_its_command(place):
     page = PAGE.read_text(encoding="utf-8")
-    place = page.split(f"<!-- {INTEGERS} -->")[1].split(f"<!-- end of {INTEGERS} -->")[0]
-    assert integer_table([]).splitlines()[0] in place
+    there = page.split(f"<!-- {place} -->")[1].split(f"<!-- end of {place} -->")[0]
+    assert table(place, []) in there

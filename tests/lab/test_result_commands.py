@@ -107,36 +107,8 @@ def test_everything_in_results_stands_in_its_index_with_a_command():
 
 
 @pytest.mark.parametrize("path", REPORTS, ids=lambda path: path.parent.name)
-def test_the_pages_quote_the_command_that_a_report_names(path):
-    said = command_of(path)
-    assert PAGES[path.with_suffix(".md")] == [said]
-    link = f"{path.parent.name}/report.md"
-    for links, commands in index():
-        if link == links[0]:  # others of a row are "and so on"
-            assert commands[0] == said
-    assert any(link in links for links, _ in index())
-    for page in (ROOT / "README.md", ROOT / "docs/results.md"):
-        for block in re.split(r"\n\s*\n", page.read_text("utf-8")):
-            if f"results/{link})" in block and "|" not in block:
-                assert f"`{said}`" in block, page
-
-
-def test_the_page_of_an_experiment_shows_the_command_of_each_of_its_tasks():
-    for path in SETTINGS:
-        assert command_of(path) in PAGES[RESULTS / f"{path.parent.name}.md"]
-
-
-@pytest.mark.parametrize("path", REPORTS, ids=lambda path: path.parent.name)
 def test_a_report_can_be_reproduced(path):
     """Its command and its policies are read as `spikedeploy reproduce` reads them."""
     found = recorded(str(path.parent), settings)
     assert len(found.entries) == len(found.rows)
     assert parsed(shlex.split(command_of(path))[1:])["episodes"] == len(found.seeds)
-
-
-@pytest.mark.parametrize(
-    "line", ["compare hexapod --colour red", "compare hexapod --limits never", "compare"]
-)
-def test_a_command_that_is_not_understood_is_found(line):
-    with pytest.raises(Exception, match=r"No such option|not one of|Missing"):
-        parsed(shlex.split(line))

@@ -20,8 +20,6 @@ from lab.experiments.gymnasium import (
     verdict,
 )
 from lab.experiments.runner import run_experiment
-from spikedeploy.jobs import resumable
-from tests.job_functions import in_this_process
 
 TASK = "Pendulum-v1"
 FEWER = tuple(
@@ -32,16 +30,11 @@ FEWER = tuple(
 )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def ran():
-    """The names of the jobs that ran, each in this process."""
-    names = []
-
+@pytest.fixture(scope="module", autouse=True)
+def _few_copies():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(resumable, "run", in_this_process(names))
-        patch.setattr("lab.experiments.runner._EVERY", -1.0)
         patch.setattr("spikedeploy.trainers.sparse.sparse._ENV_COPIES", 3)
-        yield names
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -84,15 +84,6 @@ def test_damaged_records_of_a_training_are_named(name, content, tmp_path):
         _ = trial.evaluation
 
 
-def test_the_evaluation_of_another_training_is_none_of_this_one(tmp_path):
-    one, other = trial_of(tmp_path), trial_of(tmp_path, seed=1)
-    leave(one)
-    leave(other)
-    (one.run / "evaluation.json").write_bytes((other.run / "evaluation.json").read_bytes())
-    assert other.evaluation is not None
-    assert one.evaluation is None
-
-
 def test_a_training_that_ended_is_not_deleted_where_its_counters_are_gone(tmp_path):
     trial = trial_of(tmp_path)
     leave(trial)

@@ -12,30 +12,23 @@ import pytest
 from lab.experiments import lineup
 from lab.experiments.lineup import LineupDesign, read_table
 from lab.experiments.runner import run_experiment
-from spikedeploy import zoo
-from spikedeploy.jobs import resumable
 from spikedeploy.runtime.errors import ConfigError
-from tests.job_functions import in_this_process
 from tests.paths import ROOT
 
 ENV, RESULTS = "hexapod-command", ROOT / "results"
 TEACHERS = {"fourier": "smooth", "linear": "sac"}
 
 
-@pytest.fixture(scope="module")
-def ran():
-    """The names of the jobs that ran, each in this process."""
-    names = []
+@pytest.fixture(scope="module", autouse=True)
+def _two_policies():
+    every = lineup._distilled
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(resumable, "run", in_this_process(names))
-        patch.setattr("lab.experiments.runner._EVERY", -1.0)
-        every = lineup._distilled
         patch.setattr(
             lineup,
             "_distilled",
             lambda env: {n: c for n, c in every(env).items() if n in TEACHERS},
         )
-        yield names
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -63,17 +56,6 @@ def test_shipped_policies_are_evaluated_and_the_other_seeds_trained(results, ran
     ]
     shipped = {(row["policy"], row["seed"]) for row in rows(results) if row["shipped"]}
     assert shipped == {("smooth", 0), ("sac", 0), ("fourier", 0), ("linear", 0)}
-
-
-def test_trainings_have_the_settings_of_the_cards(design, results):
-    for member in design.members():
-        if member.training is not None:
-            made = json.loads((member.training.run / "config.json").read_text())
-            assert made["teacher"] == f"{ENV}/{TEACHERS[member.policy]}"
-            card = zoo.card(f"{ENV}/{member.policy}")["config"]
-            for name in ("policy", "normaliser", "mixing", "noise", "lr"):
-                assert made.get(name) == card.get(name)
-            assert made["seed"] == 1
 
 
 def test_the_page_has_a_row_a_policy_and_what_is_smallest(results):

@@ -25,14 +25,11 @@ from lab.experiments.fronts import (
 )
 from lab.experiments.pages import share
 from lab.experiments.pareto import FLOAT, LAST, SPIKING, STUDENTS, ParetoDesign
-from lab.experiments.pareto_page import cheapest, return_table, sentences
+from lab.experiments.pareto_page import return_table, sentences
 from lab.experiments.runner import run_experiment
-from spikedeploy.jobs import resumable
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
-from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.policies import PrunedMlpPolicy
 from spikedeploy.trainers.sparse.pool import Walk
-from tests.job_functions import in_this_process
 from tests.paths import ROOT
 
 ENV = "kart-grid"
@@ -40,17 +37,6 @@ SMALLER = (
     "dense_updates=8", "level_updates=8", "polish_updates=4", "validation.every=4",
     "validation.limit=10", "checkpoint_every=4", "log_every=4", "tuned.validation.limit=20",
 )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def ran():
-    """The names of the jobs that ran, each in this process."""
-    names = []
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(resumable, "run", in_this_process(names))
-        patch.setattr("lab.experiments.runner._EVERY", -1.0)
-        yield names
 
 
 @pytest.fixture(scope="module")
@@ -146,15 +132,6 @@ def test_fewer_levels_have_less_to_do_and_keep_the_rows_of_the_others(design, re
     assert "3 episodes of the last level from seed" in text
 
 
-def test_delta_networks_run_where_graded_spikes_do(results):
-    graded = [row for row in rows(results) if row["student"] == "delta-mlp"]
-    assert {row["place"].split(":")[0] for row in graded} == {"loihi2", "ideal"}
-    assert all(0 <= row["graded_operations"] < row["operations"] for row in graded)
-    text = (results / "pareto.md").read_text()
-    assert "| delta network | 60 |" in text
-    assert "**A quick trial, whose episodes end after 12 control steps" in text
-
-
 def test_a_chip_that_refuses_a_network_is_named_with_its_rule(results):
     refused = [row for row in rows(results) if row["refusal"]]
     assert {(row["student"], row["place"]) for row in refused} >= {("sparse", "xylo-a3")}
@@ -191,16 +168,6 @@ def test_the_page_follows_from_its_table_without_the_runs(design, results, tmp_p
     assert contents(copy / "pareto").keys() == {
         copy / "pareto" / f"{ENV}{suffix}" for suffix in (".csv", ".json", ".png")
     }
-
-
-def test_an_unknown_part_or_setting_is_refused_before_anything_runs(design, results, ran, tmp_path):
-    count = len(ran)
-    with pytest.raises(ConfigError, match="no part of the experiment begins with 'kart-grit'"):
-        run_experiment(design, ["kart-grit"], 1, tmp_path)
-    odd = ParetoDesign(1, str(tmp_path), ("no_such=1",), quick=True, env=ENV)
-    with pytest.raises(ConfigError, match=r"kart-grid-sparse-s0: .*no_such"):
-        run_experiment(odd, (), 1, tmp_path)
-    assert len(ran) == count
 
 
 def test_the_command_leaves_the_published_page_alone_where_sizes_are_quick(
@@ -266,13 +233,6 @@ def test_a_baseline_is_the_cheapest_float_student_that_is_not_below():
     assert pair.baseline is found[2]
     assert pair.ratio == pytest.approx(50 * 1.35 / (250 * 1.55))
     assert pairing(found, point("sparse", 10.1, 50.0), "operations").ratio is None
-
-
-def test_the_overview_has_the_cheapest_of_the_good_levels_or_the_best_of_the_bad():
-    levels = [point("sparse", 9.9, 80.0, 84), point("sparse", 9.8, 60.0, 66)]
-    levels += [point("sparse", 9.0, 40.0, 50), point("small-mlp", 9.1, 90.0, 100)]
-    levels += [point("small-mlp", 9.5, 150.0, 180)]
-    assert [(p.student, p.level) for p in cheapest(levels)] == [("sparse", 66), ("small-mlp", 180)]
 
 
 def test_bounds_are_the_same_for_spiking_and_float_points():

@@ -11,24 +11,12 @@ from lab.experiments.robustness import UNDISTURBED, RobustnessDesign, file_name,
 from lab.experiments.runner import run_experiment
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.jobs import resumable
 from spikedeploy.runtime.faults import faults
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.train import train
-from tests.job_functions import in_this_process
 
 ENV = "kart-grid"
 PARTS = (UNDISTURBED, "lidar-noise", "dead-neurons", "lost-spikes")
-
-
-@pytest.fixture(scope="module")
-def ran():
-    """The names of the jobs that ran, each in this process."""
-    names = []
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(resumable, "run", in_this_process(names))
-        yield names
 
 
 @pytest.fixture(scope="module")
@@ -195,13 +183,6 @@ def test_policies_of_other_environments_are_disturbed_and_broken_too(
     rows = read_table(tmp_path / "results/robustness" / f"{file_name(env)}.csv")
     assert {row["name"] for row in rows} == {None, *parts[1:]}
     assert {row["success_rate"] for row in rows} <= ({None} if kind else {0.0, 0.5, 1.0})
-
-
-def test_one_of_several_levels_has_no_noise_and_no_bias(tmp_path):
-    design = RobustnessDesign(env="tests.own_env:Levels", files=("policy.nir",))
-    assert design.names[:4] == [UNDISTURBED, "dropout", "delay", "command-delay"]
-    with_numbers = RobustnessDesign(env="tests.own_env:Dials", files=("policy.nir",))
-    assert with_numbers.names[1:3] == ["noise", "bias"]
 
 
 def test_the_command_runs_a_quick_look(ran, tmp_path, monkeypatch, lab):

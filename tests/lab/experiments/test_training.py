@@ -58,19 +58,6 @@ def test_a_trial_is_trained_exported_and_evaluated(race, tmp_path):
     assert find(str(one.run / "policy.nir")).kind == "snn"
 
 
-def test_what_is_done_is_not_done_again(race, monkeypatch, tmp_path):
-    one = make(tmp_path)
-    part(one).perform()
-    trained, evaluated = count(monkeypatch, "_train"), count(monkeypatch, "_evaluate")
-    assert part(one).perform()
-    assert (trained, evaluated) == ([], [])
-    more = make(tmp_path, episodes=4)
-    assert not part(more).is_done
-    part(more).perform()
-    assert (trained, evaluated) == ([], [1])
-    assert more.evaluation["rows"][0]["episodes"] == 4
-
-
 def test_a_longer_budget_goes_on_with_the_same_run(race, tmp_path):
     one, longer = make(tmp_path), make(tmp_path, overrides=(*QUICK[1:], "steps=1280"))
     part(one).perform()
@@ -282,12 +269,6 @@ def test_reward_from_an_earlier_level_of_pruning_is_a_training_of_its_own(asked,
     assert early.changed_settings == []
 
 
-def test_the_command_tasks_baseline_goes_on_from_300_operations_too(tmp_path):
-    names = [each.name for each in ParetoDesign(1, str(tmp_path), env="hexapod-command").tunings()]
-    baselines = [name for name in names if "small-mlp" in name]
-    assert baselines == [f"hexapod-command-tuned-small-mlp{x}-s0" for x in ("", "-ops-300")]
-
-
 def test_settings_of_trainings_with_reward_have_a_name_of_their_own(tmp_path):
     settings = ("walks=7", "tuned.iterations=9", "env.options.laps=2")
     design = ParetoDesign(1, str(tmp_path), settings, env=ENV)
@@ -334,16 +315,3 @@ def test_a_part_whose_training_before_is_missing_is_refused_at_the_start(
     assert not list(tmp_path.iterdir())
     run_experiment(design, [only, "kart-grid-sparse-s0"], 1, tmp_path / "results")
     assert {"kart-grid-sparse-s0", only} <= set(started)
-
-
-def test_files_in_place_of_folders_are_refused_at_the_start(started, tmp_path):
-    (file := tmp_path / "file").touch()
-    for runs, results, option in (
-        (file, tmp_path / "results", "--runs"),
-        (tmp_path / "runs", file, "--output"),
-        (tmp_path / "runs", file / "results", "--output"),
-    ):
-        design = ParetoDesign(1, str(runs), quick=True, env=ENV)
-        with pytest.raises(ConfigError, match=rf"{option} .*: .*file is a file\. Name a folder"):
-            run_experiment(design, (), 1, results)
-    assert started == []
