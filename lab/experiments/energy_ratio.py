@@ -17,6 +17,7 @@ own. The ratio is 1 at one x, which is written beside it. Writes energy.csv, ene
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -223,24 +224,21 @@ class Energies:
 
 def rows(found: Sequence[Pair]) -> Iterator[Record]:
     """A row for each pair, width, encoder, clock and price of an update."""
-    for pair in found:
-        for sums in SUMS:
-            for where in ENCODERS:
-                for clock in CLOCKS:
-                    energies = Energies(pair, sums, where, clock)
-                    for of in (*PUBLISHED, OWN):
-                        x = energies.update_over_sop(of)
-                        yield vars(pair) | {
-                            "accumulator_bits": sums,
-                            "encoder": where,
-                            "clock": clock,
-                            "update_price_of": of,
-                            "update_over_sop": x,
-                            "spiking_j": energies.spiking(x),
-                            "float_j": energies.baseline,
-                            "ratio": energies.ratio(x),
-                            "flips_at_update_over_sop": energies.flips_at,
-                        }
+    for pair, sums, where, clock in product(found, SUMS, ENCODERS, CLOCKS):
+        energies = Energies(pair, sums, where, clock)
+        for of in (*PUBLISHED, OWN):
+            x = energies.update_over_sop(of)
+            yield vars(pair) | {
+                "accumulator_bits": sums,
+                "encoder": where,
+                "clock": clock,
+                "update_price_of": of,
+                "update_over_sop": x,
+                "spiking_j": energies.spiking(x),
+                "float_j": energies.baseline,
+                "ratio": energies.ratio(x),
+                "flips_at_update_over_sop": energies.flips_at,
+            }
 
 
 _TIMES = {

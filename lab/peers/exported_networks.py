@@ -46,16 +46,22 @@ def raster() -> np.ndarray:
     return (rng.random((TIMESTEPS, SIZES[0])) < 0.3).astype(np.uint8)
 
 
-def weights(module: Any, gain: float = 1.0) -> Any:  # noqa: ANN401
-    """The module with seeded weights and biases, large enough that both layers spike."""
+def chain(neurons: Callable[[int], Any], gain: float, linear: Any = None, join: Any = None) -> Any:  # noqa: ANN401
+    """Two layers with seeded weights and biases, large enough that both spike.
+
+    linear, join  of the tool, where it has its own
+    """
     import torch
 
+    linear, join = linear or torch.nn.Linear, join or torch.nn.Sequential
+    one, two, three = SIZES
+    module = join(linear(one, two), neurons(two), linear(two, three), neurons(three))
     rng = np.random.default_rng(3)
-    for linear in (each for each in module.modules() if isinstance(each, torch.nn.Linear)):
-        size, fan_in = linear.weight.shape
+    for each in (each for each in module.modules() if isinstance(each, torch.nn.Linear)):
+        size, fan_in = each.weight.shape
         drawn = gain * 1.5 * rng.normal(size=(size, fan_in)) / fan_in**0.5
-        linear.weight.data = torch.tensor(drawn, dtype=torch.float32)
-        linear.bias.data = torch.tensor(gain * 0.1 * rng.random(size), dtype=torch.float32)
+        each.weight.data = torch.tensor(drawn, dtype=torch.float32)
+        each.bias.data = torch.tensor(gain * 0.1 * rng.random(size), dtype=torch.float32)
     return module
 
 
@@ -66,21 +72,14 @@ def snntorch_network(kind: str, **options: Any) -> tuple[Any, nir.NIRGraph]:  # 
     from snntorch.export_nir import export_to_nir
 
     def neurons(size: int) -> Any:  # noqa: ANN401
-        given = {
-            "beta": torch.linspace(0.8, 0.95, size),
-            "threshold": torch.ones(size),
-            "init_hidden": True,
-            **options,
-        }
+        given = {"beta": torch.linspace(0.8, 0.95, size), "threshold": torch.ones(size)}
         if kind == "Synaptic":
             given["alpha"] = torch.full((size,), 0.6)
-        return getattr(snntorch, kind)(**given)
+        return getattr(snntorch, kind)(**given, init_hidden=True, **options)
 
-    one, two, three = SIZES
-    layers = (torch.nn.Linear(one, two), neurons(two), torch.nn.Linear(two, three), neurons(three))
-    module = weights(torch.nn.Sequential(*layers), 1.0 if kind == "Leaky" else 0.4)
-    graph = export_to_nir(module, torch.zeros(1, one), ignore_dims=[0])
-    for layer in layers[1::2]:
+    module = chain(neurons, 1.0 if kind == "Leaky" else 0.4)
+    graph = export_to_nir(module, torch.zeros(1, SIZES[0]), ignore_dims=[0])
+    for layer in module[1::2]:
         layer.reset_mem()
     return module, graph
 
@@ -93,21 +92,18 @@ def norse_network(kind: str, subtract: bool = False) -> tuple[Any, nir.NIRGraph]
 
     def neurons(size: int) -> Any:  # noqa: ANN401
         full = {"v_th": torch.ones(size)}
-        if kind != "IAFCell":
-            full |= {"tau_mem_inv": torch.linspace(80, 200, size), "v_leak": torch.zeros(size)}
+        if kind == "IAFCell":
+            return norse.IAFCell(norse.IAFParameters(**full))
+        full |= {"tau_mem_inv": torch.linspace(80, 200, size), "v_leak": torch.zeros(size)}
         if kind == "LIFCell":
             full["tau_syn_inv"] = torch.full((size,), 300.0)
             return norse.LIFCell(norse.LIFParameters(**full))
-        if kind == "LIFBoxCell":
-            method = reset_subtract if subtract else reset_value
-            return norse.LIFBoxCell(norse.LIFBoxParameters(**full, reset_method=method))
-        return norse.IAFCell(norse.IAFParameters(**full))
+        method = reset_subtract if subtract else reset_value
+        return norse.LIFBoxCell(norse.LIFBoxParameters(**full, reset_method=method))
 
-    one, two, three = SIZES
-    layers = (torch.nn.Linear(one, two), neurons(two), torch.nn.Linear(two, three), neurons(three))
-    module = norse.SequentialState(*layers)
-    weights(module, {"LIFBoxCell": 5.0, "LIFCell": 1.5, "IAFCell": 1.0}[kind])
-    return module, norse.to_nir(module, torch.zeros(one))
+    gain = {"LIFBoxCell": 5.0, "LIFCell": 1.5, "IAFCell": 1.0}[kind]
+    module = chain(neurons, gain, join=norse.SequentialState)
+    return module, norse.to_nir(module, torch.zeros(SIZES[0]))
 
 
 def spikingjelly_network(kind: str, **options: Any) -> tuple[Any, nir.NIRGraph]:  # noqa: ANN401
@@ -116,15 +112,9 @@ def spikingjelly_network(kind: str, **options: Any) -> tuple[Any, nir.NIRGraph]:
     from spikingjelly.activation_based import functional, layer, neuron
     from spikingjelly.activation_based.nir_exchange import export_to_nir
 
-    one, two, three = SIZES
-    module = torch.nn.Sequential(
-        layer.Linear(one, two),
-        getattr(neuron, kind)(**options),
-        layer.Linear(two, three),
-        getattr(neuron, kind)(**options),
-    )
-    weights(module, 3.0 if options.get("decay_input", kind == "LIFNode") else 1.0)
-    graph = export_to_nir(module, torch.zeros(1, one))
+    gain = 3.0 if options.get("decay_input", kind == "LIFNode") else 1.0
+    module = chain(lambda _: getattr(neuron, kind)(**options), gain, layer.Linear)
+    graph = export_to_nir(module, torch.zeros(1, SIZES[0]))
     functional.reset_net(module)
     return module, graph
 

@@ -12,11 +12,10 @@ import argparse
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import nir
 import numpy as np
@@ -56,20 +55,22 @@ class Case:
     steps: int = STEPS
 
 
-def policy(neurons: Callable[[int], nir.NIRNode], convention: Convention) -> Artifact:
-    """A policy of CartPole-v1 with random weights: rates of four numbers, 12 neurons, two scores.
+def chain(
+    weights: Sequence[nir.NIRNode],
+    neurons: Callable[[int], nir.NIRNode],
+    convention: Convention,
+    codec: Codec | None = None,
+) -> Artifact:
+    """A network of layers, one after another.
 
     neurons: of a layer of that size.
     """
-    rng = np.random.default_rng(4)
-    weights = [nir.Linear(rng.normal(size=shape)) for shape in ((12, 4), (2, 12))]
-    nodes = {"input": nir.Input(np.array([4])), "output": nir.Output(np.array([2]))}
-    nodes |= {"w1": weights[0], "n1": neurons(12), "w2": weights[1], "n2": neurons(2)}
-    names = ["input", "w1", "n1", "w2", "n2", "output"]
-    graph = nir.NIRGraph(nodes, list(pairwise(names)))
-    encoder = RateEncoder(np.full(4, -1.0), np.full(4, 1.0))
-    codec = Codec(Normaliser(np.zeros(4), np.full(4, 0.5), 3.0), encoder, 8, "argmax")
-    return Artifact(graph, codec, convention, None)
+    sizes = [each.weight.shape[0] for each in weights]
+    nodes = {"input": nir.Input(np.array([weights[0].weight.shape[1]]))}
+    for k, (each, size) in enumerate(zip(weights, sizes, strict=True), start=1):
+        nodes |= {f"w{k}": each, f"n{k}": neurons(size)}
+    nodes["output"] = nir.Output(np.array([sizes[-1]]))
+    return Artifact(nir.NIRGraph(nodes, list(pairwise(nodes))), codec, convention, None)
 
 
 def cuba(size: int) -> nir.NIRNode:
@@ -85,16 +86,27 @@ def integrators(size: int) -> nir.NIRNode:
     return nir.IF(np.full(size, 1e3), np.full(size, 1.5))  # r dt is the gain of a weight
 
 
-def xylo_policy() -> Artifact:
-    """A policy for Xylo, whose neurons spike several times in a timestep."""
+def policy(neurons: Callable[[int], nir.NIRNode]) -> Artifact:
+    """A policy of CartPole-v1 with random weights: rates of four numbers, 12 neurons, two scores.
+
+    Its neurons spike several times in a timestep.
+    """
+    rng = np.random.default_rng(4)
+    weights = [nir.Linear(rng.normal(size=shape)) for shape in ((12, 4), (2, 12))]
+    encoder = RateEncoder(np.full(4, -1.0), np.full(4, 1.0))
+    codec = Codec(Normaliser(np.zeros(4), np.full(4, 0.5), 3.0), encoder, 8, "argmax")
     many = Convention(1e-3, reset="subtract", spikes="many", state="kept", source="made here")
-    return policy(cuba, many)
+    return chain(weights, neurons, many, codec)
+
+
+def xylo_policy() -> Artifact:
+    """A policy for Xylo."""
+    return policy(cuba)
 
 
 def speck_policy() -> Artifact:
-    """A policy for Speck, likewise."""
-    many = Convention(1e-3, reset="subtract", spikes="many", state="kept", source="made here")
-    return policy(integrators, many)
+    """A policy for Speck."""
+    return policy(integrators)
 
 
 def biased_chain(reset: str) -> Artifact:
@@ -102,12 +114,9 @@ def biased_chain(reset: str) -> Artifact:
     rng = np.random.default_rng(1)
     first = nir.Affine(0.6 * rng.normal(size=(16, 8)), 0.05 * rng.normal(size=16))
     second = nir.Linear(0.6 * rng.normal(size=(4, 16)))
-    nodes = {"input": nir.Input(np.array([8])), "output": nir.Output(np.array([4]))}
-    nodes |= {"w1": first, "n1": integrators(16), "w2": second, "n2": integrators(4)}
-    names = ["input", "w1", "n1", "w2", "n2", "output"]
     spikes = "many" if reset == "subtract" else "reached"
     convention = Convention(1e-3, reset=reset, spikes=spikes, source="made here")
-    return Artifact(nir.NIRGraph(nodes, list(pairwise(names))), None, convention, None)
+    return chain([first, second], integrators, convention)
 
 
 _CHIPS = "chips/CartPole-v1"
@@ -142,19 +151,26 @@ CASES = {
 
 def main() -> int:
     """Run the kits of a tool, print a line for each; return the exit code."""
-    arguments = parse_options()
-    failed = 0
-    for case in CASES[arguments.tool]:
-        differs = None
-        try:
-            for text in run_case(case, arguments.python, arguments.folder / case.name):
-                print(f"✓ {case.name}: {text}")
-        except DiffersError as error:
-            differs, failed = error, failed + 1
-        if differs:
-            print(f"✗ {case.name}: {differs}")
-    print(f"{len(CASES[arguments.tool]) - failed} kits equal, {failed} different")
-    return 1 if failed else 0
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("tool", choices=CASES)
+    parser.add_argument("--python", type=Path, required=True, help="of the tool's environment")
+    parser.add_argument("--folder", type=Path, required=True, help="for the kits")
+    arguments = parser.parse_args()
+    folders = {case: arguments.folder / case.name for case in CASES[arguments.tool]}
+    equal = [is_equal(case, arguments.python, folder) for case, folder in folders.items()]
+    print(f"{sum(equal)} kits equal, {equal.count(False)} different")
+    return int(not all(equal))
+
+
+def is_equal(case: Case, python: Path, folder: Path) -> bool:
+    """Run a kit and print its outcomes; return whether nothing differs."""
+    try:
+        for text in run_case(case, python, folder):
+            print(f"✓ {case.name}: {text}")
+    except DiffersError as error:
+        print(f"✗ {case.name}: {error}")
+        return False
+    return True
 
 
 class DiffersError(Exception):
@@ -188,16 +204,12 @@ def write_kit(case: Case, folder: Path) -> WrittenKit:
             np.save(raster, drawn.astype(np.uint8))
     kit = export_program(network, case.chip, folder, case.steps, raster, env, case.clock)
     recorded = json.loads((folder / "expected.json").read_text("utf-8"))["recorded"]
-    if silent := [name for name, each in recorded.items() if _silent(kit, name, each)]:
-        raise DiffersError(f"layer {silent[0]} never spikes, so that the kit shows little")
-    return kit
-
-
-def _silent(kit: WrittenKit, name: str, recorded: dict[str, Any]) -> bool:
-    """Return whether a layer that can spike never does."""
     program = json.loads((kit.folder / "program.json").read_text("utf-8"))
     can = {layer["name"]: layer["spiking"] for layer in program["layers"]}
-    return bool(can[name]) and not np.any(recorded["spikes"])
+    for name, each in recorded.items():
+        if can[name] and not np.any(each["spikes"]):
+            raise DiffersError(f"layer {name} never spikes, so that the kit shows little")
+    return kit
 
 
 def run_script(python: Path, kit: WrittenKit, flags: tuple[str, ...]) -> str:
@@ -214,12 +226,3 @@ def _output(command: list[str], folder: Path) -> str:
         lines = (done.stdout + done.stderr).strip().splitlines() or ["nothing was said"]
         raise DiffersError(f"{' '.join(command[1:])}: {lines[-1]}")
     return " ".join(done.stdout.split("\n")).strip()
-
-
-def parse_options() -> argparse.Namespace:
-    """Return the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tool", choices=CASES)
-    parser.add_argument("--python", type=Path, required=True, help="of the tool's environment")
-    parser.add_argument("--folder", type=Path, required=True, help="for the kits")
-    return parser.parse_args()

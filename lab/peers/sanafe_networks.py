@@ -9,15 +9,17 @@ import argparse
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.chip import chip
+from lab.bench.nets import SHIFT, layer
+from lab.bench.nets import program as feed_forward
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.metrics.energy import TABLES, energy, latency
@@ -25,7 +27,6 @@ from spikedeploy.runtime.metrics.traffic import Layout, traffic
 
 TABLE = TABLES["sanafe"]
 Weights = NDArray[Any]
-CHIP = chip("loihi1")
 
 # sizes, density, threshold, decay factors of membrane and current [/4096], loops, bias
 NETWORKS = {
@@ -47,27 +48,20 @@ def program(case: str, seed: int) -> Program:
         drawn = rng.integers(-most * 2 // 3, most, (rows, columns))
         return (drawn * (rng.random((rows, columns)) < density)).astype(np.int16)
 
-    names = ["input", *(f"layer{k}" for k in range(1, len(sizes)))]
     layers = []
-    for k, size in enumerate(sizes[1:], start=1):
-        synapses = [Synapses(names[k - 1], weights(sizes[k - 1], size, 120), delay=1)]
-        if loops:
-            synapses.append(Synapses(names[k], weights(size, size, 40), delay=1))
-        ones = np.ones(size, np.int64)
+    for k, (before, size) in enumerate(pairwise(sizes), start=1):
+        made = layer(k, weights(before, size, 120), (current, membrane), 1)
+        loop = (Synapses(made.name, weights(size, size, 40), delay=1),) if loops else ()
         layers.append(
-            Layer(
-                name=names[k],
-                synapses=tuple(synapses),
-                bias=0 * ones,
-                voltage_bias=(bias << 6) * (rng.random(size) < 0.2),
-                threshold=(threshold << 6) * ones,
-                current_decay=current * ones,
-                membrane_decay=membrane * ones,
-                scale=1.0,
+            replace(
+                made,
+                synapses=(*made.synapses, *loop),
+                voltage_bias=(bias << SHIFT) * (rng.random(size) < 0.2),
+                threshold=(threshold << SHIFT) * np.ones(size, np.int64),
                 start=0,
             )
         )
-    return Program(CHIP, Convention(1e-3), "input", sizes[0], tuple(layers), names[-1], None)
+    return feed_forward(layers)
 
 
 def one_core_each(program: Program) -> Layout:
@@ -103,13 +97,13 @@ def simulate(network: Program, raster: Weights, layout: Layout) -> dict[str, Any
     for k, neuron in enumerate(groups["input"].neurons):
         spikes = {"spikes": raster[:, k].astype(int).tolist()}
         neuron.set_attributes(soma_hw_name=f"loihi_inputs[{k}]", model_attributes=spikes)
-    for layer in network.layers:
-        groups[layer.name] = neurons(net, layer)
-    for layer in network.layers:
-        for synapses in layer.synapses:
+    for each in network.layers:
+        groups[each.name] = neurons(net, each)
+    for each in network.layers:
+        for synapses in each.synapses:
             pairs = np.argwhere(synapses.weight)
             weights = {"weight": synapses.weight[tuple(pairs.T)].astype(float).tolist()}
-            source, target = groups[synapses.source], groups[layer.name]
+            source, target = groups[synapses.source], groups[each.name]
             source.connect_neurons_sparse(target, weights, [tuple(p) for p in pairs.tolist()])
     cores = architecture.cores()
     for name, group in groups.items():

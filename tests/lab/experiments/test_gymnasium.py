@@ -100,12 +100,6 @@ def test_students_are_of_the_run_of_their_teacher(design, results):
     assert [training.changed_settings for training in design.trainings()] == [[]] * 5
 
 
-def test_nothing_is_done_twice(design, results, ran):
-    count = len(ran)
-    outcome = run_experiment(design, (), 1, results)
-    assert (outcome.done, len(ran)) == (10, count)
-
-
 def test_a_run_of_other_settings_or_another_seed_is_not_taken(design, results):
     wider = replace(design, settings=(*FEWER, "teacher.policy.hidden=[24]"))
     assert wider.trainings()[0].run is None
@@ -125,17 +119,6 @@ def test_a_teacher_that_was_trained_elsewhere_and_otherwise_computed_is_taken(
     moved = replace(design, runs=str(there), settings=(*FEWER, 'teacher.precision="float32"'))
     assert moved.trainings()[0].is_trained
     assert not moved.parts()[1].is_done
-
-
-def test_a_run_without_an_end_is_not_trained(design, results, tmp_path):
-    (teacher, *_) = design.trainings()
-    there = tmp_path / teacher.run.name
-    shutil.copytree(teacher.run, there)
-    last = there / "checkpoints" / "last.json"
-    last.write_text(json.dumps({**json.loads(last.read_text()), "finished": False}))
-    found = replace(design, runs=str(tmp_path)).trainings()[0]
-    assert found.run == there
-    assert not found.is_trained
 
 
 def test_the_page_says_what_is_missing_and_keeps_the_rows_of_other_tasks(results, tmp_path):

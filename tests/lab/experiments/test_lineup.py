@@ -1,8 +1,6 @@
 """The lineup experiment in its smallest size: what is shipped, and the same trained again."""
 
 import csv
-import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -69,13 +67,6 @@ def test_the_page_has_a_row_a_policy_and_what_is_smallest(results):
     assert "missing" not in text
 
 
-def test_nothing_is_done_twice(design, results, ran):
-    count, before = len(ran), (results / "lineup.csv").read_bytes()
-    run_experiment(design, (), 1, results)
-    assert len(ran) == count
-    assert (results / "lineup.csv").read_bytes() == before
-
-
 def test_rows_of_trainings_elsewhere_are_kept(design, results, tmp_path):
     other = replace(design, runs=str(tmp_path / "none"))
     copy = tmp_path / "results"
@@ -104,15 +95,3 @@ def test_a_damaged_table_is_named_before_anything_is_done(design, results, tmp_p
         with pytest.raises(ConfigError, match=r"lineup\.csv is damaged .*: put it back, or move"):
             run_experiment(design, (), 1, tmp_path)
         assert (tmp_path / "lineup.csv").read_text(encoding="utf-8") == text
-
-
-@pytest.mark.parametrize("damage", [{"returns": "x"}, {"returns": [1.0]}, {"return_mean": None}])
-def test_a_damaged_evaluation_is_named_and_no_table_written(damage, design, results, tmp_path):
-    runs = Path(shutil.copytree(design.runs, tmp_path / "runs"))
-    file = runs / "evaluations" / f"{ENV}-linear-s0.json"
-    made = json.loads(file.read_text(encoding="utf-8"))
-    made["row"] |= damage
-    file.write_text(json.dumps(made), encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"linear-s0\.json is damaged: put it back, or move it"):
-        replace(design, runs=str(runs)).write(tmp_path / "results")
-    assert not (tmp_path / "results").exists()

@@ -159,17 +159,6 @@ def test_a_row_that_is_missing_is_made_again_and_no_other(design, results, ran):
     assert contents(results) == before
 
 
-def test_the_page_follows_from_its_table_without_the_runs(design, results, tmp_path):
-    copy = tmp_path / "results"
-    shutil.copytree(results / "pareto", copy / "pareto")
-    elsewhere = ParetoDesign(1, str(tmp_path / "none"), quick=True, env=ENV)
-    files = elsewhere.write(copy)
-    assert files[0].read_text() == (results / "pareto.md").read_text()
-    assert contents(copy / "pareto").keys() == {
-        copy / "pareto" / f"{ENV}{suffix}" for suffix in (".csv", ".json", ".png")
-    }
-
-
 def test_the_command_leaves_the_published_page_alone_where_sizes_are_quick(
     design, results, ran, tmp_path, monkeypatch, lab
 ):

@@ -1,6 +1,5 @@
 """The robustness experiment in its smallest size: evaluated, written, resumed."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -120,17 +119,6 @@ def test_what_is_done_is_not_done_again_and_what_has_changed_is(design, results,
         assert parts[name].is_done == is_done
 
 
-def test_the_page_can_be_written_again_from_its_tables(design, results):
-    text = (results / "robustness.md").read_text(encoding="utf-8")
-    assert f"## {ENV}" in text
-    assert "parts are missing" in text
-    for name in (*PARTS[1:], "undisturbed"):
-        assert name in text.lower()
-    empty = replace(design, runs=str(results / "none"))
-    empty.write(results)
-    assert (results / "robustness.md").read_text(encoding="utf-8") == text
-
-
 def row_of(policy, kind, name, kept, part="disturbance"):
     return {
         "policy": policy, "kind": kind, "part": part, "name": name, "level": 2, "kept": kept,
@@ -183,22 +171,3 @@ def test_policies_of_other_environments_are_disturbed_and_broken_too(
     rows = read_table(tmp_path / "results/robustness" / f"{file_name(env)}.csv")
     assert {row["name"] for row in rows} == {None, *parts[1:]}
     assert {row["success_rate"] for row in rows} <= ({None} if kind else {0.0, 0.5, 1.0})
-
-
-def test_the_command_runs_a_quick_look(ran, tmp_path, monkeypatch, lab):
-    monkeypatch.chdir(tmp_path)
-    words = ["experiment", "robustness", ENV, "--quick", "--only", "undisturbed", "--json"]
-    code, out, _ = lab(*words)
-    assert (code, json.loads(out)["done"]) == (0, 1)
-    assert (tmp_path / "runs" / "robustness-quick" / "robustness.md").is_file()
-
-
-@pytest.mark.parametrize("policy", ["bad.onnx", "nowhere"])
-def test_robustness_of_a_broken_policy_is_a_sentence(policy, tmp_path, lab, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "bad.onnx").write_text("no onnx")
-    words = ("experiment", "robustness", "CartPole-v1", "--policies", policy)
-    code, _, err = lab(*words)
-    assert code == 2
-    assert ("bad.onnx" if policy == "bad.onnx" else "no policy at 'nowhere'") in err
-    assert "Traceback" not in err

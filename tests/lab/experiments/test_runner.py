@@ -30,6 +30,7 @@ from spikedeploy.runtime.errors import SpikedeployError
             {"env": "kart-grid", "policies": ["kart-grid/snn,kart-grid/snn"]},
             "two are called snn",
         ),
+        ("robustness", {"env": "CartPole-v1", "policies": ["nowhere"]}, "no policy at 'nowhere'"),
         ("cart", {}, "unknown experiment 'cart'; known: kart"),
     ],
 )

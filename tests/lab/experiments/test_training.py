@@ -38,13 +38,6 @@ def part(training):
     return Part(training.name, training.stored, training)
 
 
-def count(monkeypatch, name):
-    """Count the calls of a method of trainings."""
-    calls, function = [], getattr(KartTraining, name)
-    monkeypatch.setattr(KartTraining, name, lambda *given: calls.append(1) or function(*given))
-    return calls
-
-
 def test_a_trial_is_trained_exported_and_evaluated(race, tmp_path):
     one = make(tmp_path)
     assert (one.run, one.is_trained, one.evaluation) == (None, False, None)
