@@ -1,6 +1,7 @@
 """Experiments: many trainings and their evaluations by one command, resumed where it stopped.
 
-A new experiment is a design, a page, and one line in EXPERIMENTS.
+A new experiment is a design, a page, and one line in EXPERIMENTS; what is trained stands in
+designs.toml.
 
 runner       the command: missing parts run as jobs, resumed where they stopped, and the page
 training     a training that is found, resumed or started; a row of results that is kept
@@ -23,6 +24,17 @@ energy_ratio    energy of spiking policies over that of float ones
 phase_table     a table of the gait's phases as a baseline
 """
 
+import sys
+from pathlib import Path
+from typing import Any
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+DESIGNS: dict[str, Any] = tomllib.loads(Path(__file__).with_name("designs.toml").read_text("utf-8"))
+QUICK: dict[str, list[str]] = DESIGNS["quick"]  # settings of trainings of seconds
 EXPERIMENTS = {
     "kart": "lab.experiments.kart:KartDesign",
     "pareto": "lab.experiments.pareto:ParetoDesign",

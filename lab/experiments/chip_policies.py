@@ -15,13 +15,13 @@ import csv
 import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lab.experiments import DESIGNS
 from lab.experiments.networks import is_discrete, random_actions
 from lab.experiments.pages import ROOT, render, share
 from lab.experiments.ratios import nested_ratio
@@ -42,34 +42,8 @@ CHIPS = ("xylo-a2", "speck2f", "odin", "tinyodin", "truenorth", "spiker", "spinn
 WANTED = 0.95  # of the teacher
 
 
-@dataclass(frozen=True)
-class ChipTask:
-    """A task of the table.
-
-    recipe    of a teacher, where none is shipped
-    settings  of every student, beside those of the recipe `for-chip`
-    """
-
-    recipe: str
-    settings: tuple[str, ...] = ()
-
-
-TASKS: Mapping[str, ChipTask] = {
-    "CartPole-v1": ChipTask("ppo-mlp"),
-    "Pendulum-v1": ChipTask("sac-mlp", ("policy.timesteps=16",)),
-}
-# where a chip needs more than the recipe has: binary crosspoints hold little each; with 3 bits and
-# a reset to 0 that loses what is left, thresholds are larger and updates are more
-FURTHER: Mapping[str, tuple[str, ...]] = {
-    "truenorth": ("policy.hidden=[64]",),
-    "odin": (
-        "policy.limit=0.21875",
-        "policy.surrogate_width=4",
-        "learning_rate=0.01",
-        "updates=2400",
-        "validation.every=400",
-    ),
-}
+TASKS: Mapping[str, Record] = DESIGNS["chips"]["tasks"]
+FURTHER: Mapping[str, Sequence[str]] = DESIGNS["chips"]["further"]
 Act = Callable[[NDArray[np.float64]], NDArray[Any]]
 
 
@@ -94,7 +68,7 @@ def train_all(only: str | None, again: bool, runs: Path) -> None:
         file = _file(task, name)
         if _shipped(file) and not again:
             continue
-        settings = [*TASKS[task].settings, *FURTHER.get(name, ())]
+        settings = [*TASKS[task]["settings"], *FURTHER.get(name, ())]
         settings += [f'policy.chip="{name}"', f'teacher="{_teacher(task, runs)}"']
         run = _trained("for-chip", task, runs, settings)
         print(f"{task}/{name}: {run}", flush=True)
@@ -111,7 +85,7 @@ def _teacher(task: str, runs: Path) -> str:
     """The name of the task's shipped teacher, which is trained if there is none."""
     if (name := zoo.teacher(task)) is not None:
         return name
-    run = _trained(TASKS[task].recipe, task, runs)
+    run = _trained(TASKS[task]["recipe"], task, runs)
     _ship(run, zoo.FOLDER / zoo.FOR_CHIPS / task / f"{zoo.TEACHER}.onnx")
     return str(zoo.teacher(task))
 

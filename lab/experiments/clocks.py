@@ -12,11 +12,12 @@ OUTPUT/clocks.md; tasks that are not named keep their rows.
 
 import argparse
 import csv
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from lab.experiments import DESIGNS
 from lab.experiments.pages import render
 from lab.experiments.ratios import nested_ratio
 from lab.experiments.training import Record, read_rows
@@ -29,22 +30,8 @@ from spikedeploy.policies import costs
 from spikedeploy.policies.registry import find
 
 FIRST_SEED = 80_000
-# what each task's returns are shares of: the float policy that earns its README's 100 %
-REFERENCES = {
-    "hexapod": "sac",
-    "hexapod-command": "sac",
-    "kart-grid": "ann",
-    "kart-gazebo": "ann",
-    "kart-steer": "ann",
-}
-# small float policies that are shipped, beside the spiking ones
-BASELINES = {
-    "hexapod": ("linear", "mlp-8"),
-    "hexapod-command": ("fourier", "mlp-16", "mlp-32"),
-    "kart-grid": ("linear", "small"),
-    "kart-gazebo": ("linear", "small"),
-    "kart-steer": ("linear", "small"),
-}
+# task -> the float policy whose returns are 100 %, then small float ones
+FLOATS: Mapping[str, Sequence[str]] = DESIGNS["clocks"]
 KINDS = {
     "gated": "sparse-gated",
     "free": "sparse-gated",
@@ -70,7 +57,7 @@ def name_of(row: Record) -> str:
 def results(task: str, folder: Path, episodes: int) -> Iterator[Record]:
     """The rows of a task: each kind of policy in a clock, over all of its trainings."""
     shipped = f"{task}/sparse-gated"
-    floats = [Entry(find(f"{task}/{name}")) for name in (REFERENCES[task], *BASELINES[task])]
+    floats = [Entry(find(f"{task}/{name}")) for name in FLOATS[task]]
     groups: dict[str, list[Entry]] = {
         **{entry.label: [entry] for entry in floats},
         "gated": [Entry(find(shipped), "loihi1:clock=gated")],
@@ -138,12 +125,12 @@ def read(path: Path) -> list[Record]:
 def main() -> None:
     """Play the tasks that are named, and write the table of all."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("tasks", nargs="*", metavar="TASK", help=", ".join(REFERENCES))
+    parser.add_argument("tasks", nargs="*", metavar="TASK", help=", ".join(FLOATS))
     parser.add_argument("-o", "--output", type=Path, default=Path("results"))
     parser.add_argument("--episodes", type=int, default=100)
     given = parser.parse_args()
-    if unknown := set(given.tasks) - REFERENCES.keys():
-        parser.error(f"unknown: {', '.join(sorted(unknown))}. Choose of {', '.join(REFERENCES)}.")
+    if unknown := set(given.tasks) - FLOATS.keys():
+        parser.error(f"unknown: {', '.join(sorted(unknown))}. Choose of {', '.join(FLOATS)}.")
     path = given.output / "clocks.csv"
     before = [r for r in read(path) if given.tasks and r["task"] not in given.tasks]
     if other := {row["episodes"] for row in before} - {given.episodes}:
@@ -152,10 +139,10 @@ def main() -> None:
         )
     played = [
         row
-        for task in given.tasks or REFERENCES
+        for task in given.tasks or FLOATS
         for row in results(task, given.output / "clocks", given.episodes)
     ]
-    order = list(REFERENCES)
+    order = list(FLOATS)
     found = sorted([*before, *played], key=lambda row: order.index(row["task"]))
     with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")

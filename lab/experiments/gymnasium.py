@@ -14,11 +14,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from lab.experiments import pages
+from lab.experiments import DESIGNS, QUICK, pages
 from lab.experiments.costs import INT8, column, energies, is_spiking
 from lab.experiments.fronts import Point
 from lab.experiments.networks import FLOAT, network, play, random_actions
@@ -48,18 +48,6 @@ _VERSION = 1  # of what a row holds; a higher one makes all rows again
 _WIDTH, _POPULATION, TIMESTEPS = 256, 10, 5
 RATE = 0.15  # of a dense network that is not trained here: spikes of a neuron and timestep
 
-_SAC = ("learn_temperature=true", "policy.hidden=[256,256]", "critic_hidden=[256,256]", "batch=256")
-_MUJOCO = (
-    *_SAC, "steps=1000000", "update_every=2", "learning_rate=3e-4", "env.count=4", "warm_up=10000",
-    "validation.every=25000", "checkpoint_every=2000000",
-)  # fmt: skip
-# fast changes need finer and more events than walking does
-_FINE = ("policy.hidden=128", "policy.most=8", "policy.integrated=true", "step=0.25")
-# episodes of 1,000 steps: more states, and validations that are not most of the time
-_DENSE = ("iterations=6", "states=10000", "updates=8000", "validation.every=1000")
-# longer with reward, of all weights, and further from the teacher
-_REWARD = ("iterations=160", "learns=all", "imitation=0.1")
-
 
 @dataclass(frozen=True)
 class Task:
@@ -80,13 +68,25 @@ class Task:
     observations: int
     actions: int
     recipe: str
-    settings: Sequence[str]
-    student: Sequence[str]
-    baseline: Sequence[str]
     budget: float
+    settings: Sequence[str] = ()
+    student: Sequence[str] = ()
+    baseline: Sequence[str] = ()
     wanted: float | None = None
     dense: Sequence[str] = ()
     reward: Sequence[str] = ()
+
+    @classmethod
+    def of(cls, env: str, fields: Mapping[str, Any]) -> "Task":
+        """The task of designs.toml; lists there name lists of settings."""
+        named = DESIGNS["gymnasium"]["settings"]
+        found = {
+            field: [setting for name in value for setting in named[name]]
+            if isinstance(value, list)
+            else value
+            for field, value in fields.items()
+        }
+        return cls(env, **found)
 
     @property
     def is_continuous(self) -> bool:
@@ -105,24 +105,7 @@ class Task:
         return TIMESTEPS * rate * self.synapses
 
 
-TASKS = {
-    task.env: task
-    for task in (
-        Task(
-            "CartPole-v1", 4, 2, "ppo-mlp", (),
-            ("policy.hidden=16",), ("policy.hidden=[16]",), 40, 475,
-        ),
-        Task(
-            "Pendulum-v1", 3, 1, "sac-mlp", (*_SAC, "steps=20000"),
-            ("policy.hidden=32",), ("policy.hidden=[32]",), 60, -200,
-        ),
-        Task("Hopper-v5", 11, 3, "sac-mlp", _MUJOCO, _FINE, (), 600, dense=_DENSE),
-        Task("HalfCheetah-v5", 17, 6, "sac-mlp", _MUJOCO, _FINE, (), 900, dense=_DENSE),
-        Task(
-            "Ant-v5", 105, 8, "sac-mlp", _MUJOCO, _FINE, (), 2_400, dense=_DENSE, reward=_REWARD,
-        ),
-    )
-}  # fmt: skip
+TASKS = {env: Task.of(env, of) for env, of in DESIGNS["gymnasium"]["tasks"].items()}
 
 
 @dataclass(frozen=True)
@@ -137,36 +120,11 @@ class TaskTraining(TrainingJob):
     role: str = ""
 
 
-_VALIDATION = ("validation.episodes=1", "validation.limit=40")
-# trainings of seconds
-_QUICK: dict[str, tuple[str, ...]] = {
-    "ppo-mlp": (
-        "env.count=2", "steps=256", "horizon=32", "minibatch=32", "epochs=1", "critic_hidden=[16]",
-        "checkpoint_every=128", "validation.every=128", *_VALIDATION,
-    ),
-    "sac-mlp": (
-        "steps=240", "warm_up=80", "update_every=4", "batch=16", "policy.hidden=[16,16]",
-        "critic_hidden=[16]", "log_every=80", "checkpoint_every=120", "validation.every=120",
-        *_VALIDATION,
-    ),
-    "distill-sparse": (
-        "budget=60", "levels=[200]", "teacher_walks=2", "noisy_walks=1", "walks=1",
-        "dense_updates=20", "dense_rounds=1", "level_updates=20", "polish=1", "polish_updates=10",
-        "prune_every=5", "batch=8", "log_every=5", "checkpoint_every=20", "validation.every=10",
-        *_VALIDATION,
-    ),
-    "distill-sparse-tuned": (
-        "iterations=2", "warm_up=1", "episodes=2", "window=16", "burn_in=4", "batch=4", "epochs=1",
-        "critic_hidden=[16]", "critic_epochs=1", "checkpoint_every=1", "validation.every=1",
-        *_VALIDATION,
-    ),
-    "distill-popsan": (
-        "policy.hidden=[16,16]", "policy.populations=3", "env.count=2", "iterations=2", "states=60",
-        "updates=20", "batch=16", "log_every=10", "checkpoint_every=20", "validation.every=20",
-        *_VALIDATION,
-    ),
-}  # fmt: skip
-_QUICK["distill-small-mlp"] = _QUICK["distill-sparse"]
+# settings of trainings of seconds
+_QUICK = QUICK | {
+    "distill-popsan": [*QUICK["distill"], *QUICK["distill-popsan"]],
+    "distill-small-mlp": QUICK["distill-sparse"],
+}
 
 
 @dataclass(frozen=True)

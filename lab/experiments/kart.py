@@ -22,6 +22,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lab.experiments import QUICK
 from lab.experiments.networks import evaluate, play
 from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, TrainingJob, counters, results
@@ -63,10 +64,6 @@ _ORDER = (
     (CLASSIC, ("snn",)), (CORRIDOR, CONTROLS), (CLASSIC, CONTROLS),
 )  # fmt: skip
 _VALIDATION = ("validation.every=10000", "validation.episodes=20")  # shares in steps of 5 %
-_QUICK = (
-    "steps=64", "horizon=32", "env.count=2", "epochs=1", "minibatch=32", "critic_hidden=[8]",
-    "validation.every=64", "validation.episodes=2", "validation.limit=10", "checkpoint_every=64",
-)  # fmt: skip
 FIRST, NTH = "first_finish", f"finish_{COUNT}"
 HELD = f"greedy_{GREEDY:.0%}".removesuffix("%")
 Steps = NDArray[np.float64]
@@ -321,7 +318,7 @@ class KartDesign(Design):
         """
         recipe = f"{world}-{policy}" if preset == DEFAULT else f"{world}-{preset}-{policy}"
         enough = self.finishes or (COUNT if preset == CLASSIC else 0)
-        quick = _QUICK if self.quick else ()
+        quick = QUICK["kart"] if self.quick else ()
         overrides = (*_VALIDATION, f"stop_at_finishes={enough}", *quick, *self.settings)
         return KartTraining(
             f"{recipe}-s{seed}", recipe, seed, self.runs, overrides, preset=preset, world=world,

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lab.experiments import pages
+from lab.experiments import QUICK, pages
 from lab.experiments.fronts import read_table as read_pareto
 from lab.experiments.networks import evaluate
 from lab.experiments.pages import grouped, mean, percent, releases, versions_at_start, versions_text
@@ -34,11 +34,6 @@ from spikedeploy.trainers.recipes import RECIPES
 
 TABLE = "lineup.csv"
 _NARROW = "-256"  # ending of a PopSAN with half the neurons in each layer, which is not shipped
-# trainings of seconds
-_QUICK = (
-    "env.count=2", "iterations=2", "states=60", "updates=20", "batch=16", "log_every=10",
-    "checkpoint_every=20", "validation.every=20", "validation.episodes=1", "validation.limit=40",
-)  # fmt: skip
 _FIELDS = (
     "chip", "episodes", "return_mean", "success_rate", "falls", "cot", "speed_rmse",
     "turn_rmse", "sops_per_inference", "macs_dense", "macs_effective",
@@ -139,7 +134,7 @@ class LineupDesign(Design):
             f"env.name={json.dumps(env)}",
             *own,
             f"teacher={json.dumps(_teacher(card))}",
-            *(_QUICK if self.quick else ()),
+            *(QUICK["distill"] if self.quick else ()),
         )
         return TrainingJob(
             f"{env}-{name}-s{seed}", card["recipe"], seed, self.runs, settings, telling=settings

@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from lab.experiments import QUICK
 from lab.experiments.networks import Played, is_discrete, network, play
 from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, TrainingJob, results
@@ -54,16 +55,6 @@ _BITS = (6, 5, 4, 3, 2)
 _FULL = 8  # [bits] of the weights of every level
 _VERSION = 1  # of what a row holds; a higher one makes all rows again
 
-# trainings of seconds
-_QUICK = (
-    "env.count=2", "budget=60", "levels=[200]", "teacher_walks=2", "noisy_walks=1", "walks=1",
-    "dense_updates=20", "dense_rounds=1", "level_updates=20", "polish=1", "polish_updates=10",
-    "prune_every=5", "batch=8", "log_every=5", "checkpoint_every=20", "validation.every=10",
-    "validation.episodes=1", "validation.limit=40", "tuned.iterations=2", "tuned.warm_up=1",
-    "tuned.episodes=2", "tuned.window=16", "tuned.burn_in=4", "tuned.batch=4", "tuned.epochs=1",
-    "tuned.critic_hidden=[16]", "tuned.critic_epochs=1", "tuned.checkpoint_every=1",
-    "tuned.validation.every=1", "tuned.validation.episodes=1", "tuned.validation.limit=40",
-)  # fmt: skip
 _TUNED, _BOTH = "tuned.", "env."  # settings of trainings with reward, and of all
 
 
@@ -142,7 +133,9 @@ class ParetoDesign(Design):
 
     def _overrides(self, tuned: bool) -> tuple[str, ...]:
         """Settings of every training by imitation, or with reward."""
-        every = (*(_QUICK if self.quick else ()), *self.settings)
+        tune = (f"{_TUNED}{setting}" for setting in QUICK["distill-sparse-tuned"])
+        quick = ("env.count=2", *QUICK["distill-sparse"], *tune) if self.quick else ()
+        every = (*quick, *self.settings)
         if tuned:
             found = (each for each in every if each.startswith((_TUNED, _BOTH)))
             return tuple(each.removeprefix(_TUNED) for each in found)
