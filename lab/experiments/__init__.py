@@ -31,7 +31,7 @@ from typing import Any
 if sys.version_info >= (3, 11):
     import tomllib
 else:
-    import tomli as tomllib
+    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
 DESIGNS: dict[str, Any] = tomllib.loads(Path(__file__).with_name("designs.toml").read_text("utf-8"))
 QUICK: dict[str, list[str]] = DESIGNS["quick"]  # settings of trainings of seconds

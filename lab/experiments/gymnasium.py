@@ -80,7 +80,7 @@ class Task:
     def of(cls, env: str, fields: Mapping[str, Any]) -> "Task":
         """The task of designs.toml; lists there name lists of settings."""
         named = DESIGNS["gymnasium"]["settings"]
-        found = {
+        found: Record = {
             field: [setting for name in value for setting in named[name]]
             if isinstance(value, list)
             else value
