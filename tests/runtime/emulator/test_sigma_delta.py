@@ -116,24 +116,6 @@ def test_other_chips_refuse_by_the_rule(name, limits):
         compile_program(one_neuron(), chip(name), limits=limits)
 
 
-@pytest.mark.parametrize("backend", ["numpy", "auto"])
-def test_backends_without_kernels_fall_back_to_the_interpreter(backend):
-    raster = rasters()
-    outputs = [
-        on(delta_network(), "ideal", 3, backend=each).infer(raster)
-        for each in (backend, "interpreter")
-    ]
-    np.testing.assert_array_equal(*outputs)
-
-
-def test_a_pool_runs_any_batch():
-    program = compile_program(delta_network(state="reset"), chip("ideal"))
-    raster = rasters(70, 12)
-    pool = Machine(program, None, trace=True)
-    np.testing.assert_allclose(pool.infer(raster)[65:], Machine(program, 5).infer(raster[65:]))
-    assert pool.recordings["sd1"].spikes.dtype == np.int64
-
-
 def test_a_neuron_on_loihi2_by_hand():
     program = compile_program(one_neuron(), chip("loihi2"))
     layer = program.layer("sd1")
@@ -245,7 +227,7 @@ def plain_sigma_delta(fixed, bits, of, n, arrived, sigma, sent):
     return sigma, min(whole, most) * (1 if apart > 0 else -1), active or drive != 0, lost
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("in_float", [False, True])
 def test_a_timestep_equals_that_of_a_plain_loop(seed, in_float):
     rng, size = np.random.default_rng(seed), 5

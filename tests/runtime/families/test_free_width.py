@@ -19,7 +19,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ChipError
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.equality import check_equal
-from tests.networks import chain, cuba, lif, popsan
+from tests.networks import chain, cuba, popsan
 
 BACKENDS = ["numpy", *(["numba"] if find_spec("numba") else [])]
 
@@ -117,19 +117,6 @@ def test_with_wide_numbers_it_comes_to_the_spikes_of_the_float_graph():
     narrow = trace(compile_program(artifact, chip("int", weight_bits=3, decay_bits=3)), raster)
     assert sum(int((narrow[n].spikes != expected[n]).sum()) for n in narrow) > 10 * differ
     assert differ <= 3
-
-
-def test_a_narrow_membrane_leaves_room_above_the_threshold():
-    used = chip("int", membrane=Register(8, "clip"), mantissa_shift=0)
-    # 127 is the largest membrane; 126 the largest threshold that it can be above
-    assert used.arithmetic.threshold_max == 126
-    neurons = lif(1, tau=1.0, r=1000.0, threshold=1.0)
-    artifact = Artifact(
-        chain(nir.Linear(np.ones((1, 1))), neurons, width=1, act=1), None, Convention(1e-3)
-    )
-    found = trace(compile_program(artifact, used), np.ones((1, 4, 1), np.uint8))["n2"]
-    # the weight is the threshold, 126 of both: one is not above, two are, clipped or not
-    assert found.spikes.ravel().tolist() == [0, 1, 0, 1]
 
 
 @pytest.mark.parametrize(

@@ -60,29 +60,6 @@ def test_with_proven_headroom_nothing_overflows_and_it_spikes_as_in_float(granul
     np.testing.assert_array_equal(output, float_twin)
 
 
-def test_proven_headroom_takes_no_more_than_the_narrowest_register_asks_for():
-    program = compile_program(crowd(), chip("loihi1"), PROVEN)
-    (weight,) = set(program.layers[0].synapses[0].weight.ravel().tolist())
-    # the accumulator's 2**21 - 1 = 600 * 64 * 54.6
-    assert weight == 54
-
-
-def test_each_neuron_of_its_own_scale_has_its_own_headroom():
-    artifact = crowd(size=2)
-    artifact.graph.nodes["n1"].weight[1, 1:] = 0.0
-    program = compile_program(artifact, chip("loihi1"), replace(PROVEN, granularity="channel"))
-    # the second neuron is connected to one axon only, which overflows nothing
-    assert program.layers[0].synapses[0].weight.max(axis=0).tolist() == [54, 255]
-
-
-def test_a_neuron_beside_one_that_overflows_keeps_all_its_bits_wherever_it_stands():
-    artifact = crowd(size=3)
-    for quiet in (0, 2):
-        artifact.graph.nodes["n1"].weight[quiet, 1:] = 0.0
-    program = compile_program(artifact, chip("loihi1"), replace(PROVEN, granularity="channel"))
-    assert program.layers[0].synapses[0].weight.max(axis=0).tolist() == [255, 54, 255]
-
-
 def test_where_nothing_can_overflow_headroom_changes_nothing():
     plain = compile_program(popsan(), chip("loihi1"))
     proven = compile_program(popsan(), chip("loihi1"), PROVEN)

@@ -10,12 +10,11 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import NEVER
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
-from spikedeploy.runtime.compiler.compile import compile_program, float_program
-from spikedeploy.runtime.compiler.wiring import wiring
+from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.errors import ChipError, ConfigError, RuleError
+from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, cuba, graph, lif, popsan
 from tests.xylo_networks import network
@@ -104,19 +103,6 @@ def test_a_bias_is_what_it_comes_to_through_the_current():
     assert not hidden.bias.any()
     [first] = [r for r in compiled(artifact).remarks if "bias is added to the membrane" in r]
     assert first.startswith("layer 'n2'")
-
-
-def test_the_largest_bias_sets_the_scale_where_it_is_above_all_weights():
-    hidden, _ = compiled(two_layers([[1], [1]], [[1, 1]], bias=[2, 0])).layers
-    assert hidden.voltage_bias.tolist() == [127, 0]  # 2 / (1/2) = 4
-    assert hidden.synapses[0].weight.tolist() == [[64, 64]]  # 2 * 127/4 = 63.5, to even
-
-
-def test_the_bias_of_a_channel_may_be_wider_than_its_weights():
-    artifact = two_layers([[1], [1]], [[1, 1]], bias=[2, 0])
-    hidden, _ = compiled(artifact, quantisation=CHANNEL).layers
-    assert hidden.synapses[0].weight.tolist() == [[127, 127]]  # 1 / (1/2) = 2
-    assert hidden.voltage_bias.tolist() == [254, 0]  # 2 / (1/2) = 4
 
 
 def test_a_threshold_beyond_16_bits_rescales_everything():
@@ -219,13 +205,6 @@ def test_a_convention_with_delay_is_what_xylo_does():
     assert not any("at once" in remark for remark in program.remarks)
 
 
-def test_layers_start_at_once_where_that_is_wanted():
-    rng = np.random.default_rng(0)
-    program = compiled(network(rng, [4, 5, 6, 3], ["cuba"] * 3), clock="pipelined")
-    assert [layer.start for layer in program.layers] == [0, 0, 0]
-    assert not any("at once" in remark for remark in program.remarks)
-
-
 def test_the_slowest_path_says_when_a_layer_starts():
     nodes = {name: nir.Linear(np.ones((1, 1))) for name in "abcd"}
     nodes |= {name: cuba(1, **BUILD) for name in ("l1", "l2", "l3")}
@@ -275,11 +254,6 @@ def test_an_output_that_is_no_output_population_is_refused_or_read_as_hidden(bui
     machine = Machine(program)
     spikes = machine.infer(np.full((1, 20, program.width), 15, np.uint8))
     assert spikes.max() > 1  # as a hidden neuron may
-
-
-def test_a_neuron_to_read_is_one_of_two():
-    with pytest.raises(ChipError, match="read 'all' is unknown"):
-        chip("xylo-a2", read="all")
 
 
 def integrating():
@@ -333,40 +307,12 @@ def test_choices_that_a_chip_does_not_have_are_refused(name, choice, message):
         compile_program(popsan() if name == "loihi1" else artifact, chip(name), choice)
 
 
-def test_a_neuron_without_weights_beside_others_is_no_reason_to_refuse():
-    hidden, _ = compiled(two_layers([[0.5], [0]], [[2, 1]])).layers
-    assert hidden.synapses[0].weight.tolist() == [[127, 0]]
-
-
-def test_a_layer_without_weights_is_no_layer_that_lost_them():
-    hidden, output = compiled(two_layers([[0.5], [-0.125]], [[0, 0]])).layers
-    assert hidden.synapses[0].weight.any()
-    assert not output.synapses[0].weight.any()
-
-
-def test_a_threshold_of_one_is_none_that_is_lost():
-    # 1 becomes 127, and so 0.01 becomes 1.27
-    layers = compiled(two_layers([[0.5], [0.5]], [[0.5, 0.5]], threshold=0.01)).layers
-    assert [layer.threshold.tolist() for layer in layers] == [[1, 1], [1]]
-
-
 def with_hidden(**fields):
     """The network of two layers, whose hidden neurons differ in these numbers."""
     artifact = two_layers([[1], [1]], [[1, 1]])
     for name, values in fields.items():
         getattr(artifact.graph.nodes["n2"], name)[:] = values
     return artifact
-
-
-@pytest.mark.parametrize("which", ["tau_syn", "tau_mem"])
-def test_a_time_constant_rounds_to_the_longest_dash_or_is_refused(which):
-    # 2**15.4 timesteps round to a dash of 15, and 2**15.6 would to one of 16
-    program = compiled(with_hidden(**{which: [2.0**15.4 * 1e-3, 2e-3]}), limits=False)
-    found = program.layers[0]
-    dashes = found.current_decay[0] if which == "tau_syn" else found.membrane_decay
-    assert dashes.tolist() == [15, 1]
-    with pytest.raises(RuleError, match=r"^rule decay-range: layer 'n2': a .* needs a shift"):
-        compiled(with_hidden(**{which: [2.0**15.6 * 1e-3, 2e-3]}), limits=False)
 
 
 def remarks_on_time(artifact):
@@ -385,36 +331,6 @@ def test_a_time_constant_that_is_off_by_a_hundredth_is_remarked_on():
     assert not remarks_on_time(with_hidden())
 
 
-def test_a_neuron_without_a_current_among_others_is_said_so_and_nothing_of_its_time():
-    none = compiled(with_hidden(tau_syn=[1e-3, 2e-3]))
-    assert [r for r in none.remarks if "no synaptic current" in r]
-    assert not [r for r in none.remarks if "time constant" in r]
-    assert not [r for r in compiled(with_hidden()).remarks if "no synaptic current" in r]
-
-
-def test_a_bias_of_one_neuron_is_enough_to_start_at_once():
-    nodes = [nir.Linear(np.ones((2, 1))), cuba(2, **BUILD), nir.Linear(np.ones((2, 2)))]
-    two = chain(*nodes, cuba(2, **BUILD), width=1, act=2)
-    assert [a.start for a in compiled(Artifact(two, None, CONVENTION)).layers] == [0, 1]
-    two.nodes["n4"].v_leak[:] = [0.0, 0.1]
-    program = compiled(Artifact(two, None, CONVENTION))
-    assert [a.start for a in program.layers] == [0, 0]
-    [remark] = [r for r in program.remarks if "has a bias" in r]
-    assert remark.endswith("all layers start at once, and outputs come 1 rows late")
-
-
-@pytest.mark.parametrize(("steps", "starts"), [(0, [0, 1]), (1, [0, 0]), (2, [0, 0])])
-def test_a_delay_of_the_graph_takes_the_place_of_a_later_start(steps, starts):
-    late = nir.Delay(np.full(2, steps * 1e-3))
-    nodes = [nir.Linear(np.ones((2, 1))), cuba(2, **BUILD), late, nir.Linear(np.ones((1, 2)))]
-    artifact = Artifact(chain(*nodes, cuba(1, **BUILD), width=1, act=1), None, CONVENTION)
-    program = compiled(artifact, limits=False)
-    assert [a.start for a in program.layers] == starts
-    late = [remark for remark in program.remarks if "at once" in remark]
-    assert bool(late) == (steps == 2)
-    assert all("'n2' -> 'n5' would need a delay of 2 on Xylo" in remark for remark in late)
-
-
 def test_one_threshold_that_is_lost_is_enough_to_refuse():
     with pytest.raises(RuleError, match=r"^rule threshold-range: .* threshold 0.001 becomes 0"):
         compiled(with_hidden(v_threshold=[1.0, 1e-3]))
@@ -430,53 +346,12 @@ def test_hidden_layers_share_the_scale_of_the_one_that_needs_the_smallest():
         assert [a.threshold.tolist() for a in layers] == [[127], [127], [64]]
 
 
-def test_thresholds_leave_room_for_a_weight_shift():
-    weak = two_layers([[0.001], [0.0005]], [[1, 1]])
-    hidden, _ = compiled(weak, shifted(3)).layers
-    # 32767 / 8 = 4095.9 for each float unit of threshold, in units of 8
-    assert hidden.threshold.tolist() == [32767, 32767]
-    assert hidden.synapses[0].weight.tolist() == [[8 << 3, 4 << 3]]
-
-
-def test_a_bias_and_a_current_of_some_neurons_are_enough_for_a_remark():
-    some = with_hidden(tau_syn=[1e-3, 2e-3])
-    assert not [r for r in compiled(some).remarks if "its bias is added" in r]
-    some.graph.nodes["n1"].bias[:] = [0.0, 0.1]
-    assert [r for r in compiled(some).remarks if "its bias is added" in r]
-    weights = nir.Affine(np.ones((2, 2)), np.array([0.0, 0.1]))
-    nodes = [nir.Linear(np.ones((2, 1))), cuba(2, **BUILD), weights, cuba(2, **BUILD)]
-    late = compiled(Artifact(chain(*nodes, width=1, act=2), None, CONVENTION))
-    assert [a.start for a in late.layers] == [0, 0]
-
-
-def with_loop(first, bias):
-    """The network of two layers, whose hidden neurons hear each other through weights of 0."""
-    artifact = two_layers([[first], [first]], [[1, 1]], bias=(bias, bias))
-    nodes = {**artifact.graph.nodes, "loop": nir.Linear(np.zeros((2, 2)))}
-    edges = [*artifact.graph.edges, ("n2", "loop"), ("loop", "n2")]
-    return replace(artifact, graph=nir.NIRGraph(nodes, edges))
-
-
-def test_weights_are_looked_for_in_every_source():
-    hidden, _ = compiled(with_loop(0.5, 0)).layers
-    assert hidden.synapses[0].weight.any()
-    with pytest.raises(RuleError, match=r"every weight becomes 0. The largest, 0\.001,"):
-        compiled(with_loop(0.0005, 1))
-
-
 def test_a_neuron_has_two_currents_and_a_membrane_of_16_bits():
     arithmetic = A2.arithmetic
     assert arithmetic.state_bits == (16, 16, 16)
     assert chip("xylo-imu").arithmetic.state_bits == (16, 16)
     assert arithmetic.threshold_range == (1, 32767)
     assert arithmetic.describe().weights == "8 bits with the sign"
-
-
-def test_biases_of_xylo_are_added_to_the_membrane_alone():
-    artifact = two_layers([[1], [1]], [[1, 1]], bias=[0.1, -0.3])
-    floats = float_program(artifact, A2, wiring(artifact.graph, CONVENTION), "free").layers[0]
-    assert floats.bias.tolist() == [0, 0]
-    assert floats.voltage_bias.tolist() == [0.2, -0.6]
 
 
 def test_a_readout_of_xylo_fills_its_weights_and_never_spikes():

@@ -3,17 +3,14 @@
 import re
 from dataclasses import replace
 
-import nir
 import numpy as np
 import pytest
 
-from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import NEVER
 from spikedeploy.runtime.chips.quantisation import Quantisation, Tuning
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ChipError, RuleError
 from spikedeploy.runtime.families.cuba.quantise import (
@@ -23,8 +20,7 @@ from spikedeploy.runtime.families.cuba.quantise import (
 )
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.float_layers import float_layer
-from tests.networks import chain
-from tests.readouts import DT, INPUTS, cubali, events, network
+from tests.readouts import INPUTS, events, network
 
 LOIHI1 = chip("loihi1").arithmetic
 
@@ -61,18 +57,6 @@ def test_net_spikes_of_the_heaviest_synapse_fill_half_of_a_register_at_most(kind
     assert machine.ledger.total("saturation") == 0
 
 
-def test_the_family_without_exponents_has_none():
-    assert np.abs(layer_of("only", "int").synapses[0].weight).max() == 127
-
-
-def test_thresholds_of_readouts_are_out_of_reach_and_no_limit():
-    layer = layer_of("only")
-    assert (layer.threshold == NEVER).all()
-    assert not layer.spiking
-    few = layer_of("only", quantisation=Quantisation("channel", thresholds=1))
-    assert np.ptp(few.scale) > 0
-
-
 def test_a_scale_that_would_overflow_shrinks():
     # CubaLI with both leaks slow: a spike comes to about 1500 times itself on the membrane
     artifact = network("only")
@@ -105,34 +89,6 @@ def test_readouts_take_the_choices_of_quantisation(quantisation):
     wanted = FloatGraph(artifact).run(events())["output"]
     found = Machine(program, 3).infer(events())
     assert np.abs(found - wanted).max() < 0.25 * np.abs(wanted).max()
-
-
-def test_all_that_can_arrive_at_once_fits_the_accumulator():
-    # a reach of 64 net spikes would allow an exponent of 2; 300 equal weights leave none
-    nodes = [nir.Linear(np.ones((1, 300))), cubali(1, membrane=1 / 4096)]
-    wide = Artifact(chain(*nodes, width=300, act=1), None, Convention(DT, state="kept"))
-    (layer,) = compile_program(wide, chip("loihi1"), limits=False).layers
-    assert layer.synapses[0].weight.max() == 255
-    narrow = Artifact(
-        chain(nir.Linear(np.ones((1, 3))), nodes[1], width=3, act=1), None, wide.convention
-    )
-    assert compile_program(narrow, chip("loihi1")).layers[0].synapses[0].weight.max() == 255 << 2
-
-
-def test_a_clip_ratio_leaves_room_and_no_exponent_takes_it_back():
-    artifact = network("only")
-    half = Quantisation(tuned={"fast": Tuning(clip_ratio=0.5)})
-    one, other = (
-        compile_program(artifact, chip("loihi1"), each).layers[0] for each in (Quantisation(), half)
-    )
-    assert other.scale == pytest.approx(2 * one.scale)
-
-
-def test_proven_headroom_holds_for_readouts_that_leak_fast():
-    program = compile_program(network("same"), chip("loihi1"), Quantisation(headroom="proven"))
-    machine = Machine(program)
-    machine.infer(np.ones((1, 300, INPUTS), np.uint8))
-    assert machine.ledger.total("saturation") == 0
 
 
 @pytest.mark.parametrize("kind", ["only", "only I"])
@@ -183,7 +139,7 @@ def plainly_held(layer):
     return int(max(min(rooms), 0))
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("spiking", [False, True])
 def test_registers_hold_so_many_net_spikes_as_a_plain_loop_finds(seed, spiking):
     rng = np.random.default_rng(seed)
@@ -195,29 +151,6 @@ def test_registers_hold_so_many_net_spikes_as_a_plain_loop_finds(seed, spiking):
     found = held(layer)
     assert found == plainly_held(layer)
     assert found > 0
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_what_fits_to_the_last_unit_is_no_reason_to_speak(sign):
-    # without memory a spike of each axon arrives at once: 300 of 255, 64 state units each
-    weight, arriving = np.full((330, 1), sign * 255), 300 * 255 * 64
-    # what is 0, or of the other sign, takes nothing off
-    weight[300:315], weight[315:] = 0, -sign
-    # one unit more, and 299 are the most that still fit
-    for extra, number in ((0, None), (1, 299)):
-        pushed = whole(weight, voltage_bias=np.array([-sign * (LIMIT - arriving + extra)]))
-        assert held(pushed) == number
-
-
-def test_weights_of_both_signs_do_not_add_up():
-    both = np.array([[5000], [-5000]] * 20)
-    assert held(whole(both)) is None
-    assert held(whole(np.abs(both))) == LIMIT // (5000 * 64)
-
-
-def test_biases_that_fill_the_registers_leave_room_for_no_spike():
-    assert held(whole([[255]], voltage_bias=np.array([LIMIT + 1000]))) == 0
-    assert held(whole([[0]], voltage_bias=np.array([LIMIT + 1000]))) == 10**9
 
 
 def test_windows_that_end_bound_what_adds_up():
@@ -349,45 +282,6 @@ def test_a_readout_of_zeros_has_no_exponent():
     assert exponent_and_share(layer, LOIHI1, 1.0) == (0, 1.0)
     unbiased = replace(LOIHI1, bias_mantissa_max=0)
     assert exponent_and_share(layer, unbiased, 1.0) == (0, 1.0)
-
-
-@pytest.mark.parametrize(
-    ("name", "spiking", "looked_at"),
-    [
-        ("push", True, True),
-        ("current", True, True),
-        ("membrane", True, False),
-        ("membrane", False, True),
-    ],
-)
-def test_the_narrowest_register_that_is_not_reset_says_what_is_held(name, spiking, looked_at):
-    layer = whole([[255]], 4096, 2048, spiking)
-    narrow = replace(LOIHI1, **{name: NARROW})
-    peak = 1 if spiking else 2
-    limit = NARROW.limit if looked_at else LIMIT
-    sentence = describe_range(layer, narrow, None)
-    assert f" {limit // (255 * 64 * peak)} net spikes" in sentence
-
-
-def test_a_window_holds_so_many_arrivals_of_the_peak_of_one():
-    # a current of 1 halves, and a membrane without a leak comes to 2
-    layer, each = whole([[255]], 2048, 4096), 255 * 64 * 2
-    assert held(layer, LIMIT // each) is None
-    assert held(layer, LIMIT // each + 1) == LIMIT // each
-
-
-def test_a_neuron_without_weights_is_none_that_adds_up():
-    assert held(whole([[0, 255]], 0, 4096)) == LIMIT // (255 * 64)
-    assert held(whole([[0, 0]], 0, 4096)) is None
-
-
-def test_weights_of_one_count_in_state_units_of_one():
-    fine = replace(LOIHI1, mantissa_shift=0)
-    assert f" {LIMIT} net spikes" in describe_range(whole([[1]], 0, 4096), fine, None)
-
-
-def test_an_exponent_is_7_at_most():
-    assert LOIHI1.weight_exponent_max == 7
 
 
 def test_a_refractory_period_is_one_timestep_or_more():
