@@ -9,14 +9,14 @@ from spikedeploy import zoo
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import clock_on, compile_program
-from spikedeploy.runtime.convention import CLOCKS, Convention
+from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ChipError, ConventionError, RuleError
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import event_driven, popsan
-from tests.readouts import events, network
+from tests.readouts import network
 
 BACKENDS = ["interpreter", "numpy", "numba"]
 
@@ -43,13 +43,6 @@ def test_a_network_runs_in_its_own_clock_where_the_chip_has_it_and_else_free():
     assert clock_on(gated, chip("speck2f")) == "gated"
     with pytest.raises(RuleError, match="rule clock: speck2f advances its layers gated"):
         clock_on(replace(gated, clock="pipelined"), chip("speck2f"))
-
-
-def test_what_a_chip_is_not_known_to_do_is_called_an_assumption():
-    for clock in CLOCKS:
-        program = compile_program(popsan(), chip("loihi1"), clock=clock)
-        assumed = [r for r in program.remarks if "is an assumption" in r]
-        assert program.assumed_clock == bool(assumed) == (clock == "gated")
 
 
 def test_a_name_asks_for_a_clock_but_does_not_say_what_the_chip_can():
@@ -110,16 +103,6 @@ def test_the_float_twin_of_a_pipeline_equals_the_ideal_chip(build):
         for layer in program.spiking:
             spikes = machine.recordings[layer.name].spikes
             np.testing.assert_array_equal(spikes, expected[layer.name])
-
-
-def test_a_free_chip_with_kept_states_is_not_a_gated_one():
-    rows = events()
-    program = compile_program(network("second"), chip("ideal"), clock="gated")
-    one = ran(program, rows)[0]
-    free = compile_program(network("second"), chip("ideal:delay=1"), clock="free")
-    machine = Machine(free, len(rows))
-    other = np.concatenate([machine.infer(rows[:, t : t + 1]) for t in range(rows.shape[1])], 1)
-    assert not np.allclose(one, other)
 
 
 def test_a_free_chip_updates_every_neuron_until_the_last_layer_has_seen_the_last_row():

@@ -17,7 +17,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.families.cuba.neurons import sum_arriving
-from tests.networks import chain, cuba, popsan
+from tests.networks import chain, cuba
 from tests.programs import layer, random_programs, rasters
 
 CHIP = chip("loihi1")
@@ -57,28 +57,6 @@ def test_a_trace_worked_out_by_hand():
         assert ran["neuron"].current.ravel().tolist() == [0, 192, -176, -260, -195, -146, -109]
         assert ran["neuron"].membrane.ravel().tolist() == [0, 0, -176, -348, -369, -330, -274]
         assert ran["neuron"].spikes.ravel().tolist() == [0, 1, 0, 0, 0, 0, 0]
-
-
-def test_a_membrane_at_its_threshold_does_not_spike():
-    raster = np.array([[[1, 0], [0, 0]]], np.uint8)
-    assert not trace(one_neuron([2, 0]), raster)["neuron"].spikes.any()
-    assert trace(one_neuron([3, 0]), raster)["neuron"].spikes.any()
-
-
-def test_a_spike_leaves_the_current_alone():
-    raster = np.array([[[1, 0], [0, 0], [0, 0]]], np.uint8)
-    ran = trace(one_neuron([100, 0]), raster)["neuron"]
-    assert ran.current.ravel().tolist() == [0, 6400, 4800]
-    assert ran.spikes.ravel().tolist() == [0, 1, 1]
-    assert ran.membrane.ravel().tolist() == [0, 0, 0]
-
-
-def test_a_bias_acts_from_the_first_timestep_and_on_the_membrane_only():
-    ran = trace(one_neuron([0, 0], bias=100), np.zeros((1, 3, 2), np.uint8))["neuron"]
-    assert not ran.current.any()
-    # 100, then 50 + 100 > 128: spike, then 0 + 100
-    assert ran.membrane.ravel().tolist() == [100, 0, 100]
-    assert ran.spikes.ravel().tolist() == [0, 1, 0]
 
 
 def fitted(x, register):
@@ -190,13 +168,3 @@ def test_membranes_in_float_before_their_reset_say_which_neurons_spiked(reset):
     network = chain(*nodes, keeping, width=8, act=5)
     program = compile_program(Artifact(network, None, Convention(1e-3, reset)), chip("ideal"))
     check_before_reset(program, rasters(program, 2, 12, 0.4, seed=1)[0])
-
-
-def test_floats_overflow_nowhere_and_have_no_refractory_period():
-    program = compile_program(popsan(), chip("ideal"))
-    of = program.layers[0]
-    state = LayerState.zero(of, 2)
-    for row in rasters(program, 2, 9, 0.5, seed=0)[0].swapaxes(0, 1):
-        result = program.chip.arithmetic.update(program, of, [row], state)
-        assert not result.overflows.any()
-        assert not state.refractory.any()

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.interpreter import trace
-from spikedeploy.runtime.emulator.machine import CHUNK, Machine
+from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from tests.networks import popsan
 from tests.paths import GOLDEN
@@ -40,16 +40,6 @@ def check_same(one, other):
     assert one.ledger.timesteps == other.ledger.timesteps
 
 
-@settings(max_examples=40, deadline=None)
-@given(random_programs(), runs)
-def test_interpreted_inferences_equal_the_kernels_and_their_ledger(program, run):
-    fast = Machine(program, run[0], trace=True)
-    slow = Machine(program, run[0], trace=True, backend="interpreter")
-    for raster in rasters(program, *run, inferences=3):
-        np.testing.assert_array_equal(slow.infer(raster), fast.infer(raster))
-    check_same(slow, fast)
-
-
 @settings(max_examples=25, deadline=None)
 @given(random_programs(), runs)
 def test_interpreted_steps_equal_the_kernels_and_their_ledger(program, run):
@@ -68,14 +58,6 @@ def test_a_policy_with_a_delayed_readout_is_interpreted_to_the_same_bits(state):
     fast, slow = Machine(program, 2), Machine(program, 2, backend="interpreter")
     for raster in rasters(program, 2, 5, 0.3, seed=0, inferences=3):
         np.testing.assert_array_equal(slow.infer(raster), fast.infer(raster))
-
-
-def test_a_pool_of_interpreted_machines_keeps_one_ledger():
-    program = compile_program(popsan(hidden=(4, 3)), chip("loihi1"))
-    raster = rasters(program, CHUNK + 1, 3, 0.2, seed=1)[0]
-    fast, slow = Machine(program, None), Machine(program, None, backend="interpreter")
-    np.testing.assert_array_equal(slow.infer(raster), fast.infer(raster))
-    np.testing.assert_array_equal(slow.ledger.counts, fast.ledger.counts)
 
 
 @pytest.mark.parametrize("backend", ["numpy", "auto", "interpreter"])
@@ -121,11 +103,6 @@ def test_a_xylo_that_streams_shows_each_window_from_its_start_on():
             np.testing.assert_array_equal(output, traces["l3"].spikes[:, step - 2])
     assert [layer.start for layer in program.layers] == [0, 1, 2]
     assert traces["l3"].spikes.any()
-
-
-def test_an_unknown_backend_is_refused():
-    with pytest.raises(ConfigError, match="'numba', 'auto', 'interpreter'"):
-        Machine(compile_program(popsan(), chip("loihi1")), backend="gpu")
 
 
 def test_a_channel_of_xylo_takes_fifteen_events_in_a_timestep():

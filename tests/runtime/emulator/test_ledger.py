@@ -149,14 +149,6 @@ def test_streaming_writes_a_row_per_chip_timestep():
     assert ledger.counts[:, 0, EVENTS.index("neuron_idle")].tolist() == [2, 1, 1]
 
 
-def test_a_ledger_is_a_copy():
-    machine = Machine(program([[5, 0]]))
-    before = machine.ledger
-    machine.infer(np.ones((1, 3, 1), np.uint8))
-    assert before.inferences == 0
-    assert machine.ledger.inferences == 1
-
-
 def test_unknown_rows_are_refused():
     with pytest.raises(ConfigError, match="ledger 'some'"):
         LedgerBuilder(program([[5]]), "some")

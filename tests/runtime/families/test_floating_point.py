@@ -9,22 +9,15 @@ import pytest
 from spikedeploy import zoo
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.quantisation import PLAIN
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ChipError, RuleError
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFloat32
-from spikedeploy.runtime.families.cuba.neurons import sum_arriving
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, lif, popsan
 
 CHIP = chip("spinnaker2")
-
-
-def test_it_is_labelled_approximate():
-    assert "approximate" in CHIP.summary
-    assert "approximate" in CHIP.evidence
 
 
 def test_the_largest_weight_of_a_population_becomes_127_and_everything_else_follows():
@@ -106,11 +99,6 @@ def test_the_model_with_delays_has_weights_of_15_and_delays_of_7_at_most():
         compile_program(delayed(8), on)
 
 
-def test_an_impossible_width_is_refused():
-    with pytest.raises(ChipError, match="weight_bits is 1; choose 2 to 16"):
-        chip("spinnaker2", weight_bits=1)
-
-
 @pytest.mark.parametrize(
     ("weight", "threshold", "message"),
     [
@@ -137,17 +125,6 @@ def test_weights_have_two_to_sixteen_bits():
             CubaFloat32(bits)
 
 
-def test_what_arrives_is_added_up_in_float32():
-    layer = compile_program(popsan(), CHIP).layers[0]
-    rng = np.random.default_rng(0)
-    weight = rng.normal(size=(4000, layer.size)).astype(np.float32)
-    wide = replace(layer, synapses=(replace(layer.synapses[0], weight=weight),))
-    spikes = np.ones((1, len(weight)), np.uint8)
-    expected = layer.bias + spikes.astype(np.float32) @ weight
-    np.testing.assert_array_equal(sum_arriving(wide, [spikes]), expected)
-    assert (expected != (layer.bias + weight.astype(float).sum(axis=0)).astype(np.float32)).any()
-
-
 @pytest.mark.parametrize(("spikes", "fires"), [("reached", True), ("above", False)])
 def test_ideal_neurons_spike_at_their_threshold_where_the_convention_says_so(spikes, fires):
     nodes = nir.Linear(np.ones((2, 1))), nir.IF(np.full(2, 1000.0), np.array([1.0, 2.0]))
@@ -158,26 +135,6 @@ def test_ideal_neurons_spike_at_their_threshold_where_the_convention_says_so(spi
     found = trace(program, raster)["n2"].spikes
     np.testing.assert_array_equal(found, FloatGraph(artifact).run(raster)["n2"])
     assert bool(found[0, 0, 0]) == fires
-
-
-def test_the_largest_weight_of_all_sources_sets_the_scale():
-    artifact = popsan()
-    layer = compile_program(artifact, chip("ideal")).layers[0]
-    for factor in (0.0, 0.5, 2.0):
-        other = replace(layer.synapses[0], weight=factor * layer.synapses[0].weight)
-        both = replace(layer, synapses=(other, *layer.synapses))
-        network = replace(compile_program(artifact, chip("ideal")), layers=(both,))
-        (found,) = CHIP.arithmetic.quantise(network, PLAIN, "spinnaker2", None, limits=True)
-        most = max(int(np.abs(s.weight).max()) for s in found.synapses)
-        assert most == 127
-        largest = max(factor, 1.0) * np.abs(layer.synapses[0].weight).max()
-        assert found.scale == pytest.approx(largest / 127)
-    silent = replace(
-        layer, synapses=(replace(layer.synapses[0], weight=np.zeros((3, layer.size))),)
-    )
-    network = replace(network, layers=(silent,))
-    (found,) = CHIP.arithmetic.quantise(network, PLAIN, "spinnaker2", None, limits=True)
-    assert found.scale == 1.0
 
 
 def test_numbers_are_described_in_a_few_words():

@@ -71,10 +71,6 @@ def test_its_ledger_counts_what_it_did_and_what_overflowed():
     assert ran([[1, 0, 0]] * 2, weight_bits=5, membrane=5).ledger.total("saturation") == 3
 
 
-def test_its_fields_are_options_of_the_chip():
-    assert chip("toy:weight_bits=3,membrane=5-wrap").arithmetic.state_bits == (5,)
-
-
 def test_its_datasheet_has_a_row_beside_the_others():
     (row,) = chip_table([chip("toy")]).rows
     weights, membrane = "4 bits with the sign", "6 bits, saturates"

@@ -93,22 +93,6 @@ def test_without_the_queue_the_host_relays_and_check_says_so():
     assert not any("relayed" in remark for remark in compile_program(one, chip("odin")).remarks)
 
 
-def test_one_layer_is_the_same_with_the_queue_and_without():
-    network = Artifact(
-        chain(nir.Linear(np.eye(4)[:, :3] * 7), integrators(9, 9, 20, 5), width=3, act=4),
-        None,
-        Convention(1e-3),
-    )
-    rows = raster()[:, :, :3]
-    first, second = (
-        trace(compile_program(network, chip("odin", queue=queue)), rows)["n2"]
-        for queue in ("off", "on")
-    )
-    np.testing.assert_array_equal(first.membrane, second.membrane)
-    np.testing.assert_array_equal(first.spikes, second.spikes)
-    np.testing.assert_array_equal(first.active, second.active)
-
-
 def wide(neurons=40):
     """One input that makes all neurons spike at once, each onto one."""
     return Artifact(
@@ -133,15 +117,6 @@ def test_spikes_that_find_the_queue_full_are_lost_and_counted():
     # 31 times 7, from 0 to 42 at most
     assert machine.recordings["n4"].spikes.sum(axis=(0, 2)).tolist() == [5, 5, 5]
     assert Machine(compile_program(wide(), chip("odin"))).ledger.total("lost_spike") == 0
-
-
-def test_a_longer_queue_loses_none():
-    machine = Machine(compile_program(wide(), chip("odin", queue="on", queue_entries=41)))
-    machine.infer(np.ones((1, 3, 1), np.uint8))
-    assert machine.ledger.total("lost_spike") == 0
-    tiny = Machine(compile_program(wide(), chip("tinyodin", queue="on")))
-    tiny.infer(np.ones((1, 3, 1), np.uint8))
-    assert tiny.ledger.total("lost_spike") == 0
 
 
 def test_steps_are_the_timesteps_of_an_inference():

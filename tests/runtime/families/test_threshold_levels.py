@@ -21,6 +21,7 @@ def test_two_levels_part_the_thresholds_where_least_is_lost():
 def test_a_threshold_of_zero_counts_as_a_level():
     scale = share_thresholds(np.array([100.0, 110.0, 200.0]), np.array([1.0, 1.0, 0.0]), 2)
     assert scale.tolist() == [100.0, 100.0, 200.0]
+    assert share_thresholds(np.array([9.0, 5.0]), np.zeros(2), 1).tolist() == [9.0, 5.0]
 
 
 @settings(max_examples=50)
