@@ -1,6 +1,5 @@
 """Layers of LIF neurons on a rate code, as the karts' policies have them, on every rung."""
 
-
 import nir
 import numpy as np
 
