@@ -43,6 +43,18 @@ _AGREEMENT = (
     "actions_equal_to_ann",
     "first_divergence",
 )
+# field of a row -> of Costs
+_COSTS = {
+    **{f"{name}_per_inference": name for name in (
+        "spikes", "input_spikes", "sops", "bias_sops", "neuron_updates", "neuron_idle", "messages",
+    )},
+    **{name: name for name in (
+        "sparsity", "effective_acs", "effective_macs", "footprint", "footprint_packed",
+        "connection_sparsity", "saturations", "messages_placed",
+    )},
+    "macs_dense": "dense",
+    "macs_effective": "effective_macs",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -221,31 +233,15 @@ class Comparison:
         return {
             "clock": found.clock,
             **self._late(found.control_steps_late),
-            "sparsity": found.sparsity,
-            "spikes_per_inference": found.spikes,
-            "input_spikes_per_inference": found.input_spikes,
-            "sops_per_inference": found.sops,
-            "bias_sops_per_inference": found.bias_sops,
-            "effective_acs": found.effective_acs,
-            "effective_macs": found.effective_macs,
-            "macs_dense": found.dense,
-            "footprint": found.footprint,
-            "footprint_packed": found.footprint_packed,
-            "connection_sparsity": found.connection_sparsity,
+            **{name: getattr(found, field) for name, field in _COSTS.items()},
             "energy_per_inference_j": {name: each.value for name, each in energy.items()},
             "energy_interval_j": {name: [each.low, each.high] for name, each in energy.items()},
             "latency_per_inference_s": {name: each.value for name, each in latency.items()},
             "latency_interval_s": {name: [each.low, each.high] for name, each in latency.items()},
-            "saturations": found.saturations,
-            "macs_effective": found.effective_macs,
             "energy_zero_skipping_j": _by(tables, found.energy_zero_skipping_j),
             "energy_terms_j": terms,
             "energy_unknown": {n: [*each] for n, each in _by(tables, found.energy_unknown).items()},
             "energy_total_j": {name: found.total_j(name) for name in terms},
-            "neuron_updates_per_inference": found.neuron_updates,
-            "neuron_idle_per_inference": found.neuron_idle,
-            "messages_per_inference": found.messages,
-            "messages_placed": found.messages_placed,
             "messages_placed_j": _by(tables, found.messages_placed_j),
             "static_energy_j": static(chip, self.env, self.period),
             **_break_even(found, ann.costs if ann else None, tables),

@@ -136,15 +136,13 @@ class History:
 
     def undo(self) -> "History":
         """After undo."""
-        if not self.past:
-            return self
-        return History(self.past[-1], self.past[:-1], (self.now, *self.future))
+        *past, before = self.past or (self.now,)
+        return History(before, tuple(past), (self.now, *self.future)) if self.past else self
 
     def redo(self) -> "History":
         """After redo."""
-        if not self.future:
-            return self
-        return History(self.future[0], (*self.past, self.now), self.future[1:])
+        after, *future = self.future or (self.now,)
+        return History(after, (*self.past, self.now), tuple(future)) if self.future else self
 
 
 def _map_points(lines: tuple[Line, ...], to: Callable[[Point], Point | None]) -> tuple[Line, ...]:
@@ -226,63 +224,56 @@ def save_draft(draft: TrackDraft, path: Path) -> Path:
 
 
 def as_text(draft: TrackDraft) -> str:
-    """The JSON text of a draft, a row for each line."""
-    position = None if draft.start is None else _short(draft.start)
+    """The JSON text of a draft, a row for each line; integral numbers as such."""
+
+    def short(value: Any) -> Any:  # noqa: ANN401
+        if isinstance(value, tuple):
+            return [short(each) for each in value]
+        return int(value) if value == int(value) else value
+
+    def rows(lines: Sequence[Line]) -> str:
+        texts = [json.dumps(short(line)) for line in lines if line]
+        return "[\n    " + ",\n    ".join(texts) + "\n  ]" if texts else "[]"
+
+    position = None if draft.start is None else short(draft.start)
     start = {
         "position": position,
-        "spread": _short([draft.spread])[0],
-        "heading": _short(draft.heading),
+        "spread": short(draft.spread),
+        "heading": short(draft.heading),
     }
-    rows = [
-        f'"name": {json.dumps(draft.name)}',
-        f'"walls": {_rows(draft.walls)}',
-        f'"gates": {_rows(draft.gates)}',
-        f'"start": {json.dumps(start)}',
-    ]
-    if draft.sway:
-        rows.append(f'"sway": {json.dumps(_short([draft.sway])[0])}')
-    return "{\n  " + ",\n  ".join(rows) + "\n}\n"
-
-
-def _rows(lines: Sequence[Line]) -> str:
-    """A JSON list of the non-empty lines."""
-    rows = [json.dumps([_short(point) for point in line]) for line in lines if line]
-    return "[\n    " + ",\n    ".join(rows) + "\n  ]" if rows else "[]"
-
-
-def _short(numbers: Sequence[float]) -> list[float]:
-    """Numbers, integral ones as int."""
-    return [int(number) if number == int(number) else number for number in numbers]
+    members = {
+        "name": json.dumps(draft.name),
+        "walls": rows(draft.walls),
+        "gates": rows(draft.gates),
+        "start": json.dumps(start),
+        **({"sway": json.dumps(short(draft.sway))} if draft.sway else {}),
+    }
+    return "{\n  " + ",\n  ".join(f'"{name}": {text}' for name, text in members.items()) + "\n}\n"
 
 
 def _of_track(track: Track, name: str) -> TrackDraft:
-    return _from_tree(
-        {
-            "name": name,
-            "walls": [line.tolist() for line in track.polylines],
-            "gates": track.gates.tolist(),
-            "start": {
-                "position": track.start.tolist(),
-                "spread": track.spread,
-                "heading": track.heading,
-            },
-            "sway": track.sway,
-        }
+    return TrackDraft(
+        name,
+        (*(_line(line.tolist()) for line in track.polylines), ()),
+        tuple(map(_line, track.gates.tolist())),
+        _point(track.start.tolist()),
+        track.spread,
+        track.heading,
+        track.sway,
     )
 
 
 def _from_tree(tree: Mapping[str, Any]) -> TrackDraft:
     """The draft in the JSON that `as_text` makes."""
     start = tree["start"]
-    low, high = start["heading"]
     return TrackDraft(
-        name=str(tree["name"]),
-        walls=(*map(_line, tree["walls"]), ()),
-        gates=tuple(map(_line, tree["gates"])),
-        start=None if start["position"] is None else _point(start["position"]),
-        spread=_number(start["spread"]),
-        heading=(_number(low), _number(high)),
-        sway=_number(tree.get("sway", 0.0)),
+        str(tree["name"]),
+        (*map(_line, tree["walls"]), ()),
+        tuple(map(_line, tree["gates"])),
+        None if start["position"] is None else _point(start["position"]),
+        _number(start["spread"]),
+        _point(start["heading"]),
+        _number(tree.get("sway", 0.0)),
     )
 
 

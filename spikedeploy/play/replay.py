@@ -1,6 +1,7 @@
 """`spikedeploy replay`: episodes of a training as ghosts, or a recorded episode, also as a film."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
@@ -82,6 +83,7 @@ def _read(path: Path) -> Ghosts:
 
 def open_source(path: Path) -> Source:
     """The source in a run folder, a folder of ghost files, a ghost file or a rollout."""
+    files, name = [path], path.stem
     if path.is_dir():
         folder = path / "ghosts" if (path / "ghosts").is_dir() else path
         files, name = sorted(folder.glob("*.npz")), path.resolve().name
@@ -92,22 +94,18 @@ def open_source(path: Path) -> Source:
             )
     elif not path.is_file():
         raise ConfigError(f"{path}: no such run folder, ghost file or rollout")
-    elif "observation" in _array_names(path):
+    elif _is_rollout(path):
         played = Rollout.load(path)
-        return Source(path.stem, played.env_id, played.options, rollout=played)
-    else:
-        files, name = [path], path.stem
+        return Source(name, played.env_id, played.options, rollout=played)
     first = _read(files[0])
     return Source(name, first.env_id, first.options, files)
 
 
-def _array_names(path: Path) -> list[str]:
-    """The array names of a .npz file; empty for any other file, which its reader then refuses."""
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return list(getattr(archive, "files", []))
-    except Exception:  # zipfile, zlib and numpy raise their own exceptions for a broken file
-        return []
+def _is_rollout(path: Path) -> bool:
+    """True of an archive with observations; not of what is none, which its reader refuses."""
+    with suppress(Exception), np.load(path, allow_pickle=False) as archive:
+        return "observation" in getattr(archive, "files", [])
+    return False
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:

@@ -21,7 +21,6 @@ from spikedeploy.policies.nir import read_policy
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.metrics.energy import TABLES, energy_estimate
@@ -163,16 +162,17 @@ class ServedEpisode:
             answer["spikes"] = step.by_layer("spike_out")
         if "sops" in request.want:
             answer["sops"] = step.total("sop")
-        if "energy" in request.want:
-            answer["energy_j"] = {name: _energy(step, name) for name in self._tables}
+        if "energy" in request.want:  # the upper bound is null, for JSON, where there is none
+            found = {name: energy_estimate(step, TABLES[name]) for name in self._tables}
+            answer["energy_j"] = {
+                name: {
+                    "value": each.value,
+                    "low": each.low,
+                    "high": each.high if math.isfinite(each.high) else None,
+                }
+                for name, each in found.items()
+            }
         return answer
-
-
-def _energy(step: Ledger, table: str) -> dict[str, float | None]:
-    """Energy [J] of a step with its interval; the bound is null, for JSON, where there is none."""
-    found = energy_estimate(step, TABLES[table])
-    high = found.high if math.isfinite(found.high) else None
-    return {"value": found.value, "low": found.low, "high": high}
 
 
 class Clients:
@@ -185,8 +185,8 @@ class Clients:
 
     def __init__(self, policy: ServedPolicy, most: int, idle: float) -> None:
         self._policy, self._most, self._idle = policy, most, idle
-        self._episodes: dict[bytes, ServedEpisode] = {}
-        self._seen: dict[bytes, float] = {}
+        # client -> its episode, and when it was heard last
+        self._episodes: dict[bytes, tuple[ServedEpisode, float]] = {}
 
     def answer(self, client: bytes, request: Request, now: float) -> dict[str, Any]:
         """The reply to a request.
@@ -194,32 +194,27 @@ class Clients:
         client  its name, which the connection decides
         now     [s] of a clock that only goes forward
         """
-        for name in [name for name, seen in self._seen.items() if now - seen > self._idle]:
-            del self._episodes[name], self._seen[name]
+        kept = self._episodes.items()
+        self._episodes = {name: each for name, each in kept if now - each[1] <= self._idle}
         if request.do == "info":
             return self._policy.info()
         if request.do == "bye":
             self._episodes.pop(client, None)
-            self._seen.pop(client, None)
             return {}
-        if client not in self._episodes:
-            self._enter(client, request)
-        self._seen[client] = now
-        episode = self._episodes[client]
-        return episode.reset(request.seed) if request.do == "reset" else episode.act(request)
-
-    def _enter(self, client: bytes, request: Request) -> None:
-        if request.do != "reset":
+        known = self._episodes.get(client)
+        if known is None and request.do != "reset":
             raise RequestError(
                 f"no episode: send reset first; after {self._idle:g} s without a request it is "
                 "forgotten"
             )
-        if len(self._episodes) >= self._most:
+        if known is None and len(self._episodes) >= self._most:
             raise RequestError(
                 f"there are {self._most} clients already: try again when one has said bye or was "
                 f"idle for {self._idle:g} s"
             )
-        self._episodes[client] = self._policy.episode()
+        episode = known[0] if known else self._policy.episode()
+        self._episodes[client] = episode, now
+        return episode.reset(request.seed) if request.do == "reset" else episode.act(request)
 
 
 class PolicyServer:
