@@ -63,19 +63,14 @@ def policy(path):
     player.act(np.zeros(player.observed))
 
 
-def track(path):
-    """What karts drive on."""
-    track_file.load(path)
-
-
 def card(path):
-    """What `reproduce` takes from a card beside a policy."""
+    """Read what `reproduce` takes from a card beside a policy."""
     shutil.copyfile(zoo.FOLDER / "kart-steer/linear.onnx", path.parent / "linear.onnx")
     recorded(str(path), settings_of)
 
 
 def configuration(path):
-    """The configuration of a run folder."""
+    """Read the configuration of a run folder."""
     folder = path.parent / "run"
     folder.mkdir(exist_ok=True)
     shutil.copyfile(path, folder / "config.json")
@@ -83,34 +78,22 @@ def configuration(path):
     RunFolder(folder).config(PpoConfig)
 
 
-def training(path):
-    """Settings of a training."""
-    resolve(PpoConfig, "kart-grid-ann", file=path)
-
-
 def drive(path):
-    """Two drives of a kart as a ghost file."""
+    """Write two drives of a kart as a ghost file."""
     poses, reward = np.zeros((3, 3), np.float32), np.ones(2, np.float32)
     ghost = Ghost(poses, poses[:, 0], np.array([1, 2]), reward, True, False, 1)
     Ghosts("spikedeploy/KartSteer-v0", [ghost, ghost], {"track": "big_S"}).save(path)
 
 
 def walk(path):
-    """Two steps of a walk."""
+    """Write two steps of a walk."""
     numbers = {"x": np.zeros(2), "y": np.ones(2)}
     episode = (np.zeros((3, 4)), np.ones((2, 1)), np.ones(2), True, False, numbers)
     Rollout("spikedeploy/Hexapod-v0", 1, *episode, {"slope": 1}).save(path)
 
 
-def settings_file(path):
-    """Settings in TOML."""
-    path.write_text("steps = 1000\n[env]\ncount = 2\n[policy]\nhidden = [8, 8]\n")
-
-
-def configuration_file(path):
-    """The configuration of a run."""
-    path.write_text(resolve(PpoConfig, "kart-grid-ann", seed=0).model_dump_json())
-
+SETTINGS = "steps = 1000\n[env]\ncount = 2\n[policy]\nhidden = [8, 8]\n"
+CONFIG = resolve(PpoConfig, "kart-grid-ann", seed=0).model_dump_json()
 
 # name -> its sound file or what writes one, what reads it, its ending
 KINDS = {
@@ -122,10 +105,13 @@ KINDS = {
     "walk.rollout": (walk, Rollout.load),
     "lava.trace": (GOLDEN / "lava_I_bias.json", verify),
     "xylo.trace": (GOLDEN / "xylo_A_ff.json", verify),
-    "a.drawn.json": (Path(track_file.__file__).parent / "tracks/small_S.json", track),
+    "a.drawn.json": (track_file.FOLDER / "small_S.json", track_file.load),
     "card.json": (zoo.FOLDER / "kart-steer/linear.json", card),
-    "config.json": (configuration_file, configuration),
-    "settings.toml": (settings_file, training),
+    "config.json": (lambda path: path.write_text(CONFIG), configuration),
+    "settings.toml": (
+        lambda path: path.write_text(SETTINGS),
+        lambda path: resolve(PpoConfig, "kart-grid-ann", file=path),
+    ),
 }
 OF_JSON = [name for name in KINDS if name.endswith((".json", ".trace"))]
 OF_HDF5 = [name for name in KINDS if name.endswith(".nir")]
@@ -200,17 +186,12 @@ def test_any_value_in_a_json_file_is_read_or_refused(name, tmp_path_factory, dat
     refused_or_read(path, read)
 
 
-VALUES = {
-    "nan": lambda old: np.full(np.shape(old), np.nan),
-    "infinite": lambda old: np.full(np.shape(old), np.inf),
-    "negative": lambda old: np.full(np.shape(old), -1.0),
-    "tiny": lambda old: np.full(np.shape(old), 5e-324),
-    "huge": lambda old: np.full(np.shape(old), 1e300),
+# of the same shape, numbers; of another shape or type
+NUMBERS = (np.nan, np.inf, -1.0, 5e-324, 1e300, 1 << 62, 1j)
+OTHERS = {
     "empty": lambda old: np.zeros((0, *np.shape(old)[1:])),
     "flat": lambda old: np.zeros(max(np.size(old), 1)),
     "another axis": lambda old: np.zeros((1, *np.shape(old), 1)),
-    "whole": lambda old: np.full(np.shape(old), 1 << 62),
-    "complex": lambda old: np.full(np.shape(old), 1j),
     "text": lambda old: b"LIF",
 }
 
@@ -224,9 +205,11 @@ def test_any_array_of_a_network_is_read_or_refused(name, tmp_path_factory, data)
         names = []
         file.visit(names.append)
         chosen = data.draw(st.sampled_from(sorted(names)))
-        kind = data.draw(st.sampled_from(["missing", "renamed", *VALUES]))
-        old = file[chosen]
-        made = None if isinstance(old, h5py.Group) or kind not in VALUES else VALUES[kind](old[()])
+        kind = data.draw(st.sampled_from(["missing", "renamed", *NUMBERS, *OTHERS]))
+        old, made = file[chosen], None
+        if not isinstance(old, h5py.Group) and kind not in ("missing", "renamed"):
+            make = OTHERS.get(kind, lambda old: np.full(np.shape(old), kind))
+            made = make(old[()])
         if kind == "renamed":
             file.move(chosen, f"{chosen}x")
         else:

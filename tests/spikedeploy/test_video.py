@@ -7,13 +7,6 @@ import pytest
 from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.video import Pace, add_caption, mp4
-from tests import toy_stroll_env
-
-
-@pytest.fixture
-def stroll(monkeypatch, tmp_path):
-    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
-    return tmp_path
 
 
 def frames(path):

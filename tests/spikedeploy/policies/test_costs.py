@@ -16,6 +16,7 @@ from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import check as check_on
 from spikedeploy.runtime.emulator.ledger import state_count
+from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.metrics.energy import ON_CHIP, TABLES, TERMS, EnergyEstimate, mac_energy
 from spikedeploy.runtime.metrics.neurobench import dense_operations
 from tests import toy_stroll_env
@@ -34,19 +35,12 @@ def played(observations):
     return Rollout("x", 0, observations, np.zeros((count, 2)), blank, False, True, {})
 
 
-def rasters(path):
-    """Spikes of the encoder and of each layer for OBSERVATIONS, from the float graph."""
-    from spikedeploy.runtime.float_model import FloatGraph
-
-    artifact = load(path)
-    graph = FloatGraph(artifact)
+def test_spikes_sparsity_and_operations_are_those_of_the_rasters(snn):
+    artifact = load(snn)
+    graph, timesteps = FloatGraph(artifact), artifact.codec.timesteps
     encoded = artifact.codec.encode(OBSERVATIONS)
     trace = graph.run(encoded)
-    return encoded, [trace[name] for name in graph.spiking], artifact.codec.timesteps
-
-
-def test_spikes_sparsity_and_operations_are_those_of_the_rasters(snn):
-    encoded, layers, timesteps = rasters(snn)
+    layers = [trace[name] for name in graph.spiking]
     player = NirController(str(snn), "float")
     player.reset(0)
     player.replay(OBSERVATIONS)
@@ -214,19 +208,14 @@ def test_the_mapping_is_that_of_check():
     assert NirController(str(path), "float").cores is None
 
 
-def test_a_term_that_one_episode_does_not_know_is_unknown_in_the_mean():
-    one = Costs(energy_terms_j={"a": {"x": 1.0, "y": 0.0}}, energy_unknown={"a": ()})
-    other = Costs(energy_terms_j={"a": {"x": 4.0}}, energy_unknown={"a": ("y",)})
-    found = costs.mean([one, other], weights=[2, 1])
-    assert found.energy_terms_j == {"a": {"x": pytest.approx(2.0)}}
-    assert found.energy_unknown == {"a": ("y",)}
-
-
-def test_means_are_weighted_by_inferences_and_saturations_are_summed():
-    one = Costs(sops=10.0, saturations=1, energy_j={"a": EnergyEstimate(1.0, 0.5, 2.0)})
-    other = Costs(sops=40.0, saturations=2, energy_j={"a": EnergyEstimate(4.0, 2.0, math.inf)})
+def test_means_are_weighted_by_inferences_saturations_summed_and_unknown_terms_left_out():
+    one = Costs(sops=10.0, saturations=1, energy_j={"a": EnergyEstimate(1.0, 0.5, 2.0)},
+                energy_terms_j={"a": {"x": 1.0, "y": 0.0}}, energy_unknown={"a": ()})  # fmt: skip
+    other = Costs(sops=40.0, saturations=2, energy_j={"a": EnergyEstimate(4.0, 2.0, math.inf)},
+                  energy_terms_j={"a": {"x": 4.0}}, energy_unknown={"a": ("y",)})  # fmt: skip
     found = costs.mean([one, other], weights=[2, 1])
     assert found.sops == pytest.approx(20)
     assert found.energy_j == {"a": EnergyEstimate(2.0, 1.0, math.inf)}
-    assert found.saturations == 3
-    assert found.spikes is None
+    assert (found.saturations, found.spikes) == (3, None)
+    assert found.energy_terms_j == {"a": {"x": pytest.approx(2.0)}}
+    assert found.energy_unknown == {"a": ("y",)}

@@ -102,22 +102,15 @@ def test_a_readout_on_the_host_is_counted_there(world, tmp_path):
     assert on_chip.input_spikes == on_host.input_spikes > 0
 
 
-@pytest.mark.parametrize(
-    ("target", "way"),
-    [
-        ("loihi1", "2 neurons leave loihi1 .* reads from their registers"),
-        ("loihi2", "2 neurons leave loihi2 .* graded spikes"),
-        ("loihi1:membrane_output=none", "membranes do not leave loihi1, so the host integrates it"),
-    ],
-)
+@pytest.mark.parametrize(("target", "way"), [
+    ("loihi1", "2 neurons leave loihi1 .* reads from their registers"),
+    ("loihi2", "2 neurons leave loihi2 .* graded spikes"),
+    ("loihi1:membrane_output=none", "membranes do not leave loihi1, so the host integrates it"),
+    ("ideal", "^$"),
+])  # fmt: skip
 def test_a_program_says_where_its_readout_is_read(target, way, tmp_path):
-    program = compile_program(load(shipped(tmp_path)[1]), chip(target))
-    [remark] = [each for each in program.remarks if "leave" in each]
-    assert re.search(way, remark)
-
-
-def test_a_chip_that_rounds_nothing_says_nothing(tmp_path):
-    assert compile_program(load(shipped(tmp_path)[1]), chip("ideal")).remarks == ()
+    remarks = compile_program(load(shipped(tmp_path)[1]), chip(target)).remarks
+    assert re.search(way, " ".join(each for each in remarks if "leave" in each))
 
 
 def test_run_says_how_late_a_pipelined_policy_acts_in_control_steps_and_in_time(
