@@ -123,15 +123,12 @@ def _rounded(row: Mapping[str, float]) -> dict[str, str]:
     return {key: f"{value:.10g}" for key, value in row.items()}
 
 
-def draw_curve(metrics: Path, picture: Path, title: str) -> bool:
-    """Draw the returns of a metrics file as PNG, and operations where they are counted.
-
-    Return whether there are returns.
-    """
+def draw_curve(metrics: Path, picture: Path, title: str) -> None:
+    """Draw the returns of a metrics file, if any, as PNG, and operations where they are counted."""
     rows = read(metrics)
     steps = next(iter(rows[0]), None) if rows else None
     if steps is None or not any(name in row for row in rows for name in _CURVES):
-        return False
+        return
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
@@ -155,4 +152,3 @@ def draw_curve(metrics: Path, picture: Path, title: str) -> bool:
     with replacing(picture) as part:
         FigureCanvasAgg(figure)
         figure.savefig(part, format="png", dpi=120)
-    return True

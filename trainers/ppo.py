@@ -226,18 +226,12 @@ class RolloutBatch:
     advantage: Tensor
     target: Tensor
 
-    def __len__(self) -> int:
-        return len(self.advantage)
 
-    def minibatches(self, size: int) -> Iterator["RolloutBatch"]:
-        """Yield all steps once, shuffled, in minibatches of at least `size`."""
-        for chosen in torch.randperm(len(self)).tensor_split(max(1, len(self) // size)):
-            yield rows(self, chosen)
-
-
-def rows(batch: Any, chosen: Tensor) -> Any:  # noqa: ANN401 - of the same dataclass of tensors
-    """Return these rows of a dataclass of tensors."""
-    return type(batch)(*(getattr(batch, each.name)[chosen] for each in fields(batch)))
+def minibatches(batch: Any, count: int) -> Iterator[Any]:  # noqa: ANN401 - any such dataclass
+    """Yield all rows of a dataclass of tensors once, shuffled, in minibatches, at least one."""
+    columns = [getattr(batch, each.name) for each in fields(batch)]
+    for chosen in torch.randperm(len(columns[0])).tensor_split(max(1, count)):
+        yield type(batch)(*(column[chosen] for column in columns))
 
 
 def stacked(transitions: list[Transition]) -> Transition:
@@ -341,7 +335,8 @@ class PpoLearner(Learner):
         config, batch = self._config, self._assessed(stacked(transitions))
         found: list[dict[str, float]] = []
         for _ in range(config.epochs):
-            epoch = [self._update(part) for part in batch.minibatches(config.minibatch)]
+            count = len(batch.target) // config.minibatch
+            epoch = [self._update(part) for part in minibatches(batch, count)]
             found += epoch
             if 0 < config.target_kl < means(epoch)["kl"]:
                 break

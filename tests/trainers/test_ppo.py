@@ -16,6 +16,7 @@ from spikedeploy.trainers.ppo import (
     PpoLearner,
     RolloutBatch,
     advantages,
+    minibatches,
 )
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.train import train
@@ -226,7 +227,7 @@ def test_a_terminal_state_ends_the_return_and_truncation_does_not():
 def test_minibatches_hold_every_step_once():
     numbers = torch.arange(70.0)
     batch = RolloutBatch(*[numbers] * 6)
-    parts = list(batch.minibatches(32))
-    assert [len(part) for part in parts] == [35, 35]
+    parts = list(minibatches(batch, 70 // 32))
+    assert [len(part.target) for part in parts] == [35, 35]
     assert sorted(torch.cat([part.advantage for part in parts]).tolist()) == numbers.tolist()
     assert all(torch.equal(part.advantage, part.target) for part in parts)

@@ -8,7 +8,7 @@ the reset.
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,34 +18,20 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.cuba.numba_kernels import jit
+from spikedeploy.trainers.config import known
 
 Array = NDArray[np.floating[Any]]
 _LOW_PRECISION = (torch.bfloat16, torch.float16)
 
 
-@dataclass(frozen=True)
-class Surrogate:
-    """Surrogate derivative of a spike, as a function of membrane minus threshold.
-
-    name: key of `SURROGATES`
-    width: alpha of atan and slope of fast-sigmoid [1/membrane], half-width of rectangular
-        [membrane]
-    """
-
-    name: str
-    width: float
-
-    def __call__(self, excess: Tensor) -> Tensor:
-        """Return d spike / d membrane."""
-        return _SURROGATES[self.name][0](excess, self.width)
+Surrogate = Callable[[Tensor], Tensor]  # d spike / d membrane, of membrane minus threshold
 
 
-def _atan(excess: Tensor, alpha: float) -> Tensor:
+def _atan(excess: Tensor, width: float) -> Tensor:
     """Return the derivative of a scaled arctangent (Fang et al. 2021), as snnTorch's `atan`."""
-    # ds/dv = (alpha / 2) / (1 + (pi / 2 * alpha * (v - threshold))^2)
-    return (excess * (math.pi / 2 * alpha)).square_().add_(1).reciprocal_().mul_(alpha / 2)
+    # ds/dv = (alpha / 2) / (1 + (pi / 2 * alpha * (v - threshold))^2), the width is alpha
+    return (excess * (math.pi / 2 * width)).square_().add_(1).reciprocal_().mul_(width / 2)
 
 
 def _rectangular(excess: Tensor, width: float) -> Tensor:
@@ -54,13 +40,13 @@ def _rectangular(excess: Tensor, width: float) -> Tensor:
     return (excess.abs() < width).to(excess.dtype)
 
 
-def _fast_sigmoid(excess: Tensor, slope: float) -> Tensor:
+def _fast_sigmoid(excess: Tensor, width: float) -> Tensor:
     """Return the derivative of x / (1 + k |x|) (Zenke and Ganguli 2018), as snnTorch's."""
-    # ds/dv = 1 / (1 + k |v - threshold|)^2
-    return excess.abs().mul_(slope).add_(1).square_().reciprocal_()
+    # ds/dv = 1 / (1 + k |v - threshold|)^2, the width is k
+    return excess.abs().mul_(width).add_(1).square_().reciprocal_()
 
 
-_SURROGATES: dict[str, tuple[Callable[[Tensor, float], Tensor], float]] = {
+_SURROGATES: dict[str, tuple[Callable[..., Tensor], float]] = {
     "atan": (_atan, 2.0),
     "fast-sigmoid": (_fast_sigmoid, 25.0),
     "rectangular": (_rectangular, 0.5),
@@ -68,10 +54,13 @@ _SURROGATES: dict[str, tuple[Callable[[Tensor, float], Tensor], float]] = {
 
 
 def surrogate(name: str, width: float | None = None) -> Surrogate:
-    """Return a surrogate by name; width None takes that of its paper."""
-    if name not in _SURROGATES:
-        raise ConfigError(f"unknown surrogate '{name}': known: {', '.join(_SURROGATES)}")
-    return Surrogate(name, _SURROGATES[name][1] if width is None else width)
+    """Return the surrogate derivative of a spike, a function of membrane minus threshold.
+
+    width: alpha of atan and slope of fast-sigmoid [1/membrane], half-width of rectangular
+        [membrane]; None for that of its paper
+    """
+    function, usual = _SURROGATES[known(name, _SURROGATES, "surrogate")]
+    return partial(function, width=usual if width is None else width)
 
 
 def cuba_lif(

@@ -7,7 +7,7 @@ that the best is never worse on the validation seeds.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -37,7 +37,7 @@ from spikedeploy.trainers.config import (
 from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.env_batch import TRAINING_SEEDS
 from spikedeploy.trainers.policies import DeltaMlpPolicy, Policy
-from spikedeploy.trainers.ppo import CategoricalHead, advantages, clipped_gain, means, rows
+from spikedeploy.trainers.ppo import CategoricalHead, advantages, clipped_gain, means, minibatches
 from spikedeploy.trainers.progress import Journal
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder
 from spikedeploy.trainers.runner import Critic, Learner, Runner, adam, descend, set_rate
@@ -348,12 +348,6 @@ class Trials(Windows):
     counts: Tensor
     before: Tensor
 
-    def minibatches(self, size: int) -> Iterator["Trials"]:
-        """Yield all windows once, shuffled, in minibatches of about `size`."""
-        count = len(self.drawn)
-        for chosen in torch.randperm(count).tensor_split(max(1, round(count / size))):
-            yield rows(self, chosen)
-
 
 @dataclass(frozen=True)
 class Tiles:
@@ -535,7 +529,8 @@ class SparsePpoLearner(Learner):
         found: list[dict[str, float]] = []
         limit = 2 * self._config.target_kl
         for _ in range(self._config.epochs):
-            found += [self._update(part) for part in trials.minibatches(self._config.batch)]
+            count = round(len(trials.drawn) / self._config.batch)
+            found += [self._update(part) for part in minibatches(trials, count)]
             divergence = found[-1]["kl"]
             if divergence < limit / 4:
                 self.rate = min(self.rate * _FASTER, _RATES[1])

@@ -10,6 +10,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.distill.teachers import Teacher
 from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.ppo import minibatches
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.sparse.pool import Episodes, WalkPool
 from spikedeploy.trainers.sparse.ppo import (
@@ -140,7 +141,7 @@ def test_the_ratio_is_one_before_the_first_update(played):
     learner, pool, drawn, _ = played
     found = tiles(pool, 16, 4)
     trials = learner.trials(found, drawn, torch.randn(drawn.shape[:2]))
-    for part in trials.minibatches(3):
+    for part in minibatches(trials, 3):
         mean, _ = learner._replayed(part)
         again = learner.log_probability(mean, part.drawn)
         # matrix products of other batch sizes add in another order
