@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spikedeploy import files
-from spikedeploy.files import replacing, write_json
+from spikedeploy.files import read_json, replacing, write_json
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.versions import versions
 
@@ -101,14 +101,7 @@ class RunFolder:
 
     def settings(self) -> dict[str, Any]:
         """Return the configuration as written, for any algorithm."""
-        path = self.path / "config.json"
-        try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError) as error:
-            raise ConfigError(f"cannot read {path}: {error}") from error
-        if not isinstance(data, dict):
-            raise ConfigError(f"cannot read {path}: it holds no JSON object")
-        return data
+        return read_json(self.path / "config.json")
 
     def config(self, model: "type[C]") -> "C":
         """Return the configuration."""
