@@ -28,7 +28,7 @@ from spikedeploy.exporters import spiking_onnx
 from spikedeploy.exporters.check import LargestDifference, MismatchCounter, ParityCheck, batches
 from spikedeploy.exporters.spiking_onnx import OBSERVATION, OUTPUTS
 from spikedeploy.exporters.to_nir import SpikingPolicy, artifact
-from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.rate import Xorshift
@@ -107,85 +107,69 @@ class _ImplementationPair:
         chosen = ParityCheck(f"choices: {name}", not self.choices.differing, str(self.choices))
         return [spikes, ParityCheck(f"scores: {name}", within, gap), chosen]
 
+    def report(self, name: str) -> ParityCheck:
+        """Report a difference, such as that of float32, for information only."""
+        detail = f"{self.spikes}; largest difference of an action {self.actions.largest:.1e}"
+        if self.choices.compared:
+            detail += f"; choices: {self.choices}"
+        return ParityCheck(f"for information: {name}", True, detail)
+
 
 def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[ParityCheck]:
-    """Return the checks of the file on observations (n, obs)."""
-    if isinstance(policy, ChipSnnPolicy):
-        return _chip_checks(policy, path, observations)
-    if isinstance(policy, DeltaSnnPolicy):
-        return _episode_checks(policy, path, observations)
-    if not isinstance(policy, SpikingPolicy):
+    """Return the checks of the file on observations (n, obs).
+
+    Those of a policy with states are one episode, in their order: with one timestep per control
+    step it is one long inference.
+    """
+    if not isinstance(policy, SpikingPolicy | DeltaSnnPolicy):
         raise ConfigError(f"{path}: a policy of kind {policy.kind!r} has no spikes to compare")
     stated = load(path)
-    codec = _codec(stated, path)
-    graph, program = FloatGraph(stated), compiled(stated, chip("ideal"))
+    codec = stated.codec
+    if codec is None:
+        raise ArtifactError(f"{path} has no codec: it was written by another tool. Export again.")
+    is_chip, is_episode = isinstance(policy, ChipSnnPolicy), isinstance(policy, DeltaSnnPolicy)
+    on = policy.target if isinstance(policy, ChipSnnPolicy) else chip("ideal")
+    graph, program = FloatGraph(stated), compiled(stated, on)
     double, single = deepcopy(policy).double(), deepcopy(policy).float()
-    to_numpy, to_ideal, to_single = (_ImplementationPair() for _ in range(3))
-    for batch in batches(observations):
-        raster = codec.encode(batch)
-        by_numpy = _decode(codec, _by_numpy(graph, raster))
-        to_numpy.add(_by_torch(double, torch.from_numpy(batch)), by_numpy)
-        to_ideal.add(by_numpy, _decode(codec, _by_machine(program, raster)))
-        to_single.add(_by_torch(single, torch.from_numpy(batch).float()), by_numpy)
-    return [
-        *to_numpy.checks("torch = NumPy, float64"),
-        *to_ideal.checks("NumPy = compiled for `ideal`, float64"),
-        _report(to_single),
-    ]
+    compared = _COMPARED_ON_A_CHIP if is_chip else _COMPARED
+    pairs = [_ImplementationPair() for _ in compared]
+    for batch in [observations] if is_episode else batches(observations):
+        raster = codec.encode_episode(batch).swapaxes(0, 1) if is_episode else codec.encode(batch)
+        by_torch: Any = _by_steps if is_episode else _by_torch
+        seen = torch.from_numpy(batch)
+        found = {
+            "torch": by_torch(double, seen),
+            "float32": by_torch(single, seen.float()),
+            "numpy": _decode(codec, *_by_numpy(graph, raster), is_episode),
+            "chip": _decode(codec, *_by_machine(program, raster), is_episode),
+        }
+        for pair, (one, other, _) in zip(pairs, compared, strict=True):
+            pair.add(found[one], found[other])
+    checks = []
+    for pair, (*_, name) in zip(pairs, compared, strict=True):
+        name = name.format(chip=on.name)
+        checks += [pair.report(name)] if " against " in name else pair.checks(name)
+    return checks
 
 
-def _chip_checks(
-    policy: ChipSnnPolicy, path: Path, observations: NDArray[np.float64]
-) -> list[ParityCheck]:
-    """Return the checks of a policy in the integers of a chip, on observations (n, obs)."""
-    stated = load(path)
-    codec = _codec(stated, path)
-    graph, program = FloatGraph(stated), compiled(stated, policy.target)
-    double, single = deepcopy(policy).double(), deepcopy(policy).float()
-    to_chip, to_single, to_float = (_ImplementationPair() for _ in range(3))
-    for batch in batches(observations):
-        raster = codec.encode(batch)
-        by_machine = _decode(codec, _by_machine(program, raster))
-        to_chip.add(_by_torch(double, torch.from_numpy(batch)), by_machine)
-        to_single.add(_by_torch(single, torch.from_numpy(batch).float()), by_machine)
-        to_float.add(_decode(codec, _by_numpy(graph, raster)), by_machine)
-    chip_name = policy.target.name
-    return [
-        *to_chip.checks(f"torch = compiled for `{chip_name}`, integers"),
-        _report(to_single, f"torch with a float32 encoder against `{chip_name}`"),
-        _report(to_float, f"NumPy float64 of the file against `{chip_name}`"),
-    ]
-
-
-def _episode_checks(
-    policy: DeltaSnnPolicy, path: Path, observations: NDArray[np.float64]
-) -> list[ParityCheck]:
-    """Return the same checks of a policy with states, on observations (S, obs) in their order.
-
-    One timestep per control step, so that the episode is one long inference.
-    """
-    stated = load(path)
-    codec = _codec(stated, path)
-    raster = codec.encode_episode(observations).swapaxes(0, 1)
-    by_numpy = _episode(codec, _by_numpy(FloatGraph(stated), raster))
-    by_ideal = _episode(codec, _by_machine(compiled(stated, chip("ideal")), raster))
-    pairs = _ImplementationPair(), _ImplementationPair(), _ImplementationPair()
-    pairs[0].add(_by_steps(deepcopy(policy).double(), observations), by_numpy)
-    pairs[1].add(by_numpy, by_ideal)
-    pairs[2].add(_by_steps(deepcopy(policy).float(), observations), by_numpy)
-    return [
-        *pairs[0].checks("torch = NumPy, float64"),
-        *pairs[1].checks("NumPy = compiled for `ideal`, float64"),
-        _report(pairs[2]),
-    ]
+# pairs of implementations: those that equal, and those whose difference is reported
+_COMPARED = (
+    ("torch", "numpy", "torch = NumPy, float64"),
+    ("numpy", "chip", "NumPy = compiled for `{chip}`, float64"),
+    ("float32", "numpy", "torch float32 against NumPy float64"),
+)
+_COMPARED_ON_A_CHIP = (
+    ("torch", "chip", "torch = compiled for `{chip}`, integers"),
+    ("float32", "chip", "torch with a float32 encoder against `{chip}`"),
+    ("numpy", "chip", "NumPy float64 of the file against `{chip}`"),
+)
 
 
 @torch.no_grad()
-def _by_steps(policy: DeltaSnnPolicy, observations: NDArray[np.float64]) -> _PolicyOutput:
-    """Return what a policy in torch does in the control steps of an episode."""
+def _by_steps(policy: DeltaSnnPolicy, observations: Tensor) -> _PolicyOutput:
+    """Return what a policy in torch does in the control steps (S, obs) of an episode."""
     state = policy.rest(1)
-    seen = torch.from_numpy(observations).to(policy.action_bias.dtype)
-    rows = [policy.advance(observation[None], state) for observation in seen]
+    rows = [policy.advance(observation[None], state) for observation in observations]
     mean, events, hidden = (torch.cat(column) for column in zip(*rows, strict=True))
     live = live_neurons(policy)
     spikes: Spikes = {"input": event_channels(policy, events.numpy())[None]}
@@ -194,22 +178,6 @@ def _by_steps(policy: DeltaSnnPolicy, observations: NDArray[np.float64]) -> _Pol
     if policy.head == "continuous":
         return _PolicyOutput(spikes, _numbers(torch.tanh(mean)), None)
     return _PolicyOutput(spikes, _numbers(mean), mean.argmax(-1).numpy())
-
-
-def _report(
-    pair: _ImplementationPair, name: str = "torch float32 against NumPy float64"
-) -> ParityCheck:
-    """Report a difference, as that of float32, for information only."""
-    detail = f"{pair.spikes}; largest difference of an action {pair.actions.largest:.1e}"
-    if pair.choices.compared:
-        detail += f"; choices: {pair.choices}"
-    return ParityCheck(f"for information: {name}", True, detail)
-
-
-def _codec(stated: Artifact, path: Path) -> Codec:
-    if stated.codec is None:
-        raise ArtifactError(f"{path} has no codec: it was written by another tool. Export again.")
-    return stated.codec
 
 
 @torch.no_grad()
@@ -251,13 +219,10 @@ def _by_machine(program: Program, raster: NDArray[np.uint8]) -> tuple[Spikes, Nu
     return {"input": raster, **spikes}, output
 
 
-def _episode(codec: Codec, found: tuple[Spikes, Numbers]) -> _PolicyOutput:
-    """Return the output (1, S, act) of an episode with one timestep per control step, decoded."""
-    return _decode(codec, (found[0], found[1].swapaxes(0, 1)))
-
-
-def _decode(codec: Codec, found: tuple[Spikes, Numbers]) -> _PolicyOutput:
-    spikes, numbers = found
+def _decode(codec: Codec, spikes: Spikes, numbers: Numbers, is_episode: bool) -> _PolicyOutput:
+    """Return spikes and decoded actions; of an episode, each of its timesteps is one."""
+    if is_episode:
+        numbers = numbers.swapaxes(0, 1)
     if not codec.chooses:
         return _PolicyOutput(spikes, codec.decode(numbers), None)
     return _PolicyOutput(spikes, codec.scores(numbers).astype(np.float64), codec.decode(numbers))

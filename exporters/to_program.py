@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 import re
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -28,6 +29,11 @@ from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.programs import program_record
 from spikedeploy.runtime.traces.verify import QUANTITIES
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
 MARK = "spikedeploy export --to program"
 PROGRAM, EXPECTED, EPISODE, README, HOST = (
@@ -64,68 +70,15 @@ class ChipTool:
     delay: int = 0
 
 
-_LAVA = ChipTool(
-    "run_lava.py",
-    "lava",
-    "python3.10 -m venv lava && lava/bin/pip install lava-nc==0.10.0",
-    "lava's simulator of fixed-point neurons (Loihi1SimCfg, Loihi2SimCfg); Python 3.10 alone",
-    "It is a Loihi 2, and needs Intel's `lava-loihi` beside lava-nc, which members of its research "
-    "community (INRC) get, on a host of the community's cloud; the variables are your site's.",
-    "SLURM=1 LOIHI_GEN=N3C1 lava/bin/python run_lava.py --board --steps 5",
-    "board-loihi.md",
-)
-_NENGO = ChipTool(
-    "run_nengo_loihi.py",
-    "nengo-loihi",
-    "python3 -m venv nengo && nengo/bin/pip install nengo-loihi==1.1.0 nengo==4.1.0",
-    "nengo-loihi's emulator (target sim)",
-    "It is a Loihi 1, and needs NxSDK 0.9 or 1.0, which Intel gives to members of its research "
-    "community (INRC), in the same environment.",
-    "nengo/bin/python run_nengo_loihi.py --board --steps 5",
-    "board-loihi.md",
-    delay=1,
-)
-_XYLO = ChipTool(
-    "run_xylo.py",
-    "xylo",
-    "python3 -m venv xylo && xylo/bin/pip install xylosim==0.1.3 numpy",
-    "xylosim, SynSense's simulator (--sim), which is built from source: it needs a C++ compiler",
-    "It needs Rockpool and samna, which installs itself from SynSense's server when it is first "
-    "imported. Rockpool 3.1.0 zeroes the states of a Xylo Audio 2, not those of xylo-a3 and "
-    "xylo-imu: policies that need it run there with --sim alone.",
-    """xylo/bin/pip install "rockpool[xylo]==3.1.0"
-xylo/bin/python -c "import samna"
-xylo/bin/python run_xylo.py --steps 5""",
-    "board-xylo.md",
-)
+def script(name: str) -> str:
+    """The text of a file in exporters/kit/."""
+    return (files("spikedeploy.exporters") / "kit" / name).read_text(encoding="utf-8")
+
+
 TOOLS = {
-    "loihi1": _LAVA,
-    "loihi2": _LAVA,
-    "loihi1-nengo": _NENGO,
-    "xylo-a2": _XYLO,
-    "xylo-a3": _XYLO,
-    "xylo-imu": _XYLO,
-    "speck2f": ChipTool(
-        "run_sinabs.py",
-        "sinabs",
-        "python3 -m venv speck && speck/bin/pip install --no-deps sinabs==3.1.3 nirtorch==2.6 pbr "
-        "&& speck/bin/pip install 'torch<2.14' nir==1.0.8 numpy",
-        "sinabs' layers, which need no samna",
-        "It needs samna, which installs itself from SynSense's server when it is first imported.",
-        """speck/bin/pip install sinabs==3.1.3
-speck/bin/python -c "import samna"
-speck/bin/python run_sinabs.py --board --steps 5""",
-        "board-speck.md",
-    ),
-    "spinnaker2": ChipTool(
-        "run_spinnaker2.py",
-        "py-spinnaker2",
-        "python3 -m venv s2 && s2/bin/pip install git+https://gitlab.com/spinnaker2/py-spinnaker2",
-        "its Brian2 back-end (--sim); not run by us: the package is not on PyPI",
-        "It needs the address of the board's Ethernet.",
-        "S2_IP=192.168.1.2 s2/bin/python run_spinnaker2.py",
-        "board-spinnaker2.md",
-    ),
+    chip: ChipTool(name=name, **tool)
+    for name, tool in tomllib.loads(script("tools.toml")).items()
+    for chip in tool.pop("chips")
 }
 
 
@@ -137,11 +90,6 @@ def tool_of(chip_name: str) -> ChipTool:
             f"{', '.join(TOOLS)}. Choose one of them with --chip."
         )
     return TOOLS[chip_name]
-
-
-def script(name: str) -> str:
-    """The text of a file in exporters/kit/."""
-    return (files("spikedeploy.exporters") / "kit" / name).read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,8 +79,8 @@ def drift(
     from spikedeploy.reports.page import FILES, is_page_of, write_page
     from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.chips.chip import chip as datasheet
-    from spikedeploy.shipping.export_c import chip_of
     from spikedeploy.shipping.exported_run import runnable, trained_in
+    from spikedeploy.shipping.sources import chip_of
 
     env = env or trained_in(file)
     path = network_path(runnable(file))

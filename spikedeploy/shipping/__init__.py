@@ -3,12 +3,13 @@
 An exported file is read back and compared with its policy before anything else uses it.
 
 exported_run    a run folder as its exported file, written where it is missing or old
+sources         the file of a policy, its chip, observations of an episode
 export_run      a run's policy as a file, compared with the policy on recorded observations
 export_c        a policy as C, of a chip or with 8-bit weights, with what it takes
 export_file     a network as NIR for another tool, one step in ONNX, a Xylo's specification
 export_program  a policy as the kit of a chip: its integers, what is expected, a script
 publish_run     an exported policy in the zoo, with its card, learning curve and evaluation
-cards           the card of a shipped policy: its page, what it and reports record
+cards           evaluations that cards and reports record; the page of a card, from templates/
 reproduce       an evaluation made again, number by number
 run_card        the card and pictures of a run folder
 training_films  films of a run while it is trained

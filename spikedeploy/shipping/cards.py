@@ -22,6 +22,7 @@ from spikedeploy.outputs import check_output
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import BUILT_IN, FLOAT, find
 from spikedeploy.reports.columns import markdown_tables
+from spikedeploy.reports.table import escape_markdown
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.faults import NONE, Faults
 from spikedeploy.schema import validated
@@ -93,43 +94,31 @@ def evaluation_fields(file: str, seeds: range, rows: Sequence[Row]) -> dict[str,
 
 def markdown(name: str, record: Mapping[str, Any]) -> str:
     """The page: provenance, evaluation, parity, learning curve."""
-    checks = [
-        f"- {'✓' if c['passed'] else '✗'} {c['name']}: {c['detail']}" for c in record["parity"]
-    ]
-    lines = [*_head(name, record), "", "## Evaluation", "", markdown_tables(record["evaluation"])]
-    lines += ["## Parity of the file with the trained policy", "", *checks, ""]
-    lines += ["## Learning curve", "", f"![learning curve]({name}.png)", ""]
-    return "\n".join(lines)
+    checkpoint = record["checkpoint"]
+    return fill(
+        "card",
+        name=name,
+        record=record,
+        kinds=KINDS,
+        level=checkpoint.removeprefix(LEVEL) if checkpoint.startswith(LEVEL) else "",
+        tables=markdown_tables(record["evaluation"]),
+    )
 
 
-def _head(name: str, record: Mapping[str, Any]) -> list[str]:
-    """The first lines of the page: its name and the facts."""
-    facts = {
-        "what": KINDS[record["kind"]],
-        "environment": record["env"],
-        "made by": ", then ".join(f"`{training_command(r)}`" for r in [*record["before"], record]),
-        "checkpoint": _checkpoint(record["checkpoint"]),
-        record["steps_unit"]: _steps(record),
-        "commit": record["commit"] or "unknown",
-        "exported": record["created"],
-        "evaluated on": f"{record['evaluation'][0]['episodes']} episodes, seeds from 10000 up",
-    } | ({"note": record["note"]} if record["note"] else {})
-    return [f"# {name}", "", *(f"- {key}: {value}" for key, value in facts.items())]
+def fill(template: str, **values: object) -> str:
+    """The Markdown of a template; lines that nothing fills leave no gap."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
 
-
-def _checkpoint(name: str) -> str:
-    """A checkpoint, and what it is of where its name does not say it."""
-    operations = name.removeprefix(LEVEL)
-    if operations == name:
-        return name
-    return f"{name}, the best of those pruned to {float(operations):g} operations a control step"
-
-
-def _steps(record: Mapping[str, Any]) -> str:
-    """Steps of the training, and of the one that it began with."""
-    starts = [r for r in record["before"] if r["gives"] == "start"]
-    after = "".join(f", after {r['steps']:,} {r['steps_unit']} by imitation" for r in starts)
-    return f"{record['steps']:,}{after}"
+    made = Environment(
+        loader=PackageLoader(__package__),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    made.globals.update(command=training_command, json=json.dumps)
+    made.filters.update(plain=escape_markdown, quote=shlex.quote)
+    return made.get_template(f"{template}.md.j2").render(values)
 
 
 # What a card or report must have, checked before anything of it is used.
@@ -403,10 +392,11 @@ def check_rewritable(card: Path, force: bool = False) -> None:
     record = read_json(card)
     validated(_Page, record, card, _REMEDY)
     try:
-        first = _head(card.stem, record)[:4]  # its name, what it is, and its environment
+        training_command(record)
     except (KeyError, ValueError) as error:
         raise ConfigError(f"{card}: its 'overrides' do not say how it was trained") from error
-    page = card.with_suffix(".md")
+    page, what = card.with_suffix(".md"), f"- what: {KINDS[record['kind']]}"
+    first = [f"# {card.stem}", "", what, f"- environment: {record['env']}"]
     check_output("--update", page, (card,), force, lambda path: _begins(path, first))
 
 

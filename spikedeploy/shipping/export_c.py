@@ -6,39 +6,41 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
-from spikedeploy import envs, zoo
-from spikedeploy.console import say
-from spikedeploy.envs.rollout import rollout
+from spikedeploy import zoo
 from spikedeploy.errors import ConfigError
-from spikedeploy.exporters.c.int8 import Int8Mlp, quantise, read_onnx
+from spikedeploy.exporters.c.int8 import quantise, read_onnx
 from spikedeploy.exporters.c.packaging import MAKEFILE, MARK, RECORD, file_names, write_texts
 from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.exporters.c.to_c import mlp_in_c, policy_in_c
-from spikedeploy.make_env import make_env
 from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.policies.onnx import OnnxController
-from spikedeploy.policies.registry import DEFAULT_CHIP
-from spikedeploy.runtime.artifact.artifact import Artifact, load
-from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.convention import CLOCKS
-from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.seeds import VALIDATION
+from spikedeploy.shipping.sources import (
+    Observations,
+    chip_of,
+    episode_of,
+    is_ours,
+    nir_file,
+    observations_of,
+    policy_file,
+    world_of,
+)
 
 _INT8_STEPS = 200  # of the self-test of a float policy
 
 
 @dataclass(frozen=True)
-class WrittenC:
-    """A folder of C.
+class WrittenFolder:
+    """A folder that an export wrote.
 
     folder: with the files.
     names: of the files.
-    facts: memory and operations, or the largest difference of an action; as data.
+    facts: what there is to know of it, as data.
     lines: the same for a terminal.
     """
 
@@ -59,7 +61,7 @@ def export_c(
     observations: int = 1000,
     prefix: str = "policy",
     force: bool = False,
-) -> WrittenC:
+) -> WrittenFolder:
     """Write a policy as C: a spiking one of a chip, a float one with 8-bit weights.
 
     policy: .nir or .onnx file, shipped policy, run folder, its name under runs/, or "last".
@@ -79,9 +81,8 @@ def export_c(
                 f"--to c: {policy} is a float network, whose C is of no chip; leave --chip out."
             )
         check_prefix(prefix)
-        check_output_folder(
-            "-o", folder, file_names(prefix, spiking=False), (file, policy), force, is_export
-        )
+        names = file_names(prefix, spiking=False)
+        check_output_folder("-o", folder, names, (file, policy), force, is_export)
         return _write_float(file, folder, observations, prefix)
     file = nir_file(policy, "c")
     artifact = load(file)
@@ -92,17 +93,14 @@ def export_c(
             f"{policy} has no codec (observation to spikes), and C of it could not be asked for "
             "actions. Give it one with `spikedeploy run --from`; docs/own-network.md has it."
         )
-    names = file_names(prefix)
-    check_output_folder("-o", folder, names, (file, policy), force, is_export)
+    check_output_folder("-o", folder, file_names(prefix), (file, policy), force, is_export)
     # software updates a layer when it is told to, whatever the chip can; its options come first
     clock, software = on.clock or own_clock(artifact.convention), replace(on, clocks=CLOCKS)
     program = compile_program(artifact, software, clock=clock)
     seen, source = episode_of(artifact, on, observations, world_of(policy, artifact))
     files = policy_in_c(program, artifact.codec, seen, f"{_origin(file)}, on {chip_name}", prefix)
     write(files.text, folder, prefix)
-    costs = files.costs
-    facts = {"costs": asdict(costs), "recorded": source, "remarks": list(program.remarks)}
-    without = files.without_int16
+    costs, without = files.costs, files.without_int16
     lines = (
         f"constants (ROM)        {costs.rom:,} bytes, and the code, with short rows of weights",
         f"variables (RAM)        {costs.ram:,} bytes, and the stack",
@@ -117,16 +115,27 @@ def export_c(
         f"wrote {folder}: {', '.join(files.text)}",
         f"compare with the interpreter: make -C {folder} test",
     )
-    return WrittenC(folder, tuple(files.text), {**facts, "int16": not without}, lines)
+    facts = {"costs": asdict(costs), "recorded": source, "remarks": list(program.remarks)}
+    return WrittenFolder(folder, tuple(files.text), {**facts, "int16": not without}, lines)
 
 
-def _write_float(file: Path, folder: Path, observations: int, prefix: str) -> WrittenC:
+def _write_float(file: Path, folder: Path, observations: int, prefix: str) -> WrittenFolder:
     """Write the C of an ONNX file, and compare its actions with the float network's."""
     controller, network = OnnxController(file), quantise(read_onnx(file))
-    seen, source = _float_episode(controller, network, observations)
+    scales = network.observations
+
+    def walk() -> Observations:
+        middle, half = (scales.low + scales.high) / 2, (scales.high - scales.low) / 2
+        steps = np.random.default_rng(0).normal(0, 0.05, (observations, len(half)))
+        drift = np.clip(np.cumsum(steps, axis=0), -0.75, 0.75)
+        return np.asarray((middle + half * drift) / 2.0**scales.exponent)
+
+    named = controller.metadata.get("env", "")
+    where, size = named if is_ours(named) else "", len(scales.exponent)
+    seen, source = observations_of(lambda: controller, where, size, observations, walk)
     texts = mlp_in_c(network, seen[:_INT8_STEPS], f"{_origin(file)}, in 8-bit weights", prefix)
     write(texts, folder, prefix)
-    found = network.floats(network.act(network.observations.quantise(seen)))
+    found = network.floats(network.act(scales.quantise(seen)))
     apart = np.abs(found - np.asarray(controller.replay(seen)).reshape(found.shape))
     largest = float((apart > 0).mean() if network.chooses else apart.max())
     facts = {"weights": network.weights, "largest_difference": largest, "recorded": source}
@@ -138,37 +147,11 @@ def _write_float(file: Path, folder: Path, observations: int, prefix: str) -> Wr
         f"wrote {folder}: {', '.join(texts)}",
         f"compare with the specification in Python: make -C {folder} test",
     )
-    return WrittenC(folder, tuple(texts), facts, lines)
+    return WrittenFolder(folder, tuple(texts), facts, lines)
 
 
 def _origin(file: Path) -> str:
     return f"{zoo.called(str(file))}, sha256 {zoo.sha256(file)[:16]}"
-
-
-def policy_file(policy: str) -> Path:
-    """The file of a policy; that of a run is exported first."""
-    from spikedeploy.shipping.exported_run import runnable
-
-    file = zoo.resolve(policy)
-    return Path(runnable(policy)) if file is None or file.is_dir() else file
-
-
-def nir_file(policy: str, to: str) -> Path:
-    """The `.nir` file of a policy; ConfigError where it does not spike."""
-    file = policy_file(policy)
-    if file.suffix == ".nir" and file.is_file():
-        return file
-    if file.suffix in zoo.SUFFIXES and not file.is_file():
-        raise ConfigError(f"--to {to}: there is no file {policy}")
-    raise ConfigError(
-        f"--to {to}: {policy} is no spiking policy; only .nir files can be taken, and runs that "
-        "make one."
-    )
-
-
-def chip_of(artifact: Artifact) -> str:
-    """The chip on which a policy runs where none is named: that of its training, or the default."""
-    return artifact.trained_for or DEFAULT_CHIP
 
 
 def is_export(folder: Path) -> bool:
@@ -186,61 +169,3 @@ def write(texts: Mapping[str, str], folder: Path, prefix: str) -> None:
     for name in set(file_names(prefix)) - set(texts):
         if not (path := folder / name).is_symlink() and marked(path, MARK):
             path.unlink()
-
-
-def world_of(policy: str, artifact: Artifact) -> str:
-    """The environment that a run was trained in, else one of ours that the file names.
-
-    A run folder is the user's, and its environment is imported; what a file names is not.
-    """
-    from spikedeploy.shipping.exported_run import trained_in
-
-    named = artifact.provenance.env if artifact.provenance else ""
-    return trained_in(policy) or (named if _is_ours(named) else "")
-
-
-def episode_of(
-    artifact: Artifact, on: Chip | None, count: int, where: str
-) -> tuple[NDArray[np.float64], str]:
-    """Observations (S, obs) of an episode in an environment, and where they come from in words."""
-    codec = artifact.codec
-    if codec is None:
-        raise TypeError("an artifact without a codec has no observations")
-    env = make_env(where, {}) if where else None
-    if env is not None and env.observation_space.shape == (codec.encoder.observed,):
-        return _play(env, SpikingController(artifact, on, "none"), count, where)
-    named = (artifact.provenance.env if artifact.provenance else "") or "no environment"
-    say(f"{named} cannot be played here: a random walk stands for it; name the run to play it")
-    steps = np.random.default_rng(0).normal(0, 0.2, (count, len(codec.normaliser.mean)))
-    walk = np.clip(np.cumsum(steps, axis=0), -3, 3)
-    return walk * codec.normaliser.std + codec.normaliser.mean, f"{count} steps of a random walk"
-
-
-def _float_episode(
-    controller: OnnxController, network: Int8Mlp, count: int
-) -> tuple[NDArray[np.float64], str]:
-    """The same of a float policy: in its environment if that is ours, else a random walk."""
-    where = controller.metadata.get("env", "")
-    if _is_ours(where):
-        return _play(make_env(where, {}), controller, count, where)
-    scales = network.observations
-    middle, half = (scales.low + scales.high) / 2, (scales.high - scales.low) / 2
-    steps = np.random.default_rng(0).normal(0, 0.05, (count, len(half)))
-    walk = middle + half * np.clip(np.cumsum(steps, axis=0), -0.75, 0.75)
-    return walk / 2.0**scales.exponent, f"{count} steps of a random walk"
-
-
-def _play(
-    env: gymnasium.Env[Any, Any],
-    controller: SpikingController | OnnxController,
-    count: int,
-    where: str,
-) -> tuple[NDArray[np.float64], str]:
-    played = rollout(env, controller, VALIDATION[0])
-    env.close()
-    seen = np.asarray(played.observation[:-1], np.float64)[:count]
-    return seen, f"{len(seen)} control steps in {where}, seed {VALIDATION[0]}"
-
-
-def _is_ours(env: str) -> bool:
-    return env in {entry.id for entry in envs.ENVS.values()}

@@ -26,7 +26,7 @@ from spikedeploy.runtime.families.xylo_traces import xylo_trace
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.runtime.traces.fields import Fields
-from spikedeploy.shipping.export_c import episode_of, nir_file, world_of
+from spikedeploy.shipping.sources import episode_of, nir_file, world_of
 
 if TYPE_CHECKING:
     from spikedeploy.shipping.export_run import ExportedPolicy
@@ -84,18 +84,16 @@ def _compare_float(name: str, one: Artifact, other: Artifact, timesteps: int) ->
         port.name: random_spikes(rng, 1, timesteps, *port.shape).astype(np.float64)
         for port in ports(one.graph.inputs)
     }
-    found, wanted = _spikes_of(other, list(raster.values())), _spikes_of(one, list(raster.values()))
+    spikes: list[dict[str, Any]] = []
+    for artifact in (one, other):  # by the number of the layer, in the order in which they run
+        graph = FloatGraph(artifact)
+        inputs = (port.name for port in ports(artifact.graph.inputs))
+        trace = graph.run(dict(zip(inputs, raster.values(), strict=True)))
+        layers = [each for each in graph.timing.names if each in graph.spiking]
+        spikes.append({f"{k}": trace[each] for k, each in enumerate(layers)})
     counter = MismatchCounter()
-    counter.add(*({f"{k}": each for k, each in enumerate(layers)} for layers in (wanted, found)))
+    counter.add(spikes[0], spikes[1])
     return ParityCheck(name, not counter.differing and bool(counter.compared), f"spikes: {counter}")
-
-
-def _spikes_of(artifact: Artifact, rasters: list[Any]) -> list[Any]:
-    """Spikes of each layer, in the order in which they run."""
-    graph = FloatGraph(artifact)
-    names = [port.name for port in ports(artifact.graph.inputs)]
-    trace = graph.run(dict(zip(names, rasters, strict=True)))
-    return [trace[name] for name in graph.timing.names if name in graph.spiking]
 
 
 def is_nir_file(reference: str) -> bool:

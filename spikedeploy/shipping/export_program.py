@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy import envs, zoo
+from spikedeploy import zoo
 from spikedeploy.emulation.rasters import read_inputs
 from spikedeploy.envs import archive
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
@@ -37,7 +37,7 @@ from spikedeploy.files import write_text
 from spikedeploy.make_env import confirm, make_env
 from spikedeploy.outputs import check_output_folder, marked
 from spikedeploy.runtime.artifact.artifact import Artifact, load
-from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import clock_on, compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.compiler.rules import PlacedNetwork
@@ -45,52 +45,20 @@ from spikedeploy.runtime.convention import Clock
 from spikedeploy.runtime.errors import ConfigError, TraceError
 from spikedeploy.runtime.traces.verify import Verdict, verify
 from spikedeploy.seeds import VALIDATION
-from spikedeploy.shipping.export_c import chip_of, nir_file, world_of
+from spikedeploy.shipping.export_c import WrittenFolder
+from spikedeploy.shipping.sources import chip_of, is_ours, named_env, nir_file, world_of
 
 
 @dataclass(frozen=True)
-class WrittenKit:
+class WrittenKit(WrittenFolder):
     """A kit.
 
-    folder: with the files.
-    names: of the files.
     tool: of the chip.
     verdict: on expected.json, as `verify` reads it back.
-    recorded: where its input comes from, in words.
-    remarks: sentences on what is not as in the file, and what the kit cannot do.
     """
 
-    folder: Path
-    names: tuple[str, ...]
     tool: ChipTool
     verdict: Verdict
-    recorded: str
-    remarks: tuple[str, ...]
-
-    def record(self) -> dict[str, Any]:
-        """All of it as data."""
-        return {
-            "path": str(self.folder),
-            "files": list(self.names),
-            "tool": self.tool.name,
-            "passed": self.verdict.equal,
-            "compared": self.verdict.compared,
-            "timesteps": self.verdict.steps,
-            "recorded": self.recorded,
-            "remarks": list(self.remarks),
-        }
-
-    @property
-    def lines(self) -> list[str]:
-        """All of it for a terminal."""
-        found = self.verdict
-        return [
-            *self.remarks,
-            f"{EXPECTED}: {found.compared:,} numbers of {found.steps} chip timesteps, "
-            f"{self.recorded}",
-            f"wrote {self.folder}: {', '.join(self.names)}",
-            f"next: {self.folder}/{README}",
-        ]
 
 
 def export_program(
@@ -121,18 +89,31 @@ def export_program(
     file = nir_file(policy, "program")
     artifact = load(file, **(options or {}))
     chip_name = chip_of(artifact) if chip_name is None else chip_name
-    tool, on = tool_of(chip_name), _chip(chip_name)
+    # nengo-loihi's whole emulator delivers one timestep later, as its synapses do
+    whole = {"delay": 1} if chip_name == "loihi1-nengo" else {}
+    tool, on = tool_of(chip_name), chip(chip_name, **whole)
     names = (PROGRAM, EXPECTED, README, HOST, tool.script, EPISODE)
     inputs = (file, policy, raster)
     check_output_folder("-o", folder, names, inputs, force, lambda at: marked(at / PROGRAM, MARK))
-    compiled = compile_program(artifact, on, clock=clock or _clock_of(artifact, on))
+    if clock is None:  # tools hold no layer, so that a gated network runs free if it can
+        wanted = clock_on(artifact.convention, on)
+        clock = "free" if wanted == "gated" and "free" in on.clocks else wanted
+    compiled = compile_program(artifact, on, clock=clock)
     if raster is not None:
         given = _read_raster(artifact, raster, steps)
         run = chip_run(compiled, len(given))
         rows, episode, source = run.rows(given), None, f"the raster {raster.name}"
     else:
-        run = _steps_of(policy, artifact, compiled)
-        rows, episode, source = _episode(policy, artifact, compiled, run, steps, env)
+        if artifact.codec is None:
+            raise ConfigError(
+                f"--to program: {policy} has no codec, so no episode can be played. Give a raster: "
+                "--input spikes.npy."
+            )
+        run = chip_run(compiled, artifact.codec.timesteps, artifact.convention.state)
+        if missing := missing_of(compiled, artifact.codec):
+            raise ConfigError(f"--to program: no episode can be played: {missing}. Give --input.")
+        player = KitPlayer(compiled, artifact.codec, run)
+        rows, episode, source = _episode(policy, artifact, player, steps, env)
     _check_delays(run.program, tool)
     host = host_record(compiled, None if raster is not None else artifact.codec, run)
     named = zoo.called(str(file))
@@ -156,8 +137,17 @@ def export_program(
     for name, content in {**scripts, README: readme, EXPECTED: expected}.items():
         write_text(folder / name, content)
     kept = tuple(name for name in names if name != EPISODE or episode is not None)
-    missing = [f"no closed loop: {host['missing']}"] if "missing" in host else []
-    return WrittenKit(folder, kept, tool, verdict, source, (*compiled.remarks, *missing))
+    open_loop = [f"no closed loop: {host['missing']}"] if "missing" in host else []
+    remarks = [*compiled.remarks, *open_loop]
+    facts = {"tool": tool.name, "passed": verdict.equal, "compared": verdict.compared}
+    facts |= {"timesteps": verdict.steps, "recorded": source, "remarks": remarks}
+    lines = (
+        *remarks,
+        f"{EXPECTED}: {verdict.compared:,} numbers of {verdict.steps} chip timesteps, {source}",
+        f"wrote {folder}: {', '.join(kept)}",
+        f"next: {folder}/{README}",
+    )
+    return WrittenKit(folder, kept, facts, lines, tool, verdict)
 
 
 def _verify_text(text: str, expected: str) -> Verdict:
@@ -172,27 +162,6 @@ def _verify_text(text: str, expected: str) -> Verdict:
     if not verdict.equal:
         raise TypeError(f"what was written is not what was compiled: {verdict.difference}")
     return verdict
-
-
-def _chip(name: str) -> Chip:
-    """The chip; nengo-loihi's whole emulator delivers one timestep later, as its synapses do."""
-    return chip(name, delay=1) if name == "loihi1-nengo" else chip(name)
-
-
-def _clock_of(artifact: Artifact, on: Chip) -> Clock:
-    """The clock of the kit: tools hold no layer, so that a gated network runs free if it can."""
-    wanted = clock_on(artifact.convention, on)
-    return "free" if wanted == "gated" and "free" in on.clocks else wanted
-
-
-def _steps_of(policy: str, artifact: Artifact, compiled: Program) -> ChipRun:
-    """The chip timesteps of a control step."""
-    if artifact.codec is None:
-        raise ConfigError(
-            f"--to program: {policy} has no codec, so no episode can be played. Give a raster: "
-            "--input spikes.npy."
-        )
-    return chip_run(compiled, artifact.codec.timesteps, artifact.convention.state)
 
 
 def _check_delays(program: Program, tool: ChipTool) -> None:
@@ -223,17 +192,10 @@ def _read_raster(artifact: Artifact, path: Path, most: int) -> NDArray[np.uint8]
 
 
 def _episode(
-    policy: str,
-    artifact: Artifact,
-    compiled: Program,
-    run: ChipRun,
-    steps: int,
-    named: str | None,
-) -> tuple[NDArray[np.uint8], Rollout | None, str]:
+    policy: str, artifact: Artifact, player: KitPlayer, steps: int, named: str | None
+) -> tuple[NDArray[np.uint8], Rollout, str]:
     """Input (T, M) of the policy's first control steps in its environment, and that episode."""
-    if artifact.codec is None or (missing := missing_of(compiled, artifact.codec)):
-        raise ConfigError(f"--to program: no episode can be played: {missing}. Give --input.")
-    found = artifact.provenance.env if artifact.provenance else ""
+    found = named_env(artifact)
     where = named or world_of(policy, artifact) or found
     if not where:
         raise ConfigError(
@@ -242,7 +204,7 @@ def _episode(
         )
     if where == found:
         confirm(found, named, policy)
-    player, env = KitPlayer(compiled, artifact.codec, run), make_env(where, {})
+    env = make_env(where, {})
     try:
         recorder = EpisodeRecorder(env, VALIDATION[0])
         while not recorder.over and recorder.steps < steps:
@@ -269,7 +231,7 @@ def _readme(
     flags = " --sim" if "--sim" in tool.offline else ""
     closed = f"No loop: {host.get('missing', 'a raster')}."
     if episode is not None:
-        ours = episode.env_id in {entry.id for entry in envs.ENVS.values()}
+        ours = is_ours(episode.env_id)
         pip = f"{python} -m pip install"
         closed = Template(script("loop.md")).substitute(
             run=f"{python} {tool.script}{flags}",

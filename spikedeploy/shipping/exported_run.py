@@ -1,7 +1,5 @@
 """A run folder as a file that chips run: exported into the folder, unless that was done already."""
 
-from pathlib import Path
-
 from spikedeploy import zoo
 from spikedeploy.console import say
 from spikedeploy.outputs import no_link
@@ -31,8 +29,19 @@ def runnable(reference: str) -> str:
         folder.check_weights(name)
         raise ConfigError(f"{run} has no checkpoint yet: train it further, --resume {run.name}")
     file = run / f"{run.resolve().name}.{to}"
-    if not file.is_file() or file.stat().st_mtime_ns < checkpoint.stat().st_mtime_ns:
-        _export(run, to, file)
+    if file.is_file() and file.stat().st_mtime_ns >= checkpoint.stat().st_mtime_ns:
+        return str(file)
+    from spikedeploy.shipping.export_run import export_run
+
+    written = export_run(str(run), to, no_link(file), force=True)
+    failed = [check for check in written.checks if not check.passed]
+    if failed:
+        file.unlink()
+        raise ConfigError(
+            f"{run}: the exported file does not do what the policy does: {failed[0].name}, "
+            f"{failed[0].detail}; `spikedeploy export {run} --to {to}` shows all checks"
+        )
+    say(f"exported {file}")
     return str(file)
 
 
@@ -50,18 +59,3 @@ def _is_run(reference: str) -> bool:
         return True
     place = zoo.resolve(reference)
     return place.is_dir() if place else run_named(reference) is not None
-
-
-def _export(run: Path, to: str, file: Path) -> None:
-    """Export the run; a file that does not do what the policy does is removed and refused."""
-    from spikedeploy.shipping.export_run import export_run
-
-    written = export_run(str(run), to, no_link(file), force=True)
-    failed = [check for check in written.checks if not check.passed]
-    if failed:
-        file.unlink()
-        raise ConfigError(
-            f"{run}: the exported file does not do what the policy does: {failed[0].name}, "
-            f"{failed[0].detail}; `spikedeploy export {run} --to {to}` shows all checks"
-        )
-    say(f"exported {file}")

@@ -51,9 +51,8 @@ class NumberThatDiffers:
     def describe(self) -> str:
         """The difference in one line."""
         where = "" if self.seed is None else f", episode of seed {self.seed}"
-        return (
-            f"{self.row}{where}, {self.field}: {_text(self.expected)} then, {_text(self.found)} now"
-        )
+        found = self.found if isinstance(self.found, str) else json.dumps(self.found)
+        return f"{self.row}{where}, {self.field}: {json.dumps(self.expected)} then, {found} now"
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,13 @@ def reproduce(
     count = len(recorded.seeds) if episodes is None else episodes
     check_episodes(recorded, count)
     if update:
-        _check_update(recorded, count, force)
+        if recorded.card is None:
+            raise ConfigError(
+                f"{recorded.name} is a report: --update is of cards; run its command again instead"
+            )
+        if count < len(recorded.seeds):
+            raise ConfigError("--update needs all episodes: leave --episodes out")
+        check_rewritable(recorded.card, force)
     started = monotonic()
     played = compare_policies(
         recorded.env,
@@ -149,15 +154,15 @@ def reproduce(
     )
 
 
-def _check_update(recorded: RecordedEvaluation, count: int, force: bool) -> None:
-    """Refuse to update what is no card, or some of its episodes."""
-    if recorded.card is None:
+def check_episodes(recorded: RecordedEvaluation, count: int) -> None:
+    """Refuse more episodes than were recorded, and none."""
+    of = len(recorded.seeds)
+    if not 1 <= count <= of:
         raise ConfigError(
-            f"{recorded.name} is a report: --update is of cards; run its command again instead"
+            f"{recorded.name} records {of} episodes: --episodes {count} is more"
+            if count > of
+            else f"{count} episodes: at least one is played"
         )
-    if count < len(recorded.seeds):
-        raise ConfigError("--update needs all episodes: leave --episodes out")
-    check_rewritable(recorded.card, force)
 
 
 def _update(
@@ -175,16 +180,6 @@ def _update(
     if recorded.card is not None:
         sha256 = zoo.sha256(Path(recorded.entries[0].candidate.path))
         write_evaluation(recorded.card, sha256, recorded.seeds, found)
-
-
-def check_episodes(recorded: RecordedEvaluation, count: int) -> None:
-    """Refuse more episodes than were recorded, and none."""
-    if count < 1:
-        raise ConfigError(f"{count} episodes: at least one is played")
-    if count > len(recorded.seeds):
-        raise ConfigError(
-            f"{recorded.name} records {len(recorded.seeds)} episodes: --episodes {count} is more"
-        )
 
 
 def first_episodes(row: Row, count: int) -> Row:
@@ -236,7 +231,7 @@ def _compare(
 
 
 def _verdict(then: Number, now: Any, field: str) -> str:  # noqa: ANN401
-    """True where two numbers are equal, close, or differ; integers are never close."""
+    """EQUAL, CLOSE or DIFFERS; integers are never close."""
     if then == now:
         return EQUAL
     if not (isinstance(then, float) and isinstance(now, float)):
@@ -244,7 +239,3 @@ def _verdict(then: Number, now: Any, field: str) -> str:  # noqa: ANN401
     near = 0.0 if field.startswith(_SMALL) else TOLERANCE
     close = math.isclose(then, now, rel_tol=TOLERANCE, abs_tol=near)
     return CLOSE if close else DIFFERS
-
-
-def _text(number: Number | str) -> str:
-    return str(number) if isinstance(number, str) else json.dumps(number)

@@ -315,7 +315,7 @@ def test_a_core_without_a_known_counter_is_an_error(exports):
 
 
 @needs_c
-def test_what_is_no_number_is_refused_also_where_the_compiler_assumes_that_there_is_none(exports):
+def test_no_number_is_refused_also_where_the_compiler_assumes_that_there_is_none(exports):
     # -ffast-math itself would also make subnormal numbers 0 in this whole process
     loaded = library(exports["dense"][0], "policy.c", "host_i16.c", flags=["-ffinite-math-only"])
     network = quantise(read_onnx(zoo.path("kart-grid/linear")))

@@ -1,7 +1,5 @@
 """Networks rewritten for the imports of other tools: the same spikes as those tools read them."""
 
-from dataclasses import replace
-
 import h5py
 import nir
 import numpy as np
@@ -76,6 +74,17 @@ def test_integrators_too(tool, tmp_path):
     same(layered(lambda n: nir.IF(np.full(n, 300.0), np.full(n, 1.0))), tool, tmp_path)
 
 
+OWN = [
+    ("rockpool", {"reset": "subtract", "integrator": "exponential", "spikes": "many"}, 0.5, {}),
+    ("norse", {"reset": "subtract"}, 1.0, {"reset": "subtract"}),
+]
+
+
+@pytest.mark.parametrize(("tool", "options", "gain", "told"), OWN)
+def test_tools_that_subtract_read_networks_that_do(tool, options, gain, told, tmp_path):
+    same(layered(cuba, Convention(1e-3, **options), gain), tool, tmp_path, **told)
+
+
 @pytest.mark.parametrize("tool", TORCH)
 @pytest.mark.parametrize("policy", [popsan, spiking_mlp])
 def test_policies_keep_their_weights_and_their_codec(policy, tool):
@@ -87,33 +96,18 @@ def test_policies_keep_their_weights_and_their_codec(policy, tool):
             assert found.graph.nodes[name].weight is node.weight
 
 
-def test_rockpool_reads_its_own_kind_of_network(tmp_path):
-    convention = Convention(1e-3, "subtract", "exponential", spikes="many")
-    same(layered(cuba, convention, 0.5), "rockpool", tmp_path)
-
-
-def test_norse_is_told_to_subtract(tmp_path):
-    same(layered(cuba, Convention(1e-3, "subtract")), "norse", tmp_path, reset="subtract")
-
-
-def test_a_membrane_at_the_threshold_spikes_in_neither(tmp_path):
+@pytest.mark.parametrize("tool", ["spikingjelly", "snntorch"])
+def test_a_membrane_at_the_threshold_spikes_as_the_network_states(tool, tmp_path):
     weight = np.random.default_rng(2).integers(-1, 3, (5, 10)).astype(float)
-    network = chain(
-        nir.Affine(weight, np.zeros(5)), cuba(5, 0.0, 0.5, threshold=2.0), width=10, act=5
+    neurons = cuba(5, 0.0, 0.5, threshold=2.0)
+    network = chain(nir.Affine(weight, np.zeros(5)), neurons, width=10, act=5)
+    above, reached = (
+        Artifact(network, None, Convention(1e-3, spikes=rule)) for rule in ("above", "reached")
     )
-    artifact = Artifact(network, None, Convention(1e-3))
-    reached = output(replace(artifact, convention=Convention(1e-3, spikes="reached")))
-    assert not np.array_equal(reached, output(artifact))  # the rule decides
-    found = same(artifact, "spikingjelly", tmp_path)
-    assert found.nodes["n2"].v_threshold[0] == np.nextafter(np.float32(2), np.float32(3))
-
-
-def test_thresholds_that_are_reached_become_exceeded_ones(tmp_path):
-    weight = np.random.default_rng(2).integers(-1, 3, (5, 10)).astype(float)
-    network = chain(
-        nir.Affine(weight, np.zeros(5)), cuba(5, 0.0, 0.5, threshold=2.0), width=10, act=5
-    )
-    same(Artifact(network, None, Convention(1e-3, spikes="reached")), "snntorch", tmp_path)
+    assert not np.array_equal(output(reached), output(above))  # the rule decides
+    found = same(above if tool == "spikingjelly" else reached, tool, tmp_path)
+    if tool == "spikingjelly":
+        assert found.nodes["n2"].v_threshold[0] == np.nextafter(np.float32(2), np.float32(3))
 
 
 def recurrent():
@@ -136,12 +130,9 @@ def test_loops_deliver_in_the_next_timestep(tool, tmp_path):
     same(recurrent(), tool, tmp_path)
 
 
-def test_snntorch_finds_no_loop_of_two_which_it_could_not_run():
+def test_loops_have_nodes_of_their_own_where_an_import_could_not_run_them():
     edges = for_importer(recurrent(), "snntorch").graph.edges
     assert not [edge for edge in edges if edge[::-1] in edges]
-
-
-def test_norse_visits_the_output_last():
     before, after = recurrent().graph, for_importer(recurrent(), "norse").graph
     assert norse_visits(before.nodes, sorted(before.edges))[-1] == "rec"
     assert norse_visits(after.nodes, sorted(after.edges))[-1].endswith("_output")
@@ -202,11 +193,8 @@ def test_what_a_tool_cannot_express_is_refused_with_the_reason(case):
         for_importer(artifact, tool)
     assert f"--for {tool}: " in str(caught.value)
     assert "without the preset" not in str(caught.value)
-
-
-def test_an_unknown_tool_is_refused():
     with pytest.raises(ConfigError, match=", ".join(IMPORTERS)):
-        for_importer(popsan(), "brian2")
+        for_importer(artifact, "brian2")
 
 
 def fields(path):

@@ -1,3 +1,5 @@
+from copy import deepcopy
+
 import nir
 import numpy as np
 import onnx
@@ -52,33 +54,51 @@ def test_torch_numpy_and_ideal_spike_alike(popsan, observations, tmp_path):
     assert not failed(checks)
     # 300 observations, 5 timesteps, 30 + 32 + 24 + 10 neurons
     assert checks[0].detail == f"{300 * 5 * 96:,} compared, all equal"
+    # the spikes that float32 moves are reported and not judged
+    assert ("float32" in checks[-1].name, "compared" in checks[-1].detail) == (True, True)
 
 
-def test_the_spikes_that_float32_moves_are_reported_and_not_judged(popsan, observations, tmp_path):
-    checks = check(popsan, to_nir(popsan, ORIGIN, tmp_path / "p.nir"), observations)
-    assert checks[-1].passed
-    assert "float32" in checks[-1].name
-    assert "compared" in checks[-1].detail
+def shift(path, step):
+    """Add a step to a parameter, named as in "decoder_bias" or "layers.1.weight.3"."""
+
+    @torch.no_grad()
+    def change(policy):
+        *names, last = path.split(".")
+        for name in names:
+            policy = policy[int(name)] if name.isdecimal() else getattr(policy, name)
+        if last.isdecimal():
+            policy[int(last)] += step
+        else:
+            getattr(policy, last).add_(step)
+
+    return change
 
 
-def test_a_changed_weight_is_found_in_the_spikes(popsan, observations, tmp_path):
-    path = to_nir(popsan, ORIGIN, tmp_path / "p.nir")
-    with torch.no_grad():
-        popsan.layers[1].weight[3] += 0.05
-    assert "spikes: torch = NumPy, float64" in failed(check(popsan, path, observations))
+CHANGED = {
+    "a weight": ("popsan", shift("layers.1.weight.3", 0.05), "spikes: torch = NumPy, float64"),
+    "a decoder": ("popsan", shift("decoder_bias", 1e-6), ["actions: torch = NumPy, float64"]),
+    "a range": ("regular", shift("encoder.low.2", -0.1), "spikes: torch = NumPy, float64"),
+    "a drawn range": ("bernoulli", shift("encoder.low.2", -0.1), "spikes: torch = NumPy, float64"),
+    "a score": ("regular", shift("readout.bias", 1e-6), ["scores: torch = NumPy, float64"]),
+    "a choice": ("regular", shift("readout.bias.1", 1.0), "choices: torch = NumPy, float64"),
+}
 
 
-def test_a_changed_decoder_is_found_in_the_actions_alone(popsan, observations, tmp_path):
-    path = to_nir(popsan, ORIGIN, tmp_path / "p.nir")
-    with torch.no_grad():
-        popsan.decoder_bias += 1e-6
-    assert failed(check(popsan, path, observations)) == ["actions: torch = NumPy, float64"]
+@pytest.mark.parametrize("case", CHANGED)
+def test_what_was_changed_in_the_policy_is_found(case, popsan, observations, tmp_path):
+    coding, change, expected = CHANGED[case]
+    policy = popsan if coding == "popsan" else spiking_mlp(coding=coding)
+    path = to_nir(policy, ORIGIN, tmp_path / "p.nir")
+    change(policy)
+    found = failed(check(policy, path, observations))
+    assert found == expected if isinstance(expected, list) else expected in found
 
 
 def test_a_file_that_is_stepped_differently_is_found(popsan, observations, tmp_path):
     written = artifact(popsan, ORIGIN)
     node = written.graph.nodes["lif2"]
-    slower = nir.CubaLIF(**{**_parameters(node), "tau_mem": node.tau_mem * 2, "r": node.r * 2})
+    slower = deepcopy(node)
+    slower.tau_mem, slower.r = 2 * node.tau_mem, 2 * node.r
     graph = nir.NIRGraph({**written.graph.nodes, "lif2": slower}, written.graph.edges)
     save(Artifact(graph, written.codec, written.convention, ORIGIN), tmp_path / "p.nir")
     assert failed(check(popsan, tmp_path / "p.nir", observations)) == [
@@ -101,30 +121,6 @@ def test_a_spiking_mlp_spikes_alike_everywhere(coding, head, state, observations
     assert checks[0].detail == f"{300 * 16 * (width + 56):,} compared, all equal"
 
 
-@pytest.mark.parametrize("coding", ["regular", "bernoulli"])
-def test_a_changed_range_of_the_code_is_found(coding, observations, tmp_path):
-    policy = spiking_mlp(coding=coding)
-    path = to_nir(policy, ORIGIN, tmp_path / "p.nir")
-    policy.encoder.low[2] -= 0.1
-    assert "spikes: torch = NumPy, float64" in failed(check(policy, path, observations))
-
-
-def test_a_changed_score_is_found_where_no_choice_changes(observations, tmp_path):
-    policy = spiking_mlp()
-    path = to_nir(policy, ORIGIN, tmp_path / "p.nir")
-    with torch.no_grad():
-        policy.readout.bias += 1e-6
-    assert failed(check(policy, path, observations)) == ["scores: torch = NumPy, float64"]
-
-
-def test_a_changed_choice_is_found(observations, tmp_path):
-    policy = spiking_mlp()
-    path = to_nir(policy, ORIGIN, tmp_path / "p.nir")
-    with torch.no_grad():
-        policy.readout.bias[1] += 1.0
-    assert "choices: torch = NumPy, float64" in failed(check(policy, path, observations))
-
-
 def test_onnx_runtime_acts_like_torch(mlp, observations, tmp_path):
     assert not failed(check(mlp, to_onnx(mlp, ORIGIN, tmp_path / "p.onnx"), observations))
 
@@ -144,7 +140,7 @@ def test_onnx_runtime_scores_like_torch(hidden, observations, tmp_path):
     assert len(failed(check(policy, path, observations))) == 2
 
 
-def test_a_changed_onnx_weight_is_found(mlp, observations, tmp_path):
+def test_a_changed_onnx_weight_and_nan_are_found(mlp, observations, tmp_path):
     path = to_onnx(mlp, ORIGIN, tmp_path / "p.onnx")
     model = onnx.load(path)
     weight = next(c for c in model.graph.initializer if c.name == "weight2")
@@ -152,12 +148,9 @@ def test_a_changed_onnx_weight_is_found(mlp, observations, tmp_path):
     weight.CopyFrom(numpy_helper.from_array(array, "weight2"))
     onnx.save(model, path)
     assert len(failed(check(mlp, path, observations))) == 2
-
-
-def test_an_onnx_file_that_says_nan_fails(mlp, observations, tmp_path):
     with torch.no_grad():
         mlp.layers[-1].bias[0] = float("nan")
-    assert failed(check(mlp, to_onnx(mlp, ORIGIN, tmp_path / "p.onnx"), observations))
+    assert failed(check(mlp, to_onnx(mlp, ORIGIN, path), observations))
 
 
 def test_observations_of_another_task_are_refused(mlp, tmp_path):
@@ -177,8 +170,3 @@ def test_an_unknown_format_is_refused_with_the_known_ones(mlp, observations):
         exporter("onx")
     with pytest.raises(ConfigError, match=r"\.nir or \.onnx"):
         check(mlp, "policy.pt", observations)
-
-
-def _parameters(node):
-    names = ("tau_syn", "tau_mem", "r", "v_leak", "v_reset", "v_threshold", "w_in")
-    return {name: getattr(node, name) for name in names}

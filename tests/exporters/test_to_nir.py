@@ -68,29 +68,30 @@ def test_the_file_holds_all_that_a_robot_needs(policy, tmp_path):
     assert found.codec.encoder.threshold == policy.encoder.threshold
     assert (found.convention.reset, found.convention.delay) == ("zero", 0)
     assert (found.convention.integrator, found.convention.state) == ("euler", "reset")
-    assert (found.provenance.recipe, found.provenance.seed, found.provenance.steps) == (
-        "hexapod-popsan",
-        3,
-        7,
-    )
-    assert len(found.provenance.sha256) == 64
+    origin = found.provenance
+    assert (origin.recipe, origin.seed, origin.steps) == ("hexapod-popsan", 3, 7)
+    assert len(origin.sha256) == 64
 
 
 def test_exporting_twice_gives_the_same_bytes_and_leaves_the_policy_alone(policy, tmp_path):
     first = to_nir(policy, ORIGIN, tmp_path / "a.nir").read_bytes()
     assert to_nir(policy, ORIGIN, tmp_path / "b.nir").read_bytes() == first
     assert policy.decoder_weight.dtype == torch.float32
+    convention = load(to_nir(policy, ORIGIN, tmp_path / "p.nir", state="kept")).convention
+    assert (convention.state, convention.source) == ("kept", "state given, otherwise as trained")
 
 
-def test_a_float_policy_is_sent_to_onnx(tmp_path):
-    with pytest.raises(ConfigError, match="--to onnx"):
-        to_nir(MlpPolicy(6, 2, hidden=(4,)), ORIGIN, tmp_path / "p.nir")
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        (MlpPolicy(6, 2, hidden=(4,)), "--to onnx"),
+        (PopsanPolicy(6, 2, hidden=(4,), alpha=1.0), r"alpha is 1\.0"),
+    ],
+)
+def test_what_nir_cannot_express_is_refused(policy, message, tmp_path):
+    with pytest.raises(ConfigError, match=message):
+        to_nir(policy, ORIGIN, tmp_path / "p.nir")
     assert not list(tmp_path.iterdir())
-
-
-def test_a_decay_without_a_time_constant_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match=r"alpha is 1\.0"):
-        to_nir(PopsanPolicy(6, 2, hidden=(4,), alpha=1.0), ORIGIN, tmp_path / "p.nir")
 
 
 def spiking_mlp(**settings):
@@ -123,9 +124,3 @@ def test_code_and_head_are_those_of_the_policy(settings, kind, squash, tmp_path)
     found = load(to_nir(spiking_mlp(**settings), ORIGIN, tmp_path / "p.nir")).codec
     assert (found.encoder.kind, found.squash, found.timesteps) == (kind, squash, 16)
     assert found.encoder.random == (settings["coding"] == "bernoulli")
-
-
-def test_a_file_may_ask_for_membranes_to_be_kept(policy, tmp_path):
-    convention = load(to_nir(policy, ORIGIN, tmp_path / "p.nir", state="kept")).convention
-    assert convention.state == "kept"
-    assert convention.source == "state given, otherwise as trained"

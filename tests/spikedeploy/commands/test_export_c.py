@@ -12,7 +12,7 @@ from spikedeploy.exporters.c.packaging import INT16, MARK, file_names, write_tex
 from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.shipping import export_c, exported_run
+from spikedeploy.shipping import export_c, exported_run, sources
 from tests.networks import event_driven, popsan
 
 CHIP = ("--to", "c", "--chip", "loihi1")
@@ -49,9 +49,9 @@ def test_it_writes_every_file_and_says_what_they_take(command, file, tmp_path):
 
 def test_a_run_is_played_in_its_own_environment(file, monkeypatch):
     artifact = load(file)
-    assert export_c.world_of(file, artifact) == ""  # what a file names is not imported
+    assert sources.world_of(file, artifact) == ""  # what a file names is not imported
     monkeypatch.setattr(exported_run, "trained_in", lambda policy: "own_module:Env")
-    assert export_c.world_of("last", artifact) == "own_module:Env"
+    assert sources.world_of("last", artifact) == "own_module:Env"
 
 
 def test_the_same_policy_is_written_again_and_other_files_are_not(command, file, tmp_path):

@@ -9,11 +9,12 @@ import pytest
 
 from spikedeploy import zoo
 from spikedeploy.commands.closed_loop import settings
+from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.cards import check_rewritable, recorded
 from spikedeploy.shipping.publish_run import publish_run
 from spikedeploy.shipping.reproduce import CLOSE, DIFFERS, EQUAL, reproduce
-from spikedeploy.trainers.config import MlpConfig, PopsanConfig
+from spikedeploy.trainers.config import PopsanConfig
 from tests import toy_stroll_env
 from tests.paths import ROOT
 
@@ -25,11 +26,23 @@ def _stroll(monkeypatch):
     toy_stroll_env.install(monkeypatch)
 
 
+@pytest.fixture(scope="module")
+def published(tmp_path_factory):
+    """A zoo with a spiking policy, and another under the name `other`."""
+    folder = tmp_path_factory.mktemp("published")
+    with pytest.MonkeyPatch.context() as patch:
+        toy_stroll_env.install(patch)
+        for name, size, episodes in (("small", 6, EPISODES), ("other", 5, 1)):
+            policy = PopsanConfig(hidden=(size,), populations=3)
+            run = toy_stroll_env.run_folder(folder / "runs" / name, policy)
+            publish_run(str(run), name, episodes=episodes, folder=folder / "zoo", processes=1)
+    return folder / "zoo"
+
+
 @pytest.fixture
-def card(tmp_path):
-    """The card of a published spiking policy."""
-    run = toy_stroll_env.run_folder(tmp_path / "runs", PopsanConfig(hidden=(6,), populations=3))
-    publish_run(str(run), "small", episodes=EPISODES, folder=tmp_path / "zoo", processes=1)
+def card(published, tmp_path):
+    """A copy of the card of a published spiking policy."""
+    shutil.copytree(published, tmp_path / "zoo")
     return tmp_path / "zoo/stroll/small.json"
 
 
@@ -108,26 +121,18 @@ def played(*_):
     pytest.fail("an episode was played")
 
 
-def test_a_page_that_is_not_of_the_card_is_kept(card, command):
-    page = card.with_suffix(".md")
-    page.write_text("# small\n\nmy own notes\n")
-    code, _, err = command("reproduce", card, "--workers", 1, "--update")
-    assert code == 2
-    assert "small.md: the file exists" in err
-    assert "--force" in err
-    assert page.read_text() == "# small\n\nmy own notes\n"
-    assert command("reproduce", card, "--workers", 1, "--update", "--force")[0] == 0
-    assert "## Evaluation" in page.read_text()
-
-
-def test_an_update_that_wrote_succeeds_and_a_linked_card_has_its_page_beside_the_file(
+def test_a_page_that_is_not_of_the_card_is_kept_and_a_linked_card_has_its_page_beside_the_file(
     card, tmp_path, command
 ):
-    change(card, "evaluation", 1, "macs_dense", to=lambda macs: macs + 1)
-    link = tmp_path / "linked.json"
+    page, link = card.with_suffix(".md"), tmp_path / "linked.json"
+    page.write_text("# small\n\nmy own notes\n")
     link.symlink_to(card)
+    change(card, "evaluation", 1, "macs_dense", to=lambda macs: macs + 1)
     code, _, err = command("reproduce", link, "--workers", 1, "--update")
-    assert code == 0, err
+    assert (code, "small.md: the file exists" in err, "--force" in err) == (2, True, True)
+    assert page.read_text() == "# small\n\nmy own notes\n"
+    assert command("reproduce", link, "--workers", 1, "--update", "--force")[0] == 0
+    assert "## Evaluation" in page.read_text()
     assert link.is_symlink()
     assert not link.with_suffix(".md").exists()
     assert again(card).verdict == EQUAL
@@ -228,87 +233,76 @@ def test_its_policy_file_names_the_same_card(card):
     assert again(card.with_suffix(".nir"), episodes=1).verdict == EQUAL
 
 
-def test_a_float_policy_is_reproduced(tmp_path):
-    run = toy_stroll_env.run_folder(tmp_path / "runs", MlpConfig(hidden=(4,)))
-    publish_run(str(run), "net", episodes=1, folder=tmp_path / "zoo", processes=1)
-    assert again(tmp_path / "zoo/stroll/net.json").verdict == EQUAL
+@pytest.fixture(scope="module")
+def evaluated(published):
+    """What a replay of the published card gives: rows, as `compare_policies` returns them."""
+    kept = []
+
+    def keep(*given):
+        kept.append(compare_policies(*given))
+        return kept[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        toy_stroll_env.install(patch)
+        patch.setattr("spikedeploy.shipping.reproduce.compare_policies", keep)
+        assert again(published / "stroll/small.json").verdict == EQUAL
+    return kept[0]
 
 
-def test_a_return_that_was_changed_is_found_with_its_seed(card):
+CHANGED = [
+    (1, ("sops_per_inference",), lambda number: number * (1 + 1e-6)),
+    (1, ("success_rate",), lambda number: number * 0.5 + 1e-6),
+    (1, ("saturations",), lambda number: number + 10**12),
+    (1, ("energy_per_inference_j", "davies2018"), lambda number: number * (1 + 1e-8)),
+    (1, ("energy_interval_j", "sanafe", 0), lambda number: (number or 1.0) * (1 - 1e-8) + 1e-12),
+    (1, ("return_ci95", 1), lambda number: (number or 1.0) * 1.0001),
+    (1, ("footprint_packed",), lambda _: 12.0),
+]
+
+
+@pytest.mark.parametrize(("row", "path", "to"), CHANGED)
+def test_any_number_that_was_changed_is_found(row, path, to, card, evaluated, monkeypatch):
+    monkeypatch.setattr("spikedeploy.shipping.reproduce.compare_policies", lambda *_: evaluated)
+    change(card, "evaluation", row, *path, to=to)
+    found = again(card)
+    assert found.verdict == DIFFERS
+    assert (found.difference.field, found.difference.seed) == (".".join(map(str, path)), None)
+
+
+def test_changed_returns_noise_and_fields_are_told_apart(card, evaluated, monkeypatch):
+    monkeypatch.setattr("spikedeploy.shipping.reproduce.compare_policies", lambda *_: evaluated)
+    whole, everything = card.read_text(), again(card).numbers
     change(card, "evaluation", 1, "returns", 2, to=lambda number: number + 0.01)
     found = again(card)
-    assert found.verdict == DIFFERS
+    assert (found.verdict, found.differing, found.difference.seed) == (DIFFERS, 1, 10_002)
     assert (found.difference.row, found.difference.field) == ("small · loihi1", "returns")
-    assert found.difference.seed == 10_002
     assert found.difference.expected == pytest.approx(found.difference.found + 0.01)
     assert "episode of seed 10002, returns" in found.difference.describe()
-    assert found.differing == 1
-
-
-@pytest.mark.parametrize(
-    ("path", "to"),
-    [
-        (("sops_per_inference",), lambda number: number * (1 + 1e-6)),
-        (("success_rate",), lambda number: number * 0.5 + 1e-6),
-        (("saturations",), lambda number: number + 10**12),
-        (("energy_per_inference_j", "davies2018"), lambda number: number * (1 + 1e-8)),
-        (("energy_interval_j", "sanafe", 0), lambda number: (number or 1.0) * (1 - 1e-8) + 1e-12),
-        (("return_ci95", 1), lambda number: (number or 1.0) * 1.0001),
-        (("footprint_packed",), lambda _: 12.0),
-    ],
-)
-def test_any_other_number_that_was_changed_is_found(path, to, card):
-    change(card, "evaluation", 1, *path, to=to)
-    found = again(card)
-    assert found.verdict == DIFFERS
-    assert found.difference.field == ".".join(map(str, path))
-    assert found.difference.seed is None
-
-
-def test_noise_is_told_from_equality(card):
+    card.write_text(whole)
     change(card, "evaluation", 0, "returns", 0, to=lambda number: number * (1 + 1e-12))
     found = again(card)
-    assert (found.verdict, found.equal) == (CLOSE, True)
-    assert found.difference.seed == 10_000
-
-
-def test_a_field_that_no_row_has_any_more_differs(card):
+    assert (found.verdict, found.equal, found.difference.seed) == (CLOSE, True, 10_000)
+    card.write_text(whole)
     change(card, "evaluation", 0, to=lambda row: {**row, "old_metric": 1.0})
-    found = again(card)
+    found = again(card)  # no row has it any more
     assert (found.difference.field, found.difference.found) == ("old_metric", "nothing")
-
-
-def test_a_card_is_compared_in_the_fields_that_it_has(card):
-    everything = again(card).numbers
+    card.write_text(whole)
     change(card, "evaluation", 0, to=lambda row: {k: v for k, v in row.items() if k != "sparsity"})
-    found = again(card)
+    found = again(card)  # what a card lacks is not compared
     assert (found.verdict, found.numbers) == (EQUAL, everything - 1)
 
 
-def test_a_file_that_was_replaced_is_refused(card, tmp_path):
-    other = tmp_path / "other"
-    run = toy_stroll_env.run_folder(other / "runs", PopsanConfig(hidden=(5,), populations=3))
-    publish_run(str(run), "small", episodes=1, folder=other, processes=1)
-    shutil.copyfile(other / "stroll/small.nir", card.with_suffix(".nir"))
+def test_a_file_that_was_replaced_is_refused_and_an_older_card_plays_it(card):
+    shutil.copyfile(card.with_name("other.nir"), card.with_suffix(".nir"))
     with pytest.raises(ConfigError, match=r"small\.nir has sha256 .* was evaluated: the file was"):
         again(card)
-
-
-def test_an_older_card_says_what_it_does_not_record_and_another_file_differs(card, tmp_path):
-    test_document = json.loads(card.read_text())
-    del test_document["sha256"], test_document["evaluated_with"], test_document["seeds"]
-    card.write_text(json.dumps(test_document))
+    document = json.loads(card.read_text())
+    del document["sha256"], document["evaluated_with"], document["seeds"]
+    card.write_text(json.dumps(document))
     found = again(card)
-    assert found.verdict == EQUAL
+    assert found.verdict == DIFFERS
     assert "sha256 of small.nir" in found.not_recorded[0]
     assert "of the training" in found.not_recorded[1]
-    run = toy_stroll_env.run_folder(tmp_path / "o", PopsanConfig(hidden=(5,), populations=3))
-    publish_run(str(run), "else", episodes=1, folder=tmp_path / "zoo", processes=1)
-    twin = tmp_path / "zoo/stroll/twin"
-    twin.mkdir()
-    shutil.copyfile(card, twin / "small.json")
-    shutil.copyfile(tmp_path / "zoo/stroll/else.nir", twin / "small.nir")
-    assert again(twin / "small.json").verdict == DIFFERS
 
 
 def test_the_first_episodes_are_compared_in_what_is_of_them(card):
@@ -420,6 +414,8 @@ def test_the_command_says_equal_or_the_first_difference(card, command):
     code, out, _ = command("reproduce", card, "--workers", 1)
     assert code == 0
     assert f"✓ {card}: equal (" in out
+    code, out, err = command("reproduce", card, "kart-steer/spars", "--workers", 1)
+    assert (code, out, "did you mean" in err) == (2, "", True)  # before anything is played
     change(card, "evaluation", 0, "returns", 1, to=lambda number: 2 * number)
     code, out, _ = command("reproduce", card, "--workers", 1, "--episodes", 2)
     assert code == 1
@@ -431,15 +427,3 @@ def test_the_command_says_equal_or_the_first_difference(card, command):
     documents = json.loads(out)
     assert (code, [each["equal"] for each in documents]) == (1, [False, False])
     assert documents[0]["difference"]["seed"] == 10_001
-
-
-def test_a_wrong_name_is_refused_before_anything_is_played(card, command, monkeypatch):
-    monkeypatch.setattr("spikedeploy.shipping.reproduce.compare_policies", played)
-    code, out, err = command("reproduce", card, "kart-steer/spars", "--workers", 1)
-    assert (code, out) == (2, "")
-    assert "did you mean" in err
-
-
-def test_a_shipped_kart_policy_acts_as_its_card_says():
-    found = again("kart-steer/linear", episodes=1)
-    assert found.verdict == EQUAL, found.difference.describe()

@@ -1,0 +1,108 @@
+"""What an export starts from: the file of a policy, its chip, observations of an episode."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy import envs, zoo
+from spikedeploy.console import say
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.errors import ConfigError
+from spikedeploy.make_env import make_env
+from spikedeploy.policies.onnx import OnnxController
+from spikedeploy.policies.registry import DEFAULT_CHIP
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.seeds import VALIDATION
+from spikedeploy.shipping import exported_run
+
+Observations = NDArray[np.float64]
+
+
+def policy_file(policy: str) -> Path:
+    """The file of a policy; that of a run is exported first."""
+    file = zoo.resolve(policy)
+    return Path(exported_run.runnable(policy)) if file is None or file.is_dir() else file
+
+
+def nir_file(policy: str, to: str) -> Path:
+    """The `.nir` file of a policy; ConfigError where it does not spike."""
+    file = policy_file(policy)
+    if file.suffix == ".nir" and file.is_file():
+        return file
+    if file.suffix in zoo.SUFFIXES and not file.is_file():
+        raise ConfigError(f"--to {to}: there is no file {policy}")
+    raise ConfigError(
+        f"--to {to}: {policy} is no spiking policy; only .nir files can be taken, and runs that "
+        "make one."
+    )
+
+
+def chip_of(artifact: Artifact) -> str:
+    """The chip on which a policy runs where none is named: that of its training, or the default."""
+    return artifact.trained_for or DEFAULT_CHIP
+
+
+def named_env(artifact: Artifact) -> str:
+    """The environment that a file names; "" where it names none."""
+    return artifact.provenance.env if artifact.provenance else ""
+
+
+def world_of(policy: str, artifact: Artifact) -> str:
+    """The environment that a run was trained in, else one of ours that the file names.
+
+    A run folder is the user's, and its environment is imported; what a file names is not.
+    """
+    named = named_env(artifact)
+    return exported_run.trained_in(policy) or (named if is_ours(named) else "")
+
+
+def is_ours(env: str) -> bool:
+    """True for the id of an environment of this package."""
+    return env in {entry.id for entry in envs.ENVS.values()}
+
+
+def observations_of(
+    controller: Callable[[], SpikingController | OnnxController],
+    where: str,
+    size: int,
+    count: int,
+    walk: Callable[[], Observations],
+) -> tuple[Observations, str]:
+    """Observations (S, obs) of an episode in an environment, and where they come from in words.
+
+    controller: made where there is an episode to play.
+    where: name of the environment; "" for none.
+    size: numbers of an observation.
+    walk: what stands for an episode that cannot be played: a random walk (count, obs).
+    """
+    env = make_env(where, {}) if where else None
+    if env is None or env.observation_space.shape != (size,):
+        return walk(), f"{count} steps of a random walk"
+    played = rollout(env, controller(), VALIDATION[0])
+    env.close()
+    seen = np.asarray(played.observation[:-1], np.float64)[:count]
+    return seen, f"{len(seen)} control steps in {where}, seed {VALIDATION[0]}"
+
+
+def episode_of(
+    artifact: Artifact, on: Chip | None, count: int, where: str
+) -> tuple[Observations, str]:
+    """Observations (S, obs) of a spiking policy on a chip, None for its float twin."""
+    codec = artifact.codec
+    if codec is None:
+        raise TypeError("an artifact without a codec has no observations")
+
+    def walk() -> Observations:
+        named = named_env(artifact) or "no environment"
+        say(f"{named} cannot be played here: a random walk stands for it; name the run to play it")
+        steps = np.random.default_rng(0).normal(0, 0.2, (count, len(codec.normaliser.mean)))
+        drift = np.clip(np.cumsum(steps, axis=0), -3, 3)
+        return np.asarray(drift * codec.normaliser.std + codec.normaliser.mean)
+
+    return observations_of(
+        lambda: SpikingController(artifact, on, "none"), where, codec.encoder.observed, count, walk
+    )
