@@ -11,15 +11,15 @@ import hashlib
 import json
 import math
 import re
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.files import read_toml
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.mapping import CoreMapping
@@ -30,11 +30,6 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.programs import program_record
 from spikedeploy.runtime.traces.verify import QUANTITIES
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
-
 MARK = "spikedeploy export --to program"
 PROGRAM, EXPECTED, EPISODE, README, HOST = (
     "program.json",
@@ -44,6 +39,7 @@ PROGRAM, EXPECTED, EPISODE, README, HOST = (
     "host.py",
 )
 _FORMAT = 1
+_KIT = Path(__file__).parent / "kit"
 
 
 @dataclass(frozen=True)
@@ -72,12 +68,12 @@ class ChipTool:
 
 def script(name: str) -> str:
     """The text of a file in exporters/kit/."""
-    return (files("spikedeploy.exporters") / "kit" / name).read_text(encoding="utf-8")
+    return (_KIT / name).read_text(encoding="utf-8")
 
 
 TOOLS = {
     chip: ChipTool(name=name, **tool)
-    for name, tool in tomllib.loads(script("tools.toml")).items()
+    for name, tool in read_toml(_KIT / "tools.toml").items()
     for chip in tool.pop("chips")
 }
 

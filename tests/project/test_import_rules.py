@@ -22,7 +22,7 @@ LIBRARIES = {
         "matplotlib", "onnxruntime", "rich",
         "nir",  # the graph of an event-driven policy, which chips validate while it is trained
     },
-    "exporters": {"jinja2", "numpy", "torch", "nir", "onnx", "tomli"},
+    "exporters": {"jinja2", "numpy", "torch", "nir", "onnx"},
 }  # fmt: skip
 
 
