@@ -160,23 +160,13 @@ def read_grid(path: Path) -> SweepGrid:
 
 @plain_dataclass(frozen=True)
 class JobSpecification:
-    """All that the result of a job depends on, JSON types.
+    """All that the result of a job depends on, JSON types; one value of each axis of the grid.
 
-    env       short name or id
-    options   of the environment
-    policy    its name
     format    key of policies.registry.FORMATS
-    sha256    of its file; empty for a built-in
+    sha256    of the policy's file; empty for a built-in
     chip      of a spiking policy, or "float"; None for what does not spike
-    bits      of the weights; None for the chip's own
-    disturb   disturbances of the world
-    fault     faults of the chip
-    specimen  which faulty chip
-    seed      first
-    episodes  from that seed on
     limits    whether the design rules of the chip are enforced
     quantisation  fields of Quantisation
-    metrics   of the step infos
     versions  package -> version that computes it
     version   of what a result holds
     """

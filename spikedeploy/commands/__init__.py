@@ -3,7 +3,7 @@
 The work is done in the other folders. A file imports only typer, rich and the standard library
 when it is loaded, so that `--help` is quick; everything else is imported inside its function.
 
-options      options that several commands share, and groups of them
+options      groups of options; options.toml has the help of all
 closed_loop  run, compare, reproduce, demo, serve: policies in their environments
 open_loop    emulate, drift, check, verify: networks without an environment
 training     train, distill, tune, sweep, runs, visualize

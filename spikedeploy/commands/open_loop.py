@@ -100,8 +100,12 @@ def drift(
         typer.echo(drift_markdown(report))
     else:
         print_drift(report)
-        if output:
-            typer.echo(f"wrote {output / 'report.html'}")
+        _name_page(output)
+
+
+def _name_page(folder: Path | None) -> None:
+    if folder:
+        typer.echo(f"wrote {folder / 'report.html'}")
 
 
 def check(
@@ -140,8 +144,7 @@ def check(
         print_json(report.as_json())
     else:
         print_report(report, rules)
-        if output:
-            typer.echo(f"wrote {output / 'report.html'}")
+        _name_page(output)
     raise typer.Exit(0 if report.passed else 1)
 
 

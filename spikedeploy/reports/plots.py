@@ -5,11 +5,11 @@ No display is needed.
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from markupsafe import Markup, escape
@@ -199,45 +199,34 @@ def raster_figure(spikes: Mapping[str, NDArray[Any]]) -> "Figure":
     return figure
 
 
-@dataclass(frozen=True)
-class CurvePanel:
-    """One panel: what its axis is, and its lines.
-
-    title  of the axis
-    lines  column of the metrics -> name and colour
-    of     what is drawn of a value
-    share  whether the axis goes from 0 to 1
-    """
-
-    title: str
-    lines: Mapping[str, tuple[str, str]]
-    of: Callable[[float], float] = float
-    share: bool = False
+class _Panel(NamedTuple):
+    title: str  # of the axis
+    lines: Mapping[str, tuple[str, str]]  # column of the metrics -> name and colour
+    is_share: bool = False  # from 0 to 1
+    is_inverted: bool = False  # 1 - value is drawn
 
 
+_LAYERS = (VERMILION, BLUE, _GREEN, _ORANGE, _LIGHT_GREY)
 _PANELS = (
-    CurvePanel(
+    _Panel(
         "return of an episode",
         {"episode_return": ("training", _LIGHT_GREY), "eval_return": ("validation", VERMILION)},
     ),
-    CurvePanel(
+    _Panel(
         "validation episodes",
         {
             "eval_finish": ("succeed", _GREEN),
             "eval_crash": ("crash", VERMILION),
             "eval_falls": ("fall", _ORANGE),
         },
-        share=True,
+        is_share=True,
     ),
-    CurvePanel(
+    _Panel(
         "spikes a neuron\nand timestep",
-        {
-            f"sparsity_lif{k}": (f"layer {k}", colour)
-            for k, colour in enumerate((VERMILION, BLUE, _GREEN, _ORANGE, _LIGHT_GREY), start=1)
-        },
-        lambda sparsity: 1 - sparsity,
+        {f"sparsity_lif{k}": (f"layer {k}", colour) for k, colour in enumerate(_LAYERS, start=1)},
+        is_inverted=True,
     ),
-    CurvePanel(
+    _Panel(
         "operations\na control step",
         {
             "operations": ("training", _LIGHT_GREY),
@@ -273,13 +262,13 @@ def _points(rows: Sequence[Mapping[str, float]], column: str) -> list[tuple[floa
     ]
 
 
-def _draw(axes: "Axes", panel: CurvePanel, rows: Sequence[Mapping[str, float]]) -> None:
+def _draw(axes: "Axes", panel: _Panel, rows: Sequence[Mapping[str, float]]) -> None:
     values: list[float] = []
     for column, (name, colour) in panel.lines.items():
         if points := _points(rows, column):
             points = points[:: max(1, -(-len(points) // _MOST))]
             steps, found = zip(*points, strict=True)
-            drawn = [panel.of(value) for value in found]
+            drawn = [1 - value for value in found] if panel.is_inverted else found
             values += drawn
             marker = "." if len(points) < _ENOUGH else ""
             axes.plot(steps, drawn, color=colour, marker=marker, linewidth=1.6, label=name)
@@ -289,8 +278,8 @@ def _draw(axes: "Axes", panel: CurvePanel, rows: Sequence[Mapping[str, float]]) 
     axes.legend(loc="lower right", bbox_to_anchor=(1, 0.98), ncols=5, frameon=False, fontsize=9)
 
 
-def _limits(panel: CurvePanel, values: Sequence[float]) -> tuple[float | None, float | None]:
-    if panel.share:
+def _limits(panel: _Panel, values: Sequence[float]) -> tuple[float | None, float | None]:
+    if panel.is_share:
         return -0.03, 1.03
     low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
     span = max(high - low, 1e-9 * max(abs(middle), 1))

@@ -1,6 +1,6 @@
 """Notebooks of tutorials, made from the pages: one text, read as a page or run cell by cell.
 
-`python -m tests.project.notebooks` writes examples/notebooks anew. What a page shows under a block
+`python -m tests.lab.notebooks` writes examples/notebooks anew. What a page shows under a block
 is the output of its cell; the outputs of a run are not kept.
 """
 
