@@ -89,20 +89,18 @@ def _outcome(
 def best(plan: TuningPlan, found: Sequence[TrialOutcome]) -> list[TrialOutcome]:
     """The best trial; with two objectives the Pareto front, the cheapest first; or none yet."""
     ended = [each for each in found if each.state == "complete" and each.within]
+    worth = {each.number: (each.earned or 0.0, -(each.sops or 0.0)) for each in ended}
     if not plan.has_two:
-        return sorted(ended, key=_earned, reverse=True)[:1]
-    front = [each for each in ended if not any(_dominates(other, each) for other in ended)]
+        return sorted(ended, key=lambda each: worth[each.number][0], reverse=True)[:1]
+    front = [
+        each
+        for each in ended
+        if not any(
+            other != worth[each.number] and np.all(np.greater_equal(other, worth[each.number]))
+            for other in worth.values()
+        )
+    ]
     return sorted(front, key=lambda each: (each.sops or 0.0, each.number))
-
-
-def _earned(trial: TrialOutcome) -> float:
-    return -float("inf") if trial.earned is None else trial.earned
-
-
-def _dominates(one: TrialOutcome, other: TrialOutcome) -> bool:
-    """True where one earns no less with no more operations, and differs."""
-    mine, theirs = (_earned(one), -(one.sops or 0.0)), (_earned(other), -(other.sops or 0.0))
-    return mine != theirs and mine[0] >= theirs[0] and mine[1] >= theirs[1]
 
 
 def failure_of(study: "optuna.Study", trial: "optuna.trial.FrozenTrial") -> str:
