@@ -85,11 +85,14 @@ class LoadedNetwork:
 
     def controller(self, sampled: bool = False) -> SpikingController:
         """A robot's controller: an observation in, an action out; the file must hold a codec."""
-        chip = chip_called(self.chip)
-        on_chip: dict[str, Any] = (
-            {"limits": self.limits, "quantisation": self.quantisation} if chip else {}
+        return SpikingController(
+            self.artifact,
+            chip_called(self.chip),
+            "total",
+            sampled,
+            limits=self.limits,
+            quantisation=self.quantisation,
         )
-        return SpikingController(self.artifact, chip, "total", sampled, **on_chip)
 
     def __repr__(self) -> str:
         return f"<{self.path.name} on {self.chip}: {self._size()}>"

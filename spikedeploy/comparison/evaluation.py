@@ -21,7 +21,6 @@ from spikedeploy.make_env import confirm, disturbed_by, make_env
 from spikedeploy.outputs import mark
 from spikedeploy.policies.registry import (
     FLOAT,
-    Candidate,
     check_fit,
     find,
     open_policy,
@@ -136,7 +135,11 @@ def run_policy(
     if remark := remark_on_chip(entry):
         say(remark)
     mode = "rgb_array" if video else None
-    name = env or _made_for(candidate)
+    name = env or candidate.env
+    if name is None:
+        raise ConfigError(f"{candidate.path} does not say for which environment: give --env")
+    if env is None:
+        confirm(name, None, candidate.path)
     foreign = envs.spec(name).foreign
     world: Any = make_env(name, options, render_mode=mode)
     player = (open_policy if loop is None else loop.open)(candidate, entry.chip, world, sampled)
@@ -158,13 +161,6 @@ def run_policy(
     if loop is not None:  # it may have played more
         seeds = range(seeds[0], seeds[0] + len(episodes))
     return Comparison(played.env_id, seeds, rows, (), disturb, foreign, period if foreign else None)
-
-
-def _made_for(candidate: Candidate) -> str:
-    if candidate.env is None:
-        raise ConfigError(f"{candidate.path} does not say for which environment: give --env")
-    confirm(candidate.env, None, candidate.path)
-    return candidate.env
 
 
 @contextmanager

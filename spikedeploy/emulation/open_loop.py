@@ -226,10 +226,8 @@ def emulate_artifact(
     """
     rows = by_port(ports(artifact.graph.inputs), in_batch(rasters))
     on = chip_called(chip)
-    # the machine refuses names of backends that it does not know
-    options: dict[str, Any] = {"backend": backend}
-    if on is not None:
-        options |= {"quantisation": quantisation, "limits": limits}
+    options: dict[str, Any] = {"backend": backend}  # whose unknown names the machine refuses
+    options |= {"quantisation": quantisation, "limits": limits}
     network = run_network(artifact, on, trace=True, **options)
     if on is not None:
         _check_memory(network.program, next(iter(rows.values())).shape[1])

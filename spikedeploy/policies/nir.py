@@ -35,16 +35,14 @@ from spikedeploy.policies.registry import (
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.chips.damage import Damage
-from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.rules import PlacedNetwork
-from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.network import chip_called
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, SpikedeployError
-from spikedeploy.runtime.faults import NONE, Faults
 from spikedeploy.runtime.metadata import Provenance, Record
 from spikedeploy.runtime.metrics.traffic import placed_messages
 
@@ -74,7 +72,7 @@ def _read_policy(path: str, *identity: int) -> Artifact:
 
 
 class NirController(Player):
-    """A spiking policy with a ledger for each episode.
+    """A spiking policy with a ledger for each episode; options are those of SpikingController.
 
     artifact  the file
     chip      datasheet; None for the float twin
@@ -88,27 +86,11 @@ class NirController(Player):
         self,
         path: str | Path,
         chip: str,
-        sampled: bool = False,
-        limits: bool = True,
-        quantisation: Quantisation = PLAIN,
-        faults: Faults = NONE,
-        trace: bool = False,
         rows: Rows = "total",
-        backend: BackendName = "numpy",
+        **options: Any,  # noqa: ANN401
     ) -> None:
-        self.artifact = read_policy(path)
-        self.chip = chip_called(chip)
-        self.controller = SpikingController(
-            self.artifact,
-            self.chip,
-            rows,
-            sampled,
-            backend,
-            faults=faults,
-            trace=trace,
-            limits=limits,
-            quantisation=quantisation,
-        )
+        self.artifact, self.chip = read_policy(path), chip_called(chip)
+        self.controller = SpikingController(self.artifact, self.chip, rows, **options)
         self.codec, self.program = self.controller.codec, self.controller.program
         self.remarks = self.program.remarks
         self._mark_start()
@@ -145,13 +127,13 @@ class NirController(Player):
         return cls(
             candidate.path,
             chip or FLOAT,
-            sampled,
-            candidate.limits,
-            candidate.quantisation,
-            candidate.faults,
-            trace,
             rows,
-            candidate.backend,
+            sampled=sampled,
+            backend=candidate.backend,
+            faults=candidate.faults,
+            trace=trace,
+            limits=candidate.limits,
+            quantisation=candidate.quantisation,
         )
 
     def reset(self, seed: int) -> None:

@@ -104,17 +104,14 @@ class ServedPolicy:
             )
         self.name, self.chip = candidate.name, str(chip or candidate.default_chip)
         self._artifact, self._on = read_policy(candidate.path), chip_called(self.chip)
-        self._options: dict[str, Any] = {"limits": limits} if self._on else {}
-        self._backend = backend
+        self._options: dict[str, Any] = {"backend": backend, "limits": limits}
         first = self._controller()
         self._codec, self.observed = first.codec, first.codec.encoder.observed
         self._actions = int(candidate.actions or 0)
         first.act([0.0] * self.observed)  # takes memory and may compile before clients come
 
     def _controller(self) -> SpikingController:
-        return SpikingController(
-            self._artifact, self._on, "total", backend=self._backend, **self._options
-        )
+        return SpikingController(self._artifact, self._on, "total", **self._options)
 
     def episode(self) -> "ServedEpisode":
         """An episode for a client, with a controller of its own."""
