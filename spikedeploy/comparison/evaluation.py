@@ -12,7 +12,13 @@ from typing import Any
 
 from spikedeploy import envs
 from spikedeploy.comparison.comparison import Comparison, Row
-from spikedeploy.comparison.episodes import Episode, EpisodeJob, play, summarise
+from spikedeploy.comparison.episodes import (
+    Episode,
+    EpisodeJob,
+    foreign_period,
+    play,
+    summarise,
+)
 from spikedeploy.comparison.lineup import Entry, remark_on_chip
 from spikedeploy.console import progress, say
 from spikedeploy.envs.rollout import EpisodeRecorder, rollout
@@ -49,7 +55,7 @@ def compare_policies(
     options    of the environment
     metrics    of its step infos, `name:mean|last|max`
     """
-    period = _check(env, options, entries, seeds)
+    _check(env, options, entries, seeds)
     as_json, references = json.dumps(dict(options)), [id(entry.reference) for entry in entries]
     played: dict[Entry, list[Episode]] = {}
     with (
@@ -75,28 +81,24 @@ def compare_policies(
             for entry in group:
                 played[entry] = list(islice(found, len(seeds)))
     spec, rows = envs.spec(env), [Row(entry, played[entry]) for entry in entries]
-    return Comparison(spec.id, seeds, rows, (), disturbed_by(options), spec.foreign, period)
+    period, disturb = foreign_period(env, as_json), disturbed_by(options)
+    return Comparison(spec.id, seeds, rows, (), disturb, spec.foreign, period)
 
 
 def _check(
     env: str, options: Mapping[str, Any], entries: Sequence[Entry], seeds: Sequence[int]
-) -> float | None:
-    """Refuse training seeds, policies of other environments and unknown chips at once.
-
-    Return the time of a control step [s] of an environment that is not ours, where it says so.
-    """
+) -> None:
+    """Refuse training seeds, policies of other environments and unknown chips at once."""
     if min(seeds) < EVALUATION:
         raise ConfigError(
             f"seed {min(seeds)} may have been trained on; evaluation starts at {EVALUATION}"
         )
-    world: Any = make_env(env, options)
+    world = make_env(env, options)
     for entry in entries:
         check_fit(entry.candidate, world)
         if entry.chip not in (None, FLOAT):
             chip(entry.chip)  # raises on an unknown name
-    period: float | None = world.unwrapped.CONTROL_DT if envs.spec(env).foreign else None
     world.close()
-    return period
 
 
 def run_policy(
