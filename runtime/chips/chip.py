@@ -350,7 +350,13 @@ def _load(path: Path, name: str, changed: int) -> Chip:
 def _make_chip(name: str, tables: Mapping[str, Any]) -> Chip:
     """The chip that the tables of a file describe."""
     entries, limits = tables.get("fields", {}), tables.get("limits", {})
-    family = _find_arithmetic(tables.get("arithmetic", ""))
+    if (arithmetic := tables.get("arithmetic", "")) not in ARITHMETICS:
+        raise ChipError(
+            f"arithmetic {arithmetic!r} is unknown{_suggest(arithmetic, ARITHMETICS)}. Choose one "
+            f"of {', '.join(ARITHMETICS)}."
+        )
+    module, _, attribute = ARITHMETICS[arithmetic].partition(":")
+    family = getattr(import_module(module), attribute)
     known = {each.name for each in (*fields(Chip), *fields(family))} - {"name", *_TABLES, "sources"}
     _check_names("field", entries, known | {"arithmetic"})
     _check_names("limit", limits, {each.name for each in fields(Limits)} - {"sources"})
@@ -372,7 +378,13 @@ def _make_chip(name: str, tables: Mapping[str, Any]) -> Chip:
 
 def _read_tables(path: Path) -> dict[str, Any]:
     """Tables of a file, over those of the datasheet that it is like."""
-    tables = _check_tables(_read_toml(path))
+    if path.stat().st_size > _MOST_BYTES:
+        raise ChipError(f"it has more than {_MOST_BYTES} bytes, which no datasheet needs.")
+    try:
+        tables = read_toml(path)
+    except (ValueError, RecursionError) as error:
+        raise ChipError(f"invalid TOML ({error}). Correct that line.") from None
+    _check_tables(tables)
     like: dict[str, str] = tables.pop("like", {})
     if not like:
         return tables
@@ -399,17 +411,8 @@ def _inherit(
     return taken | {name: {**taken.get(name, {}), **entry} for name, entry in own.items()}
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
-    if path.stat().st_size > _MOST_BYTES:
-        raise ChipError(f"it has more than {_MOST_BYTES} bytes, which no datasheet needs.")
-    try:
-        return read_toml(path)
-    except (ValueError, RecursionError) as error:
-        raise ChipError(f"invalid TOML ({error}). Correct that line.") from None
-
-
-def _check_tables(tables: dict[str, Any]) -> dict[str, Any]:
-    """The tables, if all are known and every entry of fields and limits has a source."""
+def _check_tables(tables: Mapping[str, Any]) -> None:
+    """Refuse unknown tables, and entries of fields and limits without a source."""
     _check_names("table", tables, _TABLES)
     for name, table in tables.items():
         if not isinstance(table, _TABLES[name]):
@@ -424,7 +427,6 @@ def _check_tables(tables: dict[str, Any]) -> dict[str, Any]:
     texts = (*tables.get("references", {}).items(), *tables.get("like", {}).items())
     if wrong := [name for name, text in texts if not isinstance(text, str)]:
         raise ChipError(f"{wrong[0]} is no text.")
-    return tables
 
 
 def _sources(entries: Mapping[str, Any], tables: Mapping[str, Any]) -> dict[str, str]:
@@ -443,16 +445,6 @@ def _sources(entries: Mapping[str, Any], tables: Mapping[str, Any]) -> dict[str,
 
 
 _REFERENCE = re.compile(r"\{(\w+)\}")
-
-
-def _find_arithmetic(arithmetic: str) -> Any:  # noqa: ANN401
-    if arithmetic not in ARITHMETICS:
-        raise ChipError(
-            f"arithmetic {arithmetic!r} is unknown{_suggest(arithmetic, ARITHMETICS)}. Choose one "
-            f"of {', '.join(ARITHMETICS)}."
-        )
-    module, name = ARITHMETICS[arithmetic].split(":")
-    return getattr(import_module(module), name)
 
 
 def _convert_entries(kind: Any, entries: Mapping[str, Any], **given: Any) -> dict[str, Any]:  # noqa: ANN401

@@ -9,6 +9,8 @@ from spikedeploy.runtime.errors import ConfigError
 
 Granularity = Literal["layer", "channel"]
 Headroom = Literal["none", "proven"]
+# fields of Quantisation that an arithmetic may leave open; the shift is Xylo's alone
+CHOICES = ("granularity", "rounding", "headroom", "thresholds", "tuned")
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class Quantisation:
 
     def only(self, chip: str, *possible: str) -> None:
         """Refuse choices that a chip does not have."""
-        for option in ("granularity", "rounding", "headroom", "thresholds", "tuned"):
+        for option in CHOICES:
             found = getattr(self, option)
             if option not in possible and found != getattr(PLAIN, option):
                 raise ConfigError(

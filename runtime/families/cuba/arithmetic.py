@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
-from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.chips.quantisation import CHOICES, Quantisation
 from spikedeploy.runtime.chips.registers import Rounding, decay, magnitude, round_values
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ChipError, RuleError
@@ -49,13 +49,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         "numba": "spikedeploy.runtime.families.cuba.numba_backend:NumbaPipeline",
     }
     spikes_max: ClassVar[int] = 1
-    choices: ClassVar[tuple[str, ...]] = (
-        "granularity",
-        "rounding",
-        "headroom",
-        "thresholds",
-        "tuned",
-    )
+    choices: ClassVar[tuple[str, ...]] = CHOICES
     spikes_and_floor: ClassVar[tuple[str, str] | None] = ("above", "none")
     ablation_steps: ClassVar[tuple[str, ...]] = _ROUNDING_STEPS
 
@@ -99,7 +93,12 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
     ) -> Sequence[Layer]:
         """The float layers as integers, with as much headroom as is asked for."""
         if quantisation.headroom == "proven":
-            _refuse_graded(network)
+            for layer in network.layers:
+                if layer.graded:
+                    raise RuleError(
+                        f"rule headroom: layer {layer.name!r}: nothing bounds its graded spikes, "
+                        "so no scale is proven to hold their sums. Choose headroom 'none'."
+                    )
             return with_headroom(self, network, quantisation, timesteps)
         return [quantise(layer, self, quantisation) for layer in network.layers]
 
@@ -121,22 +120,17 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
     def partly_rounded(self, before: Layer, after: Layer, step: str) -> Layer:
         """The layer in float64 and state units, rounded up to one of the ablation steps."""
         units, one = 1.0 / after.scale, float(1 << self.mantissa_shift)
-        thresholds, decays = step != "weights", step == "decays"
-        return replace(
-            after,
-            synapses=tuple(
-                replace(s, weight=s.weight.astype(np.float64) * one) for s in after.synapses
-            ),
-            bias=after.bias * one,
-            threshold=after.threshold.astype(np.float64)
-            if thresholds
-            else before.threshold * units,
-            voltage_bias=after.voltage_bias * 1.0 if thresholds else before.voltage_bias * units,
-            current_decay=after.current_decay / self.decay_one if decays else before.current_decay,
-            membrane_decay=after.membrane_decay / self.decay_one
-            if decays
-            else before.membrane_decay,
-        )
+        fields: dict[str, Any] = {
+            "synapses": tuple(replace(s, weight=s.weight * one) for s in after.synapses),
+            "bias": after.bias * one,
+        }
+        for name in ("threshold", "voltage_bias"):
+            is_float = step == "weights"
+            fields[name] = getattr(before, name) * units if is_float else getattr(after, name) * 1.0
+        for name in ("current_decay", "membrane_decay"):
+            factor = getattr(after, name) / self.decay_one
+            fields[name] = factor if step == "decays" else getattr(before, name)
+        return replace(after, **fields)
 
     def before_reset(
         self,
@@ -177,15 +171,6 @@ class CubaGradedSpikes(CubaFixedPoint):
             weights = sum_arriving(layer, presynaptic)
             return sigma_delta(self, _GRADED_BITS, layer, weights, state)
         return super().update(network, layer, presynaptic, state)
-
-
-def _refuse_graded(network: Network) -> None:
-    for layer in network.layers:
-        if layer.graded:
-            raise RuleError(
-                f"rule headroom: layer {layer.name!r}: nothing bounds its graded spikes, so no "
-                "scale is proven to hold their sums. Choose headroom 'none'."
-            )
 
 
 def _one_step_later(states: NDArray[Any]) -> NDArray[Any]:
@@ -335,7 +320,7 @@ class CubaFloat64(ArithmeticDefaults):
     ) -> Numbers:
         """Membranes (B, T, N) before a spike reset them, computed once more [state units]."""
         # V = b V + I + bias
-        before = np.concatenate([np.zeros_like(membrane[:, :1]), membrane[:, :-1]], axis=1)
+        before = _one_step_later(membrane)
         return np.asarray(layer.membrane_decay * before + current + layer.voltage_bias)
 
     def describe(self) -> Description:
@@ -373,7 +358,47 @@ class CubaFloat32(ArithmeticDefaults):
     ) -> Sequence[Layer]:
         """The float layers with whole weights, and everything else in float32."""
         rounding = quantisation.rounding or "nearest"
-        return [_quantise_float32(layer, self.weight_max, rounding) for layer in network.layers]
+        return [self._quantise(layer, rounding) for layer in network.layers]
+
+    def _quantise(self, layer: Layer, rounding: Rounding) -> Layer:
+        """The layer with whole weights; its states and thresholds grow as the weights do."""
+        # w_scale = weight_max / max|w| over all synapses into the population
+        largest = max(magnitude(s.weight) for s in layer.synapses)
+        scale = self.weight_max / largest if largest > 0 else 1.0
+        if not np.isfinite(scale):
+            raise RuleError(
+                f"rule weight-bits: layer {layer.name!r}: the largest weight is {largest:g}; "
+                f"nothing that small can be scaled to {self.weight_max}. Scale the weights up, or "
+                "leave the layer out."
+            )
+
+        def scaled(name: str, rule: str = "bias") -> NDArray[np.float32]:
+            values = np.asarray(getattr(layer, name), np.float64)
+            most = magnitude(values)
+            if most * scale > _LARGEST:
+                raise RuleError(
+                    f"rule {rule}: layer {layer.name!r}: {name} {most:g} is {most * scale:g} "
+                    f"beside weights that are whole; float32 holds {_LARGEST:.3g}. Rescale the "
+                    "layer."
+                )
+            return (values * scale).astype(np.float32)
+
+        synapses = tuple(
+            replace(s, weight=round_values(s.weight * scale, rounding).astype(np.int16))
+            for s in layer.synapses
+        )
+        return replace(
+            layer,
+            synapses=synapses,
+            bias=scaled("bias"),
+            voltage_bias=scaled("voltage_bias"),
+            threshold=scaled("threshold", "threshold-range")
+            if layer.spiking
+            else layer.threshold.astype(np.float32),
+            current_decay=layer.current_decay.astype(np.float32),
+            membrane_decay=layer.membrane_decay.astype(np.float32),
+            scale=layer.scale / scale,
+        )
 
     def update(
         self, network: Network, layer: Layer, presynaptic: Sequence[Numbers], state: LayerState
@@ -384,49 +409,3 @@ class CubaFloat32(ArithmeticDefaults):
     def describe(self) -> Description:
         """Neurons, weights and membrane in a few words each."""
         return Description("CuBa-LIF", f"{self.weight_bits} bits with the sign", "float32")
-
-
-def _quantise_float32(layer: Layer, weight_max: int, rounding: Rounding) -> Layer:
-    """The layer with whole weights; its states and thresholds grow as the weights do."""
-    scale = _scale(layer, weight_max)
-    return replace(
-        layer,
-        synapses=tuple(
-            replace(s, weight=round_values(s.weight * scale, rounding).astype(np.int16))
-            for s in layer.synapses
-        ),
-        bias=_as_float32(layer, "bias", scale),
-        voltage_bias=_as_float32(layer, "voltage_bias", scale),
-        threshold=_as_float32(layer, "threshold", scale),
-        current_decay=layer.current_decay.astype(np.float32),
-        membrane_decay=layer.membrane_decay.astype(np.float32),
-        scale=layer.scale / scale,
-    )
-
-
-def _scale(layer: Layer, weight_max: int) -> float:
-    """w_scale = weight_max / max|w| over all synapses into the population."""
-    largest = max(magnitude(s.weight) for s in layer.synapses)
-    scale = weight_max / largest if largest > 0 else 1.0
-    if not np.isfinite(scale):
-        raise RuleError(
-            f"rule weight-bits: layer {layer.name!r}: the largest weight is {largest:g}; nothing "
-            f"that small can be scaled to {weight_max}. Scale the weights up, or leave the "
-            "layer out."
-        )
-    return scale
-
-
-def _as_float32(layer: Layer, name: str, scale: float) -> NDArray[np.float32]:
-    """(N,) the layer's numbers of that name, scaled, in float32."""
-    if name == "threshold" and not layer.spiking:
-        return layer.threshold.astype(np.float32)
-    values = np.asarray(getattr(layer, name), np.float64)
-    largest = magnitude(values)
-    if largest * scale > _LARGEST:
-        rule = "threshold-range" if name == "threshold" else "bias"
-        raise RuleError(
-            f"rule {rule}: layer {layer.name!r}: {name} {largest:g} is {largest * scale:g} beside "
-            f"weights that are whole; float32 holds {_LARGEST:.3g}. Rescale the layer."
-        )
-    return (values * scale).astype(np.float32)
