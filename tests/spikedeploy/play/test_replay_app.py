@@ -179,9 +179,10 @@ def test_a_run_folder_holds_a_batch_in_each_file(run):
     assert len(open_source(run / "ghosts/00002.npz")) == 1
 
 
-def test_what_is_no_source_is_refused_in_a_line(tmp_path):
-    with pytest.raises(ConfigError, match="no such run folder, ghost file or rollout"):
-        open_source(tmp_path / "nothing")
+def test_what_is_no_source_is_refused_in_a_line(tmp_path, command):
+    code, _, err = command("replay", tmp_path / "none")
+    assert code == 2
+    assert err == f"error: {tmp_path}/none: no such run folder, ghost file or rollout\n"
     with pytest.raises(ConfigError, match="no ghosts in it"):
         open_source(tmp_path)
     (tmp_path / "a.npz").write_text("not a zip file")
@@ -306,26 +307,18 @@ def test_sources_of_one_name_are_told_apart_by_their_folders(tmp_path):
     assert distinct_names([tmp_path / "ann", tmp_path / "snn/ghosts"]) == ["ann", "snn"]
 
 
-@pytest.mark.parametrize(
-    ("other", "line"),
-    [
-        ({"env_id": "spikedeploy/KartGrid-v0"}, "was driven in kart-grid on big_S"),
-        ({"track": "small_S"}, "was driven in kart-gazebo on small_S, run in kart-gazebo on big_S"),
-    ],
-    ids=["kart", "track"],
-)
-def test_sources_of_different_worlds_are_refused_in_a_line(other, line, tmp_path):
-    with pytest.raises(ConfigError, match=line):
-        open_replay(tiny(tmp_path, "run"), beside=[tiny(tmp_path, **other)])
-    assert "\n" not in line
-
-
-def test_a_source_counts_once_and_there_is_a_colour_for_each(tmp_path):
-    files = [tiny(tmp_path, str(number)) for number in range(7)]
-    with pytest.raises(ConfigError, match="7 sources: at most 6"):
-        open_replay(files[0], beside=files[1:])
-    with pytest.raises(ConfigError, match=r"0\.npz is named twice"):
-        open_replay(files[0], beside=files[:1])
+def test_sources_that_cannot_be_shown_together_are_refused_in_a_line(tmp_path):
+    run, files = tiny(tmp_path, "run"), [tiny(tmp_path, str(number)) for number in range(7)]
+    grid = tiny(tmp_path, "grid", "spikedeploy/KartGrid-v0")
+    for paths, line in (
+        ([run, grid], "was driven in kart-grid on big_S"),
+        ([run, tiny(tmp_path, track="small_S")],
+         "was driven in kart-gazebo on small_S, run in kart-gazebo on big_S"),
+        (files, "7 sources: at most 6"),
+        ([files[0], files[0]], r"0\.npz is named twice"),
+    ):  # fmt: skip
+        with pytest.raises(ConfigError, match=line):
+            open_replay(paths[0], beside=paths[1:])
 
 
 def test_a_track_drawn_at_random_is_the_leaders_in_every_batch(tmp_path):
@@ -425,9 +418,3 @@ def test_the_command_films_without_a_window(command, run, tmp_path):
     assert (code, out, err) == (0, f"wrote {path}\n", "")
     _, out, _ = command("replay", run, "--video", path, "--seconds", "0.1", "--json")
     assert json.loads(out) == {"source": str(run), "batches": 3, "video": str(path)}
-
-
-def test_a_missing_source_is_one_line(command, tmp_path):
-    code, _, err = command("replay", tmp_path / "none")
-    assert code == 2
-    assert err == f"error: {tmp_path}/none: no such run folder, ghost file or rollout\n"
