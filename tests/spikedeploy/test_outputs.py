@@ -85,9 +85,12 @@ def inputs(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "output", ["net.nir", "in.npy", "linked.npz", "hard.npz", "./x/../net.nir"]
+    ("output", "force"),
+    [
+        ("net.nir", ("--force",)),
+        *((name, ()) for name in ("in.npy", "linked.npz", "hard.npz", "./x/../net.nir")),
+    ],
 )
-@pytest.mark.parametrize("force", [(), ("--force",)])
 def test_emulate_never_overwrites_its_inputs(output, force, inputs, command):
     (inputs / "x").mkdir()
     net, raster = inputs / "net.nir", inputs / "in.npy"
@@ -140,10 +143,12 @@ def test_no_name_of_an_output_is_a_sentence(output, tmp_path, monkeypatch, comma
 
 
 @pytest.mark.parametrize(
-    "inside",
-    ["config.json", "metrics.csv", "checkpoints/last.safetensors", "ghosts/00001.npz", "a.csv"],
+    ("inside", "force"),
+    [
+        ("config.json", ("--force",)),
+        *((name, ()) for name in ("metrics.csv", "checkpoints/last.safetensors", "a.csv")),
+    ],
 )
-@pytest.mark.parametrize("force", [(), ("--force",)])
 def test_files_of_a_run_are_never_overwritten(inside, force, run, command):
     words = ("visualize", run, "-o", run / inside, *force)
     kept = [run / "config.json", run / "metrics.csv"]

@@ -26,8 +26,7 @@ def test_the_first_page_replays_the_first_task_and_leads_to_all(stroll, monkeypa
     assert not any("float" in name for name in told)
 
 
-@pytest.mark.parametrize("name", ["index.html", "stroll/report.html"])
-@pytest.mark.parametrize("linked", [False, True])
+@pytest.mark.parametrize(("name", "linked"), [("index.html", True), ("stroll/report.html", False)])
 def test_a_demo_replaces_only_what_a_demo_wrote(name, linked, stroll, monkeypatch):
     monkeypatch.setattr(demo_reports, "_TASKS", {"stroll": 1})
     monkeypatch.setattr(sys, "argv", ["spikedeploy", "demo"])  # which the report names
