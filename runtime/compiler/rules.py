@@ -152,17 +152,22 @@ def _at_most(unit: str, remedy: str, limit: str, measure: Measure) -> Rule:
     return judge
 
 
+def _verdict(keeps: bool) -> Status:
+    return "pass" if keeps else "fail"
+
+
 def _compare(
     node: str | None, found: float, limit: float | None, unit: str, remedy: str, note: str = ""
 ) -> RuleResult:
-    status: Status = "unknown" if limit is None else "pass" if found <= limit else "fail"
+    status: Status = "unknown" if limit is None else _verdict(found <= limit)
     return _result(node, status, found, limit, unit, remedy, note)
 
 
 def _choose(node: str, found: str, possible: Sequence[str], remedy: str) -> RuleResult:
     """Pass where the chip has what was found."""
-    status: Status = "pass" if found in possible else "fail"
-    return _result(node, status, found, ", ".join(possible) or "none", "", remedy)
+    return _result(
+        node, _verdict(found in possible), found, ", ".join(possible) or "none", "", remedy
+    )
 
 
 # rules on single nodes: kinds, resets, decays, thresholds, weights, kernels
@@ -229,8 +234,7 @@ def _shape(design: PlacedNetwork) -> Iterator[RuleResult]:
     for population in design.network.populations:
         channels, *extents = population.shape
         fits = channels <= limits.channels and max(extents, default=1) <= limits.extent
-        status: Status = "pass" if fits else "fail"
-        yield _result(population.name, status, _by(population.shape), most, "", remedy)
+        yield _result(population.name, _verdict(fits), _by(population.shape), most, "", remedy)
 
 
 def _kernel(design: PlacedNetwork) -> Iterator[RuleResult]:
@@ -243,8 +247,7 @@ def _kernel(design: PlacedNetwork) -> Iterator[RuleResult]:
         fits = max(window.kernel) <= limits.kernel and {*window.stride} <= {*limits.strides}
         found = f"a kernel of {_by(window.kernel)}, stride {_by(window.stride)}"
         most = f"kernels to {limits.kernel}, strides {', '.join(map(str, limits.strides))}"
-        status: Status = "pass" if fits else "fail"
-        yield _result(name, status, found, most, "", "Train with such a kernel.")
+        yield _result(name, _verdict(fits), found, most, "", "Train with such a kernel.")
 
 
 def _by(extents: tuple[int, ...]) -> str:
@@ -300,7 +303,7 @@ def _weight_bits(threshold: Floats, largest: float, widest: int, most: int) -> R
     found = min(float(widest), largest * most / top if top > 0 else widest)
     limit, unit = f"weights above {_HALF}, to {widest}", "mantissa of the largest weight"
     remedy = "Scale the weights up, or the threshold down."
-    return _result(None, "pass" if found > _HALF else "fail", found, limit, unit, remedy)
+    return _result(None, _verdict(found > _HALF), found, limit, unit, remedy)
 
 
 def _threshold_range(threshold: Floats, largest: float, widest: int, most: int) -> RuleResult:
@@ -310,7 +313,7 @@ def _threshold_range(threshold: Floats, largest: float, widest: int, most: int) 
     limit, unit = f"thresholds above {_HALF}, to {most}", "units of the smallest weight"
     remedy = "Raise the threshold, or clip the weights."
     note = "thresholds above the range scale the weights down" if found > most else ""
-    return _result(None, "fail" if dead else "pass", found, limit, unit, remedy, note)
+    return _result(None, _verdict(not dead), found, limit, unit, remedy, note)
 
 
 def _decay_range(design: PlacedNetwork) -> Iterator[RuleResult]:
@@ -492,7 +495,7 @@ def _convention(design: PlacedNetwork) -> Iterator[RuleResult]:
     spikes, floor = possible
     # at the threshold or above it: the compiler makes a remark of it
     near = (stated.spikes, spikes) == ("reached", "above") and stated.floor == floor
-    status: Status = "pass" if near or (stated.spikes, stated.floor) == possible else "fail"
+    status = _verdict(near or (stated.spikes, stated.floor) == possible)
     limit = f"spikes {spikes!r}, floor {floor!r}"
     yield _result(None, status, found, limit, "", "Run the network in float.", note)
 

@@ -1,7 +1,10 @@
+import nir
+import numpy as np
 import pytest
 
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
+from spikedeploy.runtime.graph.neurons import discretise
 from spikedeploy.runtime.metadata import Record
 
 
@@ -66,3 +69,22 @@ def test_a_field_from_the_future_is_refused():
     record = {**Convention(1e-3).to_record(), "refractory": 2}
     with pytest.raises(ArtifactError, match="unknown field 'refractory'"):
         Convention.from_record(Record(record, "convention"))
+
+
+def test_a_field_that_is_missing_in_a_record_is_named():
+    record = Convention(1e-3).to_record()
+    del record["reset"]
+    with pytest.raises(ArtifactError, match=r"convention\.reset is missing"):
+        Convention.from_record(Record(record, "convention"))
+
+
+@pytest.mark.parametrize("options", [{"spikes": "many"}, {"clock": "pipelined", "delay": 1}])
+def test_choices_that_contradict_each_other_are_refused(options):
+    with pytest.raises(ConventionError, match="contradict each other"):
+        Convention(1e-3, **options)
+
+
+def test_many_spikes_need_something_to_subtract():
+    node = nir.IF(np.ones(1), np.zeros(1))
+    with pytest.raises(ConventionError, match=r"'n1': its threshold is not above v_reset"):
+        discretise("n1", node, Convention(1e-3, reset="subtract", spikes="many"))

@@ -127,3 +127,8 @@ def test_parameters_of_different_shapes_are_refused():
         Normaliser(np.zeros(2), np.ones(3), 5.0)
     with pytest.raises(ArtifactError, match=r"shape \(obs, P\), found \(2,\) and \(2,\)"):
         PopulationEncoder(np.zeros(2), np.ones(2))
+
+
+def test_an_output_with_the_wrong_number_of_timesteps_is_refused():
+    with pytest.raises(ObservationError, match=r"\(B, 5, act\)"):
+        codec(3).decode(np.zeros((1, 4, 2)))

@@ -94,6 +94,7 @@ def test_a_pool_that_is_none_is_refused_by_name(kernel, stride, padding, message
     [
         (nir.Delay(np.array([1e-3, -1e-3])), (2,), "delay holds -0.001 s"),
         (nir.Delay(np.array([1e-3, np.nan])), (2,), "delay holds nan"),
+        (nir.Scale(np.array(["a", "b"])), (2,), "scale holds <U1, not numbers"),
         (lif(2, threshold=-1.0), (2,), "v_threshold holds -1, below its v_reset 0"),
         (nir.Flatten({"input": None}, 2, 1), (2, 3, 4), "axes 2 to 1 cannot be flattened"),
         (nir.Flatten({"input": None}, 0, 3), (2, 3, 4), "axes 0 to 3 cannot be flattened"),
