@@ -270,8 +270,8 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         self._build(self._base_track)
         default = self.CLASSIC_OBSERVE if classic else self.OBSERVE
         self.OBSERVATION = self._columns(default if observe is None else observe)
-        size = max(place.stop for place in self.OBSERVATION.values())
-        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float64)
+        self._observed = max(place.stop for place in self.OBSERVATION.values())
+        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (self._observed,), np.float64)
         self.action_space: gymnasium.Space[Any] = gymnasium.spaces.Discrete(len(self.ACTIONS))
         self._begin()
         self._reset_state()
@@ -466,8 +466,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
 
     def _observe(self, state: KartState, scan: FloatArray) -> FloatArray:
         """The observation (obs,) of a state in which the LIDAR measured `scan` (R,) [px]."""
-        last = next(reversed(self.OBSERVATION.values()))
-        values = np.empty(last.stop)
+        values = np.empty(self._observed)
         for name, place in self.OBSERVATION.items():
             values[place] = self._component(name, state, scan)
         # np.maximum and np.minimum take a third of the time of np.clip
