@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from spikedeploy.errors import ConfigError
-from spikedeploy.files import is_locked, locked
+from spikedeploy.files import as_text, is_locked, locked
 
 HOLD = """
 import sys, time
@@ -40,3 +40,8 @@ def test_a_lock_is_held_against_the_own_process_too(tmp_path):
     with locked(path):
         pass
     assert not path.exists()
+
+
+def test_numbers_that_json_lacks_become_null():
+    found = as_text({"a": [float("nan"), 1.5], 2: (float("-inf"),)})
+    assert found == as_text({"a": [None, 1.5], "2": [None]})

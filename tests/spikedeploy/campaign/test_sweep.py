@@ -121,11 +121,13 @@ def test_another_option_or_policy_is_another_job(grid):
     assert replace(job, versions={**job.versions, "numpy": "1"}).key != job.key
 
 
-def test_a_worker_with_other_versions_refuses(grid):
+def test_a_worker_refuses_other_versions_and_damaged_policies(grid):
     plan = expand(grid)
     job = replace(plan.jobs[0], versions={"numpy": "1.0"})
     with pytest.raises(ConfigError, match=r"this worker has numpy .*begun with 1\.0"):
         evaluate_job(SweepJob(job, plan.policies[job.sha256]))
+    with pytest.raises(ConfigError, match="arrived damaged"):
+        evaluate_job(SweepJob(plan.jobs[0], b"no network"))
 
 
 def test_failures_are_kept_with_their_reason_and_retried_on_request(grid, tmp_path):

@@ -250,3 +250,8 @@ def test_notes_and_journals_of_somebody_else_are_no_search(tmp_path):
     ):
         (tmp_path / name).write_text(text)
         assert is_study(tmp_path) is is_ours
+
+
+def test_a_database_that_is_none_is_refused_in_a_sentence(tmp_path):
+    with pytest.raises(ConfigError, match="no database can be opened there"):
+        tune.tune(PLAN, tmp_path, 1, storage="nosuch://host/name")

@@ -116,3 +116,12 @@ def test_an_example_exports_what_check_finds_equal(tool, tmp_path, monkeypatch):
     runpy.run_path(str(ROOT / f"examples/from_{tool}.py"), run_name="__main__")
     found = check(tmp_path / f"{tool}.nir", "--from", tool, "--against", tmp_path / f"{tool}.npz")
     assert "your framework = our float: equal, 400 outputs" in found.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(("--chip", "loihi1"), "Give one of them"), (("-o", "out"), "SystemExit(2)")],
+)
+def test_a_recording_goes_without_chips_and_pages(words, said):
+    found = against("snntorch_leaky", "snntorch_leaky_default", *words)
+    assert said in repr(found.exception)

@@ -113,3 +113,10 @@ def test_after_distill_the_next_command_has_the_teacher(command, tmp_path, monke
     assert code == 0, err
     words = shlex.split(out.rpartition("next: ")[2])
     assert words[-4:] == ["--teacher", name, "--teacher-units", "scaled"]
+
+
+def test_a_model_of_stable_baselines3_is_the_float_ann(rows):
+    found = rows("CartPole-v1", "--teacher", SB3 / "ppo.zip")
+    assert found["ppo"]["kind"] == "ann"
+    assert found["random"]["ratio_to_float_ann"] is not None
+    assert found["random"]["reference"] == "ppo"

@@ -56,3 +56,8 @@ def test_data_of_each_kind_is_read_and_written_without_losing_a_spike(data, node
 def test_a_grid_of_another_dt_is_refused(tmp_path):
     found = emulate(written(tmp_path / "in.h5", grid(1e-3)), tmp_path / "out.npz")
     assert "a grid of dt = 0.001 s, the network 0.0001 s" in str(found.exception)
+
+
+def test_a_file_of_another_kind_is_refused(tmp_path):
+    found = emulate(EXPORTS / "snntorch_leaky.nir", tmp_path / "out.npz")
+    assert "is HDF5 and no NIRData: Root object is not NIRGraphData" in str(found.exception)
