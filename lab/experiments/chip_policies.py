@@ -11,8 +11,6 @@ files that have not changed stay.
 """
 
 import argparse
-import csv
-import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -25,7 +23,7 @@ from lab.experiments import DESIGNS
 from lab.experiments.networks import is_discrete, random_actions
 from lab.experiments.pages import ROOT, render, share
 from lab.experiments.ratios import nested_ratio
-from lab.experiments.training import Record, read_rows
+from lab.experiments.training import Record, read_rows, write_exactly
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.statistics import stratified
 from spikedeploy.files import as_text, replacing, write_text
@@ -192,7 +190,7 @@ def make_table(episodes: int) -> None:
             if old is None or (old["sha256"] or "") != digest or old["episodes"] != episodes:
                 rows[task, name] = _row(task, name, seeds)
                 print(f"{task}/{name}: {np.mean(rows[task, name]['scores']):,.1f}", flush=True)
-                _write([rows[key] for key in sorted(rows, key=_place)])
+                write_exactly([rows[key] for key in sorted(rows, key=_place)], _COLUMNS, TABLE)
     write_text(PAGE, page(rows))
 
 
@@ -204,13 +202,6 @@ def read(table: Path) -> dict[tuple[str, str], Record]:
     """The rows of an earlier table, by task and policy."""
     rows = read_rows(table, _TEXT) if table.is_file() else []
     return {(row["task"], row["chip"]): row for row in rows}
-
-
-def _write(rows: Sequence[Record]) -> None:
-    with replacing(TABLE) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, _COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({**row, "scores": json.dumps(row["scores"])} for row in rows)
 
 
 def page(rows: Table) -> str:

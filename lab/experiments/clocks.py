@@ -11,7 +11,6 @@ OUTPUT/clocks.md; tasks that are not named keep their rows.
 """
 
 import argparse
-import csv
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -20,12 +19,12 @@ import numpy as np
 from lab.experiments import DESIGNS
 from lab.experiments.pages import render
 from lab.experiments.ratios import nested_ratio
-from lab.experiments.training import Record, read_rows
+from lab.experiments.training import Record, read_rows, write_exactly
 from spikedeploy.comparison.comparison import Row
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.statistics import stratified
-from spikedeploy.files import replacing, write_text
+from spikedeploy.files import write_text
 from spikedeploy.policies import costs
 from spikedeploy.policies.registry import find
 
@@ -144,9 +143,6 @@ def main() -> None:
     ]
     order = list(FLOATS)
     found = sorted([*before, *played], key=lambda row: order.index(row["task"]))
-    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(found)
+    write_exactly(found, COLUMNS, path)
     write_text(given.output / "clocks.md", page(found, given.episodes))
     print(given.output / "clocks.md")

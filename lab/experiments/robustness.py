@@ -23,13 +23,14 @@ from lab.experiments.ratios import grouped_ratio
 from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, read_rows
 from spikedeploy import envs, zoo
+from spikedeploy.comparison.lineup import Entry
 from spikedeploy.envs.disturbances import Kind, kinds_of
 from spikedeploy.envs.disturbances import row as row_of
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.make_env import make_env, parse_options
 from spikedeploy.policies.onnx import OnnxController
-from spikedeploy.policies.registry import BUILT_IN, Candidate, check_fit, find
+from spikedeploy.policies.registry import BUILT_IN, check_fit, find
 from spikedeploy.reports.plots import BLUE, VERMILION, save
 from spikedeploy.reports.table import ABSENT, write_rows
 from spikedeploy.requests import LEVELS
@@ -57,35 +58,13 @@ _QUICK_PARTS = 8  # of a job
 _SMALL = ("mlp-32", "pruned", "small", "linear")
 
 
-@dataclass(frozen=True)
-class Tested:
-    """A policy of the line-up.
-
-    candidate  the policy
-    chip       on which it runs if it spikes, else None
-    """
-
-    candidate: Candidate
-    chip: str | None
-
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 of its file."""
-        return zoo.sha256(Path(self.candidate.path))
-
-    @property
-    def label(self) -> str:
-        """`popsan · loihi1`, `sac`."""
-        return f"{self.candidate.name} · {self.chip}" if self.chip else self.candidate.name
-
-
-def _shipped(env: str, chip: str) -> list[Tested]:
+def _shipped(env: str, chip: str) -> list[Entry]:
     """The shipped float ANNs, small float networks, and spiking policies on the chip."""
     every = [find(str(path)) for path in zoo.policies(env)]
     small = [c for name in _SMALL for c in every if c.name == name and c.kind != "snn"]
     found = [c for c in every if c.kind == "ann" and c not in small]
     spiking = [c for c in every if c.kind == "snn" and c.format == ".nir"]
-    return [Tested(c, None) for c in [*found, *small]] + [Tested(c, chip) for c in spiking]
+    return [Entry(c) for c in [*found, *small]] + [Entry(c, chip) for c in spiking]
 
 
 def _files_of(names: Sequence[str], env: str, options: Mapping[str, Any]) -> list[str]:
@@ -178,12 +157,12 @@ class RobustnessDesign(Design):
         return super().of(found)
 
     @cached_property
-    def policies(self) -> list[Tested]:
+    def policies(self) -> list[Entry]:
         """Those that were named, or all that are shipped; spiking ones on the chip."""
         if not self.files:
             return _shipped(self.env, self.chip)
         found = [find(path) for path in self.files]
-        tested = [Tested(each, self.chip if each.kind == "snn" else None) for each in found]
+        tested = [Entry(each, self.chip if each.kind == "snn" else None) for each in found]
         return sorted(tested, key=lambda each: each.chip is not None)
 
     def conditions(self, name: str) -> list[Condition]:
@@ -221,7 +200,7 @@ class RobustnessDesign(Design):
     def _world(self) -> str:
         return envs.spec(self.env).world
 
-    def tested(self, name: str) -> list[Tested]:
+    def tested(self, name: str) -> list[Entry]:
         """The policies of a part: faults are of chips."""
         found = self.policies
         return [each for each in found if each.chip] if name in FAULTS else found
@@ -247,11 +226,11 @@ class RobustnessDesign(Design):
         ]
 
     def _row(
-        self, condition: Condition, tested: Tested, episodes: Callable[..., Episodes]
+        self, condition: Condition, tested: Entry, episodes: Callable[..., Episodes]
     ) -> StoredRow:
         made = {
             "env": self.env,
-            "policy": tested.digest,
+            "policy": zoo.sha256(Path(tested.candidate.path)),
             "chip": tested.chip,
             "condition": condition.text,
             "number": condition.number,
@@ -274,7 +253,7 @@ class RobustnessDesign(Design):
         return Episodes(config, self.episodes, self.limit)
 
     def _evaluate(
-        self, condition: Condition, tested: Tested, shared: Callable[..., Episodes]
+        self, condition: Condition, tested: Entry, shared: Callable[..., Episodes]
     ) -> Record:
         """Returns of the policy, episode by episode, and what faults of the chip hit."""
         episodes = shared(*([condition.text] if condition.part == DISTURBANCE else []))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.files import as_text, locked, read_json, write_text
+from spikedeploy.files import as_text, locked, read_json, replacing, write_text
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import RunConfig, differences, parse_override, resolve
 from spikedeploy.trainers.recipes import RECIPES, merged
@@ -229,3 +229,13 @@ def read_rows(path: Path, texts: Collection[str]) -> list[Record]:
     known = [{name: text for name, text in row.items() if text} for row in rows]
     parsed = [{n: t if n in texts else json.loads(t) for n, t in row.items()} for row in known]
     return [dict.fromkeys(row) | found for row, found in zip(rows, parsed, strict=True)]
+
+
+def write_exactly(rows: Iterable[Record], columns: Sequence[str], path: Path) -> None:
+    """Write rows as CSV with every digit; lists are JSON."""
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(
+            {n: json.dumps(v) if isinstance(v, list) else v for n, v in row.items()} for row in rows
+        )

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from lab.experiments import kart, kart_page
-from lab.experiments.kart import HELD, NTH, TRACKS, UNSEEN, WORLDS, KartDesign, learning
+from lab.experiments.kart import HELD, NTH, TRACKS, UNSEEN, WORLDS, KartDesign
 from lab.experiments.kart_page import (
     finish_share,
     heldout_verdicts,
@@ -104,17 +104,6 @@ def leave(trial, first=1_000, gap=1_000):
         beside = {"success_difference_mean": -0.01, "actions_equal": 0.97}
         rows = [driven("float"), driven("loihi1", 0.97, sops_per_inference=2000.0, **beside)]
     trial.stored()[0].write({"parameters": 25_000, "rows": rows})
-
-
-def test_every_world_is_seen_early_and_what_the_page_begins_with_comes_first(design):
-    names = [trial.name for trial in design.trainings()]
-    assert names[:3] == ["kart-grid-ann-s0", "kart-grid-snn-s0", "kart-gazebo-ann-s0"]
-    assert names[6] == "kart-grid-ann-s1"
-    assert names[12] == "kart-grid-small-s0"
-    assert names[-2:] == ["kart-steer-classic-small-s0", "kart-steer-classic-linear-s0"]
-    # three presets of three worlds: two networks with two seeds, two controls with one
-    assert len(names) == len(set(names)) == 3 * 3 * (2 * 2 + 2 * 1)
-    assert [drive.name for drive in design.scripts()] == [f"{w}-random" for w in WORLDS]
 
 
 def test_only_the_classic_preset_ends_when_its_own_metric_is_reached(design):
@@ -231,14 +220,6 @@ def test_a_training_that_never_came_so_far_counts_as_longer_than_it_was():
         "- ≈ default, kart-grid: trainings that came to 300 finishes: 2 of 3 ann, 2 of 3 snn; no "
         "share of steps"
     )
-
-
-def test_what_is_not_trained_to_its_end_is_not_counted(design, pretend, tmp_path):
-    run_experiment(design, ["kart-grid-ann-s0"], 1, tmp_path)
-    (trial,) = [trial for trial in design.trainings() if trial.run]
-    assert len(learning(design)) == 1
-    (trial.run / "checkpoints/last.json").write_text('{"env_steps": 5, "finishes": 0}')
-    assert learning(design) == []
 
 
 def test_a_page_with_trainings_that_are_not_here_is_not_written_over(design, pretend, tmp_path):

@@ -15,17 +15,15 @@ from lab.experiments import networks
 from lab.experiments.costs import INT8, LEAN_UPDATE, energies, terms
 from lab.experiments.fronts import (
     Point,
-    mean_score,
     pairing,
     pairing_at,
     points,
     read_table,
-    return_estimates,
     write_table,
 )
 from lab.experiments.pages import share
-from lab.experiments.pareto import FLOAT, LAST, SPIKING, STUDENTS, ParetoDesign
-from lab.experiments.pareto_page import return_table, sentences
+from lab.experiments.pareto import FLOAT, LAST, SPIKING, ParetoDesign
+from lab.experiments.pareto_page import sentences
 from lab.experiments.runner import run_experiment
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.trainers.policies import PrunedMlpPolicy
@@ -85,15 +83,6 @@ def test_baselines_learn_from_the_walks_of_the_spiking_network(design, results):
         assert settings["pool"] == str(sparse.run)
         assert (settings["teacher_walks"], settings["noisy_walks"]) == (0, 0)
         assert not baseline.changed_settings
-
-
-def test_every_level_of_every_student_has_a_row_on_all_episodes(results):
-    levels = [row for row in by_imitation(results) if row["part"] == "levels"]
-    assert {(row["student"], row["level"]) for row in levels} == {
-        (student, level) for student in STUDENTS for level in (200, 60)
-    }
-    assert {len(row["scores"]) for row in levels} == {3}
-    assert all(row["operations"] > 0 for row in levels)
 
 
 def test_every_student_goes_on_with_reward_and_is_one_more_row(design, results):
@@ -224,18 +213,6 @@ def test_a_baseline_is_the_cheapest_float_student_that_is_not_below():
     assert pairing(found, point("sparse", 10.1, 50.0), "operations").ratio is None
 
 
-def test_bounds_are_the_same_for_spiking_and_float_points():
-    found = [
-        point("sparse", 9.9, 90.0), point("sparse", 9.6, 60.0), point("sparse-linear", 5.0, 1.0),
-        point("small-mlp", 9.85, 300.0), point("small-mlp", 9.55, 70.0),
-    ]  # fmt: skip
-    strict, loose = (pairing_at(found, share, "operations") for share in (0.98, 0.95))
-    assert (strict.point, strict.baseline) == (found[0], found[3])
-    assert (loose.point, loose.baseline) == (found[1], found[4])
-    assert pairing_at(found[2:], 0.95, "operations") is None
-    assert pairing_at(found[:2], 0.95, "operations").ratio is None
-
-
 def test_sentences_say_who_wins_and_which_term_decides():
     found = [point("sparse", 9.9, 50.0), point("small-mlp", 10.0, 100.0)]
     alone, updates, *_ = sentences(found)
@@ -328,41 +305,3 @@ def test_published_energies_follow_from_the_published_counts(path):
             # both are rounded to ten digits
             assert row[name] == pytest.approx(joules, rel=1e-9)
     assert sum(bool(energies(row)) for row in rows) > 10
-
-
-# returns
-
-EPISODES = 40
-SKILLS = (3000.0, 3200.0, 3400.0)  # of three trainings
-
-
-def walks(student, seed, skill):
-    """A row of one training, the same episodes hard for all."""
-    hard = np.random.default_rng(0).normal(0, 100, EPISODES)
-    found = {"student": student, "seed": seed, "level": 50, "place": "loihi1", "part": "levels"}
-    returns = (skill + hard).tolist()
-    counts = {"operations": 50.0, "falls": 0.0, "crashes": None, "neuron_updates": 26.0}
-    return found | counts | {"scores": returns, "return_mean": float(np.mean(returns))}
-
-
-@pytest.fixture
-def walked():
-    alone = {"level": None, "part": None, "place": "hexapod/sac"}
-    teacher = walks("teacher", None, 3300.0) | alone
-    return [teacher, *(walks("sparse", seed, skill) for seed, skill in enumerate(SKILLS))]
-
-
-def driven(row):
-    finishes = [float(each > 3000) for each in row["scores"]]
-    return row | {"crashes": 0.5, "scores": finishes}
-
-
-def test_karts_have_finishes_first_and_returns_where_their_rows_keep_them(walked):
-    karts = [driven(row) for row in walked]
-    assert return_estimates(karts[1:]) is None
-    assert mean_score(karts[1:]).mean == np.mean([row["scores"] for row in karts[1:]])
-    assert return_table(karts, points(karts))[0][-2:] == ["episodes", "finished"]
-    kept = [kart | {"returns": row["scores"]} for kart, row in zip(karts, walked, strict=True)]
-    assert return_estimates(kept[1:]) == return_estimates(walked[1:])
-    head = return_table(kept, points(kept))[0]
-    assert head[-4:] == ["finished", "return", "IQM", "risk"]

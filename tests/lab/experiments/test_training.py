@@ -183,13 +183,6 @@ def test_an_unfinished_training_is_resumed(asked, calls):
     assert calls[0][1]["resume"] == run
 
 
-def test_a_finished_training_is_reused_whatever_lies_beside_it(asked, calls):
-    run = leave(asked, True)
-    leave(asked, False)
-    assert asked.complete() is True
-    assert (asked.run, calls) == (run, [])
-
-
 def test_a_baseline_takes_over_the_walks_of_the_finished_spiking_run(baseline, asked, calls):
     with pytest.raises(
         ConfigError,
@@ -260,20 +253,6 @@ def test_reward_from_an_earlier_level_of_pruning_is_a_training_of_its_own(asked,
     theirs = leave(early, True, start=run.name)
     assert (plain.run, early.run) == (mine, theirs)
     assert early.changed_settings == []
-
-
-def test_settings_of_trainings_with_reward_have_a_name_of_their_own(tmp_path):
-    settings = ("walks=7", "tuned.iterations=9", "env.options.laps=2")
-    design = ParetoDesign(1, str(tmp_path), settings, env=ENV)
-    assert design._overrides(False) == ("walks=7", "env.options.laps=2")
-    assert design._overrides(True) == ("iterations=9", "env.options.laps=2")
-    assert design.tunings()[0].planned().iterations == 9
-    names = [each.name for each in ParetoDesign(2, str(tmp_path), env=ENV).trainings()]
-    assert names[4:7] == [
-        "kart-grid-small-linear-s0", "kart-grid-tuned-sparse-s0",
-        "kart-grid-tuned-sparse-linear-s0",
-    ]  # fmt: skip
-    assert names[9] == "kart-grid-sparse-s1"
 
 
 # refused before anything runs
