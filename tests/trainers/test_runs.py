@@ -75,6 +75,22 @@ def test_a_finished_run_is_left_as_it_is(tmp_path, world):
         train("smoke", resume=run, overrides=["steps=800"], runs=tmp_path, quiet=True)
 
 
+@pytest.mark.parametrize(
+    ("recipe", "named", "message"),
+    [
+        (None, {}, "name a recipe to train, or a run to resume"),
+        ("ppo-snn", {}, "trains in any environment: name one"),
+        ("smoke", {"env": "kart-grid"}, "smoke is made for hexapod, not for kart-grid"),
+        ("smoke-popsan", {"resume": "last"}, "is a run of 'smoke', not of 'smoke-popsan'"),
+    ],
+)
+def test_a_training_that_cannot_be_meant_is_refused(recipe, named, message, tmp_path):
+    if "resume" in named:
+        named = {"resume": RunFolder.create(tmp_path, resolve(SacConfig, "smoke")).path}
+    with pytest.raises(ConfigError, match=message):
+        train(recipe, runs=tmp_path, quiet=True, **named)
+
+
 def test_load_policy_takes_best_and_else_last(tmp_path):
     run = RunFolder.create(tmp_path, resolve(SacConfig, "smoke"))
     last_policy, best_policy = MlpPolicy(2, 1, (3,)), MlpPolicy(2, 1, (3,))
