@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 import torch
 from torch.distributions import Categorical, Normal, kl_divergence
@@ -130,6 +131,19 @@ def test_a_random_code_is_learned_from_the_spikes_that_were_acted_on():
 def test_a_policy_that_observes_only_the_phase_is_refused():
     with pytest.raises(ConfigError, match="ppo learns from all observations"):
         resolve(PpoConfig, "kart-grid-ann", overrides=["policy.features=phase"])
+
+
+@pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
+def test_the_normaliser_is_updated_until_it_is_frozen(tmp_path, world):
+    config = resolve(PpoConfig, "smoke-kart", overrides=[*QUICK, *SPIKING, "normaliser.finish=600"])
+    learner = Ppo(config, RunFolder.create(tmp_path, config))
+    seen = []
+    for _ in range(3):
+        learner._envs.step(np.zeros(8, np.int64))
+        seen.append(learner.policy.normalizer.std.clone())
+        learner.collect()
+    assert torch.equal(seen[0], torch.ones(2))
+    assert not torch.equal(seen[1], seen[0])
 
 
 def test_training_episodes_are_saved_as_ghosts(tmp_path):
