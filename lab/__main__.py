@@ -38,6 +38,7 @@ COMMANDS = {
     "sanafe-energy": "lab.peers.sanafe_networks",
     "sb3-models": "lab.peers.sb3_models",
     "kill": "lab.kill",
+    "walk": "lab.walk",
     "constraints": "lab.constraints",
 }
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
