@@ -8,7 +8,6 @@ to_onnx      a float policy as `.onnx`; a spiking one by spiking_onnx
 spiking_onnx a spiking policy as one step in ONNX, states in and out
 parity       a written file against its policy: NIR spike by spike, ONNX action by action
 check        one line of a parity report, and its counters
-importers/   the same network in the scaling that another tool's import accepts; takes no torch
 to_program   a compiled program as plain files, and what is expected of a chip; takes no torch
 kit/         beside it: scripts for the chips' tools, copied as they are, and imported by nothing
 to_xylo      a compiled program as a specification for Rockpool, beside the table

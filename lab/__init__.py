@@ -9,5 +9,6 @@ peers        golden traces and exports recorded with the tools that they come fr
 interop      our networks opened by other tools, every spike compared
 kill         trainings that are killed and resumed, compared with unbroken ones
 tables       tables of results/ in README and docs, written anew
+walk         the files between a command and its first action or gradient, in order
 constraints  the tested versions that `./spike` installs
 """

@@ -123,3 +123,9 @@ def test_the_readmes_python_lets_the_robot_walk(checkout, capsys):
 def test_the_python_of_a_page_runs(page, checkout):
     for block in blocks(page, "python"):
         exec(compile(block, page.name, "exec"), {})
+
+
+def test_the_tests_that_a_page_names_exist():
+    for page in PAGES:
+        for path, name in re.findall(r"(tests/[\w/]+\.py)::(test_\w+)", page.read_text("utf-8")):
+            assert f"def {name}(" in (ROOT / path).read_text("utf-8"), (page.name, path, name)

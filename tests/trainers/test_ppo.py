@@ -157,6 +157,17 @@ def test_training_episodes_are_saved_as_ghosts(tmp_path):
     assert all(0 <= drive.seed < 5_000 for drive in drives)
 
 
+@pytest.mark.parametrize("content", [b"\x00" * 90, b"1,2,3\n"])
+@pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
+def test_a_run_with_damaged_episodes_is_not_resumed(content, tmp_path, world):
+    run = train("smoke-kart", overrides=[*QUICK, *SPIKING], runs=tmp_path, quiet=True)
+    (run / "episodes.csv").write_bytes(content)
+    with pytest.raises(ConfigError, match=r"episodes\.csv is damaged: .*move it away"):
+        train("smoke-kart", resume=run, quiet=True)
+    (run / "episodes.csv").unlink()
+    train("smoke-kart", resume=run, quiet=True)
+
+
 @pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
 def test_an_environment_without_poses_leaves_no_ghosts(tmp_path, world):
     run = train("smoke-kart", overrides=[*QUICK, *SPIKING], runs=tmp_path, quiet=True)

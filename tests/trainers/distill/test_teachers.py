@@ -19,7 +19,7 @@ from onnx import TensorProto, helper, numpy_helper
 from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.exporters.to_onnx import to_onnx
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import EnvConfig, ValidationConfig
 from spikedeploy.trainers.distill import sb3
@@ -194,6 +194,19 @@ def test_the_action_of_several_outputs_is_known_by_its_name(tmp_path):
     outputs = [("value", [1, 2]), ("actions", [1, 2])]
     path = network(tmp_path / "policy.onnx", [("obs", [1, 4])], outputs, nodes=nodes)
     assert teacher(path, REACH).actions == 2
+
+
+@pytest.mark.parametrize("where", ["metadata", "input"])
+def test_an_onnx_file_with_names_or_metadata_that_are_no_text_is_refused(where, tmp_path):
+    path = tmp_path / "theirs.onnx"
+    network(path, [("XXXX" if where == "input" else "obs", ["B", 4])], [("action", ["B", 2])])
+    if where == "metadata":
+        made = onnx.load(path)
+        helper.set_model_props(made, {"env": "XXXX"})
+        onnx.save(made, path)
+    path.write_bytes(path.read_bytes().replace(b"XXXX", b"\xff\xfe\xff\xfe"))
+    with pytest.raises(ArtifactError, match=r"theirs\.onnx.* no text"):
+        teacher(str(path), REACH)
 
 
 def test_a_teacher_of_ours_acts_in_scaled_units_already(tmp_path):
@@ -446,9 +459,12 @@ def test_a_file_that_is_no_model_is_refused_in_one_line(tmp_path):
     text.write_text("no zip")
     cut = tmp_path / "cut.zip"
     cut.write_bytes((MODELS / "ppo.zip").read_bytes()[:3_000])
-    for path in (text, cut):
+    named = tmp_path / "named.zip"
+    named.write_bytes((MODELS / "ppo.zip").read_bytes().replace(b"data", b"\xff\xfe\xfd\xfc"))
+    for path in (text, cut, named):
         with pytest.raises(ConfigError, match="cannot be read as a model of Stable-Baselines3"):
             teacher(str(path), CARTPOLE)
+    unnamed = saved(state_of("ppo")).replace(b"data.pkl", b"\xff" * 8)
     for change, message in (
         ({"data": None}, "it has no data"),
         ({"data": None, "policy_pth": None}, r"no data and no policy\.pth"),
@@ -458,6 +474,7 @@ def test_a_file_that_is_no_model_is_refused_in_one_line(tmp_path):
         ({"policy_pth": saved([1])}, "no state dict"),
         ({"policy_pth": saved({"a": 1})}, "no state dict"),
         ({"policy_pth": b"cut"}, "format of torch before"),
+        ({"policy_pth": unnamed}, "cannot be read"),
     ):
         with pytest.raises(ConfigError, match=message):
             teacher(rewritten("ppo", tmp_path / "part.zip", **change), CARTPOLE)
