@@ -154,9 +154,9 @@ def make(
     undisturbed = partial(_make, entry, success)
     if not disturb:
         return undisturbed(options)
-    from spikedeploy.envs.disturbances import disturbed
+    from spikedeploy.envs.disturbances import make_disturbed
 
-    return disturbed(entry, disturb, options, undisturbed)
+    return make_disturbed(entry, disturb, options, undisturbed)
 
 
 def _make(entry: EnvSpec, success: str | None, options: dict[str, Any]) -> gymnasium.Env[Any, Any]:

@@ -438,7 +438,7 @@ class Disturbed(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.given = given
 
 
-def disturbed(
+def make_disturbed(
     entry: EnvSpec,
     texts: Sequence[str],
     options: Options,

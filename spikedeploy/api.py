@@ -28,7 +28,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.convention import Floor, Integrator, Reset, Spikes, State
 from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.runtime.emulator.network import chip_called
+from spikedeploy.runtime.emulator.network import chip_or_float
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.seeds import EVALUATION
 
@@ -60,7 +60,7 @@ class LoadedNetwork:
         self, chip: str, *, limits: bool = True, quantisation: Quantisation = PLAIN
     ) -> "LoadedNetwork":
         """The same network on another chip, such as "loihi1", or in "float"."""
-        chip_called(chip)  # a wrong name is refused here
+        chip_or_float(chip)  # a wrong name is refused here
         return replace(self, chip=chip, limits=limits, quantisation=quantisation)
 
     def run(self, raster: "Raster | Mapping[str, Raster] | str | Path") -> "NetworkRun":
@@ -87,7 +87,7 @@ class LoadedNetwork:
         """A robot's controller: an observation in, an action out; the file must hold a codec."""
         return SpikingController(
             self.artifact,
-            chip_called(self.chip),
+            chip_or_float(self.chip),
             "total",
             sampled,
             limits=self.limits,

@@ -39,7 +39,7 @@ from spikedeploy.recordings import (
     last_inference,
     ledger_of,
     network_json,
-    open_traced,
+    open_with_traces,
     pack,
     scene_of,
     stack_inferences,
@@ -107,7 +107,7 @@ class WatchedLoop(PacedLoop):
         period = getattr(env.unwrapped, "CONTROL_DT", None)
         if self._rate is None:
             self._pace(self._paced(1 / period if period else _RATE))
-        player = open_traced(candidate, chip, env, "total", sampled)
+        player = open_with_traces(candidate, chip, env, "total", sampled)
         self._network = player if isinstance(player, NirController) else None
         table = next(iter(self._tables), "") or quoted_among(
             priced_by(self._network.chip) if self._network else FLOAT_TABLES

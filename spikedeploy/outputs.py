@@ -25,7 +25,7 @@ def mark(command: str) -> str:
     return f"{_MARK}{command}"
 
 
-def marked(path: Path, *texts: str) -> bool:
+def has_text(path: Path, *texts: str) -> bool:
     """True where there is a file that holds one of these texts, such as the mark of a command."""
     if not path.is_file() or not path.stat().st_size:
         return False

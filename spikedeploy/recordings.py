@@ -162,7 +162,7 @@ def record(
     chip   or "float"; None for what does not spike
     table  of the energy
     """
-    player = open_traced(candidate, chip, env, "each")
+    player = open_with_traces(candidate, chip, env, "each")
     network = player if isinstance(player, NirController) else None
     period = getattr(env.unwrapped, "CONTROL_DT", None)
     every = max(1, round(1 / (_FPS * (period or _PERIOD))))
@@ -190,7 +190,7 @@ def record(
     )
 
 
-def open_traced(
+def open_with_traces(
     candidate: Candidate,
     chip: str | None,
     env: Any,  # noqa: ANN401

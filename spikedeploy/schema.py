@@ -11,7 +11,7 @@ T = TypeVar("T")
 _SHOWN = 3  # faults in a message
 
 
-def validated(kind: type[T], data: object, source: object, remedy: str = "") -> T:
+def validate(kind: type[T], data: object, source: object, remedy: str = "") -> T:
     """`data` as an instance of `kind`; ConfigError of `source` names what is wrong."""
     try:
         return TypeAdapter(kind).validate_python(data)

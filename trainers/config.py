@@ -13,8 +13,8 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.schema import validated
-from spikedeploy.trainers.recipes import RECIPES, merged
+from spikedeploy.schema import validate
+from spikedeploy.trainers.recipes import RECIPES, merge
 
 _MAX_STEPS = 10**12  # steps; a number beyond it is a mistake, and none that arrays can hold
 Positive = Annotated[int, Field(gt=0, le=_MAX_STEPS)]
@@ -253,17 +253,17 @@ def resolve(
     seed: int = 0,
 ) -> C:
     """Return the recipe's configuration, changed by the file and then by the overrides."""
-    entry = RECIPES[known(recipe, RECIPES, "recipe")]
+    entry = RECIPES[require_known(recipe, RECIPES, "recipe")]
     defaults = model(algorithm=entry.algorithm, recipe=recipe, seed=seed).model_dump()
     if "policy" in entry.settings:
         del defaults["policy"]  # another kind of policy has other settings
-    base = validated(model, merged(defaults, entry.settings), f"recipe {recipe}")
+    base = validate(model, merge(defaults, entry.settings), f"recipe {recipe}")
     if entry.any_env:
-        base = _stretched(base, amended(base, file=file, overrides=overrides))
-    return amended(base, file=file, overrides=overrides)
+        base = _stretched(base, amend(base, file=file, overrides=overrides))
+    return amend(base, file=file, overrides=overrides)
 
 
-def amended(base: C, *, file: str | Path | None = None, overrides: Iterable[str] = ()) -> C:
+def amend(base: C, *, file: str | Path | None = None, overrides: Iterable[str] = ()) -> C:
     """Return a configuration changed by the file and then by the overrides."""
     settings = base.model_dump(mode="json")
     if file is not None:
@@ -276,7 +276,7 @@ def amended(base: C, *, file: str | Path | None = None, overrides: Iterable[str]
         settings = _overlaid(settings, tables, str(file))
     for text in overrides:
         settings = _overlaid(settings, parse_override(text), f"--set {text}")
-    return validated(type(base), settings, f"recipe {base.recipe}")
+    return validate(type(base), settings, f"recipe {base.recipe}")
 
 
 def _stretched(base: C, asked: C) -> C:
@@ -287,7 +287,7 @@ def _stretched(base: C, asked: C) -> C:
         for end in ("begin", "finish"):
             if isinstance(value, dict) and end in value:
                 value[end] = round(value[end] * share)
-    return validated(type(base), settings, f"recipe {base.recipe}")
+    return validate(type(base), settings, f"recipe {base.recipe}")
 
 
 def differences(config: RunConfig) -> list[str]:
@@ -308,7 +308,7 @@ def _flat(settings: Mapping[str, Any], path: str = "") -> dict[str, Any]:
     return result
 
 
-def known(name: str, names: Iterable[str], kind: str, remedy: str = "") -> str:
+def require_known(name: str, names: Iterable[str], kind: str, remedy: str = "") -> str:
     """Return `name` if it is one of the names, else raise ConfigError with the closest ones.
 
     remedy: what else may have been meant
@@ -349,7 +349,7 @@ def _overlaid(
         if path not in ("env.options.", "shaping."):  # checked by the environment itself
             kind = f"setting ({source}) {path}".rstrip()
             own = "" if path else f"; an option of the environment is env.options.{key}"
-            known(key, settings, kind, own)
+            require_known(key, settings, kind, own)
         old = settings.get(key)
         if isinstance(old, Mapping) and isinstance(value, Mapping):
             value = _overlaid(old, value, source, f"{name}.")

@@ -234,7 +234,7 @@ def minibatches(batch: Any, count: int) -> Iterator[Any]:  # noqa: ANN401 - any 
         yield type(batch)(*(column[chosen] for column in columns))
 
 
-def stacked(transitions: list[Transition]) -> Transition:
+def stack_transitions(transitions: list[Transition]) -> Transition:
     """Return K transitions as one, with arrays (K, B, ...)."""
     names = [each.name for each in fields(Transition)]
     return Transition(
@@ -332,7 +332,7 @@ class PpoLearner(Learner):
 
     def learn(self, transitions: list[Transition]) -> dict[str, float]:
         """Learn from K steps of all copies, until the divergence limit; return the metrics."""
-        config, batch = self._config, self._assessed(stacked(transitions))
+        config, batch = self._config, self._assessed(stack_transitions(transitions))
         found: list[dict[str, float]] = []
         for _ in range(config.epochs):
             count = len(batch.target) // config.minibatch

@@ -26,14 +26,14 @@ class Recipe:
     any_env: bool = False
 
 
-def merged(settings: Mapping[str, Any], *changes: Mapping[str, Any]) -> Settings:
+def merge(settings: Mapping[str, Any], *changes: Mapping[str, Any]) -> Settings:
     """Return `settings` with nested changes applied in order."""
     result = dict(settings)
     for change in changes:
         for key, value in change.items():
             old = result.get(key)
             nested = isinstance(old, Mapping) and isinstance(value, Mapping)
-            result[key] = merged(old, value) if nested else value  # type: ignore[arg-type]
+            result[key] = merge(old, value) if nested else value  # type: ignore[arg-type]
     return result
 
 
@@ -56,7 +56,7 @@ def _recipes(data: Mapping[str, Any]) -> Iterator[tuple[str, Recipe]]:
             words, both = {"row": row, "column": column}, {**above, **beside}
             words |= {k: v.format(**words) for k, v in both.items() if k != "settings"}
             cells = dict(_split(entry.get("cells", {})))
-            settings = merged(
+            settings = merge(
                 {},
                 *(data["parts"][name] for name in entry.get("parts", ())),
                 above.get("settings", {}),

@@ -105,9 +105,9 @@ class RunFolder:
 
     def config(self, model: "type[C]") -> "C":
         """Return the configuration."""
-        from spikedeploy.schema import validated
+        from spikedeploy.schema import validate
 
-        return validated(model, self.settings(), str(self.path))
+        return validate(model, self.settings(), str(self.path))
 
     def write_config(self, config: "RunConfig") -> None:
         """Write the configuration."""
@@ -242,7 +242,7 @@ def _new_folder(path: Path) -> Path:
 # -- names of runs: a path, a name in a folder of runs, or the beginning of one
 
 
-def run_named(name: str | Path, runs: str | Path = "runs") -> Path | None:
+def find_run(name: str | Path, runs: str | Path = "runs") -> Path | None:
     """Return the run folder of a path, of a name in `runs`, or of one that begins so; else None.
 
     ConfigError lists the runs where several begin so.
@@ -272,7 +272,7 @@ def run_named(name: str | Path, runs: str | Path = "runs") -> Path | None:
 
 def existing_run(name: str | Path, runs: str | Path = "runs") -> Path:
     """Return the run folder that a name means; ConfigError where there is none."""
-    if (path := run_named(name, runs)) is not None:
+    if (path := find_run(name, runs)) is not None:
         return path
     beside = "" if Path(name).is_absolute() else f", nor in {Path(runs) / name}"
     raise ConfigError(f"'{name}' is no run folder: no config.json in it{beside}")
@@ -280,7 +280,7 @@ def existing_run(name: str | Path, runs: str | Path = "runs") -> Path:
 
 def is_beginning(name: str, runs: str | Path = "runs") -> bool:
     """Return whether a name is the beginning of a run's, and not all of it."""
-    return run_named(name, runs) not in (None, Path(name), Path(runs) / name)
+    return find_run(name, runs) not in (None, Path(name), Path(runs) / name)
 
 
 def is_run(path: Path) -> bool:

@@ -19,7 +19,7 @@ from spikedeploy.envs.foreign import is_target
 from spikedeploy.files import write_json
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, metrics
-from spikedeploy.trainers.config import C, RunConfig, amended, known, resolve
+from spikedeploy.trainers.config import C, RunConfig, amend, require_known, resolve
 from spikedeploy.trainers.progress import Interrupt, Journal, ProgressBar
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import RunFolder, is_beginning, write_errors
@@ -28,7 +28,7 @@ from spikedeploy.trainers.runner import Runner
 
 def algorithm(name: str) -> Any:  # noqa: ANN401 - a subclass of Runner; what it takes is its Config
     """Return an algorithm's class by its key in `ALGORITHMS`."""
-    module, attribute = ALGORITHMS[known(name, ALGORITHMS, "algorithm")].split(":")
+    module, attribute = ALGORITHMS[require_known(name, ALGORITHMS, "algorithm")].split(":")
     return getattr(import_module(module), attribute)
 
 
@@ -66,7 +66,7 @@ def train(
         raise ConfigError("name a recipe to train, or a run to resume")
     world = f". To train in it: `spikedeploy train {recipe} --recipe ppo-snn`"
     remedy = world if ":" in recipe or re.search(r"-v\d+$", recipe) else ""
-    kind = algorithm(RECIPES[known(recipe, RECIPES, "recipe", remedy)].algorithm)
+    kind = algorithm(RECIPES[require_known(recipe, RECIPES, "recipe", remedy)].algorithm)
     changes: dict[str, Any] = {"file": config_file, "overrides": [*_named(recipe, env), *overrides]}
     if resume is not None:
         run = RunFolder.find(resume, runs, recipe)
@@ -76,7 +76,7 @@ def train(
                 raise ConfigError(f"{run.path} is a run of '{before['recipe']}', not of '{recipe}'")
             if env not in (None, there := before["env"]["name"]):
                 raise ConfigError(f"{run.path} was trained in {there}, not in {env}: name the run")
-            config = _budgeted(amended(run.config(kind.Config), **changes), budget)
+            config = _budgeted(amend(run.config(kind.Config), **changes), budget)
             run.sweep()
             _check_left(run, kind, config)
             with _written(run, config):
@@ -120,12 +120,12 @@ def _budgeted(config: C, budget: str | None) -> C:
 
 def _with_paths(config: C) -> C:
     """Return it with the folders of the runs that are meant now; later names may mean others."""
-    from spikedeploy.trainers.distill.teachers import shipped
+    from spikedeploy.trainers.distill.teachers import find_shipped
 
     found = {}
     for key in ("teacher", "start", "pool"):
         name = str(getattr(config, key, ""))
-        short = shipped(name) is None and not is_target(name) and is_beginning(name)
+        short = find_shipped(name) is None and not is_target(name) and is_beginning(name)
         if name == "last" or short:
             found[key] = str(RunFolder.find(name).path)
     return config.model_copy(update=found)

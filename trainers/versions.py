@@ -24,12 +24,12 @@ def versions() -> dict[str, str | None]:
     """Versions behind a run: name -> version, None where it is not installed; and the commit."""
     return {
         "python": platform.python_version(),
-        **{package: installed(package) for package in _PACKAGES},
+        **{package: installed_version(package) for package in _PACKAGES},
         "commit": _commit(),
     }
 
 
-def installed(package: str) -> str | None:
+def installed_version(package: str) -> str | None:
     """The version of a package, None where it is not installed."""
     try:
         return version(package)
@@ -39,7 +39,7 @@ def installed(package: str) -> str | None:
 
 def own() -> str:
     """The version of spikedeploy itself."""
-    return installed("spikedeploy") or "not installed"
+    return installed_version("spikedeploy") or "not installed"
 
 
 def _commit() -> str | None:

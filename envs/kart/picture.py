@@ -150,11 +150,11 @@ _KART_FINE = 8  # factor at which a kart is drawn, before it is rotated and down
 
 def picture(env: Any, size: tuple[int, int] = _SIZE) -> NDArray[np.uint8]:  # noqa: ANN401
     """Image (H, W, 3) of the current state of a kart environment."""
-    turned = pygame.surfarray.array3d(drawn(env, size)).swapaxes(0, 1)
+    turned = pygame.surfarray.array3d(draw_env(env, size)).swapaxes(0, 1)
     return np.ascontiguousarray(turned, np.uint8)
 
 
-def drawn(env: Any, size: tuple[int, int] = _SIZE) -> pygame.Surface:  # noqa: ANN401
+def draw_env(env: Any, size: tuple[int, int] = _SIZE) -> pygame.Surface:  # noqa: ANN401
     """A surface with the track, its gates, the LIDAR's rays and the kart."""
     place = scene(env.track, size)
     surface = place.ground.copy()

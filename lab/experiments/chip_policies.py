@@ -25,7 +25,7 @@ from lab.experiments.pages import ROOT, render, share
 from lab.experiments.ratios import nested_ratio
 from lab.experiments.training import Record, read_rows, write_exactly
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.statistics import stratified
+from spikedeploy.comparison.statistics import stratified_bootstrap
 from spikedeploy.files import as_text, replacing, write_text
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips import CHIPS as EVERY_CHIP
@@ -211,7 +211,7 @@ def page(rows: Table) -> str:
         tasks=[task for task in TASKS if (task, "teacher") in rows],
         shares=lambda task, name: _share(rows, task, name),
         rows=[rows[key] for key in sorted(rows, key=_place)],
-        earned=lambda row: stratified([row["scores"]], np.random.default_rng(0)).mean,
+        earned=lambda row: stratified_bootstrap([row["scores"]], np.random.default_rng(0)).mean,
         clock=_clock,
         others=[name for name in EVERY_CHIP if name not in (*CHIPS, "ideal", "int")],
         **{"WANTED": WANTED, "CHIPS": CHIPS},

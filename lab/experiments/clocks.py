@@ -23,7 +23,7 @@ from lab.experiments.training import Record, read_rows, write_exactly
 from spikedeploy.comparison.comparison import Row
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.comparison.statistics import stratified
+from spikedeploy.comparison.statistics import stratified_bootstrap
 from spikedeploy.files import write_text
 from spikedeploy.policies import costs
 from spikedeploy.policies.registry import find
@@ -87,7 +87,7 @@ def _result(task: str, kind: str, rows: Sequence[Row], reference: Row) -> Record
     """
     returns = np.array([row.returns for row in rows])
     found = [costs.mean([e.costs for e in r.episodes], [e.steps for e in r.episodes]) for r in rows]
-    earned = stratified(returns, np.random.default_rng(0)).mean
+    earned = stratified_bootstrap(returns, np.random.default_rng(0)).mean
     of = nested_ratio(returns, np.array(reference.returns))
     clocks = {each.clock for each in found}
     if len(clocks) != 1:

@@ -31,7 +31,7 @@ from spikedeploy.policies.registry import Candidate, find
 from spikedeploy.reports.drift import ABLATION_STEPS
 from spikedeploy.reports.table import ABSENT
 from spikedeploy.runtime.analysis.activity import chip_activity
-from spikedeploy.runtime.analysis.calibration import tuned
+from spikedeploy.runtime.analysis.calibration import tune_to_float
 from spikedeploy.runtime.analysis.drift import Drift, drift
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip, chip
@@ -167,7 +167,7 @@ def outcome(of: Subject, way: Way) -> Outcome:
     )
     try:
         if way.tuned:
-            quantisation = tuned(of.artifact, on, of.tuning.raster, quantisation)
+            quantisation = tune_to_float(of.artifact, on, of.tuning.raster, quantisation)
         found = drift(of.artifact, on, of.measuring.raster, quantisation)
     except RuleError as error:
         return Outcome(way, None, None, str(error))

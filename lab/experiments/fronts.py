@@ -13,7 +13,7 @@ from lab.experiments.pages import grouped, mean
 from lab.experiments.pareto import FLOAT, LABELS, LEVELS, REWARD, SPIKING, STUDENTS
 from lab.experiments.ratios import nested_ratio
 from lab.experiments.training import Record, read_rows
-from spikedeploy.comparison.statistics import Estimate, ReturnEstimates, stratified
+from spikedeploy.comparison.statistics import Estimate, ReturnEstimates, stratified_bootstrap
 from spikedeploy.reports.table import write_rows
 
 _FIRST = (
@@ -140,7 +140,7 @@ def mean_score(rows: Sequence[Record]) -> Estimate:
 
 @cache  # the page is written again while the experiment runs
 def _estimates(values: tuple[tuple[float, ...], ...]) -> ReturnEstimates:
-    return stratified(values, np.random.default_rng(0))
+    return stratified_bootstrap(values, np.random.default_rng(0))
 
 
 def is_kart(row: Record) -> bool:

@@ -26,7 +26,7 @@ from lab.experiments.pages import grouped, share
 from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows
 from spikedeploy import zoo
-from spikedeploy.comparison.statistics import Estimate, stratified
+from spikedeploy.comparison.statistics import Estimate, stratified_bootstrap
 from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.reports.plots import BLUE, VERMILION, save
 from spikedeploy.reports.table import write_rows
@@ -389,7 +389,9 @@ def role(point: Point) -> str:
 
 def earned(point: Point) -> Estimate:
     """Mean return, with the stratified bootstrap over trainings and episodes."""
-    return stratified([row["scores"] for row in point.rows], np.random.default_rng(0)).mean
+    return stratified_bootstrap(
+        [row["scores"] for row in point.rows], np.random.default_rng(0)
+    ).mean
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.trainers.config import EnvConfig, amended
+from spikedeploy.trainers.config import EnvConfig, amend
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.ppo import HOLDS
 from spikedeploy.trainers.run_folder import load_policy
@@ -90,7 +90,7 @@ class KartTraining(TrainingJob):
     def config(self) -> Any:  # noqa: ANN401
         """The configuration of the training, with the limits of the design."""
         found = super().config
-        return amended(found, overrides=self.overrides) if self.run else found
+        return amend(found, overrides=self.overrides) if self.run else found
 
     def _is_finished(self, run: Path) -> bool:
         """Return whether all limits of the training are reached, or the budget is spent."""

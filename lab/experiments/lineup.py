@@ -25,7 +25,7 @@ from lab.experiments.ratios import nested_ratio
 from lab.experiments.runner import Design, Part, command_line
 from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows
 from spikedeploy import zoo
-from spikedeploy.comparison.statistics import stratified
+from spikedeploy.comparison.statistics import stratified_bootstrap
 from spikedeploy.files import read_json
 from spikedeploy.reports.table import write_rows
 from spikedeploy.runtime.errors import ConfigError
@@ -312,11 +312,13 @@ def _facts(policy: str, rows: Sequence[Record], returns: Mapping[str, Any]) -> R
         "name": policy,
         "operations": mean(rows, "sops_per_inference" if spikes else "macs_effective"),
         "unit": "SOPs" if spikes else "MACs",
-        "found": stratified(mine, np.random.default_rng(0)),
+        "found": stratified_bootstrap(mine, np.random.default_rng(0)),
         "of_teacher": nested_ratio(mine, teacher) if teacher and policy != "sac" else None,
         "shipped": next((row["return_mean"] for row in rows if row.get("shipped")), None),
         "means": means,
-        "success": stratified(successes, np.random.default_rng(0)).mean if successes else None,
+        "success": stratified_bootstrap(successes, np.random.default_rng(0)).mean
+        if successes
+        else None,
     }
 
 

@@ -16,7 +16,7 @@ from lab.experiments.training import Record, TrainingJob
 from spikedeploy.comparison.statistics import Estimate
 from spikedeploy.reports.page import write_beside
 from spikedeploy.reports.table import ABSENT, markdown_text
-from spikedeploy.trainers.versions import installed, own
+from spikedeploy.trainers.versions import installed_version, own
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +46,9 @@ def write_page(path: Path, figures: "Mapping[str, Figure]", **facts: Any) -> lis
 
 def releases(*packages: str) -> str:
     """`spikedeploy 0.1, torch 2.13`."""
-    return ", ".join([f"spikedeploy {own()}", *(f"{name} {installed(name)}" for name in packages)])
+    return ", ".join(
+        [f"spikedeploy {own()}", *(f"{name} {installed_version(name)}" for name in packages)]
+    )
 
 
 def versions_text(found: Mapping[str, object]) -> str:

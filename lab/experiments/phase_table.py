@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from lab.experiments.costs import INT8, TABLES
 from lab.experiments.ratios import nested_ratio
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.statistics import stratified
+from spikedeploy.comparison.statistics import stratified_bootstrap
 from spikedeploy.envs.hexapod.env import BODY, layout
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.files import write_text
@@ -157,7 +157,7 @@ def measure(student: PhaseTable, episodes: int) -> dict[str, Any]:
     return {
         "macs": int(np.count_nonzero(student.weight)),
         "observations": int(student.weight.any(axis=0).sum()),
-        "return": stratified([returns], np.random.default_rng(0)).mean.as_json(),
+        "return": stratified_bootstrap([returns], np.random.default_rng(0)).mean.as_json(),
         "of_sac": of_sac.as_json(),
         "success": float(np.mean([each.success for each in played])),
         "joules": {**joules, "all": sum(joules.values())},

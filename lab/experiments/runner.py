@@ -16,7 +16,7 @@ from lab.experiments.training import Record, StoredRow, TrainingJob, results
 from spikedeploy.console import console, print_json
 from spikedeploy.jobs import resumable
 from spikedeploy.jobs.resumable import Job, JobEnd
-from spikedeploy.outputs import check_folder, check_output_folder, marked
+from spikedeploy.outputs import check_folder, check_output_folder, has_text
 from spikedeploy.runtime.chips.chip import chip as chip_named
 from spikedeploy.runtime.errors import ConfigError
 
@@ -328,7 +328,7 @@ def main() -> int:
     pages = (f"{kind.NAME}.md", f"{kind.NAME}.html")
 
     def is_ours(folder: Path) -> bool:
-        return marked(folder / pages[0], "python -m lab")
+        return has_text(folder / pages[0], "python -m lab")
 
     check_output_folder("-o", results, pages, (), options["force"], is_ours)
     outcome = run_experiment(

@@ -15,7 +15,7 @@ from typing import Any
 from spikedeploy.files import as_text, locked, read_json, replacing, write_text
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import RunConfig, differences, parse_override, resolve
-from spikedeploy.trainers.recipes import RECIPES, merged
+from spikedeploy.trainers.recipes import RECIPES, merge
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.train import algorithm
 
@@ -69,7 +69,7 @@ class TrainingJob:
         if (made.get("recipe"), made.get("seed")) != (self.recipe, self.seed):
             return False
         wanted = [setting for setting in self.telling if not setting.startswith(_COMPUTED)]
-        return _is_within(merged({}, *map(parse_override, wanted)), made) and all(
+        return _is_within(merge({}, *map(parse_override, wanted)), made) and all(
             # wherever the parent was then
             parent.run is not None and Path(str(made.get(key))).name == parent.run.name
             for key, parent in self.parents.items()

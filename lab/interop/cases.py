@@ -270,7 +270,7 @@ def _variants(peer: OtherTool) -> tuple[str, ...]:
 
 def _head(file: Path, peer: OtherTool, variant: str, found: Mapping[str, str]) -> Row:
     return {
-        "file": zoo.called(str(file)),
+        "file": zoo.name_in_reports(str(file)),
         "sha256": zoo.sha256(file),
         "peer": peer.name,
         "variant": variant,

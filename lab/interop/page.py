@@ -23,7 +23,7 @@ from lab.interop.cases import (
 from spikedeploy import zoo
 from spikedeploy.console import print_json, say
 from spikedeploy.files import write_text
-from spikedeploy.outputs import check_output, marked
+from spikedeploy.outputs import check_output, has_text
 from spikedeploy.runtime.errors import ConfigError
 
 _LONGEST = 110  # characters of a message
@@ -81,7 +81,7 @@ def _network_files(name: str) -> list[Path]:
 
 def _check_written(page: Path, records: Path, files: Sequence[Path], force: bool) -> None:
     """Refuse to replace what this command did not write."""
-    check_output("-o", page, files, force, lambda path: marked(path, TITLE))
+    check_output("-o", page, files, force, lambda path: has_text(path, TITLE))
     if page.resolve() == records.resolve():
         raise ConfigError(f"-o and --records are the same file, {page}. Name another for one.")
     check_output(

@@ -59,7 +59,7 @@ def with_calibrated_headroom(
     return quantisation
 
 
-def tuned(
+def tune_to_float(
     artifact: Artifact,
     on: Chip,
     raster: Raster,

@@ -27,7 +27,7 @@ from spikedeploy.runtime.graph.neurons import (
     infer_convention,
     infer_timestep,
 )
-from spikedeploy.runtime.graph.normal_form import flattened, with_floats, without_batch_axis
+from spikedeploy.runtime.graph.normal_form import flatten, with_floats, without_batch_axis
 from spikedeploy.runtime.graph.order import Timing, delay_timesteps, timing
 from spikedeploy.runtime.graph.shapes import check_size
 from spikedeploy.runtime.graph.validate import DERIVED_FIELDS, check_graph
@@ -58,7 +58,7 @@ class Artifact:
     neurons: dict[str, DiscreteNeuron] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "graph", flattened(self.graph))
+        object.__setattr__(self, "graph", flatten(self.graph))
         check_graph(self.graph)
         check_sigma_delta(self.graph, self.sigma_delta)
         self._discretise()
@@ -233,7 +233,7 @@ def _read(path: Path) -> nir.NIRGraph:
             "not an HDF5 file, so not NIR. Give the .nir file that `spikedeploy export` or another "
             "NIR tool wrote; if it is that file, copy it again, it is truncated."
         )
-    return without_batch_axis(flattened(read_graph(path)))
+    return without_batch_axis(flatten(read_graph(path)))
 
 
 def _interpreted(

@@ -127,7 +127,7 @@ class FloatMachine:
 RunningNetwork: TypeAlias = FloatMachine | Machine
 
 
-def chip_called(name: str) -> Chip | None:
+def chip_or_float(name: str) -> Chip | None:
     """The chip of that name; None for "float", the float twin."""
     return None if name == _FLOAT else datasheet(name)
 

@@ -39,7 +39,7 @@ _NO_PARAMETERS = {
 _LARGEST_INTEGER = 1 << 53  # up to which float64 holds every whole number
 
 
-def flattened(graph: nir.NIRGraph, path: str = "") -> nir.NIRGraph:
+def flatten(graph: nir.NIRGraph, path: str = "") -> nir.NIRGraph:
     """The same network in one level; the graph itself where nothing is nested.
 
     path: of the graph inside an outer one, ending in a dot.
@@ -53,7 +53,7 @@ def flattened(graph: nir.NIRGraph, path: str = "") -> nir.NIRGraph:
     edges = _Edges()
     edges.add(graph.edges)
     for name, node in sorted(inner.items()):
-        _unpack(name, flattened(node, f"{path}{name}."), nodes, edges, f"{path}{name}")
+        _unpack(name, flatten(node, f"{path}{name}."), nodes, edges, f"{path}{name}")
     return nir.NIRGraph(nodes, edges.sorted(), metadata=graph.metadata, type_check=False)
 
 

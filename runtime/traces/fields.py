@@ -242,7 +242,7 @@ def _counted(value: object) -> int | None:
     return None if None in counts else sum(each or 1 for each in counts)
 
 
-def escaped(text: str, most: int = 80) -> str:
+def escape(text: str, most: int = 80) -> str:
     """An untrusted text on one line of a terminal, control characters escaped."""
     line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: most + 1])
     return line if len(line) <= most else f"{line[:most]}…"
@@ -251,7 +251,7 @@ def escaped(text: str, most: int = 80) -> str:
 def shown_names(names: Sequence[str], most: int = 5) -> str:
     """The first names, and how many more there are."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(escaped(name) for name in names[:most]) + more
+    return ", ".join(escape(name) for name in names[:most]) + more
 
 
 def _short(value: object) -> str:

@@ -28,7 +28,7 @@ from spikedeploy.console import progress, say
 from spikedeploy.errors import ConfigError
 from spikedeploy.files import as_text, locked, write_json
 from spikedeploy.jobs.pool import JobBackend, JobResult, sigterm_as_interrupt
-from spikedeploy.outputs import check_folder, mark, marked
+from spikedeploy.outputs import check_folder, has_text, mark
 from spikedeploy.policies.registry import Candidate, find
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.faults import faults
@@ -212,7 +212,7 @@ def is_sweep(folder: Path) -> bool:
     if journal.is_file():
         with journal.open("rb") as file:
             return file.read(len(_HEAD)) == _HEAD.encode()
-    return not journal.exists() and marked(folder / "sweep.md", f"<!-- {mark('sweep')} -->")
+    return not journal.exists() and has_text(folder / "sweep.md", f"<!-- {mark('sweep')} -->")
 
 
 def _checksum(content: dict[str, Any]) -> str:

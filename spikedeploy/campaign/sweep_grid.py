@@ -25,10 +25,10 @@ from spikedeploy.policies.registry import BUILT_IN, DEFAULT_CHIP, FLOAT, Candida
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.faults import faults
-from spikedeploy.schema import validated
+from spikedeploy.schema import validate
 from spikedeploy.seeds import EVALUATION, listed_numbers
-from spikedeploy.trainers.config import known
-from spikedeploy.trainers.versions import installed
+from spikedeploy.trainers.config import require_known
+from spikedeploy.trainers.versions import installed_version
 
 OWN, NONE = "own", "none"  # the chip's own bits; no disturbance or fault
 _VERSION = 1  # of what a result holds; a higher one makes all results again
@@ -60,7 +60,7 @@ def _quantisation(table: object) -> object:
     if isinstance(table, dict):
         names = [each.name for each in fields(Quantisation) if each.name != "tuned"]
         for name in table:
-            known(name, names, "key of quantisation")
+            require_known(name, names, "key of quantisation")
     return table
 
 
@@ -149,13 +149,13 @@ def read_grid(path: Path) -> SweepGrid:
         raise ConfigError(f"{path} is not valid TOML: {error}") from error
     try:
         for key in found:
-            known(key, [each.name for each in fields(SweepGrid)], "key")
+            require_known(key, [each.name for each in fields(SweepGrid)], "key")
         seeds, episodes = found.get("seed"), found.get("episodes", SweepGrid.episodes)
         if isinstance(seeds, str) and isinstance(episodes, int) and episodes > 0:
             found["seed"] = listed_numbers("seed", seeds)[::episodes]  # a range, divided into jobs
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
-    return validated(SweepGrid, {"name": path.stem, **found}, path)
+    return validate(SweepGrid, {"name": path.stem, **found}, path)
 
 
 @plain_dataclass(frozen=True)
@@ -328,4 +328,4 @@ def _jobs(
 def versions_for(env: str) -> dict[str, str | None]:
     """Package -> version of what computes an episode in an environment, here."""
     packages = (*_ALWAYS, *_PHYSICS.get(envs.spec(env).world, _OTHERS))
-    return {package: installed(package) for package in packages}
+    return {package: installed_version(package) for package in packages}

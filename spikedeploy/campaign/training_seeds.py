@@ -12,7 +12,7 @@ from spikedeploy.comparison.statistics import Estimate, bootstrap
 from spikedeploy.files import read_json, write_text
 from spikedeploy.jobs import resumable
 from spikedeploy.jobs.resumable import Job, JobEnd
-from spikedeploy.policies.run_record import unfinished
+from spikedeploy.policies.run_record import describe_progress
 
 _PERFORM = "spikedeploy.campaign.training_seeds:perform"
 
@@ -118,7 +118,7 @@ def _ending(seed: int, end: JobEnd, place: Path) -> SeedTraining:
     if not place.is_file():
         return SeedTraining(seed, failed="stopped before its first checkpoint")
     run = Path(place.read_text(encoding="utf-8"))
-    return SeedTraining(seed, str(run), _best(run), unfinished(run))
+    return SeedTraining(seed, str(run), _best(run), describe_progress(run))
 
 
 def _best(run: Path) -> float | None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from spikedeploy.errors import ConfigError
 from spikedeploy.files import read_toml
 from spikedeploy.reports.runs import flatten
-from spikedeploy.trainers.config import RunConfig, amended, known, resolve, spiking_layers
+from spikedeploy.trainers.config import RunConfig, amend, require_known, resolve, spiking_layers
 from spikedeploy.trainers.recipes import RECIPES
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class TuningPlan:
     chip: str = ""
 
     def __post_init__(self) -> None:
-        entry = RECIPES[known(self.recipe, RECIPES, "recipe")]
+        entry = RECIPES[require_known(self.recipe, RECIPES, "recipe")]
         if entry.any_env != bool(self.env):
             raise ConfigError(
                 f"{self.recipe} trains in any environment: name one with --env, as CartPole-v1"
@@ -142,14 +142,16 @@ def space(
     names = [each for each in settings_of(config) if each not in ("algorithm", "recipe", "seed")]
     for key in list(found):
         if not key.startswith(("env.options.", "shaping.")):  # checked by the environment itself
-            known(key, names, f"setting of {config.recipe} in --search", f"; {', '.join(names)}")
+            require_known(
+                key, names, f"setting of {config.recipe} in --search", f"; {', '.join(names)}"
+            )
         if key in taken:
             if asked:
                 raise ConfigError(f"{key} is searched and fixed by --set: leave one of them out")
             del found[key]
         elif asked:
             for value in _limits(found[key]):
-                amended(config, overrides=[f"{key}={value}"])
+                amend(config, overrides=[f"{key}={value}"])
     if not found:
         raise ConfigError("every default setting is fixed by --set: name some with --search")
     return found

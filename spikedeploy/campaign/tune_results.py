@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spikedeploy.campaign.tune_plan import FIRST_SEED, TuningPlan
-from spikedeploy.outputs import marked
+from spikedeploy.outputs import has_text
 from spikedeploy.reports.page import write_beside
 from spikedeploy.reports.plots import BLUE, VERMILION, save
 from spikedeploy.reports.table import ABSENT, Table
@@ -116,7 +116,7 @@ def is_study(folder: Path) -> bool:
     if journal.is_file():
         with journal.open("rb") as file:
             return file.read(12) == b'{"op_code": '
-    return not journal.exists() and marked(folder / PAGE, "These seeds chose the settings")
+    return not journal.exists() and has_text(folder / PAGE, "These seeds chose the settings")
 
 
 def write_page(plan: TuningPlan, study: "optuna.Study", folder: Path) -> list[Path]:

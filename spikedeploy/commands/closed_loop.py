@@ -96,7 +96,7 @@ def run(
     """Run one policy in its environment: returns, successes and costs."""
     from spikedeploy.comparison.evaluation import run_policy
     from spikedeploy.comparison.metrics import checked_metrics
-    from spikedeploy.outputs import check_output, mark, marked
+    from spikedeploy.outputs import check_output, has_text, mark
     from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable, trained_in
 
@@ -105,7 +105,7 @@ def run(
 
         permit(Path(policy))
     if video:
-        check_output("--video", video, (policy,), force, lambda path: marked(path, mark("run")))
+        check_output("--video", video, (policy,), force, lambda path: has_text(path, mark("run")))
     if output:
         if sampled:
             raise typer.BadParameter("-o replays greedy episodes: leave --sampled out")
@@ -320,9 +320,9 @@ def reproduce(
     from spikedeploy import zoo
     from spikedeploy.make_env import confirm
     from spikedeploy.shipping import reproduce as again
-    from spikedeploy.shipping.cards import recorded
+    from spikedeploy.shipping.cards import read_evaluation
 
-    evaluations = [recorded(name, settings) for name in names or zoo.names()]
+    evaluations = [read_evaluation(name, settings) for name in names or zoo.names()]
     for evaluation in evaluations:  # before hours of others
         confirm(evaluation.env, env, evaluation.name)
         again.check_episodes(evaluation, episodes or 1)

@@ -76,7 +76,7 @@ def teacher_options(run: Path) -> list[str]:
     return ["--teacher", settings["teacher"], *(["--teacher-units", units] if units else [])]
 
 
-def earned(run: Path) -> str:
+def summarise_returns(run: Path) -> str:
     """Return a line on the validation returns of student and teacher; empty where not known.
 
     Another says that a budget of operations had nothing pruned.

@@ -182,22 +182,22 @@ def doctor(*, json: bool = False) -> None:
 
 
 def _versions() -> Iterator[DoctorFinding]:
-    from spikedeploy.trainers.versions import installed, own
+    from spikedeploy.trainers.versions import installed_version, own
 
     yield DoctorFinding("spikedeploy", None, f"{own()} on Python {platform.python_version()}")
     for package in RUN:
-        found = installed(package)
+        found = installed_version(package)
         yield DoctorFinding(package, found is not None, found or 'missing: pip install "."')
     for package in TRAIN:
         missing = 'not installed: pip install ".[train]" to train and export'
-        yield DoctorFinding(package, None, installed(package) or missing)
+        yield DoctorFinding(package, None, installed_version(package) or missing)
 
 
 def _tested() -> DoctorFinding:
     """Which versions differ from the tested set."""
-    from spikedeploy.tested_set import differences, tested
+    from spikedeploy.tested_set import differences, tested_versions
 
-    of, differ = len(tested()), differences()
+    of, differ = len(tested_versions()), differences()
     if not differ:
         return DoctorFinding("tested set", None, f"no version differs, of {of} packages")
     remedy = "if something fails: pip install -c constraints.txt, from a checkout"

@@ -29,13 +29,13 @@ def emulate(
 
     from spikedeploy.emulation.open_loop import emulate_artifact
     from spikedeploy.emulation.rasters import read_inputs
-    from spikedeploy.outputs import check_output, mark, marked
+    from spikedeploy.outputs import check_output, has_text, mark
     from spikedeploy.reports.terminal import print_emulation
     from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.metrics.energy import checked_table_names
 
     own = mark("emulate")
-    check_output("-o", output, (file, input_), force, lambda path: marked(path, own))
+    check_output("-o", output, (file, input_), force, lambda path: has_text(path, own))
     tables = checked_table_names(energy or ())
     artifact = load(file, **reading.arguments())
     rasters = read_inputs(input_, artifact)
@@ -153,14 +153,14 @@ def _check_against(
 ) -> NoReturn:
     """Print the comparison with a recording, and exit."""
     from spikedeploy.emulation.design_report import network_path
-    from spikedeploy.emulation.verification import against_recorded
+    from spikedeploy.emulation.verification import compare_with_recording
 
     if chips:
         raise ConfigError(
             f"--against compares the float twin with a recording, and --chip {chips[0]} checks a "
             "chip. Give one of them; `drift` compares a chip with the float twin."
         )
-    found = against_recorded(network_path(file), recorded, **reading.arguments())
+    found = compare_with_recording(network_path(file), recorded, **reading.arguments())
     print_result(json, found.record, *found.lines)
     raise typer.Exit(0 if found.equal else 1)
 

@@ -152,13 +152,13 @@ def visualize(
     json: bool = False,
 ) -> None:
     """Draw the learning curves of training runs into one PNG."""
-    from spikedeploy.outputs import check_output, mark, marked
+    from spikedeploy.outputs import check_output, has_text, mark
     from spikedeploy.reports.plots import draw_curves, read_curve
     from spikedeploy.trainers.run_folder import existing_run
 
     own = mark("visualize")
     folders = [Path(run) if Path(run).is_dir() else existing_run(run) for run in runs]
-    check_output("-o", output, folders, force, lambda path: marked(path, own))
+    check_output("-o", output, folders, force, lambda path: has_text(path, own))
     curves = [read_curve(run / "metrics.csv", run.resolve().name) for run in folders]
     picture = draw_curves(curves, output, own)
     record = {"path": str(picture), "curves": [vars(each) for each in curves]}
@@ -179,10 +179,10 @@ def _run_seeds(
     from spikedeploy.jobs.pool import cores
     from spikedeploy.reports.table import Table
     from spikedeploy.seeds import training_seeds
-    from spikedeploy.trainers.config import known
+    from spikedeploy.trainers.config import require_known
     from spikedeploy.trainers.recipes import RECIPES
 
-    known(str(recipe), RECIPES, "recipe")  # refuses an unknown one before processes are started
+    require_known(str(recipe), RECIPES, "recipe")  # before processes are started
     numbers = training_seeds("--seeds", text)
     count = min(jobs or cores(), len(numbers))
     file = str(config_file) if config_file else None
@@ -227,7 +227,11 @@ def distill(
     """Train a spiking student that imitates a teacher. A function of yours runs as your code."""
     if resume is None and (teacher is None or env is None):
         raise typer.BadParameter("name a TEACHER and --env ENV, or a run with --resume")
-    from spikedeploy.commands.distillation import earned, student_settings, teacher_options
+    from spikedeploy.commands.distillation import (
+        student_settings,
+        summarise_returns,
+        teacher_options,
+    )
 
     recipe, settings = student_settings(teacher, size, encoder, timesteps, budget is not None, chip)
     _run_training(
@@ -239,7 +243,7 @@ def distill(
         seed=seed,
         resume=resume,
         runs=runs,
-        remark=earned,
+        remark=summarise_returns,
         baselines=teacher_options,
     )
 

@@ -64,11 +64,11 @@ def replay(
 
     if video is None:
         check_display()
-    from spikedeploy.outputs import check_output, mark, marked
+    from spikedeploy.outputs import check_output, has_text, mark
 
     if video is not None:
         own = mark("replay")
-        check_output("--video", video, (*source, spikes), force, lambda path: marked(path, own))
+        check_output("--video", video, (*source, spikes), force, lambda path: has_text(path, own))
 
     from spikedeploy.make_env import parse_options
     from spikedeploy.play.replay import open_replay, save_film

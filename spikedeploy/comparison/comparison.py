@@ -16,12 +16,17 @@ from spikedeploy.comparison.episodes import (
     pooled_rmse,
 )
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.comparison.statistics import bootstrap, paired_difference, share, stratified
+from spikedeploy.comparison.statistics import (
+    bootstrap,
+    paired_difference,
+    share,
+    stratified_bootstrap,
+)
 from spikedeploy.policies import costs
 from spikedeploy.policies.costs import FLOAT_TABLES, Costs, priced_by
 from spikedeploy.policies.registry import BASELINES, UNTRAINED
 from spikedeploy.runtime.chips.damage import sum_damage
-from spikedeploy.runtime.emulator.network import chip_called
+from spikedeploy.runtime.emulator.network import chip_or_float
 from spikedeploy.runtime.metrics.energy import (
     BREAK_EVEN_TABLES,
     STATIC,
@@ -101,7 +106,7 @@ class Row:
             "kind": candidate.kind,
             "chip": self.entry.chip,
             "limits": self.entry.limits,
-            "file": zoo.called(candidate.path),
+            "file": zoo.name_in_reports(candidate.path),
             **({"trained_for": candidate.chip} if candidate.chip else {}),
         }
 
@@ -170,7 +175,7 @@ class Comparison:
         ann, baseline = self.of_kind("ann"), self.of_kind(*BASELINES)
         estimate = bootstrap(row.returns, _rng())
         succeeded = share(row.successes) if row.successes else None
-        others = stratified([row.returns], _rng())
+        others = stratified_bootstrap([row.returns], _rng())
         return {
             "training_seeds": row.training_seeds,
             "episodes": len(row.episodes),
@@ -227,7 +232,7 @@ class Comparison:
         """Operations, memory and energy of an inference."""
         found, chip = row.costs, row.entry.chip
         ann = self.of_kind("ann") if row.entry.candidate.kind == "snn" else None
-        tables = self.tables or (FLOAT_TABLES if chip is None else priced_by(chip_called(chip)))
+        tables = self.tables or (FLOAT_TABLES if chip is None else priced_by(chip_or_float(chip)))
         energy, latency = _by(tables, found.energy_j), _by(tables, found.latency_s)
         terms = _by(tables, found.energy_terms_j)
         return {
@@ -261,7 +266,7 @@ def static(chip: str | None, env: str, period: float | None = None) -> dict[str,
 
     period  of a control step [s] where it is known, else as the environment's class says
     """
-    called = chip_called(chip) if chip else None
+    called = chip_or_float(chip) if chip else None
     powers = STATIC.get(called.name, ()) if called else ()
     period = period or (control_period(env) if powers else None)
     return {power.name: static_energy(period, power) for power in powers} if period else {}

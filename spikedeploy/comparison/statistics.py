@@ -91,7 +91,7 @@ def bootstrap(values: ArrayLike, rng: np.random.Generator) -> Estimate:
     return Estimate(float(sample.mean()), _interval(sample[picks].mean(axis=1)))
 
 
-def stratified(values: ArrayLike, rng: np.random.Generator) -> ReturnEstimates:
+def stratified_bootstrap(values: ArrayLike, rng: np.random.Generator) -> ReturnEstimates:
     """Mean, IQM and risk of all values (S, n) of S trainings in the same n episodes.
 
     The stratified bootstrap of Agarwal et al. 2021: a resample draws trainings, then episodes, the

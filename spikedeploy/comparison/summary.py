@@ -35,7 +35,7 @@ def has_few_episodes(row: Row) -> bool:
     return bool(row.get("episodes", FEWEST) < FEWEST)
 
 
-def counted(row: Row) -> str:
+def describe_episodes(row: Row) -> str:
     """`100 episodes`, `2 episodes, too few for an interval`."""
     count = row["episodes"]
     remark = ", too few for an interval" if has_few_episodes(row) and count > 1 else ""
@@ -150,13 +150,13 @@ def _keeps(row: Row) -> str:
     return (
         f"{row['policy']} on {row['chip']} keeps {' and '.join(kept)} "
         f"({row['difference_mean']:+,.0f} to the twin{between}) "
-        f"and succeeds in {_share(row)} of {counted(row)}."
+        f"and succeeds in {_share(row)} of {describe_episodes(row)}."
     )
 
 
 def _finishes(row: Row) -> str:
     """How often it finishes a race."""
-    said = f"{row['policy']} on {row['chip']} finishes {_share(row)} of {counted(row)}"
+    said = f"{row['policy']} on {row['chip']} finishes {_share(row)} of {describe_episodes(row)}"
     if row["success_difference_mean"] is None:
         return f"{said}."
     between = _between(row, "success_difference_ci95", "+.1f", 100)
@@ -177,7 +177,7 @@ def _earns(row: Row) -> str:
     succeeded = "" if row["success_rate"] is None else f", and succeeds in {_share(row)} of them"
     return (
         f"{row['policy']} on {row['chip']} earns {row['return_mean']:,.4g} "
-        f"({'; '.join(filter(None, (own, kept)))}) in {counted(row)}{succeeded}."
+        f"({'; '.join(filter(None, (own, kept)))}) in {describe_episodes(row)}{succeeded}."
     )
 
 
@@ -238,5 +238,5 @@ def _covered(rows: Sequence[Row]) -> str:
         return ""
     measured = "." if any(row.get("foreign") for row in rows) else ": results/pareto.md."
     few = has_few_episodes(trained[0])
-    covered = "Rows are" if few else f"Intervals cover {counted(trained[0])}"
+    covered = "Rows are" if few else f"Intervals cover {describe_episodes(trained[0])}"
     return f"{covered} of one training each; other trainings differ{measured}"

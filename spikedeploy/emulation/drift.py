@@ -17,7 +17,7 @@ from spikedeploy.envs.rollout import rollout
 from spikedeploy.make_env import confirm, make_env
 from spikedeploy.policies.registry import FLOAT, Candidate, find, open_policy
 from spikedeploy.runtime.analysis.activity import TAU
-from spikedeploy.runtime.analysis.calibration import tuned, with_calibrated_headroom
+from spikedeploy.runtime.analysis.calibration import tune_to_float, with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import Drift
 from spikedeploy.runtime.analysis.drift import drift as measured
 from spikedeploy.runtime.artifact.artifact import Artifact
@@ -191,7 +191,9 @@ def drift_report(
         first, inputs = inputs.halves()
         calibrated = first.source
         if tune:
-            quantisation = tuned(artifact, on, first.raster, quantisation, tau, first.episodes)
+            quantisation = tune_to_float(
+                artifact, on, first.raster, quantisation, tau, first.episodes
+            )
         if headroom:
             quantisation = with_calibrated_headroom(
                 artifact, on, first.raster, quantisation, first.episodes

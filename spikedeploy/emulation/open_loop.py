@@ -18,7 +18,7 @@ from spikedeploy.runtime.artifact.nir_data import write_nir_data
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
-from spikedeploy.runtime.emulator.network import RunningNetwork, chip_called, run_network
+from spikedeploy.runtime.emulator.network import RunningNetwork, chip_or_float, run_network
 from spikedeploy.runtime.errors import ArtifactError, ObservationError, RuleError
 from spikedeploy.runtime.graph.ports import by_port, ports, split
 from spikedeploy.runtime.metrics.energy import (
@@ -204,7 +204,7 @@ class Emulation:
         """Energy table -> [J] with its interval."""
         if self.ledger is None:
             return {}
-        names = self.tables or priced_by(chip_called(self.chip))
+        names = self.tables or priced_by(chip_or_float(self.chip))
         return {name: energy_estimate(self.ledger, energy_table(name)) for name in names}
 
 
@@ -225,7 +225,7 @@ def emulate_artifact(
     quantisation  on a chip
     """
     rows = by_port(ports(artifact.graph.inputs), in_batch(rasters))
-    on = chip_called(chip)
+    on = chip_or_float(chip)
     options: dict[str, Any] = {"backend": backend}  # whose unknown names the machine refuses
     options |= {"quantisation": quantisation, "limits": limits}
     network = run_network(artifact, on, trace=True, **options)

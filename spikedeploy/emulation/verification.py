@@ -1,8 +1,8 @@
 """Recordings of others beside ours: traces of emulators, spikes of a framework and of silicon.
 
-`replay_trace` replays a trace file. `against_recorded` compares the float twin of an exported file
-with what the framework computed. Where they differ other conventions are tried, in the order in
-which they are usually to blame: reset, delay, dt, threshold rule, then integrator, the tool that
+`replay_trace` replays a trace file. `compare_with_recording` compares the float twin of an exported
+file with what the framework computed. Where they differ other conventions are tried, in the order
+in which they are usually to blame: reset, delay, dt, threshold rule, then integrator, the tool that
 wrote the file, and rounding; then two of them together.
 
 `against_activity` compares an emulated chip with spikes of layers that a chip was seen to send, in
@@ -28,7 +28,7 @@ from spikedeploy.runtime.dialects.tools import WRITERS
 from spikedeploy.runtime.errors import ObservationError, SpikedeployError
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import Port, ports
-from spikedeploy.runtime.traces.fields import escaped, shown_names
+from spikedeploy.runtime.traces.fields import escape, shown_names
 from spikedeploy.runtime.traces.verify import verify
 from spikedeploy.user_errors import one_line
 
@@ -85,7 +85,7 @@ def replay_trace(path: Path) -> Verification:
         lines = [f"differs on {found.chip}: {found.difference.describe()}"]
     else:
         what = f"{found.compared:,} numbers of {found.steps} timesteps"
-        lines = [f"equal on {found.chip}: {what}; recorded by {escaped(found.source, 200)}"]
+        lines = [f"equal on {found.chip}: {what}; recorded by {escape(found.source, 200)}"]
     if found.passed_over:
         lines.append(f"not compared: {found.passed_over} {found.why}")
     if found.unread:
@@ -112,7 +112,7 @@ class RecordedDifference:
     count: int
 
 
-def against_recorded(path: Path, recorded: Path, **options: Any) -> Verification:  # noqa: ANN401
+def compare_with_recording(path: Path, recorded: Path, **options: Any) -> Verification:  # noqa: ANN401
     """The float twin of a file against a recording of the network that it was exported from.
 
     recorded  .npz with `input` (T, *shape) or (B, T, *shape), and `output` likewise

@@ -40,7 +40,7 @@ from spikedeploy.play.window import App
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import Candidate, Player, find
-from spikedeploy.recordings import Inference, costs_of_each, ledger_of, open_traced
+from spikedeploy.recordings import Inference, costs_of_each, ledger_of, open_with_traces
 from spikedeploy.reports.columns import quoted_among
 from spikedeploy.runtime.errors import ConfigError
 
@@ -364,7 +364,7 @@ def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Drive
         return KeyboardDriver(inner.ACTIONS, None if is_discrete else inner.EFFECTS)
     candidate = _shipped(env) if policy is None else find(policy)
     chip = chip or candidate.default_chip
-    player = open_traced(candidate, chip, world, "total")
+    player = open_with_traces(candidate, chip, world, "total")
     name = f"{candidate.name} on {chip}" if chip else candidate.name
     if hasattr(inner, "steer"):
         return CommandedPolicyDriver(player, name, inner)

@@ -270,7 +270,7 @@ def ghost_observations(ghost: Ghost, world: Any) -> Floats:  # noqa: ANN401
         moved = np.diff(pose[:, :2], axis=0, prepend=pose[:1, :2])
         direction = moved / np.maximum(np.hypot(*moved.T), 1e-9)[:, None]
     velocity = ghost.speed[:, None] * direction
-    gates = gates_passed(pose[:, :2], world.track.gates)
+    gates = count_gates(pose[:, :2], world.track.gates)
     return np.stack(
         [
             world.observe_at(*pose[k], velocity[k], float(turn[k]), int(gates[k]))
@@ -279,7 +279,7 @@ def ghost_observations(ghost: Ghost, world: Any) -> Floats:  # noqa: ANN401
     )
 
 
-def gates_passed(path: Floats, gates: Floats) -> NDArray[np.int64]:
+def count_gates(path: Floats, gates: Floats) -> NDArray[np.int64]:
     """Number of gates passed in order at each point of a path (S + 1,)."""
     passed = np.zeros(len(path), np.int64)
     start = 0

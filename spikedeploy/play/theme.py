@@ -181,9 +181,9 @@ def picture_size(world: Any) -> tuple[int, int]:  # noqa: ANN401
 def env_picture(world: Any, size: tuple[int, int]) -> pygame.Surface:  # noqa: ANN401
     """A picture of this size; other environments than karts need render_mode="rgb_array"."""
     if is_kart(world):
-        from spikedeploy.envs.kart.picture import drawn
+        from spikedeploy.envs.kart.picture import draw_env
 
-        return drawn(world, size)
+        return draw_env(world, size)
     frame = world.render()
     seen = pygame.surfarray.make_surface(frame.swapaxes(0, 1))
     scale = min(size[0] / seen.get_width(), size[1] / seen.get_height())

@@ -41,7 +41,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.rules import PlacedNetwork
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
-from spikedeploy.runtime.emulator.network import chip_called
+from spikedeploy.runtime.emulator.network import chip_or_float
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, SpikedeployError
 from spikedeploy.runtime.metadata import Provenance, Record
 from spikedeploy.runtime.metrics.traffic import placed_messages
@@ -89,7 +89,7 @@ class NirController(Player):
         rows: Rows = "total",
         **options: Any,  # noqa: ANN401
     ) -> None:
-        self.artifact, self.chip = read_policy(path), chip_called(chip)
+        self.artifact, self.chip = read_policy(path), chip_or_float(chip)
         self.controller = SpikingController(self.artifact, self.chip, rows, **options)
         self.codec, self.program = self.controller.codec, self.controller.program
         self.remarks = self.program.remarks

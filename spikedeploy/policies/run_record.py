@@ -33,7 +33,7 @@ def versions(run: Path) -> dict[str, str | None]:
     return _read(run / "versions.json")
 
 
-def deployed(run: Path, checkpoint: str | None = None) -> str:
+def deployed_checkpoint(run: Path, checkpoint: str | None = None) -> str:
     """Name of the deployed checkpoint: the one asked for, else the best, else the last."""
     names = sorted(path.stem for path in (run / "checkpoints").glob("*.safetensors"))
     if checkpoint is None:
@@ -47,7 +47,7 @@ def deployed(run: Path, checkpoint: str | None = None) -> str:
 
 def steps(run: Path, checkpoint: str | None = None) -> tuple[int, str]:
     """How long the policy of a checkpoint was trained, and in which unit: see Provenance."""
-    path = run / "checkpoints" / f"{deployed(run, checkpoint)}.json"
+    path = run / "checkpoints" / f"{deployed_checkpoint(run, checkpoint)}.json"
     record = _read(path)
     unit = "environment steps" if "env_steps" in record else "updates"
     with checked_record(path):
@@ -60,7 +60,7 @@ def checkpoint_record(run: Path, checkpoint: str) -> dict[str, Any]:
     return _read(file) if file.is_file() else {}
 
 
-def unfinished(run: Path) -> str:
+def describe_progress(run: Path) -> str:
     """How far a training came that has not ended: `12 %`; empty where it has.
 
     Also empty for runs from before this was written down.
@@ -73,7 +73,7 @@ def unfinished(run: Path) -> str:
 
 def origin(run: Path, checkpoint: str | None = None) -> Provenance:
     """The provenance of the policy of a checkpoint, for an exported file."""
-    config, name = settings(run), deployed(run, checkpoint)
+    config, name = settings(run), deployed_checkpoint(run, checkpoint)
     with checked_record(run / "config.json"):
         recipe, seed = str(config["recipe"]), int(config["seed"])
         chip = str(config["policy"].get("chip", ""))
@@ -84,7 +84,7 @@ def origin(run: Path, checkpoint: str | None = None) -> Provenance:
         steps=steps(run, name)[0],
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         version=own(),
-        checkpoint="" if name == deployed(run) else name,
+        checkpoint="" if name == deployed_checkpoint(run) else name,
         chip=chip,
     )
 

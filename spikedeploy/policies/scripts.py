@@ -105,11 +105,13 @@ class TeacherController(Player):
         import torch
 
         from spikedeploy.trainers.distill.teacher import OwnSpaces
-        from spikedeploy.trainers.distill.teachers import opened
+        from spikedeploy.trainers.distill.teachers import open_teacher
 
         torch.set_num_threads(1)
         name = env.spec.id if env.spec else ""
-        found = opened(candidate.path, name, lambda: OwnSpaces.within(name, env), candidate.units)
+        found = open_teacher(
+            candidate.path, name, lambda: OwnSpaces.within(name, env), candidate.units
+        )
         check_fit(replace(candidate, observed=found.observations, actions=found.actions), env)
         return cls(found, isinstance(env.action_space, gymnasium.spaces.Discrete))
 

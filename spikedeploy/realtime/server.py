@@ -21,7 +21,7 @@ from spikedeploy.policies.nir import read_policy
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.runtime.emulator.network import chip_called
+from spikedeploy.runtime.emulator.network import chip_or_float
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.metrics.energy import TABLES, energy_estimate
 
@@ -103,7 +103,7 @@ class ServedPolicy:
                 "policies that spike."
             )
         self.name, self.chip = candidate.name, str(chip or candidate.default_chip)
-        self._artifact, self._on = read_policy(candidate.path), chip_called(self.chip)
+        self._artifact, self._on = read_policy(candidate.path), chip_or_float(self.chip)
         self._options: dict[str, Any] = {"backend": backend, "limits": limits}
         first = self._controller()
         self._codec, self.observed = first.codec, first.codec.encoder.observed

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.comparison.metrics import DRIVING, WALKING, drives
-from spikedeploy.comparison.summary import counted, has_few_episodes
+from spikedeploy.comparison.summary import describe_episodes, has_few_episodes
 from spikedeploy.files import read_toml
 from spikedeploy.reports.table import (
     ABSENT,
@@ -336,7 +336,7 @@ def describe_run(document: Mapping[str, Any]) -> str:
     (row,) = document["rows"]
     done = "finished" if drives(row) else "succeeded"
     facts = [
-        f"return {format_return(row)} in {counted(row)}",
+        f"return {format_return(row)} in {describe_episodes(row)}",
         *([f"{sum(row['successes'])} {done}"] if row["successes"] else []),
         *(f"{name} {value:.4g}" for name, value in row.get("measured", {}).items()),
         *(f"{each} a control step" for each in [format_operations(row)] if each != ABSENT),

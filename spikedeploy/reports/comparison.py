@@ -13,7 +13,7 @@ from spikedeploy.comparison.comparison import Comparison
 from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.files import as_text, write_text
-from spikedeploy.outputs import marked
+from spikedeploy.outputs import has_text
 from spikedeploy.policies.registry import Candidate
 from spikedeploy.recordings import of_comparison
 from spikedeploy.reports.columns import (
@@ -120,7 +120,7 @@ def recordings(
 
 def is_report(folder: Path) -> bool:
     """True if a comparison was written into the folder."""
-    return marked(folder / "report.json", '"command": "spikedeploy ')
+    return has_text(folder / "report.json", '"command": "spikedeploy ')
 
 
 def write(

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from spikedeploy.comparison.summary import counted, macs, smallest_baseline
+from spikedeploy.comparison.summary import describe_episodes, macs, smallest_baseline
 from spikedeploy.reports.columns import (
     energy_cell,
     format_difference,
@@ -85,7 +85,7 @@ def describe_disturbances(document: Mapping[str, Any]) -> str:
 
 
 def _return_number(row: Row, name: str, twin: str | None) -> HeadlineNumber:
-    earned = f"{format_return(row)} in {counted(row)}"
+    earned = f"{format_return(row)} in {describe_episodes(row)}"
     if row.get("ratio_to_reference") is None:
         return HeadlineNumber(f"return of {name}", format_return(row).partition(" ")[0], (earned,))
     of_ann = row.get("ratio_to_float_ann")

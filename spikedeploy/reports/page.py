@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup
 
 from spikedeploy.files import as_text, write_text
-from spikedeploy.outputs import marked
+from spikedeploy.outputs import has_text
 from spikedeploy.reports.plots import svg
 from spikedeploy.reports.table import Table
 from spikedeploy.trainers.versions import own
@@ -98,7 +98,7 @@ def write_page(command: str, html: str, numbers: Mapping[str, Any], folder: Path
 
 def is_page_of(command: str) -> Callable[[Path], bool]:
     """A test of folders: whether an earlier run of this command wrote its page there."""
-    return lambda folder: marked(folder / "report.json", f'"report_of": "{command}"')
+    return lambda folder: has_text(folder / "report.json", f'"report_of": "{command}"')
 
 
 # Markdown

@@ -123,7 +123,7 @@ def metrics_of(run: Path) -> list[dict[str, float]]:
 
 def _best_validation(run: Path, rows: Sequence[Mapping[str, float]]) -> Mapping[str, Any]:
     """The validation of the checkpoint that is deployed; without one the best of the metrics."""
-    record = run_record.checkpoint_record(run, run_record.deployed(run))
+    record = run_record.checkpoint_record(run, run_record.deployed_checkpoint(run))
     if record.get("eval_return") is not None:
         return record
     validated = [row for row in rows if "eval_return" in row]

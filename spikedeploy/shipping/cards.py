@@ -25,7 +25,7 @@ from spikedeploy.reports.columns import markdown_tables
 from spikedeploy.reports.table import escape_markdown
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.faults import NONE, Faults
-from spikedeploy.schema import validated
+from spikedeploy.schema import validate
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL
@@ -55,7 +55,7 @@ def training_of(run: Path, checkpoint: str | None = None) -> dict[str, Any]:
     return {
         "recipe": settings["recipe"],
         "seed": settings["seed"],
-        "checkpoint": run_record.deployed(run, checkpoint),
+        "checkpoint": run_record.deployed_checkpoint(run, checkpoint),
         "steps": steps,
         "steps_unit": unit,
         "overrides": _overrides(run),
@@ -258,7 +258,7 @@ class RecordedEvaluation:
     card: Path | None = None
 
 
-def recorded(reference: str, settings_of: Callable[[str], Settings]) -> RecordedEvaluation:
+def read_evaluation(reference: str, settings_of: Callable[[str], Settings]) -> RecordedEvaluation:
     """The evaluation of a shipped policy, of a card's path, or of a folder with a report.
 
     settings_of  a report's command -> its settings
@@ -282,7 +282,7 @@ def recorded(reference: str, settings_of: Callable[[str], Settings]) -> Recorded
 def _of_card(name: str, path: Path) -> RecordedEvaluation:
     """The evaluation on the card of one policy."""
     content = _read(path, "evaluation")
-    card = validated(_Card, content, path, _REMEDY)
+    card = validate(_Card, content, path, _REMEDY)
     real = path.resolve()  # of a link, beside which neither policy nor page need lie
     file = path.parent / card.file
     file = file if file.is_file() else real.parent / card.file
@@ -314,7 +314,7 @@ def _of_report(name: str, path: Path, settings_of: Callable[[str], Settings]) ->
             "would write"
         )
     content = _read(path, "rows")
-    report = validated(_Report, content, path, _REMEDY)
+    report = validate(_Report, content, path, _REMEDY)
     envs.spec(report.env)  # refuses an unknown one
     for file, sha256 in report.sha256.items():  # which names no built-in and no run folder
         _check_file(name, zoo.resolve(file) or Path(file), sha256)
@@ -390,7 +390,7 @@ def _entries(rows: Sequence[tuple[_Row, str]], settings: Settings) -> list[Entry
 def check_rewritable(card: Path, force: bool = False) -> None:
     """Refuse a card that lacks what its page says, and a page that is not of this card."""
     record = read_json(card)
-    validated(_Page, record, card, _REMEDY)
+    validate(_Page, record, card, _REMEDY)
     try:
         training_command(record)
     except (KeyError, ValueError) as error:

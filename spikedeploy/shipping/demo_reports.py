@@ -10,7 +10,7 @@ from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.summary import smallest_baseline
 from spikedeploy.console import say
 from spikedeploy.files import write_text
-from spikedeploy.outputs import check_output, check_output_folder, marked
+from spikedeploy.outputs import check_output, check_output_folder, has_text
 from spikedeploy.policies.registry import DEFAULT_CHIP
 from spikedeploy.reports import comparison as report
 from spikedeploy.reports.columns import energy_hint
@@ -69,7 +69,7 @@ def _check(folder: Path, force: bool) -> None:
 
 
 def _is_index(path: Path) -> bool:
-    return not path.is_symlink() and marked(path, f"<title>{_TITLE}</title>")
+    return not path.is_symlink() and has_text(path, f"<title>{_TITLE}</title>")
 
 
 def _compared(env: str, episodes: int, folder: Path) -> tuple[dict[str, Any], _Episodes]:

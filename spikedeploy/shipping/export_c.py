@@ -14,7 +14,7 @@ from spikedeploy.exporters.c.int8 import quantise, read_onnx
 from spikedeploy.exporters.c.packaging import MAKEFILE, MARK, RECORD, file_names, write_texts
 from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.exporters.c.to_c import mlp_in_c, policy_in_c
-from spikedeploy.outputs import check_output_folder, marked
+from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
@@ -151,13 +151,13 @@ def _write_float(file: Path, folder: Path, observations: int, prefix: str) -> Wr
 
 
 def _origin(file: Path) -> str:
-    return f"{zoo.called(str(file))}, sha256 {zoo.sha256(file)[:16]}"
+    return f"{zoo.name_in_reports(str(file))}, sha256 {zoo.sha256(file)[:16]}"
 
 
 def is_export(folder: Path) -> bool:
     """True where the folder has an earlier export, or what one left that was killed."""
     whole = os.path.lexists(folder / MAKEFILE)
-    return marked(folder / (MAKEFILE if whole else RECORD), MARK)
+    return has_text(folder / (MAKEFILE if whole else RECORD), MARK)
 
 
 def write(texts: Mapping[str, str], folder: Path, prefix: str) -> None:
@@ -167,5 +167,5 @@ def write(texts: Mapping[str, str], folder: Path, prefix: str) -> None:
     """
     write_texts(texts, folder)
     for name in set(file_names(prefix)) - set(texts):
-        if not (path := folder / name).is_symlink() and marked(path, MARK):
+        if not (path := folder / name).is_symlink() and has_text(path, MARK):
             path.unlink()

@@ -14,7 +14,7 @@ from spikedeploy.errors import ConfigError
 from spikedeploy.exporters.check import CheckedFile, MismatchCounter, ParityCheck, random_spikes
 from spikedeploy.exporters.to_xylo import Specification, check_chip, places, specification
 from spikedeploy.files import write_json
-from spikedeploy.outputs import check_output, marked
+from spikedeploy.outputs import check_output, has_text
 from spikedeploy.runtime.artifact.artifact import Artifact, for_importer, load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
@@ -120,7 +120,7 @@ def export_onnx(
     file = zoo.resolve(policy)
     if file is None:
         raise ConfigError(f"there is no file {policy}")
-    check_output("-o", path, (file,), force, lambda found: marked(found, KIND))
+    check_output("-o", path, (file,), force, lambda found: has_text(found, KIND))
     artifact = load(file)
     path.parent.mkdir(parents=True, exist_ok=True)
     spiking_to_onnx(artifact, path)
@@ -154,7 +154,7 @@ def export_xylo(
         )
     name = check_chip(chip_name)
     file = nir_file(policy, "xylo")
-    check_output("-o", path, (file, policy), force, lambda place: marked(place, _XYLO))
+    check_output("-o", path, (file, policy), force, lambda place: has_text(place, _XYLO))
     artifact = load(file, **(options or {}))
     program = compile_program(artifact, chip(name))
     found = specification(program)

@@ -35,7 +35,7 @@ from spikedeploy.exporters.to_program import (
 )
 from spikedeploy.files import write_text
 from spikedeploy.make_env import confirm, make_env
-from spikedeploy.outputs import check_output_folder, marked
+from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import clock_on, compile_program
@@ -94,7 +94,7 @@ def export_program(
     tool, on = tool_of(chip_name), chip(chip_name, **whole)
     names = (PROGRAM, EXPECTED, README, HOST, tool.script, EPISODE)
     inputs = (file, policy, raster)
-    check_output_folder("-o", folder, names, inputs, force, lambda at: marked(at / PROGRAM, MARK))
+    check_output_folder("-o", folder, names, inputs, force, lambda at: has_text(at / PROGRAM, MARK))
     if clock is None:  # tools hold no layer, so that a gated network runs free if it can
         wanted = clock_on(artifact.convention, on)
         clock = "free" if wanted == "gated" and "free" in on.clocks else wanted
@@ -116,7 +116,7 @@ def export_program(
         rows, episode, source = _episode(policy, artifact, player, steps, env)
     _check_delays(run.program, tool)
     host = host_record(compiled, None if raster is not None else artifact.codec, run)
-    named = zoo.called(str(file))
+    named = zoo.name_in_reports(str(file))
     origin = f"{named if named != str(file) else file.name}, sha256 {zoo.sha256(file)[:16]}"
     placement = PlacedNetwork(artifact, on).mapping if on.limits is not None else None
     text = program_text(run, compiled.clock, placement, host, origin)

@@ -70,7 +70,7 @@ def export_run(
         to = ending if ending in EXPORTERS else run_record.format_of(folder)
     if state == "kept" and to != "nir":
         raise ConfigError(f"only a .nir file has membranes to keep: leave --state out for {to}")
-    policy = policy_of(folder, run_record.deployed(folder, checkpoint))
+    policy = policy_of(folder, run_record.deployed_checkpoint(folder, checkpoint))
     given, origin = path, run_record.origin(folder, checkpoint)
     path = path or folder / f"policy{f'-{checkpoint}' if checkpoint else ''}.{to}"
     # where no path is given, it is our own file in the run folder
@@ -79,8 +79,8 @@ def export_run(
     kind = kind_of(policy, control)
     options: dict[str, dict[str, str | None]] = {"nir": {"state": state}, "onnx": {"kind": kind}}
     exporter(to)(policy, origin, path, **options.get(to, {}))
-    seen = recorded(folder, observations, checkpoint)
-    late = run_record.unfinished(folder)
+    seen = record_observations(folder, observations, checkpoint)
+    late = run_record.describe_progress(folder)
     return ExportedPolicy(path, check(policy, path, seen), kind=kind, unfinished=late)
 
 
@@ -108,7 +108,9 @@ def kind_of(policy: "Policy", control: bool = False) -> str:
     return "ann" if sees_all and spec["hidden"] and not control else "control"
 
 
-def recorded(run: Path, count: int, checkpoint: str | None = None) -> NDArray[np.float64]:
+def record_observations(
+    run: Path, count: int, checkpoint: str | None = None
+) -> NDArray[np.float64]:
     """Observations (count, obs) from episodes of the policy of a checkpoint."""
     world = run_record.settings(run)["env"]
     env = envs.make(world["name"], **world["options"])

@@ -6,7 +6,7 @@ from spikedeploy.outputs import no_link
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import BUILT_IN
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.run_folder import run_named
+from spikedeploy.trainers.run_folder import find_run
 
 # What reads run folders needs torch, and is imported where one is named: files are run without.
 
@@ -23,7 +23,7 @@ def runnable(reference: str) -> str:
     folder = RunFolder.find(reference)
     run = folder.path
     to = run_record.format_of(run)
-    name = run_record.deployed(run)
+    name = run_record.deployed_checkpoint(run)
     checkpoint = folder.checkpoint(name)
     if not checkpoint.is_file():
         folder.check_weights(name)
@@ -58,4 +58,4 @@ def _is_run(reference: str) -> bool:
     if reference == "last":
         return True
     place = zoo.resolve(reference)
-    return place.is_dir() if place else run_named(reference) is not None
+    return place.is_dir() if place else find_run(reference) is not None

@@ -13,7 +13,7 @@ from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import make_entries
 from spikedeploy.console import say
 from spikedeploy.files import replacing, write_json, write_text
-from spikedeploy.outputs import check_output_folder, marked
+from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import DEFAULT_CHIP, find
 from spikedeploy.reports.plots import draw_curves, read_curve
@@ -82,7 +82,7 @@ def publish_run(
 def _has_card(name: str, folder: Path) -> bool:
     """True where a policy of this name was published into the folder."""
     card = folder / f"{name}.json"
-    return card.is_file() and marked(card, '"evaluation"')
+    return card.is_file() and has_text(card, '"evaluation"')
 
 
 def describe(

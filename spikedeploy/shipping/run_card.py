@@ -7,7 +7,7 @@ from pathlib import Path
 
 from spikedeploy import envs
 from spikedeploy.files import write_text
-from spikedeploy.outputs import check_output, mark, marked, no_link
+from spikedeploy.outputs import check_output, has_text, mark, no_link
 from spikedeploy.policies import run_record
 from spikedeploy.reports.page import standalone_svg
 from spikedeploy.reports.plots import curves_figure, svg
@@ -32,7 +32,7 @@ def write_run_files(run: Path) -> list[Path]:
     if drawn := curves_figure(metrics_of(run)):
         files.append(write_text(no_link(run / CURVE), standalone_svg(svg(drawn, ALT))))
     card = no_link(run / CARD)
-    if not card.exists() or marked(card, _OURS):
+    if not card.exists() or has_text(card, _OURS):
         files.append(write_text(card, card_of(run)))
     return files
 
@@ -45,14 +45,14 @@ def export_card(reference: str, film: bool = False, force: bool = False) -> list
     force      whether a card or film that a person wrote is replaced
     """
     run = RunFolder.find(reference).path
-    if not force and (run / CARD).exists() and not marked(run / CARD, _OURS):
+    if not force and (run / CARD).exists() and not has_text(run / CARD, _OURS):
         raise ConfigError(
             f"{run / CARD} was written by hand: keep it and copy the rest of the folder, or "
             "replace it with --force"
         )
     if film:
         written = mark("run")
-        check_output("--film", run / FILM, (), force, lambda path: marked(path, written))
+        check_output("--film", run / FILM, (), force, lambda path: has_text(path, written))
     policy = Path(runnable(str(run)))
     filmed = [_filmed(policy, run)] if film else []
     (run / CARD).unlink(missing_ok=True)

@@ -59,7 +59,7 @@ def resolve(reference: str) -> Path | None:
     return Path(reference) if Path(reference).exists() else path(reference)
 
 
-def called(file: str) -> str:
+def name_in_reports(file: str) -> str:
     """A policy's file as reports name it: `hexapod/popsan.nir` where it is shipped."""
     place = Path(file)
     return str(place.relative_to(FOLDER)) if place.is_relative_to(FOLDER) else file

@@ -14,7 +14,7 @@ from lab.experiments import EXPERIMENTS
 from spikedeploy import cli, envs
 from spikedeploy.commands.closed_loop import settings
 from spikedeploy.runtime.chips.chip import split_names
-from spikedeploy.shipping.cards import recorded
+from spikedeploy.shipping.cards import read_evaluation
 from tests.paths import ROOT
 
 RESULTS = ROOT / "results"
@@ -109,6 +109,6 @@ def test_everything_in_results_stands_in_its_index_with_a_command():
 @pytest.mark.parametrize("path", REPORTS, ids=lambda path: path.parent.name)
 def test_a_report_can_be_reproduced(path):
     """Its command and its policies are read as `spikedeploy reproduce` reads them."""
-    found = recorded(str(path.parent), settings)
+    found = read_evaluation(str(path.parent), settings)
     assert len(found.entries) == len(found.rows)
     assert parsed(shlex.split(command_of(path))[1:])["episodes"] == len(found.seeds)

@@ -43,8 +43,8 @@ def test_every_requirement_has_an_upper_bound_and_its_tested_version_is_within(r
 @pytest.fixture
 def versions(monkeypatch):
     """What is installed: everything as tested, unless it is said."""
-    found = dict(tested_set.tested())
-    monkeypatch.setattr(tested_set, "installed", found.get)
+    found = dict(tested_set.tested_versions())
+    monkeypatch.setattr(tested_set, "installed_version", found.get)
     return found
 
 
@@ -64,7 +64,7 @@ def test_a_build_of_the_same_version_from_another_index_does_not_differ(versions
 
 def test_pins_for_newer_pythons_are_nothing_to_older_ones(monkeypatch):
     monkeypatch.setattr(tested_set.sys, "version_info", (3, 10, 13))
-    tested_set.tested.cache_clear()
-    assert "numpy" not in tested_set.tested()
-    assert tested_set.tested()["torch"] == PINS["torch"]
-    tested_set.tested.cache_clear()
+    tested_set.tested_versions.cache_clear()
+    assert "numpy" not in tested_set.tested_versions()
+    assert tested_set.tested_versions()["torch"] == PINS["torch"]
+    tested_set.tested_versions.cache_clear()

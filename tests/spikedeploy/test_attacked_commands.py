@@ -102,7 +102,7 @@ def test_a_cut_configuration_is_a_sentence(words, text, run, command):
         ("config.json", {"env": {"name": []}}, run_record.env_of),
         ("config.json", {"seed": None}, run_record.origin),
         ("checkpoints/best.json", {"env_steps": [1]}, run_record.steps),
-        ("checkpoints/last.json", {"finished": False, "share": []}, run_record.unfinished),
+        ("checkpoints/last.json", {"finished": False, "share": []}, run_record.describe_progress),
     ],
 )
 def test_strange_records_of_a_run_are_refused_by_name(file, changes, read, run):

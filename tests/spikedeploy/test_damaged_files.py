@@ -27,7 +27,7 @@ from spikedeploy.runtime.compiler.compile import check
 from spikedeploy.runtime.errors import ConventionError, SpikedeployError
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.runtime.traces.verify import verify
-from spikedeploy.shipping.cards import recorded
+from spikedeploy.shipping.cards import read_evaluation
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.ppo import PpoConfig
 from spikedeploy.trainers.run_folder import RunFolder
@@ -66,7 +66,7 @@ def policy(path):
 def card(path):
     """Read what `reproduce` takes from a card beside a policy."""
     shutil.copyfile(zoo.FOLDER / "kart-steer/linear.onnx", path.parent / "linear.onnx")
-    recorded(str(path), settings_of)
+    read_evaluation(str(path), settings_of)
 
 
 def configuration(path):

@@ -13,7 +13,7 @@ import pytest
 
 from spikedeploy.cli import COMMANDS as COMMANDS_OF_CLI
 from spikedeploy.files import write_text
-from spikedeploy.outputs import check_output, check_output_folder, mark, marked
+from spikedeploy.outputs import check_output, check_output_folder, has_text, mark
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.export_run import export_run
 from spikedeploy.shipping.publish_run import publish_run
@@ -158,7 +158,7 @@ def test_files_of_a_run_are_never_overwritten(inside, force, run, command):
 def test_exports_and_pictures_may_stand_in_a_run_folder(run, command):
     for _ in range(2):
         assert command("visualize", run, "-o", run / "mine.png")[0] == 0
-    assert marked(run / "mine.png", mark("visualize"))
+    assert has_text(run / "mine.png", mark("visualize"))
     check_output("-o", run / "policy.nir")
 
 
@@ -216,7 +216,7 @@ def test_every_writer_follows_links_and_refuses_devices(tmp_path):
 def test_a_text_that_quotes_the_mark_is_not_ours(tmp_path):
     notes = tmp_path / "notes.txt"
     notes.write_text(f"{mark('emulate')}, it says\n")
-    assert not marked(notes, mark("emulate"))
+    assert not has_text(notes, mark("emulate"))
 
 
 def test_a_name_and_a_folder_that_cannot_be_written_are_refused_before_the_work(tmp_path):

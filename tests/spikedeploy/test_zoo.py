@@ -52,7 +52,7 @@ def test_it_has_a_card_a_page_and_a_curve(path):
     assert path.with_suffix(".md").read_text("utf-8") == markdown(path.stem, card)
     assert path.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     assert path.with_suffix(".csv").stat().st_size > 100
-    assert zoo.called(str(path)) == "/".join(path.parts[-2:])  # no folder of the machine
+    assert zoo.name_in_reports(str(path)) == "/".join(path.parts[-2:])  # no folder of the machine
 
 
 def test_names_are_unique():

@@ -17,7 +17,7 @@ from spikedeploy.trainers.sac.learner import (
     SacConfig,
     SacLearner,
 )
-from spikedeploy.trainers.sac.sac import check_shaping, shaped
+from spikedeploy.trainers.sac.sac import check_shaping, shape_reward
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import QUICK, PointingEnv
 
@@ -262,8 +262,8 @@ def test_updates_see_the_reward_with_the_extra_weights():
             sum(weight * info["reward_terms"][name] for name, weight in weights.items())
             for info in steps.infos
         ]
-        np.testing.assert_allclose(shaped(weights, steps), steps.reward + extra)
-    assert np.abs(shaped({"power": 2.0}, steps) - steps.reward).min() > 0
+        np.testing.assert_allclose(shape_reward(weights, steps), steps.reward + extra)
+    assert np.abs(shape_reward({"power": 2.0}, steps) - steps.reward).min() > 0
 
 
 def test_a_term_that_the_reward_lacks_is_refused_with_those_it_has():

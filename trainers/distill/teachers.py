@@ -149,12 +149,14 @@ def teacher(
             ".onnx, .nir or Stable-Baselines3 .zip file, my_module:function, or a shipped policy "
             "such as hexapod/sac"
         )
-    return opened(path, env, lambda: OwnSpaces.of(env, options or {}), units)
+    return open_teacher(path, env, lambda: OwnSpaces.of(env, options or {}), units)
 
 
-def opened(path: str, env: str, spaces: Callable[[], OwnSpaces], units: Units | None) -> Teacher:
+def open_teacher(
+    path: str, env: str, spaces: Callable[[], OwnSpaces], units: Units | None
+) -> Teacher:
     """Return the teacher as `teacher` does, with spaces of an environment that may be made."""
-    path = str(shipped(path) or path)
+    path = str(find_shipped(path) or path)
     suffix = Path(path).suffix
     if is_target(path) and not Path(path).exists():
         return own_function(path, spaces(), units or "own")
@@ -178,7 +180,7 @@ def opened(path: str, env: str, spaces: Callable[[], OwnSpaces], units: Units | 
     return found
 
 
-def shipped(name: str) -> Path | None:
+def find_shipped(name: str) -> Path | None:
     """Return the file of a shipped policy; None where a path is meant."""
     return None if Path(name).exists() else _zoo().get(name)
 
@@ -192,7 +194,7 @@ def _zoo() -> dict[str, Path]:
 
 def same_teacher(one: str, other: str) -> bool:
     """Return whether two settings name the same teacher: equal words, paths or files."""
-    first, second = (Path(shipped(each) or each) for each in (one, other))
+    first, second = (Path(find_shipped(each) or each) for each in (one, other))
     if one == other or first.resolve() == second.resolve():
         return True
     both = first.is_file() and second.is_file()

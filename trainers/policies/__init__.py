@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import PolicyConfig, known
+from spikedeploy.trainers.config import PolicyConfig, require_known
 from spikedeploy.trainers.policies.chip_snn import ChipSnnPolicy
 from spikedeploy.trainers.policies.delta import DeltaMlpPolicy, DeltaSnnPolicy
 from spikedeploy.trainers.policies.mlp import Features, MlpPolicy, PrunedMlpPolicy, features
@@ -51,7 +51,7 @@ _POLICIES: dict[str, Callable[..., Policy]] = {
 def build(spec: Mapping[str, Any]) -> Policy:
     """Return an untrained policy from the result of `Policy.spec`."""
     settings = dict(spec)
-    policy = _POLICIES[known(settings.pop("kind"), _POLICIES, "kind of policy")]
+    policy = _POLICIES[require_known(settings.pop("kind"), _POLICIES, "kind of policy")]
     if "features" in settings:
         settings["features"] = Features(
             observations=settings["observations"], **settings["features"]

@@ -57,7 +57,7 @@ from spikedeploy.trainers.policies.spiking import (
 Integers = NDArray[np.integer[Any]]
 
 
-def recorded(program: Program, raster: NDArray[np.uint8]) -> Mapping[str, LayerTrace]:
+def trace_layers(program: Program, raster: NDArray[np.uint8]) -> Mapping[str, LayerTrace]:
     """Return what layers do with the raster (B, T, M) from zero states, as the interpreter has it.
 
     For chains of layers without biases that look at their threshold after every event and whose
@@ -360,7 +360,7 @@ class ChipSnnPolicy(SpikingMlpPolicy):
                     latent.get_parameter("weight").copy_(self._fitting(number))
         program = self.program()
         arrived = np.ascontiguousarray(raster.detach().numpy().swapaxes(0, 1)).astype(np.uint8)
-        traces = recorded(program, arrived)
+        traces = trace_layers(program, arrived)
         if not torch.is_grad_enabled():
             return [_tensor(traces[layer.name].spikes, raster) for layer in program.layers]
         derivative = surrogate(self.surrogate, self.surrogate_width)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import known
+from spikedeploy.trainers.config import require_known
 from spikedeploy.trainers.policies.policy import (
     Head,
     Latent,
@@ -94,7 +94,7 @@ class Features(nn.Module):
         errors: Sequence[int] = (),
     ) -> None:
         super().__init__()
-        self.name = known(name, _FEATURES, "features")
+        self.name = require_known(name, _FEATURES, "features")
         self.phase, self.command = list(phase), list(command)
         self.errors = list(errors) if name == "fourier" else []
         if name != "all" and len(self.phase) != 2:

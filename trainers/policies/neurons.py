@@ -19,7 +19,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from spikedeploy.runtime.families.cuba.numba_kernels import jit
-from spikedeploy.trainers.config import known
+from spikedeploy.trainers.config import require_known
 
 Array = NDArray[np.floating[Any]]
 _LOW_PRECISION = (torch.bfloat16, torch.float16)
@@ -59,7 +59,7 @@ def surrogate(name: str, width: float | None = None) -> Surrogate:
     width: alpha of atan and slope of fast-sigmoid [1/membrane], half-width of rectangular
         [membrane]; None for that of its paper
     """
-    function, usual = _SURROGATES[known(name, _SURROGATES, "surrogate")]
+    function, usual = _SURROGATES[require_known(name, _SURROGATES, "surrogate")]
     return partial(function, width=usual if width is None else width)
 
 

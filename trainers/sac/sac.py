@@ -71,7 +71,7 @@ class Sac(EnvRunner[SacConfig]):
         actions = self._envs.uniform() if warming_up else explore(self._envs.observation)
         counts = self.env_steps < self._config.normaliser.finish
         steps = self._envs.step(actions)
-        reward = shaped(self._config.shaping, steps)
+        reward = shape_reward(self._config.shaping, steps)
         self._buffer.add(steps.observation, steps.action, reward, steps.terminated, steps.following)
         if counts:
             self._moments.add(steps.observation)
@@ -151,7 +151,7 @@ def check_shaping(weights: Mapping[str, float], env: EnvConfig) -> None:
         )
 
 
-def shaped(weights: Mapping[str, float], steps: Steps) -> NDArray[np.float64]:
+def shape_reward(weights: Mapping[str, float], steps: Steps) -> NDArray[np.float64]:
     """Return the reward of each step (B,) with the extra weights."""
     # r' = r + sum over terms of weight x term
     extra = np.zeros(len(steps.reward))

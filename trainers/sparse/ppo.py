@@ -45,10 +45,10 @@ from spikedeploy.trainers.sparse.pool import Earned, Episodes, WalkPool, Windows
 from spikedeploy.trainers.sparse.student import (
     FloatController,
     SparseConfig,
-    deployed,
     imitation,
     on_chip,
     operations,
+    round_for_chip,
     student,
 )
 
@@ -248,7 +248,7 @@ class SparsePpo(Runner[SparsePpoConfig]):
         return True
 
     def _deployed(self) -> Policy:
-        return deployed(self.policy, self._chip, self._source.rounding)
+        return round_for_chip(self.policy, self._chip, self._source.rounding)
 
     def _evaluate(self) -> dict[str, float]:
         seeds, controller = self._config.validation.seeds, on_chip(self._deployed(), self._chip)

@@ -18,8 +18,8 @@ from torch import Tensor
 from spikedeploy import envs
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.schema import validated
-from spikedeploy.trainers.config import C, amended
+from spikedeploy.schema import validate
+from spikedeploy.trainers.config import C, amend
 from spikedeploy.trainers.distill.teachers import same_teacher, teacher
 from spikedeploy.trainers.env_batch import TRAINING_SEEDS, EnvBatch
 from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, from_config
@@ -46,14 +46,14 @@ from spikedeploy.trainers.sparse.student import (
     Student,
     binary_columns,
     check_rounding,
-    deployed,
+    choose_steps,
+    choose_thresholds,
     on_chip,
     operations,
     prune,
     remove_neuron,
-    retuned,
+    round_for_chip,
     student,
-    tuned_thresholds,
 )
 
 _ENV_COPIES = 50  # copies of the environment
@@ -82,10 +82,10 @@ def with_budget(config: C, text: str) -> C:
             f"--budget {text}: operations of a {config.policy.kind} policy are {expected}, so that "
             f"recipe {config.recipe} takes them as in --budget {expected}={config.budget:g}"
         )
-    found = amended(config, overrides=[f"budget={number}"])
+    found = amend(config, overrides=[f"budget={number}"])
     ratio = found.budget / config.budget
     levels = [level * ratio for level in config.levels]
-    return validated(type(found), found.model_dump() | {"levels": levels}, f"--budget {text}")
+    return validate(type(found), found.model_dump() | {"levels": levels}, f"--budget {text}")
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,7 @@ class Sparse(Runner[SparseConfig]):
         polished = self.phase + 1 >= len(self._phases) - self._config.polish
         when = ("always",) if polished else ("always", "before-polish")
         if self._config.retune in when and isinstance(self.policy, DeltaSnnPolicy):
-            step = retuned(self.policy, self.pool, self._binary, self._config)
+            step = choose_steps(self.policy, self.pool, self._binary, self._config)
             self.policy.step.copy_(torch.from_numpy(step))
         self._set_thresholds()
         self._student.prepare(self.pool)
@@ -248,7 +248,7 @@ class Sparse(Runner[SparseConfig]):
     def _set_thresholds(self) -> None:
         """Set the thresholds of a delta network by the walks that are encoded."""
         if isinstance(self.policy, DeltaMlpPolicy):
-            found = tuned_thresholds(self.policy, self.pool, self._config)
+            found = choose_thresholds(self.policy, self.pool, self._config)
             self.policy.threshold.copy_(found)
 
     # walks
@@ -295,7 +295,7 @@ class Sparse(Runner[SparseConfig]):
     # validation and checkpoints
 
     def _deployed(self) -> Policy:
-        return deployed(self.policy, self._chip, self._config.rounding)
+        return round_for_chip(self.policy, self._chip, self._config.rounding)
 
     def _evaluate(self) -> dict[str, float]:
         controller = on_chip(self._deployed(), self._chip)

@@ -520,7 +520,7 @@ def with_offsets(policy: DeltaSnnPolicy, offsets: Mapping[str, Tensor]) -> Delta
 
 
 @torch.no_grad()
-def deployed(policy: Policy, target: Chip, rounding: bool) -> Policy:
+def round_for_chip(policy: Policy, target: Chip, rounding: bool) -> Policy:
     """Return the policy with the numbers that the chip holds; a float policy as it is.
 
     rounding: whether they are rounded; weights that round to 0 are taken out
@@ -550,7 +550,7 @@ def _is_binary(column: FloatArray) -> bool:
     return len(values) == 2 and counts.min() >= _RARE and values[1] - values[0] >= _SWING
 
 
-def retuned(
+def choose_steps(
     policy: DeltaSnnPolicy, pool: WalkPool, binary: NDArray[np.bool_], config: SparseConfig
 ) -> FloatArray:
     """Return steps (obs,) of equal marginal cost, with the configured geometric mean.
@@ -594,7 +594,7 @@ def _sensitivity(policy: DeltaSnnPolicy, pool: WalkPool, config: SparseConfig) -
 
 
 @torch.no_grad()
-def tuned_thresholds(policy: DeltaMlpPolicy, pool: WalkPool, config: SparseConfig) -> Tensor:
+def choose_thresholds(policy: DeltaMlpPolicy, pool: WalkPool, config: SparseConfig) -> Tensor:
     """Return thresholds (H,), the policy's share of the standard deviation of each activation.
 
     That of a neuron whose activation hardly varies stays as it is.

@@ -26,8 +26,8 @@ from spikedeploy.runtime.families.cuba.numba_kernels import (
 )
 from spikedeploy.runtime.families.cuba.numpy_backend import (
     EXACT_INT16,
-    aligned,
-    as_aligned,
+    aligned_copy,
+    aligned_zeros,
     unsupported_synapses,
 )
 from spikedeploy.runtime.families.cuba.quantise import bounds, register_limit
@@ -71,7 +71,7 @@ def constants(program: Program, fixed: CubaFixedPoint, delays: Delays, windows: 
     ).astype(np.int64)
     real = whole * np.array([[1 / fixed.decay_one]] * 2 + [[1.0]] * 2)
     # in float32 a layer of 512 neurons fits the nearest cache
-    single = as_aligned(real, np.float32)
+    single = aligned_copy(real, np.float32)
     all_ = np.concatenate([*(s.weight.ravel() for s in synapses), *(a.bias for a in layers)])
     limits = [bounds(program, layer, fixed, None) for layer in layers]
     largest = max(int(np.abs(all_.astype(np.int64)).max()), max(a.partial for a in limits) >> 16)
@@ -111,7 +111,7 @@ def constants(program: Program, fixed: CubaFixedPoint, delays: Delays, windows: 
         neurons, first = neurons + layer.size, end
     return Constants(
         # the smallest that hold them, for fetching them takes longest
-        weights=as_aligned(all_, _weight_type(largest)),
+        weights=aligned_copy(all_, _weight_type(largest)),
         fan_out=np.concatenate([s.fan_out for s in synapses]),
         wires=np.array(wires, np.int64),
         layers=np.array(rows, np.int64),
@@ -120,7 +120,7 @@ def constants(program: Program, fixed: CubaFixedPoint, delays: Delays, windows: 
         chip=np.array([shift, fixed.decay_bits, fixed.refractory, subtract], np.int64),
         registers=np.array(registers, np.int64),
         whole=whole,
-        real=single if (single == real).all() else as_aligned(real, np.float64),
+        real=single if (single == real).all() else aligned_copy(real, np.float64),
         rooms=np.array([1 << shift, *room], np.float64),
     )
 
@@ -155,11 +155,11 @@ class NumbaPipeline:
             rasters=np.zeros((batch, spikes), np.uint8),
             lists=np.zeros((batch, spikes), np.int32),
             lengths=np.zeros((batch, lengths), np.int64),
-            states=aligned((batch, states), np.float64),
+            states=aligned_zeros((batch, states), np.float64),
             refractory=np.zeros((batch, int(layers[:, SIZE].sum())), np.int64),
             counts=np.zeros((batch, len(layers), len(EVENTS)), np.int64),
-            narrow=aligned((widest,), np.int16 if is_short else np.int64),
-            wide=aligned((widest,), np.int32 if is_short else np.int64),
+            narrow=aligned_zeros((widest,), np.int16 if is_short else np.int64),
+            wide=aligned_zeros((widest,), np.int32 if is_short else np.int64),
         )
         self._presynaptic = np.zeros((timesteps, batch, program.layer(program.output).size))
         self._input = self._rows(0)

@@ -44,7 +44,7 @@ Numbers = NDArray[Any]
 LINE = 64
 
 
-def aligned(shape: tuple[int, ...], dtype: DTypeLike) -> Numbers:
+def aligned_zeros(shape: tuple[int, ...], dtype: DTypeLike) -> Numbers:
     """Zeros that begin with a cache line."""
     size = math.prod(shape) * np.dtype(dtype).itemsize
     raw = np.zeros(size + LINE, np.uint8)
@@ -52,9 +52,9 @@ def aligned(shape: tuple[int, ...], dtype: DTypeLike) -> Numbers:
     return raw[start : start + size].view(dtype).reshape(shape)
 
 
-def as_aligned(values: Numbers, dtype: DTypeLike) -> Numbers:
+def aligned_copy(values: Numbers, dtype: DTypeLike) -> Numbers:
     """A copy of the values that begins with a cache line."""
-    copy = aligned(values.shape, dtype)
+    copy = aligned_zeros(values.shape, dtype)
     np.copyto(copy, values, casting="unsafe")
     return copy
 
@@ -124,11 +124,11 @@ class Summation:
         self._unit, (timesteps, batch, neurons) = unit, out.shape
         exact32 = partial is not None and partial * unit < _EXACT_FLOAT32
         dtype = np.dtype(np.float32 if exact32 else np.float64)
-        self.weight = as_aligned(weight * float(unit), dtype)
-        self._spikes = aligned((timesteps, batch, len(weight)), dtype)
+        self.weight = aligned_copy(weight * float(unit), dtype)
+        self._spikes = aligned_zeros((timesteps, batch, len(weight)), dtype)
         # BLAS wants two axes, and the place itself if its number type is that of the weights
         self._out = out.reshape(-1, neurons)
-        self._sums = self._out if out.dtype == dtype else aligned(self._out.shape, dtype)
+        self._sums = self._out if out.dtype == dtype else aligned_zeros(self._out.shape, dtype)
         # arrays of one shape are added in half the time
         copies = np.broadcast_to(bias * float(unit), out.shape).reshape(self._sums.shape)
         self._bias = copies.astype(dtype) if bias.any() else None
@@ -136,8 +136,8 @@ class Summation:
         self.whole: Numbers | None = None
         if partial is not None and not self.is_dense and weight.size >= LARGE:
             # in the fewest bytes to fetch
-            self.whole = as_aligned(weight, np.int16 if partial <= EXACT_INT16 else np.int32)
-            self._counts = aligned((timesteps, neurons), self.whole.dtype)
+            self.whole = aligned_copy(weight, np.int16 if partial <= EXACT_INT16 else np.int32)
+            self._counts = aligned_zeros((timesteps, neurons), self.whole.dtype)
         self._scratch = scratch
         self._fetched = scratch[: self.weight.nbytes].view(dtype).reshape(weight.shape)
 
@@ -219,15 +219,15 @@ class LayerWindow:
         self.spikes = np.zeros((timesteps, batch, layer.size), np.bool_)
         self.overflows: Counts | None = None
         self.is_waiting = False
-        self.states = aligned((timesteps + 1, 2, batch, layer.size), np.float64)
+        self.states = aligned_zeros((timesteps + 1, 2, batch, layer.size), np.float64)
         self._refractory = np.zeros((batch, layer.size), np.int64)
-        self._sums = aligned(self.spikes.shape, np.float64)
+        self._sums = aligned_zeros(self.spikes.shape, np.float64)
         partial = None
         if fixed:
             # of a window from zero, or of states that are kept
             partial = self._prepare_check(fixed, None if kept else timesteps)
         self._unit = 1 << fixed.mantissa_shift if fixed else 1
-        self._more = aligned(self._sums.shape, np.float64)
+        self._more = aligned_zeros(self._sums.shape, np.float64)
         bias = layer.bias
         if range(timesteps)[biased] != range(timesteps):
             bias = np.zeros((timesteps, 1, layer.size), layer.bias.dtype)
@@ -480,7 +480,7 @@ class NumpyPipeline:
         self._rows = rows = schedule.timesteps if whole else 1
         heard = [program.window(a, rows) if whole else slice(None) for a in program.layers]
         largest = max(s.weight.size for layer in program.layers for s in layer.synapses)
-        scratch = aligned((largest * np.dtype(np.float64).itemsize,), np.uint8)
+        scratch = aligned_zeros((largest * np.dtype(np.float64).itemsize,), np.uint8)
         self._windows = {
             layer.name: LayerWindow(
                 program, layer, fixed, (rows, batch), schedule.kept, scratch, biased

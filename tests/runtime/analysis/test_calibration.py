@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spikedeploy.runtime.analysis.calibration import tuned, with_calibrated_headroom
+from spikedeploy.runtime.analysis.calibration import tune_to_float, with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import UNTUNED, Quantisation
@@ -46,7 +46,7 @@ def test_tuning_brings_every_layer_nearer_or_leaves_it():
     artifact, low = popsan(), chip("loihi1", weight_bits=3)
     rng = np.random.default_rng(0)
     raster = (rng.random((20, 5, 30)) < 0.3).astype(np.uint8)
-    found = tuned(artifact, low, raster, Quantisation(rounding="truncate"))
+    found = tune_to_float(artifact, low, raster, Quantisation(rounding="truncate"))
     before = drift(artifact, low, raster, Quantisation(rounding="truncate"))
     after = drift(artifact, low, raster, found)
     assert after.layers[0].distance < 0.9 * before.layers[0].distance
@@ -56,4 +56,4 @@ def test_tuning_brings_every_layer_nearer_or_leaves_it():
 
 def test_a_chip_of_another_arithmetic_is_not_calibrated():
     with pytest.raises(RuleError, match="ideal: calibration chooses scales"):
-        tuned(crowd(), chip("ideal"), some(1))
+        tune_to_float(crowd(), chip("ideal"), some(1))

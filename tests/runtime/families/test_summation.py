@@ -12,7 +12,7 @@ from spikedeploy.runtime.families.cuba.numpy_backend import (
     SMALL,
     Raster,
     Summation,
-    aligned,
+    aligned_zeros,
 )
 
 NEURONS = 33
@@ -102,7 +102,7 @@ def test_the_size_the_batch_and_the_density_decide(
 
 def test_arrays_begin_with_a_cache_line_and_hold_zeros():
     for shape, dtype in (((1,), np.uint8), ((3, 5), np.int16), ((0, 4), float), ((7, 2, 1), "f4")):
-        array = aligned(shape, dtype)
+        array = aligned_zeros(shape, dtype)
         assert (array.shape, array.dtype) == (shape, dtype)
         assert not array.any()
         assert array.size == 0 or array.ctypes.data % LINE == 0

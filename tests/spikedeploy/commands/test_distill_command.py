@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from spikedeploy.commands.distillation import earned, student_settings
+from spikedeploy.commands.distillation import student_settings, summarise_returns
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.run_folder import RunFolder
 from tests.paths import ROOT
@@ -111,7 +111,7 @@ def test_a_budget_that_does_not_bind_is_said(operations, said, tmp_path, monkeyp
     lines = [f"{step},{count},{goal}" for step, (count, goal) in enumerate(rows)]
     run.metrics.write_text("\n".join(["updates,operations,goal", *lines]) + "\n")
     line = "the budget of 120 operations did not bind: the student had 84 before pruning"
-    assert (line in earned(tmp_path)) == said
+    assert (line in summarise_returns(tmp_path)) == said
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from spikedeploy.reports.runs import SORTS
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.exported_run import runnable, trained_in
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig
-from spikedeploy.trainers.run_folder import RunFolder, is_beginning, run_named
+from spikedeploy.trainers.run_folder import RunFolder, find_run, is_beginning
 from tests import toy_stroll_env
 
 
@@ -77,26 +77,26 @@ def test_a_folder_without_runs_says_how_to_make_one(stroll, command):
 
 def test_the_beginning_of_a_name_means_the_one_run_that_has_it(two):
     (two / "walk-b").rename(two / "trot-b")
-    assert run_named("wal").name == "walk-a"
-    assert run_named("runs/tr").name == "trot-b"
+    assert find_run("wal").name == "walk-a"
+    assert find_run("runs/tr").name == "trot-b"
     assert RunFolder.find("tr").path.name == "trot-b"
     assert runnable("tr").endswith("trot-b.nir")
     assert trained_in("tr") == "stroll"
-    assert run_named("x") is run_named("") is None
+    assert find_run("x") is find_run("") is None
 
 
 def test_a_name_is_not_taken_for_the_beginning_of_another(two):
     (two / "walk-b").rename(two / "walk-a-1")
-    assert run_named("walk-a").name == "walk-a"
+    assert find_run("walk-a").name == "walk-a"
     assert not is_beginning("walk-a")
     assert is_beginning("walk-a-")
     (two / "walk").mkdir()
-    assert run_named("walk") is None  # a folder that is there is meant itself
+    assert find_run("walk") is None  # a folder that is there is meant itself
 
 
 def test_an_ambiguous_beginning_lists_the_runs(two, command):
     with pytest.raises(ConfigError, match="beginning of 2 runs: runs/walk-a, runs/walk-b"):
-        run_named("walk")
+        find_run("walk")
     asked = ("export walk", "run walk", "compare stroll walk", "train --resume walk",
              "visualize walk", "publish walk --name x")  # fmt: skip
     for words in asked:

@@ -10,7 +10,7 @@ from spikedeploy.comparison.statistics import (
     paired_difference,
     risk,
     share,
-    stratified,
+    stratified_bootstrap,
 )
 
 TWENTIETHS = np.random.default_rng(7).normal(size=137).tolist()
@@ -84,7 +84,7 @@ def test_the_interval_of_a_share_is_wilsons():
 
 def test_mean_iqm_and_risk_of_trainings_are_those_of_all_their_episodes(rng):
     returns = rng.normal(3000, 100, size=(3, 40))
-    found = stratified(returns, rng)
+    found = stratified_bootstrap(returns, rng)
     assert found.mean.mean == returns.mean()
     assert found.iqm.mean == iqm(returns.ravel())
     assert found.risk.mean == risk(returns.ravel())
@@ -94,19 +94,19 @@ def test_mean_iqm_and_risk_of_trainings_are_those_of_all_their_episodes(rng):
 
 def test_with_one_training_the_interval_is_that_over_its_episodes():
     returns = np.random.default_rng(3).normal(size=50)
-    one = stratified([returns], np.random.default_rng(1)).mean
+    one = stratified_bootstrap([returns], np.random.default_rng(1)).mean
     assert one.ci95 == pytest.approx(bootstrap(returns, np.random.default_rng(2)).ci95, abs=0.02)
 
 
 def test_trainings_that_differ_widen_intervals_and_episodes_that_they_share_do_not(rng):
     alike, apart = np.full((3, 40), 5.0), np.repeat([[4.0], [5.0], [6.0]], 40, axis=1)
-    for each in vars(stratified(alike, rng)).values():
+    for each in vars(stratified_bootstrap(alike, rng)).values():
         assert each.ci95 == (5, 5)
-    found = stratified(apart, rng)
+    found = stratified_bootstrap(apart, rng)
     assert found.mean.ci95 == found.risk.ci95 == (4, 6)
     # what is hard about an episode is the same for five trainings that are otherwise equal
     hard = rng.normal(size=60)
-    one, five = (stratified([hard] * count, rng).mean.ci95 for count in (1, 5))
+    one, five = (stratified_bootstrap([hard] * count, rng).mean.ci95 for count in (1, 5))
     assert five == pytest.approx(one, abs=0.03)
 
 
@@ -117,7 +117,7 @@ def test_the_interval_over_trainings_covers_the_true_mean_about_as_often_as_it_s
     hits = 0
     for _ in range(60):
         skill, hard = rng.normal(0, 1, (12, 1)), rng.normal(0, 1, (1, 30))
-        low, high = stratified(skill + hard + rng.normal(0, 1, (12, 30)), rng).mean.ci95
+        low, high = stratified_bootstrap(skill + hard + rng.normal(0, 1, (12, 30)), rng).mean.ci95
         hits += low <= 0 <= high
     assert 49 <= hits <= 60  # 95 % of 60, and less for few trainings: four standard deviations
 

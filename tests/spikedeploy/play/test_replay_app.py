@@ -14,7 +14,7 @@ from spikedeploy.envs.ghosts import Ghost, GhostRecorder, Ghosts
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.to_nir import to_nir
-from spikedeploy.play.ghosts import COLOURS, GhostGroup, gates_passed, ghost_observations
+from spikedeploy.play.ghosts import COLOURS, GhostGroup, count_gates, ghost_observations
 from spikedeploy.play.replay import Playback, distinct_names, open_replay, open_source, save_film
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip as datasheet
@@ -154,10 +154,10 @@ def test_a_kart_without_a_heading_looks_where_it_goes():
 def test_gates_count_in_their_order_from_the_first_touch_of_the_rim():
     gates = np.array([[[50, -10], [50, 10]], [[5, -10], [5, 10]], [[90, -10], [90, 10]]], float)
     path = np.stack((np.arange(0.0, 100.0), np.zeros(100)), axis=1)
-    passed = gates_passed(path, gates)
+    passed = count_gates(path, gates)
     assert passed[[30, 31, 49, 70]].tolist() == [0, 1, 1, 1]  # the second lies behind by then
     back = np.concatenate((path, path[::-1], path))
-    assert gates_passed(back, gates)[[99, 174, 175, 270, 271]].tolist() == [1, 1, 2, 2, 3]
+    assert count_gates(back, gates)[[99, 174, 175, 270, 271]].tolist() == [1, 1, 2, 2, 3]
 
 
 @pytest.mark.parametrize("name", KARTS)

@@ -179,7 +179,7 @@ ON_SEVERAL_CORES = (
 SHIPPED = [path for path in zoo.policies() if path.suffix == ".nir"]
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=[zoo.called(str(p)) for p in SHIPPED])
+@pytest.mark.parametrize("path", SHIPPED, ids=[zoo.name_in_reports(str(p)) for p in SHIPPED])
 def test_shipped_policies_are_counted_as_neurobench_counts_their_file(path):
     player = NirController(
         str(path), "loihi1:clock=gated"
@@ -192,10 +192,10 @@ def test_shipped_policies_are_counted_as_neurobench_counts_their_file(path):
     assert found.effective_macs == 0  # readouts hand membranes on, or add up spikes
     if max(player.cores.values()) > 1:
         # several cores take a message each: large layers, and one with decays of its own a neuron
-        assert zoo.called(str(path)) in ON_SEVERAL_CORES
+        assert zoo.name_in_reports(str(path)) in ON_SEVERAL_CORES
         assert found.messages < found.messages_placed < 6 * found.messages
     else:
-        assert zoo.called(str(path)) not in ON_SEVERAL_CORES
+        assert zoo.name_in_reports(str(path)) not in ON_SEVERAL_CORES
         assert found.messages_placed == found.messages
     assert found.messages_placed_j["sanafe"] == pytest.approx(111e-12 * found.messages_placed)
 

@@ -12,7 +12,7 @@ from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.play.spikes import trace_of
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.policies.run import TorchController
-from spikedeploy.recordings import open_traced
+from spikedeploy.recordings import open_with_traces
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
@@ -78,7 +78,7 @@ def test_spikes_beside_a_replay_are_those_of_the_episode(shape, target, world, t
     candidate = find(str(shipped(tmp_path, **shape)[1]))
     player = open_policy(candidate, target, world)
     played = rollout(world, player, 10_000)
-    traced = open_traced(candidate, target, world, "total")
+    traced = open_with_traces(candidate, target, world, "total")
     traced = trace_of(traced, played.observation[:-1], 10_000)
     np.testing.assert_allclose(np.tanh(traced.scores), played.action)
     spiking = {"lif1"} if shape.get("hidden", 8) else set()

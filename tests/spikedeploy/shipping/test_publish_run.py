@@ -10,7 +10,7 @@ from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime import load
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
-from spikedeploy.shipping.export_run import export_run, kind_of, recorded
+from spikedeploy.shipping.export_run import export_run, kind_of, record_observations
 from spikedeploy.shipping.publish_run import publish_run
 from spikedeploy.trainers.config import (
     ChipSnnConfig,
@@ -75,7 +75,9 @@ def test_a_card_names_no_folder_of_the_machine_that_made_it(monkeypatch, tmp_pat
     settings["env"]["options"] = {"teacher": str(run), "twice": [str(run)]}
     (run / "config.json").write_text(json.dumps(settings))
     monkeypatch.setattr(RunFolder, "config", lambda *_: SacConfig(algorithm="sac", recipe="smoke"))
-    monkeypatch.setattr("spikedeploy.shipping.export_run.recorded", lambda *_: np.zeros((2, 3)))
+    monkeypatch.setattr(
+        "spikedeploy.shipping.export_run.record_observations", lambda *_: np.zeros((2, 3))
+    )
     monkeypatch.chdir(tmp_path)
     publish_run(str(run), "small", episodes=1, folder=tmp_path / "zoo", processes=1)
     card = (tmp_path / "zoo/stroll/small.json").read_text()
@@ -107,7 +109,7 @@ def test_what_sees_less_is_linear_or_pruned_is_a_control():
 
 def test_parity_is_checked_on_observations_of_the_policys_own_episodes(tmp_path):
     run = toy_stroll_env.run_folder(tmp_path, SPIKING)
-    observations = recorded(run, 45)  # more than two episodes of 21
+    observations = record_observations(run, 45)  # more than two episodes of 21
     assert observations.shape == (45, 3)
     assert len({tuple(row) for row in observations}) == 45
 

@@ -17,7 +17,7 @@ from spikedeploy.runtime.families.integrate_and_fire.arithmetic import axon_type
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import ChipSnnConfig
 from spikedeploy.trainers.policies import ChipSnnPolicy, from_config
-from spikedeploy.trainers.policies.chip_snn import _computes, _SpikesOfChip, recorded
+from spikedeploy.trainers.policies.chip_snn import _computes, _SpikesOfChip, trace_layers
 from spikedeploy.trainers.policies.neurons import surrogate
 from spikedeploy.trainers.train import train
 
@@ -66,7 +66,7 @@ def test_the_compiled_loops_equal_the_interpreter(name):
     for seed in range(3):
         program = policy(name, seed=seed, hidden=(12,), timesteps=9, limit=0.9).program()
         raster = np.random.default_rng(seed).integers(0, 2, (20, 9, program.width), np.uint8)
-        fast, slow = recorded(program, raster), trace(program, raster)
+        fast, slow = trace_layers(program, raster), trace(program, raster)
         for layer in program.layers:
             np.testing.assert_array_equal(fast[layer.name].spikes, slow[layer.name].spikes)
             np.testing.assert_array_equal(fast[layer.name].membrane, slow[layer.name].membrane)

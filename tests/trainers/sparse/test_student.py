@@ -14,15 +14,15 @@ from spikedeploy.trainers.sparse.student import (
     DeltaStudent,
     binary_columns,
     check_rounding,
-    deployed,
+    choose_steps,
+    choose_thresholds,
     imitation,
     operations,
     prune,
     remove_neuron,
-    retuned,
+    round_for_chip,
     rounding_offsets,
     student,
-    tuned_thresholds,
 )
 from tests.delta_policies import delta_mlp, delta_policy, followed, pruned_mlp, walk
 from tests.trainers.sparse.toy import settings
@@ -207,7 +207,7 @@ def test_offsets_make_the_weights_those_of_the_chip(target, shape):
 @pytest.mark.parametrize("shape", [{}, {"hidden": 0}, {"integrated": True}])
 def test_channels_of_a_deployed_policy_weigh_exact_multiples_of_one_event(shape):
     # so that three events up and one event down three times cancel
-    policy = deployed(delta_policy(code="one-hot", left=1.0, **shape), chip("loihi1"), True)
+    policy = round_for_chip(delta_policy(code="one-hot", left=1.0, **shape), chip("loihi1"), True)
     for (_, source), mantissa in mantissas(policy, "loihi1").items():
         if source == "input":
             channels = mantissa.reshape(5, 2, 3, -1)
@@ -217,7 +217,7 @@ def test_channels_of_a_deployed_policy_weigh_exact_multiples_of_one_event(shape)
 
 
 def test_a_deployed_policy_is_what_the_chip_holds():
-    once = deployed(delta_policy(code="one-hot", left=1.0), chip("loihi1"), True)
+    once = round_for_chip(delta_policy(code="one-hot", left=1.0), chip("loihi1"), True)
     for name, added in rounding_offsets(once, chip("loihi1")).items():
         held = getattr(once.weights(), name)
         np.testing.assert_allclose(added, 0.0, atol=1e-6 * held.abs().max())
@@ -225,7 +225,7 @@ def test_a_deployed_policy_is_what_the_chip_holds():
 
 def test_decays_of_a_deployed_policy_are_numbers_of_the_chips_registers():
     policy = delta_policy(left=1.0)
-    once = deployed(policy, chip("loihi1"), True).weights()
+    once = round_for_chip(policy, chip("loihi1"), True).weights()
     for exact, held in ((policy.beta, once.beta), (policy.gamma, once.gamma)):
         registers = held.double() * 4096
         np.testing.assert_allclose(registers, registers.round(), atol=1e-2)
@@ -238,8 +238,8 @@ def test_weights_that_round_to_zero_are_taken_out():
     with torch.no_grad():
         policy.past.weight[0, 0] = 1e-6
     assert policy.past.mask[0, 0] == 1
-    assert deployed(policy, chip("loihi1"), True).past.mask[0, 0] == 0
-    assert deployed(policy, chip("loihi1"), False) is policy
+    assert round_for_chip(policy, chip("loihi1"), True).past.mask[0, 0] == 0
+    assert round_for_chip(policy, chip("loihi1"), False) is policy
 
 
 @pytest.mark.parametrize("target", ["ideal", "xylo-a3"])
@@ -272,7 +272,7 @@ def linear(weights, moves):
 def tuned(weights, moves, binary=None, **changes):
     policy, pool = linear(weights, moves)
     which = np.zeros(len(moves), bool) if binary is None else np.array(binary)
-    return retuned(policy, pool, which, settings(**changes))
+    return choose_steps(policy, pool, which, settings(**changes))
 
 
 def test_steps_are_cube_roots_of_cost_over_sensitivity():
@@ -337,7 +337,7 @@ def test_thresholds_are_shares_of_how_much_activations_vary():
     before = policy.threshold.clone()
     config, pool = settings(**NETWORK), pool_of(8)
     student(policy, config).prepare(pool)
-    found = tuned_thresholds(policy, pool, config)
+    found = choose_thresholds(policy, pool, config)
     activations = []
     for each in pool.walks:
         _, events, _ = followed(policy, each.observation)
