@@ -349,7 +349,7 @@ def _model(artifact: Artifact, name: str) -> onnx.ModelProto:
 
 
 def _properties(origin: Provenance, name: str, head: str) -> dict[str, str]:
-    """Where the policy comes from, as in the files of float policies."""
+    """Metadata: the origin of the policy, as in the files of float policies."""
     said = {"env": origin.env, "recipe": origin.recipe, "seed": origin.seed, "steps": origin.steps}
     own = {"created": origin.created, "version": origin.version, "name": name, "head": head}
     return {"kind": KIND, **{key: str(value) for key, value in {**said, **own}.items()}}
@@ -404,7 +404,7 @@ class _Network:
         return self._graph.constant("host:bias", bias)
 
     def _begin(self) -> None:
-        """Where states begin: at those of the step before, or at 0."""
+        """Set the first states: those of the step before, or at 0."""
         for layer in self._plan.program.layers:
             for state in (["current"] if layer.current_decay.any() else []) + ["membrane"]:
                 name = f"{layer.name}.{state}"

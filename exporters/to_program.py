@@ -128,7 +128,7 @@ class ChipRun:
 
 
 def chip_run(program: Program, rows: int, state: State = "kept") -> ChipRun:
-    """How a chip runs windows of so many input rows of a program.
+    """The schedule of a chip for windows of so many input rows of a program.
 
     state: of a control step; a raster is a single inference, in which none is reset.
 
@@ -333,7 +333,7 @@ class KitPlayer:
 
 
 def missing_of(program: Program, codec: Codec | None) -> str:
-    """Why host.py cannot close the loop; empty where it can."""
+    """The reason why host.py cannot close the loop; empty where it can."""
     if codec is None:
         return "the file has no codec, so observations cannot become spikes"
     if codec.encoder.random:
@@ -370,7 +370,7 @@ def _tap(
 
 
 def _place(mapping: CoreMapping) -> Iterator[dict[str, Any]]:
-    """Which neurons of each node are on which core; nothing where the chip has no cores."""
+    """Node -> its neurons on each core; nothing where the chip has no cores."""
     for each in mapping.placements:
         if each.cores and each.first is not None:
             edges = [min(k * each.block, each.neurons) for k in range(each.cores + 1)]

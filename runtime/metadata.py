@@ -170,7 +170,7 @@ def _read(record: Record, each: "Field[Any]") -> object:
 
 @dataclass(frozen=True)
 class Provenance(Stored):
-    """Where a policy comes from: what is needed to train it again.
+    """The origin of a policy: all that is needed to train it again.
 
     env: id of the training environment.
     recipe: name of the training recipe.

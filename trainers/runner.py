@@ -1,4 +1,4 @@
-"""What all algorithms share: training loop, validation, resuming; networks and optimisers."""
+"""The base of all algorithms: training loop, validation, resuming; networks and optimisers."""
 
 import time
 from abc import ABC, abstractmethod

@@ -132,7 +132,7 @@ class FixedParts:
 
     @property
     def unsure(self) -> int:
-        """How near a whole number [2**-16] doubles decide."""
+        """Distance from a whole number [2**-16] within which doubles decide."""
         useful = self.error < _USELESS
         return int(np.ceil(self.error * 2**_REST)) + 2 if useful else 2**_REST
 

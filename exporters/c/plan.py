@@ -32,7 +32,7 @@ _STATEMENTS = 2048
 
 @dataclass(frozen=True)
 class Spikes:
-    """What is kept of the spikes of the input or of a layer.
+    """Memory of the spikes of the input or of a layer.
 
     name: of the source in C.
     capacity: channels or neurons that can spike in one timestep.
@@ -90,7 +90,7 @@ class Projection:
 
     @cached_property
     def layout(self) -> str:
-        """How weights are stored: whole "rows", "lists", "statements", or "nothing"."""
+        """The storage of weights: whole "rows", "lists", "statements", or "nothing"."""
         axons, neurons = self.weight.shape
         synapses, each = int(np.count_nonzero(self.weight)), bytes_of(self.stored)
         lists = synapses * (each + bytes_of("uint8_t" if neurons <= 256 else "uint16_t"))
@@ -146,7 +146,7 @@ class LayerPlan:
 
 @dataclass(frozen=True, eq=False)
 class Tap:
-    """What the host adds of a layer to the scores.
+    """Part of a layer that the host adds to the scores.
 
     layer: its name in the program; index: its number.
     silent: whether membranes count, of a layer without a threshold, and not spikes.

@@ -35,7 +35,7 @@ _SATURATED = 0.9
 
 @dataclass(frozen=True)
 class _LayerDrift:
-    """How a layer's spikes differ from the float twin's.
+    """Differences of a layer's spikes from the float twin's.
 
     name: of the node.
     neurons: N.
@@ -63,7 +63,7 @@ class _LayerDrift:
 
 @dataclass(frozen=True)
 class _ReadoutDrift:
-    """How a readout layer's membranes differ from the float twin's.
+    """Differences of a readout layer's membranes from the float twin's.
 
     name: of the node.
     neurons: N.
@@ -84,7 +84,7 @@ class _ReadoutDrift:
 
 @dataclass(frozen=True)
 class OutputDrift:
-    """How far the outputs are apart.
+    """Distances of the outputs of chip and float twin.
 
     kind: "action", after the codec; "choice", where the codec chooses one of several; "output", of
         the readout in each timestep, or spikes.
@@ -99,7 +99,7 @@ class OutputDrift:
 
 @dataclass(frozen=True)
 class Divergence:
-    """Where a neuron's spikes differ, and its membranes before any reset [float units].
+    """A timestep at which spikes of a neuron differ, its membranes before any reset [float units].
 
     inference, timestep, neuron: counted from 0.
     layer: name of the node.
@@ -326,7 +326,7 @@ def _readout_drift(name: str, twin: Activity, seen: Activity) -> _ReadoutDrift:
 
 
 def _output_drift(artifact: Artifact, before: Floats, after: Floats) -> OutputDrift:
-    """How far the outputs (B, T, act) of the float twin and of a chip are apart."""
+    """Distances of the outputs (B, T, act) of the float twin and of a chip."""
     codec = artifact.codec
     kind: Literal["action", "output"] = "output"
     if codec is not None and codec.timesteps == before.shape[1]:

@@ -90,7 +90,7 @@ class Artifact:
 
     @cached_property
     def timing(self) -> Timing:
-        """When each node runs, and when its output arrives."""
+        """The timing of nodes: the order in which they run, and the delays of their outputs."""
         return timing(self.graph, self.convention)
 
     @property

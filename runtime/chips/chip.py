@@ -430,7 +430,7 @@ def _check_tables(tables: Mapping[str, Any]) -> None:
 
 
 def _sources(entries: Mapping[str, Any], tables: Mapping[str, Any]) -> dict[str, str]:
-    """Where the value of each entry comes from, with its references written out."""
+    """Entry -> the source of its value, with its references written out."""
     references = tables.get("references", {})
 
     def written_out(match: "re.Match[str]") -> str:

@@ -192,7 +192,7 @@ class Program:
         return 0 if self.clock == "pipelined" else self._fill
 
     def describe_clock(self) -> str:
-        """How its layers advance, and what it costs: `free, 2 chip timesteps more an inference`."""
+        """Its clock and what that costs: `free, 2 chip timesteps more an inference`."""
         least, most = self.trailing
         said = [self.clock, *["assumed"] * self.assumed_clock]
         if self.fill:

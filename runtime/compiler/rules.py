@@ -46,7 +46,7 @@ class PlacedNetwork:
 
     @property
     def limits(self) -> Limits:
-        """What fits on the chip; nothing is limited where nothing is published."""
+        """The limits of the chip; nothing is limited where nothing is published."""
         return self.chip.limits or _NONE
 
     @cached_property
@@ -485,7 +485,7 @@ def _chips(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def _convention(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """When a neuron spikes, and below what its membrane cannot go."""
+    """Check the threshold rule, and the floor below which no membrane goes."""
     stated = design.artifact.convention
     found, note = f"spikes {stated.spikes!r}, floor {stated.floor!r}", stated.describe()
     possible = design.chip.arithmetic.spikes_and_floor

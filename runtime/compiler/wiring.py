@@ -82,7 +82,7 @@ def _arriving(
     late: frozenset[Edge],
     delay: Callable[[_K, _V], tuple[_K, _V]],
 ) -> dict[_K, list[_V]]:
-    """What the nodes before this one put out, by key; over late edges what `delay` makes of it."""
+    """Outputs of the nodes before this one, by key; over late edges as `delay` makes them."""
     found: dict[_K, list[_V]] = {}
     for near in before[name]:
         for each in put.get(near, {}).items():

@@ -177,7 +177,7 @@ def infer_timestep(graph: nir.NIRGraph) -> _InferredTimestep:
 
 
 def _contradiction(node: nir.NIRNode, dt: float, tolerance: float) -> str:
-    """Why a node contradicts this dt; empty where it does not."""
+    """The reason why a node contradicts this dt; empty where it does not."""
     found = _candidates(node)
     if np.abs(found / dt - 1).max() > tolerance:
         return f"tau/r is {found.min():g} s and not {dt:g} s"

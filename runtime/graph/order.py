@@ -37,7 +37,7 @@ class Order(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """When each node runs, and when its output arrives.
+    """The order in which nodes run, and the delays of their outputs.
 
     names: of all nodes, each after its sources of the same timestep.
     late: edges that deliver in the next timestep.

@@ -85,7 +85,7 @@ def describe_table(table: EnergyTable) -> str:
 
 
 def describe_certainty(table: EnergyTable) -> str:
-    """How far the energies of the table may be from the truth, in a few words."""
+    """The uncertainty of the energies of the table, in a few words."""
     if table.least:
         # biases' operations are priced like the others
         events = " and ".join(sorted(table.least - {"bias_sop"}))

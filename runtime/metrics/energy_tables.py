@@ -16,7 +16,7 @@ from spikedeploy.files import read_toml
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How far the estimates of a table may be from the truth.
+    """Distance of the estimates of a table from the truth.
 
     low, high: the truth lies between these multiples of an estimate; 0 and infinity where nothing
         published bounds it.

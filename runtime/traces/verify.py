@@ -145,7 +145,7 @@ def unread_fields(specs: Sequence[Fields], ignored: AbstractSet[str]) -> tuple[s
 
 
 def source_of(fields: Fields, chip: str) -> str:
-    """Who recorded the trace."""
+    """The tool that recorded the trace."""
     return fields.text("source") or fields.text("name") or chip
 
 
@@ -327,7 +327,7 @@ def verdict_on(recorded: TraceFile) -> Verdict:
 
 
 def count_numbers(tables: Tables) -> int:
-    """How many numbers tables hold."""
+    """Number of the numbers in tables."""
     return sum(table.size for quantities in tables.values() for table in quantities.values())
 
 

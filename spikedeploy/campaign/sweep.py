@@ -220,5 +220,5 @@ def _checksum(content: dict[str, Any]) -> str:
 
 
 def _sentence(error: Exception) -> str:
-    """Why a job failed, in one line; of a bug its kind too."""
+    """The reason why a job failed, in one line; of a bug its kind too."""
     return one_line(error) or " ".join(f"{type(error).__name__}: {error}".split())

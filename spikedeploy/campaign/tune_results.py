@@ -104,7 +104,7 @@ def best(plan: TuningPlan, found: Sequence[TrialOutcome]) -> list[TrialOutcome]:
 
 
 def failure_of(study: "optuna.Study", trial: "optuna.trial.FrozenTrial") -> str:
-    """Why a trial failed; empty where it did not, or was interrupted."""
+    """The reason why a trial failed; empty where it did not, or was interrupted."""
     # of a process that died, the parent wrote it into the study
     written = study.user_attrs.get(f"{REASON} {trial.number}", "")
     return str(trial.user_attrs.get(REASON, written))

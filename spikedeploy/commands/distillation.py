@@ -1,4 +1,4 @@
-"""What the command `distill` asks for: recipe and settings; and what came of it."""
+"""Recipe and settings of the command `distill`, and a summary of its run."""
 
 import json
 from pathlib import Path

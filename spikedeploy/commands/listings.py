@@ -194,7 +194,7 @@ def _versions() -> Iterator[DoctorFinding]:
 
 
 def _tested() -> DoctorFinding:
-    """Which versions differ from the tested set."""
+    """Versions that differ from the tested set."""
     from spikedeploy.tested_set import differences, tested_versions
 
     of, differ = len(tested_versions()), differences()

@@ -155,7 +155,7 @@ def _keeps(row: Row) -> str:
 
 
 def _finishes(row: Row) -> str:
-    """How often it finishes a race."""
+    """The share of races that it finishes."""
     said = f"{row['policy']} on {row['chip']} finishes {_share(row)} of {describe_episodes(row)}"
     if row["success_difference_mean"] is None:
         return f"{said}."
@@ -215,7 +215,7 @@ def _controls(rows: Sequence[Row]) -> str:
 
 
 def _race(rows: Sequence[Row]) -> str:
-    """How often the float ANN finishes, and the controls."""
+    """Shares of races that the float ANN and the controls finish."""
     ann = next((row for row in rows if row["kind"] == "ann"), None)
     plain = [row for row in rows if row["kind"] in (*BASELINES, "control")]
     if not ann or not plain:
@@ -232,7 +232,7 @@ def _baselines(rows: Sequence[Row]) -> str:
 
 
 def _covered(rows: Sequence[Row]) -> str:
-    """What the intervals cover, where no row is of several trainings."""
+    """The sentence on what the intervals cover, where no row is of several trainings."""
     trained = _trained(rows)
     if len(rows) < 2 or not trained or any(row["training_seeds"] > 1 for row in trained):
         return ""

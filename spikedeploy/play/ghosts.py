@@ -71,7 +71,7 @@ class GhostGroup:
         }
 
     def counts(self, step: int) -> dict[str, int]:
-        """How many drive, have finished and have crashed."""
+        """Numbers of those that drive, have finished and have crashed."""
         return {name: int(each.sum()) for name, each in self.states(step).items()}
 
 

@@ -46,7 +46,7 @@ def deployed_checkpoint(run: Path, checkpoint: str | None = None) -> str:
 
 
 def steps(run: Path, checkpoint: str | None = None) -> tuple[int, str]:
-    """How long the policy of a checkpoint was trained, and in which unit: see Provenance."""
+    """Length of the training of a checkpoint, and its unit: see Provenance."""
     path = run / "checkpoints" / f"{deployed_checkpoint(run, checkpoint)}.json"
     record = _read(path)
     unit = "environment steps" if "env_steps" in record else "updates"
@@ -61,7 +61,7 @@ def checkpoint_record(run: Path, checkpoint: str) -> dict[str, Any]:
 
 
 def describe_progress(run: Path) -> str:
-    """How far a training came that has not ended: `12 %`; empty where it has.
+    """The progress of a training that has not ended: `12 %`; empty where it has.
 
     Also empty for runs from before this was written down.
     """

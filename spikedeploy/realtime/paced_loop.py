@@ -99,7 +99,7 @@ class Metronome:
         self.due = time.perf_counter() - self._period
 
     def wait(self) -> float:
-        """When the wait ended: at the next period; those that have passed whole are skipped.
+        """Wait for the next period and return its time; those that have passed whole are skipped.
 
         They are not caught up with, as the sensor readings of a robot are gone, too.
         """

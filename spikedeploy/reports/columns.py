@@ -324,7 +324,7 @@ def quoted_among(tables: Iterable[str]) -> str:
 
 
 def energy_hint(rows: Sequence[Row]) -> str:
-    """Which energy to quote; empty where there is none."""
+    """The energy to quote; empty where there is none."""
     table = quoted_table(rows)
     if table == COMMON_TABLE:
         return f"Energy: of operations, by {table}, which prices spiking and float networks alike."

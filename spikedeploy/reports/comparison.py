@@ -227,7 +227,7 @@ def name_players(episodes: Sequence[Document], document: Document) -> list[dict[
 
 
 def _steps(document: Document) -> list[tuple[str, str]]:
-    """How the networks are stepped: conventions, then remarks on chips."""
+    """Sentences on how networks are stepped: conventions, then remarks on chips."""
     remarks = [(label, line) for label, lines in document["remarks"].items() for line in lines]
     return [*document["conventions"].items(), *remarks]
 

@@ -173,7 +173,7 @@ def energy_markdown() -> str:
 
 
 def energy_choice() -> str:
-    """Which table to quote."""
+    """The table to quote."""
     return (
         f"Quote {COMMON_TABLE} where spiking and float networks are compared: it prices both, with "
         "sums in registers; of pruned ones quote those with sums in memory (acc16, acc32) beside "
@@ -182,7 +182,7 @@ def energy_choice() -> str:
 
 
 def energy_sheet(table: EnergyTable) -> Iterator[Table]:
-    """Where a table's numbers come from, how certain they are, and all prices and times."""
+    """Sources of a table's numbers, their certainty, and all prices and times."""
     facts = [
         ("chips", ", ".join(_chips_of(table)) or "none"),
         ("source", table.source),
@@ -304,7 +304,7 @@ def _rate(rate: float) -> str:
 
 
 def policy_facts(name: str, card: Mapping[str, Any]) -> Table:
-    """Where a shipped policy comes from, by its card."""
+    """The origin of a shipped policy, by its card."""
     policy = card.get("config", {}).get("policy", {})
     facts = {
         "name": name,

@@ -82,7 +82,7 @@ def command_line() -> str:
 
 
 def provenance() -> list[tuple[str, str]]:
-    """How a page is made: version, time, command line."""
+    """The origin of a page: version, time, command line."""
     now = datetime.now(timezone.utc).isoformat(timespec="seconds")
     return [("made by", f"spikedeploy {own()}, {now}"), ("command line", command_line())]
 

@@ -124,18 +124,8 @@ def export_program(
     expected = expected_text(run, rows, text, said)
     readme = _readme(tool, run, compiled.clock, origin, source, episode, host)
     verdict = _verify_text(text, expected)
-    # first what says whose the folder is, last what names the program: a part is no kit
-    write_text(folder / PROGRAM, text)
-    if episode is not None:
-        fields = ("observation", "action", "reward", "seed")  # what a closed loop is compared with
-        archive.write(
-            folder / EPISODE, {name: np.asarray(getattr(episode, name)) for name in fields}
-        )
-    else:
-        (folder / EPISODE).unlink(missing_ok=True)
     scripts = {HOST: script(HOST), tool.script: script(tool.script)}
-    for name, content in {**scripts, README: readme, EXPECTED: expected}.items():
-        write_text(folder / name, content)
+    _write_files(folder, text, episode, {**scripts, README: readme, EXPECTED: expected})
     kept = tuple(name for name in names if name != EPISODE or episode is not None)
     open_loop = [f"no closed loop: {host['missing']}"] if "missing" in host else []
     remarks = [*compiled.remarks, *open_loop]
@@ -148,6 +138,22 @@ def export_program(
         f"next: {folder}/{README}",
     )
     return WrittenKit(folder, kept, facts, lines, tool, verdict)
+
+
+def _write_files(
+    folder: Path, program: str, episode: Rollout | None, texts: Mapping[str, str]
+) -> None:
+    # first what says whose the folder is, last what names the program: a part is no kit
+    write_text(folder / PROGRAM, program)
+    if episode is not None:
+        fields = ("observation", "action", "reward", "seed")  # what a closed loop is compared with
+        archive.write(
+            folder / EPISODE, {name: np.asarray(getattr(episode, name)) for name in fields}
+        )
+    else:
+        (folder / EPISODE).unlink(missing_ok=True)
+    for name, content in texts.items():
+        write_text(folder / name, content)
 
 
 def _verify_text(text: str, expected: str) -> Verdict:

@@ -1,4 +1,4 @@
-"""What an export starts from: the file of a policy, its chip, observations of an episode."""
+"""Inputs of an export: the file of a policy, its chip, observations of an episode."""
 
 from collections.abc import Callable
 from pathlib import Path

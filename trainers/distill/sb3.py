@@ -42,7 +42,7 @@ _ACTIVATIONS = ("Tanh", "ReLU", "ELU", "GELU", "LeakyReLU", "Mish", "SELU", "SiL
 
 @dataclass(frozen=True)
 class _Kind:
-    """Where a family of policies has its layers.
+    """Names of the layers of a family of policies.
 
     hidden: prefix of the layers in a Sequential; out: name of the last layer, None if among them
     activation: unless the file names another
@@ -64,11 +64,11 @@ _KINDS = {  # by the module of the policy's class
 
 
 class _DamagedError(Exception):
-    """What makes a file no model of Stable-Baselines3."""
+    """The reason why a file is no model of Stable-Baselines3."""
 
 
 class _RefusedError(Exception):
-    """What makes a model no teacher."""
+    """The reason why a model is no teacher."""
 
 
 def sb3_teacher(path: str, spaces: OwnSpaces) -> Teacher:

@@ -95,7 +95,7 @@ class Memory(NamedTuple):
 
 
 class Window(NamedTuple):
-    """What is asked of all layers, as in `run`."""
+    """Arguments of `run` that hold for all layers."""
 
     timesteps: Number
     slots: Number
@@ -310,7 +310,7 @@ def _pause(about: Array, own: Array, memory: Array, window: Array, first: int, l
 
 @jit
 def _slots(about: Array, row: int, slots: int) -> tuple[int, int]:
-    """Where the states before and after a row of the window begin."""
+    """Offsets of the states before and after a row of the window."""
     # not row % slots, which is a division
     slot, next_slot = (row, row + 1) if slots > 2 else (row & 1, ~row & 1)
     return about[STATE] + slot * 2 * about[SIZE], about[STATE] + next_slot * 2 * about[SIZE]

@@ -311,7 +311,7 @@ def _fire(
 
 
 def fires(rules: IntegrateAndFireRules, layer: Layer, v: Integers) -> NDArray[np.bool_]:
-    """Which membranes (B, N) reach, or pass, the threshold."""
+    """Mask of the membranes (B, N) that reach, or pass, the threshold."""
     # fires where V >= threshold, or V > threshold
     return np.asarray(v >= layer.threshold if rules.fires == "reached" else v > layer.threshold)
 
