@@ -70,14 +70,14 @@ def operators(path: Path) -> OnnxOperators:
         tensors = [value for number, value in inside if number == _INITIALIZER]
         return OnnxOperators(
             tuple(next((v.decode() for n, v in node if n == _OPERATOR), "") for node in nodes),
-            any(number == _FUNCTIONS for number, _ in model) or any(map(_nested, nodes)),
+            any(number == _FUNCTIONS for number, _ in model) or any(map(_has_subgraph, nodes)),
             tuple(tuple(_dims(tensor)) for tensor in tensors),
         )
     except (ValueError, IndexError) as error:
         raise ArtifactError(f"{path} is not an ONNX file that can be run: {error}") from error
 
 
-def _nested(node: list[tuple[int, bytes]]) -> bool:
+def _has_subgraph(node: list[tuple[int, bytes]]) -> bool:
     attributes = (value for number, value in node if number == _ATTRIBUTE)
     return any(n in (_SUBGRAPH, _SUBGRAPHS) for each in attributes for n, _ in _fields(each))
 

@@ -167,11 +167,11 @@ def chip_activity(program: Program, raster: NDArray[Any]) -> Activity:
         output=output,
         saturations=machine.ledger.by_layer("saturation"),
         membranes={layer.name: layer.scale * seen[layer.name].membrane for layer in readouts},
-        filled=_filled(program, seen),
+        filled=_register_fill(program, seen),
     )
 
 
-def _filled(program: Program, seen: Mapping[str, Recording]) -> dict[str, float]:
+def _register_fill(program: Program, seen: Mapping[str, Recording]) -> dict[str, float]:
     """Layer -> largest part of its register that a current took, of readouts a membrane too."""
     bits = program.chip.arithmetic.state_bits
     if len(bits) < 2:  # no current

@@ -154,7 +154,7 @@ def load(
                 f"--like {like} is how a tool reads the file, --from {written_by} how a tool wrote "
                 "it. Give one of them."
             )
-        artifact = _interpreted(_read(Path(path)), given, like, written_by)
+        artifact = _artifact_of_graph(_read(Path(path)), given, like, written_by)
         check_size(artifact.graph, Path(path).stat().st_size)
     except (ArtifactError, ConventionError) as error:
         raise type(error)(f"{path}: {error}") from error
@@ -236,7 +236,7 @@ def _read(path: Path) -> nir.NIRGraph:
     return without_batch_axis(flatten(read_graph(path)))
 
 
-def _interpreted(
+def _artifact_of_graph(
     graph: nir.NIRGraph, given: Mapping[str, object], like: str | None, written_by: str | None
 ) -> Artifact:
     """The artifact of a graph: ours as stored, another tool's as it is read, written or inferred.
@@ -250,7 +250,7 @@ def _interpreted(
                 f"--from {written_by}: spikedeploy wrote this file, and its metadata state the "
                 "convention. Leave --from away; --like reads it as another tool would."
             )
-        stored = _stored(graph)
+        stored = _artifact_of_ours(graph)
         if like is None:
             return stored.with_convention(stored.convention.with_options(given))
         graph, codec = stored.graph, stored.codec
@@ -266,7 +266,7 @@ def _interpreted(
     return Artifact(graph, codec, convention)
 
 
-def _stored(graph: nir.NIRGraph) -> Artifact:
+def _artifact_of_ours(graph: nir.NIRGraph) -> Artifact:
     """The artifact of a graph with our metadata; ArtifactError where they contradict each other."""
     record = Record(graph.metadata, "file").group(_KEY)
     record.only("schema", "convention", "codec", "origin", "sigma_delta")

@@ -134,12 +134,12 @@ def _bypass(port: str, nodes: Nodes, edges: _Edges) -> None:
 def with_floats(graph: nir.NIRGraph) -> nir.NIRGraph:
     """The graph with whole parameters in float64; itself where there are none."""
     kinds = (*DENSE, *CONVOLUTIONS, *_ELEMENTWISE)
-    return _replaced(
+    return _with_nodes(
         graph, {n: _in_floats(n, m) for n, m in graph.nodes.items() if isinstance(m, kinds)}
     )
 
 
-def _replaced(graph: nir.NIRGraph, nodes: Nodes) -> nir.NIRGraph:
+def _with_nodes(graph: nir.NIRGraph, nodes: Nodes) -> nir.NIRGraph:
     if all(node is graph.nodes[name] for name, node in nodes.items()):
         return graph
     again = {**graph.nodes, **nodes}
@@ -172,7 +172,9 @@ def without_batch_axis(graph: nir.NIRGraph) -> nir.NIRGraph:
     """The graph, ports and neurons without leading axes of 1 that its weights do not have."""
     nodes = graph.nodes
     axes = _axes(graph)
-    return _replaced(graph, {n: _stripped(nodes[n], axes[n]) for n in axes if n in nodes})
+    return _with_nodes(
+        graph, {n: _without_leading_axes(nodes[n], axes[n]) for n in axes if n in nodes}
+    )
 
 
 def _axes(graph: nir.NIRGraph) -> dict[str, int]:
@@ -201,7 +203,7 @@ def _own_axes(node: nir.NIRNode) -> int:
     return 3 if isinstance(node, (nir.Conv2d, *POOLS)) else 0
 
 
-def _stripped(node: nir.NIRNode, axes: int) -> nir.NIRNode:
+def _without_leading_axes(node: nir.NIRNode, axes: int) -> nir.NIRNode:
     """The port or neurons without leading axes of 1 beyond these; another node itself."""
     if isinstance(node, _PORTS):
         shape = np.asarray(node.output_type["output"])

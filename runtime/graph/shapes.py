@@ -208,7 +208,7 @@ def _shapes(graph: nir.NIRGraph) -> Shapes:
         new = []
         for name in waiting:
             known = [shapes[source][1] for source in sources[name] if source in shapes]
-            takes = _stated(name, graph.nodes[name]) or (known[0] if known else None)
+            takes = _stated_input_shape(name, graph.nodes[name]) or (known[0] if known else None)
             if takes is not None:
                 shapes[name] = takes, _output(name, graph.nodes[name], takes)
                 new.append(name)
@@ -222,7 +222,7 @@ def _shapes(graph: nir.NIRGraph) -> Shapes:
     return shapes
 
 
-def _stated(name: str, node: nir.NIRNode) -> Shape | None:
+def _stated_input_shape(name: str, node: nir.NIRNode) -> Shape | None:
     """The input shape that a node's own fields fix, or None where they leave it open."""
     if isinstance(node, POOLS):
         return None
@@ -256,13 +256,13 @@ def _output(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
     if isinstance(node, DENSE):
         return *takes[:-1], int(node.weight.shape[-2])
     if isinstance(node, (*CONVOLUTIONS, *POOLS)):
-        return _windowed(name, node, takes)
+        return _window_output_shape(name, node, takes)
     if isinstance(node, nir.Flatten):
-        return _flattened(name, node, takes)
+        return _flattened_shape(name, node, takes)
     return takes
 
 
-def _windowed(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
+def _window_output_shape(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
     """The output shape of a convolution or pool; ArtifactError where its kernel does not fit."""
     axes = ("C", "L") if isinstance(node, nir.Conv1d) else ("C", "H", "W")
     if len(takes) != len(axes):
@@ -294,7 +294,7 @@ def _windowed(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
     return features, *positions
 
 
-def _flattened(name: str, node: nir.Flatten, takes: Shape) -> Shape:
+def _flattened_shape(name: str, node: nir.Flatten, takes: Shape) -> Shape:
     """The shape with the axes from start_dim to end_dim as one; the batch axis is not counted."""
     (start,) = whole_numbers(name, "start_dim", node.start_dim, 1, -len(takes))
     (end,) = whole_numbers(name, "end_dim", node.end_dim, 1, -len(takes))

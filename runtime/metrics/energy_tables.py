@@ -117,9 +117,9 @@ def _prices(given: Mapping[str, Any], unit: float = 1.0) -> dict[str, float]:
     return found
 
 
-def _published(name: str) -> EnergyTable:
+def _read_table(name: str) -> EnergyTable:
     given = dict(_PUBLISHED["tables"][name])
-    like = _published(given.pop("like")) if "like" in given else EnergyTable("", "", "", {})
+    like = _read_table(given.pop("like")) if "like" in given else EnergyTable("", "", "", {})
     for field_name, unit in _UNITS.items():
         given[field_name] = {
             **getattr(like, field_name),
@@ -184,7 +184,7 @@ _HOROWITZ45_INT8 = replace(
 )
 
 
-def _scattered(bits: int) -> EnergyTable:
+def _scattered_memory_table(bits: int) -> EnergyTable:
     """The table horowitz45-int8 of pruned networks, with what each operation finds by an index.
 
     A spike's list names neurons, whose sums are in memory: the weight, its index, and the sum read
@@ -222,8 +222,16 @@ def _scattered(bits: int) -> EnergyTable:
 
 
 TABLES: dict[str, EnergyTable] = {
-    **{name: _published(name) for name in _PUBLISHED["tables"]},
-    **{t.name: t for t in (_HOROWITZ45, _HOROWITZ45_INT8, _scattered(16), _scattered(32))},
+    **{name: _read_table(name) for name in _PUBLISHED["tables"]},
+    **{
+        t.name: t
+        for t in (
+            _HOROWITZ45,
+            _HOROWITZ45_INT8,
+            _scattered_memory_table(16),
+            _scattered_memory_table(32),
+        )
+    },
 }
 
 # chip -> its published static powers; a chip that is not here has none

@@ -100,7 +100,7 @@ def print_sweep(sweep: Sweep) -> None:
     """The table on stdout, the axes in one column."""
     rows = cells(sweep.found)
     axes = _axes(rows)
-    measured = [c for c in _measured(rows) if c.title not in _ON_PAGES]
+    measured = [c for c in _measured_columns(rows) if c.title not in _ON_PAGES]
 
     def name(row: Record) -> str:
         return " · ".join(cell for axis in axes if (cell := axis.cell(row)) != ABSENT)
@@ -122,7 +122,7 @@ def write_sweep(sweep: Sweep, folder: Path) -> list[Path]:
 
 def _page(sweep: Sweep) -> list[str]:
     rows = cells(sweep.found)
-    columns = [*_axes(rows), *_measured(rows)]
+    columns = [*_axes(rows), *_measured_columns(rows)]
     lines = [f"# Sweep {sweep.grid.name}", "", f"<!-- {mark('sweep')} -->", f"{sweep.summary}.", ""]
     if rows:
         lines += [Table.of(columns, rows).markdown(), ""]
@@ -143,7 +143,7 @@ def _axes(rows: Sequence[Record]) -> list[Column]:
     return found
 
 
-def _measured(rows: Sequence[Record]) -> list[Column]:
+def _measured_columns(rows: Sequence[Record]) -> list[Column]:
     success = (
         Column(
             "finished", "episodes that reach the last gate, with the 95% interval", format_success

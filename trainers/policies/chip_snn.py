@@ -267,6 +267,11 @@ class ChipSnnPolicy(SpikingMlpPolicy):
         arithmetic = target.arithmetic
         self.types = 0 if arithmetic.own_weights else int(getattr(arithmetic, "axon_types", 0))
         self.signed_axons = bool(target.limits and target.limits.axon_signs)
+        self._draw_weights(limit)
+        self._compiled: tuple[bytes, Program] | None = None
+
+    def _draw_weights(self, limit: float) -> None:
+        """Replace the layers by ones without a bias, with the signs and types of their axons."""
         self.layers = nn.ModuleList(
             nn.Linear(layer.in_features, layer.out_features, bias=False)
             for layer in self.layers
@@ -283,7 +288,6 @@ class ChipSnnPolicy(SpikingMlpPolicy):
             for layer in self.layers
             if isinstance(layer, nn.Linear) and self.types
         )
-        self._compiled: tuple[bytes, Program] | None = None
 
     def weights(self) -> list[Tensor]:
         """Return the weights (N, M) of each layer as they are deployed, before rounding.

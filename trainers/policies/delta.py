@@ -467,7 +467,7 @@ def delta_codec(policy: DeltaSnnPolicy) -> Codec:
 
 def delta_encoder(policy: DeltaSnnPolicy) -> DeltaEncoder:
     """Return the encoder; observations that no synapse reads send nothing."""
-    step = np.where(_used(policy).numpy(), to_array(policy.step), np.inf)
+    step = np.where(_used_observations(policy).numpy(), to_array(policy.step), np.inf)
     return DeltaEncoder(step, policy.most, policy.code, policy.events_above)
 
 
@@ -491,12 +491,12 @@ def event_channels(policy: DeltaSnnPolicy, events: Array) -> NDArray[np.uint8]:
     """Return input spikes (S, M) of signed events (S, obs), those that some synapse reads."""
     k = np.arange(1, policy.most + 1)
     sign = np.array([[1], [-1]])
-    signed = np.where(_used(policy).numpy(), events, 0)[:, :, None, None] * sign
+    signed = np.where(_used_observations(policy).numpy(), events, 0)[:, :, None, None] * sign
     spikes = signed == k if policy.code == "one-hot" else signed >= k
     return np.reshape(spikes, (len(events), -1)).astype(np.uint8)
 
 
-def _used(policy: DeltaSnnPolicy) -> Tensor:
+def _used_observations(policy: DeltaSnnPolicy) -> Tensor:
     """Return which observations (obs,) some synapse reads."""
     used = policy.into.mask[live_neurons(policy)].any(0)
     return used | policy.past.mask.any(0) if policy.skip else used
