@@ -10,6 +10,8 @@ from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from spikedeploy import envs
 from spikedeploy.comparison.comparison import Comparison, Row
 from spikedeploy.comparison.episodes import (
@@ -35,7 +37,7 @@ from spikedeploy.realtime.paced_loop import PacedLoop
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.video import Pace, add_caption, mp4
+from spikedeploy.video import Frame, Pace, add_caption, mp4
 
 
 def compare_policies(
@@ -173,6 +175,18 @@ def _film(path: Path, caption: str, world: Any) -> Iterator[Callable[[EpisodeRec
 
         def show(episode: EpisodeRecorder) -> None:
             if episode.steps % pace.every == 0:
-                write(add_caption(world.render(), caption))
+                write(add_caption(_picture(world), caption))
 
         yield show
+
+
+def _picture(world: Any) -> Frame:  # noqa: ANN401
+    try:
+        drawn = world.render()
+    except NotImplementedError:  # of gymnasium, where the environment defines no render
+        drawn = None
+    if not isinstance(drawn, np.ndarray):
+        raise ConfigError(
+            '--video: render() of the environment returns no picture with render_mode="rgb_array"'
+        )
+    return drawn

@@ -175,9 +175,11 @@ def _earns(row: Row) -> str:
         between = _between(row, "difference_ci95", "+,.3g")
         kept += f"{row['difference_mean']:+,.3g} to {other}{between}"
     succeeded = "" if row["success_rate"] is None else f", and succeeds in {_share(row)} of them"
+    found = "; ".join(filter(None, (own, kept.removesuffix(", "))))
+    more = f" ({found})" if found else ""
     return (
-        f"{row['policy']} on {row['chip']} earns {row['return_mean']:,.4g} "
-        f"({'; '.join(filter(None, (own, kept)))}) in {describe_episodes(row)}{succeeded}."
+        f"{row['policy']} on {row['chip']} earns {row['return_mean']:,.4g}{more} "
+        f"in {describe_episodes(row)}{succeeded}."
     )
 
 

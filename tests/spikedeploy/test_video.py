@@ -1,12 +1,15 @@
 """Films: complete or not there, and one pair of frames for each moment."""
 
 import av
+import gymnasium
 import numpy as np
 import pytest
 
 from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.envs.errors import EnvError
+from spikedeploy.errors import ConfigError
 from spikedeploy.video import Pace, add_caption, mp4
+from tests.own_env import Reach
 
 
 def frames(path):
@@ -47,6 +50,14 @@ def test_a_caption_covers_the_lower_edge_only():
 def test_run_films_the_first_episode_only(stroll):
     run_policy("stroll/popsan", "stroll", "loihi1", range(10_000, 10_002), stroll / "film.mp4")
     assert len(frames(stroll / "film.mp4")) == 1 + 10  # the start, and every second of its 20 steps
+
+
+@pytest.mark.parametrize("render", [lambda env: None, gymnasium.Env.render])
+def test_an_environment_that_draws_nothing_is_refused_a_film(render, tmp_path, monkeypatch):
+    monkeypatch.setattr(Reach, "render", render)
+    with pytest.raises(ConfigError, match="--video: render"):
+        run_policy("random", "tests.own_env:Reach", None, [10_000], tmp_path / "film.mp4")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(("dt", "every", "fps"), [(0.02, 2, 25), (1 / 60, 2, 30), (0.1, 1, 10)])
