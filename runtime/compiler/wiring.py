@@ -333,7 +333,9 @@ def topology(graph: nir.NIRGraph, membranes: bool = True, graded: Collection[str
     kinds = _POPULATIONS if membranes else (*SPIKING, nir.Threshold)
     on_chip = {n for n, node in graph.nodes.items() if isinstance(node, kinds) or n in graded}
     ports_ = graph.inputs.keys() | graph.outputs.keys()
-    host = graph.nodes.keys() - reach(on_chip, sources(graph)) - ports_
+    last = graph.nodes.keys() - reach(on_chip, sources(graph)) - ports_
+    # from the outputs backwards: the host computes no loop, and nothing that leads into one
+    host = {*in_waves(last, ((target, source) for source, target in graph.edges))}
     ahead, behind = neighbours(graph.edges), host | graph.outputs.keys()
     return Topology(
         graph=graph,

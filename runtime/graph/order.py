@@ -121,24 +121,50 @@ def order(graph: nir.NIRGraph, late: Iterable[Edge] = ()) -> Order:
         if not pending:
             return Order(tuple(done), frozenset(delayed))
         prompt = [edge for edge in prompt if edge[0] in pending]
-        after, before = neighbours(prompt), neighbours((t, s) for s, t in prompt)
-        neurons = [name for name in pending if isinstance(graph.nodes[name], NEURONS)]
-        for first in sorted(neurons, key=lambda name: (depth.get(name, len(graph.nodes)), name)):
-            if (work := work + len(prompt)) > _MOST_LOOP_WORK:
-                raise ArtifactError(
-                    f"the loops through {len(pending)} nodes are too many to open one by one. Join "
-                    "nodes that are connected both ways into one recurrent layer."
-                )
-            loop = reach(after.get(first, ()), after) & reach([first], before)
-            inside = {name: loop.intersection(before.get(name, ())) for name in loop}
-            if first in loop:
-                delayed |= _edges_onto([first], inside, graph.nodes, NEURONS)
-                break
-        else:
-            raise _no_neuron(pending - {*in_waves(pending, ((t, s) for s, t in prompt))})
+        if (work := work + len(prompt)) > _MOST_LOOP_WORK:
+            raise ArtifactError(
+                f"the loops through {len(pending)} nodes are too many to open one by one. Join "
+                "nodes that are connected both ways into one recurrent layer."
+            )
+        before = neighbours((t, s) for s, t in prompt)
+        loops = _loops(pending, neighbours(prompt), before)
+        neurons = [name for name in loops if isinstance(graph.nodes[name], NEURONS)]
+        if not neurons:
+            raise _no_neuron(loops)
+        first = min(neurons, key=lambda name: (depth.get(name, len(graph.nodes)), name))
+        inside = {name: loops[first].intersection(before[name]) for name in loops[first]}
+        delayed |= _edges_onto([first], inside, graph.nodes, NEURONS)
 
 
-def _no_neuron(loop: set[str]) -> ArtifactError:
+def _loops(names: Collection[str], after: Neighbours, before: Neighbours) -> dict[str, set[str]]:
+    """For each node on a path back to itself, all nodes on such paths (Kosaraju's algorithm)."""
+    finished, seen = list[str](), set[str]()
+    for first in sorted(names):
+        path = [] if first in seen else [(first, iter(after.get(first, ())))]
+        seen.add(first)
+        while path:
+            new = next((target for target in path[-1][1] if target not in seen), None)
+            if new is None:
+                finished.append(path.pop()[0])
+            else:
+                seen.add(new)
+                path.append((new, iter(after.get(new, ()))))
+    loops: dict[str, set[str]] = {}
+    left = set(names)
+    for name in (name for name in reversed(finished) if name in left):
+        loop, waiting = {name}, [name]
+        left.remove(name)
+        while waiting:
+            new_ones = left.intersection(before.get(waiting.pop(), ()))
+            left -= new_ones
+            loop |= new_ones
+            waiting += new_ones
+        if len(loop) > 1 or name in after.get(name, ()):
+            loops.update(dict.fromkeys(loop, loop))
+    return loops
+
+
+def _no_neuron(loop: Collection[str]) -> ArtifactError:
     more = f" and {len(loop) - 20} more" if len(loop) > 20 else ""
     return ArtifactError(
         f"the loop through {', '.join(sorted(loop)[:20])}{more} has no neuron in it, so that a "

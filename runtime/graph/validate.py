@@ -73,6 +73,11 @@ def check_edges(graph: nir.NIRGraph, path: str = "") -> None:
             "neurons as one Linear node, not as edges."
         )
     for edge in graph.edges:
+        if not (isinstance(edge, tuple) and len(edge) == 2):
+            raise ArtifactError(
+                f"{where}edge {edge!r} is not a pair (source, target). Export the network again, "
+                "or correct the edge."
+            )
         source, target = edge
         shown = f"{where}edge {source!r} -> {target!r}"
         for name in edge:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from spikedeploy import zoo
+from spikedeploy.console import say
 from spikedeploy.errors import ConfigError
 from spikedeploy.exporters.c.int8 import quantise, read_onnx
 from spikedeploy.exporters.c.packaging import MAKEFILE, MARK, RECORD, file_names, write_texts
@@ -125,6 +126,8 @@ def _write_float(file: Path, folder: Path, observations: int, prefix: str) -> Wr
     scales = network.observations
 
     def walk() -> Observations:
+        if where:
+            say(f"{where} has not this policy's {size} observations: a random walk stands for it")
         middle, half = (scales.low + scales.high) / 2, (scales.high - scales.low) / 2
         steps = np.random.default_rng(0).normal(0, 0.05, (observations, len(half)))
         drift = np.clip(np.cumsum(steps, axis=0), -0.75, 0.75)

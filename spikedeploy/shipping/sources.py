@@ -81,6 +81,8 @@ def observations_of(
     """
     env = make_env(where, {}) if where else None
     if env is None or env.observation_space.shape != (size,):
+        if env is not None:
+            env.close()
         return walk(), f"{count} steps of a random walk"
     played = rollout(env, controller(), VALIDATION[0])
     env.close()

@@ -140,6 +140,15 @@ def test_loops_that_interlock_by_the_hundred_are_refused():
         order(graph)
 
 
+def test_two_loops_with_hundreds_of_neurons_between_them_are_opened():
+    between = [f"b{number:03}" for number in range(900)]
+    nodes = {name: unit_lif(2) for name in ("a", "c", "y", "z", *between)}
+    fan = [edge for name in between for edge in (("input", name), ("c", name), (name, "y"))]
+    edges = [("input", "a"), ("a", "c"), ("c", "a"), ("y", "z"), ("z", "y"), ("z", "output"), *fan]
+    found = order(nir.NIRGraph({**ends(2, 2), **nodes}, edges, type_check=False))
+    assert found.late == {("c", "a"), ("z", "y")}
+
+
 @pytest.mark.parametrize("kind", ["u1", "i4", "u8"])
 @pytest.mark.parametrize("name", ["truenorth", "odin", "loihi1", "ideal"])
 def test_whole_weights_compile_as_floats_of_the_same_values(kind, name, tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import fields, replace
+from itertools import pairwise
 
 import nir
 import numpy as np
@@ -232,6 +233,18 @@ def test_a_rule_holds_up_to_its_limit_and_no_further(rule, on, keeps, breaks):
 
 def test_every_rule_has_a_boundary():
     assert {rule for rule, *_ in BOUNDARIES} == set(RULES)
+
+
+def test_a_loop_of_readouts_is_not_the_hosts():
+    nodes = {"w1": linear(2, 2), "fire": integrate(2), "w2": linear(2, 2), "back": linear(2, 2)}
+    nodes["sum"] = nir.I(np.ones(2))
+    way = ["input", "w1", "fire", "w2", "sum", "output"]
+    edges = [*pairwise(way), ("sum", "back"), ("back", "sum")]
+    looped = Artifact(nir.NIRGraph({**ends(2, 2), **nodes}, edges), None, CONVENTION)
+    found = evaluate(PlacedNetwork(looped, chip("truenorth")))
+    assert ("sum", "fail") in {
+        (each.node, each.status) for each in found if each.rule == "primitive"
+    }
 
 
 def test_what_breaks_a_rule_is_refused_by_its_name_with_the_limit_and_the_way_out():

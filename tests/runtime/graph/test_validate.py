@@ -140,6 +140,14 @@ def test_a_name_that_no_file_can_hold_is_refused(name):
         artifact(network)
 
 
+@pytest.mark.parametrize("edge", [("input", "a", "output"), ["input", "output"], "ab", None])
+def test_an_edge_that_is_no_pair_is_refused(edge):
+    network = nir.NIRGraph(ends(2, 2), [("input", "output")], type_check=False)
+    network.edges = [("input", "output"), edge]
+    with pytest.raises(ArtifactError, match="is not a pair"):
+        artifact(network)
+
+
 @pytest.mark.parametrize(
     ("edges", "message"),
     [
