@@ -246,7 +246,7 @@ class LayerWindow:
         self._prepare_update(layer, fixed)
 
     def _prepare_check(self, fixed: CubaFixedPoint, timesteps: int | None) -> int:
-        """What the test for overflows compares; the largest partial sum of weights."""
+        """Prepare the test for overflows; return the largest partial sum of weights."""
         layer, limits = self.layer, bounds(self._program, self.layer, fixed, timesteps)
         self._limit = limit = min(register_limit(fixed.current), register_limit(fixed.membrane))
         self._push = float(layer.voltage_bias.max(initial=0))
