@@ -18,6 +18,8 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
+MOST_TOML = 1 << 15  # bytes: the time that a key with many dots takes grows with their square
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
@@ -82,7 +84,7 @@ def _finite(data: object) -> object:
 def read_json(path: Path, remedy: str = "put it back, or move it away") -> dict[str, Any]:
     """The object in a JSON file that a command wrote; ConfigError where it is damaged."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(read_text(path))
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path} is damaged ({error}): {remedy}") from error
     if not isinstance(found, dict):
@@ -90,9 +92,18 @@ def read_json(path: Path, remedy: str = "put it back, or move it away") -> dict[
     return found
 
 
+def read_text(path: Path, encoding: str = "utf-8") -> str:
+    """The text of a file; OSError for devices and pipes, which may never end."""
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "it is no plain file", str(path))
+    return path.read_text(encoding)
+
+
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file, such as those that belong to a module."""
-    tables: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    """The tables of a TOML file, such as those that belong to a module; ValueError, OSError."""
+    if (size := path.stat().st_size) > MOST_TOML:
+        raise ValueError(f"it has {size:,} bytes; at most {MOST_TOML:,} are read")
+    tables: dict[str, Any] = tomllib.loads(read_text(path))
     return tables
 
 

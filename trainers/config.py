@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from spikedeploy.files import read_toml
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.schema import validate
 from spikedeploy.trainers.recipes import RECIPES, merge
@@ -268,7 +269,7 @@ def amend(base: C, *, file: str | Path | None = None, overrides: Iterable[str] =
     settings = base.model_dump(mode="json")
     if file is not None:
         try:
-            tables = tomllib.loads(Path(file).read_text(encoding="utf-8"))
+            tables = read_toml(Path(file))
         except OSError as error:
             raise ConfigError(f"cannot read the configuration file {file}: {error}") from error
         except (ValueError, RecursionError) as error:

@@ -35,7 +35,7 @@ from typing import Any, Literal, cast, get_args, get_origin
 
 import numpy as np
 
-from spikedeploy.files import read_toml
+from spikedeploy.files import MOST_TOML, read_toml
 from spikedeploy.runtime.chips import ARITHMETICS, CHIPS
 from spikedeploy.runtime.chips.arithmetic import Arithmetic
 from spikedeploy.runtime.chips.registers import OVERFLOWS, Register
@@ -324,7 +324,6 @@ def _parse_options(datasheet: Chip, text: str) -> dict[str, Any]:
 
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 _LARGEST = 1 << 62
-_MOST_BYTES = 1 << 20
 _TABLES: dict[str, type] = {
     "summary": str,
     "evidence": str,
@@ -378,8 +377,8 @@ def _make_chip(name: str, tables: Mapping[str, Any]) -> Chip:
 
 def _read_tables(path: Path) -> dict[str, Any]:
     """Tables of a file, over those of the datasheet that it is like."""
-    if path.stat().st_size > _MOST_BYTES:
-        raise ChipError(f"it has more than {_MOST_BYTES} bytes, which no datasheet needs.")
+    if path.stat().st_size > MOST_TOML:
+        raise ChipError(f"it has more than {MOST_TOML} bytes, which no datasheet needs.")
     try:
         tables = read_toml(path)
     except (ValueError, RecursionError) as error:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.files import read_text
 from spikedeploy.runtime.errors import TraceError
 
 Integers = NDArray[np.int64]
@@ -29,7 +30,7 @@ _MOST_READ = 1 << 24  # numbers; those that layers share are read for each layer
 def read_json(path: Path) -> "Fields":
     """The object in a JSON file."""
     try:
-        found = json.loads(path.read_text("utf-8-sig"))
+        found = json.loads(read_text(path, "utf-8-sig"))
     except UnicodeDecodeError as error:
         raise TraceError(
             f"{path}: this is not a text file. A trace is JSON, as docs/traces.md shows."

@@ -248,6 +248,11 @@ def expand(grid: SweepGrid) -> SweepPlan:
                 _check_chips((candidate.chip or DEFAULT_CHIP,), grid)
             for job in _jobs(grid, env, candidate, _policy_fields(candidate, policies)):
                 jobs.setdefault(job.key, job)
+    if not jobs:
+        raise ConfigError(
+            "no job is left: bits and faults are of chips, and no policy runs on one here. Add "
+            '"own" to bits, "none" to fault, or a policy that spikes.'
+        )
     return SweepPlan(list(jobs.values()), policies)
 
 

@@ -70,6 +70,8 @@ def design_report(reference: str, chips: Sequence[str], **convention: Any) -> De
 def report_of(reference: str, artifact: Artifact, chips: Sequence[str]) -> DesignReport:
     """The design rules of chips on a network that was read from a file."""
     named = [name for text in chips for name in split_names(text)]
+    if not named:
+        raise ConfigError("--chip names none. Name a chip, or all.")
     names = tuple(CHIPS) if ALL in named else tuple(dict.fromkeys(named))
     # with its options, in which two chips of a report may differ
     checks = [check_on(artifact, replace(chip(name), name=name)) for name in names]

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.console import say
 from spikedeploy.envs.rollout import Rollout
+from spikedeploy.files import read_text
 from spikedeploy.outputs import check_output
 from spikedeploy.policies.costs import Costs, policy_costs
 from spikedeploy.policies.registry import (
@@ -235,7 +236,7 @@ def _is_adopted(path: Path) -> bool:
 def read_codec(path: Path) -> Codec:
     """The codec in a JSON file."""
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = json.loads(read_text(path))
     except (OSError, ValueError, RecursionError) as error:
         raise ArtifactError(f"{path} is no JSON that can be read: {error}") from error
     if not isinstance(record, dict):

@@ -9,11 +9,15 @@ import numpy as np
 import pytest
 
 from spikedeploy import zoo
+from spikedeploy.campaign.sweep_grid import read_grid
 from spikedeploy.emulation.rasters import as_raster, read_rasters
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.ghosts import Ghost, Ghosts
 from spikedeploy.envs.kart import track as track_file
 from spikedeploy.envs.rollout import Rollout
+from spikedeploy.errors import SpikedeployError
+from spikedeploy.files import read_json
+from spikedeploy.policies.nir import read_codec
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import observed_numbers
@@ -22,6 +26,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import FloatMachine
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.float_model import FloatGraph
+from spikedeploy.runtime.traces.verify import verify
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.distill.distill import DistillConfig
 from spikedeploy.trainers.ppo import PpoConfig
@@ -162,11 +167,19 @@ def test_a_raster_of_objects_or_with_a_strange_header_is_refused(name, tmp_path)
         read_rasters(path)
 
 
-@pytest.mark.parametrize("read", [read_rasters, track_file.load, Ghosts.load])
+def settings(path):
+    resolve(PpoConfig, "kart-grid-ann", file=path, seed=0)
+
+
+@pytest.mark.parametrize("read", [
+    read_rasters, track_file.load, Ghosts.load, read_grid, settings, verify, read_codec, read_json,
+    lambda path: chip(str(path.with_suffix(".toml"))),
+])  # fmt: skip
 def test_a_device_is_not_read(read, tmp_path):
     path = tmp_path / "zero.json"
-    path.symlink_to("/dev/zero")
-    with pytest.raises((EnvError, ObservationError), match="no file"):
+    for link in (path, path.with_suffix(".toml")):
+        link.symlink_to("/dev/zero")
+    with pytest.raises((SpikedeployError, OSError), match=r"no (plain )?file"):
         read(path)
 
 
@@ -204,7 +217,11 @@ def test_settings_that_no_machine_can_hold_are_refused(model, recipe, override, 
         resolve(model, recipe, overrides=[override], seed=0)
 
 
-@pytest.mark.parametrize("text", ["x = " + "[" * 5000, "x = " + "9" * 10_000, "\0"])
+@pytest.mark.parametrize(
+    "text",
+    ["x = " + "[" * 5000, "x = " + "9" * 10_000, "\0", "a" + ".a" * (1 << 14) + " = 1"],
+    ids=["deep", "digits", "nul", "dots"],
+)
 def test_a_strange_toml_file_is_refused(text, tmp_path):
     (tmp_path / "a.toml").write_text(text)
     with pytest.raises(ConfigError):

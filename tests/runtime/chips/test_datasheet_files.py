@@ -77,7 +77,7 @@ def changed(old, new):
         ('arithmetic = "cuba-fixed"', "arithmetic 'cuba-fixed' is unknown; did you mean 'cuba-"),
         ('arithmetic = "xylo"', "weight_bits has no value"),
         ("fields = 3", "fields is 3; it must be a dict"),
-        ("# " + "x" * (1 << 20), "more than 1048576 bytes"),
+        ("a" + ".a" * (1 << 14) + " = 1", "more than 32768 bytes"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_a_sentence(text, message, write):

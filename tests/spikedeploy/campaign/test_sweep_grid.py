@@ -96,6 +96,7 @@ def test_what_is_wrong_is_named(text, words, tmp_path):
         ({"policy": ("gap", "hexapod/popsan")}, "popsan is for"),
         ({"options": {"wings": 2}}, "no option 'wings'"),
         ({"env": ("kart-boat",)}, "kart-boat"),
+        ({"policy": ("gap",), "fault": (("dead-neurons:1",),)}, "no job is left"),
     ],
 )
 def test_what_does_not_exist_is_refused_before_a_job_is_run(change, words):

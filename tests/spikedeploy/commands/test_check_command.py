@@ -115,6 +115,7 @@ def test_a_policy_of_another_chip_is_sent_there_and_not_given_another_reset(comm
         ("nothing", (), "no network at 'nothing'"),
         ("hexapod/sac", (), "does not spike"),
         ("kart-grid/snn", ("--chip", "loihi3"), "there is no chip 'loihi3'"),
+        ("kart-grid/snn", ("--chip", ","), "--chip names none"),
         ("README.md", (), "not an HDF5 file"),
     ],
 )
