@@ -109,5 +109,6 @@ def _read(path: Path) -> dict[str, Any]:
 
 def format_of(run: Path) -> str:
     """The format of a run's policy: "nir" where it spikes, else "onnx"."""
-    spikes = settings(run)["policy"]["kind"] in SPIKING
+    with checked_record(run / "config.json"):
+        spikes = settings(run)["policy"]["kind"] in SPIKING
     return "nir" if spikes else "onnx"

@@ -101,6 +101,7 @@ def test_a_cut_configuration_is_a_sentence(words, text, run, command):
     [
         ("config.json", {"env": {"name": []}}, run_record.env_of),
         ("config.json", {"seed": None}, run_record.origin),
+        ("config.json", {"policy": {}}, run_record.format_of),
         ("checkpoints/best.json", {"env_steps": [1]}, run_record.steps),
         ("checkpoints/last.json", {"finished": False, "share": []}, run_record.describe_progress),
     ],
