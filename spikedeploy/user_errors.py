@@ -14,6 +14,7 @@ EXTRAS = {
     "numba": "fast",
     "ray": "sweep",
     "zmq": "serve",
+    "faery": "events",
 }
 
 # exit codes, as of diff and grep: 1 is an answer, 2 a question that cannot be answered
