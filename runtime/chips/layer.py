@@ -1,13 +1,15 @@
 """Layers of neurons: what a chip stores of them, what they remember, and when they start."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
+from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
 
@@ -15,6 +17,8 @@ Numbers = NDArray[Any]
 
 # threshold of neurons that never spike, in integers: no membrane comes near it
 NEVER = 1 << 60
+# bytes of matrices in float64 beyond which a network is a mistake: 33 million weights
+MAX_BYTES = 1 << 28
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,11 +26,13 @@ class Synapses:
     """All connections from one source to one layer.
 
     source: name of a layer, or of the network's input.
-    weight: (M, N) axon-major; mantissas (int16) as the chip stores them, float64 on `ideal`.
+    weight: (M, N) axon-major; mantissas (int16) as the chip stores them, float64 on `ideal`. Of a
+        window its kernel, (O, I, ky, kx).
     delay: [timesteps] from a spike of the source to its arrival.
     shift: [bits] that the sum of the weights which arrive together loses, rounded down: a negative
         weight exponent as lava reads it. Only the interpreter computes it.
     current: which current of the neurons they feed, where neurons have several.
+    window: of a convolution, the matrix that its kernel stands for; None where that is listed.
     """
 
     source: str
@@ -34,11 +40,70 @@ class Synapses:
     delay: int
     shift: int = 0
     current: int = 0
+    window: Window | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Axons M and neurons N."""
+        return self.window.shape if self.window else (len(self.weight), self.weight.shape[1])
 
     @cached_property
     def fan_out(self) -> NDArray[np.int64]:
         """(M,) non-zero weights of each axon: what one of its spikes costs in SOPs."""
+        if self.window:
+            return self.window.fan_out(self.weight)
         return np.asarray(np.count_nonzero(self.weight, axis=1), np.int64)
+
+    def sums(self, spikes: Numbers, dtype: DTypeLike = np.float64) -> Numbers:
+        """(B, N) sums of the weights that spikes (B, M) bring, in floats.
+
+        Of whole numbers exact, up to 2**53 in float64: BLAS knows no integers. 32-bit weights reach
+        that with 2**22 spikes in a timestep, 8-bit ones of graded spikes with 2**22 inputs.
+        """
+        if self.window:
+            return self.window.sums(self.weight, spikes, dtype)
+        if self.weight.dtype.kind == "f":
+            return np.asarray(spikes.astype(dtype) @ self.weight.astype(dtype))
+        axons = np.flatnonzero(spikes.any(axis=0))
+        return np.asarray(spikes[:, axons].astype(dtype) @ self.weight[axons].astype(dtype))
+
+    def over_axons(self, values: Numbers, reduce: np.ufunc) -> Numbers:
+        """Sum or maximum (N,) over the axons of each neuron; 0 where there is none.
+
+        values: one, not below 0, for each weight as it is stored.
+        reduce: np.add or np.maximum.
+        """
+        if self.window:
+            return self.window.over_axons(values, reduce)
+        return np.asarray(reduce.reduce(values, axis=0, initial=0))
+
+    def by_weight(self, values: Numbers | float) -> Numbers:
+        """Numbers (N,) of the neurons, or one of all, that broadcast with the weights.
+
+        Of a window those of its channels; RuleError where neurons of a channel differ.
+        """
+        values = np.asarray(values)
+        if not self.window or values.ndim == 0:
+            return values
+        each = values.reshape(self.window.target[0], -1)
+        if (each != each[:, :1]).any():
+            raise RuleError(
+                f"rule kernel: the synapses from {self.source!r}: neurons that share a kernel have "
+                "numbers of their own. Give those of a channel the same, or run in float."
+            )
+        return each[:, :1, None, None]
+
+    def listed(self) -> "Synapses":
+        """The same synapses as a matrix; RuleError where that is too large."""
+        if not self.window:
+            return self
+        if (found := 8 * math.prod(self.shape)) > MAX_BYTES:
+            raise RuleError(
+                f"rule matrix: the synapses from {self.source!r}: as a matrix, which is needed "
+                f"here, their weights take {found} bytes; at most {MAX_BYTES}. Make the "
+                "convolution smaller, or run the network in float."
+            )
+        return replace(self, weight=self.window.dense(self.weight), window=None)
 
 
 @dataclass(frozen=True, eq=False)
