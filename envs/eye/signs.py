@@ -1,0 +1,188 @@
+"""Signs over the forks: letters as they are or mirrored, or chevrons, as pictures at six distances.
+
+A letter as it is means right, a mirrored one left; chevrons point. Letters are strokes of a few
+hands: proportions, slant and width are drawn for each sign, and those of evaluation come from hands
+and ranges that training never saw.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+Points = NDArray[np.float64]
+Signs = Literal["letters", "chevrons"]
+
+TEXEL = 0.025  # [m]
+ROWS, COLUMNS = 40, 72  # texels of a board: 1.0 m by 1.8 m
+HEIGHT, WIDTH = ROWS * TEXEL, COLUMNS * TEXEL  # [m]
+BLURS = 0.035 * 1.3 ** np.arange(6)  # [m] footprint of a pixel at which each picture is sharp
+LETTERS = "FRJ4"
+_BORDER = 0.05  # [m]
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A way of writing, from which the form of a sign is drawn.
+
+    tall    height of a letter [m], lowest and highest; likewise
+    wide    width / height
+    stroke  width of a stroke / height
+    slant   shear: sideways / height, of either sign
+    waist   height of a middle bar / height
+    serif   length of a serif / height
+    round   exponent of the superellipse of a bowl: 2 is an ellipse
+    """
+
+    tall: tuple[float, float]
+    wide: tuple[float, float]
+    stroke: tuple[float, float]
+    slant: tuple[float, float]
+    waist: tuple[float, float]
+    serif: tuple[float, float]
+    round: tuple[float, float]
+
+
+_TRAINING = (
+    Hand((0.80, 0.88), (0.60, 0.75), (0.13, 0.17), (0.0, 0.12), (0.46, 0.54), (0.0, 0.0), (2, 2.5)),
+    Hand((0.80, 0.88), (0.65, 0.80), (0.12, 0.15), (0.0, 0.08), (0.50, 0.58), (0.1, 0.2), (2, 3)),
+)
+_UNSEEN = (
+    Hand((0.78, 0.90), (0.56, 0.62), (0.15, 0.19), (0.0, 0.06), (0.44, 0.56), (0.0, 0.0), (3, 4)),
+    Hand((0.80, 0.88), (0.65, 0.80), (0.11, 0.14), (0.1, 0.18), (0.46, 0.58), (0.0, 0.15), (2, 3)),
+)
+
+
+@dataclass(frozen=True)
+class Form:
+    """The form of one letter, drawn from a hand; fields as there, a number each."""
+
+    tall: float
+    wide: float
+    stroke: float
+    slant: float
+    waist: float
+    serif: float
+    round: float
+
+
+def draw_form(rng: np.random.Generator, unseen: bool) -> Form:
+    """The form of a sign; `unseen` takes the hands of evaluation."""
+    hands = _UNSEEN if unseen else _TRAINING
+    hand = hands[int(rng.integers(len(hands)))]
+    values = {name: float(rng.uniform(*ends)) for name, ends in vars(hand).items()}
+    values["slant"] *= 1 if rng.random() < 0.5 else -1
+    return Form(**values)
+
+
+def strokes(letter: str, form: Form) -> list[Points]:
+    """Lines (n, 2) of a letter in a box of height 1 and width 1, x to the right, y up."""
+    w, s = form.waist, form.serif
+
+    def bowl(x: float, low: float, high: float, first: float, last: float) -> Points:
+        """Part of a superellipse, from angle to angle [quarter turns]."""
+        angle = np.linspace(first, last, 9) * np.pi / 2
+        power = 2.0 / form.round
+        cos, sin = np.cos(angle), np.sin(angle)
+        across = np.sign(cos) * np.abs(cos) ** power
+        up = np.sign(sin) * np.abs(sin) ** power
+        middle, half = (low + high) / 2, (high - low) / 2
+        return np.stack((x + (1 - x) * across, middle + half * up), axis=1)
+
+    def foot(x: float, y: float) -> list[Points]:
+        return [_line((x - s, y), (x + s, y))] if s > 0 else []
+
+    if letter == "F":
+        bars = [_line((0, 1), (1, 1)), _line((0, w), (0.8, w))]
+        return [_line((0, 0), (0, 1)), *bars, *foot(0, 0)]
+    if letter == "R":
+        top = [_line((0, 1), (0.5, 1)), bowl(0.5, w, 1, 1, -1), _line((0.5, w), (0, w))]
+        return [_line((0, 0), (0, 1)), *top, _line((0.45, w), (1, 0)), *foot(0, 0)]
+    if letter == "J":
+        hook = bowl(0.5, 0, 0.7, 0, -2)
+        return [_line((1, 1), (1, 0.35)), hook, *foot(1, 1), _line((0.45, 1), (1, 1))]
+    if letter == "4":
+        low = w - 0.16
+        return [_line((0.75, 0), (0.75, 1), (0, low), (1, low)), *foot(0.75, 0)]
+    raise ValueError(letter)
+
+
+def _line(*points: tuple[float, float]) -> Points:
+    return np.array(points, np.float64)
+
+
+@dataclass(frozen=True)
+class Board:
+    """The picture of a sign.
+
+    levels  (6, ROWS, COLUMNS) log luminance above the board's, blurred by BLURS; the top row first
+    letter  (low, high) [m] of the letter above the board's lower edge
+    """
+
+    levels: Floats
+    letter: tuple[float, float]
+
+
+def draw_board(rng: np.random.Generator, signs: Signs, arm: int, unseen: bool) -> Board:
+    """The sign that says which arm is open: +1 right, -1 left."""
+    form = draw_form(rng, unseen)
+    if signs == "chevrons":
+        low = float(rng.uniform(0.3, 0.6))
+        lines = [_line((x, 0), (x + 0.5, low), (x, 1)) for x in (0.0, 0.5)]
+    else:
+        lines = strokes(LETTERS[int(rng.integers(len(LETTERS)))], form)
+    wide = form.wide * form.tall
+    room = (WIDTH - wide - 4 * _BORDER - form.stroke * form.tall) / 2
+    shift, lift = rng.uniform(-room, room), rng.uniform(-0.5, 0.5) * (HEIGHT - form.tall - 0.15)
+    contrast = float(rng.uniform(0.9, 1.2)) * (1 if rng.random() < 0.5 else -1)
+    placed = []
+    for line in lines:
+        x = (line[:, 0] - 0.5) * form.wide + form.slant * (line[:, 1] - 0.5)
+        y = line[:, 1] - 0.5
+        placed.append(np.stack((x * arm, y), axis=1) * form.tall + (shift, lift))
+    ink = _ink(placed, form.stroke * form.tall / 2)
+    edge = np.minimum(WIDTH / 2 - np.abs(_across()), HEIGHT / 2 - np.abs(_up())[:, None])
+    frame = np.clip(0.5 + (_BORDER - edge) / TEXEL, 0, 1)
+    picture = contrast * ink - 0.5 * contrast * frame
+    levels = np.stack([rows @ picture @ columns for rows, columns in _blurs()])
+    middle = HEIGHT / 2 + lift
+    return Board(levels.astype(np.float32), (middle - form.tall / 2, middle + form.tall / 2))
+
+
+def _across() -> Points:
+    return np.asarray((np.arange(COLUMNS) + 0.5) * TEXEL - WIDTH / 2)
+
+
+def _up() -> Points:
+    return np.asarray(HEIGHT / 2 - (np.arange(ROWS) + 0.5) * TEXEL)
+
+
+def _ink(lines: list[Points], half: float) -> Points:
+    """Share (ROWS, COLUMNS) of each texel within `half` [m] of a line."""
+    starts = np.concatenate([line[:-1] for line in lines])
+    ends = np.concatenate([line[1:] for line in lines])
+    along = ends - starts
+    at = np.stack(np.broadcast_arrays(_across()[None], _up()[:, None]), axis=-1)[..., None, :]
+    share = ((at - starts) * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-12)
+    gap = at - starts - np.clip(share, 0, 1)[..., None] * along
+    distance = np.sqrt((gap**2).sum(-1).min(-1))
+    return np.asarray(np.clip(0.5 + (half - distance) / TEXEL, 0, 1))
+
+
+@cache
+def _blurs() -> list[tuple[Points, Points]]:
+    """Matrices (ROWS, ROWS) and (COLUMNS, COLUMNS) that average over the footprint of a pixel."""
+    found = []
+    for width in BLURS:
+        pair = []
+        for count in (ROWS, COLUMNS):
+            gap = (np.arange(count)[:, None] - np.arange(count)) * TEXEL
+            weights = np.exp(-0.5 * (gap / (width / np.sqrt(12))) ** 2)
+            pair.append(weights / weights.sum(1, keepdims=True))
+        found.append((pair[0], pair[1].T))
+    return found
