@@ -6,6 +6,7 @@ people: any id that is registered with gymnasium, and targets such as my_module:
 
 hexapod/          a walking robot on rough ground, with and without velocity commands
 kart/             three kinds of kart on tracks, with a LIDAR and a scripted driver
+event_camera.py   an event camera by v2e's model, for any frames
 disturbances.py   noise, delays, weak motors and so on, of any environment
 rollout.py        one episode of a controller, recorded and saved
 ghosts.py         compact records of kart episodes, a whole training in small files
