@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from spikedeploy.files import read_toml
 from spikedeploy.runtime.errors import ConfigError
@@ -175,6 +175,70 @@ class PrunedMlpConfig(_Section):
     skip: bool = True
 
 
+Triple = tuple[Width, Width, Width]
+Sizes = tuple[Width, ...]
+
+
+class _Convolutions(_Section):
+    """Event counts of a camera into convolutions.
+
+    shape: polarities, rows and columns of the counts
+    channels, kernels, strides: of each convolution
+    """
+
+    shape: Triple = (2, 16, 32)
+    channels: Sizes = (8, 16)
+    kernels: Sizes = (5, 3)
+    strides: Sizes = (2, 2)
+
+    @model_validator(mode="after")
+    def _each_convolution_is_whole(self) -> "_Convolutions":
+        found = {len(self.channels), len(self.kernels), len(self.strides)}
+        if len(found) > 1:
+            raise ValueError(
+                f"channels, kernels and strides are of {len(self.channels)}, {len(self.kernels)} "
+                f"and {len(self.strides)} convolutions. Give each as many numbers"
+            )
+        return self
+
+
+class VisionConfig(_Convolutions):
+    """A float network on event counts, or on sums of them over a grid, with a memory.
+
+    pool: rows and columns of counts that are added up for a cell of the grid
+    traces: decay factors of leaky traces of the grid, which are further inputs
+    hidden: widths of the dense layers
+    gru: width of the GRU; 0 for none
+    """
+
+    kind: Literal["vision"] = "vision"
+    pool: tuple[Width, Width] = (1, 1)
+    traces: tuple[Share, ...] = ()
+    hidden: Sizes = (64,)
+    gru: Count = 64
+
+
+class VisionSnnConfig(_Convolutions):
+    """A spiking network on binary events: convolutions, a hidden layer, leaky readouts.
+
+    most: channels of counts, of 1 and more, of 2 and more ...
+    hidden: neurons of the layer behind the convolutions
+    recurrent: whether these are connected with each other
+    skip: whether the last convolution also reaches the readouts
+    neuron: "lif", whose spikes reset to 0, or "if", without a leak, whose spikes subtract
+    clock: as in DeltaSnnConfig
+    """
+
+    kind: Literal["vision-snn"] = "vision-snn"
+    most: Events = 1
+    hidden: Positive = 64
+    recurrent: bool = True
+    skip: bool = True
+    neuron: Literal["lif", "if"] = "lif"
+    clock: Literal["gated", "pipelined"] = "pipelined"
+    surrogate_width: Rate = 2.0
+
+
 PolicyConfig = Annotated[
     MlpConfig
     | PopsanConfig
@@ -182,7 +246,9 @@ PolicyConfig = Annotated[
     | ChipSnnConfig
     | DeltaSnnConfig
     | DeltaMlpConfig
-    | PrunedMlpConfig,
+    | PrunedMlpConfig
+    | VisionConfig
+    | VisionSnnConfig,
     Field(discriminator="kind"),
 ]
 
@@ -191,6 +257,8 @@ def spiking_layers(policy: PolicyConfig) -> int:
     """Return the number of a policy's spiking layers, graded ones included; without its encoder."""
     if isinstance(policy, DeltaSnnConfig | DeltaMlpConfig):
         return int(policy.hidden > 0)
+    if isinstance(policy, VisionSnnConfig):
+        return len(policy.channels) + 1
     if isinstance(policy, PopsanConfig | ChipSnnConfig):  # whose last layer codes the actions
         return len(policy.hidden) + 1
     return len(policy.hidden) if isinstance(policy, SpikingMlpConfig) else 0

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.policies.registry import FLOAT, Candidate, Env, Floats, Player
-from spikedeploy.policies.run_record import env_of
+from spikedeploy.policies.run_record import SPIKING, env_of
 from spikedeploy.runtime.codec.rate import Xorshift
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
@@ -37,15 +37,14 @@ class TorchController(Player):
     @classmethod
     def describe(cls, path: Path) -> Candidate:
         """The candidate in a run folder."""
-        from spikedeploy.exporters.to_nir import SpikingPolicy
-        from spikedeploy.trainers.policies import DeltaSnnPolicy, PrunedMlpPolicy
+        from spikedeploy.trainers.policies import PrunedMlpPolicy
 
         policy = policy_of(path)
         network = "control" if isinstance(policy, PrunedMlpPolicy) else "ann"
         return Candidate(
             path=str(path),
             name=path.resolve().name,
-            kind="snn" if isinstance(policy, SpikingPolicy | DeltaSnnPolicy) else network,
+            kind="snn" if policy.kind in SPIKING else network,
             format="run",
             env=env_of(path),
             observed=policy.observations,
@@ -64,10 +63,10 @@ class TorchController(Player):
 
     def reset(self, seed: int) -> None:
         """Seed the encoder's generator, and put states to rest; both run on between inferences."""
-        from spikedeploy.trainers.policies import DeltaSnnPolicy
+        from spikedeploy.trainers.policies import StatefulPolicy
 
         self._rng = Xorshift(seed, self.policy.observations)
-        self._state = self.policy.rest(1) if isinstance(self.policy, DeltaSnnPolicy) else None
+        self._state = self.policy.rest(1) if isinstance(self.policy, StatefulPolicy) else None
         if self._sampler is not None:
             self._sampler.reset(seed)
 
@@ -83,11 +82,12 @@ class TorchController(Player):
 
     def _scores(self, batch: "Tensor") -> "Tensor":
         from spikedeploy.exporters.parity import input_spikes_of
-        from spikedeploy.trainers.policies import DeltaSnnPolicy, SpikingMlpPolicy
+        from spikedeploy.trainers.policies import SpikingMlpPolicy, StatefulPolicy
 
         policy = self.policy
-        if isinstance(policy, DeltaSnnPolicy) and self._state is not None:
-            return self._torch.cat([policy.advance(row[None], self._state)[0] for row in batch])
+        if isinstance(policy, StatefulPolicy):
+            advance: Any = policy.advance  # each takes the state that its own `rest` returned
+            return self._torch.cat([advance(row[None], self._state)[0] for row in batch])
         if isinstance(policy, SpikingMlpPolicy):
             spikes = input_spikes_of(policy, batch, self._rng.draw_sequence)
             return policy.forward_spikes(spikes).mean

@@ -7,12 +7,13 @@ policy.py      Policy, what it computes before an action; normalisation; weights
 mlp.py         float multilayer perceptron or linear map, its inputs; a pruned one, with a skip
 spiking.py     several timesteps an inference: encoders, PopSAN, spiking MLP
 chip_snn.py    the same in the integers of a chip, from code to output neurons
+vision.py      counts of an event camera: convolutions with a GRU, or spiking ones
 delta.py       one timestep a control step: delta code, LIF or sigma-delta neurons, NIR graphs
 neurons.py     LIF and CuBa-LIF layers with surrogate gradients, compiled, and firing rates
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import PolicyConfig, require_known
@@ -21,11 +22,17 @@ from spikedeploy.trainers.policies.delta import DeltaMlpPolicy, DeltaSnnPolicy
 from spikedeploy.trainers.policies.mlp import Features, MlpPolicy, PrunedMlpPolicy, features
 from spikedeploy.trainers.policies.policy import Head, Latent, Policy
 from spikedeploy.trainers.policies.spiking import PopsanPolicy, SpikingMlpPolicy
+from spikedeploy.trainers.policies.vision import (
+    FloatVisionPolicy,
+    SpikingVisionPolicy,
+    VisionPolicy,
+)
 
 __all__ = [
     "ChipSnnPolicy",
     "DeltaMlpPolicy",
     "DeltaSnnPolicy",
+    "FloatVisionPolicy",
     "Head",
     "Latent",
     "MlpPolicy",
@@ -33,6 +40,9 @@ __all__ = [
     "PopsanPolicy",
     "PrunedMlpPolicy",
     "SpikingMlpPolicy",
+    "SpikingVisionPolicy",
+    "StatefulPolicy",
+    "VisionPolicy",
     "build",
     "from_config",
 ]
@@ -45,7 +55,12 @@ _POLICIES: dict[str, Callable[..., Policy]] = {
     "popsan": PopsanPolicy,
     "spiking-mlp": SpikingMlpPolicy,
     "chip-snn": ChipSnnPolicy,
+    "vision": FloatVisionPolicy,
+    "vision-snn": SpikingVisionPolicy,
 }
+
+# those whose states live on through an episode: `rest` and `advance`
+StatefulPolicy: TypeAlias = DeltaSnnPolicy | VisionPolicy
 
 
 def build(spec: Mapping[str, Any]) -> Policy:

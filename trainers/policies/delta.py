@@ -36,7 +36,7 @@ from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.graph.neurons import SigmaDelta
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.policies.neurons import surrogate
+from spikedeploy.trainers.policies.neurons import spike, surrogate
 from spikedeploy.trainers.policies.policy import (
     Head,
     Latent,
@@ -239,7 +239,7 @@ class DeltaSnnPolicy(Policy):
         raster, means = [emitted], [readout]
         for drive in (seen @ weights.into.T + weights.bias).unbind(1):
             membrane = weights.beta * membrane + drive
-            spikes = _Spike.apply(membrane - weights.threshold, self._gradient)  # type: ignore[no-untyped-call]
+            spikes = spike(membrane - weights.threshold, self._gradient)
             # no gradient through the reset
             membrane = membrane * (1 - spikes.detach())
             raster.append(spikes)
@@ -289,21 +289,6 @@ class DeltaWeights:
     gamma: Tensor
     bias: Tensor
     threshold: Tensor
-
-
-class _Spike(torch.autograd.Function):
-    """1 above 0, with a surrogate derivative."""
-
-    @staticmethod
-    def forward(ctx: Any, excess: Tensor, gradient: Any) -> Tensor:  # noqa: ANN401
-        ctx.save_for_backward(excess)
-        ctx.gradient = gradient
-        return (excess > 0).to(excess.dtype)
-
-    @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:  # noqa: ANN401
-        (excess,) = ctx.saved_tensors
-        return upstream * ctx.gradient(excess), None
 
 
 class DeltaMlpPolicy(DeltaSnnPolicy):

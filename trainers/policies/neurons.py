@@ -63,6 +63,25 @@ def surrogate(name: str, width: float | None = None) -> Surrogate:
     return partial(function, width=usual if width is None else width)
 
 
+def spike(excess: Tensor, gradient: Surrogate) -> Tensor:
+    """Return 1 where a membrane is above its threshold, else 0, with a surrogate derivative."""
+    found: Tensor = _Spike.apply(excess, gradient)  # type: ignore[no-untyped-call]
+    return found
+
+
+class _Spike(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, excess: Tensor, gradient: Surrogate) -> Tensor:  # noqa: ANN401
+        ctx.save_for_backward(excess)
+        ctx.gradient = gradient
+        return (excess > 0).to(excess.dtype)
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:  # noqa: ANN401
+        (excess,) = ctx.saved_tensors
+        return upstream * ctx.gradient(excess), None
+
+
 def cuba_lif(
     drive: Tensor, alpha: float, beta: float, threshold: float, gradient: Surrogate
 ) -> Tensor:

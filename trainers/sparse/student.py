@@ -396,11 +396,11 @@ def prune(
     if excess <= 0:
         return 0
     worths = [
-        torch.where(each.matrix.mask > 0, _saliency(each, squares) / (each.rate + 1e-4), torch.inf)
+        torch.where(each.matrix.mask > 0, _saliency(each, squares) / (each.uses + 1e-4), torch.inf)
         for each in synapses
     ]
     worth = torch.cat([each.flatten() for each in worths])
-    rates = torch.cat([each.rate.expand_as(each.matrix.mask).flatten() for each in synapses])
+    rates = torch.cat([each.uses.flatten() for each in synapses])
     order = worth.argsort()
     count = int((rates[order].cumsum(0) < excess).sum()) + 1
     count = min(count, int(torch.isfinite(worth).sum()))
