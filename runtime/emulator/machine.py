@@ -144,6 +144,12 @@ class Machine:
         seen, layers = self.recordings, self.program.spiking
         return {layer.name: seen[layer.name].spikes for layer in layers if layer.name in seen}
 
+    def sent(self, layer: str) -> NDArray[Any]:
+        """Spikes (B, N) of a layer in the last `step`; memory of the backend until the next."""
+        if self._active is None or self._backends[self._active].schedule.mode != "step":
+            raise ConfigError(f"layer {layer!r} has sent nothing: call step() first.")
+        return self._backends[self._active].spikes(layer)[0]
+
     @property
     def outputs(self) -> tuple[Port, ...]:
         """The Output nodes side by side in the output."""
