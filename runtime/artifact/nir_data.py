@@ -23,6 +23,7 @@ FREE, EXPANSION = 128 << 20, 20
 _EVENT_BYTES = 128 << 20  # of all arrays of events, of which several copies are made
 _EVENT_ROUNDING = 1e-3  # of a timestep
 _SPIKES = "spikes"
+_APPENDED = 4096  # numbers that are stored together in an array that grows
 
 
 def is_nir_data(path: Path) -> bool:
@@ -75,6 +76,76 @@ def write_nir_data(
     if remark:
         with h5py.File(path, "r+") as file:
             file.attrs["remark"] = remark
+
+
+class EventDataWriter:
+    """A file of NIRData that grows, as events of nodes and rows of an output; a context manager.
+
+    duration: [s] of the whole recording.
+    """
+
+    def __init__(self, path: Path, duration: float) -> None:
+        self._file, self._duration = h5py.File(path, "w"), duration
+        self._file.attrs["__type__"] = "NIRGraphData"
+        self._file.create_group("nodes")
+        # of each array the parts that are not written yet, since a write takes a tenth of a
+        # millisecond
+        self._waiting: dict[str, list[NDArray[Any]]] = {}
+
+    def __enter__(self) -> "EventDataWriter":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def add(self, node: str, neurons: int, idx: NDArray[Any], time: float) -> None:
+        """Append spikes of neurons (k,) of a node with so many, at a time [s]."""
+        place = f"nodes/{node}/observables/{_SPIKES}"
+        if place not in self._file:
+            self._create(node, _SPIKES, "EventData")
+            self._file[place].attrs.update(n_neurons=neurons, t_max=self._duration)
+        self._append(f"{place}/idx", idx[None].astype(np.int64))
+        self._append(f"{place}/time", np.full((1, len(idx)), time))
+
+    def add_output(self, node: str, values: NDArray[np.float64]) -> None:
+        """Append a row (act,) of an output."""
+        place = f"nodes/{node}/observables/output"
+        if place not in self._file:
+            self._create(node, "output", "TimeGriddedData")
+        self._append(f"{place}/data", values.reshape(1, 1, -1))
+
+    def close(self, remark: str, dt: float | None) -> None:
+        """Complete the file. dt: [s] from row to row of outputs; None is the whole duration."""
+        for place in self._waiting:
+            self._flush(place)
+        self._file.attrs["remark"] = remark
+        for node in self._file["nodes"].values():
+            if "output" in node["observables"]:
+                node["observables/output"].attrs["dt"] = dt or self._duration
+
+    def _create(self, node: str, name: str, kind: str) -> None:
+        self._file.create_group(f"nodes/{node}/observables/{name}").attrs["__type__"] = kind
+        self._file[f"nodes/{node}"].attrs["__type__"] = "NIRNodeData"
+
+    def _append(self, place: str, values: NDArray[Any]) -> None:
+        """Lengthen an array (1, E, …) by more of its second axis."""
+        if place not in self._waiting:
+            self._waiting[place] = []
+            rest = values.shape[2:]
+            chunks = (1, max(1, _APPENDED // int(np.prod(rest))), *rest)
+            shape, most = (1, 0, *rest), (1, None, *rest)
+            self._file.create_dataset(place, shape, values.dtype, maxshape=most, chunks=chunks)
+        waiting = self._waiting[place]
+        waiting.append(values)
+        if len(waiting) >= 1000 or values.size >= _APPENDED:
+            self._flush(place)
+
+    def _flush(self, place: str) -> None:
+        values = np.concatenate([self._file[place][:, :0], *self._waiting[place]], axis=1)
+        self._waiting[place].clear()
+        before = self._file[place].shape[1]
+        self._file[place].resize(before + values.shape[1], 1)
+        self._file[place][:, before:] = values
 
 
 def _node_grid(

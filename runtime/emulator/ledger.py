@@ -73,6 +73,18 @@ class Ledger:
         totals = self.counts[:, :, EVENTS.index(event)].sum(axis=0)
         return dict(zip(self.layers, totals.tolist(), strict=True))
 
+    def of_layer(self, name: str) -> "Ledger":
+        """Counts of one layer alone."""
+        place = self.layers.index(name)
+        return replace(
+            self,
+            layers=(name,),
+            neurons=self.neurons[place : place + 1],
+            counts=self.counts[:, place : place + 1],
+            readouts=tuple(each for each in self.readouts if each == name),
+            one_state=tuple(each for each in self.one_state if each == name),
+        )
+
     def since(self, before: "Ledger") -> "Ledger":
         """Counts since an earlier ledger of the same network, in one row."""
         now, then = (each.counts.sum(axis=0, keepdims=True) for each in (self, before))

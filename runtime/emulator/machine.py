@@ -148,7 +148,7 @@ class Machine:
         """Spikes (B, N) of a layer in the last `step`; memory of the backend until the next."""
         if self._active is None or self._backends[self._active].schedule.mode != "step":
             raise ConfigError(f"layer {layer!r} has sent nothing: call step() first.")
-        return self._backends[self._active].spikes(layer)[0]
+        return np.asarray(self._backends[self._active].spikes(layer)[0])
 
     @property
     def outputs(self) -> tuple[Port, ...]:

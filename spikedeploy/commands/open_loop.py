@@ -1,30 +1,36 @@
 """`emulate`, `drift`, `check` and `verify`: networks without an environment."""
 
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import OnChip, Reading
+from spikedeploy.commands.options import FromCamera, OnChip, Reading
 from spikedeploy.console import print_json, print_result
 from spikedeploy.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from spikedeploy.runtime.artifact.artifact import Artifact
 
 
 def emulate(
     *,
     file: Path,
     chip: str,
-    input_: Path,
-    output: Path,
     reading: Reading,
     on_chip: OnChip,
+    camera: FromCamera,
+    input_: Path | None = None,
+    output: Path | None = None,
     backend: str | None = None,
     energy: list[str] | None = None,
     force: bool = False,
     json: bool = False,
 ) -> None:
-    """Run any NIR network on recorded spikes, and count what the chip does."""
+    """Run any NIR network on recorded spikes or events, and count what the chip does."""
     from dataclasses import replace
 
     from spikedeploy.emulation.open_loop import emulate_artifact
@@ -35,8 +41,22 @@ def emulate(
     from spikedeploy.runtime.metrics.energy import checked_table_names
 
     own = mark("emulate")
-    check_output("-o", output, (file, input_), force, lambda path: has_text(path, own))
+    if output:
+        inputs = (file, input_, camera.events)
+        check_output("-o", output, inputs, force, lambda path: has_text(path, own))
     tables = checked_table_names(energy or ())
+    if camera.events is not None:
+        if input_ is not None:
+            raise typer.BadParameter("--input and --events are two inputs: give one of them")
+        artifact = load(file, **reading.arguments())
+        options = {"backend": backend, **on_chip.arguments()}
+        paths = (file, camera.events, output)
+        _emulate_events(artifact, chip, camera, options, tables, paths, force, json)
+        return
+    if camera != FromCamera():
+        raise typer.BadParameter("--camera, --region, --time-step and --page go with --events")
+    if input_ is None or output is None:
+        raise typer.BadParameter("give --input FILE and -o FILE, or a recording with --events FILE")
     artifact = load(file, **reading.arguments())
     rasters = read_inputs(input_, artifact)
     result = emulate_artifact(artifact, chip, rasters, backend, **on_chip.arguments())
@@ -47,6 +67,59 @@ def emulate(
     else:
         print_emulation(result)
         typer.echo(f"wrote {output}")
+
+
+def _emulate_events(
+    artifact: "Artifact",
+    chip: str,
+    camera: FromCamera,
+    options: dict[str, Any],
+    tables: "Sequence[str]",
+    paths: tuple[Path, Path, Path | None],
+    force: bool,
+    json: bool,
+) -> None:
+    """Run a network over the recording of an event camera. paths: of both, and of -o."""
+    from contextlib import ExitStack
+    from dataclasses import replace
+
+    from spikedeploy.emulation.event_files import open_recording
+    from spikedeploy.emulation.event_input import input_shape, survey, view_of
+    from spikedeploy.emulation.event_output import write_spikes
+    from spikedeploy.emulation.event_replay import Replay
+    from spikedeploy.emulation.event_stream import emulate_events
+    from spikedeploy.outputs import check_output_folder
+    from spikedeploy.reports.events import event_page, print_event_run
+    from spikedeploy.reports.page import FILES, is_page_of, write_page
+
+    file, events, output = paths
+    if camera.page:
+        check_output_folder("--page", camera.page, FILES, paths, force, is_page_of("emulate"))
+    _, height, width = input_shape(artifact)
+    size, region = camera.size(), camera.part()
+    fallback = (height * camera.downsample, width * camera.downsample) if region is None else None
+    recording = open_recording(events, size, fallback)
+    view = view_of(artifact, recording.size, region, camera.downsample)
+    found = survey(recording, view)
+    steps = found.timesteps(camera.seconds() or artifact.convention.dt)
+    duration = steps.count * steps.us_each
+    listeners: list[Any] = [Replay(duration, steps.us_each)] if camera.page else []
+    with ExitStack() as stack:
+        if output:
+            writer = write_spikes(output, artifact, steps.us_each, steps.count, duration)
+            listeners.append(stack.enter_context(writer))
+        run = emulate_events(artifact, chip, recording, view, found, steps, listeners, **options)
+    run = replace(run, tables=tables)
+    if camera.page:
+        html = event_page(file.stem, run, listeners[0])
+        write_page("emulate", html, run.as_json(), camera.page)
+    if json:
+        print_json(run.as_json())
+        return
+    print_event_run(run)
+    if output:
+        typer.echo(f"wrote {output}")
+    _name_page(camera.page)
 
 
 def drift(

@@ -5,6 +5,7 @@ that typer understands, with a parameter for each field.
 """
 
 import inspect
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
 import typer
 
+from spikedeploy.errors import ConfigError
 from spikedeploy.files import read_toml
 
 if TYPE_CHECKING:
@@ -131,6 +133,50 @@ class OnChip:
     def arguments(self) -> dict[str, Any]:
         """Quantisation, and whether design rules are enforced."""
         return {"limits": self.limits == "on", "quantisation": self.quantisation()}
+
+
+@dataclass(frozen=True)
+class FromCamera:
+    """Options for a recording of an event camera as input."""
+
+    events: Path | None = None
+    camera: str | None = None
+    region: str | None = None
+    downsample: int = 1
+    time_step: str | None = None
+    page: Path | None = None
+
+    def size(self) -> tuple[int, int] | None:
+        """(height, width) of the camera [pixels], where it was given."""
+        if self.camera is None:
+            return None
+        height, width = _whole_numbers("--camera", self.camera, "x", "height x width, as in 48x64")
+        if min(height, width) < 1:
+            raise ConfigError(f"--camera {self.camera}: the least is 1x1 pixel.")
+        return height, width
+
+    def part(self) -> tuple[int, int, int, int] | None:
+        """X, y, width and height of the region [pixels], where it was given."""
+        if self.region is None:
+            return None
+        form = "x,y,width,height in pixels, as in 0,0,64,48"
+        x, y, width, height = _whole_numbers("--region", self.region, ",", form)
+        return x, y, width, height
+
+    def seconds(self) -> float | None:
+        """Duration of a timestep [s], where it was given."""
+        from spikedeploy.realtime.paced_loop import duration
+
+        return None if self.time_step is None else duration("--time-step", self.time_step)
+
+
+def _whole_numbers(option: str, text: str, between: str, form: str) -> list[int]:
+    """The numbers of a text, as many as its form shows."""
+    parts = text.split(between)
+    as_form = len(parts) == form.partition(" as in ")[2].count(between) + 1
+    if not as_form or not all(re.fullmatch(r"\s*-?[0-9]{1,9}\s*", part) for part in parts):
+        raise ConfigError(f"{option} {text[:40]!r} is no {form}.")
+    return [int(part) for part in parts]
 
 
 @dataclass(frozen=True)

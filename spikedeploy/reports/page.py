@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # what replays recorded episodes
-REPLAY_ASSETS = ("unpack.js", "bodies.js", "track.js", "strips.js", "instrument.js")
+REPLAY_ASSETS = ("unpack.js", "bodies.js", "track.js", "maps.js", "strips.js", "instrument.js")
 FILES = ("report.html", "report.json")
 _COMMENT = re.compile(r"<!--.*?-->\n?")
 _PICTURE = re.compile(r'<p><img src="(?P<source>[^"]*)" alt="(?P<alt>[^"]*)" /></p>')

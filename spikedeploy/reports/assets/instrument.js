@@ -23,7 +23,9 @@ class Instrument {
     this.episode = episode;
     this.period = this.episode.period || UNKNOWN;
     const kind = this.episode.scene && this.episode.scene.kind;
-    this.view = kind === "bodies" ? new BodiesView(this.episode) : kind === "track" ? new TrackView(this.episode) : null;
+    this.view = kind === "bodies" ? new BodiesView(this.episode) : kind === "track" ? new TrackView(this.episode)
+      : kind === "maps" ? new MapsView(this.episode) : null;
+    this.word = kind === "maps" ? "span" : "control step";
     $("stage").hidden = !this.view;
     this.step = 0;
     $("time").max = this.episode.steps - 1;
@@ -52,7 +54,8 @@ class Instrument {
     $("who").replaceChildren(...this.episode.players.map((player) => {
       const item = document.createElement("li");
       item.style.setProperty("--dot", this.colours.of(player));
-      item.textContent = `${player.label}: ${player.total.toLocaleString("en", { maximumFractionDigits: 1 })}`;
+      const total = player.total === null ? "" : `: ${player.total.toLocaleString("en", { maximumFractionDigits: 1 })}`;
+      item.textContent = player.label + total;
       return item;
     }));
   }
@@ -111,7 +114,7 @@ class Instrument {
     }
     $("time").value = step;
     const seconds = this.episode.period ? `${(step * this.period).toFixed(2)} s, ` : "";
-    $("now").textContent = `${seconds}control step ${step.toLocaleString("en")} of ${this.episode.steps.toLocaleString("en")}`;
+    $("now").textContent = `${seconds}${this.word} ${step.toLocaleString("en")} of ${this.episode.steps.toLocaleString("en")}`;
   }
 
   _window() {
@@ -166,9 +169,10 @@ class Instrument {
     $("play").onclick = () => this.toggle();
     $("time").oninput = (event) => { this.toggle(false); this.seek(Number(event.target.value)); };
     $("speed").onchange = (event) => { this.speed = Number(event.target.value); };
+    $("episodes").hidden = this.episodes.length < 2 && this.episodes.some(({ seed }) => seed === null);
     $("episodes").replaceChildren(...this.episodes.map(({ title, seed }, number) => {
       const button = document.createElement("button");
-      button.textContent = `${title} (seed ${seed})`;
+      button.textContent = seed === null ? title : `${title} (seed ${seed})`;
       button.onclick = () => { this.toggle(false); this.open(number); };
       return button;
     }));

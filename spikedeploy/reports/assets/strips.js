@@ -9,8 +9,9 @@ function stripsOf(episode, period) {
   for (const layer of network ? network.layers : [])
     if (layer.membranes) found.push(new MapStrip(`membranes of ${layer.name}`, layer.membranes, "units of state"));
   const { actions } = main;
-  const label = actions.width > 1 ? `${actions.width} actions` : "action";
-  found.push(actions.width > 4 ? new MapStrip(label, actions, "") : new LinesStrip(label, columns(main, actions), ""));
+  const word = episode.scene && episode.scene.kind === "maps" ? "output" : "action";
+  const label = actions && actions.width > 1 ? `${actions.width} ${word}s` : word;
+  if (actions) found.push(actions.width > 4 ? new MapStrip(label, actions, "") : new LinesStrip(label, columns(main, actions), ""));
   if (network && network.sops) found.push(new LinesStrip("synaptic operations", [one(main, network.sops)], "SOPs"));
   if (network && network.energy) found.push(new LinesStrip("energy of a control step", [one(main, network.energy, 1e12)], "pJ"));
   main.tracks.forEach(({ title, unit, wanted }, place) => {
@@ -18,7 +19,7 @@ function stripsOf(episode, period) {
     for (const player of episode.players) if (player.tracks[place]) lines.push(one(player, player.tracks[place].values));
     found.push(new LinesStrip(title, lines, unit));
   });
-  found.push(new LinesStrip("reward", episode.players.map((p) => one(p, p.reward)), ""));
+  if (main.reward) found.push(new LinesStrip("reward", episode.players.map((p) => one(p, p.reward)), ""));
   if (episode.distance) found.push(new LinesStrip("chip apart from float, RMS of observations", [one(main, episode.distance)], ""));
   return found;
 }

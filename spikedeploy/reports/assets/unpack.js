@@ -68,6 +68,7 @@ async function unpackEpisode(episode) {
   for (const player of episode.players) players.push(await unpackPlayer(player));
   const scene = episode.scene;
   const heights = scene && scene.ground && (await numbers(scene.ground.heights));
+  for (const map of (scene && scene.maps) || []) map.spikes = map.spikes.data ? await spikes(map.spikes) : map.spikes;
   return { ...episode, players, heights, distance: await numbers(episode.distance),
            steps: Math.max(...players.map((player) => player.steps)) };
 }

@@ -1,0 +1,188 @@
+"""The part of a camera that a network sees: events to neurons of its Input, time to timesteps.
+
+Channel 0 of an Input (2, H, W) takes the events of polarity 0, where the light fell, and channel 1
+those of polarity 1, as Tonic's frames do; an Input (1, H, W) or (H, W) takes both as one.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.emulation.event_files import Recording, Size
+from spikedeploy.events import Events
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.errors import ConfigError, ObservationError
+from spikedeploy.runtime.graph.ports import ports
+
+_LONGEST = (
+    100_000_000  # timesteps of a recording: a day in milliseconds; a wrong unit of t has more
+)
+
+Region = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
+class EventView:
+    """The neurons of an Input that events reach.
+
+    shape: (C, H, W) of the Input.
+    x, y: column and row of the camera where the view begins [pixels].
+    downsample: pixels along each axis that become one; those left over at the right and at the
+        bottom are not seen.
+    """
+
+    shape: tuple[int, int, int]
+    x: int = 0
+    y: int = 0
+    downsample: int = 1
+
+    def neurons(self, events: Events) -> NDArray[np.int64]:
+        """(E,) the neuron that each event reaches, ((p H) + y) W + x; -1 for those not seen."""
+        channels, height, width = self.shape
+        x = (events["x"].astype(np.int64) - self.x) // self.downsample
+        y = (events["y"].astype(np.int64) - self.y) // self.downsample
+        channel = events["p"] if channels == 2 else 0
+        is_seen = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        return np.where(is_seen, (channel * height + y) * width + x, -1)
+
+
+def view_of(
+    artifact: Artifact, camera: Size | None, region: Region | None, downsample: int = 1
+) -> EventView:
+    """The view of a network's Input; ConfigError where it is not of that size.
+
+    camera: (height, width) [pixels], where it is known.
+    region: x, y, width, height [pixels] of the part of the camera that is seen; None is all of it.
+    """
+    shape = input_shape(artifact)
+    _, height, width = shape
+    if downsample < 1:
+        raise ConfigError(f"--downsample {downsample}: the least is 1 pixel.")
+    if region is None:
+        seen = camera or (height * downsample, width * downsample)
+        x = y = 0
+    else:
+        x, y, *sides = region
+        seen = sides[1], sides[0]
+        inside = camera is None or (x + sides[0] <= camera[1] and y + sides[1] <= camera[0])
+        if min(x, y) < 0 or min(sides) < 1 or not inside:
+            size = f" of a camera of {camera[0]}x{camera[1]} pixels" if camera else ""
+            raise ConfigError(
+                f"--region {','.join(map(str, region))} (x,y,width,height) is not a part{size}. "
+                "Give one inside, of at least one pixel."
+            )
+    if (seen[0] // downsample, seen[1] // downsample) != (height, width):
+        raise ConfigError(
+            f"the events come from {seen[0]}x{seen[1]} pixels (height x width), down-sampled by "
+            f"{downsample}; the network takes {height}x{width}. {_remedy(seen, (height, width))}"
+        )
+    return EventView(shape, x, y, downsample)
+
+
+def _remedy(seen: Size, wanted: Size) -> str:
+    """The options by which a network sees as much as it can of what is there, from its middle."""
+    times = min(seen[0] // wanted[0], seen[1] // wanted[1])
+    if times < 1:
+        return "Take a network of a smaller input, or a recording of a larger camera."
+    sides = times * wanted[0], times * wanted[1]
+    y, x = ((all_ - part) // 2 for all_, part in zip(seen, sides, strict=True))
+    return f"Such as --downsample {times} --region {x},{y},{sides[1]},{sides[0]}"
+
+
+def input_shape(artifact: Artifact) -> tuple[int, int, int]:
+    """(C, H, W) of the only Input; ConfigError where events of a camera cannot be its input."""
+    found = ports(artifact.graph.inputs)
+    shape = found[0].shape
+    if len(shape) == 2:
+        shape = (1, *shape)
+    if len(found) != 1 or len(shape) != 3 or shape[0] not in (1, 2):
+        shown = ", ".join(f"{port.name!r} {port.shape}" for port in found)
+        raise ConfigError(
+            f"the network has the inputs {shown}; events of a camera need one Input (C, H, W) with "
+            "C 1 or 2. Export the network with the shape of its pictures."
+        )
+    return shape[0], shape[1], shape[2]
+
+
+@dataclass(frozen=True)
+class TimeSteps:
+    """Timesteps over a recording, aligned to the camera's clock: k has the times from k us_each on.
+
+    us_each: duration of a timestep [us].
+    first: the timestep of the first event, which is the network's first.
+    count: T.
+    """
+
+    us_each: float
+    first: int
+    count: int
+
+    def of(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(E,) the timestep of times [us]."""
+        return np.floor(times / self.us_each).astype(np.int64) - self.first
+
+
+@dataclass(frozen=True)
+class Survey:
+    """The events of a recording, all of which are checked.
+
+    events: how many there are.
+    seen: how many of them the network sees.
+    first, last: times [us] of the first and the last.
+    """
+
+    events: int
+    seen: int
+    first: int
+    last: int
+
+    def timesteps(self, seconds: float) -> TimeSteps:
+        """Timesteps of this duration from the first event to the last."""
+        us_each = seconds * 1e6
+        if abs(us_each - round(us_each)) < 1e-6:
+            us_each = float(round(us_each))
+        first = int(self.first // us_each)
+        count = int(self.last // us_each) - first + 1
+        if count > _LONGEST:
+            raise ConfigError(
+                f"the recording lasts {(self.last - self.first) / 1e6:g} s, which are {count} "
+                f"timesteps of {seconds:g} s; at most {_LONGEST}. Give a longer --time-step, or "
+                "correct the unit of t, which is microseconds."
+            )
+        return TimeSteps(us_each, first, count)
+
+
+def survey(recording: Recording, view: EventView) -> Survey:
+    """Read a recording once; ObservationError where it holds no event or an impossible one."""
+    count = seen = last = 0
+    first: int | None = None
+    for events in recording.events():
+        first = int(events["t"][0]) if first is None else first
+        last, count = int(events["t"][-1]), count + len(events)
+        seen += int(np.count_nonzero(view.neurons(events) >= 0))
+    if first is None:
+        raise ObservationError(f"{recording.path} holds no event. Record anew.")
+    return Survey(count, seen, first, last)
+
+
+def count_rows(
+    recording: Recording, view: EventView, steps: TimeSteps
+) -> Iterator[NDArray[np.int64]]:
+    """Counts (M,) of events of each neuron of the Input, timestep by timestep."""
+    size, now = int(np.prod(view.shape)), 0
+    row = np.zeros(size, np.int64)
+    for events in recording.events():
+        neuron = view.neurons(events)
+        is_seen = neuron >= 0
+        step, neuron = steps.of(events["t"][is_seen]), neuron[is_seen]
+        starts = [0, *(np.flatnonzero(np.diff(step)) + 1).tolist()] if len(step) else []
+        for first, end in zip(starts, [*starts[1:], len(step)], strict=True):
+            while now < step[first]:
+                yield row
+                row, now = np.zeros(size, np.int64), now + 1
+            np.add.at(row, neuron[first:end], 1)
+    while now < steps.count:
+        yield row
+        row, now = np.zeros(size, np.int64), now + 1

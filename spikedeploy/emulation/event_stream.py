@@ -1,0 +1,343 @@
+"""Recordings of event cameras into a network: one long run in bounded memory, every event counted.
+
+States are kept over the whole recording, whatever the file says of inferences. A chip runs on from
+timestep to timestep, as it does behind a camera: what its layers send is equal to one inference
+over all timesteps (tests/spikedeploy/commands/test_emulate_events.py), where a layer that starts
+later is listened to from its start on.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, islice, repeat
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.emulation.event_files import Recording
+from spikedeploy.emulation.event_input import EventView, Survey, TimeSteps, count_rows
+from spikedeploy.emulation.open_loop import SILENT
+from spikedeploy.policies.costs import priced_by
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.backend import BackendName
+from spikedeploy.runtime.emulator.ledger import Ledger
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.network import (
+    FloatMachine,
+    RunningNetwork,
+    chip_or_float,
+    run_network,
+)
+from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.graph.ports import split
+from spikedeploy.runtime.metrics.energy import (
+    STATIC,
+    EnergyEstimate,
+    energy_estimate,
+    energy_table,
+    static_energy,
+)
+
+_FLOAT_ROWS = 64  # timesteps that the float twin computes at once
+
+
+class Listener(Protocol):
+    """Hears all spikes and outputs of a run, in the order of time."""
+
+    def hear(self, name: str, at: float, neurons: NDArray[Any], counts: NDArray[Any]) -> None:
+        """Spikes of the input or a layer: which neurons (k,) sent how many (k,) at a time [us]."""
+
+    def hear_output(self, at: float, values: NDArray[np.float64]) -> None:
+        """Output (act,) at a time [us]."""
+
+
+@dataclass(frozen=True)
+class EventRun:
+    """A network that has run over a recording.
+
+    artifact: the network.
+    chip: it ran on, or "float".
+    recording, view, survey: what it saw.
+    step: a timestep [s]; None where the chip took event by event.
+    timesteps: T; 0 likewise.
+    clipped: events that a timestep had beyond what the chip takes of one neuron.
+    spikes: node -> how many.
+    sizes: node -> neurons.
+    outputs: Output -> sum (*act) of its values; a single one is called "output".
+    ledger: counts; None where `uncounted` says why.
+    uncounted: why events could not be counted.
+    remarks: of the compiler, and on what was lost.
+    clock: how the layers advanced, in words.
+    tables: energy tables to price by; empty for those of the chip.
+    """
+
+    artifact: Artifact
+    chip: str
+    recording: Recording
+    view: EventView
+    survey: Survey
+    step: float | None
+    timesteps: int
+    clipped: int
+    spikes: Mapping[str, int]
+    sizes: Mapping[str, int]
+    outputs: Mapping[str, NDArray[np.float64]]
+    ledger: Ledger | None
+    uncounted: str = ""
+    remarks: tuple[str, ...] = ()
+    clock: str = ""
+    tables: Sequence[str] = ()
+
+    @property
+    def seconds(self) -> float:
+        """Time that the network ran [s of the recording]."""
+        if self.step is not None:
+            return self.timesteps * self.step
+        return max(self.survey.last - self.survey.first, 1) / 1e6
+
+    @property
+    def energies(self) -> dict[str, EnergyEstimate]:
+        """Energy table -> [J] of the recording, with its interval."""
+        if self.ledger is None:
+            return {}
+        whole = replace(self.ledger, inferences=1)
+        names = self.tables or priced_by(chip_or_float(self.chip))
+        return {name: energy_estimate(whole, energy_table(name)) for name in names}
+
+    def layer_energies(self, table: str) -> dict[str, float]:
+        """Layer -> [J] of the recording by an energy table."""
+        if (ledger := self.ledger) is None:
+            return {}
+        whole, prices = replace(ledger, inferences=1), energy_table(table)
+        return {n: energy_estimate(whole.of_layer(n), prices).value for n in ledger.layers}
+
+    def as_json(self) -> dict[str, Any]:
+        """All numbers as plain data; those of a second are of a second of the recording."""
+        ledger, seconds = self.ledger, self.seconds
+        sops = ledger.by_layer("sop") if ledger else {}
+        totals = {
+            name: ledger.total(event) if ledger else None
+            for name, event in {
+                "sops": "sop",
+                "bias_sops": "bias_sop",
+                "neuron_updates": "neuron_update",
+                "saturations": "saturation",
+                "lost_spikes": "lost_spike",
+            }.items()
+        }
+        on = chip_or_float(self.chip)
+        power = next(iter(STATIC.get(on.name, ()) if on else ()), None)
+        energies = {name: each.value for name, each in self.energies.items()}
+        per_layer = {name: self.layer_energies(name) for name in energies}
+        return {
+            "chip": self.chip,
+            "recording": str(self.recording.path),
+            "camera": list(self.recording.size) if self.recording.size else None,
+            "seconds": seconds,
+            "time_step_s": self.step,
+            "timesteps": self.timesteps or None,
+            "events": self.survey.events,
+            "events_seen": self.survey.seen,
+            "events_clipped": self.clipped,
+            "convention": self.artifact.convention.to_record(),
+            "clock": self.clock or None,
+            "spikes": sum(self.spikes.values()),
+            **totals,
+            "energy_j": energies,
+            "energy_interval_j": {n: [each.low, each.high] for n, each in self.energies.items()},
+            "power_w": {name: value / seconds for name, value in energies.items()},
+            "static_energy_j": {power.name: static_energy(seconds, power)} if power else {},
+            "layers": {
+                name: {
+                    "neurons": size,
+                    "spikes": self.spikes.get(name),
+                    "spikes_per_s": self.spikes[name] / seconds if name in self.spikes else None,
+                    "sops": sops.get(name),
+                    "sops_per_s": sops[name] / seconds if name in sops else None,
+                    "energy_j": {t: each[name] for t, each in per_layer.items() if name in each},
+                }
+                for name, size in self.sizes.items()
+            },
+            "outputs": {name: values.tolist() for name, values in self.outputs.items()},
+            "uncounted": self.uncounted or None,
+            "remarks": list(self.remarks),
+        }
+
+
+def emulate_events(
+    artifact: Artifact,
+    chip: str,
+    recording: Recording,
+    view: EventView,
+    found: Survey,
+    steps: TimeSteps,
+    listeners: Sequence[Listener] = (),
+    backend: BackendName | None = None,
+    limits: bool = True,
+    quantisation: Quantisation = PLAIN,
+) -> EventRun:
+    """Run a network over a recording in timesteps, which count the events of each neuron.
+
+    found: the survey of the recording.
+    steps: the timesteps of it.
+    listeners: hear every spike and output.
+    backend, limits, quantisation: as in `emulate_artifact`.
+    """
+    artifact = artifact.with_convention(artifact.convention.with_options({"state": "kept"}))
+    on = chip_or_float(chip)
+    options: dict[str, Any] = {"limits": limits, "quantisation": quantisation}
+    if on is None:
+        options = {}
+    network = run_network(artifact, on, "total", backend=backend, **options)
+    tally = _Tally(artifact, network)
+    everyone = (tally, *listeners)
+    rows = count_rows(recording, view, steps)
+    if isinstance(network, FloatMachine):
+        _play_float(network, rows, steps.us_each, everyone)
+    else:
+        most = network.program.chip.input_spikes_max
+        _play_chip(network, tally.clip(rows, most), steps, everyone)
+    ledger, uncounted = None, ""
+    try:
+        ledger = network.ledger
+    except RuleError as error:
+        uncounted = str(error)
+    remarks = list(network.remarks)
+    if tally.clipped:
+        remarks.append(
+            f"{tally.clipped:,} of {found.seen:,} events found their neuron with as many as the "
+            f"chip takes in a timestep already, and are lost: a shorter --time-step loses fewer"
+        )
+    if tally.spikes and not any(tally.spikes.values()):
+        remarks.append(SILENT)
+    return EventRun(
+        artifact,
+        chip,
+        recording,
+        view,
+        found,
+        steps.us_each / 1e6,
+        steps.count,
+        tally.clipped,
+        tally.spikes,
+        tally.sizes,
+        tally.outputs,
+        ledger,
+        uncounted,
+        tuple(remarks),
+        "" if isinstance(network, FloatMachine) else network.program.describe_clock(),
+    )
+
+
+class _Tally:
+    """Sums of what a run sends; a Listener.
+
+    spikes: node -> how many.
+    clipped: events that were too many for a timestep.
+    """
+
+    def __init__(self, artifact: Artifact, network: RunningNetwork) -> None:
+        self._artifact, self._ports = artifact, network.outputs
+        self.spikes: dict[str, int] = {}
+        self.clipped = 0
+        self._layers = network.program.layers if isinstance(network, Machine) else ()
+        self._sum: NDArray[np.float64] | None = None
+
+    def clip(self, rows: Iterator[NDArray[np.int64]], most: int) -> Iterator[NDArray[np.int64]]:
+        """The rows with at most so many events of a neuron."""
+        for row in rows:
+            taken = np.minimum(row, most)
+            self.clipped += int(row.sum() - taken.sum())
+            yield taken
+
+    def hear(self, name: str, at: float, neurons: NDArray[Any], counts: NDArray[Any]) -> None:
+        """Add spikes up; graded ones of any size are one each."""
+        if name not in self._artifact.graph.inputs:
+            sent = len(neurons) if name in self._artifact.sigma_delta else int(counts.sum())
+            self.spikes[name] = self.spikes.get(name, 0) + sent
+
+    def hear_output(self, at: float, values: NDArray[np.float64]) -> None:
+        """Add an output up."""
+        self._sum = values.copy() if self._sum is None else self._sum + values
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Node -> neurons; on a chip of readouts too, which never spike."""
+        if self._layers:
+            return {layer.name: layer.size for layer in self._layers}
+        return {name: int(np.prod(node_shape(self._artifact, name))) for name in self.spikes}
+
+    @property
+    def outputs(self) -> dict[str, NDArray[np.float64]]:
+        """Output -> sum (*act) of its values."""
+        if self._sum is None:
+            return {}
+        found = split(self._ports, self._sum[None, None])
+        return {"output" if len(found) == 1 else n: rows[0, 0] for n, rows in found.items()}
+
+
+def node_shape(artifact: Artifact, name: str) -> tuple[int, ...]:
+    """(*N) of what a node sends in a timestep."""
+    return tuple(map(int, artifact.graph.nodes[name].output_type["output"]))
+
+
+def _play_chip(
+    machine: Machine,
+    rows: Iterator[NDArray[np.int64]],
+    steps: TimeSteps,
+    listeners: Sequence[Listener],
+) -> None:
+    """Step a chip through the rows (M,), and on until the last layer has ended."""
+    program, us = machine.program, steps.us_each
+    starts = {layer.name: layer.start for layer in program.spiking}
+    late = _output_start(program)
+    silent = np.zeros(program.width, np.int64)
+    dtype = np.uint8 if program.chip.input_spikes_max < 256 else np.uint32
+    fill = max(layer.start for layer in program.layers)
+    for step, row in enumerate(chain(rows, repeat(silent, fill))):
+        output = machine.step(row.astype(dtype)[None])[0]
+        if step < steps.count:
+            _tell(listeners, program.input, step * us, row)
+        for name, start in starts.items():
+            if 0 <= step - start < steps.count:
+                _tell(listeners, name, (step - start) * us, machine.sent(name)[0])
+        if 0 <= step - late < steps.count:
+            for each in listeners:
+                each.hear_output((step - late) * us, output)
+
+
+def _output_start(program: Program) -> int:
+    """[timesteps] by which outputs come later than the input, as layers start later."""
+    names = program.to_host | {program.output}
+    return max(layer.start for layer in program.layers if layer.name in names)
+
+
+def _play_float(
+    network: FloatMachine,
+    rows: Iterator[NDArray[np.int64]],
+    us: float,
+    listeners: Sequence[Listener],
+) -> None:
+    """Run the float twin through the rows (M,), some timesteps at once."""
+    (port,), first = network.graph.inputs, 0
+    while len(part := np.array(list(islice(rows, _FLOAT_ROWS)))):
+        binary = part.max(initial=0) <= 1
+        raster = part.astype(np.uint8 if binary else np.float64)
+        outputs = network.infer(raster.reshape(1, len(part), *port.shape))[0]
+        for k, row in enumerate(part):
+            at = (first + k) * us
+            _tell(listeners, port.name, at, row)
+            for name, spikes in network.spikes.items():
+                _tell(listeners, name, at, spikes[0, k].ravel())
+            for each in listeners:
+                each.hear_output(at, outputs[k])
+        first += len(part)
+
+
+def _tell(listeners: Sequence[Listener], name: str, at: float, row: NDArray[Any]) -> None:
+    neurons = np.flatnonzero(row)
+    counts = row[neurons]
+    for each in listeners:
+        each.hear(name, at, neurons, counts)

@@ -1,0 +1,184 @@
+"""`spikedeploy emulate --events`: recordings of event cameras into networks on chips."""
+
+import json
+import re
+from itertools import pairwise
+
+import nir
+import numpy as np
+import pytest
+
+from spikedeploy.emulation.event_input import EventView
+from spikedeploy.events import EVENT, write_events
+
+SIZE = HEIGHT, WIDTH = 12, 16
+DT = 1e-3
+
+
+def write_network(path, channels=2, height=6, width=8):
+    """Two convolutions and a fully connected layer of integrate-and-fire neurons."""
+    rng = np.random.default_rng(1)
+
+    def neurons(*shape):
+        return nir.IF(np.full(shape, 1 / DT), np.full(shape, 1.0), np.zeros(shape))
+
+    def convolution(outputs, inputs, shape, stride):
+        weight = rng.normal(0.1, 0.5, (outputs, inputs, 3, 3))
+        return nir.Conv2d(shape, weight, stride, 1, 1, 1, np.zeros(outputs))
+
+    deep = 3 * (height // 2) * (width // 2)
+    nodes = {
+        "input": nir.Input(np.array([channels, height, width])),
+        "conv1": convolution(4, channels, (height, width), 1),
+        "if1": neurons(4, height, width),
+        "conv2": convolution(3, 4, (height, width), 2),
+        "if2": neurons(3, height // 2, width // 2),
+        "flat": nir.Flatten({"input": np.array([3, height // 2, width // 2])}, 0, -1),
+        "fc": nir.Linear(rng.normal(0.05, 0.3, (5, deep))),
+        "if3": neurons(5),
+        "output": nir.Output(np.array([5])),
+    }
+    names = list(nodes)
+    nir.write(path, nir.NIRGraph(nodes, list(pairwise(names))))
+
+
+def drawn(count=600, lasting=40_000, seed=0):
+    rng = np.random.default_rng(seed)
+    events = np.zeros(count, EVENT)
+    events["x"], events["y"] = rng.integers(0, WIDTH, count), rng.integers(0, HEIGHT, count)
+    events["t"] = 5_300 + np.sort(rng.integers(0, lasting, count))
+    events["p"] = rng.integers(0, 2, count)
+    return events
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A network and a recording of a camera twice its size; returns the recording's events."""
+    write_network(tmp_path / "net.nir")
+    events = drawn()
+    with write_events(tmp_path / "rec.h5", SIZE) as writer:
+        writer.write(events)
+    return events
+
+
+@pytest.fixture
+def emulate(command, tmp_path):
+    def run(*words, network="net.nir", recording="rec.h5"):
+        files = (tmp_path / network, "--events", tmp_path / recording)
+        return command("emulate", *map(str, (*files, "--dt", DT, *words)))
+
+    return run
+
+
+def counted(events, shape=(2, 6, 8), us=1000, downsample=2, x=0, y=0):
+    """Events of each neuron and timestep, written as loops."""
+    channels, height, width = shape
+    steps = events["t"] // us
+    rows = np.zeros((int(steps[-1] - steps[0]) + 1, *shape), np.int64)
+    for event, step in zip(events, steps - steps[0], strict=True):
+        column, row = (int(event["x"]) - x) // downsample, (int(event["y"]) - y) // downsample
+        if 0 <= column < width and 0 <= row < height:
+            rows[step, int(event["p"]) if channels == 2 else 0, row, column] += 1
+    return rows
+
+
+@pytest.mark.parametrize("chip", ["speck2f", "loihi1", "int", "float"])
+@pytest.mark.parametrize("suffix", [".npz", ".h5"])
+def test_spikes_are_those_of_one_inference_over_all_timesteps(
+    chip, suffix, files, emulate, command, tmp_path
+):
+    code, _, err = emulate("--chip", chip, "--downsample", "2", "-o", str(tmp_path / f"a{suffix}"))
+    assert code == 0, err
+    rows = counted(files)
+    taken = rows.astype(np.float64) if chip == "float" else np.minimum(rows, 1).astype(np.uint8)
+    np.save(tmp_path / "rows.npy", taken)
+    words = ("--input", tmp_path / "rows.npy", "--dt", DT, "-o", tmp_path / "b.npz")
+    code, _, err = command("emulate", *map(str, (tmp_path / "net.nir", "--chip", chip, *words)))
+    assert code == 0, err
+    wanted = dict(np.load(tmp_path / "b.npz"))
+    assert wanted["if3"].sum() > 10
+    if suffix == ".npz":
+        found = dict(np.load(tmp_path / "a.npz"))
+    else:
+        nodes = nir.read_data(tmp_path / "a.h5").nodes
+        found = {"output": nodes["output"].observables["output"].data[0]}
+        for name in ("if1", "if2", "if3"):
+            data = nodes[name].observables["spikes"]
+            raster = np.zeros((len(rows), data.n_neurons), np.int64)
+            steps = np.rint(data.time[0] / DT).astype(int)
+            np.add.at(raster, (steps, data.idx[0]), 1)
+            found[name] = raster.reshape(wanted[name].shape)
+    assert found.keys() == wanted.keys()
+    for name, spikes in wanted.items():
+        np.testing.assert_array_equal(found[name], spikes, name)
+
+
+def test_counts_are_of_the_events_that_the_network_sees(files, emulate):
+    region = ("--region", "3,2,8,6", "--time-step", "2ms", "--chip", "speck2f", "--json")
+    code, out, err = emulate(*region)
+    assert code == 0, err
+    found, rows = json.loads(out), counted(files, us=2000, downsample=1, x=3, y=2)
+    assert (found["events"], found["events_seen"]) == (len(files), rows.sum())
+    assert found["events_clipped"] == (rows - np.minimum(rows, 1)).sum() > 0
+    assert (found["timesteps"], found["seconds"]) == (len(rows), 2e-3 * len(rows))
+    energies = [each["energy_j"] for each in found["layers"].values()]
+    for table, joules in found["energy_j"].items():
+        assert sum(each[table] for each in energies) == pytest.approx(joules)
+        assert found["power_w"][table] == pytest.approx(joules / found["seconds"])
+    assert sum(each["sops"] for each in found["layers"].values()) == found["sops"] > 0
+    assert any(f"{found['events_clipped']} of {rows.sum()} events" in r for r in found["remarks"])
+
+
+def test_one_channel_takes_both_polarities():
+    events = drawn()
+    view = EventView((1, 6, 8), downsample=2)
+    neurons = np.bincount(view.neurons(events), minlength=48)
+    np.testing.assert_array_equal(neurons, counted(events, (1, 6, 8)).sum(axis=0).ravel())
+
+
+def test_rows_and_columns_left_over_are_not_seen():
+    events = np.array([(14, 0, 0, 1), (15, 0, 0, 1), (0, 11, 0, 1)], EVENT)
+    neurons = EventView((1, 3, 5), downsample=3).neurons(events)
+    assert neurons.tolist() == [4, -1, -1]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((), "12x16 pixels .* takes 6x8. Such as --downsample 2 --region 0,0,16,12"),
+        (("--region", "9,0,8,6"), "not a part of a camera of 12x16"),
+        (("--region", "-1,0,8,6"), "not a part"),
+        (("--region", "0,0,8"), "is no x,y,width,height"),
+        (("--region", "0,0,0,6"), "at least one pixel"),
+        (("--camera", "12x-16"), "least is 1x1"),
+        (("--camera", "12"), "is no height x width"),
+        (("--camera", "16x12"), "says that its camera has 12x16"),
+        (("--downsample", "2", "--time-step", "1"), "number and its unit"),
+        (("--downsample", "2", "--time-step", "0ms"), "above 0"),
+        (("--downsample", "2", "--input", "rec.h5"), "two inputs"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_in_a_sentence(words, said, files, emulate, tmp_path):
+    words = [str(tmp_path / word) if word == "rec.h5" else word for word in words]
+    code, _, err = emulate("--chip", "speck2f", *words)
+    assert code == 2
+    assert_said(said, err)
+
+
+def assert_said(said, err):
+    assert re.search(said, " ".join(err.replace("│", " ").split())), err
+
+
+def test_a_network_without_pixels_is_refused(files, emulate, tmp_path):
+    write_network(tmp_path / "three.nir", channels=3)
+    code, _, err = emulate("--chip", "speck2f", network="three.nir")
+    assert code == 2
+    assert_said(r"inputs 'input' \(3, 6, 8\)", err)
+
+
+def test_options_of_recordings_need_one(files, command, tmp_path):
+    path = str(tmp_path / "net.nir")
+    for words, said in ((("--camera", "3x4"), "go with --events"), ((), "--input FILE")):
+        code, _, err = command("emulate", path, "--chip", "int", *words)
+        assert code == 2
+        assert_said(said, err)
