@@ -41,6 +41,7 @@ EXPORTS = {
     "CHIPS": "spikedeploy.runtime.chips.chip:CHIPS",
     "Chip": "spikedeploy.runtime.chips.chip:Chip",
     "EnergyTable": "spikedeploy.runtime.metrics.energy:EnergyTable",
+    "EventMachine": ("spikedeploy.runtime.families.integrate_and_fire.event_machine:EventMachine"),
     "Ledger": "spikedeploy.runtime.emulator.ledger:Ledger",
     "Machine": "spikedeploy.runtime.emulator.machine:Machine",
     "Program": "spikedeploy.runtime.compiler.program:Program",

@@ -32,8 +32,8 @@ class Convention(Stored):
     state: currents and membranes start from 0 in each inference ("reset"), or are kept ("kept").
     source: where the convention comes from; no part of equality.
     spikes: of a neuron in one timestep: one if membrane > threshold ("above"), one if membrane >=
-        threshold ("reached"), or floor((membrane - v_reset) / (threshold - v_reset)) of them, all
-        subtracted ("many").
+        threshold ("reached"), or floor((membrane - v_reset) / (threshold - v_reset)) of them, after
+        which all are subtracted, or the membrane is reset to v_reset ("many").
     floor: lower bound of a spiking neuron's membrane: "none", 0 ("zero"), or minus its threshold
         ("threshold").
     clock: when layers update. "gated": all layers in each timestep, one after the other, so that
@@ -68,10 +68,11 @@ class Convention(Stored):
                 "clock 'pipelined' and delay 1 contradict each other: connections onto neurons "
                 "take a timestep by the clock already. Choose delay 0, or clock 'gated'."
             )
-        if self.spikes == "many" and self.reset != "subtract":
+        if self.spikes == "many" and self.reset not in ("subtract", "zero"):
             raise ConventionError(
-                f"reset {self.reset!r} and spikes 'many' contradict each other: several spikes of "
-                "a timestep must be subtracted. Choose reset 'subtract', or spikes 'above'."
+                f"reset {self.reset!r} and spikes 'many' contradict each other: after several "
+                "spikes of a timestep a membrane is reset at once. Choose reset 'subtract' or "
+                "'zero', or spikes 'above'."
             )
 
     def unknown(self, name: str, found: object, known: tuple[object, ...]) -> Exception:

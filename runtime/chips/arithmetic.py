@@ -82,6 +82,11 @@ class ArithmeticDefaults(Protocol):
         """True where all layers advance as one: spikes reach others in the same timestep."""
         return False
 
+    @property
+    def by_events(self) -> bool:
+        """True where neurons are looked at only when an event reaches them, one after another."""
+        return False
+
     def update_together(
         self,
         network: Network,

@@ -67,6 +67,19 @@ class Synapses:
         axons = np.flatnonzero(spikes.any(axis=0))
         return np.asarray(spikes[:, axons].astype(dtype) @ self.weight[axons].astype(dtype))
 
+    def row(self, axon: int) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        """Mask (N,) of the neurons that an axon reaches, weights of 0 included, and weights (N,).
+
+        A matrix reaches all.
+        """
+        if not self.window:
+            weights = self.weight[axon].astype(np.int64)
+            return np.ones(weights.shape, np.bool_), weights
+        places, values = self.window.row(self.weight, axon)
+        reached, weights = np.zeros(self.shape[1], np.bool_), np.zeros(self.shape[1], np.int64)
+        reached[places], weights[places] = True, values
+        return reached, weights
+
     def over_axons(self, values: Numbers, reduce: np.ufunc) -> Numbers:
         """Sum or maximum (N,) over the axons of each neuron; 0 where there is none.
 
@@ -127,6 +140,8 @@ class Layer:
         signed whole numbers of thresholds; the voltage bias is added before the rectification.
     v_reset: (N,) membrane to which a spike resets integrate-and-fire neurons [state units]; the
         compiler refuses all but 0, which some recorded runs have.
+    floor: (N,) below which no membrane of integrate-and-fire neurons falls [state units]; None
+        leaves it to the convention, as the compiler does.
     """
 
     name: str
@@ -142,6 +157,7 @@ class Layer:
     spiking: bool = True
     graded: bool = False
     v_reset: Numbers | int = 0
+    floor: Numbers | None = None
 
     @property
     def size(self) -> int:
@@ -215,13 +231,14 @@ class StepResult:
 
     spikes: (B, N); counts where neurons spike several times in a timestep, signed numbers of
         sigma-delta neurons.
-    active: (B, N) where there was a membrane, a current or a bias to add up.
+    active: (B, N) where there was a membrane, a current or a bias to add up; how many events were
+        heard where a chip goes by events.
     overflows: (B, N) how many numbers did not fit their register.
     lost: (B, N) spikes that reach no neuron, because a queue was full; None where there is none.
     """
 
     spikes: NDArray[Any]
-    active: NDArray[np.bool_]
+    active: NDArray[np.bool_ | np.int64]
     overflows: NDArray[np.int64]
     lost: NDArray[np.int64] | None = None
 

@@ -34,7 +34,7 @@ class LayerTrace(Recording):
     lost: (B, T, N) as in StepResult.
     """
 
-    active: NDArray[np.bool_]
+    active: NDArray[np.bool_ | np.int64]
     overflows: NDArray[np.int64]
     lost: NDArray[np.int64] | None = None
 

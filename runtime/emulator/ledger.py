@@ -19,7 +19,9 @@ EVENTS = (
     "spike_in",  # spikes sent to a layer
     "sop",  # synaptic operations: the non-zero fan-out of those spikes
     "bias_sop",  # synaptic operations of the always-on bias axon
-    "neuron_update",  # neuron-timesteps with a membrane, a current or a bias to add up
+    # neuron-timesteps with a membrane, a current or a bias to add up; event by event, each neuron
+    # that an event reached
+    "neuron_update",
     "neuron_idle",  # neuron-timesteps without; a chip still looks at the neuron
     "spike_out",  # spikes that a layer emits; a readout layer emits none
     # packets to a layer: spikes, the bias axon's; and from it to the host: spikes of an output
@@ -132,6 +134,7 @@ def count_events(
     arriving = {name: rows - lost[name] if name in lost else rows for name, rows in spikes.items()}
     sent = {name: rows.sum(axis=1, dtype=np.int64) for name, rows in spikes.items()}
     unheard = {name: rows.sum(axis=1) for name, rows in lost.items()}
+    by_events = program.chip.arithmetic.by_events
     for k, layer in enumerate(program.layers):
         # float64 is exact up to 2**53, and has the matrix product that int64 lacks
         operations = {
@@ -146,7 +149,7 @@ def count_events(
             "sop": sum(operations.values()),
             "bias_sop": heard[:, k] * layer.bias_fan_out,
             "neuron_update": updates[:, k],
-            "neuron_idle": layer.size * steps - updates[:, k],
+            "neuron_idle": 0 if by_events else layer.size * steps - updates[:, k],
             "spike_out": sent[layer.name] * layer.spiking,
             "message": spike_in
             + heard[:, k] * has_bias

@@ -55,6 +55,7 @@ _READERS = {
     "spiker": f"{_FAMILIES}.integrate_and_fire.traces:spiker_trace",
     "sanafe": "spikedeploy.runtime.traces.sanafe:sanafe_verdict",
 }
+_SPECK = f"{_FAMILIES}.integrate_and_fire.speck_traces:speck_verdict"
 # of an exported program, on any of the chips that it can be exported for
 _OF_PROGRAMS = f"{_FAMILIES}.programs:program_trace"
 # letters of a text in which makers are looked for
@@ -299,6 +300,9 @@ def verify(path: Path) -> Verdict:
     if fields.name("program") is not None:
         # beside the file of its program
         found: TraceFile | Verdict = _load(_OF_PROGRAMS)(fields, path.parent)
+    elif fields.name("format") is not None:
+        # beside its arrays
+        found = _load(_SPECK)(fields, path)
     else:
         found = trace_in(fields, path.stem)
     return found if isinstance(found, Verdict) else verdict_on(found)

@@ -78,7 +78,9 @@ def test_a_field_that_is_missing_in_a_record_is_named():
         Convention.from_record(Record(record, "convention"))
 
 
-@pytest.mark.parametrize("options", [{"spikes": "many"}, {"clock": "pipelined", "delay": 1}])
+@pytest.mark.parametrize(
+    "options", [{"spikes": "many", "reset": "none"}, {"clock": "pipelined", "delay": 1}]
+)
 def test_choices_that_contradict_each_other_are_refused(options):
     with pytest.raises(ConventionError, match="contradict each other"):
         Convention(1e-3, **options)

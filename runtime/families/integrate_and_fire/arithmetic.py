@@ -21,6 +21,7 @@ from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.chips.registers import Rounding, round_values
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError, RuleError
+from spikedeploy.runtime.families.integrate_and_fire.events import update_by_events
 from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules, update
 from spikedeploy.runtime.families.integrate_and_fire.spike_queue import update_together
 
@@ -112,6 +113,26 @@ def _check_signs(layers: Sequence[Layer], chip_name: str) -> None:
                     f"on {chip_name} an axon has one. Train with signed axons, or compile with "
                     "limits off."
                 )
+
+
+def _check_events(layers: Sequence[Layer], network_input: str) -> None:
+    """Refuse what has no place where layers work on queues of events."""
+    heard = {network_input}
+    for layer in layers:
+        if layer.bias.any() or layer.voltage_bias.any():
+            raise RuleError(
+                f"rule bias: layer {layer.name!r} has biases; event by event nothing says when "
+                "they are added. Train with bias=False, or choose queue 'off', which adds them in "
+                "each timestep."
+            )
+        for synapses in layer.synapses:
+            if synapses.source not in heard or synapses.delay:
+                raise RuleError(
+                    f"rule recurrence: layers {synapses.source!r} -> {layer.name!r}: event by "
+                    "event a spike arrives at once and reaches layers behind its own alone. Take "
+                    "the loop or the delay out, or choose queue 'off'."
+                )
+        heard.add(layer.name)
 
 
 def quantise(
@@ -218,6 +239,7 @@ def _quantise_leak(
     return np.minimum(amount, rules.leak_max)
 
 
+_EVENTS = "spikedeploy.runtime.families.integrate_and_fire.event_machine:EventPipeline"
 _LEAKS = {
     "none": "IF",
     "linear": "IF, linear leak",
@@ -231,12 +253,26 @@ _RELAYED = (
 _QUEUED = (
     "spikes from neuron to neuron go through the chip's queue, and arrive in the same timestep"
 )
+_BY_EVENTS = (
+    "events go from layer to layer one by one, no neuron sends more than {most} for an event, and "
+    "those of one event leave in the order {order!r}, which is assumed"
+)
 _SOONER = "; those of recurrent neurons one timestep sooner than in the file"
 
 
 @dataclass(frozen=True)
 class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
     """The integers of integrate-and-fire neurons; its fields are those of IntegrateAndFireRules."""
+
+    @property
+    def backends(self) -> Mapping[str, str]:
+        """Name -> "module:class" of each backend, besides the interpreter, that has kernels."""
+        return {"numba": _EVENTS} if self.by_events else {}
+
+    @property
+    def input_spikes_max(self) -> int:
+        """Spikes of an input channel in a timestep; counts on a chip without timesteps."""
+        return 1 if self.event_order == "none" else self.spikes_max
 
     @property
     def state_bits(self) -> tuple[int, ...]:
@@ -282,6 +318,8 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
                 f"queue is 'on' and delay {delay}: spikes from the queue arrive in the same "
                 "timestep. Leave the delay at 0, or choose queue 'off'."
             )
+        if self.by_events:
+            _check_events(layers, network_input)
         return super().prepare(layers, network_input, convention, delay, stagger)
 
     def input_delay(self, delay: int) -> int:
@@ -290,6 +328,9 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
 
     def transport_remarks(self, layers: Sequence[Layer], network_input: str) -> list[str]:
         """A remark on what carries spikes between neurons, on a chip with a queue for them."""
+        if self.by_events:
+            most = 1 if self.event_spikes == "single" else self.spikes_max
+            return [_BY_EVENTS.format(most=most, order=self.event_order)]
         inside = [s for layer in layers for s in layer.synapses if s.source != network_input]
         if not (self.queue_entries and inside):
             return []
@@ -339,7 +380,8 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         states: Mapping[str, LayerState],
     ) -> Mapping[str, StepResult]:
         """Advance all layers by one timestep, in which these spikes (B, M) of the input arrive."""
-        return update_together(self, network, presynaptic, states)
+        together = update_by_events if self.by_events else update_together
+        return together(self, network, presynaptic, states)
 
     def before_reset(
         self,
@@ -356,7 +398,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
 
     def describe(self) -> Description:
         """Neurons, weights and membrane in a few words each."""
-        each = ", event by event" if self.adds == "event" else ""
+        each = ", event by event" if self.adds == "event" or self.by_events else ""
         signs = "and the axon's sign" if self.signs == "axon" else "with the sign"
         types = f", {self.axon_types} a neuron" if self.axon_types else ""
         membrane = self.membrane.describe()

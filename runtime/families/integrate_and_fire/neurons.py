@@ -34,6 +34,8 @@ StepRounding = Literal["nearest", "truncate"]
 ResetAt = Literal["spike", "leak"]
 Queue = Literal["off", "on"]
 QueueHost = Literal["wait", "step"]
+EventOrder = Literal["none", "cyx", "yxc"]
+EventSpikes = Literal["single", "multi"]
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,10 @@ class IntegrateAndFireRules:
     queue_entries: of that queue, the event that is being worked on included; 0 is no queue.
     host: with the queue on, whether the host sends an event when the chip is idle ("wait"), or the
         events of a timestep as fast as the chip takes them ("step").
+    event_order: in which the spikes of one event leave where each layer has a queue of its own, as
+        in `events`; "none" is one queue for all neurons.
+    event_spikes: with such queues, whether a neuron sends one spike for an event ("single"), or as
+        many as the threshold fits into its membrane ("multi").
     """
 
     weight_bits: int
@@ -95,6 +101,8 @@ class IntegrateAndFireRules:
     queue: Queue = "off"
     queue_entries: int = 0
     host: QueueHost = "wait"
+    event_order: EventOrder = "none"
+    event_spikes: EventSpikes = "single"
 
     def __post_init__(self) -> None:
         least = 2 if self.signs == "weight" else 1
@@ -121,7 +129,12 @@ class IntegrateAndFireRules:
             )
         if not 0 <= self.queue_entries <= 1 << 16:
             raise ChipError(f"queue_entries is {self.queue_entries}; choose 0 to {1 << 16}.")
-        if self.queue == "off":
+        if self.event_order != "none" and (self.leak, self.reset_at) != ("none", "spike"):
+            raise ChipError(
+                f"event_order is {self.event_order!r}: events have no timesteps to leak in. Choose "
+                "leak 'none' and reset_at 'spike', or event_order 'none'."
+            )
+        if self.queue == "off" or self.by_events:
             return
         if not self.queue_entries:
             raise ChipError("queue is 'on', and the chip's queue has no entries. Choose odin.")
@@ -130,6 +143,11 @@ class IntegrateAndFireRules:
                 "queue is 'on': it holds single events, and needs leak_order 'first' and checks "
                 "'event'. Choose those, or queue 'off'."
             )
+
+    @property
+    def by_events(self) -> bool:
+        """True where each layer works on its queue of events, and `adds` and `checks` are idle."""
+        return self.queue == "on" and self.event_order != "none"
 
     @property
     def weight_range(self) -> tuple[int, int]:
@@ -217,8 +235,8 @@ def begin(
     _leak(rules, layer, state)
     if rules.reset_at == "leak":
         after = _after_spike(convention, layer, v)
-        state.membrane = np.where(fires(rules, layer, v), after, state.membrane)
-    if rules.checks == "event":
+        state.membrane = np.where(fires(rules, layer.threshold, v), after, state.membrane)
+    if rules.checks == "event" and rules.leak != "none":
         # the leak is an event, too
         _fire(rules, convention, layer, state)
 
@@ -240,7 +258,7 @@ def _sum(layer: Layer, presynaptic: Sequence[Numbers]) -> Integers:
     # sum W s + bias
     total: Integers = (layer.bias + layer.voltage_bias).astype(np.int64)
     for synapses, spikes in zip(layer.synapses, presynaptic, strict=True):
-        total = total + spikes.astype(np.int64) @ synapses.weight.astype(np.int64)
+        total = total + synapses.sums(spikes).astype(np.int64)
     return total
 
 
@@ -254,11 +272,11 @@ def _each(
     """Add event by event: axon by axon, synapses in their order, and the bias at last."""
     bias = (layer.bias + layer.voltage_bias).astype(np.int64)
     for synapses, counts in zip(layer.synapses, presynaptic, strict=True):
-        weight = synapses.weight.astype(np.int64)
         for axon in np.flatnonzero(counts.any(axis=0)):
+            reached, weight = synapses.row(int(axon))
             for nth in range(counts[:, axon].max()):
-                arrives = (counts[:, axon] > nth)[:, None]
-                add(rules, convention, layer, arrives * weight[axon], state, arrives)
+                arrives = (counts[:, axon] > nth)[:, None] & reached
+                add(rules, convention, layer, arrives * weight, state, arrives)
     if bias.any():
         add(rules, convention, layer, bias, state)
 
@@ -271,19 +289,21 @@ def add(
     state: PartialStep,
     arrives: NDArray[np.bool_] | bool = True,
 ) -> None:
-    """Add weights (N,) or (B, N) as one event; `arrives` says (B, 1) in which copies."""
+    """Add weights (N,) or (B, N) as one event; `arrives` says (B, N) which neurons hear it."""
     # V = V + W s, as the register holds it, and not below the floor
     raised = state.membrane + weights
     held = rules.membrane.fit(raised)
     state.overflows = state.overflows + (held != raised)
-    state.membrane = np.maximum(held, _floor(rules, convention, layer))
+    state.membrane = np.maximum(held, floor_of(rules, convention, layer))
     state.arrived = state.arrived | (weights != 0)
     if rules.checks == "event":
         _fire(rules, convention, layer, state, arrives)
 
 
-def _floor(rules: IntegrateAndFireRules, convention: Convention, layer: Layer) -> Integers:
+def floor_of(rules: IntegrateAndFireRules, convention: Convention, layer: Layer) -> Integers:
     """Below what the membranes (N,) cannot fall; no register is that wide."""
+    if layer.floor is not None:
+        return np.asarray(layer.floor, np.int64)
     chips = -(1 << 62) if rules.floor is None else rules.floor
     wanted = {"none": chips, "zero": 0}.get(convention.floor, -layer.threshold)
     return np.asarray(np.maximum(chips, wanted), np.int64)
@@ -296,13 +316,19 @@ def _fire(
     state: PartialStep,
     arrives: NDArray[np.bool_] | bool = True,
 ) -> None:
-    """Spikes of the membranes; several at once only where the threshold is taken off each time."""
+    """Spikes of the membranes that an event reached; several at once only at the end of a step.
+
+    Each takes the threshold off; where a spike resets to 0, several only if the convention says so.
+    """
     subtract = convention.reset == "subtract"
-    for _ in range(rules.spikes_max if subtract and rules.checks == "step" else 1):
+    several = rules.checks == "step" and (subtract or convention.spikes == "many")
+    left = state.membrane
+    for _ in range(rules.spikes_max if several else 1):
         v = state.membrane
-        firing = fires(rules, layer, v) & arrives
+        firing = fires(rules, layer.threshold, v if subtract else left) & arrives
         if not firing.any():
             break
+        left = left - layer.threshold
         if rules.reset_at == "spike":
             state.membrane = np.where(firing, _after_spike(convention, layer, v), v)
         spikes = state.spikes + firing
@@ -310,10 +336,10 @@ def _fire(
         state.overflows = state.overflows + (spikes - state.spikes)
 
 
-def fires(rules: IntegrateAndFireRules, layer: Layer, v: Integers) -> NDArray[np.bool_]:
-    """Mask of the membranes (B, N) that reach, or pass, the threshold."""
+def fires(rules: IntegrateAndFireRules, threshold: Numbers, v: Integers) -> NDArray[np.bool_]:
+    """Mask of the membranes (..., N) that reach, or pass, the threshold."""
     # fires where V >= threshold, or V > threshold
-    return np.asarray(v >= layer.threshold if rules.fires == "reached" else v > layer.threshold)
+    return np.asarray(v >= threshold if rules.fires == "reached" else v > threshold)
 
 
 def _after_spike(convention: Convention, layer: Layer, v: Integers) -> Numbers | int:

@@ -484,7 +484,9 @@ def _replay_spiker(program: Program, raster: NDArray[np.uint8]) -> Tables:
     interpreter = Interpreter(program, 1)
     for layer in program.layers:
         # what is above a negative threshold at first was so before
-        interpreter.tails[layer.name][:, -1:] = fires(rules, layer, np.zeros(layer.size, np.int64))
+        interpreter.tails[layer.name][:, -1:] = fires(
+            rules, layer.threshold, np.zeros(layer.size, np.int64)
+        )
     ran = interpreter.run(raster)
     found = {}
     for layer in program.layers:
@@ -492,6 +494,6 @@ def _replay_spiker(program: Program, raster: NDArray[np.uint8]) -> Tables:
         before = np.concatenate([np.zeros((1, layer.size), np.int64), membrane[:-1]])
         begun = PartialStep.of(before)
         begin(rules, program.convention, layer, begun)
-        spikes = fires(rules, layer, before).astype(np.int64)
+        spikes = fires(rules, layer.threshold, before).astype(np.int64)
         found[layer.name] = {_BEGUN: begun.membrane, "membrane": membrane, "spikes": spikes}
     return found

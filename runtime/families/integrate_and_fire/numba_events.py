@@ -1,0 +1,242 @@
+"""The compiled kernel of a layer that works on its queue of events, equal to `events.hear`."""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.chips.layer import Numbers, Synapses
+from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.families.cuba.numba_kernels import Array, Number, jit, kept_on_disk
+from spikedeploy.runtime.families.integrate_and_fire.events import (
+    EventLayer,
+    EventState,
+    Queue,
+    Spikes,
+    window_of,
+)
+
+# columns of Arrays.windows: axons along Y and X of the source; by what the pool divides, and
+# extents behind it; CHANNELS of a group in the source, FEATURES of one in the target; where WEIGHTS
+# begin, and what ROWS and COLUMNS of the pooled source reach
+(
+    SOURCE_Y, SOURCE_X, POOL_Y, POOL_X, POOLED_Y, POOLED_X, CHANNELS, FEATURES, KERNEL_Y, KERNEL_X,
+    TARGET_Y, TARGET_X, WEIGHTS, ROWS, COLUMNS,
+) = range(15)  # fmt: skip
+# entries of Arrays.rules
+LOW, HIGH, SINGLE, SUBTRACT, MOST, CHANNELS_FIRST, EACH = range(7)
+
+# spikes for which there is room at first; more where one event may cause more
+_ROOM = 1 << 14
+
+
+class Arrays(NamedTuple):
+    """A layer as the kernel takes it.
+
+    windows: (P, 15) a row for each of its synapses, columns above.
+    weights: (W,) by channel of the source; elements of the kernel inside the channels of the
+        target where spikes leave channel after channel, outside where place after place.
+    reach: (R,) position that a row, or column, reaches by each element of a kernel; or -1.
+    threshold, floor: (N,) where neurons differ, else (1,).
+    rules: entries above.
+    """
+
+    windows: Array
+    weights: Array
+    reach: Array
+    threshold: Array
+    floor: Array
+    rules: Array
+
+
+def edges(register: Register) -> tuple[int, int] | None:
+    """Least and largest number of a register that holds these for any beyond; None of others."""
+    none = np.iinfo(np.int64)
+    if register.overflow == "none" and register.between is None:
+        return int(none.min), int(none.max)
+    if register.overflow not in ("clip", "saturate"):
+        return None
+    low, high = register.fit(np.array([none.min >> 1, none.max >> 1])).tolist()
+    return low, high
+
+
+@lru_cache(maxsize=64)
+def arrays(each: EventLayer) -> tuple[Arrays, int]:
+    """A layer as arrays, and the spikes that one event can cause in it."""
+    rules, layer = each.rules, each.layer
+    channels_first = rules.event_order == "cyx"
+    windows, weights, reach = [], [], []
+    begin = place = 0
+    for synapses in layer.synapses:
+        window, (rows, columns) = window_of(synapses), window_of(synapses).reach
+        found = _ordered_weights(synapses, channels_first)
+        row = [*window.source[1:], *window.pool, *window.pooled[1:]]
+        row += [window.source[0] // window.groups, window.target[0] // window.groups]
+        row += [*window.kernel, *window.target[1:], begin, place, place + rows.size]
+        windows.append(row)
+        weights.append(found)
+        reach += [rows.ravel(), columns.ravel()]
+        begin, place = begin + found.size, place + rows.size + columns.size
+    same = bool(
+        (layer.threshold == layer.threshold[0]).all() and (each.floor == each.floor[0]).all()
+    )
+    kept = slice(0, 1 if same else None)
+    low, high = edges(rules.membrane) or (0, 0)
+    several = 1
+    if rules.event_spikes == "multi":
+        several = min(rules.spikes_max, max(high // max(int(layer.threshold.min()), 1), 1))
+    fan_out = max(_fan_out(synapses) for synapses in layer.synapses)
+    single, subtract = rules.event_spikes == "single", each.convention.reset == "subtract"
+    table = [low, high, single, subtract, rules.spikes_max, channels_first, not same]
+    made = Arrays(
+        np.array(windows, np.int64),
+        np.concatenate(weights),
+        np.concatenate(reach),
+        layer.threshold[kept].astype(np.int64),
+        each.floor[kept],
+        np.array(table, np.int64),
+    )
+    return made, fan_out * several
+
+
+def _ordered_weights(synapses: Synapses, channels_first: bool) -> Numbers:
+    """The kernel by channel of the source, (C, O / G, ky, kx), or (C, ky, kx, O / G), in a row."""
+    groups = window_of(synapses).groups
+    parted = synapses.weight.reshape(groups, -1, *synapses.weight.shape[1:])
+    moved = parted.transpose(0, 2, 1, 3, 4) if channels_first else parted.transpose(0, 2, 3, 4, 1)
+    return np.ravel(moved)
+
+
+def _fan_out(synapses: Synapses) -> int:
+    """Neurons that an event can reach, zeros in the kernel included."""
+    window = window_of(synapses)
+    rows, columns = ((places >= 0).sum(axis=1).max(initial=0) for places in window.reach)
+    return int(rows * columns) * (window.target[0] // window.groups)
+
+
+def hear(each: EventLayer, queue: Queue, state: EventState) -> Spikes:
+    """Work on the queue of a layer, event after event; return its spikes."""
+    layer, most = arrays(each)
+    cause, neuron = _rows(max(_ROOM, most))
+    causes: list[NDArray[np.int64]] = []
+    neurons: list[NDArray[np.int64]] = []
+    first = 0
+    while first < len(queue.axon):
+        done, sent = work(
+            *layer, *queue, state.membrane, state.touched, state.overflows, cause, neuron, first,
+            len(cause) - most,
+        )  # fmt: skip
+        first = done
+        causes.append(cause[:sent].copy())
+        neurons.append(neuron[:sent].copy())
+    if not causes:
+        return Spikes(*_rows(0))
+    return Spikes(np.concatenate(causes), np.concatenate(neurons))
+
+
+def _rows(size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    return np.empty(size, np.int64), np.empty(size, np.int64)
+
+
+@kept_on_disk
+def work(
+    windows: Array,
+    weights: Array,
+    reach: Array,
+    threshold: Array,
+    floor: Array,
+    rules: Array,
+    causes: Array,
+    places: Array,
+    axons: Array,
+    membrane: Array,
+    touched: Array,
+    overflows: Array,
+    sent_causes: Array,
+    sent: Array,
+    first: Number,
+    room: Number,
+) -> Any:  # noqa: ANN401
+    """Events from `first` on, until all are done or more than `room` spikes were sent.
+
+    Returns the number of the first event that was not worked on, and the spikes sent.
+    """
+    layer = Arrays(windows, weights, reach, threshold, floor, rules)
+    count = 0
+    for event in range(first, len(axons)):
+        if count > room:
+            return event, count
+        window, axon = windows[places[event]], axons[event]
+        x = axon % window[SOURCE_X] // window[POOL_X]
+        y = axon // window[SOURCE_X] % window[SOURCE_Y] // window[POOL_Y]
+        channel = axon // (window[SOURCE_X] * window[SOURCE_Y])
+        if y >= window[POOLED_Y] or x >= window[POOLED_X]:
+            continue
+        features, height, width = window[FEATURES], window[KERNEL_Y], window[KERNEL_X]
+        rows, columns = window[ROWS] + y * height, window[COLUMNS] + x * width
+        begin = window[WEIGHTS] + channel * features * height * width
+        # neuron of the first feature of the group at the place (0, 0), and neurons of a feature
+        size = window[TARGET_Y] * window[TARGET_X]
+        target = channel // window[CHANNELS] * features * size
+        was = count
+        if rules[CHANNELS_FIRST]:
+            for feature in range(features):
+                for ky in range(height - 1, -1, -1):
+                    row = reach[rows + ky]
+                    if row < 0:
+                        continue
+                    for kx in range(width - 1, -1, -1):
+                        column = reach[columns + kx]
+                        if column < 0:
+                            continue
+                        neuron = target + feature * size + row * window[TARGET_X] + column
+                        weight = weights[begin + (feature * height + ky) * width + kx]
+                        n = touch(layer, neuron, weight, membrane, touched, overflows)
+                        for _ in range(n):
+                            sent[count] = neuron
+                            count += 1
+        else:
+            for ky in range(height - 1, -1, -1):
+                row = reach[rows + ky]
+                if row < 0:
+                    continue
+                for kx in range(width - 1, -1, -1):
+                    column = reach[columns + kx]
+                    if column < 0:
+                        continue
+                    for feature in range(features):
+                        neuron = target + feature * size + row * window[TARGET_X] + column
+                        weight = weights[begin + (ky * width + kx) * features + feature]
+                        n = touch(layer, neuron, weight, membrane, touched, overflows)
+                        for _ in range(n):
+                            sent[count] = neuron
+                            count += 1
+        for spike in range(was, count):
+            sent_causes[spike] = causes[event]
+    return len(axons), count
+
+
+@jit
+def touch(
+    layer: Arrays, neuron: Number, weight: Number, membrane: Array, touched: Array, overflows: Array
+) -> Number:
+    """Add a weight to a membrane; return how often the neuron spikes."""
+    rules = layer.rules
+    raised = membrane[neuron] + weight
+    v = min(max(raised, rules[LOW]), rules[HIGH])
+    threshold = layer.threshold[neuron * rules[EACH]]
+    floor = layer.floor[neuron * rules[EACH]]
+    touched[neuron] += 1
+    if v != raised:
+        overflows[neuron] += 1
+    n = 0
+    if v >= threshold:
+        n = 1
+        if not rules[SINGLE]:
+            wanted = v // threshold if threshold > 0 else rules[MOST]
+            n = min(wanted, rules[MOST])
+            overflows[neuron] += wanted - n
+        v = v - n * threshold if rules[SUBTRACT] else 0
+    membrane[neuron] = max(v, floor)
+    return n
