@@ -98,14 +98,14 @@ class EventDataWriter:
     def __exit__(self, *_: object) -> None:
         self._file.close()
 
-    def add(self, node: str, neurons: int, idx: NDArray[Any], time: float) -> None:
-        """Append spikes of neurons (k,) of a node with so many, at a time [s]."""
+    def add(self, node: str, neurons: int, idx: NDArray[Any], time: NDArray[Any]) -> None:
+        """Append spikes of a node of so many neurons: indices (k,) and times (k,) [s]."""
         place = f"nodes/{node}/observables/{_SPIKES}"
         if place not in self._file:
             self._create(node, _SPIKES, "EventData")
             self._file[place].attrs.update(n_neurons=neurons, t_max=self._duration)
         self._append(f"{place}/idx", idx[None].astype(np.int64))
-        self._append(f"{place}/time", np.full((1, len(idx)), time))
+        self._append(f"{place}/time", time[None].astype(np.float64))
 
     def add_output(self, node: str, values: NDArray[np.float64]) -> None:
         """Append a row (act,) of an output."""

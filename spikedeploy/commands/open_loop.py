@@ -101,12 +101,13 @@ def _emulate_events(
     recording = open_recording(events, size, fallback)
     view = view_of(artifact, recording.size, region, camera.downsample)
     found = survey(recording, view)
-    steps = found.timesteps(camera.seconds() or artifact.convention.dt)
-    duration = steps.count * steps.us_each
-    listeners: list[Any] = [Replay(duration, steps.us_each)] if camera.page else []
+    steps = None
+    if camera.step == "time":
+        steps = found.timesteps(camera.seconds() or artifact.convention.dt)
+    listeners: list[Any] = [Replay(found, steps)] if camera.page else []
     with ExitStack() as stack:
         if output:
-            writer = write_spikes(output, artifact, steps.us_each, steps.count, duration)
+            writer = write_spikes(output, artifact, found, steps)
             listeners.append(stack.enter_context(writer))
         run = emulate_events(artifact, chip, recording, view, found, steps, listeners, **options)
     run = replace(run, tables=tables)

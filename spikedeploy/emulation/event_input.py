@@ -138,6 +138,10 @@ class Survey:
     first: int
     last: int
 
+    def duration(self, steps: TimeSteps | None) -> float:
+        """Time that a network runs over it [us]."""
+        return steps.count * steps.us_each if steps else max(self.last - self.first, 1)
+
     def timesteps(self, seconds: float) -> TimeSteps:
         """Timesteps of this duration from the first event to the last."""
         us_each = seconds * 1e6

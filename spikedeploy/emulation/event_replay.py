@@ -1,7 +1,8 @@
 """What a page replays of a run over a recording: pictures of all layers, and curves, in few bytes.
 
-The recording is divided into at most 1,000 spans. Curves count everything in each. A picture holds
-the neurons that spiked in a span, or in its beginning where spans are longer than a frame of film.
+The recording is divided into at most 1,000 spans, of 10 ms where it is short. Curves count
+everything in each. A picture holds the neurons that spiked in a span, or in its beginning where
+spans are longer than a frame of film.
 Where all pictures were too many bytes every second one is left out, until they are not.
 """
 
@@ -10,11 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.emulation.event_input import Survey, TimeSteps
 from spikedeploy.emulation.event_stream import EventRun, node_shape
 from spikedeploy.recordings import curve, pack, pack_bits
 from spikedeploy.runtime.artifact.artifact import Artifact
 
 _SPANS = 1000
+_SHORTEST = 10_000.0  # [us] of a span: shorter pictures pass too fast to be seen
 _FRAME = 40_000.0  # [us] that a picture sums at most
 _MOST_CELLS = 600_000  # neurons that spiked, in all pictures: about 2 MB of the page
 _MOST_OUTPUTS = 1000  # values of an output, above which it has no curve
@@ -23,12 +26,14 @@ _MOST_OUTPUTS = 1000  # values of an output, above which it has no curve
 class Replay:
     """Pictures and curves of a run, in bounded memory; a Listener.
 
-    duration: of the recording [us].
-    step: of a timestep [us]; a span is of some whole ones. 1 where there are none.
+    found: the survey of the recording.
+    steps: timesteps, of which a span has some whole ones; None where there are none.
     """
 
-    def __init__(self, duration: float, step: float = 1.0) -> None:
-        self.span = step * max(1, int(np.ceil(duration / step / _SPANS)))
+    def __init__(self, found: Survey, steps: TimeSteps | None) -> None:
+        duration, step = found.duration(steps), steps.us_each if steps else 1.0
+        span = max(duration / _SPANS, min(_SHORTEST, duration / 100))
+        self.span = step * max(1, int(np.ceil(span / step)))
         self.frame = min(self.span, max(step, _FRAME))
         self.spans = max(1, int(np.ceil(duration / self.span)))
         self.every = 1  # spans from picture to picture
@@ -38,18 +43,21 @@ class Replay:
         self._heard = np.zeros(self.spans, np.int64)
         self._cells = 0
 
-    def hear(self, name: str, at: float, neurons: NDArray[Any], counts: NDArray[Any]) -> None:
+    def hear(
+        self, name: str, at: NDArray[Any], neurons: NDArray[Any], counts: NDArray[Any]
+    ) -> None:
         """Count spikes, and put their neurons into the picture of their span."""
-        span = min(int(at / self.span), self.spans - 1)
         pictures = self._pictures.setdefault(name, {})
         total = self._counts.setdefault(name, np.zeros(self.spans, np.int64))
-        total[span] += int(np.abs(counts).sum())
-        if not len(neurons) or span % self.every or at >= span * self.span + self.frame:
-            return
-        before = pictures.get(span)
-        seen = neurons if before is None else np.union1d(before, neurons)
-        self._cells += len(seen) - (0 if before is None else len(before))
-        pictures[span] = np.asarray(seen, np.int64)
+        spans = np.minimum((at / self.span).astype(np.int64), self.spans - 1)
+        np.add.at(total, spans, np.abs(counts).astype(np.int64))
+        is_shown = (spans % self.every == 0) & (at < spans * self.span + self.frame)
+        for span in np.unique(spans[is_shown]).tolist():
+            seen = np.unique(neurons[is_shown & (spans == span)])
+            if (before := pictures.get(span)) is not None:
+                seen = np.union1d(before, seen)
+            self._cells += len(seen) - (0 if before is None else len(before))
+            pictures[span] = np.asarray(seen, np.int64)
         while self._cells > _MOST_CELLS and self.every < self.spans:
             self._thin()
 

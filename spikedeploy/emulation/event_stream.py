@@ -20,6 +20,7 @@ from spikedeploy.emulation.open_loop import SILENT
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.ledger import Ledger
@@ -30,8 +31,9 @@ from spikedeploy.runtime.emulator.network import (
     chip_or_float,
     run_network,
 )
-from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.graph.ports import split
+from spikedeploy.runtime.errors import ConfigError, RuleError
+from spikedeploy.runtime.families.integrate_and_fire.event_machine import EventMachine
+from spikedeploy.runtime.graph.ports import ports, split
 from spikedeploy.runtime.metrics.energy import (
     STATIC,
     EnergyEstimate,
@@ -44,10 +46,15 @@ _FLOAT_ROWS = 64  # timesteps that the float twin computes at once
 
 
 class Listener(Protocol):
-    """Hears all spikes and outputs of a run, in the order of time."""
+    """Hears all spikes and outputs of a run; those of each layer in the order of time."""
 
-    def hear(self, name: str, at: float, neurons: NDArray[Any], counts: NDArray[Any]) -> None:
-        """Spikes of the input or a layer: which neurons (k,) sent how many (k,) at a time [us]."""
+    def hear(
+        self, name: str, at: NDArray[Any], neurons: NDArray[Any], counts: NDArray[Any]
+    ) -> None:
+        """Spikes of the input or a layer: times [us], neurons, and how many, (k,) each.
+
+        Times count from the first timestep, or from the first event where there are none.
+        """
 
     def hear_output(self, at: float, values: NDArray[np.float64]) -> None:
         """Output (act,) at a time [us]."""
@@ -60,8 +67,7 @@ class EventRun:
     artifact: the network.
     chip: it ran on, or "float".
     recording, view, survey: what it saw.
-    step: a timestep [s]; None where the chip took event by event.
-    timesteps: T; 0 likewise.
+    steps: timesteps; None where the chip took event by event.
     clipped: events that a timestep had beyond what the chip takes of one neuron.
     spikes: node -> how many.
     sizes: node -> neurons.
@@ -78,8 +84,7 @@ class EventRun:
     recording: Recording
     view: EventView
     survey: Survey
-    step: float | None
-    timesteps: int
+    steps: TimeSteps | None
     clipped: int
     spikes: Mapping[str, int]
     sizes: Mapping[str, int]
@@ -93,9 +98,7 @@ class EventRun:
     @property
     def seconds(self) -> float:
         """Time that the network ran [s of the recording]."""
-        if self.step is not None:
-            return self.timesteps * self.step
-        return max(self.survey.last - self.survey.first, 1) / 1e6
+        return self.survey.duration(self.steps) / 1e6
 
     @property
     def energies(self) -> dict[str, EnergyEstimate]:
@@ -136,8 +139,8 @@ class EventRun:
             "recording": str(self.recording.path),
             "camera": list(self.recording.size) if self.recording.size else None,
             "seconds": seconds,
-            "time_step_s": self.step,
-            "timesteps": self.timesteps or None,
+            "time_step_s": self.steps and self.steps.us_each / 1e6,
+            "timesteps": self.steps and self.steps.count,
             "events": self.survey.events,
             "events_seen": self.survey.seen,
             "events_clipped": self.clipped,
@@ -172,33 +175,39 @@ def emulate_events(
     recording: Recording,
     view: EventView,
     found: Survey,
-    steps: TimeSteps,
+    steps: TimeSteps | None,
     listeners: Sequence[Listener] = (),
     backend: BackendName | None = None,
     limits: bool = True,
     quantisation: Quantisation = PLAIN,
 ) -> EventRun:
-    """Run a network over a recording in timesteps, which count the events of each neuron.
+    """Run a network over a recording.
 
     found: the survey of the recording.
-    steps: the timesteps of it.
-    listeners: hear every spike and output.
+    steps: timesteps, in which the events of each neuron are counted; None gives the chip one event
+        after another, which must go event by event.
+    listeners: hear every spike, and in timesteps every output.
     backend, limits, quantisation: as in `emulate_artifact`.
     """
     artifact = artifact.with_convention(artifact.convention.with_options({"state": "kept"}))
     on = chip_or_float(chip)
     options: dict[str, Any] = {"limits": limits, "quantisation": quantisation}
-    if on is None:
-        options = {}
-    network = run_network(artifact, on, "total", backend=backend, **options)
-    tally = _Tally(artifact, network)
-    everyone = (tally, *listeners)
-    rows = count_rows(recording, view, steps)
-    if isinstance(network, FloatMachine):
-        _play_float(network, rows, steps.us_each, everyone)
+    network: RunningNetwork | EventMachine
+    if steps is None:
+        if on is None:
+            raise ConfigError("--step event is for chips; float computes timesteps. Name a chip.")
+        network = EventMachine(compile_program(artifact, on, **options), backend or "auto")
+        tally = _Tally(artifact, network)
+        _play_events(network, recording, view, found.first, (tally, *listeners))
     else:
-        most = network.program.chip.input_spikes_max
-        _play_chip(network, tally.clip(rows, most), steps, everyone)
+        network = run_network(artifact, on, "total", backend=backend, **options if on else {})
+        tally = _Tally(artifact, network)
+        rows, everyone = count_rows(recording, view, steps), (tally, *listeners)
+        if isinstance(network, FloatMachine):
+            _play_float(network, rows, steps.us_each, everyone)
+        else:
+            most = network.program.chip.input_spikes_max
+            _play_chip(network, tally.clip(rows, most), steps, everyone)
     ledger, uncounted = None, ""
     try:
         ledger = network.ledger
@@ -210,16 +219,18 @@ def emulate_events(
             f"{tally.clipped:,} of {found.seen:,} events found their neuron with as many as the "
             f"chip takes in a timestep already, and are lost: a shorter --time-step loses fewer"
         )
+    if isinstance(network, EventMachine) and _has_host(network.program):
+        remarks.append("the output, which the host computes in timesteps, is left out")
     if tally.spikes and not any(tally.spikes.values()):
         remarks.append(SILENT)
+    clock = "" if isinstance(network, FloatMachine) else network.program.describe_clock()
     return EventRun(
         artifact,
         chip,
         recording,
         view,
         found,
-        steps.us_each / 1e6,
-        steps.count,
+        steps,
         tally.clipped,
         tally.spikes,
         tally.sizes,
@@ -227,7 +238,7 @@ def emulate_events(
         ledger,
         uncounted,
         tuple(remarks),
-        "" if isinstance(network, FloatMachine) else network.program.describe_clock(),
+        clock if steps else "event by event",
     )
 
 
@@ -238,12 +249,17 @@ class _Tally:
     clipped: events that were too many for a timestep.
     """
 
-    def __init__(self, artifact: Artifact, network: RunningNetwork) -> None:
-        self._artifact, self._ports = artifact, network.outputs
+    def __init__(self, artifact: Artifact, network: RunningNetwork | EventMachine) -> None:
+        self._artifact, self._ports = artifact, ports(artifact.graph.outputs)
         self.spikes: dict[str, int] = {}
         self.clipped = 0
-        self._layers = network.program.layers if isinstance(network, Machine) else ()
+        program = None if isinstance(network, FloatMachine) else network.program
+        self._layers = program.layers if program else ()
         self._sum: NDArray[np.float64] | None = None
+        # the layer whose spikes are the output, where no timestep computes one
+        self._output = ""
+        if isinstance(network, EventMachine) and not _has_host(network.program):
+            self._output = network.program.output
 
     def clip(self, rows: Iterator[NDArray[np.int64]], most: int) -> Iterator[NDArray[np.int64]]:
         """The rows with at most so many events of a neuron."""
@@ -252,14 +268,22 @@ class _Tally:
             self.clipped += int(row.sum() - taken.sum())
             yield taken
 
-    def hear(self, name: str, at: float, neurons: NDArray[Any], counts: NDArray[Any]) -> None:
+    def hear(
+        self, name: str, at: NDArray[Any], neurons: NDArray[Any], counts: NDArray[Any]
+    ) -> None:
         """Add spikes up; graded ones of any size are one each."""
         if name not in self._artifact.graph.inputs:
             sent = len(neurons) if name in self._artifact.sigma_delta else int(counts.sum())
             self.spikes[name] = self.spikes.get(name, 0) + sent
+        if name == self._output:
+            size = int(np.prod(node_shape(self._artifact, name)))
+            self._add(np.bincount(neurons, counts, size).astype(np.float64))
 
     def hear_output(self, at: float, values: NDArray[np.float64]) -> None:
         """Add an output up."""
+        self._add(values)
+
+    def _add(self, values: NDArray[np.float64]) -> None:
         self._sum = values.copy() if self._sum is None else self._sum + values
 
     @property
@@ -276,6 +300,11 @@ class _Tally:
             return {}
         found = split(self._ports, self._sum[None, None])
         return {"output" if len(found) == 1 else n: rows[0, 0] for n, rows in found.items()}
+
+
+def _has_host(program: Program) -> bool:
+    """True where the host computes the output."""
+    return bool(program.readout or program.outlets or program.reads_membranes)
 
 
 def node_shape(artifact: Artifact, name: str) -> tuple[int, ...]:
@@ -338,6 +367,29 @@ def _play_float(
 
 def _tell(listeners: Sequence[Listener], name: str, at: float, row: NDArray[Any]) -> None:
     neurons = np.flatnonzero(row)
-    counts = row[neurons]
+    counts, times = row[neurons], np.full(len(neurons), at)
     for each in listeners:
-        each.hear(name, at, neurons, counts)
+        each.hear(name, times, neurons, counts)
+
+
+def _play_events(
+    machine: EventMachine,
+    recording: Recording,
+    view: EventView,
+    start: int,
+    listeners: Sequence[Listener],
+) -> None:
+    """Give a chip event after event; its spikes have the time of the event that they follow from.
+
+    start: time of the first event [us].
+    """
+    for events in recording.events():
+        neurons = view.neurons(events)
+        is_seen = neurons >= 0
+        neurons, times = neurons[is_seen], events["t"][is_seen] - start
+        sent = machine.process(neurons)
+        each_once = [(machine.program.input, times, neurons)]
+        each_once += [(name, times[rows.cause], rows.neuron) for name, rows in sent.items()]
+        for name, at, who in each_once:
+            for listener in listeners:
+                listener.hear(name, at, who, np.ones(len(who), np.int64))

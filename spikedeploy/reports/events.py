@@ -49,7 +49,7 @@ def _numbers(run: EventRun) -> Iterator[HeadlineNumber]:
             "synaptic operations a second", f"{found['sops'] / seconds:,.0f}", beside
         )
     for table, power in list(found["power_w"].items())[:1]:
-        yield HeadlineNumber("power of all events", f"{format_si(power)}W", (f"by {table}",))
+        yield HeadlineNumber("power of what it does", f"{format_si(power)}W", (f"by {table}",))
 
 
 def _tables(run: EventRun) -> tuple[Table, Table]:
@@ -68,7 +68,7 @@ def _facts(run: EventRun) -> dict[str, str]:
         "camera": f"{size[0]}x{size[1]} pixels (height x width)" if size else "",
         "seen": f"{run.survey.seen:,} events, as {channels}x{height}x{width}",
         "not taken": f"{run.clipped:,} events" if run.clipped else "",
-        "timesteps": f"{run.timesteps:,} of {1e3 * run.step:g} ms" if run.step else "",
+        "timesteps": f"{run.steps.count:,} of {run.steps.us_each / 1e3:g} ms" if run.steps else "",
         "convention": run.artifact.convention.describe(),
         "clock": run.clock,
         **{

@@ -2,14 +2,22 @@
 
 import json
 import re
+import zlib
+from base64 import b64decode
 from itertools import pairwise
 
 import nir
 import numpy as np
 import pytest
 
+from spikedeploy.emulation import event_replay
 from spikedeploy.emulation.event_input import EventView
 from spikedeploy.events import EVENT, write_events
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.families.integrate_and_fire.event_machine import EventMachine
+from tests.packed_arrays import unpacked
 
 SIZE = HEIGHT, WIDTH = 12, 16
 DT = 1e-3
@@ -90,8 +98,9 @@ def test_spikes_are_those_of_one_inference_over_all_timesteps(
     code, _, err = emulate("--chip", chip, "--downsample", "2", "-o", str(tmp_path / f"a{suffix}"))
     assert code == 0, err
     rows = counted(files)
-    taken = rows.astype(np.float64) if chip == "float" else np.minimum(rows, 1).astype(np.uint8)
-    np.save(tmp_path / "rows.npy", taken)
+    if chip != "float":
+        rows = np.minimum(rows, datasheet(chip).input_spikes_max).astype(np.uint8)
+    np.save(tmp_path / "rows.npy", rows)
     words = ("--input", tmp_path / "rows.npy", "--dt", DT, "-o", tmp_path / "b.npz")
     code, _, err = command("emulate", *map(str, (tmp_path / "net.nir", "--chip", chip, *words)))
     assert code == 0, err
@@ -114,7 +123,7 @@ def test_spikes_are_those_of_one_inference_over_all_timesteps(
 
 
 def test_counts_are_of_the_events_that_the_network_sees(files, emulate):
-    region = ("--region", "3,2,8,6", "--time-step", "2ms", "--chip", "speck2f", "--json")
+    region = ("--region", "3,2,8,6", "--time-step", "2ms", "--chip", "loihi1", "--json")
     code, out, err = emulate(*region)
     assert code == 0, err
     found, rows = json.loads(out), counted(files, us=2000, downsample=1, x=3, y=2)
@@ -127,6 +136,33 @@ def test_counts_are_of_the_events_that_the_network_sees(files, emulate):
         assert found["power_w"][table] == pytest.approx(joules / found["seconds"])
     assert sum(each["sops"] for each in found["layers"].values()) == found["sops"] > 0
     assert any(f"{found['events_clipped']} of {rows.sum()} events" in r for r in found["remarks"])
+
+
+def test_event_by_event_spikes_are_those_of_the_event_machine(files, emulate, tmp_path):
+    chip, out = "speck2f:queue=on", str(tmp_path / "a.h5")
+    code, printed, err = emulate(
+        "--chip", chip, "--step", "event", "--downsample", "2", "-o", out, "--json"
+    )
+    assert code == 0, err
+    artifact = load(tmp_path / "net.nir", dt=DT)
+    machine = EventMachine(compile_program(artifact, datasheet(chip)), "interpreter")
+    x, y = files["x"].astype(int) // 2, files["y"].astype(int) // 2
+    sent = machine.process((files["p"] * 6 + y) * 8 + x)
+    found, times = json.loads(printed), (files["t"] - files["t"][0]) / 1e6
+    assert (found["timesteps"], found["events_clipped"]) == (None, 0)
+    for name, wanted in sent.items():
+        data = nir.read_data(out).nodes[name].observables["spikes"]
+        np.testing.assert_array_equal(data.idx[0], wanted.neuron)  # in their order
+        np.testing.assert_allclose(data.time[0], times[wanted.cause], atol=1e-9)
+        assert found["layers"][name]["spikes"] == len(wanted.neuron) > 5
+    assert found["outputs"]["output"] == np.bincount(sent["if3"].neuron, minlength=5).tolist()
+    assert found["sops"] == machine.ledger.total("sop")
+
+
+def test_only_chips_that_go_event_by_event_take_events(files, emulate, tmp_path):
+    for chip, said in (("loihi1", "does not go event by event"), ("float", "float computes")):
+        code, _, err = emulate("--chip", chip, "--step", "event", "--downsample", "2")
+        assert (code, said in err) == (2, True)
 
 
 def test_one_channel_takes_both_polarities():
@@ -174,6 +210,34 @@ def test_a_network_without_pixels_is_refused(files, emulate, tmp_path):
     code, _, err = emulate("--chip", "speck2f", network="three.nir")
     assert code == 2
     assert_said(r"inputs 'input' \(3, 6, 8\)", err)
+
+
+def test_a_page_is_bounded_and_holds_every_layer(files, emulate, tmp_path, monkeypatch):
+    monkeypatch.setattr(event_replay, "_MOST_CELLS", 500)
+    for step, chip in (("time", "speck2f"), ("event", "speck2f:queue=on")):
+        page = tmp_path / step
+        words = ("--downsample", "2", "--step", step, "--chip", chip, "--page", str(page))
+        code, out, err = emulate(*words)
+        assert code == 0, err
+        assert "report.html" in out
+        html, found = (
+            (page / "report.html").read_text(),
+            json.loads((page / "report.json").read_text()),
+        )
+        (episode,) = json.loads(re.search(r'id="episodes-data">(.*?)</script>', html)[1])
+        maps, tracks = episode["scene"]["maps"], episode["players"][0]["tracks"]
+        assert [each["name"] for each in maps] == ["input", "if1", "if2", "if3"]
+        assert maps[1]["shape"] == [4, 6, 8]
+        assert episode["scene"]["every"] > 1
+        assert f"every {episode['scene']['every']}th of" in html
+        bits = [zlib.decompress(b64decode(each["spikes"]["data"])) for each in maps]
+        cells = sum(int(np.unpackbits(np.frombuffer(each, np.uint8)).sum()) for each in bits)
+        assert 0 < cells <= 500
+        # the curves count everything
+        spikes = [unpacked(each["values"]).sum() * episode["period"] for each in tracks]
+        layers = [each["spikes"] for each in found["layers"].values()]
+        assert spikes[1:] == pytest.approx(layers, rel=1e-3)
+        assert spikes[0] == pytest.approx(found["events_seen"] - found["events_clipped"], rel=1e-3)
 
 
 def test_options_of_recordings_need_one(files, command, tmp_path):
