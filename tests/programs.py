@@ -1,11 +1,14 @@
 """Programs that several tests build without a policy: from registers and random integers."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 
@@ -125,3 +128,50 @@ def chains(draw):
     return Program(
         chip("loihi1"), Convention(1e-3), "input", sizes[0], tuple(layers), names[-1], None
     )
+
+
+def random_kernel(rng, maps, source, delay, top):
+    """Synapses by a kernel, on maps (C, Y, X) of a source."""
+    channels, *extents = maps
+    groups = int(rng.choice([n for n in (1, 2, 3) if channels % n == 0]))
+    pool = tuple(int(rng.integers(1, min(2, extent) + 1)) for extent in extents)
+    axes = []
+    for extent, pooled in zip(extents, pool, strict=True):
+        kernel, stride, padding, dilation = (int(n) for n in rng.integers(1, [4, 4, 4, 3]))
+        span, inside = dilation * (kernel - 1) + 1, extent // pooled
+        # as much padding behind as makes a position at least
+        behind = max(int(rng.integers(0, 3)), span - inside - padding + 1)
+        axes.append((kernel, stride, padding - 1, dilation, inside + padding - 1 + behind - span))
+    kernel, stride, padding, dilation, room = zip(*axes, strict=True)
+    features = groups * int(rng.integers(1, 4))
+    places = (each // step + 1 for each, step in zip(room, stride, strict=True))
+    window = Window(maps, (features, *places), kernel, pool, stride, padding, dilation, groups)
+    weight = rng.integers(-top, top + 1, (features, channels // groups, *kernel))
+    weight *= rng.random(weight.shape) < rng.choice([0.5, 1.0])
+    return Synapses(source, weight.astype(np.int16), delay, window=window)
+
+
+def random_convolutions(rng, make_layer, datasheet, convention, delay=1, loop=False):
+    """Two convolutions and a layer behind a matrix; make_layer has names, sizes and synapses."""
+    maps = (int(rng.integers(1, 4)), int(rng.integers(1, 8)), int(rng.integers(1, 8)))
+    width, top, layers, source = int(np.prod(maps)), 20, [], "input"
+    for name in ("one", "two"):
+        kernel = random_kernel(rng, maps, source, delay, top)
+        layers.append(make_layer(rng, name, kernel.shape[1], (kernel,)))
+        maps, source = kernel.window.target, name
+    size = int(rng.integers(1, 5))
+    wires = [("two", kernel.shape[1]), *[("three", size)] * loop]
+    synapses = tuple(
+        Synapses(
+            n, rng.integers(-top, top + 1, (m, size)).astype(np.int16), max(delay, n == "three")
+        )
+        for n, m in wires
+    )
+    layers.append(make_layer(rng, "three", size, synapses))
+    return Program(datasheet, convention, "input", width, tuple(layers), "three", None)
+
+
+def listed(program):
+    """The program with matrices in place of kernels."""
+    layers = (replace(a, synapses=tuple(s.listed() for s in a.synapses)) for a in program.layers)
+    return replace(program, layers=tuple(layers))

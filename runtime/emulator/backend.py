@@ -1,12 +1,13 @@
 """Backends, which compute a program: their interface, and the choice among them."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any, Literal, Protocol, TypeVar, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import LedgerBuilder
@@ -168,6 +169,22 @@ def backend_class(program: Program, name: str) -> type[Backend]:
     raise ConfigError(f"backend {name!r}: {obstacle} Or choose backend='numpy'.")
 
 
+def unsupported_synapses(program: Program) -> str | None:
+    """The reason why no kernel computes the program's synapses; None where kernels do."""
+    for layer in program.layers:
+        if layer.graded:
+            return (
+                f"layer {layer.name!r}: its sigma-delta neurons send graded spikes, which only "
+                "the interpreter supports."
+            )
+        if any(synapses.shift for synapses in layer.synapses):
+            return (
+                f"layer {layer.name!r}: its weights have a negative exponent, by which "
+                f"{program.chip.name} rounds sums, which only the interpreter supports."
+            )
+    return None
+
+
 def check_counts(rows: NDArray[Any], most: int) -> None:
     """Refuse more spikes than an input takes at once."""
     # what rows.max() does, without its detour through Python
@@ -182,3 +199,22 @@ def not_spikes(values: NDArray[Any], most: int = 1) -> ObservationError:
         f"the raster holds {values.dtype} values; it must hold at least one timestep, and {range_} "
         "in bool or unsigned integers. Convert it with spikes.astype(bool), or clip the counts."
     )
+
+
+# [bytes] of a cache line; large arrays of NumPy begin 16 bytes after one, which costs a fifth
+LINE = 64
+
+
+def aligned_zeros(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    """Zeros that begin with a cache line."""
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    raw = np.zeros(size + LINE, np.uint8)
+    start = -raw.ctypes.data % LINE
+    return raw[start : start + size].view(dtype).reshape(shape)
+
+
+def aligned_copy(values: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
+    """A copy of the values that begins with a cache line."""
+    copy = aligned_zeros(values.shape, dtype)
+    np.copyto(copy, values, casting="unsafe")
+    return copy

@@ -39,8 +39,8 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention, Floor, Reset, Spikes
 from spikedeploy.runtime.emulator.interpreter import LayerTrace, trace
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.cuba.numba_kernels import jit
 from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
+from spikedeploy.runtime.families.numba_kernels import jit
 from spikedeploy.runtime.families.xylo import XyloArithmetic
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies.delta import DT

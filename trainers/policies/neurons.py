@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from spikedeploy.runtime.families.cuba.numba_kernels import jit
+from spikedeploy.runtime.families.numba_kernels import jit
 from spikedeploy.trainers.config import require_known
 
 Array = NDArray[np.floating[Any]]

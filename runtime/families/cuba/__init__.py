@@ -8,6 +8,6 @@ quantise         a layer in floats becomes integers; bounds on what registers mu
 arithmetic       the arithmetics: Loihi's integers, free widths, float64 and float32
 numpy_backend    the NumPy kernels: the window of a layer in few calls; their backend
 numba_kernels    the compiled kernels: a window of a whole program in one call
-numba_backend    a program and its memory as their arrays; their backend
+numba_backend    the numbers of a program for them; their backend
 traces           recorded runs of Loihi, as lava, brian2_loihi, nengo-loihi and boards write them
 """

@@ -46,7 +46,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
 
     backends: ClassVar[Mapping[str, str]] = {
         "numpy": "spikedeploy.runtime.families.cuba.numpy_backend:NumpyPipeline",
-        "numba": "spikedeploy.runtime.families.cuba.numba_backend:NumbaPipeline",
+        "numba": "spikedeploy.runtime.families.cuba.numba_backend:CubaPipeline",
     }
     spikes_max: ClassVar[int] = 1
     choices: ClassVar[tuple[str, ...]] = CHOICES

@@ -12,12 +12,11 @@ order of summation and on any BLAS. (`ideal` has no whole numbers and always mul
 timesteps and batch in one matrix.)
 """
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import Layer, LayerState
 from spikedeploy.runtime.chips.registers import magnitude
@@ -26,8 +25,11 @@ from spikedeploy.runtime.emulator.backend import (
     Recording,
     SavedState,
     Schedule,
+    aligned_copy,
+    aligned_zeros,
     check_counts,
     concatenate_recordings,
+    unsupported_synapses,
 )
 from spikedeploy.runtime.emulator.ledger import EVENTS, Counts, LedgerBuilder, count_events
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
@@ -39,24 +41,6 @@ from spikedeploy.runtime.families.cuba.quantise import (
 )
 
 Numbers = NDArray[Any]
-
-# [bytes] of a cache line; large arrays of NumPy begin 16 bytes after one, which costs a fifth
-LINE = 64
-
-
-def aligned_zeros(shape: tuple[int, ...], dtype: DTypeLike) -> Numbers:
-    """Zeros that begin with a cache line."""
-    size = math.prod(shape) * np.dtype(dtype).itemsize
-    raw = np.zeros(size + LINE, np.uint8)
-    start = -raw.ctypes.data % LINE
-    return raw[start : start + size].view(dtype).reshape(shape)
-
-
-def aligned_copy(values: Numbers, dtype: DTypeLike) -> Numbers:
-    """A copy of the values that begins with a cache line."""
-    copy = aligned_zeros(values.shape, dtype)
-    np.copyto(copy, values, casting="unsafe")
-    return copy
 
 
 class Raster:
@@ -635,19 +619,3 @@ class NumpyPipeline:
             spikes = window.spikes.swapaxes(0, 1).astype(np.uint8)
             recordings[name] = Recording(current, membrane, spikes)
         return recordings
-
-
-def unsupported_synapses(program: Program) -> str | None:
-    """The reason why no kernel computes the program's synapses; None where kernels do."""
-    for layer in program.layers:
-        if layer.graded:
-            return (
-                f"layer {layer.name!r}: its sigma-delta neurons send graded spikes, which only "
-                "the interpreter supports."
-            )
-        if any(synapses.shift for synapses in layer.synapses):
-            return (
-                f"layer {layer.name!r}: its weights have a negative exponent, by which "
-                f"{program.chip.name} rounds sums, which only the interpreter supports."
-            )
-    return None

@@ -240,6 +240,9 @@ def _quantise_leak(
 
 
 _EVENTS = "spikedeploy.runtime.families.integrate_and_fire.event_machine:EventPipeline"
+_TIMESTEPS = (
+    "spikedeploy.runtime.families.integrate_and_fire.numba_backend:IntegrateAndFirePipeline"
+)
 _LEAKS = {
     "none": "IF",
     "linear": "IF, linear leak",
@@ -267,7 +270,9 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
     @property
     def backends(self) -> Mapping[str, str]:
         """Name -> "module:class" of each backend, besides the interpreter, that has kernels."""
-        return {"numba": _EVENTS} if self.by_events else {}
+        if self.together and not self.by_events:
+            return {}
+        return {"numba": _EVENTS if self.by_events else _TIMESTEPS}
 
     @property
     def input_spikes_max(self) -> int:

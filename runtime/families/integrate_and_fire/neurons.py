@@ -294,7 +294,8 @@ def add(
     raised = state.membrane + weights
     held = rules.membrane.fit(raised)
     state.overflows = state.overflows + (held != raised)
-    state.membrane = np.maximum(held, floor_of(rules, convention, layer))
+    kept = np.maximum(held, floor_of(rules, convention, layer))
+    state.membrane = np.where(arrives, kept, state.membrane)
     state.arrived = state.arrived | (weights != 0)
     if rules.checks == "event":
         _fire(rules, convention, layer, state, arrives)

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import Numbers, Synapses
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.families.cuba.numba_kernels import Array, Number, jit, kept_on_disk
 from spikedeploy.runtime.families.integrate_and_fire.events import (
     EventLayer,
     EventState,
@@ -16,6 +15,7 @@ from spikedeploy.runtime.families.integrate_and_fire.events import (
     Spikes,
     window_of,
 )
+from spikedeploy.runtime.families.numba_kernels import Array, Number, jit, kept_on_disk
 
 # columns of Arrays.windows: axons along Y and X of the source; by what the pool divides, and
 # extents behind it; CHANNELS of a group in the source, FEATURES of one in the target; where WEIGHTS

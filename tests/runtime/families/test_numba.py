@@ -24,7 +24,8 @@ from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.emulator.machine import CHUNK, Machine
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.cuba import numba_backend as backend_module
+from spikedeploy.runtime.families import numba_kernels as shared
+from spikedeploy.runtime.families import numba_pipeline as pipeline
 from spikedeploy.runtime.families.cuba import numba_kernels as kernels
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.numpy_backend import NumpyPipeline
@@ -227,8 +228,8 @@ def test_a_step_into_memory_of_the_caller_allocates_nothing(rows):
 @compiled
 def test_machine_code_is_kept_on_disk_under_a_name_that_tells_all_its_sources():
     # an index that an older version left may name classes that are gone, and is never opened
-    folder = Path(kernels.__file__).parent
-    sources = sorted(folder.glob("numba_*.py"))
+    folders = Path(shared.__file__).parent, Path(kernels.__file__).parent
+    sources = [path for folder in folders for path in sorted(folder.glob("numba_*.py"))]
     digest = sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
     assert kernels.run.__qualname__ == f"run_{digest[:12]}"
     assert type(kernels.run._cache).__name__ == "FunctionCache"
@@ -238,7 +239,7 @@ def test_machine_code_is_kept_on_disk_under_a_name_that_tells_all_its_sources():
 def test_the_kernels_count_in_the_order_of_the_ledger():
     short = {"neuron_update": "UPDATE", "neuron_idle": "IDLE"}
     names = [short.get(name, name.upper()) for name in EVENTS]
-    assert [getattr(kernels, name) for name in names] == list(range(len(EVENTS)))
+    assert [getattr(shared, name) for name in names] == list(range(len(EVENTS)))
 
 
 def test_the_kernels_know_every_field_of_the_arithmetic():
@@ -285,7 +286,7 @@ def test_registers_that_the_kernels_do_not_know_are_refused_and_auto_takes_numpy
 def test_what_cannot_be_compiled_is_refused_and_auto_takes_numpy(
     name, installed, message, monkeypatch
 ):
-    monkeypatch.setattr(backend_module, "find_spec", lambda package: installed)
+    monkeypatch.setattr(pipeline, "find_spec", lambda package: installed)
     program = compile_program(popsan(), chip(name))
     with pytest.raises(ConfigError, match=message):
         Machine(program, backend="numba")

@@ -5,15 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spikedeploy.runtime.families.cuba.numpy_backend import (
-    FEW,
-    LARGE,
-    LINE,
-    SMALL,
-    Raster,
-    Summation,
-    aligned_zeros,
-)
+from spikedeploy.runtime.emulator.backend import LINE, aligned_zeros
+from spikedeploy.runtime.families.cuba.numpy_backend import FEW, LARGE, SMALL, Raster, Summation
 
 NEURONS = 33
 

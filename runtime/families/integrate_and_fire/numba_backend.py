@@ -1,0 +1,110 @@
+"""The Numba backend of integrate-and-fire neurons: their rules for the compiled kernels."""
+
+from functools import lru_cache
+from typing import Any, ClassVar, cast
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
+from spikedeploy.runtime.families.integrate_and_fire.neurons import (
+    Integers,
+    IntegrateAndFireRules,
+    floor_of,
+)
+from spikedeploy.runtime.families.integrate_and_fire.numba_events import edges
+from spikedeploy.runtime.families.integrate_and_fire.numba_kernels import (
+    LEAKS,
+    OVERFLOWS,
+    Constants,
+    run,
+)
+from spikedeploy.runtime.families.numba_pipeline import (
+    Delays,
+    NumbaPipeline,
+    largest_weight,
+    wire,
+)
+
+_EXACT_INT16 = (1 << 15) - 1
+
+
+@lru_cache(maxsize=8)
+def constants(
+    program: Program, rules: IntegrateAndFireRules, delays: Delays, windows: bool
+) -> Constants:
+    """As NumbaPipeline.constants; shared by the machines of a program."""
+    layers = program.layers
+    rows = [(bool((a.bias + a.voltage_bias).any()), bool(a.voltage_bias.any())) for a in layers]
+    weight_type = np.int16 if largest_weight(layers) <= _EXACT_INT16 else np.int64
+    lowest, highest = edges(rules.membrane) or (0, 0)
+    subtract = program.convention.reset == "subtract"
+    several = rules.checks == "step" and (subtract or program.convention.spikes == "many")
+    numbers = (
+        LEAKS[rules.leak],
+        rules.leak_order == "last",
+        rules.adds == "event",
+        rules.checks == "event",
+        rules.fires == "reached",
+        rules.spikes_max,
+        rules.spikes_max if several else 1,
+        rules.reset_at == "leak",
+        subtract,
+        OVERFLOWS[rules.membrane.overflow],
+        rules.membrane.bits,
+        lowest,
+        highest,
+        program.chip.input_spikes_max,
+    )
+    return Constants(
+        *wire(
+            program, delays, windows, IntegrateAndFirePipeline.states_of_neuron, rows, weight_type
+        ),
+        rules=np.array(numbers, np.int64),
+        neurons=np.concatenate([_numbers(rules, program.convention, a) for a in layers], axis=1),
+    )
+
+
+def _numbers(rules: IntegrateAndFireRules, convention: Convention, layer: Layer) -> Integers:
+    """(5, N) leak, threshold, bias on the membrane, floor and membrane after a reset."""
+    each = (
+        layer.membrane_decay,
+        layer.threshold,
+        layer.voltage_bias,
+        floor_of(rules, convention, layer),
+        layer.v_reset,
+    )
+    return np.stack([np.broadcast_to(values, (layer.size,)).astype(np.int64) for values in each])
+
+
+class IntegrateAndFirePipeline(NumbaPipeline):
+    """Integrate-and-fire layers as a Backend, in timesteps."""
+
+    states_of_neuron: ClassVar[int] = 1
+    state_type: ClassVar[DTypeLike] = np.int64
+    kernel = staticmethod(run)
+
+    @staticmethod
+    def constants(program: Program, delays: Delays, windows: bool) -> Constants:
+        """All that does not change while the program runs."""
+        rules = cast("IntegrateAndFire", program.chip.arithmetic)
+        return constants(program, rules, delays, windows)
+
+    @staticmethod
+    def sum_types(constants: Any) -> tuple[DTypeLike, DTypeLike]:  # noqa: ANN401
+        """Number types of the narrow sums, which it does not use, and of the wide."""
+        return np.int64, np.int64
+
+    @staticmethod
+    def obstacle(program: Program) -> str | None:
+        """The reason why it cannot compute the program; None where it can."""
+        rules = cast("IntegrateAndFire", program.chip.arithmetic)
+        if rules.membrane.between and edges(rules.membrane) is None:
+            return (
+                f"chip {program.chip.name!r} has a membrane that the compiled kernels do not know: "
+                "one that wraps and has a narrower range."
+            )
+        return NumbaPipeline.obstacle(program)

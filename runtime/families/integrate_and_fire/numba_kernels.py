@@ -1,0 +1,366 @@
+"""The compiled kernels of integrate-and-fire neurons: a window of a whole program in one call.
+
+A timestep as in `neurons`, in int64, rule by rule: one pass over the neurons of a layer, whose sums
+only the axons that spiked have touched; or event by event, where only neurons that an event reaches
+are looked at.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from spikedeploy.runtime.families.numba_kernels import (
+    BIAS,
+    CHANNELS,
+    COLUMNS,
+    FEATURES,
+    FIRST_WIRE,
+    KERNEL_X,
+    KERNEL_Y,
+    LAG,
+    LAST_WIRE,
+    LAYER,
+    MATRIX,
+    NEURON,
+    ROWS,
+    SATURATION,
+    SIZE,
+    SOURCE,
+    SOURCE_X,
+    SOURCE_Y,
+    TARGET_X,
+    TARGET_Y,
+    UPDATE,
+    WEIGHT,
+    WINDOW,
+    Call,
+    Memory,
+    begin,
+    end,
+    is_heard,
+    jit,
+    kept_on_disk,
+    list_spikes,
+    of_copy,
+    pause,
+    raster_at,
+    sent,
+    states_of,
+    sum_weights,
+    waits,
+)
+
+Array = Any  # the compiler sees the types
+Number = Any
+
+# columns of Constants.layers behind those of all families: whether its biases are an event, while
+# the bias axon spikes and while it does not
+HEARD_BIAS, UNHEARD_BIAS = range(len(LAYER), len(LAYER) + 2)
+# entries of Constants.rules, as in IntegrateAndFireRules; of spikes AT_ONCE where the threshold is
+# looked at once; a register holds LOWEST to HIGHEST
+(
+    LEAK, LEAKS_LAST, BY_EVENT, CHECKS_EVENTS, REACHED, SPIKES_MAX, AT_ONCE, RESETS_LATE, SUBTRACT,
+    OVERFLOW, BITS, LOWEST, HIGHEST, INPUT_MOST,
+) = range(14)  # fmt: skip
+# rows of Constants.neurons
+LOSS, THRESHOLD, PUSH, FLOOR, RESET = range(5)
+LEAKS = {"none": 0, "linear": 1, "crossing": 2, "shift": 3}
+NONE, LINEAR, CROSSING, SHIFT = LEAKS.values()
+# what a register does when a number does not fit
+OVERFLOWS = {"none": 0, "clip": 1, "saturate": 2, "wrap": 3, "wrap-once": 4}
+WRAP, WRAP_ONCE = OVERFLOWS["wrap"], OVERFLOWS["wrap-once"]
+
+
+class Constants(NamedTuple):
+    """A program as arrays; those of its layers and synapses one after another.
+
+    weights to sources: as in Wiring.
+    rules: entries above.
+    neurons: (5, N) rows above.
+    """
+
+    weights: Array
+    fan_out: Array
+    wires: Array
+    windows: Array
+    reach: Array
+    layers: Array
+    sources: Array
+    rules: Array
+    neurons: Array
+
+
+@kept_on_disk
+def run(
+    weights: Array,
+    fan_out: Array,
+    wires: Array,
+    windows: Array,
+    reach: Array,
+    layers: Array,
+    sources: Array,
+    rules: Array,
+    neurons: Array,
+    rasters: Array,
+    lists: Array,
+    lengths: Array,
+    states: Array,
+    refractory: Array,
+    counts: Array,
+    narrow: Array,
+    wide: Array,
+    presynaptic: Array,
+    slots: int,
+    lag: int,
+    steps: int,
+    step: int,
+    rowwise: bool,
+    counting: bool,
+    fresh: bool,
+) -> bool:
+    """One window of every layer; arguments and result as of the kernel of CuBa-LIF neurons."""
+    constants = Constants(
+        weights, fan_out, wires, windows, reach, layers, sources, rules, neurons
+    )  # fmt: skip
+    every = Memory(rasters, lists, lengths, states, refractory, counts, narrow, wide)
+    timesteps, batch = presynaptic.shape[0], presynaptic.shape[1]
+    call = Call(timesteps, slots, step, counting)
+    if not begin(constants, every, call, rules[INPUT_MOST], fresh):
+        return False
+    turns, rows = (timesteps, 1) if rowwise else (1, timesteps)
+    for turn in range(turns):
+        for layer in range(len(layers)):
+            for b in range(batch):
+                memory = of_copy(every, b)
+                for row in range(turn, turn + rows):
+                    _timestep(constants, memory, call, layer, row)
+    end(constants, every, call, presynaptic, lag, steps)
+    return True
+
+
+@jit
+def _timestep(constants: Array, memory: Array, call: Array, layer: int, row: int) -> None:
+    """A timestep of a layer, up to the list of its spikes."""
+    about, own = constants.layers[layer], constants.sources[layer + 1]
+    size, neuron = about[SIZE], about[NEURON]
+    if waits(about, call):
+        pause(about, own, memory, call, row)
+    else:
+        neurons = constants.neurons[:, neuron : neuron + size]
+        before, after = states_of(about, memory, call, row)
+        spikes = memory.rasters[raster_at(own, row) : raster_at(own, row) + size]
+        if constants.rules[BY_EVENT]:
+            arrived = memory.wide[0, :size]
+            lost = _step_by_events(
+                constants, memory, call, about, row, neurons, before, after, spikes, arrived
+            )
+        else:
+            sum_weights(constants, memory, memory.wide, about, row, call, True)
+            arrived = memory.wide[0, :size]
+            lost = _step(constants.rules, neurons, arrived, before, after, spikes)
+        memory.counts[layer, SATURATION] += lost
+        if call.counting:
+            for n in range(size):
+                memory.counts[layer, UPDATE] += (before[n] != 0) | (arrived[n] != 0)
+    list_spikes(own, memory, row)
+
+
+@jit
+def _step(
+    rules: Array, neurons: Array, sums: Array, before: Array, after: Array, spikes: Array
+) -> Number:
+    """A timestep in which all that arrives is one sum; how many numbers did not fit.
+
+    sums: (N,) of what arrives; those of biases on the membrane are added.
+    """
+    leaks, lost = rules[LEAK] != NONE, 0
+    for n in range(len(spikes)):
+        was, total = before[n], sums[n] + neurons[PUSH, n]
+        sums[n] = total
+        v = was
+        if leaks and not rules[LEAKS_LAST]:
+            v = _leak(rules, neurons, n, v)
+        if rules[RESETS_LATE] and _fires(rules, neurons, n, was):
+            v = _after_spike(rules, neurons, n, was)
+        raised = v + total
+        held = _hold(rules, raised)
+        lost += held != raised
+        v = max(held, neurons[FLOOR, n])
+        if leaks and rules[LEAKS_LAST]:
+            v = _leak(rules, neurons, n, v)
+        after[n] = v
+        _spike(rules, neurons, n, after, spikes)
+    return lost
+
+
+@jit
+def _step_by_events(
+    constants: Array,
+    memory: Array,
+    call: Array,
+    about: Array,
+    row: int,
+    neurons: Array,
+    before: Array,
+    after: Array,
+    spikes: Array,
+    arrived: Array,
+) -> Number:
+    """A timestep in which each spike is an event; how many numbers did not fit.
+
+    arrived: (N,) memory for whether any weight did.
+    """
+    rules, weights, size, lost = constants.rules, constants.weights, about[SIZE], 0
+    for n in range(size):
+        after[n], spikes[n], arrived[n] = before[n], 0, 0
+        if not rules[LEAKS_LAST]:
+            after[n] = _leak(rules, neurons, n, before[n])
+            if rules[RESETS_LATE] and _fires(rules, neurons, n, before[n]):
+                after[n] = _after_spike(rules, neurons, n, before[n])
+            if rules[CHECKS_EVENTS] and rules[LEAK] != NONE:
+                # the leak is an event, too
+                lost += _spike_once(rules, neurons, n, after, spikes)
+    for k in range(about[FIRST_WIRE], about[LAST_WIRE]):
+        wire = constants.wires[k]
+        axons, counts = sent(constants.sources[wire[SOURCE]], memory, row - wire[LAG])
+        for axon in axons:
+            for _ in range(counts[axon]):
+                if wire[WINDOW] == MATRIX:
+                    at = wire[WEIGHT] + axon * size
+                    for n in range(size):
+                        weight = weights[at + n]
+                        lost += _arrive(rules, neurons, n, weight, after, spikes, arrived)
+                else:
+                    window = constants.windows[wire[WINDOW]]
+                    lost += _arrive_through(
+                        constants, wire, window, axon, neurons, after, spikes, arrived
+                    )
+    heard = is_heard(about, row, call.timesteps)
+    if about[HEARD_BIAS if heard else UNHEARD_BIAS]:
+        for n in range(size):
+            bias = neurons[PUSH, n]
+            if heard:
+                bias += weights[about[BIAS] + n]
+            lost += _arrive(rules, neurons, n, bias, after, spikes, arrived)
+    for n in range(size):
+        if rules[LEAKS_LAST]:
+            after[n] = _leak(rules, neurons, n, after[n])
+        if not rules[CHECKS_EVENTS]:
+            _spike(rules, neurons, n, after, spikes)
+    return lost
+
+
+@jit
+def _arrive_through(
+    constants: Array,
+    wire: Array,
+    window: Array,
+    axon: int,
+    neurons: Array,
+    membranes: Array,
+    spikes: Array,
+    arrived: Array,
+) -> Number:
+    """An event on an axon of a window; how many numbers did not fit."""
+    reach, weights, rules, lost = constants.reach, constants.weights, constants.rules, 0
+    line, x = axon // window[SOURCE_X], axon % window[SOURCE_X]
+    channel, y = line // window[SOURCE_Y], line % window[SOURCE_Y]
+    first, places = (
+        channel // window[CHANNELS] * window[FEATURES],
+        window[TARGET_Y] * window[TARGET_X],
+    )
+    rows = reach[window[ROWS] + y * window[KERNEL_Y] :]
+    columns = reach[window[COLUMNS] + x * window[KERNEL_X] :]
+    at = wire[WEIGHT] + channel * window[KERNEL_Y] * window[KERNEL_X] * window[FEATURES]
+    for i in range(window[KERNEL_Y]):
+        for j in range(window[KERNEL_X]):
+            if rows[i] >= 0 and columns[j] >= 0:
+                place = rows[i] * window[TARGET_X] + columns[j]
+                for feature in range(window[FEATURES]):
+                    n = (first + feature) * places + place
+                    weight = weights[at + (i * window[KERNEL_X] + j) * window[FEATURES] + feature]
+                    lost += _arrive(rules, neurons, n, weight, membranes, spikes, arrived)
+    return lost
+
+
+@jit
+def _arrive(
+    rules: Array,
+    neurons: Array,
+    n: int,
+    weight: int,
+    membranes: Array,
+    spikes: Array,
+    arrived: Array,
+) -> Number:
+    """An event that reaches a neuron; how many numbers did not fit."""
+    raised = membranes[n] + weight
+    held = _hold(rules, raised)
+    membranes[n] = max(held, neurons[FLOOR, n])
+    arrived[n] |= weight != 0
+    lost = np.int64(held != raised)
+    if rules[CHECKS_EVENTS]:
+        lost += _spike_once(rules, neurons, n, membranes, spikes)
+    return lost
+
+
+@jit
+def _spike(rules: Array, neurons: Array, n: int, membranes: Array, spikes: Array) -> None:
+    """The spikes at the end of a timestep."""
+    fired, left = 0, membranes[n]
+    while fired < rules[AT_ONCE] and _fires(rules, neurons, n, left):
+        fired, left = fired + 1, left - neurons[THRESHOLD, n]
+        if not rules[RESETS_LATE]:
+            membranes[n] = _after_spike(rules, neurons, n, membranes[n])
+    spikes[n] = fired
+
+
+@jit
+def _spike_once(rules: Array, neurons: Array, n: int, membranes: Array, spikes: Array) -> Number:
+    """A spike, if the membrane is high enough; 1 if it is more than can be counted."""
+    if not _fires(rules, neurons, n, membranes[n]):
+        return 0
+    membranes[n] = _after_spike(rules, neurons, n, membranes[n])
+    if spikes[n] >= rules[SPIKES_MAX]:
+        return 1
+    spikes[n] += 1
+    return 0
+
+
+@jit
+def _leak(rules: Array, neurons: Array, n: int, v: Number) -> Number:
+    """As _leak of the specification."""
+    leak, loss = rules[LEAK], neurons[LOSS, n]
+    if leak == LINEAR:
+        return max(v - loss, 0) if v >= 0 else min(v + loss, 0)
+    if leak == CROSSING:
+        return v - loss if v > 0 else v + loss if v < 0 else v
+    if leak == SHIFT:
+        return v if loss < 0 else v - (v >> min(loss, 63))
+    return v
+
+
+@jit
+def _fires(rules: Array, neurons: Array, n: int, v: Number) -> Number:
+    """Fires where V >= threshold, or V > threshold."""
+    threshold = neurons[THRESHOLD, n]
+    return v > threshold or (rules[REACHED] == 1 and v == threshold)
+
+
+@jit
+def _after_spike(rules: Array, neurons: Array, n: int, v: Number) -> Number:
+    """As _after_spike of the specification."""
+    return v - neurons[THRESHOLD, n] if rules[SUBTRACT] else neurons[RESET, n]
+
+
+@jit
+def _hold(rules: Array, x: Number) -> Number:
+    """As Register.fit."""
+    if rules[OVERFLOW] < WRAP:
+        return min(max(x, rules[LOWEST]), rules[HIGHEST])
+    half = np.int64(1) << (rules[BITS] - 1)
+    if rules[OVERFLOW] == WRAP:
+        return (x + half) % (2 * half) - half
+    if x > half:
+        return x - 2 * half
+    return x + 2 * half if x <= -half else x

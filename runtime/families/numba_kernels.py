@@ -1,0 +1,437 @@
+"""The compiled kernels that families share: a program in memory, its spikes, sums and counts.
+
+Plain Python that Numba, where it is installed, compiles to vector instructions when a machine first
+needs it. Nothing is allocated in here. Each family has a function `run`, which computes a window of
+a whole program in one call; what it does in a timestep of a layer is its own, and the rest is here.
+
+Sums are event-driven: only axons that spiked are looked at. In a matrix the weights of an axon are
+a row. Those of a window (runtime.chips.window) are stored by channel of the source and the channels
+of the target innermost, so that they are contiguous too, and are added to a plane in that order.
+"""
+
+from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+Array = Any  # the compiler sees the types
+Number = Any
+
+# events, in the order of runtime.emulator.ledger.EVENTS
+(
+    SPIKE_IN, SOP, BIAS_SOP, UPDATE, IDLE, SPIKE_OUT, MESSAGE, SATURATION, GRADED_SOP, LOST_SPIKE,
+) = range(10)  # fmt: skip
+
+# columns of Constants.layers, behind which families have their own; STATE is where the layer's
+# states begin in a row of Memory.states, of which a slot has WIDTH, BIAS where its biases begin in
+# Constants.weights; of each layer that IS_OUTPUT the spikes leave the chip, and in each timestep so
+# many membranes as are READ, and the one that LEAVES is what the kernel puts out; the bias axon of
+# a layer is silent, and the host deaf to it, in HEAD rows first and in TAIL rows last
+(
+    SIZE, NEURON, STATE, WIDTH, FIRST_WIRE, LAST_WIRE, START, BIAS, BIAS_FAN_OUT, IS_OUTPUT, READ,
+    LEAVES, HEAD, TAIL,
+) = LAYER = range(14)  # fmt: skip
+# columns of Constants.wires; WINDOW is a row of Constants.windows, or MATRIX
+SOURCE, LAG, WEIGHT, FAN_OUT, WINDOW = range(5)
+MATRIX = -1
+# columns of Constants.windows; what a row, or column, of the source reaches begins at ROWS and
+# COLUMNS in Constants.reach; CHANNELS of a group in the source, FEATURES in the target, of FEATURES
+# times groups in all that ALL_FEATURES are
+(
+    SOURCE_Y, SOURCE_X, ROWS, COLUMNS, KERNEL_Y, KERNEL_X, CHANNELS, FEATURES, ALL_FEATURES,
+    TARGET_Y, TARGET_X,
+) = WINDOWS = range(11)  # fmt: skip
+# columns of Constants.sources; NEURONS of each, rows that it REMEMBERS, where its RASTER and its
+# LENGTHS begin in a row of the memory
+NEURONS, REMEMBERS, RASTER, LENGTHS = range(4)
+
+
+class Wiring(NamedTuple):
+    """The part of a family's Constants that it has in common with others.
+
+    weights: (W,) axon-major, and then the biases; of windows (C, ky, kx, O / G).
+    fan_out: (A,) of each axon of each synapses.
+    wires, windows, layers, sources: a row for each, columns above; source 0 is the input, k + 1
+        layer k.
+    reach: (R,) position that a row, or column, reaches by each element of a kernel; or -1.
+    """
+
+    weights: Array
+    fan_out: Array
+    wires: Array
+    windows: Array
+    reach: Array
+    layers: Array
+    sources: Array
+
+
+class Memory(NamedTuple):
+    """Memory of a program, a row for each of the batch.
+
+    rasters: (B, R) of each source the rows that are still on their way, then those of the window.
+    lists: (B, R) of each of those rows the axons that spiked.
+    lengths: (B, Q) how many.
+    states: (B, K) of each layer slots of states, used in turn; slot 0 is now.
+    refractory: (B, N) timesteps of refractory left.
+    counts: (B, L, E) of the window.
+    narrow, wide: (2, N) what arrives in a timestep, and the plane to which windows add, all 0.
+    """
+
+    rasters: Array
+    lists: Array
+    lengths: Array
+    states: Array
+    refractory: Array
+    counts: Array
+    narrow: Array
+    wide: Array
+
+
+class Call(NamedTuple):
+    """Arguments of `run` that hold for all layers.
+
+    timesteps: T of the window.
+    slots: of each state; 2, or T + 1 to leave a trace.
+    step: chip timestep of a single row, in which layers may only wait; -1 runs all of them.
+    counting: whether the counts are wanted.
+    """
+
+    timesteps: Number
+    slots: Number
+    step: Number
+    counting: Number
+
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def jit(function: Function) -> Function:
+    """The function as machine code, made when first called and built into what calls it.
+
+    Without Numba the function itself: the module can then be read and imported, and NumbaPipeline
+    refuses to run it, for it would take a thousand times longer.
+    """
+    return _compile(function, cache=False)
+
+
+def kept_on_disk(function: Function) -> Function:
+    """The same for the outermost function, whose machine code is kept on disk beside its source.
+
+    Numba compiles anew when that one file changes, and knows of no other. So the name under which
+    the code is kept says what all files of the kernels hold, these and those in the folder of the
+    function; it is not found by any other version.
+    """
+    folders = Path(__file__).parent, Path(function.__code__.co_filename).parent
+    sources = [path for folder in folders for path in sorted(folder.glob("numba_*.py"))]
+    digest = sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
+    function.__qualname__ = f"{function.__qualname__}_{digest[:12]}"
+    try:
+        return _compile(function, cache=True)
+    except RuntimeError:
+        # neither the package nor the user's cache folder can be written: compiled in every process
+        return _compile(function, cache=False)
+
+
+def _compile(function: Function, *, cache: bool) -> Function:
+    try:
+        import numba
+    except ImportError:
+        return function
+    njit: Any = numba.njit
+    compiled: Function = njit(
+        function,
+        cache=cache,
+        nogil=True,
+        error_model="numpy",
+        # arguments are tuples of arrays, which take longer to hand over than a timestep to compute
+        forceinline=True,
+        # no arrays are made, so none are counted; what would allocate does not compile
+        _nrt=False,
+    )
+    return compiled
+
+
+@jit
+def begin(constants: Array, every: Array, call: Array, most: int, fresh: bool) -> bool:
+    """Take in the input; whether no channel of it spiked more than so many times in a timestep.
+
+    fresh: whether to forget all states, too.
+    """
+    source = constants.sources[0]
+    first, largest = source[RASTER] + source[REMEMBERS] * source[NEURONS], 0
+    for b in range(len(every.rasters)):
+        for value in every.rasters[b, first : first + call.timesteps * source[NEURONS]]:
+            largest = max(largest, value)
+    if largest > most:
+        return False
+    every.counts[:] = 0
+    for b in range(len(every.rasters)):
+        memory = of_copy(every, b)
+        if fresh:
+            _forget(constants, memory)
+        for row in range(call.timesteps):
+            list_spikes(source, memory, row)
+    return True
+
+
+@jit
+def end(
+    constants: Array, every: Array, call: Array, presynaptic: Array, lag: int, steps: int
+) -> None:
+    """Put out what leaves the chip, count, and keep what the next window needs."""
+    for b in range(len(every.rasters)):
+        memory = of_copy(every, b)
+        _leave(constants, memory, presynaptic, b, lag)
+        if call.counting:
+            count(constants, memory, call, steps)
+        _remember(constants, memory, call)
+
+
+@jit
+def of_copy(memory: Array, b: int) -> Array:
+    """The memory of one of the batch."""
+    rasters, lists, lengths, states, refractory, counts, narrow, wide = memory
+    return Memory(
+        rasters[b], lists[b], lengths[b], states[b], refractory[b], counts[b], narrow, wide
+    )
+
+
+@jit
+def _forget(constants: Array, memory: Array) -> None:
+    """Zero states, and no spike in delivery."""
+    for about in constants.layers:
+        for n in range(about[STATE], about[STATE] + about[WIDTH]):
+            memory.states[n] = 0
+    memory.refractory[:] = 0
+    for source in constants.sources:
+        rows, at = source[REMEMBERS], source[RASTER]
+        memory.rasters[at : at + rows * source[NEURONS]] = 0
+        memory.lengths[source[LENGTHS] : source[LENGTHS] + rows] = 0
+
+
+@jit
+def list_spikes(source: Array, memory: Array, row: int) -> None:
+    """List the axons of a source that spiked in a row of the window."""
+    size, place = source[NEURONS], source[REMEMBERS] + row
+    at = source[RASTER] + place * size
+    spikes, axons = memory.rasters[at : at + size], memory.lists[at : at + size]
+    found = 0
+    for n in range(size):
+        # written whether it spiked or not, and overwritten if not: no jumps to guess
+        axons[found] = n
+        found += spikes[n] != 0
+    memory.lengths[source[LENGTHS] + place] = found
+
+
+@jit
+def waits(about: Array, call: Array) -> Number:
+    """True for a layer that has not started."""
+    return 0 <= call.step < about[START]
+
+
+@jit
+def pause(about: Array, own: Array, memory: Array, call: Array, row: int) -> None:
+    """A timestep in which a layer has not started."""
+    before, after = states_of(about, memory, call, row)
+    _copy(before, after)
+    memory.rasters[raster_at(own, row) : raster_at(own, row) + about[SIZE]] = 0
+
+
+@jit
+def states_of(about: Array, memory: Array, call: Array, row: int) -> tuple[Array, Array]:
+    """States of a layer before and after a row of the window."""
+    width = about[WIDTH]
+    # not row % slots, which is a division
+    slot, next_slot = (row, row + 1) if call.slots > 2 else (row & 1, ~row & 1)
+    at, to = about[STATE] + slot * width, about[STATE] + next_slot * width
+    return memory.states[at : at + width], memory.states[to : to + width]
+
+
+@jit
+def raster_at(source: Array, row: int) -> Number:
+    """Offset of the spikes of a source in a row of the window, which may lie before it."""
+    return source[RASTER] + (source[REMEMBERS] + row) * source[NEURONS]
+
+
+@jit
+def sent(source: Array, memory: Array, row: int) -> tuple[Array, Array]:
+    """Axons of a source that spiked in a row of the window, which may lie before it; all counts."""
+    at, place = raster_at(source, row), source[LENGTHS] + source[REMEMBERS] + row
+    return memory.lists[at : at + memory.lengths[place]], memory.rasters[at : at + source[NEURONS]]
+
+
+@jit
+def is_heard(about: Array, row: int, timesteps: int) -> Number:
+    """True for the rows in which a layer's bias axon spikes."""
+    return about[HEAD] <= row < timesteps - about[TAIL]
+
+
+@jit
+def sum_weights(
+    constants: Array, memory: Array, scratch: Array, about: Array, row: int, call: Array, many: bool
+) -> None:
+    """Fill the first row of the scratch with sums of the bias and of each axon that spiked.
+
+    many: whether a source may spike several times in a timestep; a constant at every call.
+    """
+    size = about[SIZE]
+    sums, plane = scratch[0, :size], scratch[1, :size]
+    if is_heard(about, row, call.timesteps):
+        bias = constants.weights[about[BIAS] : about[BIAS] + size]
+        for n in range(size):
+            sums[n] = bias[n]
+    else:
+        for n in range(size):
+            sums[n] = 0
+    for k in range(about[FIRST_WIRE], about[LAST_WIRE]):
+        wire = constants.wires[k]
+        axons, spikes = sent(constants.sources[wire[SOURCE]], memory, row - wire[LAG])
+        if wire[WINDOW] == MATRIX:
+            _add_rows(sums, constants.weights, wire[WEIGHT], axons)
+            if many:
+                _add_more(sums, constants.weights, wire[WEIGHT], axons, spikes)
+        elif len(axons):
+            window = constants.windows[wire[WINDOW]]
+            for axon in axons:
+                for _ in range(spikes[axon] if many else 1):
+                    _add_window(
+                        plane, constants.weights, wire[WEIGHT], window, constants.reach, axon
+                    )
+            _add_plane(sums, plane, window[ALL_FEATURES])
+
+
+@jit
+def _add_rows(sums: Array, weights: Array, start: int, axons: Array) -> None:
+    """Add the weights of some axons, four at a time: each sum is fetched a quarter as often."""
+    size, whole = len(sums), len(axons) // 4 * 4
+    for k in range(0, whole, 4):
+        at = start + axons[k] * size
+        one = weights[at : at + size]
+        at = start + axons[k + 1] * size
+        two = weights[at : at + size]
+        at = start + axons[k + 2] * size
+        three = weights[at : at + size]
+        at = start + axons[k + 3] * size
+        four = weights[at : at + size]
+        for n in range(size):
+            sums[n] += one[n] + two[n] + three[n] + four[n]
+    for k in range(whole, len(axons)):
+        at = start + axons[k] * size
+        one = weights[at : at + size]
+        for n in range(size):
+            sums[n] += one[n]
+
+
+@jit
+def _add_more(sums: Array, weights: Array, start: int, axons: Array, spikes: Array) -> None:
+    """Add the weights of axons for their spikes but the first."""
+    size = len(sums)
+    for axon in axons:
+        more, at = spikes[axon] - 1, start + axon * size
+        if more:
+            row = weights[at : at + size]
+            for n in range(size):
+                sums[n] += more * row[n]
+
+
+@jit
+def _add_window(
+    plane: Array, weights: Array, start: int, window: Array, reach: Array, axon: int
+) -> None:
+    """Add the weights of an axon, as often as its window overlaps the target, to the plane."""
+    width, features, elements = window[SOURCE_X], window[FEATURES], window[KERNEL_X]
+    row, x = axon // width, axon % width
+    channel, y = row // window[SOURCE_Y], row % window[SOURCE_Y]
+    first = channel // window[CHANNELS] * features
+    rows = reach[window[ROWS] + y * window[KERNEL_Y] :]
+    columns = reach[window[COLUMNS] + x * elements :]
+    at = start + channel * window[KERNEL_Y] * elements * features
+    for i in range(window[KERNEL_Y]):
+        if rows[i] >= 0:
+            for j in range(elements):
+                if columns[j] >= 0:
+                    place = rows[i] * window[TARGET_X] + columns[j]
+                    to = place * window[ALL_FEATURES] + first
+                    sums = plane[to : to + features]
+                    kernel = weights[at + (i * elements + j) * features :]
+                    for feature in range(features):
+                        sums[feature] += kernel[feature]
+
+
+@jit
+def _add_plane(sums: Array, plane: Array, features: int) -> None:
+    """Add a plane (positions, features) to the sums, which are in C order, and clear it."""
+    places = len(sums) // features
+    for place in range(places):
+        for feature in range(features):
+            sums[feature * places + place] += plane[place * features + feature]
+    for n in range(len(sums)):
+        plane[n] = 0
+
+
+@jit
+def _copy(source: Array, target: Array) -> None:
+    """Copy without the memory that assigning to a slice would take."""
+    for n in range(len(target)):
+        target[n] = source[n]
+
+
+@jit
+def _leave(constants: Array, memory: Array, presynaptic: Array, b: int, lag: int) -> None:
+    """Copy what leaves the chip."""
+    for layer in range(len(constants.layers)):
+        if constants.layers[layer, LEAVES]:
+            own = constants.sources[layer + 1]
+            for row in range(len(presynaptic)):
+                at = raster_at(own, row - lag)
+                _copy(memory.rasters[at : at + own[NEURONS]], presynaptic[row, b])
+
+
+@jit
+def count(constants: Array, memory: Array, call: Array, steps: int) -> None:
+    """The events of the window, as runtime.emulator.ledger.count_events."""
+    layers, timesteps = constants.layers, call.timesteps
+    for layer in range(len(layers)):
+        about, events = layers[layer], memory.counts[layer]
+        for k in range(about[FIRST_WIRE], about[LAST_WIRE]):
+            wire = constants.wires[k]
+            # of the rows that the source emitted, not of those that arrived
+            source, fan_out = constants.sources[wire[SOURCE]], constants.fan_out[wire[FAN_OUT] :]
+            for row in range(timesteps):
+                axons, spikes = sent(source, memory, row)
+                for axon in axons:
+                    events[SPIKE_IN] += spikes[axon]
+                    events[SOP] += spikes[axon] * fan_out[axon]
+        for row in range(timesteps):
+            axons, spikes = sent(constants.sources[layer + 1], memory, row)
+            for axon in axons:
+                events[SPIKE_OUT] += spikes[axon]
+        heard = timesteps - about[HEAD] - about[TAIL]
+        always_on = 0 if waits(about, call) else heard
+        events[BIAS_SOP] = always_on * about[BIAS_FAN_OUT]
+        events[IDLE] = about[SIZE] * steps - events[UPDATE]
+        events[MESSAGE] = events[SPIKE_IN] + always_on * (about[BIAS_FAN_OUT] > 0)
+        if about[IS_OUTPUT]:
+            events[MESSAGE] += events[SPIKE_OUT] + always_on * about[READ]
+
+
+@jit
+def _remember(constants: Array, memory: Array, call: Array) -> None:
+    """Bring the last states to slot 0, and the last rows of sources before those of a window."""
+    timesteps = call.timesteps
+    last = timesteps if call.slots > 2 else timesteps & 1
+    if last:
+        for about in constants.layers:
+            width, first = about[WIDTH], about[STATE]
+            at = first + last * width
+            _copy(memory.states[at : at + width], memory.states[first : first + width])
+    for source in constants.sources:
+        size, rows = source[NEURONS], source[REMEMBERS]
+        # forwards, since the rows may overlap
+        start, shift = source[RASTER], timesteps * size
+        for at in range(start, start + rows * size):
+            memory.rasters[at] = memory.rasters[at + shift]
+            memory.lists[at] = memory.lists[at + shift]
+        start = source[LENGTHS]
+        for at in range(start, start + rows):
+            memory.lengths[at] = memory.lengths[at + timesteps]

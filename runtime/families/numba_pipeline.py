@@ -1,0 +1,321 @@
+"""The Numba backend that families share: a program in the memory that the compiled kernels take."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from importlib.util import find_spec
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.chips.window import Window
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.backend import (
+    Recording,
+    SavedState,
+    Schedule,
+    aligned_copy,
+    aligned_zeros,
+    check_counts,
+    not_spikes,
+    unsupported_synapses,
+)
+from spikedeploy.runtime.emulator.ledger import EVENTS, LedgerBuilder
+from spikedeploy.runtime.families.numba_kernels import (
+    LENGTHS,
+    MATRIX,
+    NEURONS,
+    RASTER,
+    REMEMBERS,
+    SIZE,
+    STATE,
+    WIDTH,
+    WINDOWS,
+    Memory,
+    Wiring,
+)
+
+Numbers = NDArray[Any]
+Delays = tuple[tuple[int, ...], ...]
+
+
+def wire(
+    program: Program,
+    delays: Delays,
+    windows: bool,
+    states: int,
+    own: Sequence[Sequence[int]],
+    dtype: DTypeLike,
+) -> Wiring:
+    """The program as arrays; all that does not change while it runs.
+
+    delays: rows by which each synapse of each layer delivers late.
+    windows: whether what runs are windows, in which biases may start late, or single timesteps.
+    states: of a neuron.
+    own: further columns of each layer.
+    dtype: of the weights.
+    """
+    layers = program.layers
+    synapses = [s for layer in layers for s in layer.synapses]
+    index = {name: k for k, name in enumerate(program.sizes)}
+    # the lag of each synapse, and where its weights and its axons begin
+    lags = [lag for of_layer in delays for lag in of_layer]
+    weights = np.cumsum([0, *(s.weight.size for s in synapses)]).tolist()
+    axons = np.cumsum([0, *(len(s.fan_out) for s in synapses)]).tolist()
+    reach: list[Numbers] = [np.zeros(0, np.int32)]
+    shapes: list[list[int]] = []
+    wires = []
+    for k, s in enumerate(synapses):
+        place = MATRIX if s.window is None else len(shapes)
+        if s.window is not None:
+            shapes.append(_describe(s.window, reach))
+        wires.append((index[s.source], lags[k], weights[k], axons[k], place))
+    remembered = dict.fromkeys(program.sizes, 0)
+    remembered[program.output] = program.readout.lag if program.readout else 0
+    for s, lag in zip(synapses, lags, strict=True):
+        remembered[s.source] = max(remembered[s.source], lag)
+    rows, neurons, first = [], 0, 0
+    for layer, more in zip(layers, own, strict=True):
+        end = first + len(layer.synapses)
+        output, run_rows = layer.name in program.to_host, program.rows(1)
+        window = program.window(layer, run_rows) if windows else slice(0, run_rows)
+        rows.append(
+            (
+                layer.size,
+                neurons,
+                0,
+                states * layer.size,
+                first,
+                end,
+                layer.start,
+                weights[-1] + neurons,
+                layer.bias_fan_out,
+                output,
+                layer.size if output and not layer.spiking else 0,
+                layer.name == program.output,
+                window.start,
+                run_rows - window.stop,
+                *more,
+            )
+        )
+        neurons, first = neurons + layer.size, end
+    return Wiring(
+        weights=aligned_copy(
+            np.concatenate([*map(_packed, synapses), *(a.bias for a in layers)]), dtype
+        ),
+        fan_out=np.concatenate([s.fan_out for s in synapses]),
+        wires=np.array(wires, np.int64),
+        windows=np.array(shapes, np.int64).reshape(len(shapes), len(WINDOWS)),
+        reach=np.concatenate(reach),
+        layers=np.array(rows, np.int64),
+        # without places in memory, which depend on the timesteps
+        sources=np.array([(n, remembered[name], 0, 0) for name, n in program.sizes.items()]),
+    )
+
+
+def largest_weight(layers: Sequence[Layer]) -> int:
+    """The largest magnitude of a weight or a bias."""
+    values = [v for layer in layers for v in (layer.bias, *(s.weight for s in layer.synapses))]
+    return max(int(np.abs(v.astype(np.int64)).max(initial=0)) for v in values)
+
+
+def _packed(synapses: Synapses) -> Numbers:
+    """The weights as the kernels read them, one after another."""
+    if (window := synapses.window) is None:
+        return synapses.weight.ravel()
+    # (G, O / G, I, ky, kx) to (G, I, ky, kx, O / G)
+    parted = synapses.weight.reshape(window.groups, -1, *synapses.weight.shape[1:])
+    return np.ascontiguousarray(np.moveaxis(parted, 1, -1)).ravel()
+
+
+def _describe(window: Window, reach: list[Numbers]) -> list[int]:
+    """The row of a window, whose tables are put behind those of others."""
+    (channels, height, width), (features, target_y, target_x) = window.source, window.target
+    starts = []
+    for table, extent, pool in zip(window.reach, (height, width), window.pool, strict=True):
+        starts.append(sum(map(len, reach)))
+        # of the source as it sends: rows that a pool leaves over reach nothing
+        whole = np.full((extent, table.shape[1]), -1, np.int32)
+        whole[: len(table) * pool] = table.repeat(pool, axis=0)
+        reach.append(whole.ravel())
+    of_group = channels // window.groups, features // window.groups
+    return [height, width, *starts, *window.kernel, *of_group, features, target_y, target_x]
+
+
+class NumbaPipeline(ABC):
+    """A program as a Backend, in memory for windows of T timesteps of B.
+
+    states: of a neuron; its membrane is the last.
+    state_type: of them.
+    """
+
+    states_of_neuron: ClassVar[int]
+    state_type: ClassVar[DTypeLike]
+
+    def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
+        self.schedule = schedule
+        self._batch, timesteps = batch, schedule.timesteps
+        self._names = [layer.name for layer in program.layers]
+        self._most = program.chip.input_spikes_max
+        known = self.constants(program, schedule.delays, schedule.mode != "step")
+        # of each state; with a trace those after each timestep, else two that are used in turn
+        self._slots = timesteps + 1 if schedule.trace else 2
+        self._layers, self._sources = known.layers.copy(), known.sources.copy()
+        neurons, rows = self._sources[:, NEURONS], self._sources[:, REMEMBERS] + timesteps
+        self._layers[:, STATE], states = _compute_offsets(self._slots * self._layers[:, WIDTH])
+        self._sources[:, RASTER], spikes = _compute_offsets(neurons * rows)
+        self._sources[:, LENGTHS], lengths = _compute_offsets(rows)
+        constants = known._replace(layers=self._layers, sources=self._sources)
+        size = int(self._layers[:, SIZE].max())
+        narrow, wide = (aligned_zeros((2, size), dtype) for dtype in self.sum_types(known))
+        self._memory = Memory(
+            rasters=np.zeros((batch, spikes), np.uint8),
+            lists=np.zeros((batch, spikes), np.int32),
+            lengths=np.zeros((batch, lengths), np.int64),
+            states=aligned_zeros((batch, states), self.state_type),
+            refractory=np.zeros((batch, int(self._layers[:, SIZE].sum())), np.int64),
+            counts=np.zeros((batch, len(self._layers), len(EVENTS)), np.int64),
+            narrow=narrow,
+            wide=wide,
+        )
+        self._presynaptic = np.zeros((timesteps, batch, program.layer(program.output).size))
+        self._input = self._rows(0)
+        # without a trace there is one timestep, whose states have become those of now
+        after = slice(1, None) if schedule.trace else slice(1)
+        self._membranes: dict[str, Numbers] = {
+            name: self._states(k)[:, after, -1].swapaxes(0, 1) for k, name in enumerate(self._names)
+        }
+        self._fresh = True
+        lag = program.readout.lag if program.readout else 0
+        numbers = (self._presynaptic, self._slots, lag, schedule.steps)
+        self._arguments = (*constants, *self._memory, *numbers)
+        self._flags = (schedule.mode == "row", schedule.counting)
+        # of a whole window from zero, which is what most calls ask for
+        self._anew = (*self._arguments, -1, *self._flags, True)
+
+    @staticmethod
+    @abstractmethod
+    def constants(program: Program, delays: Delays, windows: bool) -> Any:  # noqa: ANN401
+        """All that does not change while the program runs: a Wiring, and the family's numbers.
+
+        delays: rows by which each synapse of each layer delivers late.
+        windows: whether what runs are windows, in which biases may start late, or single timesteps.
+        """
+
+    @staticmethod
+    @abstractmethod
+    def sum_types(constants: Any) -> tuple[DTypeLike, DTypeLike]:  # noqa: ANN401
+        """Number types of the narrow and the wide sums."""
+
+    @staticmethod
+    @abstractmethod
+    def kernel(*arguments: Any) -> bool:  # noqa: ANN401
+        """One window of every layer; False where the input held too many spikes."""
+
+    @staticmethod
+    def obstacle(program: Program) -> str | None:
+        """The reason why it cannot compute the program; None where it can."""
+        if obstacle := unsupported_synapses(program):
+            return obstacle
+        if find_spec("numba") is None:
+            return "Numba is not installed. In the checkout of spikedeploy: pip install '.[fast]'."
+        return None
+
+    def reset(self) -> None:
+        """Forget every current, membrane and spike."""
+        self._fresh = True
+
+    def run(self, rows: Numbers, step: int | None = None) -> NDArray[np.float64]:
+        """Spikes (T, B, N) as they reach the readout, from those of the input (T, B, M)."""
+        if rows.dtype.itemsize > 1:
+            check_counts(rows, self._most)
+        # a view, for numbers of one type are copied ten times faster than those of two
+        values = rows.view(np.uint8) if rows.dtype.itemsize == 1 else rows
+        self._input[...] = values.swapaxes(0, 1)
+        arguments = self._anew
+        if step is not None or not self._fresh:
+            arguments = (*self._arguments, -1 if step is None else step, *self._flags, self._fresh)
+        if not self.kernel(*arguments):
+            raise not_spikes(rows, self._most)
+        self._fresh = False
+        return self._presynaptic
+
+    def report(self, ledger: LedgerBuilder) -> None:
+        """Enter the last window in the ledger."""
+        ledger.add(self._memory.counts, self.schedule.timesteps, self.schedule.steps)
+
+    def recordings(self) -> dict[str, Recording]:
+        """A recording of the last window of each layer."""
+        recordings = {}
+        for k, name in enumerate(self._names):
+            # (B, T + 1, states, N) to (states, B, T, N)
+            states = self._states(k)[:, 1:].transpose(2, 0, 1, 3).astype(np.int64)
+            recordings[name] = Recording(*_both(states), self._rows(k + 1).copy())
+        return recordings
+
+    def membranes(self, layer: str) -> Numbers:
+        """Membranes (T, B, N) of a layer after each timestep of the last window [state units]."""
+        return self._membranes[layer]
+
+    def spikes(self, layer: str) -> Numbers:
+        """Spikes (T, B, N) of a layer in the last window."""
+        return np.asarray(self._rows(self._names.index(layer) + 1).swapaxes(0, 1))
+
+    def states(self) -> dict[str, tuple[Numbers, Numbers]]:
+        """Current and membrane (B, N) of each layer."""
+        now = [self._states(k)[:, 0].astype(np.int64) for k in range(len(self._names))]
+        return {
+            name: _both(states.swapaxes(0, 1))
+            for name, states in zip(self._names, now, strict=True)
+        }
+
+    def saved(self) -> SavedState:
+        """Copies of all states, and of the spikes that have not arrived yet."""
+        # a reset waits for the next window
+        return {} if self._fresh else {name: each.copy() for name, each in self._kept().items()}
+
+    def restore(self, saved: SavedState) -> None:
+        """Go on from there; T may be another."""
+        self._fresh = not saved
+        for name, values in saved.items():
+            self._kept()[name][...] = values
+
+    def _kept(self) -> dict[str, Numbers]:
+        """Views of the states now, and of the rows of sources that have not arrived."""
+        kept: dict[str, Numbers] = {"refractory": self._memory.refractory}
+        for k in range(len(self._names)):
+            kept[f"states {k}"] = self._states(k)[:, 0]
+        for k, (_, past, _, at) in enumerate(self._sources):
+            kept[f"rasters {k}"] = self._split(self._memory.rasters, k)[:, :past]
+            kept[f"lists {k}"] = self._split(self._memory.lists, k)[:, :past]
+            kept[f"lengths {k}"] = self._memory.lengths[:, at : at + past]
+        return kept
+
+    def _states(self, layer: int) -> Numbers:
+        """(B, slots, states of a neuron, N)."""
+        width, at = self._layers[layer, [WIDTH, STATE]]
+        flat: Numbers = self._memory.states[:, at : at + self._slots * width]
+        return flat.reshape(self._batch, self._slots, self.states_of_neuron, -1)
+
+    def _rows(self, source: int) -> Numbers:
+        """(B, T, N) spikes of a source in the window."""
+        return self._split(self._memory.rasters, source)[:, -self.schedule.timesteps :]
+
+    def _split(self, array: Numbers, source: int) -> Numbers:
+        """(B, remembered + T, N) of the rasters or of the lists."""
+        size, past, at, _ = self._sources[source]
+        rows = past + self.schedule.timesteps
+        return array[:, at : at + rows * size].reshape(self._batch, rows, size)
+
+
+def _both(states: Numbers) -> tuple[Numbers, Numbers]:
+    """Current and membrane; neurons without a current have one of 0."""
+    current = states[0] if len(states) > 1 else np.zeros_like(states[0])
+    return current, states[-1]
+
+
+def _compute_offsets(sizes: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
+    """The first index of each block, and the size of all."""
+    ends = np.cumsum(sizes)
+    return ends - sizes, int(ends[-1])
