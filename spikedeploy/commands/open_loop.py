@@ -99,7 +99,8 @@ def _emulate_events(
     size, region = camera.size(), camera.part()
     fallback = (height * camera.downsample, width * camera.downsample) if region is None else None
     recording = open_recording(events, size, fallback)
-    view = view_of(artifact, recording.size, region, camera.downsample)
+    is_on_first = camera.channels == "on-off"
+    view = view_of(artifact, recording.size, region, camera.downsample, is_on_first)
     found = survey(recording, view)
     steps = None
     if camera.step == "time":

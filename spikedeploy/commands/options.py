@@ -37,6 +37,7 @@ TeacherUnits = Literal["own", "scaled"]
 Computes = Literal["numpy", "numba", "auto", "interpreter"]
 Encoders = Literal["population", "rate", "delta"]
 SpikeCount = Literal["above", "reached", "many"]
+Channels = Literal["off-on", "on-off"]
 EventStep = Literal["time", "event"]
 LowestMembrane = Literal["none", "zero", "threshold"]
 
@@ -144,6 +145,7 @@ class FromCamera:
     camera: str | None = None
     region: str | None = None
     downsample: int = 1
+    channels: Channels = "off-on"
     time_step: str | None = None
     step: EventStep = "time"
     page: Path | None = None

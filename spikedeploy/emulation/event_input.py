@@ -1,7 +1,8 @@
 """The part of a camera that a network sees: events to neurons of its Input, time to timesteps.
 
 Channel 0 of an Input (2, H, W) takes the events of polarity 0, where the light fell, and channel 1
-those of polarity 1, as Tonic's frames do; an Input (1, H, W) or (H, W) takes both as one.
+those of polarity 1, as Tonic's frames do, unless it is asked for the other order, which the event
+camera of envs/ observes; an Input (1, H, W) or (H, W) takes both as one.
 """
 
 from collections.abc import Iterator
@@ -31,30 +32,37 @@ class EventView:
     x, y: column and row of the camera where the view begins [pixels].
     downsample: pixels along each axis that become one; those left over at the right and at the
         bottom are not seen.
+    on_first: whether channel 0 takes polarity 1, where the light rose.
     """
 
     shape: tuple[int, int, int]
     x: int = 0
     y: int = 0
     downsample: int = 1
+    on_first: bool = False
 
     def neurons(self, events: Events) -> NDArray[np.int64]:
-        """(E,) the neuron that each event reaches, ((p H) + y) W + x; -1 for those not seen."""
+        """(E,) the neuron that each event reaches, (c H + y) W + x; -1 for those not seen."""
         channels, height, width = self.shape
         x = (events["x"].astype(np.int64) - self.x) // self.downsample
         y = (events["y"].astype(np.int64) - self.y) // self.downsample
-        channel = events["p"] if channels == 2 else 0
+        channel = (events["p"] ^ self.on_first) if channels == 2 else 0
         is_seen = (x >= 0) & (x < width) & (y >= 0) & (y < height)
         return np.where(is_seen, (channel * height + y) * width + x, -1)
 
 
 def view_of(
-    artifact: Artifact, camera: Size | None, region: Region | None, downsample: int = 1
+    artifact: Artifact,
+    camera: Size | None,
+    region: Region | None,
+    downsample: int = 1,
+    on_first: bool = False,
 ) -> EventView:
     """The view of a network's Input; ConfigError where it is not of that size.
 
     camera: (height, width) [pixels], where it is known.
     region: x, y, width, height [pixels] of the part of the camera that is seen; None is all of it.
+    downsample, on_first: as in EventView.
     """
     shape = input_shape(artifact)
     _, height, width = shape
@@ -78,7 +86,7 @@ def view_of(
             f"the events come from {seen[0]}x{seen[1]} pixels (height x width), down-sampled by "
             f"{downsample}; the network takes {height}x{width}. {_remedy(seen, (height, width))}"
         )
-    return EventView(shape, x, y, downsample)
+    return EventView(shape, x, y, downsample, on_first)
 
 
 def _remedy(seen: Size, wanted: Size) -> str:

@@ -112,7 +112,12 @@ class Replay:
             "title": run.recording.path.name,
             "seed": None,
             "period": seconds,
-            "scene": {"kind": "maps", "maps": maps, "every": self.every},
+            "scene": {
+                "kind": "maps",
+                "maps": maps,
+                "every": self.every,
+                "on_first": run.view.on_first,
+            },
             "players": [player],
             "distance": None,
             "twin": False,

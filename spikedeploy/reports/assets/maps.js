@@ -70,7 +70,7 @@ class MapsView {
     for (let k = first; k < last; k++) {
       const neuron = spikes.indices[k], channel = Math.floor(neuron / (rows * columns));
       const place = tile.isInput ? 0 : channel, x = neuron % columns, y = Math.floor(neuron / columns) % rows;
-      context.fillStyle = !tile.isInput ? paint.spike : channel || channels === 1 ? paint.series[0] : paint.series[1];
+      context.fillStyle = !tile.isInput ? paint.spike : channels === 1 || channel !== Number(this.episode.scene.on_first) ? paint.series[0] : paint.series[1];
       context.fillRect((place % across) * (columns + gap) + x, Math.floor(place / across) * (rows + gap) + y, 1, 1);
     }
     return sheet;

@@ -172,6 +172,12 @@ def test_one_channel_takes_both_polarities():
     np.testing.assert_array_equal(neurons, counted(events, (1, 6, 8)).sum(axis=0).ravel())
 
 
+@pytest.mark.parametrize(("on_first", "neuron"), [(False, 49), (True, 1)])
+def test_the_channel_of_rising_light_can_be_chosen(on_first, neuron):
+    events = np.array([(1, 0, 0, 1)], EVENT)
+    assert EventView((2, 6, 8), on_first=on_first).neurons(events).tolist() == [neuron]
+
+
 def test_rows_and_columns_left_over_are_not_seen():
     events = np.array([(14, 0, 0, 1), (15, 0, 0, 1), (0, 11, 0, 1)], EVENT)
     neurons = EventView((1, 3, 5), downsample=3).neurons(events)
