@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from spikedeploy.files import read_toml
 from spikedeploy.requests import Request, Scale, parse_requests
 from spikedeploy.runtime.chips.damage import Damage, Upset, Upsets
-from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.chips.layer import NEVER, Layer, Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import ConfigError
 
@@ -120,17 +120,25 @@ def _kill_neurons(program: Program, number: float, rng: np.random.Generator) -> 
 
 
 def _silence(layer: Layer, keep: Mask) -> Layer:
-    """The layer with neurons that nothing reaches, so that their membranes stay at 0."""
+    """The layer with neurons that nothing reaches, so that their membranes stay at 0.
+
+    What shares a kernel is reached all the same, and never spikes.
+    """
+    # a threshold of 0 may count as reached
+    dead = np.maximum(layer.threshold, 1)
+    if any(s.window is not None for s in layer.synapses):
+        dead = np.full_like(layer.threshold, np.inf if layer.threshold.dtype.kind == "f" else NEVER)
     return replace(
         layer,
         synapses=tuple(
-            replace(s, weight=np.where(keep, s.weight, 0).astype(s.weight.dtype))
+            s
+            if s.window is not None
+            else replace(s, weight=np.where(keep, s.weight, 0).astype(s.weight.dtype))
             for s in layer.synapses
         ),
         bias=layer.bias * keep,
         voltage_bias=layer.voltage_bias * keep,
-        # a threshold of 0 may count as reached
-        threshold=np.where(keep, layer.threshold, np.maximum(layer.threshold, 1)),
+        threshold=np.where(keep, layer.threshold, dead),
     )
 
 
@@ -143,7 +151,9 @@ def _vary_thresholds(program: Program, number: float, rng: np.random.Generator) 
         threshold = layer.threshold
         if layer.name in factors:
             steps = np.rint(threshold * factors[layer.name] / step)
-            threshold = np.clip(steps, 1, largest // step).astype(threshold.dtype) * step
+            varied = np.clip(steps, 1, largest // step).astype(threshold.dtype) * step
+            # what is dead stays so
+            threshold = np.where(threshold < NEVER, varied, threshold)
         hit += int(np.count_nonzero(threshold != layer.threshold))
         layers.append(replace(layer, threshold=threshold))
     return layers, hit, of

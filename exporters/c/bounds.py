@@ -51,7 +51,7 @@ def bound(
     total: NDArray[np.int64] = np.abs(layer.bias.astype(np.int64))
     for synapses in layer.synapses:
         weight = np.abs(synapses.weight.astype(np.int64))
-        total = total + weight.sum(axis=0) * times_max[synapses.source]
+        total = total + synapses.over_axons(weight, np.add) * times_max[synapses.source]
     weights = int(total.max(initial=0))
     if isinstance(rules, CubaRegisters):
         return _bound_cuba(layer, rules, weights, timesteps)

@@ -317,7 +317,7 @@ def _read(plan: Plan, encoder: DeltaEncoder) -> NDArray[np.bool_]:
     for layer in program.layers:
         for synapses in layer.synapses:
             if synapses.source == program.input:
-                read |= (synapses.weight != 0).any(axis=1)
+                read |= synapses.fan_out > 0
     return np.asarray(read.reshape(encoder.observed, -1).any(axis=1))
 
 

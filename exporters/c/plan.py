@@ -286,7 +286,9 @@ class Plan:
         merged = int(np.bitwise_or.reduce(np.abs(np.concatenate(units).astype(np.int64))))
         unit = (merged & -merged) or 1
         inputs = [
-            Projection(f"{name}_row{k}", each.weight // unit, self.spikes[each.source], lag)
+            Projection(
+                f"{name}_row{k}", each.listed().weight // unit, self.spikes[each.source], lag
+            )
             for k, (each, lag) in enumerate(zip(layer.synapses, lags, strict=True))
         ]
         spikes = self.spikes.get(layer.name)

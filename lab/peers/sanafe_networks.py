@@ -101,8 +101,9 @@ def simulate(network: Program, raster: Weights, layout: Layout) -> dict[str, Any
         groups[each.name] = neurons(net, each)
     for each in network.layers:
         for synapses in each.synapses:
-            pairs = np.argwhere(synapses.weight)
-            weights = {"weight": synapses.weight[tuple(pairs.T)].astype(float).tolist()}
+            matrix = synapses.listed().weight
+            pairs = np.argwhere(matrix)
+            weights = {"weight": matrix[tuple(pairs.T)].astype(float).tolist()}
             source, target = groups[synapses.source], groups[each.name]
             source.connect_neurons_sparse(target, weights, [tuple(p) for p in pairs.tolist()])
     cores = architecture.cores()

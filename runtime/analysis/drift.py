@@ -450,8 +450,8 @@ def _cause_in(
 
 
 def _describe_weights(before: Layer, after: Layer) -> str:
-    held = np.concatenate([np.abs(s.weight) for s in before.synapses])
-    kept = np.concatenate([s.weight for s in after.synapses])
+    held = np.concatenate([np.abs(s.weight).ravel() for s in before.synapses])
+    kept = np.concatenate([s.weight.ravel() for s in after.synapses])
     lost = (kept == 0) & (held > 0)
     share = held[lost].sum() / held.sum()
     return (

@@ -45,27 +45,31 @@ class Synapses:
     @property
     def shape(self) -> tuple[int, int]:
         """Axons M and neurons N."""
-        return self.window.shape if self.window else (len(self.weight), self.weight.shape[1])
+        return (
+            self.window.shape
+            if self.window is not None
+            else (len(self.weight), self.weight.shape[1])
+        )
 
     @cached_property
     def fan_out(self) -> NDArray[np.int64]:
         """(M,) non-zero weights of each axon: what one of its spikes costs in SOPs."""
-        if self.window:
+        if self.window is not None:
             return self.window.fan_out(self.weight)
         return np.asarray(np.count_nonzero(self.weight, axis=1), np.int64)
 
     def sums(self, spikes: Numbers, dtype: DTypeLike = np.float64) -> Numbers:
-        """(B, N) sums of the weights that spikes (B, M) bring, in floats.
+        """Sums (..., N) of the weights that spikes (..., M) bring, in floats.
 
         Of whole numbers exact, up to 2**53 in float64: BLAS knows no integers. 32-bit weights reach
         that with 2**22 spikes in a timestep, 8-bit ones of graded spikes with 2**22 inputs.
         """
-        if self.window:
+        if self.window is not None:
             return self.window.sums(self.weight, spikes, dtype)
         if self.weight.dtype.kind == "f":
             return np.asarray(spikes.astype(dtype) @ self.weight.astype(dtype))
-        axons = np.flatnonzero(spikes.any(axis=0))
-        return np.asarray(spikes[:, axons].astype(dtype) @ self.weight[axons].astype(dtype))
+        axons = np.flatnonzero(spikes.any(axis=tuple(range(spikes.ndim - 1))))
+        return np.asarray(spikes[..., axons].astype(dtype) @ self.weight[axons].astype(dtype))
 
     def row(self, axon: int) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
         """Mask (N,) of the neurons that an axon reaches, weights of 0 included, and weights (N,).
@@ -86,7 +90,7 @@ class Synapses:
         values: one, not below 0, for each weight as it is stored.
         reduce: np.add or np.maximum.
         """
-        if self.window:
+        if self.window is not None:
             return self.window.over_axons(values, reduce)
         return np.asarray(reduce.reduce(values, axis=0, initial=0))
 
@@ -96,19 +100,24 @@ class Synapses:
         Of a window those of its channels; RuleError where neurons of a channel differ.
         """
         values = np.asarray(values)
-        if not self.window or values.ndim == 0:
+        if self.window is None or not values.ndim:
             return values
-        each = values.reshape(self.window.target[0], -1)
-        if (each != each[:, :1]).any():
+        if (each := self.window.of_channels(values)) is None:
             raise RuleError(
                 f"rule kernel: the synapses from {self.source!r}: neurons that share a kernel have "
                 "numbers of their own. Give those of a channel the same, or run in float."
             )
-        return each[:, :1, None, None]
+        return each
+
+    def scaled(self, factors: Numbers) -> "Synapses":
+        """Weights times factors (N,) of the neurons; a matrix where those of a channel differ."""
+        if self.window is not None and self.window.of_channels(factors) is None:
+            return self.listed().scaled(factors)
+        return replace(self, weight=self.weight * self.by_weight(factors))
 
     def listed(self) -> "Synapses":
         """The same synapses as a matrix; RuleError where that is too large."""
-        if not self.window:
+        if self.window is None:
             return self
         if (found := 8 * math.prod(self.shape)) > MAX_BYTES:
             raise RuleError(

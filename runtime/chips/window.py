@@ -66,6 +66,16 @@ class Window:
         y, x = (extent // pool for extent, pool in zip(extents, self.pool, strict=True))
         return channels, y, x
 
+    @property
+    def is_one_to_one(self) -> bool:
+        """True if each axon is the only one of the neuron of its number."""
+        one = (1, 1)
+        return (
+            self.source == self.target
+            and self.kernel == self.pool == self.stride == one
+            and (self.padding == (0, 0) and self.groups == self.source[0])
+        )
+
     @cached_property
     def reach(self) -> tuple[Places, Places]:
         """Position that a pooled row (Y, ky), or column (X, kx), reaches by each element; or -1."""
@@ -95,11 +105,16 @@ class Window:
         values: (O, I, ky, kx), none below 0.
         reduce: np.add or np.maximum.
         """
-        rows, columns = self._seen
+        rows, columns = self.seen
         each = reduce.reduce(values, axis=1)
         each = reduce.reduce(each[:, :, None] * columns, axis=3)  # (O, ky, X)
         each = reduce.reduce(each[:, None] * rows[:, :, None], axis=2)
         return np.ravel(each * math.prod(self.pool) if reduce is np.add else each)
+
+    def of_channels(self, values: Numbers) -> Numbers | None:
+        """Numbers (N,) of the neurons as (O, 1, 1, 1); None where those of a channel differ."""
+        each = values.reshape(self.target[0], -1)
+        return each[:, :1, None, None] if (each == each[:, :1]).all() else None
 
     def row(self, weight: Numbers, axon: int) -> tuple[Places, Numbers]:
         """Neurons (k,) in ascending order that an axon reaches, and its weights (k,), zeros too."""
@@ -124,19 +139,22 @@ class Window:
         return matrix
 
     def sums(self, weight: Numbers, spikes: Numbers, dtype: DTypeLike = np.float64) -> Numbers:
-        """(B, N) sums of the weights that spikes (B, M) bring; of whole numbers exact.
+        """Sums (..., N) of the weights that spikes (..., M) bring; of whole numbers exact.
 
         Few spikes add their weights one by one; for many, windows become rows of a matrix.
         """
         maps = self._divide(spikes)
+        shape = (*spikes.shape[:-1], self.shape[1])
         features, elements = self.target[0] // self.groups, math.prod(self.kernel)
         additions = np.count_nonzero(maps) * features * elements
         unfolded = maps.shape[0] * maps.shape[1] * math.prod(self.target[1:]) * elements
-        if additions * _PER_ADDITION < unfolded * (features + _PER_ELEMENT):
-            return self._scatter(weight, maps).astype(dtype, copy=False)
+        if additions * _PER_ADDITION <= unfolded * (features + _PER_ELEMENT):
+            return self._scatter(weight, maps).astype(dtype, copy=False).reshape(shape)
         some = max(1, _UNFOLDED // (8 * unfolded // len(maps)))
-        parts = range(0, len(maps), some)
-        return np.concatenate([self._multiply(weight, maps[k : k + some], dtype) for k in parts])
+        parts = [
+            self._multiply(weight, maps[k : k + some], dtype) for k in range(0, len(maps), some)
+        ]
+        return np.concatenate(parts).reshape(shape)
 
     def _scatter(self, weight: Numbers, maps: Numbers) -> Numbers:
         """(B, N) sums, to which each of the events of maps (B, *pooled) adds its weights."""
@@ -178,8 +196,8 @@ class Window:
         return last + self.dilation[axis] * (self.kernel[axis] - 1) + 1
 
     def _divide(self, spikes: Numbers) -> Numbers:
-        """Spikes (B, M) behind the pool, (B, *pooled)."""
-        maps = spikes.reshape(len(spikes), *self.source)
+        """Spikes (..., M) behind the pool, (B, *pooled)."""
+        maps = spikes.reshape(-1, *self.source)
         if self.pool == (1, 1):
             return maps
         (channels, y, x), (py, px) = self.pooled, self.pool
@@ -188,7 +206,7 @@ class Window:
         return np.asarray(maps.sum(axis=(3, 5)))
 
     @property
-    def _seen(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def seen(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Masks (Y, ky) and (X, kx): elements of the kernel inside the source at each position."""
         found = []
         for axis in (0, 1):

@@ -7,7 +7,7 @@ import numpy as np
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
-from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.chips.layer import MAX_BYTES, Layer
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.mapping import CoreMapping
 from spikedeploy.runtime.compiler.program import HostOutput, Program, Readout
@@ -211,10 +211,7 @@ def _layer(artifact: Artifact, graph: LayerGraph, name: str) -> Layer:
     current_decay = neuron.current_decay
     return Layer(
         name=name,
-        synapses=tuple(
-            replace(synapses, weight=synapses.weight * neuron.gain)
-            for synapses in graph.synapses[name]
-        ),
+        synapses=tuple(synapses.scaled(neuron.gain) for synapses in graph.synapses[name]),
         bias=graph.bias[name] * neuron.gain,
         voltage_bias=neuron.leak if graded is None else graded.bias.ravel(),
         threshold=threshold,
@@ -245,8 +242,18 @@ def _way_out(
     first, outlet = taps[0], graph.outlets[0]
     if len(taps) == 1 and not on_host:
         plain = first.weight is None and not first.lag and not outlet.bias.any()
-        weight = np.eye(outlet.port.size) if first.weight is None else first.weight
-        return first.layer, None if plain else Readout(weight, outlet.bias, first.lag), ()
+        if plain:
+            return first.layer, None, ()
+        weight = first.weight
+        if weight is None:
+            if 8 * outlet.port.size**2 > MAX_BYTES:
+                raise RuleError(
+                    f"rule outputs: node {outlet.port.name!r}: {outlet.port.size} spikes reach it "
+                    "late or beside a bias, so that the host would multiply them by a matrix; at "
+                    f"most {MAX_BYTES} bytes. Leave out the delay and the bias before it."
+                )
+            weight = np.eye(outlet.port.size)
+        return first.layer, Readout(weight, outlet.bias, first.lag), ()
     if not silent and convention.state == "kept" and any(tap.lag for tap in taps):
         raise RuleError(
             f"rule delay: node {outlet.port.name!r}: it receives several layers, some of "

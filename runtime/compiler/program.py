@@ -1,7 +1,7 @@
 """The program: a network as one chip runs it; compiled, frozen, and all that a Machine needs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -124,6 +124,14 @@ class Program:
             for synapses in layer.synapses:
                 self._check(layer, synapses, presynaptic)
             presynaptic.add(layer.name)
+
+    def listed(self) -> "Program":
+        """The same with a matrix for each window; RuleError where one is too large."""
+
+        def listed(layers: tuple[Layer, ...]) -> tuple[Layer, ...]:
+            return tuple(replace(a, synapses=tuple(s.listed() for s in a.synapses)) for a in layers)
+
+        return replace(self, layers=listed(self.layers), host=listed(self.host))
 
     def joined(self, rasters: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
         """The input (B, T, M), from the raster (B, T, *shape) of each Input node."""

@@ -3,10 +3,12 @@
 It is known in two depths, both by following the graph from node to node. A Topology takes any sound
 graph, so that every node of a network that fits nowhere can still be told why: of the synapses it
 has a map of each projection, which counts what leaves each source and reaches each target, and is a
-matrix only where the graph has one. A LayerGraph is what a chip is compiled from: the synapses as
-matrices, one for each lag.
+matrix only where the graph has one. A LayerGraph is what a chip is compiled from: the synapses, one
+set for each lag.
 
-A chain without spikes in it is linear but for its biases. So what it does to a unit impulse of a
+Synapses are a convolution's kernel with its window, or an affine map's matrix (compiler.chains). Of
+anything else, two maps in a row or several ways with one lag, a matrix is found, of limited size: a
+chain without spikes in it is linear but for its biases, so what it does to a unit impulse of a
 source is a row of its matrix, and what it does to nothing is its bias.
 
 Neurons without a threshold are readouts: an Output alone may receive their membranes.
@@ -24,7 +26,8 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.layer import Synapses
+from spikedeploy.runtime.chips.layer import MAX_BYTES, Synapses
+from spikedeploy.runtime.compiler.chains import weights_of
 from spikedeploy.runtime.compiler.program import HostOutput, ReadoutTerm
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, RuleError
@@ -64,8 +67,6 @@ _KNOWN = (nir.Input, nir.Output, *_LINEAR, *NEURONS)
 
 # ways to nodes without spikes, and the nodes on them: following more takes seconds
 _MAX_WAYS = 1 << 16
-# bytes of matrices beyond which a network is a mistake on a chip: 33 million weights
-_MAX_BYTES = 1 << 28
 # multiplications that finding a matrix may take
 _MAX_WORK = 1 << 34
 # edges that impulses may follow, over all targets
@@ -407,7 +408,7 @@ def _shape(node: nir.NIRNode) -> tuple[int, ...]:
     return tuple(int(n) for n in node.output_type["output"])
 
 
-# layers, and their synapses as matrices
+# layers, and their synapses as weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -483,18 +484,20 @@ def _check_sources(graph: nir.NIRGraph, block: "_Block", sigma_delta: Collection
 def _synapses(
     matrices: "_Matrices", block: "_Block", name: str, inputs: Sequence[Port]
 ) -> tuple[Synapses, ...]:
-    """The synapses onto a layer by source and lag; those of all Inputs as one matrix."""
+    """The synapses onto a layer by source and lag; those of several Inputs as one matrix."""
     ends = np.cumsum([port.size for port in inputs]).tolist()
     rows = {port.name: slice(end - port.size, end) for port, end in zip(inputs, ends, strict=True)}
-    found: dict[tuple[str, int], Floats] = {}
-    for source in block.sources:
-        for lag, matrix in matrices.between(source, block).items():
-            if source not in rows or len(rows) == 1:
-                found[name if source in rows else source, lag] = matrix
-            else:
-                joined = found.setdefault((name, lag), np.zeros((ends[-1], matrix.shape[1])))
-                joined[rows[source]] = matrix
-    return tuple(Synapses(source, matrix, lag) for (source, lag), matrix in found.items())
+    found: list[Synapses] = []
+    joined: dict[int, Floats] = {}
+    for each in (each for source in block.sources for each in matrices.between(source, block)):
+        if each.source not in rows:
+            found.append(each)
+        elif len(rows) == 1:
+            found.append(replace(each, source=name))
+        else:
+            matrix = joined.setdefault(each.delay, np.zeros((ends[-1], each.shape[1])))
+            matrix[rows[each.source]] = each.listed().weight
+    return *found, *(Synapses(name, matrix, lag) for lag, matrix in joined.items())
 
 
 def _outlet(matrices: "_Matrices", block: "_Block", port: Port) -> HostOutput:
@@ -507,17 +510,20 @@ def _outlet(matrices: "_Matrices", block: "_Block", port: Port) -> HostOutput:
                 "some there, or run the graph in float."
             )
     taps = [
-        ReadoutTerm(source, None if _is_identity(matrix) else matrix, lag)
+        ReadoutTerm(source, None if _is_identity(each) else each.listed().weight, each.delay)
         for source in block.sources
-        for lag, matrix in matrices.between(source, block).items()
+        for each in matrices.between(source, block)
     ]
     return HostOutput(port, tuple(taps), matrices.bias(block))
 
 
-def _is_identity(matrix: Floats) -> bool:
-    square = matrix.shape[0] == matrix.shape[1]
-    ones = square and bool((np.diagonal(matrix) == 1).all())
-    return ones and np.count_nonzero(matrix) == len(matrix)
+def _is_identity(synapses: Synapses) -> bool:
+    size, targets = synapses.shape
+    if size != targets or not (synapses.fan_out == 1).all():
+        return False
+    if synapses.window:
+        return synapses.window.is_one_to_one and bool((synapses.weight == 1).all())
+    return bool((np.diagonal(synapses.weight) == 1).all())
 
 
 class _Block(NamedTuple):
@@ -534,7 +540,7 @@ class _Block(NamedTuple):
 
 
 class _Matrices:
-    """The linear part of a graph as matrices, which may take so much memory and no more."""
+    """The linear part of a graph as weights, which may take so much memory and no more."""
 
     def __init__(self, graph: nir.NIRGraph, convention: Convention) -> None:
         self.graph, self.timing = graph, timing(graph, convention)
@@ -565,18 +571,48 @@ class _Matrices:
         near = {s for name in (*names, target) for s in self._sources[name]}
         return _Block(target, tuple(names), tuple(sorted(near - inside)))
 
-    def between(self, source: str, block: _Block) -> dict[int, Floats]:
+    def between(self, source: str, block: _Block) -> list[Synapses]:
+        """The synapses from a source to the target of a block; delays are what they take."""
+        if (way := self._only_way(block, source)) is not None:
+            chain = [(name, self.graph.nodes[name]) for name in way]
+            if found := weights_of(chain, _shape(self.graph.nodes[source])):
+                self._check_size(block.target, found[0].nbytes)
+                self._bytes += found[0].nbytes
+                lag = self._lag([source, *way, block.target])
+                synapses = Synapses(source, found[0], lag, window=found[1])
+                # one to one: vectors as a diagonal
+                is_vector = len(_shape(self.graph.nodes[source])) == 1
+                return [synapses.listed() if is_vector else synapses]
+        return [Synapses(source, m, lag) for lag, m in self._matrices(source, block).items()]
+
+    def _only_way(self, block: _Block, source: str) -> list[str] | None:
+        """The nodes from a source to the target; None where ways part, or Delays differ."""
+        ahead: dict[str, list[str]] = {}
+        for name in (*block.names, block.target):
+            for near in self._sources[name]:
+                ahead.setdefault(near, []).append(name)
+        way: list[str] = []
+        while (behind := ahead[way[-1] if way else source]) != [block.target]:
+            if len(behind) > 1 or np.ptp(self.timing.delays.get(behind[0], 0)):
+                return None
+            way += behind
+        return way
+
+    def _lag(self, way: Sequence[str]) -> int:
+        """[timesteps] that a way takes, its ends included, on which Delays are uniform."""
+        steps = (int(np.max(self.timing.delays.get(name, 0))) for name in way)
+        return sum(edge in self.timing.late for edge in pairwise(way)) + sum(steps)
+
+    def _matrices(self, source: str, block: _Block) -> dict[int, Floats]:
         """(M, N) from a source to the target of a block, by the timesteps that it takes."""
         size, targets = self._size(source), self._size(block.target)
-        self._check_size(block.target, size)
+        self._check_size(block.target, 8 * size * targets)
         self._check_work(block, source)
-        if weights := self._weights(block, source):
-            return weights
         found: dict[int, Floats] = {}
         for first, impulses in self._impulses(block, source):
             for lag, rows in self._respond(block, {source: {0: impulses}}).items():
                 if lag not in found:
-                    self._check_size(block.target, size)
+                    self._check_size(block.target, 8 * size * targets)
                     found[lag] = np.zeros((size, targets))
                     self._bytes += found[lag].nbytes
                 found[lag][first : first + len(rows)] = rows.reshape(len(rows), -1)
@@ -597,11 +633,12 @@ class _Matrices:
         return np.asarray(parts.get(0, nothing).reshape(-1))
 
     def _check_size(self, target: str, size: int) -> None:
-        if (found := self._bytes + 8 * size * self._size(target)) > _MAX_BYTES:
+        """Refuse so many more bytes of weights onto a target where they are too many."""
+        if (found := self._bytes + size) > MAX_BYTES:
             raise RuleError(
-                f"rule matrix: node {target!r}: as one matrix for each pair of layers, which a "
-                f"chip's axons need, the weights take {found} bytes by here; at most {_MAX_BYTES}. "
-                "Run the network in float, or make its convolutions smaller."
+                f"rule matrix: node {target!r}: the weights take {found} bytes by here; at "
+                f"most {MAX_BYTES}. Two maps without neurons between them become one matrix: put "
+                "neurons there, or run the network in float."
             )
 
     def _check_work(self, block: _Block, source: str) -> None:
@@ -616,8 +653,8 @@ class _Matrices:
         if (found := each * self._size(source)) > _MAX_WORK:
             raise RuleError(
                 f"rule matrix: node {block.target!r}: the matrix from {source!r} takes {found} "
-                f"multiplications; at most {_MAX_WORK}. Run the network in float, or make its "
-                "convolutions smaller."
+                f"multiplications; at most {_MAX_WORK}. Put neurons between its maps, or run the "
+                "network in float."
             )
 
     def _impulses(self, block: _Block, source: str) -> Iterator[tuple[int, Floats]]:
@@ -666,18 +703,6 @@ class _Matrices:
             for step in np.unique(steps).tolist():
                 put[lag + step] = put.get(lag + step, 0.0) + np.where(steps == step, rows, 0.0)
         return put
-
-    def _weights(self, block: _Block, source: str) -> dict[int, Floats]:
-        """The weights themselves of a lone Affine or Linear; nothing where there is more."""
-        path = [source, *block.names, block.target]
-        node = self.graph.nodes[path[1]]
-        alone = all(self._sources[target] == [near] for near, target in pairwise(path))
-        if len(path) != 3 or not alone or not isinstance(node, DENSE) or node.weight.ndim != 2:
-            return {}
-        self._bytes += 8 * node.weight.size
-        # + 0.0: as a sum has it, no zero is negative
-        weight = np.ascontiguousarray(node.weight.T, np.float64) + 0.0
-        return {sum(edge in self.timing.late for edge in pairwise(path)): weight}
 
     def _size(self, name: str) -> int:
         return math.prod(_shape(self.graph.nodes[name]))

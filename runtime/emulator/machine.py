@@ -391,7 +391,7 @@ class _Integrator:
         """Membranes (T, B, N) after each timestep."""
         layer = self.layer
         arrived = [
-            late.through(rows[synapses.source]) @ synapses.weight
+            synapses.sums(late.through(rows[synapses.source]))
             for synapses, late in zip(layer.synapses, self._late, strict=True)
         ]
         drive: Floats = sum(arrived, layer.bias)

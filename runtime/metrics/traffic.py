@@ -68,7 +68,7 @@ def memory_traffic(ledger: Ledger, program: Program) -> dict[str, MemoryTraffic]
 
 
 def packed_bytes(program: Program) -> float:
-    """Size [bytes] of all weights, zeros included, and biases in the chip's widths.
+    """Size [bytes] of all weights, zeros included, and biases in the chip's widths; kernels once.
 
     The readout, which the host computes, is not included.
     """
@@ -146,9 +146,9 @@ def _reached_cores(program: Program, layout: Layout) -> dict[str, NDArray[np.boo
     }
     for layer in program.layers:
         for synapses in layer.synapses:
-            for core in np.unique(layout.cores[layer.name]):
-                on_core = layout.cores[layer.name] == core
-                reached[synapses.source][:, core] |= synapses.weight[:, on_core].any(axis=1)
+            cores, onto = layout.cores[layer.name], reached[synapses.source]
+            for axon in np.flatnonzero(synapses.fan_out).tolist():
+                onto[axon, cores[synapses.row(axon)[1] != 0]] = True
     return reached
 
 

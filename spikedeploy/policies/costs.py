@@ -235,13 +235,10 @@ def _readout_operations(ledger: Ledger, program: Program) -> tuple[float, float]
     readouts: list[tuple[str, NDArray[np.float64]]] = [
         (of, weight) for of, weight in program.readouts if not is_identity(weight)
     ]
-    taken = [(s.source, s.weight) for layer in program.host for s in layer.synapses]
+    fan_outs = [(of, np.count_nonzero(weight, axis=1)) for of, weight in readouts]
+    fan_outs += [(s.source, s.fan_out) for layer in program.host for s in layer.synapses]
     spikes = {**ledger.by_layer("spike_out"), program.input: _input_spikes(ledger, program)}
-    additions = sum(
-        np.count_nonzero(weight, axis=1).mean() * spikes[of]
-        for of, weight in (*readouts, *taken)
-        if of in spikes
-    )
+    additions = sum(fan_out.mean() * spikes[of] for of, fan_out in fan_outs if of in spikes)
     graded = {layer.name for layer in (*program.layers, *program.host) if not layer.spiking}
     products = sum(np.count_nonzero(weight) for of, weight in readouts if of in graded)
     return float(additions / ledger.inferences), float(

@@ -114,6 +114,29 @@ def test_dead_neurons_are_as_many_as_asked_for_and_never_spike(name):
     assert dead >= 23
 
 
+@pytest.mark.parametrize("name", ["loihi1", "speck2f"])
+def test_dead_neurons_that_share_a_kernel_never_spike_and_leave_it_whole(name):
+    shape, zero = (4, 6, 6), np.zeros((4, 6, 6))
+    kernel = nir.Conv2d((6, 6), np.ones((4, 1, 3, 3)), 1, 1, 1, 1, np.zeros(4))
+    neurons = nir.IF(1000 + zero, 1 + zero, zero)
+    convention = Convention(1e-3, reset=chip(name).resets[0])
+    network = chain(kernel, neurons, width=(1, 6, 6), act=shape)
+    program = compile_program(Artifact(network, None, convention), chip(name))
+    broken = inject(program, faults(["dead-neurons=0.5", "threshold-mismatch:3"]))
+    np.testing.assert_array_equal(
+        broken.layers[0].synapses[0].weight, program.layers[0].synapses[0].weight
+    )
+    counts = []
+    for each in (program, broken):
+        machine = Machine(each, 1, "none", trace=True)
+        machine.infer(np.ones((1, 9, 36), np.uint8))
+        counts.append((machine.spikes["n2"] > 0).any(axis=(0, 1)).sum())
+    assert counts == [144, 72]
+    hit = inject(program, faults(["stuck-zero=0.5"]))
+    assert np.count_nonzero(hit.layers[0].synapses[0].weight) == 18
+    assert hit.damage[0].of == 36
+
+
 def test_readouts_are_spared_by_dead_neurons_and_mismatch():
     program = compile_program(graded.delta_network(), chip("loihi2"))
     broken = inject(program, faults(["dead-neurons=1", "threshold-mismatch=0.3"]))

@@ -114,10 +114,8 @@ def sum_arriving(layer: Layer, presynaptic: Sequence[Numbers]) -> Numbers:
     """Sum of the weights (B, N) that arrive, those of the bias included."""
     total = layer.bias.astype(layer.threshold.dtype)
     for synapses, spikes in zip(layer.synapses, presynaptic, strict=True):
-        # BLAS knows no integers. float64 holds whole numbers up to 2**53, which 32-bit weights
-        # reach with 2**22 spikes in a timestep, and 8-bit ones of graded spikes with 2**22 inputs
         kind = np.float64 if total.dtype.kind == "i" else total.dtype
-        arrived = (spikes.astype(kind) @ synapses.weight.astype(kind)).astype(total.dtype)
+        arrived = synapses.sums(spikes, kind).astype(total.dtype)
         total = total + (arrived >> synapses.shift if synapses.shift else arrived)
     return total
 

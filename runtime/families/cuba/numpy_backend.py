@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.layer import Layer, LayerState
+from spikedeploy.runtime.chips.layer import Layer, LayerState, Synapses
 from spikedeploy.runtime.chips.registers import magnitude
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import (
@@ -172,6 +172,19 @@ class Summation:
             np.copyto(self._out, self._sums)
 
 
+class KernelSummation:
+    """The same of synapses with a window: that chooses between scattering and unfolding."""
+
+    def __init__(self, synapses: Synapses, bias: Numbers, unit: int, out: Numbers) -> None:
+        self._synapses, self._unit, self._out = synapses, float(unit), out
+        self._bias = bias * float(unit)
+
+    def __call__(self, raster: Raster) -> None:
+        """Write the sums."""
+        np.multiply(self._synapses.sums(raster.rows), self._unit, self._out)
+        np.add(self._out, self._bias, self._out)
+
+
 # from so many neurons on two calls without a branch are faster than putmask
 _WIDE = 4096
 
@@ -216,17 +229,15 @@ class LayerWindow:
         if range(timesteps)[biased] != range(timesteps):
             bias = np.zeros((timesteps, 1, layer.size), layer.bias.dtype)
             bias[biased] = layer.bias
-        self._first, *self._others = (
-            Summation(
-                s.weight,
-                0 * layer.bias if k else bias,
-                partial,
-                self._unit,
-                self._more if k else self._sums,
-                scratch,
+        summations: list[Summation | KernelSummation] = []
+        for k, s in enumerate(layer.synapses):
+            added, out = (0 * layer.bias, self._more) if k else (bias, self._sums)
+            summations.append(
+                Summation(s.weight, added, partial, self._unit, out, scratch)
+                if s.window is None
+                else KernelSummation(s, added, self._unit, out)
             )
-            for k, s in enumerate(layer.synapses)
-        )
+        self._first, *self._others = summations
         self._prepare_update(layer, fixed)
 
     def _prepare_check(self, fixed: CubaFixedPoint, timesteps: int | None) -> int:
@@ -463,7 +474,8 @@ class NumpyPipeline:
         # rows that a layer runs at once
         self._rows = rows = schedule.timesteps if whole else 1
         heard = [program.window(a, rows) if whole else slice(None) for a in program.layers]
-        largest = max(s.weight.size for layer in program.layers for s in layer.synapses)
+        synapses = [s for layer in program.layers for s in layer.synapses]
+        largest = max((s.weight.size for s in synapses if s.window is None), default=0)
         scratch = aligned_zeros((largest * np.dtype(np.float64).itemsize,), np.uint8)
         self._windows = {
             layer.name: LayerWindow(

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.arithmetic import check_weights_left
-from spikedeploy.runtime.chips.layer import NEVER, Layer, Network
+from spikedeploy.runtime.chips.layer import NEVER, Layer, Network, Synapses
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
 from spikedeploy.runtime.chips.registers import Register, Rounding, magnitude, round_values
 from spikedeploy.runtime.errors import RuleError
@@ -127,9 +127,16 @@ def _bias_sums(layer: Layer, current: Floats, membrane: Floats, unit: int) -> Fl
 
 def _weight_sums(layer: Layer) -> tuple[Floats, Floats, Floats]:
     """Sums of the positive and of the negative weights of each neuron, and its heaviest (N,)."""
-    weights = np.concatenate([s.weight.astype(np.float64) for s in layer.synapses])
+    matrices = [s.weight for s in layer.synapses if s.window is None]
+    weights = np.concatenate([np.zeros((0, layer.size)), *matrices])
+    positive, negative = weights.clip(min=0).sum(axis=0), -weights.clip(max=0).sum(axis=0)
     heaviest = np.abs(weights).max(axis=0, initial=0.0)
-    return weights.clip(min=0).sum(axis=0), -weights.clip(max=0).sum(axis=0), heaviest
+    for s in (s for s in layer.synapses if s.window is not None):
+        kernel = s.weight.astype(np.float64)
+        positive += s.over_axons(kernel.clip(min=0), np.add)
+        negative += s.over_axons(-kernel.clip(max=0), np.add)
+        heaviest = np.maximum(heaviest, s.over_axons(np.abs(kernel), np.maximum))
+    return positive, negative, heaviest
 
 
 def _largest_arrival(layer: Layer) -> Floats:
@@ -181,7 +188,7 @@ def _mantissas_per_unit(
         registers.bias_mantissa_max << registers.bias_exponent_max >> registers.mantissa_shift
     )
     limits = (
-        (registers.weight_max * max(clip_ratio, 1.0), [*(s.weight for s in layer.synapses)]),
+        (registers.weight_max * max(clip_ratio, 1.0), [*map(_largest_weights, layer.synapses)]),
         (registers.weight_max * max(clip_ratio, 1.0), [layer.bias]),
         (registers.threshold_max, [layer.threshold if layer.spiking else 0 * layer.bias]),
         (widest_bias, [layer.voltage_bias]),
@@ -193,7 +200,21 @@ def _mantissas_per_unit(
         scale = np.minimum(scale, np.divide(limit, found, out=scale.copy(), where=found > 0))
     # a neuron of zeros has no largest number
     scale = np.where(np.isfinite(scale), scale, 1.0) * min(clip_ratio, 1.0)
-    return scale if one_each else float(scale.min(initial=np.inf))
+    if not one_each:
+        return float(scale.min(initial=np.inf))
+    for window in (s.window for s in layer.synapses if s.window is not None):
+        # neurons that share a kernel share its scale
+        channels = scale.reshape(window.target[0], -1)
+        scale = np.broadcast_to(channels.min(axis=1, keepdims=True), channels.shape).ravel()
+    return scale
+
+
+def _largest_weights(synapses: Synapses) -> Floats:
+    """(N,) largest magnitude of the weights of each neuron; of a kernel, those of its channel."""
+    if synapses.window is None:
+        return np.asarray(np.abs(synapses.weight).max(axis=0, initial=0.0))
+    each = np.abs(synapses.weight).max(axis=(1, 2, 3))
+    return np.asarray(each.repeat(synapses.shape[1] // len(each)))
 
 
 _ROUNDS = 60
@@ -258,7 +279,7 @@ def quantise(
         scale = share_thresholds(np.asarray(scale), tuned.threshold, quantisation.thresholds)
     one = 1 << (registers.mantissa_shift + exponent)
 
-    def weights(values: Floats) -> Integers:
+    def weights(values: Floats, scale: Scale) -> Integers:
         """Multiples of the chip's weight step; what a clip ratio above 1 sends further is cut."""
         steps = round_values(values * scale / registers.weight_step, rounding)
         most = registers.weight_max
@@ -267,9 +288,10 @@ def quantise(
     quantised = replace(
         layer,
         synapses=tuple(
-            replace(s, weight=weights(s.weight).astype(np.int16)) for s in layer.synapses
+            replace(s, weight=weights(s.weight, s.by_weight(scale)).astype(np.int16))
+            for s in layer.synapses
         ),
-        bias=weights(layer.bias),
+        bias=weights(layer.bias, scale),
         voltage_bias=_voltage_bias(layer.voltage_bias * scale * one, registers, rounding),
         threshold=_thresholds(tuned, scale, registers, rounding, one),
         current_decay=_decay_factor(layer, "current", registers, rounding),
@@ -394,9 +416,13 @@ def bounds(
 ) -> Bounds:
     """Bounds of a layer that starts from 0; timesteps None is a state that is never reset."""
     one = float(1 << registers.mantissa_shift)
-    weights = [s.weight.astype(np.int64) for s in layer.synapses]
-    positive = sum((w.clip(min=0).sum(axis=0) for w in weights), layer.bias.clip(min=0))
-    negative = sum((-w.clip(max=0).sum(axis=0) for w in weights), -layer.bias.clip(max=0))
+    weights = [(s, s.weight.astype(np.int64)) for s in layer.synapses]
+    positive = sum(
+        (s.over_axons(w.clip(min=0), np.add) for s, w in weights), layer.bias.clip(min=0)
+    )
+    negative = sum(
+        (s.over_axons(-w.clip(max=0), np.add) for s, w in weights), -layer.bias.clip(max=0)
+    )
     raised, above = _leaky(layer, registers, positive * one, layer.voltage_bias, timesteps)
     lowered, below = _leaky(layer, registers, negative * one, -layer.voltage_bias, timesteps)
     if network.convention.reset == "zero":
@@ -487,6 +513,11 @@ def _quantise_proven(
     timesteps: int | None,
 ) -> Layer:
     each = quantisation.granularity == "channel"
+    if each and any(s.window is not None for s in layer.synapses):
+        raise RuleError(
+            f"rule headroom: layer {layer.name!r}: neurons that share a kernel cannot have a scale "
+            "that is proven for each. Choose granularity 'layer', or headroom 'none'."
+        )
     share = np.ones(layer.size if each else 1)
     for _ in range(_HEADROOM_ROUNDS):
         quantised = quantise(layer, registers, quantisation, share if each else float(share[0]))

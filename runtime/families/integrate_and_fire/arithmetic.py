@@ -49,7 +49,7 @@ def check_axons(layers: Sequence[Layer], chip_name: str, rules: IntegrateAndFire
     if rules.signs == "axon":
         _check_signs(layers, chip_name)
     for layer in layers if rules.axon_types else ():
-        found = axon_types(np.concatenate([s.weight for s in layer.synapses]))
+        found = axon_types(np.concatenate([s.listed().weight for s in layer.synapses]))
         if found > rules.axon_types:
             raise RuleError(
                 f"rule axon-types: layer {layer.name!r}: its weights need {found} types of axons, "
@@ -103,7 +103,10 @@ def _check_signs(layers: Sequence[Layer], chip_name: str) -> None:
     signs: dict[str, tuple[Any, Any]] = {}
     for layer in layers:
         for synapses in layer.synapses:
-            up, down = (synapses.weight > 0).any(axis=1), (synapses.weight < 0).any(axis=1)
+            up, down = (
+                replace(synapses, weight=some).fan_out > 0
+                for some in (synapses.weight > 0, synapses.weight < 0)
+            )
             before = signs.get(synapses.source, (False, False))
             signs[synapses.source] = up, down = before[0] | up, before[1] | down
             if (both := np.flatnonzero(up & down)).size:

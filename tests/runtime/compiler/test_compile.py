@@ -240,14 +240,16 @@ def test_a_spike_cannot_arrive_at_once_at_a_layer_that_came_before():
 
 
 def test_finding_a_matrix_may_take_exactly_so_many_multiplications(monkeypatch):
-    # 4 kernels of 9 weights at 3 x 3 places, and what they put out, for each of 25 impulses
+    # 4 kernels of 9 weights at 3 x 3 places, then a pool of one, and what they put out, for each of
+    # 25 impulses: two maps without neurons between them
     convolution = nir.Conv2d(
         input_shape=(5, 5), weight=np.ones((4, 1, 3, 3)), stride=1, padding=0, dilation=1,
         groups=1, bias=np.zeros(4),
     )  # fmt: skip
-    nodes = [convolution, nir.Flatten({"input": np.array([4, 3, 3])}, 0, -1), cuba(36)]
+    pool = nir.SumPool2d(np.array([1, 1]), np.array([1, 1]), np.array([0, 0]))
+    nodes = [convolution, pool, nir.Flatten({"input": np.array([4, 3, 3])}, 0, -1), cuba(36)]
     artifact = Artifact(chain(*nodes, width=(1, 5, 5), act=36), None, CONVENTION)
-    needed = 25 * (4 * 9 * 9 + 36)
+    needed = 25 * (4 * 9 * 9 + 36 + 36)
     monkeypatch.setattr(wiring, "_MAX_WORK", needed)
     compile_program(artifact, chip("ideal"))
     monkeypatch.setattr(wiring, "_MAX_WORK", needed - 1)

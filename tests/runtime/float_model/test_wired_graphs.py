@@ -246,12 +246,18 @@ def test_a_loop_without_neurons_is_refused_on_a_chip():
         compile_program(artifact(graph(edges, **ends([2], [2]), **nodes)), chip("ideal"))
 
 
-def test_matrices_beyond_the_limit_are_refused_before_they_are_made():
+def test_maps_in_a_row_beyond_the_limit_of_their_matrix_are_refused_before_it_is_made():
     wide = nir.Conv2d(None, np.ones((8, 1, 3, 3)), 1, 1, 1, 1, np.zeros(8))
     shape = (8, 128, 128)
     cells = nir.IF(*(np.full(shape, v) for v in (1000.0, 1.0, 0.0)))
-    network = graph("input->c, c->l, l->output", **ends([1, 128, 128], shape), c=wide, l=cells)
-    with pytest.raises(RuleError, match=r"node 'l': as one matrix .* 17179869184 bytes by here"):
+    ports = ends([1, 128, 128], shape)
+    network = graph("input->c, c->l, l->output", **ports, c=wide, l=cells)
+    compile_program(artifact(network), chip("ideal"))
+    scale = nir.Scale(np.full(shape, 2.0))
+    second = nir.Conv2d(None, np.ones((8, 1, 1, 1)), 1, 0, 1, 8, np.zeros(8))
+    edges = "input->c, c->s, s->d, d->l, l->output"
+    network = graph(edges, **ports, c=wide, s=scale, d=second, l=cells)
+    with pytest.raises(RuleError, match=r"rule matrix: node .l.: .* between .*put neurons there"):
         compile_program(artifact(network), chip("ideal"))
 
 
