@@ -361,19 +361,20 @@ class EventCamera:
         1979): as many as darkness would have, of which the light keeps some, so that it costs
         no draw for every pixel, as v2e makes.
         """
-        places, polarities = [np.zeros(0, np.intp)], [np.zeros(0, np.bool_)]
-        if self.parameters.shot_noise_hz:
-            for camera, rng in enumerate(self._noise):
-                rates = self._noise_of[camera]  # cumulative, of ON and then of OFF events
-                many = rng.poisson(rates[-1] * elapsed[camera])
-                which, keep = rng.random((2, many))
-                entry = np.searchsorted(rates, which * rates[-1], "right")
-                polarity, pixel = np.divmod(np.minimum(entry, len(rates) - 1), self._size)
-                intensity = self._intensity(given[camera, pixel])
-                is_kept = keep < 1.0 - (1.0 - _NOISE_IN_LIGHT) * intensity
-                places.append(camera * self._size + pixel[is_kept])
-                polarities.append(polarity[is_kept] == 0)
-        return np.concatenate(places), np.concatenate(polarities)
+        if not self.parameters.shot_noise_hz:
+            return np.zeros(0, np.intp), np.zeros(0, np.bool_)
+        entries, kept = [], []
+        for camera, rng in enumerate(self._noise):
+            rates = self._noise_of[camera]  # cumulative, of ON and then of OFF events
+            which, keep = rng.random((2, rng.poisson(rates[-1] * elapsed[camera])))
+            found = rates.searchsorted(which * rates[-1], "right")
+            entries.append(np.minimum(found, len(rates) - 1) + 2 * self._size * camera)
+            kept.append(keep)
+        channel, pixel = np.divmod(np.concatenate(entries), self._size)
+        place = channel // 2 * self._size + pixel
+        rate = 1.0 - (1.0 - _NOISE_IN_LIGHT) * self._intensity(given.reshape(-1)[place])
+        is_kept = np.concatenate(kept) < rate
+        return place[is_kept], channel[is_kept] % 2 == 0
 
     def _events(self, camera: int, before: float, fired: _Fired) -> Events:
         """Events (E,) of a camera in the order of time."""

@@ -7,14 +7,15 @@ a kart whose actions are held drives the same path at every control rate.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.event_camera import CameraParameters, EventCamera
 from spikedeploy.envs.eye.course import (
     GATE_AT,
     HALF,
@@ -44,6 +45,11 @@ BRAKE = 12.0  # [m/s^2] at a gate, and from it
 RADIUS = 0.25  # of the kart [m]
 HEAD_ON = 0.75  # share of the speed into a wall that is a crash; below it the kart slides
 TAKEN = HALF + 0.3  # of the middle of a fork [m], where an arm has been taken
+CAMERA = CameraParameters(on_threshold=0.25, off_threshold=0.25, mismatch=0.03, shot_noise_hz=0.6)
+_FOLLOWED = 1 - math.exp(-1 / (PHYSICS * LAG))  # share of a change, in a step of the physics
+_GREY = math.log(60.0)  # log luminance of a wall, of which the view draws the rest
+_GAP = 0.6  # [m] before a gate at which a kart stands
+_OPENING, _LIFT = 0.3, 2.5  # [s], [m] in which a gate opens, upwards
 _AHEAD = 0.8  # [m] of the point that the teacher pursues
 
 
@@ -55,9 +61,7 @@ class EyeOptions:
     rate       control rate [Hz]: 60, 240 or 960
     quiet      share of the time in which the kart waits at gates, 0 to 0.95
     forks      of an episode
-    noise      events of a pixel without cause [Hz]
-    threshold  change of log luminance for an event, mean of the pixels
-    mismatch   standard deviation of the threshold over pixels
+    camera     parameters of the event camera, by name, where they are not those of CAMERA
     shape      (rows, columns) of the camera
     pool       pixels whose events are added up: pool by pool
     seconds    after which an episode is truncated, gates not counted
@@ -67,9 +71,7 @@ class EyeOptions:
     rate: int = 60
     quiet: float = 0.0
     forks: int = 6
-    noise: float = 0.5
-    threshold: float = 0.25
-    mismatch: float = 0.03
+    camera: Mapping[str, float] = field(default_factory=dict)
     shape: tuple[int, int] = (32, 64)
     pool: int = 2
     seconds: float = 30.0
@@ -90,7 +92,14 @@ class EyeOptions:
     @property
     def wait(self) -> float:
         """Mean time at a gate [s], by which `quiet` is reached."""
-        return self.quiet / (1 - self.quiet) * sum(LENGTHS) / 2 / SPEED
+        # to stop and to go on again takes SPEED / BRAKE longer
+        return self.quiet / (1 - self.quiet) * (sum(LENGTHS) / 2 / SPEED + SPEED / BRAKE)
+
+
+def nearest_action(steering: Floats) -> NDArray[np.int64]:
+    """The actions (B,) whose steering is nearest to steering (B,)."""
+    found: NDArray[np.int64] = np.abs(steering[:, None] - STEERING).argmin(1)
+    return found
 
 
 class EyeBatch:
@@ -113,14 +122,14 @@ class EyeBatch:
         self._substeps = PHYSICS // options.rate
         self._renders = max(1, VIEWS // options.rate)
         self.courses: list[Course] = [None] * batch  # type: ignore[list-item]
-        self._rng: list[np.random.Generator] = [None] * batch  # type: ignore[list-item]
         self.seeds = np.zeros(batch, np.int64)
         zeros = np.zeros(batch)
         self.x, self.y, self.heading, self.turn, self.speed = (zeros.copy() for _ in range(5))
         self.fork, self.steps = np.zeros(batch, np.int64), np.zeros(batch, np.int64)
         self._travelled, self._waited = zeros.copy(), zeros.copy()
         self._hold = zeros.copy()  # [s] for which the gate ahead stays closed
-        self._origin, self._forward = np.zeros((batch, 2)), np.zeros((batch, 2))
+        self._frame = np.zeros((4, batch))  # direction and origin of the corridor, x and y
+        self._over, self._go = np.zeros(batch, np.bool_), zeros.copy()  # steps of the physics [s]
         self._length, self._arm, self._sign_y = (
             zeros.copy(),
             np.zeros(batch, np.int64),
@@ -128,14 +137,15 @@ class EyeBatch:
         )
         self._letter = np.zeros((batch, 2))
         self._held = np.zeros(batch, np.bool_)
-        self._walls = np.full((batch, 2, SIDES, 6), np.nan)
-        self._planes = np.zeros((batch, PLANES, 8))
+        self._walls = np.full((batch, 2, SIDES, 5), np.nan, np.float32)
+        self._planes = np.zeros((batch, PLANES, 8), np.float32)
         self._textures = np.zeros((batch, TEXTURES, TEXTURE_ROWS, TEXTURE_COLUMNS), np.float32)
         self._pictures = np.zeros((batch, n + 2, len(BLURS), ROWS, COLUMNS), np.float32)
-        self._seen = np.zeros((batch, *options.shape), np.float32)  # log luminance at last events
-        self._thresholds = np.zeros((batch, 2, *options.shape), np.float32)
-        rows, columns = np.indices(options.shape) // options.pool
-        self._cell = (rows * options.counted[2] + columns).reshape(-1)  # of a pixel
+        self._frames = np.full((batch, *options.shape), _GREY, np.float32)  # log luminance
+        parameters = CameraParameters(**{**asdict(CAMERA), **options.camera})
+        self._camera = EventCamera(self._frames.shape, parameters, [0] * batch, is_log=True)
+        self._time = zeros.copy()  # of the last frames [s]
+        self.pixels = np.zeros((batch, 2, *options.shape), np.uint8)
 
     # episodes
 
@@ -144,8 +154,9 @@ class EyeBatch:
         chosen = range(self.size) if which is None else which
         for b, seed in zip(chosen, seeds, strict=True):
             self._begin(b, int(seed))
-        rows = np.asarray(list(chosen), np.int64)
-        self._seen[rows] = self._look(rows)
+        self._camera.reset(seeds, chosen)
+        self._draw(np.asarray(chosen, np.int64))
+        self.pixels[list(chosen)] = 0
         self._notice()
         return np.zeros((self.size, *self.options.counted), np.uint8)
 
@@ -153,23 +164,21 @@ class EyeBatch:
         options = self.options
         course = draw_course(seed, options.forks, options.signs, options.wait)
         rng = np.random.default_rng([seed, 1])
-        self.courses[b], self._rng[b], self.seeds[b] = course, rng, seed
+        self.courses[b], self.seeds[b] = course, seed
         self._textures[b], self._pictures[b] = course.textures, course.pictures
-        spread = rng.standard_normal((2, *options.shape))
-        limits = options.threshold + options.mismatch * spread
-        self._thresholds[b] = np.maximum(limits, 0.04 * options.threshold)
         side, tilt = rng.uniform(-0.3, 0.3), rng.uniform(-0.2, 0.2)
         self.x[b], self.y[b], self.heading[b] = 0.0, -side, tilt
         self.turn[b], self.speed[b] = 0.0, SPEED
         self.fork[b] = self.steps[b] = 0
         self._travelled[b] = self._waited[b] = 0.0
+        self._over[b], self._go[b] = False, 1 / PHYSICS
         self._enter(b)
 
     def _enter(self, b: int) -> None:
         """Begin the corridor before the fork ahead."""
         course, k = self.courses[b], int(self.fork[b])
         self._hold[b] = course.wait[k]
-        self._origin[b], self._forward[b] = course.origin[k], directions(course.ahead[k])
+        self._frame[:, b] = *directions(course.ahead[k]), *course.origin[k]
         self._length[b], self._arm[b] = course.length[k], course.arm[k]
         self._sign_y[b], self._letter[b] = course.sign_y[k], course.letter[k]
         self._walls[b], self._planes[b] = course.local[k].walls, course.local[k].planes
@@ -186,19 +195,17 @@ class EyeBatch:
         name what else is known of each (B,).
         """
         options = self.options
-        wanted = np.asarray(STEERING)[actions]
-        before = self._travelled
+        wanted = -TURN * np.asarray(STEERING)[actions]
+        before = self._travelled.copy()
         outcome = {name: np.zeros(self.size, np.bool_) for name in ("right", "wrong", "crash")}
-        hits: list[Any] = []
-        counts: list[Any] = []
+        self.pixels[:] = 0
         for _ in range(self._renders):
-            stood = self._moving()
+            moved = self._moving()
             for _ in range(self._substeps // self._renders):
                 self._drive(wanted, outcome)
-            moved = np.flatnonzero(stood | self._moving())
-            if len(moved):
-                self._events(moved, hits, counts)
-        self._noise(hits, counts)
+            self._draw(np.flatnonzero(moved | self._moving()))
+            self._time += 1 / (self._renders * options.rate)
+            self._camera.count(self._frames, self._time, self.pixels)
         self.steps += 1
         finish = self.fork >= options.forks
         self._notice()
@@ -212,7 +219,7 @@ class EyeBatch:
         late = self.steps / options.rate - self._waited > options.seconds
         info = {**outcome, "finish": finish, "terms": terms, **self.known()}
         return (
-            self._pooled(hits, counts),
+            self._pooled(),
             sum(terms.values(), np.zeros(self.size)),
             terminated,
             late & ~terminated,
@@ -273,139 +280,116 @@ class EyeBatch:
 
     def _local(self) -> tuple[Floats, Floats, Floats]:
         """Position (B,) to the right and ahead in the corridor, and heading to its right."""
-        away_x, away_y = self.x - self._origin[:, 0], self.y - self._origin[:, 1]
-        fx, fy = self._forward.T
+        fx, fy, ox, oy = self._frame
+        ax, ay = self.x - ox, self.y - oy
         angle = np.arctan2(fy, fx) - self.heading
         angle = (angle + math.pi) % (2 * math.pi) - math.pi
-        return away_x * fy - away_y * fx, away_x * fx + away_y * fy, angle
+        return ax * fy - ay * fx, ax * fx + ay * fy, angle
 
     def _moving(self) -> NDArray[np.bool_]:
-        moving: NDArray[np.bool_] = (self.speed > 0) | (self._hold > 0) & (self._hold < 0.3)
+        """Mask (B,) of the karts whose view changes."""
+        opens = (self._hold > 0) & (self._hold < _OPENING)
+        moving: NDArray[np.bool_] = ~self._over & ((self.speed > 0) | opens)
         return moving
 
     def _drive(self, wanted: Floats, outcome: dict[str, NDArray[np.bool_]]) -> None:
-        """Advance the physics by 1/960 s."""
-        dt = 1 / PHYSICS
-        alive = ~(outcome["wrong"] | outcome["crash"] | (self.fork >= self.options.forks))
-        y = self._local()[1]
-        room = np.where(self._hold > 0, GATE_AT - 0.6 - y, 9.0)
-        stopping = (
-            (self._hold > 0)
-            & (y < GATE_AT)
-            & (self.speed**2 >= 2 * BRAKE * (room - self.speed * dt))
-        )
-        self.speed = np.clip(self.speed + np.where(stopping, -BRAKE, BRAKE) * dt, 0, SPEED)
-        waiting = stopping & (self.speed == 0)
-        self._hold = np.where(waiting, np.maximum(self._hold - dt, 0), self._hold)
-        self._waited += dt * waiting
-        share = 1 - math.exp(-dt / LAG)
-        self.turn += (-wanted * TURN * (self.speed / SPEED) - self.turn) * share
-        go = dt * alive
-        self.heading += self.turn * go
-        cos, sin = np.cos(self.heading), np.sin(self.heading)
-        self.x += self.speed * cos * go
-        self.y += self.speed * sin * go
-        self._collide(alive, cos, sin, outcome)
+        """Advance the physics by 1/960 s.
 
-    def _collide(
+        wanted  (B,) turn rate [rad/s] of a kart at full speed
+        """
+        if self.options.quiet:
+            self._obey_gates()
+        self.turn += (wanted - self.turn) * _FOLLOWED
+        pace = self.speed * self._go
+        self.heading += self.turn * pace / SPEED
+        cos, sin = np.cos(self.heading), np.sin(self.heading)
+        self.x += pace * cos
+        self.y += pace * sin
+        fx, fy, ox, oy = self._frame
+        ax, ay = self.x - ox, self.y - oy
+        x, y = ax * fy - ay * fx, ax * fx + ay * fy
+        ahead = cos * fx + sin * fy
+        self._travelled += pace * ahead
+        # the middle of a corridor and of an arm is far from everything
+        if ((np.abs(x) > HALF - RADIUS) | (y > self._length + HALF - RADIUS) | (y < 0)).any():
+            self._touch(x, y, cos * fy - sin * fx, ahead, outcome)
+
+    def _touch(
         self,
-        alive: NDArray[np.bool_],
-        cos: Floats,
-        sin: Floats,
+        x: Floats,
+        y: Floats,
+        right: Floats,
+        ahead: Floats,
         outcome: dict[str, NDArray[np.bool_]],
     ) -> None:
-        """Keep the karts inside, or end the episode; pass on to the next corridor."""
-        fx, fy = self._forward.T
-        ax, ay = self.x - self._origin[:, 0], self.y - self._origin[:, 1]
-        x, y = ax * fy - ay * fx, ax * fx + ay * fy
-        to_right, to_front = cos * fy - sin * fx, cos * fx + sin * fy
+        """Keep the karts inside or end their episodes, and pass on to the next corridors.
+
+        x, y          (B,) position in the corridor [m]
+        right, ahead  (B,) direction there
+        """
         free, end = HALF - RADIUS, self._length + HALF - RADIUS
-        over, under = np.abs(x) - free, self._length - HALF + RADIUS - y
-        inside = (over <= 0) | (under <= 0)
-        beside = ~inside & (over <= under)
-        corner = ~inside & ~beside
-        ahead, behind = y > end, y < 0
-        side = np.sign(x)
-        into = np.where(beside, to_right * side, 0.0)
-        into = np.where(corner | behind, -to_front, into)
-        into = np.where(ahead, to_front, into)
-        touches = ~inside | ahead | behind
-        outcome["crash"] |= alive & touches & (into > HEAD_ON)
-        if touches.any():
-            put_x = np.where(beside, side * free, x)
-            put_y = np.where(corner, y + under, y)
-            put_y = np.clip(put_y, 0, end)
-            self.x = np.where(touches, self._origin[:, 0] + put_x * fy + put_y * fx, self.x)
-            self.y = np.where(touches, self._origin[:, 1] - put_x * fx + put_y * fy, self.y)
-            x = put_x
-        self._travelled = self._travelled + self.speed * to_front * alive / PHYSICS
-        taken = alive & (np.abs(x) > TAKEN) & ~outcome["crash"]
-        if taken.any():
-            outcome["right"] |= taken & (np.sign(x) == self._arm)
-            outcome["wrong"] |= taken & (np.sign(x) != self._arm)
-            for b in np.flatnonzero(taken & (np.sign(x) == self._arm)).tolist():
-                self.fork[b] += 1
-                if self.fork[b] < self.options.forks:
-                    self._enter(b)
+        over, under = np.abs(x) - free, self._length - free - y  # the corridor's walls, its corners
+        outside = (over > 0) & (under > 0)
+        at_side, at_corner = outside & (over <= under), outside & (over > under)
+        at_end, at_start = y > end, y < 0
+        into = np.select(
+            (at_end, at_start | at_corner, at_side), (ahead, -ahead, right * np.sign(x)), 0.0
+        )
+        outcome["crash"] |= ~self._over & (into > HEAD_ON)
+        put_x = np.where(at_side, np.copysign(free, x), x)
+        put_y = np.clip(np.where(at_corner, y + under, y), 0, end)
+        fx, fy, _, _ = self._frame
+        self.x += (put_x - x) * fy + (put_y - y) * fx
+        self.y += (put_y - y) * fy - (put_x - x) * fx
+        taken = ~self._over & ~outcome["crash"] & (np.abs(put_x) > TAKEN)
+        right_arm = np.sign(put_x) == self._arm
+        outcome["right"] |= taken & right_arm
+        outcome["wrong"] |= taken & ~right_arm
+        for b in np.flatnonzero(taken & right_arm).tolist():
+            self.fork[b] += 1
+            if self.fork[b] < self.options.forks:
+                self._enter(b)
+        self._over |= outcome["crash"] | outcome["wrong"] | (self.fork >= self.options.forks)
+        self._go = np.where(self._over, 0.0, 1 / PHYSICS)
+
+    def _obey_gates(self) -> None:
+        """Brake before closed gates, wait until they are open, and go on."""
+        _, y, _ = self._local()
+        room = GATE_AT - _GAP - y
+        halts = (self._hold > 0) & (self.speed**2 >= 2 * BRAKE * (room - self.speed / PHYSICS))
+        change = np.where(halts, -BRAKE, BRAKE) / PHYSICS
+        self.speed = np.clip(self.speed + change, 0, SPEED)
+        waits = halts & (self.speed == 0) & ~self._over
+        self._hold = np.where(waits, np.maximum(self._hold - 1 / PHYSICS, 0), self._hold)
+        self._waited += waits / PHYSICS
 
     # camera
 
-    def _look(self, rows: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Log luminance (len(rows), rows, columns) that some of the karts see."""
+    def look(self, view: View, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Log luminance (len(rows), rows, columns) that some of the karts have before them."""
         position = np.stack((self.x[rows], self.y[rows]), 1)
         planes = self._planes[rows]
-        lifted = np.clip(1 - self._hold[rows] / 0.3, 0, 1) * (self.options.quiet > 0)
-        planes[:, PLANES - 1, 5:7] += 2.5 * lifted[:, None]
-        seen = self._view.log_luminance(
-            position,
-            self.heading[rows],
-            self._walls[rows],
-            planes,
-            self._textures,
-            self._pictures,
-            rows,
-        )
-        return seen
+        planes[:, -1, 5:7] += np.float32(_LIFT) * (1 - self._hold[rows, None] / _OPENING).clip(0, 1)
+        shown = self._walls[rows], planes, self._textures, self._pictures, rows
+        return view.log_luminance(position, self.heading[rows], *shown)
 
-    def _events(self, rows: NDArray[np.int64], hits: list[Any], counts: list[Any]) -> None:
-        """Append the events since the last view: index (k,) of polarity and pixel, and number."""
-        seen, pixels = self._look(rows), self._cell.size
-        change = seen - self._seen[rows]
-        found = np.flatnonzero(np.abs(change) >= 0.6 * self.options.threshold)
-        which, pixel = np.divmod(found, pixels)
-        change = change.reshape(-1)[found]
-        place = (rows[which] * 2 + (change < 0)) * pixels + pixel
-        limit = self._thresholds.reshape(-1)[place]
-        number = np.floor(np.abs(change) / limit).astype(np.int64)
-        some = number > 0
-        place, number = place[some], number[some]
-        self._seen.reshape(-1)[rows[which[some]] * pixels + pixel[some]] += np.copysign(
-            number * limit[some], change[some]
-        ).astype(np.float32)
-        hits.append(place)
-        counts.append(number)
+    @property
+    def closed(self) -> NDArray[np.bool_]:
+        """Mask (B,) of the karts before whom a gate is closed."""
+        return np.asarray(self._hold > 0)
 
-    def _noise(self, hits: list[Any], counts: list[Any]) -> None:
-        mean = self.options.noise * self._cell.size / self.options.rate
-        if not mean:
-            return
-        for b, rng in enumerate(self._rng):
-            number = rng.poisson(mean)
-            if number:
-                place = rng.integers(0, 2 * self._cell.size, number)
-                hits.append(place + b * 2 * self._cell.size)
-                counts.append(np.ones(number, np.int64))
+    def _draw(self, rows: NDArray[np.int64]) -> None:
+        """Draw what some of the karts see; the others stand still."""
+        if len(rows):
+            self._frames[rows] = self.look(self._view, rows) + np.float32(_GREY)
 
-    def _pooled(self, hits: list[Any], counts: list[Any]) -> NDArray[np.uint8]:
-        """Counts (B, 2, rows, columns) of the cells."""
-        shape = (self.size, *self.options.counted)
-        if not hits:
-            return np.zeros(shape, np.uint8)
-        place, number = np.concatenate(hits), np.concatenate(counts)
-        first, pixel = np.divmod(place, self._cell.size)
-        cells = shape[2] * shape[3]
-        total = np.bincount(first * cells + self._cell[pixel], number, self.size * 2 * cells)
-        return np.minimum(total, 255).astype(np.uint8).reshape(shape)
+    def _pooled(self) -> NDArray[np.uint8]:
+        """Counts (B, 2, rows, columns) of the cells, at most 255."""
+        pool, total = self.options.pool, np.zeros((self.size, *self.options.counted), np.uint16)
+        for row in range(pool):
+            for column in range(pool):
+                total += self.pixels[:, :, row::pool, column::pool]
+        return np.minimum(total, 255).astype(np.uint8)
 
     def _notice(self) -> None:
         """Set which letters are visible and readable, and hold what was read until the turn."""

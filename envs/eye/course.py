@@ -20,10 +20,10 @@ Floats = NDArray[np.float64]
 
 HALF = 1.0  # half width of a corridor [m]
 WALL = 2.0  # height of the walls [m]
-LENGTHS = (4.5, 6.5)  # [m]
+LENGTHS = (5.5, 7.0)  # [m]
 SIGN_BEFORE = (0.0, 0.4)  # of the fork's middle [m]
 SIGN_ABOVE = 0.6  # lower edge of a sign above the floor [m]
-GATE_AT = 1.7  # of a gate, from the middle of the fork behind [m]
+GATE_AT = 2.3  # of a gate, from the middle of the fork behind [m]
 GATE_BAR = (0.25, 0.45)  # heights of a closed gate [m]
 UNSEEN_SEEDS = 5_000  # from which signs are of hands that training never sees
 
@@ -41,7 +41,7 @@ PLANES = 6  # signs and gates that can be seen from a corridor
 class Local:
     """What can be seen from one corridor, in the world's coordinates.
 
-    walls    (2, SIDES, 6) across axis 0 and axis 1: where it stands, lowest and highest of the
+    walls    (2, SIDES, 5) across axis 0 and axis 1: where it stands, lowest and highest of the
              other coordinate, texture, phase [m]; NaN walls are none
     planes   (PLANES, 8): axis, where it stands, middle of the other coordinate, its direction to
              the right of the picture, half width, lower and upper edge [m], picture (-1: none)
@@ -143,7 +143,7 @@ def _local(course: Course, k: int, looks: Floats) -> Local:
     across.append((length - w, w, after - w, end[1]))
     across.append((length - w, -after + w, -w, end[2]))
     along += [(x * (after + w), length - w - 4, length + w + 4, beyond[0]) for x in (-1, 1)]
-    walls = np.full((2, SIDES, 6), np.nan)
+    walls = np.full((2, SIDES, 5), np.nan)
     walls[..., 3:] = 0
     axis = int(course.ahead[k]) % 2  # of y: 0 where the corridor runs along the world's x
     for local, rows in ((0, along), (1, across)):
@@ -152,7 +152,7 @@ def _local(course: Course, k: int, looks: Floats) -> Local:
             ends = to_world(course, k, point if local == 0 else point[:, ::-1])
             fixed = 1 - axis if local == 0 else axis
             low, high = sorted(ends[:, 1 - fixed].tolist())
-            walls[fixed, place, :5] = ends[0, fixed], low, high, *look
+            walls[fixed, place] = ends[0, fixed], low, high, *look
     return Local(walls, _planes(course, k))
 
 

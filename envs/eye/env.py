@@ -2,36 +2,54 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import fields
 from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.eye.batch import STEERING, EyeBatch, EyeOptions
+from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.eye.batch import STEERING, EyeBatch, EyeOptions, nearest_action
 
 Floats = NDArray[np.float64]
 
+_FADING = 0.04  # [s] in which events fade from a picture
+
 
 class KartEyeEnv(gymnasium.Env[Floats, Any]):
-    """Drive through forks by signs, seen by an event camera; options are those of EyeOptions.
+    """Drive by signs that an event camera sees, to where six forks have been passed.
 
-    Observed are the event counts of the control step, flattened from EyeOptions.counted: polarity,
-    rows, columns. Actions choose the steering.
+    render_mode  "rgb_array" or None
+    options      those of EyeOptions, by name
+
+    Observed are the numbers of events in the control step, in the order of EyeOptions.counted:
+    polarity, row, column. An action chooses one of STEERING; the kart keeps its speed, but for
+    gates, at which it waits by itself. An episode ends after the last fork (terminated, a success),
+    in a wrong arm or at a wall (terminated), or when its time is over (truncated).
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 60}  # noqa: RUF012
-    STEERING: ClassVar[tuple[float, ...]] = STEERING
+    ACTIONS: ClassVar[tuple[str, ...]] = (
+        "left", "half left", "slightly left", "straight", "slightly right", "half right", "right",
+    )  # fmt: skip
 
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:  # noqa: ANN401
+        if unknown := set(options) - {field.name for field in fields(EyeOptions)}:
+            raise EnvError(f"kart-eye has no option {min(unknown)!r}; it has those of EyeOptions")
+        if render_mode not in (None, "rgb_array"):
+            raise EnvError(f"render_mode must be None or rgb_array, found {render_mode!r}")
+        self.render_mode = render_mode
         self.options = EyeOptions(**options)
         self.CONTROL_DT = 1.0 / self.options.rate
-        self.render_mode = render_mode
         self.batch = EyeBatch(1, self.options)
-        size = int(np.prod(self.options.counted))
+        size = math.prod(self.options.counted)
         self.OBSERVATION = {"events": slice(0, size)}
         self.observation_space = gymnasium.spaces.Box(0.0, 255.0, (size,), np.float64)
         self.action_space: gymnasium.Space[Any] = gymnasium.spaces.Discrete(len(STEERING))
+        self.recent = np.zeros((2, *self.options.shape))  # events of each pixel, fading
+        self.trail: list[tuple[float, float]] = []  # [m] where the kart has been
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -40,13 +58,42 @@ class KartEyeEnv(gymnasium.Env[Floats, Any]):
         super().reset(seed=seed)
         drawn = int(self.np_random.integers(2**31)) if seed is None else seed
         counts = self.batch.reset([drawn])
-        return counts[0].reshape(-1).astype(np.float64), {}
+        self.recent[:] = 0.0
+        self.trail = [(float(self.batch.x[0]), float(self.batch.y[0]))]
+        return counts.reshape(-1).astype(np.float64), {}
 
     def step(self, action: Any) -> tuple[Floats, float, bool, bool, dict[str, Any]]:  # noqa: ANN401
         """Advance by one control step."""
-        counts, reward, terminated, truncated, info = self.batch.step(np.array([int(action)]))
-        seen = counts[0].reshape(-1).astype(np.float64)
+        if not self.action_space.contains(action):
+            raise EnvError(f"action {action!r}: give a whole number from 0 to {len(STEERING) - 1}")
+        batch = self.batch
+        counts, reward, terminated, truncated, info = batch.step(np.array([action]))
+        if self.render_mode is not None:
+            self.recent *= math.exp(-self.CONTROL_DT / _FADING)
+            self.recent += batch.pixels[0]
+            self.trail.append((float(batch.x[0]), float(batch.y[0])))
         terms = {name: float(values[0]) for name, values in info.pop("terms").items()}
-        told = {name: values[0] for name, values in info.items() if values.ndim == 1}
-        told |= {"success": bool(info["finish"][0]), "reward_terms": terms}
-        return seen, float(reward[0]), bool(terminated[0]), bool(truncated[0]), told
+        told = {name: values[0].item() for name, values in info.items() if values.ndim == 1}
+        told |= {
+            "success": told["finish"],
+            "lap_time": float(batch.steps[0]) * self.CONTROL_DT,
+            "x": float(batch.x[0]),
+            "y": float(batch.y[0]),
+            "heading": float(batch.heading[0]),
+            "speed": float(batch.speed[0]),
+            "reward_terms": terms,
+        }
+        ends = bool(terminated[0]), bool(truncated[0])
+        return counts.reshape(-1).astype(np.float64), float(reward[0]), *ends, told
+
+    def pursue(self) -> NDArray[np.int64]:
+        """The action () of the privileged teacher, see EyeBatch.teacher."""
+        return np.asarray(nearest_action(self.batch.teacher())[0])
+
+    def render(self) -> NDArray[np.uint8]:
+        """A picture (720, 960, 3): the view, the events, the map."""
+        if self.render_mode is None:
+            raise EnvError('render needs an environment made with render_mode="rgb_array"')
+        from spikedeploy.envs.eye.picture import picture
+
+        return picture(self)

@@ -18,12 +18,14 @@ Floats = NDArray[np.float32]
 Points = NDArray[np.float64]
 Signs = Literal["letters", "chevrons"]
 
-TEXEL = 0.025  # [m]
-ROWS, COLUMNS = 40, 72  # texels of a board: 1.0 m by 1.8 m
+TEXEL = 0.02  # [m]
+ROWS, COLUMNS = 30, 92  # texels of a board: 0.60 m by 1.84 m
 HEIGHT, WIDTH = ROWS * TEXEL, COLUMNS * TEXEL  # [m]
-BLURS = 0.035 * 1.3 ** np.arange(6)  # [m] footprint of a pixel at which each picture is sharp
+BLURS = 0.03 * 1.3 ** np.arange(6)  # [m] footprint of a pixel at which each picture is sharp
 LETTERS = "FRJ4"
-_BORDER = 0.05  # [m]
+_WORD = 4  # letters
+_PITCH = 0.42  # of letters [m]
+_BORDER = 0.04  # [m]
 
 
 @dataclass(frozen=True)
@@ -49,12 +51,12 @@ class Hand:
 
 
 _TRAINING = (
-    Hand((0.80, 0.88), (0.60, 0.75), (0.13, 0.17), (0.0, 0.12), (0.46, 0.54), (0.0, 0.0), (2, 2.5)),
-    Hand((0.80, 0.88), (0.65, 0.80), (0.12, 0.15), (0.0, 0.08), (0.50, 0.58), (0.1, 0.2), (2, 3)),
+    Hand((0.40, 0.44), (0.60, 0.75), (0.13, 0.17), (0.0, 0.12), (0.46, 0.54), (0.0, 0.0), (2, 2.5)),
+    Hand((0.40, 0.44), (0.65, 0.80), (0.12, 0.15), (0.0, 0.08), (0.50, 0.58), (0.1, 0.2), (2, 3)),
 )
 _UNSEEN = (
-    Hand((0.78, 0.90), (0.56, 0.62), (0.15, 0.19), (0.0, 0.06), (0.44, 0.56), (0.0, 0.0), (3, 4)),
-    Hand((0.80, 0.88), (0.65, 0.80), (0.11, 0.14), (0.1, 0.18), (0.46, 0.58), (0.0, 0.15), (2, 3)),
+    Hand((0.39, 0.45), (0.56, 0.62), (0.15, 0.19), (0.0, 0.06), (0.44, 0.56), (0.0, 0.0), (3, 4)),
+    Hand((0.40, 0.44), (0.65, 0.80), (0.11, 0.14), (0.1, 0.18), (0.46, 0.58), (0.0, 0.15), (2, 3)),
 )
 
 
@@ -131,21 +133,32 @@ class Board:
 def draw_board(rng: np.random.Generator, signs: Signs, arm: int, unseen: bool) -> Board:
     """The sign that says which arm is open: +1 right, -1 left."""
     form = draw_form(rng, unseen)
-    if signs == "chevrons":
-        low = float(rng.uniform(0.3, 0.6))
-        lines = [_line((x, 0), (x + 0.5, low), (x, 1)) for x in (0.0, 0.5)]
-    else:
-        lines = strokes(LETTERS[int(rng.integers(len(LETTERS)))], form)
-    wide = form.wide * form.tall
-    room = (WIDTH - wide - 4 * _BORDER - form.stroke * form.tall) / 2
-    shift, lift = rng.uniform(-room, room), rng.uniform(-0.5, 0.5) * (HEIGHT - form.tall - 0.15)
+    low = float(rng.uniform(0.3, 0.6))
     contrast = float(rng.uniform(0.9, 1.2)) * (1 if rng.random() < 0.5 else -1)
-    placed = []
-    for line in lines:
-        x = (line[:, 0] - 0.5) * form.wide + form.slant * (line[:, 1] - 0.5)
-        y = line[:, 1] - 0.5
-        placed.append(np.stack((x * arm, y), axis=1) * form.tall + (shift, lift))
-    ink = _ink(placed, form.stroke * form.tall / 2)
+    lift = float(rng.uniform(-0.5, 0.5)) * (
+        HEIGHT - form.tall - form.stroke * form.tall - 2 * _BORDER
+    )
+    ink = np.zeros((ROWS, COLUMNS))
+    half = form.stroke * form.tall / 2
+    for place in range(_WORD):
+        letter = LETTERS[int(rng.integers(len(LETTERS)))]
+        if signs == "chevrons":
+            lines = [_line((0.0, 0), (1.0, low), (0.0, 1))]
+        else:
+            lines = strokes(letter, form)
+        middle = arm * (place - (_WORD - 1) / 2) * _PITCH
+        reach = (
+            (form.wide + abs(form.slant) + 2 * form.serif * form.wide) * form.tall / 2
+            + half
+            + TEXEL
+        )
+        columns = np.flatnonzero(np.abs(_across() - middle) <= reach)
+        placed = []
+        for line in lines:
+            x = (line[:, 0] - 0.5) * form.wide + form.slant * (line[:, 1] - 0.5)
+            up = (line[:, 1] - 0.5) * form.tall + lift
+            placed.append(np.stack((arm * x * form.tall + middle, up), axis=1))
+        ink[:, columns] = np.maximum(ink[:, columns], _ink(placed, half, _across()[columns]))
     edge = np.minimum(WIDTH / 2 - np.abs(_across()), HEIGHT / 2 - np.abs(_up())[:, None])
     frame = np.clip(0.5 + (_BORDER - edge) / TEXEL, 0, 1)
     picture = contrast * ink - 0.5 * contrast * frame
@@ -162,15 +175,16 @@ def _up() -> Points:
     return np.asarray(HEIGHT / 2 - (np.arange(ROWS) + 0.5) * TEXEL)
 
 
-def _ink(lines: list[Points], half: float) -> Points:
-    """Share (ROWS, COLUMNS) of each texel within `half` [m] of a line."""
-    starts = np.concatenate([line[:-1] for line in lines])
-    ends = np.concatenate([line[1:] for line in lines])
-    along = ends - starts
-    at = np.stack(np.broadcast_arrays(_across()[None], _up()[:, None]), axis=-1)[..., None, :]
-    share = ((at - starts) * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-12)
-    gap = at - starts - np.clip(share, 0, 1)[..., None] * along
-    distance = np.sqrt((gap**2).sum(-1).min(-1))
+def _ink(lines: list[Points], half: float, across: Points) -> Points:
+    """Share (ROWS, columns) of each texel within `half` [m] of a line, in some columns."""
+    (x, y), (ends_x, ends_y) = (
+        np.concatenate([line[part] for line in lines]).T for part in (np.s_[:-1], np.s_[1:])
+    )
+    along_x, along_y = ends_x - x, ends_y - y
+    dx, dy = across[:, None] - x, _up()[:, None, None] - y
+    share = (dx * along_x + dy * along_y) / np.maximum(along_x**2 + along_y**2, 1e-12)
+    share = share.clip(0, 1)
+    distance = np.sqrt(((dx - share * along_x) ** 2 + (dy - share * along_y) ** 2).min(-1))
     return np.asarray(np.clip(0.5 + (half - distance) / TEXEL, 0, 1))
 
 
