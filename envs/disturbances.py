@@ -43,7 +43,7 @@ Defaults = Callable[[str], Any]  # name of an option of the environment -> its d
 Change = Callable[[Options, float, Defaults, str], Options]
 Wrap = Callable[[gymnasium.Env[Any, Any], float], gymnasium.Env[Any, Any]]
 
-HEXAPOD, KART = "hexapod", "kart"  # worlds: folders of envs
+HEXAPOD, KART, EYE = "hexapod", "kart", "eye"  # worlds: folders of envs
 FOREIGN = "foreign"  # environments of other people
 
 
@@ -400,7 +400,7 @@ def kinds_of(world: str) -> dict[str, Kind]:
 
 def row(world: str) -> str:
     """The key of a world in Kind.levels: its folder, or FOREIGN."""
-    return world if world in (HEXAPOD, KART) else FOREIGN
+    return world if world in (HEXAPOD, KART, EYE) else FOREIGN
 
 
 class Disturbance(Request):

@@ -1,8 +1,9 @@
 """kart-eye: a kart that sees corridors, forks and signs by an event camera.
 
-signs.py   letters and chevrons, drawn anew for every sign
-course.py  corridors, forks, gates and textures of an episode
-view.py    first-person views, ray by ray
-batch.py   EyeBatch: many karts at once, options, physics, events, the privileged teacher
-env.py     KartEye-v0: one of them as an environment
+signs.py    words as they are or mirrored, and chevrons, drawn anew for every sign
+course.py   corridors, forks, gates and textures of an episode
+view.py     first-person views, ray by ray
+batch.py    EyeBatch: many karts at once, options, physics, events, the privileged teacher
+env.py      KartEye-v0: one of them as an environment
+picture.py  pictures: the view, the events, the map
 """

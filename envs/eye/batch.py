@@ -64,7 +64,8 @@ class EyeOptions:
     camera     parameters of the event camera, by name, where they are not those of CAMERA
     shape      (rows, columns) of the camera
     pool       pixels whose events are added up: pool by pool
-    seconds    after which an episode is truncated, gates not counted
+    max_steps  control steps after which an episode is truncated, those at gates not counted; 0
+               stands for 30 s
     """
 
     signs: Signs = "letters"
@@ -74,7 +75,7 @@ class EyeOptions:
     camera: Mapping[str, float] = field(default_factory=dict)
     shape: tuple[int, int] = (32, 64)
     pool: int = 2
-    seconds: float = 30.0
+    max_steps: int = 0
 
     def __post_init__(self) -> None:
         if self.signs not in ("letters", "chevrons"):
@@ -130,12 +131,8 @@ class EyeBatch:
         self._hold = zeros.copy()  # [s] for which the gate ahead stays closed
         self._frame = np.zeros((4, batch))  # direction and origin of the corridor, x and y
         self._over, self._go = np.zeros(batch, np.bool_), zeros.copy()  # steps of the physics [s]
-        self._length, self._arm, self._sign_y = (
-            zeros.copy(),
-            np.zeros(batch, np.int64),
-            zeros.copy(),
-        )
-        self._letter = np.zeros((batch, 2))
+        self._length, self._arm = zeros.copy(), np.zeros(batch, np.int64)
+        self._sign, self._letter = np.zeros((batch, 2)), np.zeros((batch, 2))
         self._held = np.zeros(batch, np.bool_)
         self._walls = np.full((batch, 2, SIDES, 5), np.nan, np.float32)
         self._planes = np.zeros((batch, PLANES, 8), np.float32)
@@ -180,7 +177,7 @@ class EyeBatch:
         self._hold[b] = course.wait[k]
         self._frame[:, b] = *directions(course.ahead[k]), *course.origin[k]
         self._length[b], self._arm[b] = course.length[k], course.arm[k]
-        self._sign_y[b], self._letter[b] = course.sign_y[k], course.letter[k]
+        self._sign[b], self._letter[b] = course.sign[k, :2], course.letter[k]
         self._walls[b], self._planes[b] = course.local[k].walls, course.local[k].planes
         self._held[b] = False
 
@@ -216,7 +213,7 @@ class EyeBatch:
             "crash": -outcome["crash"].astype(np.float64),
         }
         terminated = finish | outcome["wrong"] | outcome["crash"]
-        late = self.steps / options.rate - self._waited > options.seconds
+        late = self.steps - self._waited * options.rate >= (options.max_steps or 30 * options.rate)
         info = {**outcome, "finish": finish, "terms": terms, **self.known()}
         return (
             self._pooled(),
@@ -394,7 +391,7 @@ class EyeBatch:
     def _notice(self) -> None:
         """Set which letters are visible and readable, and hold what was read until the turn."""
         x, y, angle = self._local()
-        depth = self._sign_y - y
+        x, depth = x - self._sign[:, 0], self._sign[:, 1] - y
         far = np.maximum(depth, 0.05)
         # of the board's middle, to the right of the kart's axis and along it
         along = far * np.cos(angle) - x * np.sin(angle)

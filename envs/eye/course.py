@@ -18,12 +18,13 @@ from spikedeploy.envs.eye.signs import COLUMNS, HEIGHT, ROWS, WIDTH, Signs, draw
 
 Floats = NDArray[np.float64]
 
-HALF = 1.0  # half width of a corridor [m]
+HALF = 1.2  # half width of a corridor [m]
 WALL = 2.0  # height of the walls [m]
 LENGTHS = (5.5, 7.0)  # [m]
 SIGN_BEFORE = (0.0, 0.4)  # of the fork's middle [m]
-SIGN_ABOVE = 0.6  # lower edge of a sign above the floor [m]
-GATE_AT = 2.3  # of a gate, from the middle of the fork behind [m]
+SIGN_ABOVE = (0.55, 0.75)  # lower edge of a sign above the floor [m]
+SIGN_ASIDE = 0.2  # of a sign from the middle [m], to either side
+GATE_AT = 2.6  # of a gate, from the middle of the fork behind [m]
 GATE_BAR = (0.25, 0.45)  # heights of a closed gate [m]
 UNSEEN_SEEDS = 5_000  # from which signs are of hands that training never sees
 
@@ -59,7 +60,7 @@ class Course:
     length    (n + 1,) of the corridors, from middle to middle of their forks
     origin    (n + 1, 2) where each begins
     ahead     (n + 1,) direction, in quarter turns counterclockwise from the x axis
-    sign_y    (n + 1,) of the sign in its corridor
+    sign      (n + 1, 3) of a sign in its corridor: x of its middle, y, its lower edge
     letter    (n + 1, 2) heights above the floor between which its letter stands
     wait      (n,) time [s] that the gate of a corridor stays closed; 0 is no gate
     pictures  (n + 2, 6, ROWS, COLUMNS) float32 log luminance of the signs, and of a gate
@@ -71,7 +72,7 @@ class Course:
     length: Floats
     origin: Floats
     ahead: NDArray[np.int64]
-    sign_y: Floats
+    sign: Floats
     letter: Floats
     wait: Floats
     pictures: NDArray[np.float32]
@@ -95,15 +96,17 @@ def draw_course(seed: int, forks: int, signs: Signs, wait: float) -> Course:
     ahead = np.cumsum(np.concatenate(([0], -arm)))
     steps = length[:-1, None] * directions(ahead[:-1])
     origin = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
-    sign_y = length - rng.uniform(*SIGN_BEFORE, forks + 1)
+    aside = rng.uniform(-SIGN_ASIDE, SIGN_ASIDE, forks + 1)
+    before, above = (rng.uniform(*ends, forks + 1) for ends in (SIGN_BEFORE, SIGN_ABOVE))
+    sign = np.stack((aside, length - before, above), axis=1)
     waits = wait * rng.uniform(0.5, 1.5, forks)
     said = np.concatenate((arm, rng.integers(0, 2, 1) * 2 - 1))
     unseen = seed >= UNSEEN_SEEDS
     boards = [draw_board(rng, signs, int(each), unseen) for each in said]
-    letter = SIGN_ABOVE + np.array([board.letter for board in boards])
+    letter = above[:, None] + np.array([board.letter for board in boards])
     pictures = np.stack([board.levels for board in boards] + [_stripes()])
     textures = _draw_textures(rng)
-    made = Course(arm, length, origin, ahead, sign_y, letter, waits, pictures, textures, [])
+    made = Course(arm, length, origin, ahead, sign, letter, waits, pictures, textures, [])
     looks: Floats = np.stack(
         (rng.integers(0, TEXTURES, (forks + 3, 3)), rng.uniform(0, PERIOD, (forks + 3, 3))), -1
     )
@@ -159,13 +162,14 @@ def _local(course: Course, k: int, looks: Floats) -> Local:
 def _planes(course: Course, k: int) -> Floats:
     """Signs and gates (PLANES, 8) that can be seen from corridor k, the farthest first."""
     length, gates = course.length[k], bool(course.wait.any())
-    high = (SIGN_ABOVE, SIGN_ABOVE + HEIGHT)
     gate = course.forks + 1 if gates else -1
     next_gate = gate if k + 1 < course.forks else -1
-    sign, arms = course.sign_y, (1, -1)
-    rows = [((s * sign[k + 1], length), (0, -s), WIDTH / 2, high, k + 1) for s in arms]
+    (x, y, above), (next_x, next_y, next_above) = course.sign[k : k + 2].tolist()
+    high, next_high = (above, above + HEIGHT), (next_above, next_above + HEIGHT)
+    arms = (1, -1)  # in an arm, x is s * (length - y) here
+    rows = [((s * next_y, length - s * next_x), (0, -s), WIDTH / 2, next_high, k + 1) for s in arms]
     rows += [((s * GATE_AT, length), (0, -s), HALF, GATE_BAR, next_gate) for s in arms]
-    rows.append(((0, sign[k]), (1, 0), WIDTH / 2, high, k))
+    rows.append(((x, y), (1, 0), WIDTH / 2, high, k))
     rows.append(((0, GATE_AT), (1, 0), HALF, GATE_BAR, gate))
     planes = np.empty((PLANES, 8))
     for place, (middle, right, half, heights, picture) in enumerate(rows):

@@ -31,6 +31,7 @@ class KartEyeEnv(gymnasium.Env[Floats, Any]):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 60}  # noqa: RUF012
+    CONTROL_DT = 1.0 / EyeOptions.rate  # [s]
     ACTIONS: ClassVar[tuple[str, ...]] = (
         "left", "half left", "slightly left", "straight", "slightly right", "half right", "right",
     )  # fmt: skip

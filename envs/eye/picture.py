@@ -100,8 +100,7 @@ def _map(
         pygame.draw.polygon(surface, _EDGE, at(corners), 5)
     for corners in [*shown[:-1], _arms(course, k), shown[-1]]:
         pygame.draw.polygon(surface, _AHEAD if corners is not shown[-1] else _ROAD, at(corners))
-    ends = [[x, float(course.sign_y[k])] for x in (-WIDTH / 2, WIDTH / 2)]
-    sign = to_world(course, k, np.array(ends))
+    sign = to_world(course, k, course.sign[k, :2] + np.array([[-WIDTH / 2, 0], [WIDTH / 2, 0]]))
     pygame.draw.lines(surface, _SIGN, False, at(sign), 3)
     if batch.closed[0]:
         bar = to_world(course, k, np.array([[-HALF, GATE_AT], [HALF, GATE_AT]]))

@@ -21,7 +21,7 @@ import numpy as np
 from lab.bench.turns import Act, interleave, parser_of, report
 from spikedeploy import envs
 
-KARTS = tuple(name for name in envs.ENVS if name.startswith("kart"))
+KARTS = tuple(name for name, spec in envs.ENVS.items() if spec.world == "kart")
 
 
 def steps_of(env: Any, steps: int) -> Act:  # noqa: ANN401

@@ -237,7 +237,8 @@ def _pooled(jobs: Sequence[JobRow]) -> Record:
         "success_rate": rate.mean if rate else None,
         "success_ci95": rate.ci95 if rate else None,
         "foreign": first.get("foreign", False),
-        **({"gates": first["gates"]} if drives(first) else {}),  # so that tables speak of karts
+        # so that tables speak of karts
+        **{name: first[name] for name in ("gates", "forks") if name in first},
     }
     rows = [each.row for each in jobs]
     # means over inferences, of which each control step has one; of metrics over episodes

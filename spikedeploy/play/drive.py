@@ -84,13 +84,15 @@ _ARROWS = {
     "forward": (pygame.K_w, pygame.K_UP),
     "accelerate": (pygame.K_w, pygame.K_UP),
     "brake": (pygame.K_s, pygame.K_SPACE, pygame.K_DOWN),
+    "slightly left": (pygame.K_q,),
+    "slightly right": (pygame.K_e,),
 }  # action -> keys, that of the legend first
 
 
 class KeyboardDriver(Driver):
     """A person at the keys: the key pressed last acts, or all that are held add up.
 
-    actions  names of an environment's actions, in its order; the first is no action
+    actions  names of an environment's actions, in its order; "straight" is no action, or the first
     effects  of a continuous action: name -> numbers (act,), which add up
     """
 
@@ -98,6 +100,7 @@ class KeyboardDriver(Driver):
         self, actions: tuple[str, ...], effects: Mapping[str, tuple[float, ...]] | None = None
     ) -> None:
         self._actions, self._effects = actions, effects
+        self._idle = "straight" if "straight" in actions else actions[0]
         self._meaning = {key: name for name in actions for key in _ARROWS.get(name, ())}
         self._held: list[int] = []
         self.legend = [(chr(_ARROWS[n][0]).upper(), n) for n in actions if n in _ARROWS]
@@ -111,7 +114,7 @@ class KeyboardDriver(Driver):
 
     def act(self, observation: Floats) -> NDArray[Any]:
         """The action () of the key that was pressed last and is still held, or their sum (act,)."""
-        names = [self._actions[0], *(self._meaning[key] for key in self._held)]
+        names = [self._idle, *(self._meaning[key] for key in self._held)]
         if self._effects is None:
             return np.asarray(self._actions.index(names[-1]))
         effects = [self._effects[name] for name in names]
@@ -223,11 +226,16 @@ class CommandedPolicyDriver(PolicyDriver):
 # a session: one driver in one environment
 
 
+_REASONS = {"finish": "finish", "wrong": "wrong arm"} | {
+    name: name for name in ("crash", "stalled", "fall")
+}  # key of the step infos -> word
+
+
 @dataclass(frozen=True)
 class Outcome:
     """The end of an episode.
 
-    word     "finish", "crash", "stalled", "fall", "the end" or "time is up"
+    word     "finish", "wrong arm", "crash", "stalled", "fall", "the end" or "time is up"
     good     whether it was a success
     steps    of the episode
     total    return
@@ -243,7 +251,7 @@ class Outcome:
     @classmethod
     def of(cls, played: Rollout, info: Mapping[str, Any]) -> "Outcome":
         """The outcome of an episode, whose last info has the reason if it has one."""
-        reasons = (name for name in ("finish", "crash", "stalled", "fall") if info.get(name))
+        reasons = (word for name, word in _REASONS.items() if info.get(name))
         word = next(reasons, "the end" if played.terminated else "time is up")
         lap = float(info["lap_time"]) if info.get("finish") else None
         return cls(word, bool(info.get("success")), played.steps, played.total, lap)
@@ -428,7 +436,12 @@ class DriveApp(App):
 
 # sections of its panel
 
-_TOPS = {"up": 4.0, "forward": 4.4, "accelerate": 5.99}  # action of one kind of kart -> [m/s]
+_TOPS = {
+    "up": 4.0,
+    "forward": 4.4,
+    "accelerate": 5.99,
+    "straight": 3.0,
+}  # action of one kind of kart -> [m/s]
 
 
 def _draw_sections(panel: Panel, session: Session) -> None:
@@ -446,8 +459,10 @@ def _draw_sections(panel: Panel, session: Session) -> None:
     panel.columns(cells, 19)
     panel.y += 66
     if is_kart(world):
-        _draw_gates(panel, len(world.track.gates), int(world.next_gate))
+        _draw_passed(panel, "gates", len(world.track.gates), int(world.next_gate))
         _draw_lidar(panel, world)
+    if (forks := session.info.get("forks")) is not None:
+        _draw_passed(panel, "forks", world.options.forks, int(forks))
     if meter is not None:
         share = meter.seconds / session.period
         sops, joules = meter.costs or (None, None)
@@ -480,9 +495,9 @@ def _draw_speed(panel: Panel, session: Session) -> None:
         panel.y += 30
 
 
-def _draw_gates(panel: Panel, count: int, passed: int) -> None:
-    """A mark for each gate: passed, next, to come."""
-    panel.title("gates")
+def _draw_passed(panel: Panel, name: str, count: int, passed: int) -> None:
+    """A mark for each gate or fork: passed, next, to come."""
+    panel.title(name)
     panel.value(f"{passed} / {count}", -3, 14, TEXT, "bold")
     gap = 6
     width = (panel.inner.width - gap * (count - 1)) / count

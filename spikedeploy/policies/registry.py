@@ -40,6 +40,7 @@ FORMATS = {
     "gait": "scripts:ZeroController",
     "random": "scripts:RandomController",
     "gap": "scripts:GapController",
+    "pursuit": "scripts:PursuitController",
     "teacher": "scripts:TeacherController",
     "function": "scripts:TeacherController",
 }
@@ -93,6 +94,7 @@ BUILT_IN = {
     "gait": Candidate("gait", "gait", "gait", "gait"),
     "random": Candidate("random", "random", "random", "random"),
     "gap": Candidate("gap", "gap", "control", "gap"),
+    "pursuit": Candidate("pursuit", "pursuit", "control", "pursuit"),
 }
 _HINT = "`spikedeploy policies` lists what is shipped"
 UNTRAINED = (*BUILT_IN, "function")  # formats of scripts

@@ -1,4 +1,4 @@
-"""Policies without a file of ours: the built-in `gait`, `random` and `gap`, and teachers."""
+"""Policies without a file of ours: the built-in `gait`, `random`, `gap`, `pursuit`; teachers."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -86,6 +86,28 @@ class GapController(Player):
     def act(self, observation: Floats) -> NDArray[Any]:
         """The action (act,), or () where it is one of several."""
         return self._driver.act(observation)
+
+
+class PursuitController(Player):
+    """A script that is told where the road goes, and looks at no observation."""
+
+    def __init__(self, world: Any) -> None:  # noqa: ANN401
+        self._world = world
+
+    @classmethod
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
+        """The driver of an environment that has one."""
+        if not hasattr(env.unwrapped, "pursue"):
+            raise ConfigError("the pursuit is for environments with an own driver: kart-eye")
+        return cls(env.unwrapped)
+
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The action () that the environment's driver takes now."""
+        return np.asarray(self._world.pursue())
+
+    def costs(self, played: Rollout) -> Costs:
+        """Nothing is observed, so nothing that counts is computed."""
+        return NOTHING
 
 
 class TeacherController(Player):

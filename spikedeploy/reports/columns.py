@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.comparison.metrics import DRIVING, WALKING, drives
+from spikedeploy.comparison.metrics import drives, metrics_of
 from spikedeploy.comparison.summary import describe_episodes, has_few_episodes
 from spikedeploy.files import read_toml
 from spikedeploy.reports.table import (
@@ -80,6 +80,12 @@ def _success_difference(row: Row) -> str:
     return _around(row, *(f"{100 * each:+.1f}" for each in found))
 
 
+def _right(row: Row) -> str:
+    """The share of the arms taken that were open: of recognition, where crashes do not count."""
+    taken = row["forks"] + row["wrong"] if "wrong" in row else 0
+    return f"{row['forks'] / taken:.1%}" if taken else ABSENT
+
+
 def _score(row: Row) -> str:
     value = row["normalised_score"]
     return ABSENT if value is None else f"{100 * value:.0f}"
@@ -126,12 +132,14 @@ def _earnings(rows: Sequence[Row]) -> tuple[str, Sequence[Column]]:
     returns = _COLUMNS["returns"]
     if any(row.get("foreign") for row in rows):
         return "What does it earn?", [*returns, *_COLUMNS["earn"]]
-    driving = any(map(drives, rows))
     of_world = [
         Column(m.title, m.meaning, field_cell(m.name, m.form))
-        for m in (DRIVING if driving else WALKING)
+        for m in metrics_of(name for row in rows for name in row)
     ]
-    if driving:
+    if any("forks" in row for row in rows):
+        columns = [*_COLUMNS["read"], *of_world, *returns, *_COLUMNS["drive_score"]]
+        return "Does the kart read the signs, and does it drive?", columns
+    if any(map(drives, rows)):
         columns = [*_COLUMNS["drive"], *of_world, *returns, *_COLUMNS["drive_score"]]
         return "Does the kart still finish?", columns
     return "Does the robot still walk?", [*returns, *_COLUMNS["walk"], *of_world]
@@ -246,6 +254,7 @@ _CELLS: dict[str, Cell] = {
     "return": format_return,
     "iqm": _estimate("return_iqm", "return_iqm_ci95"),
     "risk": _estimate("risk", "risk_ci95"),
+    "right": _right,
     "score": _score,
     "success": format_success,
     "difference": format_difference,
@@ -290,7 +299,7 @@ def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
     success = Column("success", "episodes that succeed", field_cell("success_rate", ".0%"))
     if any(map(drives, rows)):  # what counts there is how many finish
         earned = Column("return", "mean return", field_cell("return_mean", ".1f"))
-        words = "episodes that reach the last gate, with the 95% interval"
+        words = "episodes that reach the end, with the 95% interval"
         success = Column("finished", words, format_success)
     columns = [
         earned,

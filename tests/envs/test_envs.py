@@ -19,12 +19,15 @@ everyone = pytest.mark.parametrize("name", envs.ENVS)
 walkers = pytest.mark.parametrize("name", WALKERS)
 WALK_INFO = {"episode_return", "fall"}
 DRIVE_INFO = {"finish", "crash", "stalled", "gates", "lap_time", "x", "y", "heading", "speed"}
+READ_INFO = {"finish", "crash", "wrong", "forks", "lap_time", "x", "y", "heading", "speed"}
+INFO = dict.fromkeys(WALKERS, WALK_INFO) | dict.fromkeys(KARTS, DRIVE_INFO)
+INFO |= {"kart-eye": READ_INFO}
 TASK_INFO = {"reward_terms", "success"}
 
 
 def action_of(name, value=0.0):
     """The same action in all 18 joints, or a kart's first one that does something."""
-    return 1 if name in KARTS else np.full(18, value)
+    return np.full(18, value) if name in WALKERS else 1
 
 
 @everyone
@@ -75,7 +78,7 @@ def test_random_actions_keep_to_the_declared_spaces(name):
         assert type(reward) is float
         assert type(terminated) is bool
         assert type(truncated) is bool
-        assert info.keys() >= TASK_INFO | (DRIVE_INFO if name in KARTS else WALK_INFO)
+        assert info.keys() >= TASK_INFO | INFO[name]
         if terminated or truncated:
             env.reset()
 
