@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import pygame
@@ -13,9 +13,6 @@ from spikedeploy.envs.eye.batch import RADIUS, EyeBatch
 from spikedeploy.envs.eye.course import GATE_AT, HALF, Course, to_world
 from spikedeploy.envs.eye.signs import WIDTH
 from spikedeploy.envs.eye.view import View
-
-if TYPE_CHECKING:
-    from spikedeploy.envs.eye.env import KartEyeEnv
 
 Colour = tuple[int, int, int]
 Points = NDArray[np.float64]
@@ -37,7 +34,7 @@ _SCALE = 21.0  # of the map [screen px / m]
 pygame.font.init()
 
 
-def picture(env: KartEyeEnv) -> NDArray[np.uint8]:
+def picture(env: Any) -> NDArray[np.uint8]:  # noqa: ANN401
     """Image (720, 960, 3): the view above, events and the map below."""
     image = np.empty((SIZE[1], SIZE[0], 3), np.uint8)
     rows = _VIEW[0]
