@@ -8,6 +8,7 @@ hexapod/          a walking robot on rough ground, with and without velocity com
 eye/              a kart that reads the signs of forks by an event camera
 kart/             three kinds of kart on tracks, with a LIDAR and a scripted driver
 event_camera.py   an event camera by v2e's model, for any frames
+event_camera_wrapper.py  the same for any environment that renders
 disturbances.py   noise, delays, weak motors and so on, of any environment
 rollout.py        one episode of a controller, recorded and saved
 ghosts.py         compact records of kart episodes, a whole training in small files

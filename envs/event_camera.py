@@ -117,6 +117,12 @@ def _table() -> Float32:
     return lin_log(np.arange(256.0))
 
 
+def _luminance(logarithm: NDArray[Any]) -> NDArray[np.float64]:
+    """Inverse of lin_log."""
+    linear = np.asarray(logarithm, np.float64) * (LINEAR_UP_TO / math.log(LINEAR_UP_TO))
+    return np.where(linear <= LINEAR_UP_TO, linear, np.exp(logarithm, dtype=np.float64))
+
+
 @dataclass(frozen=True)
 class _Fired:
     """Events of all cameras in a frame, without an order.
@@ -139,7 +145,7 @@ class EventCamera:
     shape       (H, W) [pixels], of one camera; (B, H, W) of several
     parameters  of the pixels: a preset's name, fields by name, or CameraParameters
     seeds       of the mismatch and noise; one for each camera
-    is_log      True if frames are logarithms already, ln of luminances up to 255 (v2e's --hdr)
+    is_log      True if frames are values of lin_log already (v2e's --hdr)
 
     A frame has luminances from 0 to 255, in any type. The first one after a reset is what pixels
     remember, so it makes no events.
@@ -153,7 +159,9 @@ class EventCamera:
         *,
         is_log: bool = False,
     ) -> None:
-        if len(shape) not in (2, 3) or not all(0 < each <= 1 << 16 for each in shape):
+        if len(shape) not in (2, 3) or not all(
+            isinstance(each, int | np.integer) and 0 < each <= 1 << 16 for each in shape
+        ):
             raise EnvError(
                 f"camera: a shape of {tuple(shape)}; give (H, W), or (B, H, W) for several "
                 "cameras, each from 1 to 65,536"
@@ -279,7 +287,7 @@ class EventCamera:
 
     def _intensity(self, given: NDArray[Any]) -> Float32:
         """Relative intensity, from 20 / 275 in darkness to 1 in white (v2e)."""
-        light = np.exp(given, dtype=np.float64) if self.is_log else given
+        light = _luminance(given) if self.is_log else given
         return ((light + _DARK) / _RANGE).astype(np.float32)
 
     def _leak_memory(self, elapsed: NDArray[np.float64]) -> None:

@@ -27,6 +27,7 @@ from gymnasium.spaces import Box, Discrete
 from numpy.typing import NDArray
 
 from spikedeploy.envs.errors import EnvError
+from spikedeploy.envs.event_camera_wrapper import EventCameraWrapper, control_period
 
 FloatArray: TypeAlias = NDArray[np.float64]
 _LONGEST = 100_000  # control steps of an episode: without a time limit it might never end
@@ -57,7 +58,7 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         space, self._from_inner = _observation_map(name, inner.observation_space)
         self.observation_space: gymnasium.Space[Any] = space
         self.action_space, self._to_inner = _action_map(name, inner.action_space)
-        self.CONTROL_DT = _period(inner)
+        self.CONTROL_DT = control_period(inner)
         self._key = success
         self._threshold = inner.spec.reward_threshold if inner.spec else None
         self._total, self._steps = 0.0, 0
@@ -173,14 +174,6 @@ def _scaling(space: Box, low: FloatArray, high: FloatArray) -> Callable[[Any], N
     return scale
 
 
-def _period(env: gymnasium.Env[Any, Any]) -> float | None:
-    """Time of a control step [s]: CONTROL_DT or dt of the environment, else 1 / render_fps."""
-    world: Any = env.unwrapped
-    rate = env.metadata.get("render_fps")
-    choices = (getattr(world, "CONTROL_DT", None), getattr(world, "dt", None), rate and 1.0 / rate)
-    return next((float(t) for t in choices if isinstance(t, int | float) and t > 0), None)
-
-
 def _numbers(info: Mapping[str, Any]) -> dict[str, Any]:
     plain = {str(key): v.item() if isinstance(v, np.generic) else v for key, v in info.items()}
     return {key: v for key, v in plain.items() if isinstance(v, bool | int | float)}
@@ -218,16 +211,34 @@ def make_foreign(name: str, options: Mapping[str, Any], success: str | None = No
     """The environment as policies expect it.
 
     name     registered id, module:Class, module:function or module:Registered-v0
-    options  of its constructor, and of gymnasium.make, such as max_episode_steps
+    options  of its constructor, and of gymnasium.make, such as max_episode_steps; and
+             event_camera, to be seen by one: True, or options of EventCameraWrapper but keep and
+             record
     success  key of the step infos that says success; None for the registered reward threshold
     """
     given = {key: value for key, value in options.items() if (key, value) != ("render_mode", None)}
+    made = {key: value for key, value in given.items() if key != "event_camera"}
+    if camera := given.get("event_camera"):
+        made["render_mode"] = "rgb_array"
     try:
-        world = gymnasium.make(_registration(name), disable_env_checker=True, **given)
+        world = gymnasium.make(_registration(name), disable_env_checker=True, **made)
     except TypeError as error:
         raise _explain(name, error) from error
+    if camera:
+        world = _seen_by_events(world, camera)
     shown = given if success is None else {**given, "success": success}
     return AdaptedEnv(world, name, shown, success)
+
+
+def _seen_by_events(world: gymnasium.Env[Any, Any], camera: object) -> EventCameraWrapper:
+    """The environment with the event camera that an option asks for."""
+    known = ("size", "parameters", "frames", "camera", "dt")
+    options = {} if camera is True else camera
+    if not isinstance(options, Mapping) or not set(options) <= set(known):
+        raise EnvError(
+            f"option event_camera: {camera!r} is neither true nor options of it: {', '.join(known)}"
+        )
+    return EventCameraWrapper(world, **options)
 
 
 def check_target(name: str) -> None:
