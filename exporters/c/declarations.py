@@ -11,6 +11,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
 _LINE = 96
+# equal numbers in a row from which a table has one of them: a division takes longer than a byte
+_RUN = 16
 _BYTES = {f"{sign}int{bits}_t": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)}
 _BYTES |= {"double": 8}
 
@@ -87,9 +89,15 @@ class Declarations:
         return name
 
     def each(self, name: str, values: NDArray[Any], index: str, kind: str = "double") -> str:
-        """Return C for the value at an index: a number where all have the same, else a table."""
+        """Return C for the value at an index: a number where all have the same, else a table.
+
+        The table of numbers that channels share has one for each channel.
+        """
         if (values == values.flat[0]).all():
             return literal(values.flat[0], kind)
+        changes = np.flatnonzero(np.diff(values)) + 1
+        if (run := int(np.gcd.reduce(changes, initial=values.size))) >= _RUN:
+            values, index = values[::run], f"{index} / {run}u"
         if kind == "double":
             return f"{self.constant(name, values.astype(np.float64))}[{index}]"
         # unsigned tables would turn comparisons with signed numbers into others

@@ -12,6 +12,7 @@ from spikedeploy.exporters.c.bounds import Magnitudes, bound
 from spikedeploy.exporters.c.declarations import as_lists, bytes_of, narrowest, narrowest_of
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.compiler.program import Program, ReadoutTerm
@@ -68,15 +69,17 @@ class Projection:
     """Synapses between two layers.
 
     name: of the function in C that adds the weights of a spike.
-    weight: (M, N), divided by the unit of the layer.
+    weight: (M, N), or of a window its kernel, divided by the unit of the layer.
     spikes: of the source.
     lag: timesteps by which they arrive late.
+    window: of a convolution; None where weights are a matrix.
     """
 
     name: str
     weight: Integers
     spikes: Spikes
     lag: int
+    window: Window | None
 
     @property
     def slot(self) -> str:
@@ -90,7 +93,9 @@ class Projection:
 
     @cached_property
     def layout(self) -> str:
-        """The storage of weights: whole "rows", "lists", "statements", or "nothing"."""
+        """The storage of weights: "kernel", whole "rows", "lists", "statements", or "nothing"."""
+        if self.window is not None:
+            return "kernel"
         axons, neurons = self.weight.shape
         synapses, each = int(np.count_nonzero(self.weight)), bytes_of(self.stored)
         lists = synapses * (each + bytes_of("uint8_t" if neurons <= 256 else "uint16_t"))
@@ -287,7 +292,7 @@ class Plan:
         unit = (merged & -merged) or 1
         inputs = [
             Projection(
-                f"{name}_row{k}", each.listed().weight // unit, self.spikes[each.source], lag
+                f"{name}_row{k}", each.weight // unit, self.spikes[each.source], lag, each.window
             )
             for k, (each, lag) in enumerate(zip(layer.synapses, lags, strict=True))
         ]

@@ -91,7 +91,7 @@ class Window:
 
     def fan_out(self, weight: Numbers) -> NDArray[np.int64]:
         """(M,) non-zero weights of each axon."""
-        some = self._by_source(weight != 0).sum(axis=1, dtype=np.int64)  # (C, ky, kx)
+        some = self.by_source(weight != 0).sum(axis=1, dtype=np.int64)  # (C, ky, kx)
         rows, columns = (place >= 0 for place in self.reach)
         reached = np.einsum("ckl,yk,xl->cyx", some, rows, columns, optimize=True)
         (_, y, x), (py, px) = self.pooled, self.pool
@@ -125,7 +125,7 @@ class Window:
         rows, columns = self.reach[0][y], self.reach[1][x]
         # positions descend while elements of the kernel ascend
         ky, kx = (np.flatnonzero(places >= 0)[::-1] for places in (rows, columns))
-        kernel = self._by_source(weight)[channel][:, ky[:, None], kx]
+        kernel = self.by_source(weight)[channel][:, ky[:, None], kx]
         places = self._features(channel)[:, None, None] * math.prod(self.target[1:])
         places = places + rows[ky][:, None] * self.target[2] + columns[kx]
         return places.ravel(), kernel.ravel()
@@ -156,6 +156,11 @@ class Window:
         ]
         return np.concatenate(parts).reshape(shape)
 
+    def by_source(self, values: Numbers) -> Numbers:
+        """Values (O, I, ky, kx) of the kernel by channels of the source, (C, O / G, ky, kx)."""
+        parted = values.reshape(self.groups, -1, *values.shape[1:]).swapaxes(1, 2)
+        return np.asarray(parted.reshape(self.source[0], -1, *self.kernel))
+
     def _scatter(self, weight: Numbers, maps: Numbers) -> Numbers:
         """(B, N) sums, to which each of the events of maps (B, *pooled) adds its weights."""
         batch, channel, y, x = np.nonzero(maps)
@@ -165,7 +170,7 @@ class Window:
         place = place + columns[:, None]  # (O / G, events, ky, kx)
         there = (rows >= 0)[..., None] & (columns >= 0)[:, None]
         count = maps[batch, channel, y, x][:, None, None, None]
-        brought = (self._by_source(weight)[channel] * count).swapaxes(0, 1)
+        brought = (self.by_source(weight)[channel] * count).swapaxes(0, 1)
         size = len(maps) * self.shape[1]
         sums = np.bincount(place[:, there].ravel(), brought[:, there].ravel(), minlength=size)
         return sums.reshape(len(maps), -1)
@@ -214,11 +219,6 @@ class Window:
             at = at + np.arange(self.kernel[axis]) * self.dilation[axis] - self.padding[axis]
             found.append((at >= 0) & (at < self.pooled[1 + axis]))
         return found[0], found[1]
-
-    def _by_source(self, values: Numbers) -> Numbers:
-        """Values (O, I, ky, kx) of the kernel by channels of the source, (C, O / G, ky, kx)."""
-        parted = values.reshape(self.groups, -1, *values.shape[1:]).swapaxes(1, 2)
-        return np.asarray(parted.reshape(self.source[0], -1, *self.kernel))
 
     def _features(self, channel: int | Places) -> Places:
         """Channels (..., O / G) of the target that a channel of the source reaches."""

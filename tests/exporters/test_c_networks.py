@@ -11,11 +11,12 @@ from spikedeploy.exporters.c.to_c import network_in_c
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError
-from tests.c_builds import SANITIZED, check_network, needs_c
-from tests.programs import random_programs
+from tests.c_builds import LOIHI, SANITIZED, check_network, needs_c
+from tests.programs import random_convolutions, random_programs
 
 # each example is compiled
 FEW = settings(
@@ -141,6 +142,50 @@ def test_integrate_and_fire_networks_equal_the_interpreter(tmp_path, name, optio
     seed = len(name) + len(options)
     program = integrate(name, options, convention, seed)
     check_network(program, tmp_path, timesteps=4, inferences=2, seed=seed)
+
+
+def neurons(rng, name, size, synapses):
+    """Neurons of numbers that integrators and CuBa-LIF neurons of Loihi both hold."""
+    return Layer(
+        name=name,
+        synapses=tuple(synapses),
+        bias=rng.integers(-9, 10, 1).repeat(size) * rng.integers(0, 2),
+        voltage_bias=np.zeros(size, np.int64),
+        threshold=rng.integers(1, 40, size) << rng.choice([0, 6]),
+        current_decay=np.zeros(size, np.int64),
+        membrane_decay=np.zeros(size, np.int64),
+        scale=1.0,
+        start=0,
+    )
+
+
+@needs_c
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("loihi1", {}),
+        ("speck2f", {}),
+        ("speck2f", {"adds": "event", "checks": "event"}),
+        ("speck2f", {"adds": "event", "spikes_max": 1, "floor": -30}),
+    ],
+)
+def test_convolutions_equal_the_interpreter(tmp_path, name, options, seed):
+    rng, datasheet = np.random.default_rng(seed), chip(name, **options)
+    convention = Convention(1e-3, "subtract", state="kept")
+    program = random_convolutions(rng, neurons, datasheet, convention, datasheet.delay)
+    flags = SANITIZED if seed == 0 else ()
+    check_network(program, tmp_path, timesteps=3, inferences=2, seed=seed, flags=flags)
+
+
+def test_a_convolution_is_written_as_its_kernel_and_a_bias_of_each_channel():
+    rng, window = np.random.default_rng(0), Window((2, 32, 32), (8, 16, 16), (3, 3), stride=(2, 2))
+    kernel = rng.integers(-9, 10, (8, 2, 3, 3)).astype(np.int16)
+    layer = neurons(rng, "one", 8 * 256, [Synapses("input", kernel, 1, window=window)])
+    layer = replace(layer, bias=np.arange(8).repeat(256), threshold=np.full(2048, 9))
+    program = Program(LOIHI, Convention(1e-3), "input", 2048, (layer,), "one", None)
+    files = network_in_c(program, np.ones((1, 1, 2048), np.uint8), "")
+    assert files.costs.rom == kernel.size + 8
 
 
 @needs_c

@@ -1,6 +1,6 @@
 {# Integrate-and-fire neurons, as runtime.families.integrate_and_fire.neurons has them. #}
 {% from "registers.c" import hold, hold_function with context %}
-{% from "rows.c" import add_rows, for_each_event, row_of_event, rows_of_events, set_sums with context %}
+{% from "rows.c" import add_rows, for_each_event, kernel_of_event, row_of_event, rows_of_events, set_sums with context %}
 {% set kind, rules = plan.kind, plan.rules %}
 {% set subtracts = plan.program.convention.reset == "subtract" %}
 {% set by_event = rules.adds == "event" %}
@@ -12,14 +12,27 @@
 {% endmacro %}
 
 {% macro layer_functions(layer) %}
-{% for each in layer.inputs %}
-{% print (row_of_event if each.spikes.several or each.layout != "rows" or by_event else rows_of_events)(each, layer.size) %}
-{% endfor %}
 {% if by_event %}
+static void {{ layer.name }}_hear(uint32_t n)
+{
+{% print hear(layer) %}
+}
+
+{% endif %}
+{% for each in layer.inputs %}
+{% if by_event and each.window %}
+{% print kernel_of_event(each, layer.name ~ "_hear") %}
+{% else %}
+{% print (row_of_event if each.spikes.several or each.layout != "rows" or by_event else rows_of_events)(each, layer.size) %}
+{% endif %}
+{% endfor %}
+{% if by_event and (layer.bias.any() or layer.inputs | rejectattr("window") | list) %}
 static void {{ layer.name }}_take(void)
 {
     uint32_t n;
-{% print take(layer) %}
+    for (n = 0u; n < {{ layer.size }}u; n++) {
+        {{ layer.name }}_hear(n);
+    }
 }
 
 {% endif %}
@@ -52,17 +65,16 @@ static void {{ layer.name }}_take(void)
 {% else %}
 {% print leak(layer) %}
 {% endif %}
-{% if rules.checks == "event" %}
+{% if rules.checks == "event" and rules.leak != "none" %}
 {% print fire(layer) %}
 {% endif %}
 {% endif %}
 {% endcall %}
 {% endmacro %}
 
-{# The sums, in a step or for one event. #}
-{% macro take(layer) %}
+{# The sum of a neuron, in a step or for one event. #}
+{% macro hear(layer) %}
 {% set v = layer.name ~ "_membrane[n]" %}
-{% call for_each_neuron(layer) %}
         {{ v }} = {{ hold(layer, "membrane", v ~ " + sums[n]" ~ (" * " ~ layer.unit | c(kind) if layer.unit > 1 else "")) }};
 {% set floor = plan.floor(layer.layer) %}
 {% if floor is not none %}
@@ -74,7 +86,6 @@ static void {{ layer.name }}_take(void)
 {% if rules.checks == "event" %}
 {% print fire(layer) %}
 {% endif %}
-{% endcall %}
 {% endmacro %}
 
 {# After spikes have arrived. #}
@@ -160,7 +171,12 @@ static void {{ layer.name }}_take(void)
 {% if not by_event %}
 {% set sums = set_sums(layer, layer.bias) ~ add_rows(layer) %}
 {% set first, last = begin(layer), end(layer) %}
-{% print first ~ sums ~ take(layer) ~ last %}
+{% set taken %}
+{% call for_each_neuron(layer) %}
+{% print hear(layer) %}
+{% endcall %}
+{% endset %}
+{% print first ~ sums ~ taken ~ last %}
 {% else %}
 {% set arrivals %}
 {% for each in layer.inputs %}
@@ -171,9 +187,13 @@ static void {{ layer.name }}_take(void)
             uint32_t again;
             for (again = 0u; again < {{ of }}_times[{{ slot }}][i]; again++) {
 {% endif %}
+{% if not each.window %}
 {% print set_sums(layer, 0 * layer.bias) | indent(12 if several else 8, true) %}
+{% endif %}
 {{ deeper }}            {{ name }}_row{{ loop.index0 }}({{ of }}_id[{{ slot }}][i]{{ ", 1u" if several }});
+{% if not each.window %}
 {{ deeper }}            {{ name }}_take();
+{% endif %}
 {% if several %}
             }
 {% endif %}

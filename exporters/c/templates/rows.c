@@ -28,6 +28,9 @@ static void {{ each.name }}(const {{ plan.id_kind }} *id, uint32_t count)
 
 {# The row of one event; where a neuron can spike several times, so many times. #}
 {% macro row_of_event(each, size) %}
+{% if each.window %}
+{% print kernel_of_event(each) %}
+{% else %}
 {% set several = each.spikes.several %}
 {% set times = "(" ~ plan.kind ~ ")times * " if several else "" %}
 static void {{ each.name }}(uint32_t axon{{ ", uint32_t times" if several }})
@@ -66,6 +69,71 @@ static void {{ each.name }}(uint32_t axon{{ ", uint32_t times" if several }})
 {% endif %}
 }
 
+{% endif %}
+{% endmacro %}
+
+{# The kernel of one event: at each position that sees it, one weight of every channel. Where events
+   are taken in one by one, those neurons take this one. #}
+{% macro kernel_of_event(each, hears="") %}
+{% set window, several = each.window, each.spikes.several %}
+{% set (channels, rows, columns), (features, height, width) = window.source, window.target %}
+{% set _, pooled_rows, pooled_columns = window.pooled %}
+{% set of_group = features // window.groups %}
+{% set kernel = window.by_source(each.weight).transpose(0, 2, 3, 1) %}
+/* {{ channels }} x {{ rows }} x {{ columns }} to {{ features }} x {{ height }} x {{ width }}, kernel {{ window.kernel | join(" x ") }} */
+static void {{ each.name }}(uint32_t axon{{ ", uint32_t times" if several }})
+{
+    const uint32_t channel = axon / {{ rows * columns }}u;
+{% set y, x = "(axon / %du) %% %du" % (columns, rows), "axon %% %du" % columns %}
+    const uint32_t y = {{ place(y, window.pool[0], window.padding[0]) }};
+    const uint32_t x = {{ place(x, window.pool[1], window.padding[1]) }};
+    uint32_t row;
+    uint32_t column;
+    uint32_t o;
+{% if pooled_rows * window.pool[0] < rows or pooled_columns * window.pool[1] < columns %}
+    if ((y >= {{ pooled_rows + window.padding[0] }}u) || (x >= {{ pooled_columns + window.padding[1] }}u)) {
+        return;
+    }
+{% endif %}
+{% call for_each_position(window, 0, "y", "row", "ky") %}
+{% call for_each_position(window, 1, "x", "column", "kx") %}
+    const {{ each.stored }} *weight = &{{ out.constant(each.name ~ "_weight", kernel) }}[((((channel * {{ window.kernel[0] }}u) + ky) * {{ window.kernel[1] }}u) + kx) * {{ of_group }}u];
+{% set group = "(channel / %du) * %du" % (channels // window.groups, of_group * height * width) %}
+    uint32_t n = {{ "(%s) + " % group if window.groups > 1 }}{{ "(row * %du) + " % width if height > 1 }}column;
+    for (o = 0u; o < {{ of_group }}u; o++) {
+        sums[n] {{ "=" if hears else "+=" }} {{ "(" ~ plan.kind ~ ")times * " if several }}weight[o];
+{% if hears %}
+        {{ hears }}(n);
+{% endif %}
+        n += {{ height * width }}u;
+    }
+{% endcall %}
+{% endcall %}
+}
+
+{% endmacro %}
+
+{# A coordinate of the source behind the pool and the padding. #}
+{% macro place(coordinate, pool, padding) -%}
+{% set divided = "(%s) / %du" % (coordinate, pool) if pool > 1 else coordinate %}
+{{ "(%s) + %du" % (divided, padding) if padding else divided }}
+{%- endmacro %}
+
+{# Positions of an axis whose windows hold a place of the source, and which element it has there. #}
+{% macro for_each_position(window, axis, at, position, element) %}
+{% set size, step, dilation = window.target[1 + axis], window.stride[axis], window.dilation[axis] %}
+{% set span = dilation * (window.kernel[axis] - 1) + 1 %}
+{% set least = "((%s - %du) / %du) + 1u" % (at, span, step) if step > 1 else "%s - %du" % (at, span - 1) %}
+{% set start = "(%s * %du)" % (position, step) if step > 1 else position %}
+    for ({{ position }} = ({{ at }} < {{ span }}u) ? 0u : ({{ least }}); ({{ position }} < {{ size }}u) && ({{ start }} <= {{ at }}); {{ position }}++) {
+        const uint32_t {{ element }} = {{ "(%s - %s) / %du" % (at, start, dilation) if dilation > 1 else "%s - %s" % (at, start) }};
+{% if dilation > 1 %}
+        if ((({{ at }} - {{ start }}) % {{ dilation }}u) != 0u) {
+            continue;
+        }
+{% endif %}
+{% print caller() | indent(4, true) %}
+    }
 {% endmacro %}
 
 {% macro set_sums(layer, bias) %}
