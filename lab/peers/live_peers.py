@@ -70,6 +70,7 @@ PEERS = (
     Peer("xylosim", (f"{FAMILIES}/test_xylosim.py",), traces="xylosim", kits=True),
     Peer(
         "sinabs",
+        (f"{FAMILIES}/test_sinabs_peer.py",),
         kits=True,
         options=("--no-deps", "sinabs==3.1.3", "nirtorch==2.6", "pbr"),
     ),
