@@ -8,6 +8,7 @@ thousand zeros from a byte.
 
 import math
 import mmap
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ _FREE_BYTES, _EXPANSION = 48 << 20, 8
 _SMALLEST_NUMBER = 4
 # arrays and groups; a neuron has up to nine
 _MAX_MEMBERS = 32_768
+_PART = 1 << 22  # bytes of a file that are searched at once
 
 
 def write_graph(path: Path, graph: nir.NIRGraph, older: str | None = None) -> None:
@@ -208,8 +210,7 @@ def _check_heaps(path: Path) -> None:
     (HDF5 File Format Specification 3.0, section III.E).
     """
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        at = content.find(b"GCOL\x01\x00\x00\x00")
-        while at >= 0:
+        for at in _places(path, b"GCOL\x01\x00\x00\x00"):
             here = at + 16
             end = min(at + int.from_bytes(content[at + 8 : here], "little"), len(content))
             while end - here >= 16:
@@ -221,4 +222,15 @@ def _check_heaps(path: Path) -> None:
                         f"its texts, at byte {at}, are damaged. Copy the file or export it again."
                     )
                 here += step
-            at = content.find(b"GCOL\x01\x00\x00\x00", at + 1)
+
+
+def _places(path: Path, text: bytes) -> Iterator[int]:
+    """Bytes at which a text begins, in a file of any size, which is read in parts."""
+    with path.open("rb") as file:
+        seen, part = b"", file.read(_PART)
+        first = 0  # byte at which `seen` begins
+        while part:
+            seen += part
+            yield from (first + each.start() for each in re.finditer(re.escape(text), seen))
+            kept = min(len(text) - 1, len(seen))
+            first, seen, part = first + len(seen) - kept, seen[-kept:], file.read(_PART)
