@@ -23,9 +23,9 @@ Numbers = NDArray[Any]
 Places = NDArray[np.int64]
 Axes = tuple[int, int]
 
-# multiplications of a product of matrices that take as long as one addition of a scattered weight,
-# and as one element of its left matrix (lab bench convolutions)
-_PER_ADDITION, _PER_ELEMENT = 64, 16
+# elements of windows that are unfolded in place of adding one weight: each weight that is added
+# has its place computed, of what is unfolded only copied
+_PER_ADDITION = 4
 # bytes of the windows that are unfolded at once
 _UNFOLDED = 1 << 25
 
@@ -148,7 +148,7 @@ class Window:
         features, elements = self.target[0] // self.groups, math.prod(self.kernel)
         additions = np.count_nonzero(maps) * features * elements
         unfolded = maps.shape[0] * maps.shape[1] * math.prod(self.target[1:]) * elements
-        if additions * _PER_ADDITION <= unfolded * (features + _PER_ELEMENT):
+        if additions * _PER_ADDITION <= unfolded:
             return self._scatter(weight, maps).astype(dtype, copy=False).reshape(shape)
         some = max(1, _UNFOLDED // (8 * unfolded // len(maps)))
         parts = [

@@ -2,7 +2,9 @@
 
 What differs between arithmetics it asks of the chip; here is what all have in common.
 
-wiring    populations and the synapses between them: counted for the rules, as matrices for a chip
+topology  populations and the synapses between them, counted for the rules
+chains    maps between neurons as kernels with their windows, or as matrices
+wiring    layers of neurons and their synapses, as a chip has them
 mapping   populations on cores, and how full those are
 rules     the design rules, and what they found in a network
 compile   the compiler itself, and the check of every design rule without an error

@@ -9,6 +9,7 @@ the order in which the chain multiplies.
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple, TypeAlias
 
 import nir
@@ -117,47 +118,41 @@ def _kernel(
         head, each = _Head((size, 1, 1), (size, 1, 1), (1, 1), head.scale), head.scale
     if each is None:
         return None
-    channels = head.maps[0]
-    target, groups = head.maps, channels
-    weight: Floats = np.ones((channels, 1, 1, 1))
-    stride = padding = dilation = (0, 0)
     if node is None:
-        stride = dilation = (1, 1)
+        window = Window(head.source, head.maps, (1, 1), head.pool, groups=head.maps[0])
     else:
-        geometry = window_of(name, node)
-        target, stride, dilation = (
-            _shape(node, "output"),
-            _axes(geometry.stride),
-            _axes(geometry.dilation),
-        )
-        padding = _axes(tuple(before for before, _ in geometry.padding), 0)
-        weight = np.ones((channels, 1, *geometry.kernel))
-        if isinstance(node, CONVOLUTIONS):
-            groups, weight = int(node.groups), node.weight.astype(np.float64)
-            weight = weight.reshape(*weight.shape[:2], *_axes(geometry.kernel))
+        window = replace(window_of_map(name, node), source=head.source, pool=head.pool)
+    (features, *_), groups = window.target, window.groups
+    weight: Floats = np.ones((features, 1, *window.kernel))
+    if isinstance(node, CONVOLUTIONS):
+        weight = node.weight.astype(np.float64).reshape(features, -1, *window.kernel)
     # weights of a group see its channels alone
     parted = weight.reshape(groups, -1, *weight.shape[1:]) * each.reshape(groups, 1, -1, 1, 1)
     weight = parted.reshape(weight.shape)
     if isinstance(node, nir.AvgPool2d):
         weight = weight / math.prod(weight.shape[2:])
     for scale in scales:
-        if (after := _alike(scale, target[0])) is None:
+        if (after := _alike(scale, features)) is None:
             return None
         weight = weight * after[:, None, None, None]
-    window = Window(
-        source=head.source,
-        target=target,
-        kernel=(int(weight.shape[2]), int(weight.shape[3])),
-        pool=head.pool,
-        stride=stride,
-        padding=padding,
-        dilation=dilation,
-        groups=groups,
-    )
     # what only padding comes under is no weight
     rows, columns = window.seen
     used = np.logical_and.outer(rows.any(axis=0), columns.any(axis=0))
     return weight * used + 0.0, window
+
+
+def window_of_map(name: str, node: nir.NIRNode) -> Window:
+    """The window of a convolution or pool."""
+    geometry, source = window_of(name, node), _shape(node, "input")
+    return Window(
+        source=source,
+        target=_shape(node, "output"),
+        kernel=_axes(geometry.kernel),
+        stride=_axes(geometry.stride),
+        padding=_axes(tuple(before for before, _ in geometry.padding), 0),
+        dilation=_axes(geometry.dilation),
+        groups=int(node.groups) if isinstance(node, CONVOLUTIONS) else source[0],
+    )
 
 
 def _is_division(name: str, node: nir.NIRNode) -> bool:

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.chip import Chip, LayerCore, Limits, SynapticMemory
-from spikedeploy.runtime.compiler.wiring import Population, Topology
+from spikedeploy.runtime.compiler.topology import Population, Topology
 from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE
 
 Counts: TypeAlias = NDArray[np.int64]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import READOUTS, Chip, Limits
 from spikedeploy.runtime.compiler.mapping import CoreMapping, Placement, map_to_cores
-from spikedeploy.runtime.compiler.wiring import Population, Topology, topology
+from spikedeploy.runtime.compiler.topology import Population, Topology, topology
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.graph.order import delay_timesteps

@@ -119,6 +119,11 @@ def _padding(
 Shapes: TypeAlias = dict[str, tuple[Shape, Shape]]
 
 
+def shape_of(node: nir.NIRNode) -> Shape:
+    """Shape that a node puts out."""
+    return tuple(int(n) for n in node.output_type["output"])
+
+
 def infer_shapes(graph: nir.NIRGraph) -> None:
     """Write its shapes into every node; ArtifactError where those along an edge disagree."""
     shapes = _shapes(graph)

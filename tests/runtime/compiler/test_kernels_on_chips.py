@@ -20,6 +20,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.graph import shapes
 from tests.networks import ends
 
 DT = 1e-3
@@ -41,7 +42,7 @@ def pool(kind, size, stride=None, padding=(0, 0)):
 
 def puts(node, shape):
     """Shape that a convolution or pool puts out."""
-    window = wiring.window_of("", node)
+    window = shapes.window_of("", node)
     features = len(node.weight) if hasattr(node, "weight") else shape[0]
     return features, *window.positions(shape[1:])
 

@@ -21,7 +21,7 @@ from spikedeploy.runtime.compiler.mapping import (
     placement_utilisation,
 )
 from spikedeploy.runtime.compiler.rules import PlacedNetwork, evaluate
-from spikedeploy.runtime.compiler.wiring import topology
+from spikedeploy.runtime.compiler.topology import topology
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.graph.validate import check_graph
 from tests.networks import chain, cuba, ends, graph, lif
