@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.codec.encoder import ENCODERS, Encoder, EncoderState
+from spikedeploy.runtime.codec.events import EventEncoder
 from spikedeploy.runtime.codec.population import PopulationEncoder
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.errors import ObservationError
@@ -23,6 +24,7 @@ __all__ = [
     "DeltaEncoder",
     "Encoder",
     "EncoderState",
+    "EventEncoder",
     "Normaliser",
     "PopulationEncoder",
     "RateEncoder",

@@ -18,15 +18,25 @@ While they learn, both have a second head, which says what the signs did: none, 
 is no part of what is deployed.
 """
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, cast
 
+import nir
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
 
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.codec.codec import Codec, Normaliser
+from spikedeploy.runtime.codec.events import EventEncoder
+from spikedeploy.runtime.convention import Convention, Reset
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.policies.delta import DT
 from spikedeploy.trainers.policies.neurons import spike, surrogate
 from spikedeploy.trainers.policies.policy import (
     Head,
@@ -35,6 +45,7 @@ from spikedeploy.trainers.policies.policy import (
     PrunedKernel,
     PrunedWeight,
     TorchNormaliser,
+    to_array,
 )
 
 SIGNS = 3  # none, left, right: of the second head
@@ -42,6 +53,7 @@ _THRESHOLD = 1.0
 _RATE = 0.08  # initial share of timesteps in which a neuron of a spiking layer spikes
 _FAST, _SLOW = (1.0, 5.0), (10.0, 100.0)  # time constants of hidden neurons [timesteps]
 _READOUT = 0.7  # initial decay factor of readouts
+_SIGNS = 0.9  # of those of the second head, which remembers for longer
 _CONVOLVED = 0.5  # initial decay factor of the membranes of convolutions
 
 
@@ -75,15 +87,15 @@ class VisionPolicy(Policy):
     biases: nn.ParameterDict
     signs: nn.Linear
 
+    @abstractmethod
     def rest(self, robots: int) -> list[Tensor]:
         """Return the state at the beginning of an episode."""
-        raise NotImplementedError
 
+    @abstractmethod
     def unrolled(
         self, counts: Tensor, weights: Mapping[str, Tensor], state: Sequence[Tensor]
     ) -> Unrolled:
         """Return what windows of counts (B, L, C·Y·X) give, from a state on."""
-        raise NotImplementedError
 
     def weights(self) -> dict[str, Tensor]:
         """Return weights by name, masks applied."""
@@ -92,6 +104,14 @@ class VisionPolicy(Policy):
     def matrix(self, name: str) -> PrunedWeight:
         """Return weights and mask by name."""
         return cast(PrunedWeight, self.synapses[name])
+
+    def inputs(self, name: str) -> int:
+        """Return how many presynaptic neurons a group of synapses has."""
+        return self.matrix(name).fan_out.numel()
+
+    @abstractmethod
+    def normalise(self, counts: Tensor) -> None:
+        """Scale the first weights, layer by layer, to what counts (B, L, C·Y·X) bring."""
 
     def advance(self, observation: Tensor, state: list[Tensor]) -> tuple[Tensor, list[Tensor]]:
         """Take one control step: return logits (B, act), and inputs (B, M) of each matrix.
@@ -289,7 +309,8 @@ class SpikingVisionPolicy(VisionPolicy):
         if skip:
             self._dense("past", width, actions, 0.0)
         self.latent_size = hidden
-        self.signs = nn.Linear(hidden, SIGNS)
+        # it also sees the last convolution, so that gradients reach that one directly
+        self.signs = nn.Linear(hidden + width, SIGNS)
         self.biases = nn.ParameterDict({"out": torch.zeros(actions)})
         for name in self.spiking:
             self.biases[name] = torch.zeros(self.matrix(name).weight.shape[0])
@@ -301,7 +322,7 @@ class SpikingVisionPolicy(VisionPolicy):
             self.decays[name] = convolved.repeat(self.matrix(name).weight.shape[0])
         readout = torch.logit(torch.tensor(_READOUT))
         self.decays["out"] = readout.repeat(actions)
-        self.decays["signs"] = readout.repeat(SIGNS)
+        self.decays["signs"] = torch.logit(torch.tensor(_SIGNS)).repeat(SIGNS)
         self._gradient = surrogate("atan", surrogate_width)
 
     @property
@@ -370,7 +391,7 @@ class SpikingVisionPolicy(VisionPolicy):
             # `arriving` is what the hidden layer got: the last convolution, a timestep late
             inputs.append(arriving.flatten(0, 1))
             onto = onto + arriving @ weights["past"].T
-        about = hidden @ self.signs.weight.T
+        about = torch.cat([hidden, arriving], -1) @ self.signs.weight.T
         means, said = [], []
         gamma, delta = self.decay("out"), self.decay("signs")
         for drive, other in zip(onto.unbind(), about.unbind(), strict=True):
@@ -413,3 +434,78 @@ class SpikingVisionPolicy(VisionPolicy):
                 last = done.inputs[k + 1]  # what this layer sends
                 rate = last.mean().clamp(min=1e-3)
                 self.matrix(name).weight.mul_((_RATE / rate).sqrt().clamp(0.5, 2.0))
+
+
+def vision_artifact(
+    policy: SpikingVisionPolicy, origin: Provenance | None = None, dt: float = DT
+) -> Artifact:
+    """Return the policy as an artifact, every number in float64; its states are kept.
+
+        input (K C, Y, X) -> conv1 -> lif1 -> ... -> flat -> hidden -> lif -> out -> readout
+                                                       |       back <-> lif          |
+                                                       +------------ past -----------+-> action
+
+    Spiking neurons have gains of 1 and no biases but those of their convolution or matrix; `readout`
+    is an LI, and `action` adds its constant.
+    """
+    precise = deepcopy(policy).double()
+    reset: Reset = "subtract" if policy.neuron == "if" else "zero"
+    convention = Convention(
+        dt=dt, reset=reset, source="as trained", state="kept", clock=policy.clock
+    )
+    return Artifact(_graph(precise, dt), vision_codec(precise), convention, origin)
+
+
+def vision_codec(policy: SpikingVisionPolicy) -> Codec:
+    """Return normaliser, encoder and decoder, as a file holds them."""
+    normalizer = policy.normalizer
+    return Codec(
+        Normaliser(to_array(normalizer.mean), to_array(normalizer.std), normalizer.clip),
+        EventEncoder(policy.observations, policy.shape[0], policy.most),
+        policy.timesteps,
+        "argmax" if policy.head == "discrete" else "tanh",
+    )
+
+
+def _graph(policy: SpikingVisionPolicy, dt: float) -> nir.NIRGraph:
+    weights = {name: to_array(weight) for name, weight in policy.weights().items()}
+    source = (policy.most * policy.shape[0], *policy.shape[1:])
+    nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array(source)})}
+    for number, name in enumerate(policy.spiking[:-1], start=1):
+        kernel = cast(PrunedKernel, policy.matrix(name))
+        nodes[name] = nir.Conv2d(
+            source[1:], weights[name], kernel.stride, kernel.padding, 1, 1,
+            to_array(policy.biases[name]),
+        )  # fmt: skip
+        nodes[f"lif{number}"] = _neurons(policy, name, kernel.target, dt)
+        source = kernel.target
+    nodes["flat"] = nir.Flatten({"input": np.array(source)}, 0, -1)
+    last = f"lif{len(policy.spiking)}"
+    nodes["hidden"] = nir.Affine(weights["hidden"], to_array(policy.biases["hidden"]))
+    nodes[last] = _neurons(policy, "hidden", (policy.hidden,), dt)
+    nodes["out"] = nir.Linear(weights["out"])
+    gamma = to_array(policy.decay("out"))
+    tau = dt / (1 - gamma)
+    nodes["readout"] = nir.LI(tau=tau, r=tau / dt, v_leak=np.zeros(tau.size))
+    nodes["action"] = nir.Affine(np.eye(policy.actions), to_array(policy.biases["out"]))
+    nodes["output"] = nir.Output({"output": np.array([policy.actions])})
+    edges = list(pairwise(nodes))
+    if policy.recurrent:
+        nodes["back"] = nir.Linear(weights["back"])
+        edges += [(last, "back"), ("back", last)]
+    if policy.skip and weights["past"].any():
+        nodes["past"] = nir.Linear(weights["past"])
+        edges += [("flat", "past"), ("past", "readout")]
+    return nir.NIRGraph(nodes, edges)
+
+
+def _neurons(
+    policy: SpikingVisionPolicy, name: str, shape: tuple[int, ...], dt: float
+) -> nir.LIF | nir.IF:
+    """Return the neurons (O, Y, X) of a convolution or (N,) of a matrix, with gains of 1."""
+    zeros, threshold = np.zeros(shape), np.full(shape, _THRESHOLD)
+    if policy.neuron == "if":
+        return nir.IF(r=np.full(shape, 1 / dt), v_threshold=threshold, v_reset=zeros)
+    decay = to_array(policy.decay(name)).reshape(-1, *(1,) * (len(shape) - 1))
+    tau = np.broadcast_to(dt / (1 - decay), shape).copy()
+    return nir.LIF(tau=tau, r=tau / dt, v_leak=zeros, v_threshold=threshold, v_reset=zeros)

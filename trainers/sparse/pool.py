@@ -28,12 +28,13 @@ Label = Callable[[FloatArray], FloatArray]
 class Walk:
     """One episode of S control steps.
 
-    observation: (S, obs) raw, float32
-    label: (S, act) the teacher's action, or its logits, in each of them
+    observation: (S, obs) raw, float32; counts of events in uint8
+    label: (S, act) the teacher's action, or its logits, in each of them; of an event camera what
+        the sign said behind them
     crashed: whether it ended by a fall or crash
     """
 
-    observation: Single
+    observation: Single | NDArray[np.uint8]
     label: Single
     crashed: bool = False
 
@@ -229,8 +230,9 @@ class WalkPool:
     def take_observations(self) -> None:
         """Let windows hold the raw observations in `seen`, and nothing in `moved`."""
         self._take_labels()
-        width = self.walks[0].observation.shape[1]
-        self._seen = torch.zeros(len(self.walks), int(self._length.max()), width)
+        first = torch.from_numpy(self.walks[0].observation)
+        shape = len(self.walks), int(self._length.max()), first.shape[1]
+        self._seen = torch.zeros(shape, dtype=first.dtype)
         for k, walk in enumerate(self.walks):
             self._seen[k, : len(walk.label)] = torch.from_numpy(walk.observation)
         self._moved = self._seen[..., :0]
@@ -327,15 +329,16 @@ def save_walks(walks: list[Walk], path: Path) -> str:
 
 
 def load_walks(path: Path, sizes: tuple[int, int]) -> list[Walk]:
-    """Read what `save_walks` wrote: walks of so many observations and actions, all finite."""
+    """Read what `save_walks` wrote: walks of so many observations and labels, all finite."""
     try:
         arrays = load_file(path)
         lengths = arrays["length"]
         if not len(lengths) or lengths.min() < 1 or arrays["crashed"].shape != lengths.shape:
             raise ValueError(f"it has {lengths.size} lengths of walks")
-        for name, width in zip(("observation", "label"), sizes, strict=True):
+        kinds = {"observation": (np.float32, np.uint8), "label": (np.float32,)}
+        for (name, known), width in zip(kinds.items(), sizes, strict=True):
             shape, array = (int(lengths.sum()), width), arrays[name]
-            if array.dtype != np.float32 or array.shape != shape or not np.isfinite(array).all():
+            if array.dtype not in known or array.shape != shape or not np.isfinite(array).all():
                 raise ValueError(
                     f"{name} is {array.dtype} {array.shape}, expected finite float32 {shape}"
                 )

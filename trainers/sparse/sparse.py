@@ -20,10 +20,12 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.schema import validate
 from spikedeploy.trainers.config import C, amend
+from spikedeploy.trainers.distill.teacher import Teacher
 from spikedeploy.trainers.distill.teachers import same_teacher, teacher
 from spikedeploy.trainers.env_batch import TRAINING_SEEDS, EnvBatch
 from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, from_config
 from spikedeploy.trainers.policies.policy import Moments, PrunedWeight
+from spikedeploy.trainers.policies.vision import SIGNS
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder, with_prefix
 from spikedeploy.trainers.runner import Learner, Runner, adam, descend, set_rate
@@ -40,8 +42,8 @@ from spikedeploy.trainers.sparse.pool import (
     save_walks,
 )
 from spikedeploy.trainers.sparse.student import (
-    DeltaStudent,
     FloatController,
+    MlpStudent,
     SparseConfig,
     Student,
     binary_columns,
@@ -55,13 +57,14 @@ from spikedeploy.trainers.sparse.student import (
     round_for_chip,
     student,
 )
+from spikedeploy.trainers.sparse.vision import EyeEpisodes, VisionStudent
 
 _ENV_COPIES = 50  # copies of the environment
 _DENSE_BUDGET = 4_000.0  # operations for which the penalty is scaled while nothing is pruned
 
 
 # what the operations of each kind of policy are called
-_UNITS = {"delta-snn": "sops", "pruned-mlp": "macs"}
+_UNITS = {"delta-snn": "sops", "pruned-mlp": "macs", "vision": "macs"}
 
 
 def with_budget(config: C, text: str) -> C:
@@ -139,10 +142,15 @@ def phases(config: SparseConfig) -> list[Phase]:
         begin = found[-1].end if found else 0
         found.append(Phase(begin, begin + length, last, high, high * low, until))
 
+    once = Phase(0, config.dense_updates, None, config.learning_rate, 0.02 * config.learning_rate, 0.0)
     for k in range(config.dense_rounds):
         length = math.ceil(config.dense_updates / config.dense_rounds)
         low = 0.05 if k == config.dense_rounds - 1 else 0.3
-        add(length, None, config.learning_rate, low, 0.0)
+        high = config.learning_rate
+        if config.schedule == "once":
+            high = once.rate(k * length)
+            low = once.rate(min((k + 1) * length, once.end)) / high
+        add(length, None, high, low, 0.0)
     for level in config.rounds:
         add(config.level_updates, level, config.level_rate, 0.1, config.prune_until)
     for _ in range(config.polish):
@@ -178,11 +186,9 @@ class Sparse(Runner[SparseConfig]):
         self._phases = phases(config)
         total = self._phases[-1].end
         super().__init__(config, run, total, config.checkpoint_every, config.log_every)
-        self._teacher = teacher(
-            config.teacher, config.env.name, config.env.options, config.teacher_units
-        )
         batch = EnvBatch(config.env.model_copy(update={"count": 1}), self._rng)
         self._sizes, self._discrete = batch.sizes, batch.head == "discrete"
+        self._episodes, self._teacher = _taught_episodes(config, self._sizes)
         self._teacher.check_sizes(config.teacher, config.env.name, self._sizes)
         self.policy = from_config(
             config.policy, *self._sizes, config.normaliser.clip, batch.columns, batch.head
@@ -190,7 +196,6 @@ class Sparse(Runner[SparseConfig]):
         self.pool = WalkPool()
         self._student = student(self.policy, config)
         self.learner = SparseLearner(config, self._student)
-        self._episodes = Episodes(config.env, _ENV_COPIES, config.validation.limit)
         self.updates = self.phase = self.collections = 0
         self.start = 0.0
         self._sums: list[str] = []  # checksums of the files of walks
@@ -199,7 +204,7 @@ class Sparse(Runner[SparseConfig]):
     def _begin(self) -> None:
         """Let the teacher walk; fit the normaliser and the encoder to what it saw."""
         config = self._config
-        taken = _walks_of(config, self._sizes) if config.pool else []  # refused before walks
+        taken = _walks_of(config, self._widths) if config.pool else []  # refused before walks
         taught = Stateless(self._taught)
         _, returns, _ = self._episodes.play(config.validation.seeds, taught)
         self.teacher_return = float(np.mean(returns))
@@ -209,6 +214,10 @@ class Sparse(Runner[SparseConfig]):
             self._collect(taught, config.teacher_walks)
         if config.noisy_walks:
             self._collect(Stateless(self._noisy), config.noisy_walks)
+        if isinstance(self._student, VisionStudent):
+            self._student.prepare(self.pool)
+            self._student.begin(self.pool, self._rng)
+            return
         self._fit()
         self._student.prepare(self.pool)
         self._set_thresholds()
@@ -231,7 +240,7 @@ class Sparse(Runner[SparseConfig]):
     def _next_phase(self) -> None:
         """Walk, set the encoder's steps again, and start the next phase with a new optimiser."""
         # what is validated is what walks: with the chip's numbers, once training computes with them
-        rounded = isinstance(self._student, DeltaStudent) and self._student.offsets
+        rounded = not isinstance(self._student, MlpStudent) and self._student.offsets
         walking = self._deployed() if rounded else self.policy
         self._collect(FloatController(walking), self._config.walks)
         polished = self.phase + 1 >= len(self._phases) - self._config.polish
@@ -243,7 +252,8 @@ class Sparse(Runner[SparseConfig]):
         self._student.prepare(self.pool)
         self.phase += 1
         self.start = operations(self._student.synapses())
-        self.learner.restart()
+        if self._config.schedule == "rounds" or self._phases[self.phase].last is not None:
+            self.learner.restart()
 
     def _set_thresholds(self) -> None:
         """Set the thresholds of a delta network by the walks that are encoded."""
@@ -256,7 +266,7 @@ class Sparse(Runner[SparseConfig]):
     def _taught(self, observation: NDArray[np.float64]) -> NDArray[Any]:
         """Return the teacher's actions."""
         label = self._teacher.act_all(observation)
-        return label.argmax(-1) if self._discrete else label
+        return label[:, : self._sizes[1]].argmax(-1) if self._discrete else label
 
     def _noisy(self, observation: NDArray[np.float64]) -> NDArray[Any]:
         """Return the teacher's actions with noise."""
@@ -277,6 +287,12 @@ class Sparse(Runner[SparseConfig]):
         self._sums.append(save_walks(walks, pool_file(self._run.path, self.collections)))
         self.collections += 1
         self.pool.add(walks)
+
+    @property
+    def _widths(self) -> tuple[int, int]:
+        """Numbers of an observation and of a label."""
+        sees = isinstance(self._student, VisionStudent)
+        return self._sizes[0], self._sizes[1] + (SIGNS if sees else 0)
 
     @torch.no_grad()
     def _fit(self) -> None:
@@ -340,13 +356,31 @@ class Sparse(Runner[SparseConfig]):
         return {"pool_sha256": self._sums}
 
     def _tensors(self) -> dict[str, Tensor]:
-        return {"binary": torch.from_numpy(self._binary)}
+        return {"binary": torch.from_numpy(self._binary)} if hasattr(self, "_binary") else {}
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         self._sums = state["pool_sha256"]
-        self.pool.add(own_walks(self._run.path, self._sums, self._sizes))
-        self._binary = tensors["binary"].numpy()
+        self.pool.add(own_walks(self._run.path, self._sums, self._widths))
+        if "binary" in tensors:
+            self._binary = tensors["binary"].numpy()
         self._student.prepare(self.pool)
+
+
+def _taught_episodes(
+    config: SparseConfig, sizes: tuple[int, int]
+) -> tuple[Episodes | EyeEpisodes, Teacher]:
+    """Return copies of the environment, and what is imitated in them."""
+    limit = config.validation.limit
+    if envs.spec(config.env.name).short != "kart-eye":
+        own = teacher(config.teacher, config.env.name, config.env.options, config.teacher_units)
+        return Episodes(config.env, _ENV_COPIES, limit), own
+    if config.teacher != "privileged":
+        raise ConfigError(
+            f"teacher {config.teacher!r}: {config.env.name} is taught by what the simulation "
+            "knows. Set teacher=privileged"
+        )
+    eyes = EyeEpisodes(config.env, _ENV_COPIES, limit)
+    return eyes, Teacher(eyes.label, *sizes, config.env.name)
 
 
 def _walks_of(config: SparseConfig, sizes: tuple[int, int]) -> list[Walk]:

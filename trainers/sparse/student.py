@@ -34,7 +34,15 @@ from spikedeploy.trainers.config import (
     ValidationConfig,
 )
 from spikedeploy.trainers.distill.teacher import compute_cross_entropy
-from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, PrunedMlpPolicy
+from spikedeploy.trainers.policies import (
+    DeltaMlpPolicy,
+    DeltaSnnPolicy,
+    Policy,
+    PrunedMlpPolicy,
+    SpikingVisionPolicy,
+    StatefulPolicy,
+    VisionPolicy,
+)
 from spikedeploy.trainers.policies.delta import (
     DeltaWeights,
     delta_artifact,
@@ -43,8 +51,10 @@ from spikedeploy.trainers.policies.delta import (
     live_neurons,
 )
 from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup
+from spikedeploy.trainers.policies.vision import vision_artifact
 from spikedeploy.trainers.run_folder import with_prefix
 from spikedeploy.trainers.sparse.pool import BatchController, WalkPool, Windows
+from spikedeploy.trainers.sparse.vision import VisionStudent, rounding_of_kernels, with_weights
 
 FloatArray = NDArray[np.float64]
 _SMOOTHING = 0.02  # weight of the newest batch in mean rates of hidden neurons
@@ -63,7 +73,8 @@ _SWING = 1e-2  # between two values; below it they are one value with noise
 class SparseConfig(RunConfig):
     """DAgger over whole walks, then pruning by operations in rounds (docs/sparse.md).
 
-    teacher, teacher_units: policy to imitate, as in DistillConfig
+    teacher, teacher_units: policy to imitate, as in DistillConfig; "privileged" is that of an
+        environment, which knows its simulation
     pool: run folder whose walks are taken over as well
     budget: operations of a control step at the end: SOPs of a spiking policy, effective MACs of a
         float one
@@ -95,6 +106,9 @@ class SparseConfig(RunConfig):
     chip: on which policies are validated, and for whose weights they are rounded in training
     rounding: whether the forward pass computes with the chip's rounded weights after pruning began
     sharpness: factor of the teacher's logits in the targets of discrete actions
+    schedule: of the learning rate before pruning: it falls in each of the dense "rounds", whose
+        optimisers are new, or "once" over all of them
+    sign_weight: of policies that see: weight of what the signs said, beside the actions
     """
 
     teacher: str = ""
@@ -132,6 +146,8 @@ class SparseConfig(RunConfig):
     chip: str = "loihi1"
     rounding: bool = True
     sharpness: Rate = 2.0
+    schedule: Literal["rounds", "once"] = "rounds"
+    sign_weight: float = Field(default=1.0, ge=0)
     log_every: Positive = 200
     checkpoint_every: Positive = 1_000
     validation: ValidationConfig = ValidationConfig(every=1_000, episodes=24)
@@ -346,7 +362,7 @@ class MlpStudent:
         self._rates = [named[f"rate{number}"] for number in range(len(self._rates))]
 
 
-Student = DeltaStudent | MlpStudent
+Student = DeltaStudent | MlpStudent | VisionStudent
 
 
 def _active(activations: Sequence[Tensor]) -> list[Tensor]:
@@ -360,9 +376,11 @@ def student(policy: Policy, config: SparseConfig) -> Student:
         return DeltaStudent(policy, config)
     if isinstance(policy, PrunedMlpPolicy):
         return MlpStudent(policy, config)
+    if isinstance(policy, VisionPolicy):
+        return VisionStudent(policy, config)
     raise ConfigError(
-        f"a policy of kind {policy.kind!r} cannot be pruned: choose policy.kind delta-snn or "
-        "pruned-mlp"
+        f"a policy of kind {policy.kind!r} cannot be pruned: choose policy.kind delta-snn, "
+        "pruned-mlp, vision or vision-snn"
     )
 
 
@@ -525,6 +543,8 @@ def round_for_chip(policy: Policy, target: Chip, rounding: bool) -> Policy:
 
     rounding: whether they are rounded; weights that round to 0 are taken out
     """
+    if rounding and isinstance(policy, SpikingVisionPolicy):
+        return with_weights(policy, rounding_of_kernels(policy, target))
     if not rounding or not isinstance(policy, DeltaSnnPolicy):
         return policy
     copy = with_offsets(policy, rounding_offsets(policy, target))
@@ -616,14 +636,14 @@ class FloatController:
 
     def reset(self, robots: int) -> None:
         """Start an episode of each."""
-        if isinstance(self.policy, DeltaSnnPolicy):
-            self._state = self.policy.rest(robots)
+        if isinstance(self.policy, StatefulPolicy):
+            self._state: Any = self.policy.rest(robots)
 
     @torch.no_grad()
     def mean(self, observation: FloatArray) -> Tensor:
         """Take one control step: return the mean (B, act) of each robot's action."""
         seen = torch.from_numpy(observation).float()
-        if isinstance(self.policy, DeltaSnnPolicy):
+        if isinstance(self.policy, StatefulPolicy):
             return self.policy.advance(seen, self._state)[0]
         return self.policy.scores(seen)
 
@@ -648,4 +668,6 @@ def on_chip(policy: Policy, chip: Chip) -> BatchController:
     """Return the policy as the chip runs it; a float policy as it is."""
     if isinstance(policy, DeltaSnnPolicy):
         return ChipController(delta_artifact(policy), chip)
+    if isinstance(policy, SpikingVisionPolicy):
+        return ChipController(vision_artifact(policy), chip)
     return FloatController(policy)

@@ -1,0 +1,271 @@
+"""Students that see by events: karts simulated side by side, and the error of windows of walks.
+
+Labels come from what a privileged teacher knows of the simulation, not from the observation: a row
+has the logit of each action, then 1 for what the sign ahead said: nothing yet, left or right.
+"""
+
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import cross_entropy
+
+from spikedeploy.envs.eye.batch import STEERING, EyeBatch
+from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.distill.teacher import compute_cross_entropy
+from spikedeploy.trainers.policies import SpikingVisionPolicy, VisionPolicy
+from spikedeploy.trainers.policies.policy import SynapseGroup
+from spikedeploy.trainers.policies.vision import SIGNS, vision_artifact
+from spikedeploy.trainers.run_folder import with_prefix
+from spikedeploy.trainers.sparse.pool import (
+    BatchController,
+    Earned,
+    Label,
+    Walk,
+    WalkPool,
+    Windows,
+)
+
+if TYPE_CHECKING:  # student.py imports this file
+    from spikedeploy.trainers.sparse.student import SparseConfig
+
+_WIDTH = 0.12  # of the bell of targets around the teacher's steering [full steering]
+_UNKNOWN = 0.4  # weight of control steps in which no sign was readable yet
+_SMOOTHING = 0.02  # weight of the newest batch in mean rates
+_STEP = "weights"  # the kind of rounding, as an arithmetic's `ablation_steps` name it
+
+
+class EyeEpisodes:
+    """Karts that see by events, for whole episodes, as `pool.Episodes` is for other environments.
+
+    earned: what the episodes of the last call of `play` brought, one for each seed
+    """
+
+    def __init__(self, config: EnvConfig, count: int, limit: int | None = None) -> None:
+        self._options, self._count, self._limit = config.options, count, limit
+        self._env = EyeBatch(count, **config.options)
+        self.earned: list[Earned] = []
+
+    def label(self, observation: NDArray[Any]) -> NDArray[np.float64]:
+        """Return labels (B, act + 3) of where the karts are now."""
+        apart = (self._env.teacher()[:, None] - np.array(STEERING)) / _WIDTH
+        hint = np.eye(SIGNS)[self._env.known()["hint"]]
+        # log of a bell: exp(-1/2 d^2), up to a constant
+        return np.concatenate([-0.5 * apart**2, hint], axis=1)
+
+    def play(
+        self, seeds: Sequence[int], controller: BatchController, label: Label | None = None
+    ) -> tuple[list[Walk], list[float], list[dict[str, Any]]]:
+        """Return walks (none without `label`), returns and last infos, one for each seed."""
+        self.earned = []
+        walks: list[Walk] = []
+        totals: list[float] = []
+        infos: list[dict[str, Any]] = []
+        for at in range(0, len(seeds), self._count):
+            played = self._side_by_side(seeds[at : at + self._count], controller, label)
+            walks += played[0]
+            totals += played[1]
+            infos += played[2]
+        return walks, totals, infos
+
+    def _side_by_side(
+        self, seeds: Sequence[int], controller: BatchController, label: Label | None
+    ) -> tuple[list[Walk], list[float], list[dict[str, Any]]]:
+        if len(seeds) != self._env.size:
+            self._env = EyeBatch(len(seeds), **self._options)
+        count, env = len(seeds), self._env
+        now = env.reset(seeds).reshape(count, -1)
+        ended, terminal = np.zeros((2, count), np.bool_)
+        length, infos = np.zeros(count, np.int64), [dict[str, Any]() for _ in seeds]
+        seen, labels, rewards = [], [], []
+        controller.reset(count)
+        while not ended.all() and len(seen) != self._limit:
+            seen.append(now)
+            if label is not None:
+                labels.append(label(now).astype(np.float32))
+            counts, reward, terminated, truncated, info = env.step(controller.act_batch(now))
+            now = counts.reshape(count, -1)
+            rewards.append(np.where(ended, 0.0, reward).astype(np.float32))
+            length += ~ended
+            for k in np.flatnonzero((terminated | truncated) & ~ended).tolist():
+                infos[k] = _outcome(info, k)
+            terminal |= terminated & ~ended
+            ended |= terminated | truncated
+        for k in np.flatnonzero(~ended).tolist():
+            infos[k] = _outcome(info, k)
+        gained, shown = np.stack(rewards, 1), np.stack(seen, 1)
+        last = now.astype(np.float32)
+        self.earned += [
+            Earned(gained[k, : length[k]], last[k], bool(terminal[k])) for k in range(count)
+        ]
+        walks = []
+        if label is not None:
+            wanted = np.stack(labels, 1)
+            for k, n in enumerate(length.tolist()):
+                crashed = bool(terminal[k] and not infos[k]["finish"])
+                walks.append(Walk(shown[k, :n].copy(), wanted[k, :n].copy(), crashed))
+        return walks, gained.sum(1, dtype=np.float64).tolist(), infos
+
+
+def _outcome(info: Mapping[str, Any], k: int) -> dict[str, Any]:
+    """Return what is known of an episode's end: finish, crash, wrong arm, forks passed."""
+    return {name: float(info[name][k]) for name in ("finish", "crash", "wrong", "forks")}
+
+
+class VisionStudent:
+    """A policy that sees by events, which learns from windows of walks.
+
+    policy: what is trained
+    sign_weight: of the error of the second head, beside that of actions
+    offsets: what rounding by the chip adds to each weight; none before `round`
+    """
+
+    readout = frozenset({"synapses.out.weight", "biases.out"})
+
+    def __init__(self, policy: VisionPolicy, config: "SparseConfig") -> None:
+        self.policy, self._config = policy, config
+        self.offsets: Mapping[str, Tensor] = {}
+        widths = [policy.inputs(name) for name in policy.synapses]
+        self._rates = [torch.full((width,), 0.1) for width in widths]
+
+    def prepare(self, pool: WalkPool) -> None:
+        """Let windows hold counts as they are."""
+        pool.take_observations()
+
+    def begin(self, pool: WalkPool, rng: np.random.Generator) -> None:
+        """Scale the first weights to what the walks bring."""
+        self.policy.normalise(self._sample(pool, rng).seen[:16].float())
+
+    def _sample(self, pool: WalkPool, rng: np.random.Generator) -> Windows:
+        c = self._config
+        return pool.sample(
+            rng, c.batch, c.window, c.burn_in, c.first_windows, c.crash_windows, c.crash_steps
+        )
+
+    def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+        """Return the error of windows, and the operations in a control step, with a gradient."""
+        c, windows = self._config, self._sample(pool, rng)
+        seen, label = mirrored(windows, torch.from_numpy(rng.random(c.batch) < 0.5), self.policy)
+        done = self.policy.unrolled(seen, self.weights(), self.policy.rest(c.batch))
+        wanted, hint = label[..., :-SIGNS], label[..., -SIGNS:].argmax(-1)
+        # what the burn-in saw counts where an episode begins
+        counted = torch.arange(c.window)[None] >= c.burn_in
+        error = compute_cross_entropy(done.mean, wanted, c.sharpness)
+        said = cross_entropy(
+            done.signs.flatten(0, 1), hint.flatten(),
+            torch.tensor([_UNKNOWN, 1.0, 1.0]), reduction="none",
+        ).view_as(error)  # fmt: skip
+        some = counted.expand_as(error)
+        active = [(each != 0).float().mean(0) for each in done.inputs]
+        pairs = zip(self._rates, active, strict=True)
+        self._rates = [torch.lerp(before, rate.detach(), _SMOOTHING) for before, rate in pairs]
+        total = error[some].mean() + c.sign_weight * said[some].mean()
+        return total, self.hidden_operations(done.inputs[1:])
+
+    def weights(self) -> dict[str, Tensor]:
+        """Return what is computed with: the policy's weights, as the chip rounds them."""
+        weights = self.policy.weights()
+        return weights | {name: weights[name] + added for name, added in self.offsets.items()}
+
+    def hidden_operations(self, activities: list[Tensor]) -> Tensor:
+        """Return activations (n, M) behind the first group times fan-outs: operations, about."""
+        groups = self.synapses()[1:]
+        pairs = zip(activities, groups, strict=True)
+        costs = [(each.mean(0) * group.matrix.fan_out).sum() for each, group in pairs]
+        return sum(costs, start=torch.zeros(()))
+
+    def adopt_rates(self, activities: list[Tensor]) -> None:
+        """Take over how often inputs behind the first group are not 0."""
+        self._rates[1:] = [(each != 0).float().mean(0) for each in activities]
+
+    def round(self, target: Chip) -> None:
+        """Compute with the numbers that the chip would have now, if the configuration says so."""
+        if self._config.rounding and isinstance(self.policy, SpikingVisionPolicy):
+            self.offsets = rounding_of_kernels(self.policy, target)
+
+    def acting(self) -> VisionPolicy:
+        """Return the policy with the numbers that are computed with."""
+        return with_weights(self.policy, self.offsets)
+
+    @property
+    def neurons(self) -> int:
+        """Sources that still have synapses, the inputs left out."""
+        return sum(int((group.matrix.fan_out > 0).sum()) for group in self.synapses()[1:])
+
+    def synapses(self) -> list[SynapseGroup]:
+        """Return all synapses."""
+        pairs = zip(self.policy.synapses, self._rates, strict=True)
+        return [SynapseGroup(self.policy.matrix(name), rate) for name, rate in pairs]
+
+    def hidden_layers(self) -> list[tuple[SynapseGroup, SynapseGroup]]:
+        """Return none: neurons of kernels are not removed one by one."""
+        return []
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return rates and offsets of rounding, by name."""
+        rates = {f"rate{number}": rate.clone() for number, rate in enumerate(self._rates)}
+        return rates | {f"offsets.{name}": added for name, added in self.offsets.items()}
+
+    def load(self, named: Mapping[str, Tensor]) -> None:
+        """Restore what `tensors` returned."""
+        self._rates = [named[f"rate{number}"] for number in range(len(self._rates))]
+        self.offsets = with_prefix("offsets", named)
+
+
+def mirrored(windows: Windows, chosen: Tensor, policy: VisionPolicy) -> tuple[Tensor, Tensor]:
+    """Return counts and labels of windows, those that are chosen (B,) as a mirror shows them."""
+    seen, label = windows.seen.float(), windows.label
+    maps = seen[chosen].unflatten(-1, policy.shape)
+    seen[chosen] = maps.flip(-1).flatten(-3)
+    actions, signs = label[chosen][..., :-SIGNS], label[chosen][..., -SIGNS:]
+    other = torch.cat([actions.flip(-1), signs[..., [0, 2, 1]]], -1)
+    label = label.clone()
+    label[chosen] = other
+    return seen, label
+
+
+# -- rounding: what a chip's own quantiser makes of a policy's numbers
+
+
+@torch.no_grad()
+def rounding_of_kernels(policy: SpikingVisionPolicy, target: Chip) -> dict[str, Tensor]:
+    """Return what rounding of weights by the chip adds to each group of synapses, by name."""
+    artifact = vision_artifact(policy)
+    exact = compile_program(artifact, chip("ideal"), limits=False)
+    rounded = compile_program(artifact, target, limits=False)
+    offsets = {name: torch.zeros_like(weight) for name, weight in policy.weights().items()}
+    for before, after in zip(exact.layers, rounded.layers, strict=True):
+        units = target.arithmetic.partly_rounded(before, after, _STEP)
+        for old, new in zip(before.synapses, units.synapses, strict=True):
+            name = _group(policy, before.name, old.source)
+            error = torch.from_numpy(new.weight * after.scale - old.weight).float()
+            weight = offsets[name]
+            # matrices of programs are (M, N)
+            offsets[name] = error if error.ndim == 4 else error.T.reshape(weight.shape)
+    return {name: each * policy.matrix(name).mask for name, each in offsets.items()}
+
+
+def _group(policy: SpikingVisionPolicy, layer: str, source: str) -> str:
+    """Return the name of the synapses from one node of a program onto another."""
+    last = f"lif{len(policy.spiking)}"
+    if layer == "readout":
+        return "out" if source == last else "past"
+    if layer == source:
+        return "back"
+    return policy.spiking[int(layer.removeprefix("lif")) - 1]
+
+
+@torch.no_grad()
+def with_weights(policy: VisionPolicy, offsets: Mapping[str, Tensor]) -> VisionPolicy:
+    """Return a copy that computes with the weights of the chip: those of the policy and these."""
+    copy = deepcopy(policy)
+    for name, added in offsets.items():
+        copy.matrix(name).weight += added
+    return copy
+
