@@ -223,6 +223,7 @@ class VisionSnnConfig(_Convolutions):
 
     most: channels of counts, of 1 and more, of 2 and more ...
     hidden: neurons of the layer behind the convolutions
+    memory: those of them whose currents decay slowly; "if" has none
     recurrent: whether these are connected with each other
     skip: whether the last convolution also reaches the readouts
     neuron: "lif", whose spikes reset to 0, or "if", without a leak, whose spikes subtract
@@ -232,11 +233,22 @@ class VisionSnnConfig(_Convolutions):
     kind: Literal["vision-snn"] = "vision-snn"
     most: Events = 1
     hidden: Positive = 64
+    memory: Count = 0
     recurrent: bool = True
     skip: bool = True
     neuron: Literal["lif", "if"] = "lif"
     clock: Literal["gated", "pipelined"] = "pipelined"
     surrogate_width: Rate = 2.0
+
+    @model_validator(mode="after")
+    def _memory_is_part_of_the_hidden_layer(self) -> "VisionSnnConfig":
+        most = 0 if self.neuron == "if" else self.hidden
+        if self.memory > most:
+            raise ValueError(
+                f"memory: {self.memory} of {self.hidden} hidden {self.neuron} neurons cannot have "
+                f"slow currents, at most {most} can"
+            )
+        return self
 
 
 PolicyConfig = Annotated[

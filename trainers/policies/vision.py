@@ -9,7 +9,11 @@ r = lambda r + x, which are the memory of policies without a GRU.
 
 Spiking, in one timestep a control step, with states that live on through an episode:
 
-    s = LIF(K x) ... ;  h = LIF(W s + R h[t-1]) ;  y = gamma y + Wo h + Ws s ;  logits = y + c
+    s = LIF(K x) ... ;  h = LIF(i) ;  i = alpha i + W s + R h[t-1] ;  y = gamma y + Wo h + Ws s
+    logits = y + c
+
+Currents `i` of some hidden neurons decay slowly: they remember what a sign said, which a membrane
+forgets with its next spike. Those of the others do not last (alpha = 0).
 
 `x` are binary: of counts above 1 further channels (runtime.codec.events). Every layer takes a
 timestep to arrive (clock "pipelined"), as on a chip whose cores all advance at once.
@@ -51,7 +55,7 @@ from spikedeploy.trainers.policies.policy import (
 SIGNS = 3  # none, left, right: of the second head
 _THRESHOLD = 1.0
 _RATE = 0.08  # initial share of timesteps in which a neuron of a spiking layer spikes
-_FAST, _SLOW = (1.0, 5.0), (10.0, 100.0)  # time constants of hidden neurons [timesteps]
+_FAST, _SLOW = (1.0, 5.0), (10.0, 100.0)  # time constants of membranes, of currents [timesteps]
 _READOUT = 0.7  # initial decay factor of readouts
 _SIGNS = 0.9  # of those of the second head, which remembers for longer
 _CONVOLVED = 0.5  # initial decay factor of the membranes of convolutions
@@ -267,6 +271,7 @@ class SpikingVisionPolicy(VisionPolicy):
     most: channels of counts: of 1 and more, of 2 and more ...
     channels, kernels, strides: of each convolution
     hidden: neurons of the layer behind them
+    memory: those of them whose currents decay slowly
     recurrent: whether they are connected with each other
     skip: whether the last convolution also reaches the readouts
     neuron: "lif", whose spikes reset to 0, or "if", without a leak, whose spikes subtract
@@ -285,6 +290,7 @@ class SpikingVisionPolicy(VisionPolicy):
         kernels: Sequence[int] = (3, 3),
         strides: Sequence[int] = (2, 2),
         hidden: int = 64,
+        memory: int = 0,
         recurrent: bool = True,
         skip: bool = True,
         neuron: Literal["lif", "if"] = "lif",
@@ -297,7 +303,7 @@ class SpikingVisionPolicy(VisionPolicy):
         self.observations, self.actions, self.head = observations, actions, head
         self.shape, self.most = cast(tuple[int, int, int], tuple(shape)), most
         self.channels, self.kernels, self.strides = tuple(channels), tuple(kernels), tuple(strides)
-        self.hidden, self.recurrent, self.skip = hidden, recurrent, skip
+        self.hidden, self.memory, self.recurrent, self.skip = hidden, memory, recurrent, skip
         self.neuron, self.clock, self.surrogate_width = neuron, clock, surrogate_width
         self.normalizer = TorchNormaliser(observations, clip)
         self.synapses = nn.ModuleDict()
@@ -314,9 +320,14 @@ class SpikingVisionPolicy(VisionPolicy):
         self.biases = nn.ParameterDict({"out": torch.zeros(actions)})
         for name in self.spiking:
             self.biases[name] = torch.zeros(self.matrix(name).weight.shape[0])
-        tau = [*np.geomspace(*_FAST, hidden - hidden // 3), *np.geomspace(*_SLOW, hidden // 3)]
-        beta = torch.exp(-1 / torch.tensor(tau, dtype=torch.float32))
+        beta, alpha = (_spread_decays(*each) for each in ((*_FAST, hidden), (*_SLOW, memory)))
         self.decays = nn.ParameterDict({"hidden": torch.logit(beta)})
+        if memory:
+            self.decays["current"] = torch.logit(alpha)
+            with torch.no_grad():
+                for name in ("hidden", "back") if recurrent else ("hidden",):
+                    # a current that sums up steady noise is as large as one that does not
+                    self.matrix(name).weight[-memory:] *= (1 - alpha**2).sqrt()[:, None]
         convolved = torch.logit(torch.tensor(_CONVOLVED))
         for name in self.spiking[:-1]:
             self.decays[name] = convolved.repeat(self.matrix(name).weight.shape[0])
@@ -335,6 +346,14 @@ class SpikingVisionPolicy(VisionPolicy):
         found = torch.sigmoid(self.decays[name])
         return torch.ones_like(found) if self.neuron == "if" and name in self.spiking else found
 
+    @property
+    def current_decay(self) -> Tensor:
+        """Return decay factors of the currents of hidden neurons."""
+        found = self.signs.weight.new_zeros(self.hidden)
+        if self.memory:
+            found = torch.cat([found[self.memory :], torch.sigmoid(self.decays["current"])])
+        return found
+
     def encode(self, counts: Tensor) -> Tensor:
         """Return the events (n, most C·Y·X) of counts (n, C·Y·X), 0 or 1."""
         levels = torch.arange(1, self.most + 1, dtype=counts.dtype)[:, None]
@@ -345,12 +364,15 @@ class SpikingVisionPolicy(VisionPolicy):
         """Return the state at the beginning of an episode.
 
         Membranes of each spiking layer (B, N), what each sends (B, N), the events that are under
-        way (B, M), and the readouts (B, act) and (B, 3).
+        way (B, M), the currents (B, H), and the readouts (B, act) and (B, 3).
         """
         zeros = self.signs.weight.new_zeros
         sizes = [self._size(name) for name in self.spiking]
         events = int(np.prod(self.shape)) * self.most
-        return [zeros(robots, size) for size in (*sizes, *sizes, events, self.actions, SIGNS)]
+        return [
+            zeros(robots, size)
+            for size in (*sizes, *sizes, events, self.hidden, self.actions, SIGNS)
+        ]
 
     def _size(self, name: str) -> int:
         matrix = self.matrix(name)
@@ -364,7 +386,7 @@ class SpikingVisionPolicy(VisionPolicy):
         layers = self.spiking
         count = len(layers)
         membranes, sent = list(state[:count]), list(state[count : 2 * count])
-        under_way, readout, signs = state[2 * count :]
+        under_way, current, readout, signs = state[2 * count :]
         # time comes first from here on: rows (L, B, N)
         rows = self.encode(counts.transpose(0, 1).flatten(0, 1)).view(length, batch, -1)
         inputs, before = [], under_way
@@ -372,15 +394,16 @@ class SpikingVisionPolicy(VisionPolicy):
         for k, name in enumerate(layers):
             arriving = self._late(rows, before)
             inputs.append(arriving.flatten(0, 1))
-            drive = self.matrix(name).drive(inputs[-1], weights[name])
-            beta = self.decay(name)[:, None]
-            maps = drive.view(length, batch, len(beta), -1) + self.biases[name][:, None]
-            each = maps.shape[-1]
-            back = weights.get("back") if name == "hidden" else None
-            before = sent[k]
-            rows, membranes[k] = self._spikes(
-                maps.flatten(2), beta.expand(-1, each).flatten(), membranes[k], back, before
-            )
+            drive = self.matrix(name).drive(inputs[-1], weights[name]).view(length, batch, -1)
+            beta, bias, before = self.decay(name), self.biases[name], sent[k]
+            if name == "hidden":
+                rows, membranes[k], current = self._hidden_spikes(
+                    drive, beta, bias, membranes[k], current, weights.get("back"), before
+                )
+            else:
+                each = drive.shape[-1] // len(beta)  # neurons of a channel
+                drive = drive + bias.repeat_interleave(each)
+                rows, membranes[k] = self._spikes(drive, beta.repeat_interleave(each), membranes[k])
             sent[k] = rows[-1]
         hidden = self._late(rows, before)
         if self.recurrent:
@@ -399,31 +422,45 @@ class SpikingVisionPolicy(VisionPolicy):
             means.append(readout)
             said.append(signs)
         mean = torch.stack(means, 1) + self.biases["out"]
-        behind = [*membranes, *sent, under_way, readout, signs]
+        behind = [*membranes, *sent, under_way, current, readout, signs]
         return Unrolled(mean, torch.stack(said, 1) + self.signs.bias, inputs, behind)
 
     def _late(self, rows: Tensor, before: Tensor) -> Tensor:
         """Return rows (L, B, N) as they arrive: pipelined, a control step after they were sent."""
         return torch.cat([before[None], rows[:-1]]) if self.clock == "pipelined" else rows
 
-    def _spikes(
-        self, drive: Tensor, beta: Tensor, membrane: Tensor, back: Tensor | None, sent: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Return spikes (L, B, N) of a layer for drives (L, B, N), and its membranes behind them.
-
-        back: recurrent weights (N, N), through which spikes come back in the next timestep
-        """
+    def _spikes(self, drive: Tensor, beta: Tensor, membrane: Tensor) -> tuple[Tensor, Tensor]:
+        """Return spikes (L, B, N) for drives (L, B, N), and membranes behind them."""
         raster = []
         for x in drive.unbind():
-            # V = beta V + x ; s = V > 1 ; V = (1 - s) V, or V - s
-            membrane = beta * membrane + x
-            if back is not None:
-                membrane = membrane + sent @ back.T
-            sent = spike(membrane - _THRESHOLD, self._gradient)
-            kept = sent.detach()  # no gradient through the reset
-            membrane = membrane - kept if self.neuron == "if" else membrane * (1 - kept)
+            sent, membrane = self._fired(beta * membrane + x)
             raster.append(sent)
         return torch.stack(raster), membrane
+
+    def _hidden_spikes(
+        self, drive: Tensor, beta: Tensor, bias: Tensor, membrane: Tensor, current: Tensor,
+        back: Tensor | None, sent: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+        """Return spikes (L, B, H), and membranes and currents behind them.
+
+        back: recurrent weights (H, H), through which spikes come back in the next timestep
+        """
+        alpha, raster = self.current_decay, []
+        for x in drive.unbind():
+            # I = alpha I + x + R s ; V = beta V + I + b
+            current = alpha * current + x
+            if back is not None:
+                current = current + sent @ back.T
+            sent, membrane = self._fired(beta * membrane + current + bias)
+            raster.append(sent)
+        return torch.stack(raster), membrane, current
+
+    def _fired(self, membrane: Tensor) -> tuple[Tensor, Tensor]:
+        """Return spikes, and membranes behind their reset."""
+        # s = V > 1 ; V = (1 - s) V, or V - s
+        sent = spike(membrane - _THRESHOLD, self._gradient)
+        kept = sent.detach()  # no gradient through the reset
+        return sent, membrane - kept if self.neuron == "if" else membrane * (1 - kept)
 
     @torch.no_grad()
     def normalise(self, counts: Tensor) -> None:
@@ -436,6 +473,12 @@ class SpikingVisionPolicy(VisionPolicy):
                 self.matrix(name).weight.mul_((_RATE / rate).sqrt().clamp(0.5, 2.0))
 
 
+def _spread_decays(first: float, last: float, count: int) -> Tensor:
+    """Return decay factors of time constants, evenly spaced by their logarithms [timesteps]."""
+    tau = np.geomspace(first, last, count)
+    return torch.exp(-1 / torch.from_numpy(tau)).float()
+
+
 def vision_artifact(
     policy: SpikingVisionPolicy, origin: Provenance | None = None, dt: float = DT
 ) -> Artifact:
@@ -445,8 +488,7 @@ def vision_artifact(
                                                        |       back <-> lif          |
                                                        +------------ past -----------+-> action
 
-    Spiking neurons have gains of 1 and no biases but those of their convolution or matrix; `readout`
-    is an LI, and `action` adds its constant.
+    Spiking neurons have gains of 1; `readout` is an LI, and `action` adds its constant.
     """
     precise = deepcopy(policy).double()
     reset: Reset = "subtract" if policy.neuron == "if" else "zero"
@@ -469,7 +511,7 @@ def vision_codec(policy: SpikingVisionPolicy) -> Codec:
 
 def _graph(policy: SpikingVisionPolicy, dt: float) -> nir.NIRGraph:
     weights = {name: to_array(weight) for name, weight in policy.weights().items()}
-    source = (policy.most * policy.shape[0], *policy.shape[1:])
+    source: tuple[int, ...] = (policy.most * policy.shape[0], *policy.shape[1:])
     nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array(source)})}
     for number, name in enumerate(policy.spiking[:-1], start=1):
         kernel = cast(PrunedKernel, policy.matrix(name))
@@ -481,8 +523,11 @@ def _graph(policy: SpikingVisionPolicy, dt: float) -> nir.NIRGraph:
         source = kernel.target
     nodes["flat"] = nir.Flatten({"input": np.array(source)}, 0, -1)
     last = f"lif{len(policy.spiking)}"
-    nodes["hidden"] = nir.Affine(weights["hidden"], to_array(policy.biases["hidden"]))
-    nodes[last] = _neurons(policy, "hidden", (policy.hidden,), dt)
+    if policy.memory:
+        nodes["hidden"], nodes[last] = nir.Linear(weights["hidden"]), _hidden_neurons(policy, dt)
+    else:
+        nodes["hidden"] = nir.Affine(weights["hidden"], to_array(policy.biases["hidden"]))
+        nodes[last] = _neurons(policy, "hidden", (policy.hidden,), dt)
     nodes["out"] = nir.Linear(weights["out"])
     gamma = to_array(policy.decay("out"))
     tau = dt / (1 - gamma)
@@ -509,3 +554,18 @@ def _neurons(
     decay = to_array(policy.decay(name)).reshape(-1, *(1,) * (len(shape) - 1))
     tau = np.broadcast_to(dt / (1 - decay), shape).copy()
     return nir.LIF(tau=tau, r=tau / dt, v_leak=zeros, v_threshold=threshold, v_reset=zeros)
+
+
+def _hidden_neurons(policy: SpikingVisionPolicy, dt: float) -> nir.CubaLIF:
+    """Return hidden neurons with gains of 1; their bias is that of the resting membrane."""
+    beta, alpha = to_array(policy.decay("hidden")), to_array(policy.current_decay)
+    tau_mem, tau_syn = dt / (1 - beta), dt / (1 - alpha)
+    return nir.CubaLIF(
+        tau_syn=tau_syn,
+        tau_mem=tau_mem,
+        r=tau_mem / dt,
+        v_leak=to_array(policy.biases["hidden"]) / (1 - beta),
+        v_reset=np.zeros(beta.size),
+        v_threshold=np.full(beta.size, _THRESHOLD),
+        w_in=tau_syn / dt,
+    )

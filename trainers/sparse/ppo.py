@@ -51,6 +51,7 @@ from spikedeploy.trainers.sparse.student import (
     round_for_chip,
     student,
 )
+from spikedeploy.trainers.sparse.vision import VisionStudent
 
 Ends = tuple[Rate, Rate]
 _EPS = 1e-8
@@ -421,7 +422,10 @@ class SparsePpoLearner(Learner):
 
     def __init__(self, config: SparsePpoConfig, source: SparseConfig, policy: Policy) -> None:
         self._config, self._source, self.policy = config, source, policy
-        self.student = student(policy, source)
+        found = student(policy, source)
+        if isinstance(found, VisionStudent):
+            raise ConfigError(f"a policy of kind {policy.kind!r} learns by imitation alone")
+        self.student = found
         self.head: NoisyActions | CategoricalHead = (
             CategoricalHead() if policy.head == "discrete" else NoisyActions(config.noise[0])
         )

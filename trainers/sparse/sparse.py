@@ -142,11 +142,12 @@ def phases(config: SparseConfig) -> list[Phase]:
         begin = found[-1].end if found else 0
         found.append(Phase(begin, begin + length, last, high, high * low, until))
 
-    once = Phase(0, config.dense_updates, None, config.learning_rate, 0.02 * config.learning_rate, 0.0)
+    rate = config.learning_rate
+    once = Phase(0, config.dense_updates, None, rate, 0.02 * rate, 0.0)
     for k in range(config.dense_rounds):
         length = math.ceil(config.dense_updates / config.dense_rounds)
         low = 0.05 if k == config.dense_rounds - 1 else 0.3
-        high = config.learning_rate
+        high = rate
         if config.schedule == "once":
             high = once.rate(k * length)
             low = once.rate(min((k + 1) * length, once.end)) / high

@@ -80,17 +80,18 @@ class EyeEpisodes:
         if len(seeds) != self._env.size:
             self._env = EyeBatch(len(seeds), **self._options)
         count, env = len(seeds), self._env
-        now = env.reset(seeds).reshape(count, -1)
+        now = env.reset(seeds).reshape(count, -1).astype(np.float64)
         ended, terminal = np.zeros((2, count), np.bool_)
         length, infos = np.zeros(count, np.int64), [dict[str, Any]() for _ in seeds]
-        seen, labels, rewards = [], [], []
+        seen: list[NDArray[np.uint8]] = []
+        labels, rewards = [], []
         controller.reset(count)
         while not ended.all() and len(seen) != self._limit:
-            seen.append(now)
+            seen.append(now.astype(np.uint8))
             if label is not None:
                 labels.append(label(now).astype(np.float32))
             counts, reward, terminated, truncated, info = env.step(controller.act_batch(now))
-            now = counts.reshape(count, -1)
+            now = counts.reshape(count, -1).astype(np.float64)
             rewards.append(np.where(ended, 0.0, reward).astype(np.float32))
             length += ~ended
             for k in np.flatnonzero((terminated | truncated) & ~ended).tolist():
@@ -221,7 +222,7 @@ class VisionStudent:
 def mirrored(windows: Windows, chosen: Tensor, policy: VisionPolicy) -> tuple[Tensor, Tensor]:
     """Return counts and labels of windows, those that are chosen (B,) as a mirror shows them."""
     seen, label = windows.seen.float(), windows.label
-    maps = seen[chosen].unflatten(-1, policy.shape)
+    maps = seen[chosen].view(-1, seen.shape[1], *policy.shape)
     seen[chosen] = maps.flip(-1).flatten(-3)
     actions, signs = label[chosen][..., :-SIGNS], label[chosen][..., -SIGNS:]
     other = torch.cat([actions.flip(-1), signs[..., [0, 2, 1]]], -1)
@@ -266,6 +267,5 @@ def with_weights(policy: VisionPolicy, offsets: Mapping[str, Tensor]) -> VisionP
     """Return a copy that computes with the weights of the chip: those of the policy and these."""
     copy = deepcopy(policy)
     for name, added in offsets.items():
-        copy.matrix(name).weight += added
+        copy.matrix(name).weight.add_(added)
     return copy
-
