@@ -78,8 +78,8 @@ class SparseConfig(RunConfig):
     pool: run folder whose walks are taken over as well
     budget: operations of a control step at the end: SOPs of a spiking policy, effective MACs of a
         float one
-    levels: operations at the end of each round of pruning, falling, above `budget`; none are
-        derived: 3, 2, 1.5 and 1.2 times the budget
+    levels: operations at the end of each round of pruning, falling; those not above `budget` are
+        left out, and where none are named they are 3, 2, 1.5 and 1.2 times the budget
     polish: rounds of further training at the budget, each with fresh walks
     teacher_walks, noisy_walks, walks: episodes in the pool from the teacher, from the teacher with
         noise, and from the student after each round

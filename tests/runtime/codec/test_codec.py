@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from spikedeploy.runtime.codec.codec import Codec, Normaliser, PopulationEncoder
+from spikedeploy.runtime.codec.codec import Codec, EventEncoder, Normaliser, PopulationEncoder
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.metadata import Record
 from tests.networks import codec
@@ -132,3 +132,28 @@ def test_parameters_of_different_shapes_are_refused():
 def test_an_output_with_the_wrong_number_of_timesteps_is_refused():
     with pytest.raises(ObservationError, match=r"\(B, 5, act\)"):
         codec(3).decode(np.zeros((1, 4, 2)))
+
+
+@pytest.mark.parametrize(
+    ("code", "spikes"),
+    [
+        # counts 0, 1 | 2, 7: a pixel of each of two polarities beside another
+        ("channels", [[0, 1, 0, 0, 0, 0, 1, 1, 1, 1, 0, 1], [0] * 12]),
+        ("spread", [[0, 1, 1, 1], [0, 0, 1, 1]]),
+        ("counts", [[0, 1, 2, 3], [0, 0, 0, 0]]),
+    ],
+)
+def test_counts_of_events_become_spikes(code, spikes):
+    encoder = EventEncoder(4, polarities=2, most=3, code=code)
+    assert encoder.encode(np.array([[-1.0, 1.9, 2.0, 7.0]]), 2)[0].tolist() == spikes
+    record = Record(encoder.to_record(), "encoder")
+    again = EventEncoder.from_record(record)
+    assert vars(again) == vars(encoder)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"), [({"polarities": 3}, "3 polarities"), ({"most": 0}, "found 0")]
+)
+def test_an_event_encoder_that_contradicts_itself_is_refused(fields, message):
+    with pytest.raises(ArtifactError, match=message):
+        EventEncoder(4, **fields)

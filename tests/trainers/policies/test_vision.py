@@ -1,11 +1,15 @@
 import numpy as np
 import pytest
 import torch
+from pydantic import ValidationError
 from torch.nn.functional import conv2d
 
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.trainers.config import VisionConfig, VisionSnnConfig
 from spikedeploy.trainers.policies import build, from_config
 from spikedeploy.trainers.policies.policy import PrunedKernel, SynapseGroup
+from spikedeploy.trainers.policies.vision import vision_artifact
 from spikedeploy.trainers.sparse.student import operations, prune
 
 SHAPE = (2, 6, 10)
@@ -16,7 +20,7 @@ GRID = {"shape": SHAPE, "channels": (), "kernels": (), "strides": (), "pool": (2
 POLICIES = [
     VisionConfig(**SMALL, hidden=(7,), gru=5),
     VisionConfig(**GRID, hidden=(6,), gru=0, traces=(0.5, 0.9)),
-    VisionSnnConfig(**SMALL, hidden=9),
+    VisionSnnConfig(**SMALL, hidden=9, memory=4),
     VisionSnnConfig(**SMALL, hidden=9, most=2, clock="gated", recurrent=False),
     VisionSnnConfig(**SMALL, hidden=9, recurrent=False, skip=False, neuron="if"),
 ]
@@ -53,9 +57,9 @@ def test_a_policy_is_built_again_from_its_spec(config):
     torch.testing.assert_close(again, first, rtol=0, atol=0)
 
 
-@pytest.mark.parametrize("recurrent", [False, True])
-def test_the_spiking_network_is_its_equations(recurrent):
-    policy = made(VisionSnnConfig(**SMALL, hidden=9, recurrent=recurrent))
+@pytest.mark.parametrize(("recurrent", "memory"), [(False, 0), (True, 4)])
+def test_the_spiking_network_is_its_equations(recurrent, memory):
+    policy = made(VisionSnnConfig(**SMALL, hidden=9, recurrent=recurrent, memory=memory))
     seen = counts(1, 12, seed=3).double()
     got = policy.unrolled(seen, policy.weights(), policy.rest(1))
     w = {name: weight.numpy() for name, weight in policy.weights().items()}
@@ -63,7 +67,10 @@ def test_the_spiking_network_is_its_equations(recurrent):
     kernels = [torch.from_numpy(w[name]) for name in ("conv1", "conv2")]
     grids = [policy.matrix(name).target for name in ("conv1", "conv2")]
     x, sent = np.zeros(SIZE), [np.zeros(grid) for grid in grids]
-    v, h, sent_h, y = [np.zeros(grid) for grid in grids], np.zeros(9), np.zeros(9), np.zeros(7)
+    v, i, h, sent_h = [np.zeros(grid) for grid in grids], np.zeros(9), np.zeros(9), np.zeros(9)
+    y, alpha = np.zeros(7), np.zeros(9)
+    if memory:
+        alpha[-memory:] = decay["current"]
     for t, row in enumerate(seen[0].numpy()):
         before, sent_h_before = [x.reshape(SHAPE), *sent], sent_h
         for k, kernel in enumerate(kernels):
@@ -71,14 +78,35 @@ def test_the_spiking_network_is_its_equations(recurrent):
             v[k] = decay[f"conv{k + 1}"][:, None, None] * v[k] + drive.numpy()
             sent[k] = (v[k] > 1).astype(float)
             v[k] = v[k] * (1 - sent[k])
-        h = decay["hidden"] * h + w["hidden"] @ before[2].ravel()
+        i = alpha * i + w["hidden"] @ before[2].ravel()
         if recurrent:
-            h = h + w["back"] @ sent_h_before
+            i = i + w["back"] @ sent_h_before
+        h = decay["hidden"] * h + i
         sent_h = (h > 1).astype(float)
         h = h * (1 - sent_h)
         y = decay["out"] * y + w["out"] @ sent_h_before + w["past"] @ before[2].ravel()
         x = (row >= 1).astype(float)
         np.testing.assert_allclose(got.mean[0, t], y + policy.biases["out"].numpy(), atol=1e-12)
+
+
+@pytest.mark.parametrize("config", POLICIES[2:], ids=["memory", "gated", "if"])
+def test_a_file_chooses_as_the_policy_does(config):
+    policy, seen = made(config), counts(3, 25, seed=4).double()
+    policy.biases["hidden"].uniform_(-0.1, 0.2)
+    policy.matrix("out").weight.normal_()
+    window = policy.unrolled(seen, policy.weights(), policy.rest(3)).mean
+    controller = SpikingController(vision_artifact(policy), chip("ideal"), ledger="none")
+    controller.reset(0)
+    chosen = np.stack([controller.act_batch(row) for row in seen.numpy().swapaxes(0, 1)], 1)
+    assert chosen.tolist() == window.argmax(-1).tolist()
+    assert len(set(chosen.ravel())) > 2
+
+
+def test_memory_is_part_of_the_hidden_layer_and_needs_a_leak():
+    with pytest.raises(ValidationError, match="at most 8 can"):
+        VisionSnnConfig(hidden=8, memory=9)
+    with pytest.raises(ValidationError, match="at most 0 can"):
+        VisionSnnConfig(hidden=8, memory=2, neuron="if")
 
 
 def synapses_of(kernel, activity):

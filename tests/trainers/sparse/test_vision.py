@@ -1,0 +1,67 @@
+"""Students that see by events: trained, resumed, pruned and rounded."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from lab.kill import differences
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.trainers.config import VisionSnnConfig, resolve
+from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.policies import from_config
+from spikedeploy.trainers.sparse.pool import Windows
+from spikedeploy.trainers.sparse.sparse import phases
+from spikedeploy.trainers.sparse.student import SparseConfig
+from spikedeploy.trainers.sparse.vision import mirrored, rounding_of_kernels
+from spikedeploy.trainers.train import train
+from tests.trainers.test_resume import After, resumed
+
+SHORT = ["validation.limit=12", "validation.episodes=1"]
+
+
+@pytest.mark.parametrize("kind", ["cnn", "snn"])
+def test_a_stopped_training_ends_with_the_same_files_and_keeps_its_budget(kind, tmp_path):
+    recipe = f"smoke-eye-{kind}"
+    whole = train(recipe, overrides=SHORT, runs=tmp_path / "whole", quiet=True)
+    part = train(recipe, overrides=SHORT, runs=tmp_path / "part", quiet=True, interrupt=After(7))
+    resumed(part)
+    assert differences(whole, part) == []
+    operations = [row["operations"] for row in read(whole / "metrics.csv") if "operations" in row]
+    best = json.loads((whole / "checkpoints" / "best.json").read_text())
+    assert best["eval_operations"] <= 1.2 * 400 < max(operations)
+
+
+def test_nothing_is_pruned_on_the_way_to_a_budget_that_is_not_reached():
+    config = resolve(SparseConfig, "kart-eye-cnn")
+    assert [phase.last for phase in phases(config)] == [None] * config.dense_rounds + [1e6]
+
+
+def test_a_mirrored_window_is_that_of_the_other_arm():
+    policy = from_config(VisionSnnConfig(shape=(2, 2, 3), hidden=4), 12, 7, head="discrete")
+    seen = torch.arange(24).view(2, 1, 12)
+    label = torch.tensor([[0.0, 1, 2, 3, 4, 5, 6, 0, 1, 0]]).repeat(2, 1)[:, None]
+    windows = Windows(seen, seen[..., :0], label, torch.ones(2) > 0)
+    counts, labels = mirrored(windows, torch.tensor([False, True]), policy)
+    assert counts[0].tolist() == seen[0].tolist()
+    assert counts[1, 0].tolist() == [14, 13, 12, 17, 16, 15, 20, 19, 18, 23, 22, 21]
+    assert labels[:, 0].tolist() == [
+        [0, 1, 2, 3, 4, 5, 6, 0, 1, 0],
+        [6, 5, 4, 3, 2, 1, 0, 0, 0, 1],
+    ]
+
+
+def test_rounded_weights_are_multiples_of_the_chips_step():
+    torch.manual_seed(0)
+    config = VisionSnnConfig(channels=(3, 4), hidden=9, memory=4)
+    policy = from_config(config, 1024, 7, head="discrete")
+    offsets = rounding_of_kernels(policy, chip("loihi1"))
+    assert offsets.keys() == policy.weights().keys()
+    for name in ("conv1", "conv2", "out"):
+        weight = (policy.weights()[name] + offsets[name]).detach().double().numpy()
+        step = np.unique(np.abs(weight[np.abs(weight) > 1e-6])).min()
+        levels = np.abs(weight).max() / step
+        assert offsets[name].abs().max() > 0
+        assert offsets[name].abs().max() <= 1.01 * np.abs(weight).max() / 127
+        assert levels < 260
