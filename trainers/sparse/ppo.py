@@ -41,10 +41,10 @@ from spikedeploy.trainers.ppo import CategoricalHead, advantages, clipped_gain, 
 from spikedeploy.trainers.progress import Journal
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder
 from spikedeploy.trainers.runner import Critic, Learner, Runner, adam, descend, set_rate
+from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import Earned, Episodes, WalkPool, Windows, mean_outcome
 from spikedeploy.trainers.sparse.student import (
     FloatController,
-    SparseConfig,
     imitation,
     on_chip,
     operations,

@@ -29,6 +29,7 @@ from spikedeploy.trainers.policies.vision import SIGNS
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder, with_prefix
 from spikedeploy.trainers.runner import Learner, Runner, adam, descend, set_rate
+from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import (
     BatchController,
     Episodes,
@@ -44,7 +45,6 @@ from spikedeploy.trainers.sparse.pool import (
 from spikedeploy.trainers.sparse.student import (
     FloatController,
     MlpStudent,
-    SparseConfig,
     Student,
     binary_columns,
     check_rounding,

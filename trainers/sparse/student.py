@@ -1,4 +1,4 @@
-"""Settings; students: their loss on walks, synapses ranked, numbers as the chip has them.
+"""Students: their loss on walks, synapses ranked, numbers as the chip has them.
 
 The channels of an observation must weigh exactly 1, 2 ... K times the same integer. Rounded each by
 itself, three events up and one event down three times would not cancel, and currents that hardly
@@ -11,12 +11,11 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
 from torch import Tensor
 
 from spikedeploy.runtime.artifact.artifact import Artifact
@@ -24,15 +23,6 @@ from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import (
-    Batch,
-    Count,
-    Positive,
-    Rate,
-    RunConfig,
-    Share,
-    ValidationConfig,
-)
 from spikedeploy.trainers.distill.teacher import compute_cross_entropy
 from spikedeploy.trainers.policies import (
     DeltaMlpPolicy,
@@ -53,6 +43,7 @@ from spikedeploy.trainers.policies.delta import (
 from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup
 from spikedeploy.trainers.policies.vision import vision_artifact
 from spikedeploy.trainers.run_folder import with_prefix
+from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import BatchController, WalkPool, Windows
 from spikedeploy.trainers.sparse.vision import VisionStudent, rounding_of_kernels, with_weights
 
@@ -68,113 +59,6 @@ _MIN_SPREAD = 1e-3  # standard deviation of an activation that hardly varies
 _SAMPLE = 20_000  # states that show whether an observation is binary
 _RARE = 2  # states: a value that fewer have is an outlier, as of a force that is nearly always zero
 _SWING = 1e-2  # between two values; below it they are one value with noise
-
-
-class SparseConfig(RunConfig):
-    """DAgger over whole walks, then pruning by operations in rounds (docs/sparse.md).
-
-    teacher, teacher_units: policy to imitate, as in DistillConfig; "privileged" is that of an
-        environment, which knows its simulation
-    pool: run folder whose walks are taken over as well
-    budget: operations of a control step at the end: SOPs of a spiking policy, effective MACs of a
-        float one
-    levels: operations at the end of each round of pruning, falling; those not above `budget` are
-        left out, and where none are named they are 3, 2, 1.5 and 1.2 times the budget
-    polish: rounds of further training at the budget, each with fresh walks
-    teacher_walks, noisy_walks, walks: episodes in the pool from the teacher, from the teacher with
-        noise, and from the student after each round
-    noise: standard deviation of that noise on continuous actions; of discrete ones the share that
-        is drawn at random
-    dense_updates, level_updates, polish_updates: gradient updates before pruning, in each level,
-        and in each round of polish; `validation.every`, `log_every` count updates
-    dense_rounds: number of times that walks are collected before pruning
-    window, burn_in: control steps of a window of a walk, and how many of them at its beginning only
-        bring the states up
-    batch: windows of an update; a float policy takes as many states as all windows have
-    first_windows, crash_windows: shares of windows that start with the episode, and that lie in the
-        last `crash_steps` before a crash or fall
-    learning_rate, level_rate, polish_rate: at the beginning of each phase; falls by a half cosine
-    penalty: weight of the hidden neurons' operations over `max(budget, penalty_floor)`
-    rate_target, rate_cost: mean firing rate of the hidden layer above which it costs more, and the
-        operations that a rate of 1 above it counts for [spikes per neuron and control step]
-    step: geometric mean of the encoder's steps [standard deviations]; binary observations have
-        a step of their whole swing
-    retune: after which rounds steps are set anew, by how much each observation matters: "always",
-        "never", or "before-polish", which leaves the encoder as it is in the rounds of polish
-    prune_every, prune_until: updates between two prunings, and the share of a level with prunings
-    neuron_cost: operations that an update of a neuron counts for when neurons are removed
-    chip: on which policies are validated, and for whose weights they are rounded in training
-    rounding: whether the forward pass computes with the chip's rounded weights after pruning began
-    sharpness: factor of the teacher's logits in the targets of discrete actions
-    schedule: of the learning rate before pruning: it falls in each of the dense "rounds", whose
-        optimisers are new, or "once" over all of them
-    sign_weight: of policies that see: weight of what the signs said, beside the actions
-    """
-
-    teacher: str = ""
-    teacher_units: Literal["own", "scaled"] | None = None
-    pool: str = ""
-    budget: Rate = 100.0
-    levels: tuple[Rate, ...] = ()
-    polish: Count = 2
-    teacher_walks: Count = 60
-    noisy_walks: Count = 30
-    walks: Positive = 50
-    noise: float = Field(default=0.3, ge=0)
-    dense_updates: Positive = 3_000
-    level_updates: Positive = 3_000
-    polish_updates: Positive = 2_000
-    dense_rounds: Positive = 3
-    window: Batch = 20
-    burn_in: Count = 6
-    batch: Batch = 88
-    first_windows: Share = 0.06
-    crash_windows: Share = 0.0
-    crash_steps: Positive = 60
-    learning_rate: Rate = 3e-3
-    level_rate: Rate = 1.5e-3
-    polish_rate: Rate = 1e-3
-    penalty: float = Field(default=0.02, ge=0)
-    penalty_floor: Rate = 300.0
-    rate_target: Share = 0.07
-    rate_cost: float = Field(default=0.0, ge=0)
-    step: Rate = 0.5
-    retune: Literal["always", "before-polish", "never"] = "always"
-    prune_every: Positive = 20
-    prune_until: Share = 0.5
-    neuron_cost: float = Field(default=0.0, ge=0)
-    chip: str = "loihi1"
-    rounding: bool = True
-    sharpness: Rate = 2.0
-    schedule: Literal["rounds", "once"] = "rounds"
-    sign_weight: float = Field(default=1.0, ge=0)
-    log_every: Positive = 200
-    checkpoint_every: Positive = 1_000
-    validation: ValidationConfig = ValidationConfig(every=1_000, episodes=24)
-
-    @model_validator(mode="after")
-    def _windows_are_longer_than_their_burn_in(self) -> "SparseConfig":
-        if self.window <= self.burn_in:
-            raise ValueError(
-                f"window: {self.window} control steps leave none to learn from behind burn_in "
-                f"({self.burn_in}). Make window longer or burn_in shorter"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _there_are_walks(self) -> "SparseConfig":
-        if not (self.pool or self.teacher_walks or self.noisy_walks):
-            raise ValueError(
-                "teacher_walks and noisy_walks: both are 0, so that there is nothing to learn "
-                "from. Set one of them, or pool=RUN"
-            )
-        return self
-
-    @property
-    def rounds(self) -> tuple[float, ...]:
-        """Operations at the end of each round of pruning, the budget last."""
-        levels = self.levels or tuple(k * self.budget for k in (3.0, 2.0, 1.5, 1.2))
-        return (*sorted((x for x in levels if x > self.budget), reverse=True), self.budget)
 
 
 # -- students: what learns from walks, and is pruned

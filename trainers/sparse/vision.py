@@ -6,7 +6,7 @@ has the logit of each action, then 1 for what the sign ahead said: nothing yet, 
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,6 +23,7 @@ from spikedeploy.trainers.policies import SpikingVisionPolicy, VisionPolicy
 from spikedeploy.trainers.policies.policy import SynapseGroup
 from spikedeploy.trainers.policies.vision import SIGNS, vision_artifact
 from spikedeploy.trainers.run_folder import with_prefix
+from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import (
     BatchController,
     Earned,
@@ -31,9 +32,6 @@ from spikedeploy.trainers.sparse.pool import (
     WalkPool,
     Windows,
 )
-
-if TYPE_CHECKING:  # student.py imports this file
-    from spikedeploy.trainers.sparse.student import SparseConfig
 
 _WIDTH = 0.12  # of the bell of targets around the teacher's steering [full steering]
 _UNKNOWN = 0.4  # weight of control steps in which no sign was readable yet
@@ -129,7 +127,7 @@ class VisionStudent:
 
     readout = frozenset({"synapses.out.weight", "biases.out"})
 
-    def __init__(self, policy: VisionPolicy, config: "SparseConfig") -> None:
+    def __init__(self, policy: VisionPolicy, config: SparseConfig) -> None:
         self.policy, self._config = policy, config
         self.offsets: Mapping[str, Tensor] = {}
         widths = [policy.inputs(name) for name in policy.synapses]

@@ -24,8 +24,8 @@ from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, from_config
 from spikedeploy.trainers.policies.mlp import Features
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sac.learner import SacConfig
+from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.ppo import SparsePpoConfig
-from spikedeploy.trainers.sparse.student import SparseConfig
 from tests import toy_stroll_env
 
 SPIKING = PopsanConfig(hidden=(6,), populations=3)

@@ -12,9 +12,9 @@ from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sac.learner import SacConfig
+from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import Episodes, Walk, load_walks, save_walks
 from spikedeploy.trainers.sparse.sparse import Sparse, phases, with_budget
-from spikedeploy.trainers.sparse.student import SparseConfig
 from spikedeploy.trainers.train import train
 from tests import toy_race_env, toy_stroll_env
 from tests.trainers.sparse.toy import settings

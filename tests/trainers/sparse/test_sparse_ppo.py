@@ -12,6 +12,7 @@ from spikedeploy.trainers.distill.teachers import Teacher
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.ppo import minibatches
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
+from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import Episodes, WalkPool
 from spikedeploy.trainers.sparse.ppo import (
     Exploring,
@@ -22,7 +23,7 @@ from spikedeploy.trainers.sparse.ppo import (
     stored_start,
     tiles,
 )
-from spikedeploy.trainers.sparse.student import SparseConfig, rounding_offsets
+from spikedeploy.trainers.sparse.student import rounding_offsets
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import PointingEnv
 from tests.toy_quadrant_env import QuadrantEnv

@@ -11,9 +11,9 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.trainers.config import VisionSnnConfig, resolve
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import from_config
+from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import Windows
 from spikedeploy.trainers.sparse.sparse import phases
-from spikedeploy.trainers.sparse.student import SparseConfig
 from spikedeploy.trainers.sparse.vision import mirrored, rounding_of_kernels
 from spikedeploy.trainers.train import train
 from tests.trainers.test_resume import After, resumed
