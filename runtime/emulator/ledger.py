@@ -172,7 +172,7 @@ def state_count(layer: Layer, program: Program) -> int:
     return 1 if not np.any(layer.current_decay) else kinds
 
 
-Rows = Literal["each", "total", "none"]
+Rows = Literal["each", "copies", "total", "none"]
 
 # observations that wait to be counted: many are counted in little more time than one
 _PENDING = 64
@@ -196,12 +196,14 @@ class _Counter(Protocol):
 class LedgerBuilder:
     """Rows of counts, from observations that are counted when there are enough of them.
 
-    rows: "each" keeps a row per control step; "total" adds them up; "none" keeps nothing.
+    rows: "each" keeps a row per control step, of each of a batch; "copies" adds up those of each;
+        "total" adds up all; "none" keeps nothing.
     """
 
     def __init__(self, program: Program, rows: Rows = "each") -> None:
         if rows not in get_args(Rows):
-            raise ConfigError(f"ledger {rows!r} is unknown. Choose 'each', 'total' or 'none'.")
+            known = ", ".join(map(repr, get_args(Rows)))
+            raise ConfigError(f"ledger {rows!r} is unknown. Choose one of {known}.")
         self.rows = rows
         self._program = program
         self._counts = np.zeros((1, len(program.layers), len(EVENTS)), np.int64)
@@ -224,9 +226,9 @@ class LedgerBuilder:
             self._count()
 
     def add(self, counts: Counts, timesteps: int, steps: int) -> None:
-        """Take counts (S, L, E); each row took so many timesteps of a layer and of the chip."""
+        """Take counts (B, L, E) of a window; it took so many timesteps of a layer and of the chip."""
         self._count()
-        self._append(counts, timesteps, steps)
+        self._append(counts, len(counts), timesteps, steps)
 
     def ledger(self) -> Ledger:
         """Everything recorded so far."""
@@ -251,9 +253,9 @@ class LedgerBuilder:
         if self._counter and self._pending:
             pending, self._pending = self._pending, []
             counts = self._counter.count(pending)
-            self._append(counts, self._counter.timesteps, self._counter.steps)
+            self._append(counts, self._counter.batch, self._counter.timesteps, self._counter.steps)
 
-    def _append(self, counts: Counts, timesteps: int, steps: int) -> None:
+    def _append(self, counts: Counts, batch: int, timesteps: int, steps: int) -> None:
         rows = len(counts)
         self._inferences += rows
         self._timesteps += rows * timesteps
@@ -264,6 +266,14 @@ class LedgerBuilder:
                 np.add(self._counts[0], row, self._counts[0])
             self._used = 1
             return
+        if self.rows == "copies" and self._used:
+            if self._used != batch:
+                raise ConfigError(f"ledger 'copies' has {self._used} copies, found {batch}.")
+            kept = self._counts[:batch]
+            kept += counts.reshape(-1, *kept.shape).sum(axis=0)
+            return
+        if self.rows == "copies":
+            counts = counts.reshape(-1, batch, *counts.shape[1:]).sum(axis=0)
         end = self._used + len(counts)
         if end > len(self._counts):
             grown = np.zeros((2 * end, *self._counts.shape[1:]), np.int64)

@@ -96,15 +96,17 @@ def test_rows_are_inferences_and_totals_are_their_sum():
     network = compile_program(popsan(), chip("loihi1"), clock="gated")
     runs = rasters(network, 2, 5, 0.3, seed=0, inferences=3)
     ledgers = {}
-    for rows in ("each", "total", "none"):
+    for rows in ("each", "copies", "total", "none"):
         machine = Machine(network, 2, ledger=rows)
         for raster in runs:
             machine.infer(raster)
-        ledgers[rows] = machine.ledger
+            ledgers[rows] = machine.ledger
     assert ledgers["each"].counts.shape == (6, 3, len(EVENTS))
     assert ledgers["total"].counts.shape == (1, 3, len(EVENTS))
     np.testing.assert_array_equal(ledgers["each"].counts.sum(axis=0), ledgers["total"].counts[0])
-    for rows in ("each", "total"):
+    each = ledgers["each"].counts.reshape(3, 2, 3, len(EVENTS))
+    np.testing.assert_array_equal(each.sum(axis=0), ledgers["copies"].counts)
+    for rows in ("each", "copies", "total"):
         ledger = ledgers[rows]
         assert (ledger.inferences, ledger.timesteps, ledger.steps) == (6, 30, 6 * (5 + 3))
     assert ledgers["none"].inferences == 0
