@@ -14,6 +14,7 @@ pareto       return against operations and energy; fronts, pareto_page
 robustness   return under disturbances and faults
 gymnasium    sparse policies on the field's own tasks
 lineup       shipped policies trained again with other seeds
+eye_map      where spiking costs less, by control rate and quiet; vision, eye_costs, eye_map_page
 
 Other tables of results/ have a script each:
 
@@ -41,4 +42,5 @@ EXPERIMENTS = {
     "robustness": "lab.experiments.robustness:RobustnessDesign",
     "gymnasium": "lab.experiments.gymnasium:GymnasiumDesign",
     "lineup": "lab.experiments.lineup:LineupDesign",
+    "kart-eye-map": "lab.experiments.eye_map:EyeMapDesign",
 }

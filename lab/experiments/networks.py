@@ -7,7 +7,7 @@ a float one; seeds are those that no training and no choice of a policy has seen
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import gymnasium
 import numpy as np
@@ -41,6 +41,7 @@ from spikedeploy.trainers.sparse.student import FloatController
 
 FLOAT = "float"  # the place of a float network that computes as it was trained
 Counts = dict[str, float | None]
+P = TypeVar("P", bound=Policy)
 
 
 @dataclass(frozen=True)
@@ -129,14 +130,14 @@ def _chip_counts(spiking: SpikingController, used: int, walks: Sequence[Walk]) -
         "events": float(counts[0, EVENTS.index("spike_in")]) - others,
         "spikes_out": per_step["spike_out"],
         "observations": float(used),
-        "constants": float(_constants(program)),
+        "constants": float(constants(program)),
         "on_host": float(sum(layer.size for layer in program.host)),
         "saturations": per_step["saturation"] * float(lengths.sum()),
         "sparsity": None if several else 1 - per_step["spike_out"] / neurons,
     }
 
 
-def _constants(program: Program) -> int:
+def constants(program: Program) -> int:
     """Numbers that the host adds to what leaves the chip."""
     if program.readout is not None:
         return int(program.readout.bias.size)
@@ -172,8 +173,8 @@ def _dense_counts(policy: Policy, walks: Sequence[Walk]) -> Counts:
     }
 
 
-def in_bits(policy: PrunedMlpPolicy, bits: int) -> PrunedMlpPolicy:
-    """The policy with weights rounded to integers of so many bits, one scale a matrix.
+def in_bits(policy: P, bits: int) -> P:
+    """The policy with weights rounded to integers of so many bits, one scale a matrix or kernel.
 
     Scales are such that the largest weight fills the range, as on the chips; weights that are
     rounded to 0 cost no operations, as there.

@@ -226,7 +226,7 @@ class LedgerBuilder:
             self._count()
 
     def add(self, counts: Counts, timesteps: int, steps: int) -> None:
-        """Take counts (B, L, E) of a window; it took so many timesteps of a layer and of the chip."""
+        """Take counts (B, L, E) of a window of so many timesteps of a layer, and of the chip."""
         self._count()
         self._append(counts, len(counts), timesteps, steps)
 

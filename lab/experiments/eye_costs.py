@@ -1,0 +1,250 @@
+"""Energies of policies that see by events, term by term, and a rule that predicts them.
+
+A spiking policy is priced by one of the ACCOUNTINGS, and a float one by the same table beside it,
+at 45 nm. Static power is no part of either.
+
+operations   synaptic operations; or multiplications of weights
+updates      neurons that a chip updates, and those that it looks at; units of a GRU
+traffic      messages and spikes, where a table prices them; activations that are written and read
+histogram    events that are added up until the control step ends, and the cells that hold some
+constants    biases, and what the host adds
+comparisons  units of a delta network, which are compared with what they sent, and their kept sums
+
+The rule, `predict`, takes the counts of a policy at one control rate, without quiet, and the events
+a second of another cell of the map:
+
+    occupied(n, M) = M (1 - exp(-n / M)), places of M in which one of n events falls
+    a float network that runs f times a second: f (first(occupied(e s, C)) + rest), where s is the
+        time of which it sees the events, and `rest`, behind the first layer, is always the same
+    a delta network: behind the first layer so many operations an event
+    a spiking one: so many operations for a cell with events; updates f N, or f occupied(a / f, N)
+        where a chip updates those alone at which some of a operations a second arrive
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lab.experiments.costs import ACC16, INT8
+from lab.experiments.training import Record
+from lab.experiments.vision import WAYS
+from spikedeploy.runtime.metrics.energy import (
+    ACCESS,
+    ADDITION,
+    addition_energy,
+    chip_terms,
+    delta_encoder,
+    reading_energy,
+)
+from spikedeploy.runtime.metrics.energy_tables import MULTIPLICATION, TABLES, sram
+
+TERMS = ("operations", "updates", "traffic", "histogram", "constants", "comparisons")
+
+_BYTE = sram(8)
+# an event of a histogram: its count of 8 bits read and written, and an addition
+EVENT = 2 * _BYTE + ADDITION
+# a cell with events: its address of 16 bits written into a list and read, its count read, cleared
+CELL = 2 * ACCESS + 2 * _BYTE
+# a unit of a GRU: three functions from tables of 16 bits, three products, five additions, and the
+# state of 16 bits read and written
+GATES = 3 * ACCESS + 3 * MULTIPLICATION + 5 * ADDITION + 2 * ACCESS
+# the leak of a neuron that was not updated for a while, assumed, as no chip that is emulated has
+# it: the timestep of its last update read and written, beta^n from a table of 16 bits, a product
+LAZY_LEAK = 3 * ACCESS + MULTIPLICATION
+
+
+@dataclass(frozen=True)
+class Accounting:
+    """What a chip is charged for.
+
+    title       for people
+    place       the chip whose counts it takes
+    table       prices of the float networks, and without `chip_table` of the chip
+    chip_table  prices of the chip, so scaled that a synaptic operation costs as much as in `table`
+    updates     "all" neurons of the ledger in each control step; "touched", those that a spike
+                reaches, with a lazy leak; "operation": each adds, compares and may spike
+    source      what the charge for updates is known from
+    """
+
+    title: str
+    place: str
+    table: str
+    updates: str
+    source: str
+    chip_table: str = ""
+
+    @property
+    def scale(self) -> float:
+        """Factor of the prices of the chip's own table."""
+        if not self.chip_table:
+            return 1.0
+        return TABLES[self.table].joules["sop"] / TABLES[self.chip_table].joules["sop"]
+
+
+ACCOUNTINGS = {
+    "loihi1": Accounting(
+        "Loihi, all neurons", "loihi1", INT8, "all",
+        "sanafe, every price over that of a synaptic operation", "sanafe",
+    ),
+    "int": Accounting("8-bit integers, all neurons", "int", INT8, "all", "derived"),
+    "int-touched": Accounting(
+        "8-bit integers, touched neurons", "int", INT8, "touched", "assumed: no emulated chip"
+    ),
+    "speck": Accounting("Speck in timesteps", "speck2f", ACC16, "all", "derived"),
+    "speck-events": Accounting(
+        "Speck, event by event", "speck2f:queue=on", ACC16, "operation",
+        "derived: a sum that is read and written is the membrane",
+    ),
+}  # fmt: skip
+
+
+def terms(row: Record, accounting: Accounting) -> dict[str, float]:
+    """Power [W] of each term of a policy, from its counts of a control step."""
+    found = _chip(row, accounting) if row["spiking"] else _float(row, accounting.table)
+    return {name: row["rate"] * joules for name, joules in zip(TERMS, found, strict=True)}
+
+
+def power(row: Record, accounting: Accounting) -> float:
+    """All terms [W]."""
+    return float(sum(terms(row, accounting).values()))
+
+
+def _chip(row: Record, accounting: Accounting) -> tuple[float, ...]:
+    table = TABLES[accounting.chip_table or accounting.table]
+    each = {name: j * accounting.scale for name, j in chip_terms(row, table).items()}
+    updates, operations = each["updates"] + each["idle"], each["operations"]
+    # what is sent to a chip in timesteps is 0 or 1: counted until the control step ends
+    histogram = row["events"] * EVENT + row["cells"] * CELL
+    if accounting.updates == "touched":
+        updates = row["touched"] * (table.joules["neuron_update"] + LAZY_LEAK)
+    if accounting.updates == "operation":
+        updates, histogram = row["sop"] * ADDITION, 0.0
+    constants = each["bias"] + addition_energy(row["constants"])
+    return operations, updates, each["messages"] + each["spikes"], histogram, constants, 0.0
+
+
+def _float(row: Record, table: str) -> tuple[float, ...]:
+    # where sums are in memory a multiplication reads its input, which is in its price
+    moved = row["sent"] * (_BYTE if table == ACC16 else 2 * _BYTE)
+    compared = row["compared"]
+    kept = compared and row["units"] * 2 * ACCESS
+    return (
+        row["macs"] * TABLES[table].joules["mac"],
+        row["gates"] * GATES,
+        moved,
+        row["events"] * EVENT + row["cells"] * CELL,
+        addition_energy(row["units"]),
+        delta_encoder(compared, row["sent"] if compared else 0) - reading_energy(compared) + kept,
+    )
+
+
+def latency(row: Record) -> tuple[float, float]:
+    """Mean and longest time [s] from an event to an action that follows from it, computing apart.
+
+    The event waits until the control step ends, or until as many have come as trigger a network,
+    and for the control steps in which layers hand it on.
+    """
+    trigger = 0 if row["spiking"] else WAYS[row["way"]].trigger
+    waits = max(1.0, trigger / max(row["events"], 1e-9)) / row["rate"]
+    first, last = (steps / row["rate"] for steps in row["late"])
+    return first + waits / 2, last + waits
+
+
+def computing_time(row: Record, table: str = "sanafe") -> float:
+    """Time [s] in which one core of Loihi computes a control step, one event after another."""
+    prices = TABLES[table]
+    return prices.step + float(sum(row[name] * each for name, each in prices.seconds.items()))
+
+
+# the rule
+
+
+def occupied(events: float, places: float) -> float:
+    """Places in which one or more of so many events fall, if each place is as likely."""
+    return -places * math.expm1(-events / places) if places else 0.0
+
+
+def places_of(events: float, found: float) -> float:
+    """How many places there are, where so many events were found in so many of them."""
+    if found <= 0 or events <= found * (1 + 1e-9):
+        return 1e12 if found else 0.0  # each has fallen in a place of its own
+    low, high = found, 1e12
+    while high / low > 1 + 1e-9:
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if occupied(events, middle) < found else (low, middle)
+    return high
+
+
+def predict(row: Record, rate: float, events: float, span: float) -> Record:
+    """Counts of a control step at another rate and with so many events a second, from one row.
+
+    row     of the policy, at the rate it was trained for and without quiet
+    rate    control rate [Hz]
+    events  of the camera a second, those of noise included
+    span    time [s] whose events a float network sees that is not triggered
+    """
+    if row["spiking"]:
+        return _predicted_chip(row, rate, events)
+    return _predicted_float(row, rate, events, span)
+
+
+# counts of a control step that do not depend on events
+_STEADY = ("bias_sop", "one_state_update", "constants")
+
+
+def _predicted_chip(row: Record, rate: float, events: float) -> Record:
+    cells = places_of(row["events"], row["cells"])
+    now = occupied(events / rate, cells)
+    found = {name: row[name] * now / row["cells"] for name in ("sop", "graded_sop", "spike_out")}
+    # packets of spikes follow them, those of readouts to the host are sent in each step
+    steady = row["message"] - row["spike_in"]
+    found["spike_in"] = row["spike_in"] * now / row["cells"]
+    found["message"] = steady + found["spike_in"]
+    touched = occupied(found["sop"], places_of(row["sop"], row["touched"]))
+    updated = {name: row[name] for name in ("neuron_update", "neuron_idle")}
+    kept = {name: row[name] for name in _STEADY}
+    return row | kept | updated | found | {
+        "rate": rate, "events": events / rate, "cells": now, "touched": touched
+    }  # fmt: skip
+
+
+def _predicted_float(row: Record, rate: float, events: float, span: float) -> Record:
+    way = WAYS[row["way"]]
+    runs = rate
+    if way.trigger == 1:
+        runs = rate * -math.expm1(-events / rate)
+    elif way.trigger:
+        runs = min(rate, events / way.trigger)
+    # what is seen: the events since it last ran, or those of as long as in training
+    before = (
+        row["events"] / row["runs"] if way.trigger else row["events"] * row["rate"] * row["span"]
+    )
+    seen = events / runs if way.trigger else events * span
+    now = occupied(seen, places_of(before, row["cells"] / row["runs"]))
+    each = {
+        name: row[name] / row["runs"]
+        for name in ("macs", "first_macs", "cells", "sent", "compared", "units", "gates")
+    }
+    behind, sent = each["macs"] - each["first_macs"], each["sent"]
+    if way.delta is not None:  # a change of a unit is one however often it is looked at
+        share = min(1.0, (events / rate) / row["events"])
+        behind, sent = behind * share, sent * share
+    first = each["first_macs"] / each["cells"] * now
+    found = each | {"first_macs": first, "macs": first + behind, "sent": sent, "cells": now}
+    found = {name: count * runs / rate for name, count in found.items()}
+    return row | found | {"rate": rate, "events": events / rate, "runs": runs / rate}
+
+
+def border(rates: Sequence[float], ratios: Sequence[float]) -> float:
+    """Control rate [Hz] from which spiking costs less, of ratios of its power to that of float.
+
+    Interpolated between logarithms; 0 where it costs less at all rates, infinity where at none.
+    """
+    if ratios[0] < 1:
+        return 0.0
+    for k in range(1, len(rates)):
+        if ratios[k] < 1:
+            before, after = math.log(ratios[k - 1]), math.log(ratios[k])
+            share = before / (before - after)
+            return float(rates[k - 1] * (rates[k] / rates[k - 1]) ** share)
+    return math.inf

@@ -1,0 +1,208 @@
+"""The map of kart-eye: control rates and shares of quiet at which spiking costs less.
+
+Policies are run folders of kart-eye, of `spikedeploy train kart-eye-…`: all in the folder of the
+experiment, or those that are named. Each drives in every cell of the map, a control rate and a
+share of quiet: the training at the rate of the cell, else the one of its recipe and seed at the
+highest rate below, transferred (`vision`). A cell of a policy is a part of the experiment, and a
+row for each way of a float network to save operations, or for each chip, a file of its own. Counts
+are kept and not energies, so that the page can be written again with other prices.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+from lab.experiments import DESIGNS
+from lab.experiments.networks import constants
+from lab.experiments.runner import Design, Part
+from lab.experiments.training import Record, StoredRow, read_rows
+from lab.experiments.vision import ChipSight, drive, sight
+from spikedeploy.envs.eye.batch import EyeOptions
+from spikedeploy.reports.table import write_rows
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.policies.vision import SpikingVisionPolicy, VisionPolicy
+from spikedeploy.trainers.run_folder import LEVEL, RunFolder, existing_run, file_sha256, runs_in
+
+MAP: dict[str, Any] = DESIGNS["kart-eye-map"]
+ENV = "kart-eye"
+TEXTS = ("policy", "way")
+COLUMNS = (
+    "policy", "seed", "spiking", "way", "rate", "quiet", "trained_rate", "span", "episodes",
+    "steps", "finished", "right", "crashed", "late", "events", "cells", "macs", "first_macs",
+    "sent", "compared", "units", "gates", "runs", "sop", "graded_sop", "bias_sop", "neuron_update",
+    "one_state_update", "neuron_idle", "touched", "spike_in", "spike_out", "message", "saturation",
+    "lost_spike", "constants", "neurons",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Seer:
+    """A policy: a checkpoint of a run.
+
+    run     its folder
+    level   name of the checkpoint
+    """
+
+    run: RunFolder
+    level: str
+
+    @cached_property
+    def settings(self) -> Record:
+        """The configuration of its training."""
+        return self.run.settings()
+
+    @property
+    def recipe(self) -> str:
+        """`kart-eye-cnn`, or of a level of pruning `kart-eye-cnn level-4000`."""
+        recipe = str(self.settings["recipe"])
+        return recipe if self.level in ("best", "last") else f"{recipe} {self.level}"
+
+    @property
+    def seed(self) -> int:
+        """Seed of the training."""
+        return int(self.settings["seed"])
+
+    @property
+    def rate(self) -> int:
+        """Control rate [Hz] that it was trained at."""
+        return int(self.settings["env"]["options"].get("rate", EyeOptions.rate))
+
+    @property
+    def weights(self) -> Path:
+        """The file of the checkpoint."""
+        return self.run.path / "checkpoints" / f"{self.level}.safetensors"
+
+    @cached_property
+    def policy(self) -> VisionPolicy:
+        """The policy; ConfigError where it does not see by events."""
+        policy = self.run.policy(self.level)
+        if not isinstance(policy, VisionPolicy):
+            raise ConfigError(
+                f"{self.run.path} holds a {policy.kind}, which has no map; leave it out"
+            )
+        return policy
+
+    @property
+    def ways(self) -> list[str]:
+        """Ways of a float network to save operations, or chips."""
+        if isinstance(self.policy, SpikingVisionPolicy):
+            return list(MAP["chips"][self.policy.neuron])
+        return list(MAP["ways"])
+
+
+@dataclass(frozen=True)
+class EyeMapDesign(Design):
+    """The parts of the experiment.
+
+    policies  run folders; all of kart-eye in `runs` where none is named
+    """
+
+    episodes: int = 64
+    policies: Sequence[str] = ()
+
+    NAME = "kart-eye-map"
+    OPTIONS: ClassVar = {name: name for name in ("runs", "episodes", "policies", "quick")}
+    QUICK: ClassVar = {"episodes": 2, "limit": 30}
+
+    @classmethod
+    def of(cls, options: Any) -> "EyeMapDesign":  # noqa: ANN401
+        """The design of the options of a command."""
+        named = [name for text in options.get("policies", ()) for name in text.split(",") if name]
+        made: EyeMapDesign = super().of({**options, **({"policies": named} if named else {})})
+        return made
+
+    @property
+    def cells(self) -> list[tuple[int, float]]:
+        """Control rate [Hz] and share of quiet; of a quick trial the corners alone."""
+        rates, shares = MAP["rates"], MAP["quiet"]
+        if self.quick:
+            rates, shares = rates[::2], shares[::3]
+        return [(rate, quiet) for rate in rates for quiet in shares]
+
+    def seers(self) -> list[Seer]:
+        """All policies: the deployed checkpoint of each run, and its levels of pruning."""
+        named = [existing_run(name, self.runs) for name in self.policies]
+        found = []
+        for path in named or runs_in(Path(self.runs)):
+            run = RunFolder(path)
+            if run.settings()["env"]["name"] != ENV:
+                raise ConfigError(f"{path} is no training of {ENV}; leave it out")
+            files = sorted(file.stem for file in path.glob("checkpoints/*.safetensors"))
+            best = [name for name in ("best", "last") if name in files][:1]
+            found += [Seer(run, n) for n in (*best, *(f for f in files if f.startswith(LEVEL)))]
+        return found
+
+    def check(self, results: Path) -> None:
+        """Refuse a map without policies."""
+        if not self.seers():
+            raise ConfigError(
+                f"{self.runs} has no run folder of {ENV}: train some with `spikedeploy train "
+                f"kart-eye-cnn --runs {self.runs}`, or name them, --policies FOLDER"
+            )
+
+    def parts(self) -> list[Part]:
+        """Each policy in each cell of the map."""
+        seers = self.seers()
+        found = []
+        for seer in seers:
+            alike = [s.rate for s in seers if (s.recipe, s.seed) == (seer.recipe, seer.seed)]
+            for rate, quiet in self.cells:
+                # the nearest training from below is transferred
+                if seer.rate == max((each for each in alike if each <= rate), default=None):
+                    name = f"{seer.recipe}-s{seer.seed}-{rate}-q{quiet:g}".replace(" ", "-")
+                    found.append(Part(name, partial(self._rows, seer, rate, quiet, name)))
+        return found
+
+    def _rows(self, seer: Seer, rate: int, quiet: float, name: str) -> list[StoredRow]:
+        """The rows of a policy in a cell, one for each way or chip."""
+        options = {**seer.settings["env"]["options"], "rate": rate, "quiet": quiet}
+        made = {
+            "policy": file_sha256(seer.weights), "episodes": self.episodes, "limit": self.limit,
+            "options": options,
+        }  # fmt: skip
+        folder = Path(self.runs) / "evaluations" / name
+        return [
+            StoredRow(
+                folder / f"{way.replace(' ', '-').replace(':', '-')}.json",
+                {**made, "way": way},
+                partial(self._evaluate, seer, options, way),
+            )
+            for way in seer.ways
+        ]
+
+    def _evaluate(self, seer: Seer, options: Record, way: str) -> Record:
+        slower = options["rate"] // seer.rate
+        seeing = sight(seer.policy, self.episodes, way, slower)
+        about: Record = {
+            "policy": seer.recipe, "seed": seer.seed, "way": way, "rate": options["rate"],
+            "quiet": options["quiet"], "trained_rate": seer.rate, "span": 1 / seer.rate,
+        }  # fmt: skip
+        if isinstance(seeing, ChipSight):
+            program = seeing.program
+            late = program.control_steps_late(1) or (0, 0)
+            sizes = sum(layer.size for layer in program.layers)
+            chip = {"constants": constants(program), "neurons": sizes}
+            about |= {"spiking": True, "late": list(late), **chip}
+        else:
+            about |= {"spiking": False, "late": [0, 0]}
+        return about | drive(options, seeing, self.episodes, self.limit)
+
+    def all_rows(self) -> Iterator[Record]:
+        """The results so far."""
+        return (row for part in self.parts() for row in part.found)
+
+    def write(self, results: Path) -> list[Path]:
+        """Write page, table and picture of the complete rows; return the files, the page first."""
+        from lab.experiments.eye_map_page import write
+
+        rows = list(self.all_rows())
+        table = write_rows(rows, COLUMNS, results / "kart-eye-map.csv")
+        missing = sum(not part.is_done for part in self.parts())
+        return [*write(rows, results, missing, self.limit), table]
+
+
+def read_table(path: Path) -> list[Record]:
+    """The rows of a table."""
+    return read_rows(path, TEXTS)

@@ -1,0 +1,342 @@
+"""The page of the map of kart-eye: what costs less in each cell, and the border by the rule."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lab.experiments import eye_costs, pages
+from lab.experiments.eye_costs import ACCOUNTINGS, Accounting, border, latency, power, predict
+from lab.experiments.pages import grouped
+from lab.experiments.runner import command_line
+from lab.experiments.training import Record
+from spikedeploy.reports.plots import save
+from spikedeploy.runtime.metrics.energy_tables import STATIC
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+EQUAL = 0.02  # share of finished episodes by which policies of equal success differ at most
+_FINE = 48  # points of the predicted border on an axis
+
+
+@dataclass(frozen=True)
+class Group:
+    """Trainings of a policy in a cell: rows of one recipe and way that differ in their seeds."""
+
+    rows: Sequence[Record]
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Policy and way, or chip."""
+        return self.rows[0]["policy"], self.rows[0]["way"]
+
+    @property
+    def name(self) -> str:
+        """`kart-eye-cnn, zero-skipping`."""
+        return ", ".join(self.key)
+
+    @property
+    def finished(self) -> float:
+        """Share of episodes that were finished."""
+        return self.mean("finished")
+
+    def mean(self, field: str) -> float:
+        """Mean of a field over the trainings."""
+        return float(np.mean([row[field] for row in self.rows]))
+
+    def acts_as_soon_as(self, other: "Group") -> bool:
+        """Return whether an action follows an event no later than the other's, or a control step.
+
+        A mean over the events of the cell, computing apart.
+        """
+        mine, theirs = (float(np.mean([latency(r)[0] for r in g.rows])) for g in (self, other))
+        return bool(mine <= max(theirs, 1 / self.rows[0]["rate"]))
+
+    def power(self, accounting: Accounting) -> float:
+        """Mean power [W]."""
+        return float(np.mean([power(row, accounting) for row in self.rows]))
+
+    def predicted(self, accounting: Accounting, rate: float, events: float, span: float) -> float:
+        """Mean power [W] elsewhere, from the counts of these rows."""
+        found = (predict(row, rate, events, span) for row in self.rows)
+        return float(np.mean([power(row, accounting) for row in found]))
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of the map by an accounting: the cheapest of equal success of either kind.
+
+    events     of the camera a second
+    others     float groups that finish as often as the best of them, but for EQUAL
+    spiking    the cheapest group that does; where none does the one that finishes most
+    is_equal   whether it does
+    predicted  power of spiking over float [1], by the rule
+    """
+
+    rate: int
+    quiet: float
+    events: float
+    others: Sequence[Group]
+    spiking: Group
+    is_equal: bool
+    accounting: Accounting
+    predicted: float
+
+    @cached_property
+    def rivals(self) -> Sequence[Group]:
+        """Those of the others that act no later, on average."""
+        return [group for group in self.others if group.acts_as_soon_as(self.spiking)]
+
+    @cached_property
+    def rival(self) -> Group:
+        """The cheapest of them."""
+        return min(self.rivals, key=lambda group: group.power(self.accounting))
+
+    @property
+    def ratio(self) -> float:
+        """Power of spiking over float [1], as counted."""
+        return self.spiking.power(self.accounting) / self.rival.power(self.accounting)
+
+    @property
+    def ratio_to_later(self) -> float:
+        """The same where float networks may also act later."""
+        least = min(group.power(self.accounting) for group in self.others)
+        return self.spiking.power(self.accounting) / least
+
+    @property
+    def microwatts(self) -> tuple[float, float]:
+        """Power of spiking and of float [uW]."""
+        spiking, rival = (g.power(self.accounting) for g in (self.spiking, self.rival))
+        return 1e6 * spiking, 1e6 * rival
+
+
+@dataclass(frozen=True)
+class Map:
+    """All cells by an accounting; rates and shares of quiet ascend.
+
+    cells  (rates, shares); None where a policy is missing
+    """
+
+    accounting: Accounting
+    rates: Sequence[int]
+    quiet: Sequence[float]
+    cells: Sequence[Sequence[Cell | None]]
+    references: dict[tuple[str, str], Group]
+
+    def borders(self, column: int) -> tuple[float, float]:
+        """Control rates [Hz] from which spiking costs less: as counted, and by the rule."""
+        some = [(r, row[column]) for r, row in zip(self.rates, self.cells, strict=True)]
+        there = [(rate, cell) for rate, cell in some if cell is not None]
+        rates = [rate for rate, _ in there]
+        return (
+            border(rates, [cell.ratio for _, cell in there]),
+            border(rates, [cell.predicted for _, cell in there]),
+        )
+
+    def fine(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Rates (n,), shares of motion (n,), and logarithms of predicted ratios (n, n) there."""
+        found = [cell for row in self.cells for cell in row if cell is not None]
+        rates = np.geomspace(self.rates[0], self.rates[-1], _FINE)
+        moving = np.geomspace(1 - self.quiet[-1], 1 - self.quiet[0], _FINE)
+        ratios = np.zeros((_FINE, _FINE))
+        for i, rate in enumerate(rates):
+            for k, share in enumerate(moving):
+                near = min(found, key=lambda c: _distance(c, rate, share))
+                column = [c for c in found if c.rate == near.rate]
+                events = np.interp(1 - share, [c.quiet for c in column], [c.events for c in column])
+                groups = (near.spiking, *near.rivals)
+                mine, *others = (
+                    self.references[g.key].predicted(
+                        self.accounting, rate, float(events), _span(g, float(rate))
+                    )
+                    for g in groups
+                )
+                ratios[k, i] = math.log(mine / min(others))
+        return rates, moving, ratios
+
+
+def _span(group: Group, rate: float) -> float:
+    """Time [s] whose events a float group sees: a control step of its training, at least."""
+    return float(max(1 / rate, group.rows[0]["span"]))
+
+
+def _distance(cell: Cell, rate: float, moving: float) -> float:
+    return float(abs(math.log(cell.rate / rate)) + abs(math.log((1 - cell.quiet) / moving)))
+
+
+def maps(rows: Sequence[Record]) -> list[Map]:
+    """The map by each accounting whose chip a policy ran on."""
+    rates = sorted({row["rate"] for row in rows})
+    quiet = sorted({row["quiet"] for row in rows})
+    cells = {
+        place: [Group(each) for _, each in grouped(found, "policy", "way")]
+        for place, found in grouped(rows, "rate", "quiet")
+    }
+    found = []
+    # the rule takes the counts of the lowest rate, without quiet
+    references = (
+        {group.key: group for group in cells.get((rates[0], quiet[0]), ())} if rates else {}
+    )
+    for accounting in ACCOUNTINGS.values():
+        table = [
+            [_cell(rate, q, cells.get((rate, q), []), accounting, references) for q in quiet]
+            for rate in rates
+        ]
+        if any(cell is not None for row in table for cell in row):
+            found.append(Map(accounting, rates, quiet, table, references))
+    return found
+
+
+def _cell(
+    rate: int, quiet: float, groups: Sequence[Group], accounting: Accounting,
+    references: dict[tuple[str, str], Group],
+) -> Cell | None:  # fmt: skip
+    known = [group for group in groups if group.key in references]
+    rivals = [group for group in known if not group.rows[0]["spiking"]]
+    spiking = [group for group in known if group.key[1] == accounting.place]
+    if not rivals or not spiking:
+        return None
+    enough = max(group.finished for group in rivals) - EQUAL
+    rivals = [group for group in rivals if group.finished >= enough]
+    equal = [group for group in spiking if group.finished >= enough]
+    mine = (
+        min(equal, key=lambda group: group.power(accounting))
+        if equal
+        else max(spiking, key=lambda group: group.finished)
+    )
+    events = float(np.mean([group.mean("events") * rate for group in (mine, *rivals)]))
+    cell = Cell(rate, quiet, events, rivals, mine, bool(equal), accounting, 0.0)
+    expected, *others = (
+        references[g.key].predicted(accounting, rate, events, _span(g, rate))
+        for g in (mine, *cell.rivals)
+    )
+    return replace(cell, predicted=expected / min(others))
+
+
+# the picture
+
+_TEXT = 13  # [pt]
+_INSIDE = "#111111"  # of what stands in a cell, which is light by day and by night
+_MOST = 3.0  # powers of 2 that colours tell apart
+
+
+def figure(found: Sequence[Map]) -> "Figure":
+    """A panel for each accounting: control rate across, quiet upwards."""
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    columns = min(3, len(found))
+    lines = math.ceil(len(found) / columns)
+    made = Figure(figsize=(5.2 * columns, 4.4 * lines + 1), layout="constrained")
+    grid = made.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, each in zip(grid.flat, found, strict=False):
+        _panel(axes, each)
+    for axes in grid.flat[len(found) :]:
+        axes.set_axis_off()
+    handles = [
+        Line2D([], [], color=_INSIDE, linewidth=3, label="border, as counted"),
+        Line2D([], [], color=_INSIDE, linewidth=2.5, linestyle="--", label="border, by the rule"),
+        Patch(facecolor="#9CC4E0", label="spiking costs less"),
+        Patch(facecolor="#F2B48A", label="float costs less"),
+        Patch(facecolor="#FFFFFF", edgecolor="#777777", hatch="///", label="spiking finishes less"),
+    ]
+    made.legend(handles=handles, loc="outside upper center", ncols=5, frameon=False, fontsize=_TEXT)
+    made.supxlabel("control rate [Hz]", fontsize=_TEXT)
+    made.supylabel("share of the time in which the kart waits", fontsize=_TEXT)
+    return made
+
+
+def _panel(axes: "Axes", drawn: Map) -> None:
+    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.patches import Rectangle
+    from matplotlib.ticker import FixedLocator, NullLocator
+
+    colours = LinearSegmentedColormap.from_list("sides", ["#5B9BC8", "#F7F7F5", "#E58A4E"])
+    x, y = np.log(drawn.rates), -np.log(1 - np.array(drawn.quiet))
+    left, low = _edges(x), _edges(y)
+    for i, row in enumerate(drawn.cells):
+        for k, cell in enumerate(row):
+            if cell is None:
+                continue
+            place = (left[i], low[k]), left[i + 1] - left[i], low[k + 1] - low[k]
+            shade = colours(0.5 + math.log2(cell.ratio) / (2 * _MOST))
+            hatch = None if cell.is_equal else "///"
+            axes.add_patch(
+                Rectangle(*place, facecolor=shade, edgecolor="#FFFFFF", hatch=hatch, linewidth=1)
+            )
+            axes.text(
+                x[i], y[k], f"{cell.ratio:.2g}", ha="center", va="center", color=_INSIDE,
+                fontsize=_TEXT,
+            )  # fmt: skip
+    rates, moving, ratios = drawn.fine()
+    fine = np.log(rates), -np.log(moving), ratios
+    counted = np.array([[math.log(c.ratio) if c else np.nan for c in r] for r in drawn.cells]).T
+    for (across, up, values), style, width in ((((x, y, counted)), "-", 3), (fine, "--", 2.5)):
+        if min(values.shape) > 1 and np.nanmin(values) < 0 < np.nanmax(values):
+            axes.contour(
+                across, up, values, [0.0], colors=_INSIDE, linestyles=style, linewidths=width
+            )
+    axes.set_xlim(left[0], left[-1])
+    axes.set_ylim(low[0], low[-1])
+    axes.xaxis.set_major_locator(FixedLocator(x.tolist()))
+    axes.yaxis.set_major_locator(FixedLocator(y.tolist()))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xticklabels([f"{rate}" for rate in drawn.rates])
+    axes.set_yticklabels([f"{share:.0%}" for share in drawn.quiet])
+    axes.tick_params(labelsize=_TEXT)
+    axes.set_title(drawn.accounting.title, fontsize=_TEXT)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _edges(centres: NDArray[Any]) -> NDArray[Any]:
+    """Edges (n + 1,) half-way between centres (n,)."""
+    if len(centres) == 1:
+        return np.array([centres[0] - 0.5, centres[0] + 0.5])
+    middle = (centres[1:] + centres[:-1]) / 2
+    return np.array([2 * centres[0] - middle[0], *middle, 2 * centres[-1] - middle[-1]])
+
+
+# the page
+
+
+def errors(found: Map) -> list[float]:
+    """Predicted over counted ratio [1] of all cells but the one that the rule starts from."""
+    cells = [cell for row in found.cells for cell in row if cell is not None]
+    start = found.rates[0], found.quiet[0]
+    return [c.predicted / c.ratio for c in cells if (c.rate, c.quiet) != start]
+
+
+def rate_text(rate: float) -> str:
+    """A border: `310 Hz`, `everywhere` or `never`."""
+    return "everywhere" if rate == 0 else "never" if math.isinf(rate) else f"{rate:,.0f} Hz"
+
+
+def write(rows: Sequence[Record], results: Path, missing: int, limit: int | None) -> list[Path]:
+    """Write the page with its picture; return the files, the page first."""
+    found = maps(rows)
+    drawn = {"kart-eye-map.png": figure(found)} if found else {}
+    notes = [f"{missing} parts are missing."] if missing else []
+    page, shown = pages.write_page(
+        results / "kart-eye-map.md",
+        drawn,
+        command=command_line(),
+        missing=pages.missing_text(notes, limit),
+        maps=found,
+        groups=[Group(each) for _, each in grouped(rows, "policy", "way", "rate", "quiet")],
+        seeds=len({row["seed"] for row in rows}),
+        episodes=max((row["episodes"] for row in rows), default=0),
+        statics={c: STATIC[c] for c in ("loihi1", "speck2f")},
+        errors=errors,
+        rate_text=rate_text,
+        EQUAL=EQUAL,
+        costs=eye_costs,
+    )
+    return [page, shown, *(save(each, results / name) for name, each in drawn.items())]

@@ -1,0 +1,304 @@
+"""Policies that see by events, at a place, with what they do counted for each kart of a batch.
+
+A float network skips multiplications by zero, and saves more in one of the WAYS: as a delta network
+it sends only what has changed by more than a threshold since it was sent (Neil et al. 2017,
+arXiv 1612.05571), and triggered by events it runs only where so many came since it last ran, and
+holds its action and memory else.
+
+At a control rate that is k times as high as in training, a float network sees the events of the
+last k control steps, as many as in training, or where it is triggered those since it last ran; its
+memory moves by a k-th: h' = h + (1 - z) (n - h) / k. A spiking network takes the events as they
+come; its decay factors become their k-th roots, and what comes in every timestep, biases and
+currents that last, is so much smaller. Whether a policy still drives then is measured.
+"""
+
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import avg_pool2d
+
+from lab.experiments.networks import in_bits
+from lab.experiments.training import Record
+from spikedeploy.envs.eye.batch import EyeBatch
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.window import Window
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.emulator.ledger import EVENTS
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.seeds import EVALUATION
+from spikedeploy.trainers.policies import Policy
+from spikedeploy.trainers.policies.vision import (
+    FloatVisionPolicy,
+    SpikingVisionPolicy,
+    vision_artifact,
+)
+
+Counts = NDArray[np.uint8]
+Totals = dict[str, NDArray[np.float64]]
+BITS = 8  # of the weights of float networks, as of those of chips
+_RECURRENT = ("gru", "back", "out")  # synapses behind the layers of units
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way of a float network to save operations, besides those with zeros.
+
+    delta    change of a unit above which it is sent again; None sends all that are not 0
+    trigger  events that must have come since it last ran; 0 lets it run in every control step
+    """
+
+    delta: float | None = None
+    trigger: int = 0
+
+
+WAYS = {
+    "zero-skipping": Way(),
+    "delta 0.1": Way(delta=0.1),
+    "delta 0.3": Way(delta=0.3),
+    "triggered by 1 event": Way(trigger=1),
+    "triggered by 64 events": Way(trigger=64),
+}
+
+
+class Sight(Protocol):
+    """A controller of B karts, for one episode of each, that counts what it does."""
+
+    @property
+    def totals(self) -> Totals:
+        """Counts (B,) by name, so far."""
+
+    def act(self, counts: Counts) -> NDArray[np.int64]:
+        """Actions (B,) for counts of events (B, obs)."""
+
+
+class FloatSight:
+    """A float network with weights of 8 bits; what it does is counted where it is computed.
+
+    totals: by name (B,)
+        macs, first_macs    multiplications of weights with what is sent; those of the first layer
+        cells, sent         inputs of the first layer that are not 0; of the others what is sent
+        compared            units that are compared with what they sent, in a delta network
+        units, gates, runs  units of all layers, units of the GRU, and how often it ran
+        events              of the camera
+    """
+
+    def __init__(self, policy: FloatVisionPolicy, karts: int, way: Way, slower: int = 1) -> None:
+        if policy.traces:
+            raise ConfigError("a policy with leaky traces has no other control rate; leave it out")
+        self._policy, self._way, self._slower = in_bits(deepcopy(policy), BITS), way, slower
+        self._weights = {name: w.detach() for name, w in self._policy.weights().items()}
+        self._fan_out = {n: self._policy.matrix(n).fan_out for n in self._weights}
+        self._biases = {name: each.detach() for name, each in self._policy.biases.items()}
+        names = ("macs", "first_macs", "cells", "sent", "compared", "units", "gates", "runs")
+        self.totals: Totals = {name: np.zeros(karts) for name in (*names, "events")}
+        self._seen = np.zeros((slower, karts, policy.observations), np.uint8)  # of the last steps
+        self._since = np.zeros((karts, policy.observations), np.int64)  # events since it last ran
+        self._waited, self._step = np.zeros(karts), 0
+        self._memory = torch.zeros(karts, policy.gru)
+        self._sent = {name: torch.zeros(karts, len(f)) for name, f in self._fan_out.items()}
+        self._actions = np.full(karts, policy.actions // 2)
+
+    @torch.no_grad()
+    def act(self, counts: Counts) -> NDArray[np.int64]:
+        """Actions (B,) for counts of events (B, obs)."""
+        self._seen[self._step % self._slower] = counts
+        self._step += 1
+        self._since += counts
+        self._waited += 1
+        self.totals["events"] += counts.sum(1)
+        rows = np.flatnonzero(self._since.sum(1) >= self._way.trigger)
+        if len(rows):
+            seen = self._since if self._way.trigger else self._seen.sum(0, dtype=np.int64)
+            self._actions[rows] = self._run(torch.from_numpy(seen[rows]).float(), rows)
+            self._since[rows], self._waited[rows] = 0, 0
+        found: NDArray[np.int64] = self._actions.copy()
+        return found
+
+    def _run(self, x: Tensor, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Actions (n,) of some karts, whose network runs once."""
+        policy = self._policy
+        self.totals["runs"][rows] += 1
+        x = policy.normalizer(x)
+        if policy.pool != (1, 1):
+            x = avg_pool2d(x.view(-1, *policy.shape), policy.pool, divisor_override=1).flatten(1)
+        for name in self._weights:
+            if name not in _RECURRENT:
+                x = torch.relu(self._drive(name, x, rows))
+        if policy.gru:
+            x = self._remember(x, rows)
+        actions: NDArray[np.int64] = self._drive("out", x, rows).argmax(1).numpy()
+        return actions
+
+    def _remember(self, x: Tensor, rows: NDArray[np.int64]) -> Tensor:
+        """The memory (n, H) after inputs (n, M)."""
+        h = self._memory[rows]
+        inputs, past = (
+            self._drive(name, each, rows).chunk(3, 1) for name, each in (("gru", x), ("back", h))
+        )
+        # r = sigmoid(.) ; z = sigmoid(.) ; n = tanh(Wn x + r Un h) ; h' = h + (1 - z) (n - h) / k
+        r, z = (torch.sigmoid(inputs[k] + past[k]) for k in (0, 1))
+        n = torch.tanh(inputs[2] + r * past[2])
+        waited = self._waited[rows] if self._way.trigger else np.ones(len(rows))
+        share = torch.from_numpy(np.minimum(waited / self._slower, 1)).float()[:, None]
+        self._memory[rows] = h = h + share * (1 - z) * (n - h)
+        self.totals["gates"][rows] += self._policy.gru
+        return h
+
+    def _drive(self, name: str, x: Tensor, rows: NDArray[np.int64]) -> Tensor:
+        """Drives (n, N) of the units behind a group of synapses, from inputs (n, M)."""
+        totals, is_first = self.totals, name == next(iter(self._weights))
+        is_sent = x != 0
+        if self._way.delta is not None and not is_first:
+            before = self._sent[name][rows]
+            is_sent = (x - before).abs() > self._way.delta
+            self._sent[name][rows] = x = torch.where(is_sent, x, before)
+            totals["compared"][rows] += x.shape[1]
+        macs = (is_sent.double() @ self._fan_out[name].double()).numpy()
+        totals["macs"][rows] += macs
+        totals["cells" if is_first else "sent"][rows] += is_sent.sum(1).numpy()
+        if is_first:
+            totals["first_macs"][rows] += macs
+        drive = self._policy.matrix(name).drive(x, self._weights[name])
+        totals["units"][rows] += drive.shape[1]
+        bias = self._biases[name]
+        maps: Tensor = drive.view(len(drive), len(bias), -1) + bias[:, None]
+        return maps.flatten(1)
+
+
+class ChipSight:
+    """A spiking network on a chip, whose ledger counts.
+
+    totals: by name (B,), besides the events of the ledger
+        cells    inputs that spike
+        events   of the camera
+        touched  neurons at which a spike arrives, once a timestep
+    """
+
+    def __init__(
+        self, policy: SpikingVisionPolicy, karts: int, place: str, slower: int = 1
+    ) -> None:
+        artifact = vision_artifact(_slowed(policy, slower))
+        target = chip(place)
+        self._controller = SpikingController(
+            artifact, target, ledger="copies", backend="auto", trace=True
+        )
+        self._own: Totals = {name: np.zeros(karts) for name in ("cells", "events", "touched")}
+        self._reached = [
+            [(s.source, s.window, (s.weight != 0).astype(np.float64)) for s in layer.synapses]
+            for layer in self.program.layers
+        ]
+
+    @property
+    def program(self) -> Program:
+        """The program that runs."""
+        return self._controller.program
+
+    def act(self, counts: Counts) -> NDArray[np.int64]:
+        """Actions (B,) for counts of events (B, obs)."""
+        actions: NDArray[np.int64] = self._controller.act_batch(counts.astype(np.float64))
+        encoded, machine = self._controller.encoded, self._controller.network
+        assert isinstance(machine, Machine)
+        spikes = {name: each.spikes[:, 0] for name, each in machine.recordings.items()}
+        spikes[self.program.input] = encoded[:, 0]
+        self._own["events"] += counts.sum(1)
+        self._own["cells"] += np.count_nonzero(encoded[:, 0], axis=1)
+        self._own["touched"] += touched(self._reached, spikes)
+        return actions
+
+    @property
+    def totals(self) -> Totals:
+        """Counts (B,) by name; `one_state_update` counts some of `neuron_update`."""
+        ledger = self._controller.ledger
+        found = {name: ledger.counts[:, :, k].sum(1) for k, name in enumerate(EVENTS)}
+        alone = [name in ledger.one_state for name in ledger.layers]
+        found["one_state_update"] = ledger.counts[:, alone, EVENTS.index("neuron_update")].sum(1)
+        return {name: each.astype(np.float64) for name, each in found.items()} | self._own
+
+
+Reach = Sequence[Sequence[tuple[str, Window | None, NDArray[np.float64]]]]
+
+
+def touched(reach: Reach, spikes: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+    """How many neurons (B,) of all layers spikes of a timestep reach, by any synapse.
+
+    reach: of each layer its synapses: source, window, and 1 for each weight that is not 0.
+    spikes: (B, N) of the input and of each layer.
+    """
+    found = np.zeros(len(next(iter(spikes.values()))))
+    for layer in reach:
+        arriving: Any = 0
+        for source, window, ones in layer:
+            sent = (spikes[source] != 0).astype(np.float64)
+            arriving = arriving + (sent @ ones if window is None else window.sums(ones, sent))
+        found += np.count_nonzero(arriving, axis=1)
+    return found
+
+
+@torch.no_grad()
+def _slowed(policy: SpikingVisionPolicy, slower: int) -> SpikingVisionPolicy:
+    """The policy at a control rate that is so many times as high."""
+    policy, before = deepcopy(policy), policy
+    for decays in policy.decays.values():
+        decays.copy_(torch.logit(torch.sigmoid(decays.double()) ** (1 / slower)))
+    for name in policy.spiking:
+        old, new = (each.decay(name).double() for each in (before, policy))
+        # as much is summed up: b' / (1 - beta') = b / (1 - beta)
+        share = torch.where(old < 1, (1 - new) / (1 - old), 1 / slower).float()
+        policy.biases[name] *= share
+        if name == "hidden" and policy.memory:  # so do currents that last
+            for synapses in ("hidden", "back") if policy.recurrent else ("hidden",):
+                policy.matrix(synapses).weight[-policy.memory :] *= share[-policy.memory :, None]
+    return policy
+
+
+def sight(policy: Policy, karts: int, way: str, slower: int = 1) -> Sight:
+    """A policy as a controller: a float one by one of the WAYS, a spiking one on a chip."""
+    if isinstance(policy, FloatVisionPolicy):
+        return FloatSight(policy, karts, WAYS[way], slower)
+    if isinstance(policy, SpikingVisionPolicy):
+        return ChipSight(policy, karts, way, slower)
+    raise ConfigError(f"a policy of kind {policy.kind!r} does not see by events; leave it out")
+
+
+def drive(
+    options: Mapping[str, Any], seen: Sight, episodes: int, limit: int | None = None
+) -> Record:
+    """What so many evaluation episodes of kart-eye brought; counts are means of a control step.
+
+    options: of the environment
+    limit: control steps of an episode, those at gates included; None for all
+    """
+    env = EyeBatch(episodes, **options)
+    counts = env.reset(range(EVALUATION, EVALUATION + episodes)).reshape(episodes, -1)
+    ended = np.zeros(episodes, np.bool_)
+    totals: dict[str, float] = {}
+    outcome, steps = dict.fromkeys(("finish", "wrong", "crash", "forks"), 0), 0
+    number = 0
+    while not ended.all():
+        counts, _, terminated, truncated, info = env.step(seen.act(counts))
+        counts = counts.reshape(episodes, -1)
+        number += 1
+        now = (terminated | truncated | (number == limit)) & ~ended
+        if now.any():
+            for name, each in seen.totals.items():
+                totals[name] = totals.get(name, 0.0) + float(each[now].sum())
+            for name in outcome:
+                outcome[name] += int(info[name][now].sum())
+            steps += number * int(now.sum())
+        ended |= now
+    return {
+        "episodes": episodes,
+        "steps": steps,
+        "finished": outcome["finish"] / episodes,
+        "right": outcome["forks"] / max(outcome["forks"] + outcome["wrong"], 1),
+        "crashed": outcome["crash"] / episodes,
+        **{name: total / steps for name, total in totals.items()},
+    }

@@ -1,0 +1,219 @@
+"""The map of kart-eye in its smallest size, with untrained policies; its prices and its rule."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from lab.experiments.eye_costs import (
+    ACCOUNTINGS,
+    TERMS,
+    border,
+    latency,
+    occupied,
+    places_of,
+    power,
+    predict,
+    terms,
+)
+from lab.experiments.eye_map import EyeMapDesign
+from lab.experiments.eye_map_page import EQUAL, maps
+from lab.experiments.runner import run_experiment
+from spikedeploy.files import as_text, write_text
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.policies import FloatVisionPolicy, SpikingVisionPolicy
+from spikedeploy.trainers.run_folder import RunFolder
+
+SMALL = {"channels": [2], "kernels": [3], "strides": [4], "hidden": [4], "gru": 4}
+IF = {"recurrent": False, "skip": False, "neuron": "if", "clock": "gated"}
+POLICIES = {
+    "kart-eye-cnn": lambda: FloatVisionPolicy(1024, 7, **SMALL),
+    "kart-eye-snn": lambda: SpikingVisionPolicy(1024, 7, (2, 16, 32), 1, [2], [3], [4], 6),
+    "kart-eye-if": lambda: SpikingVisionPolicy(
+        1024, 7, (2, 16, 32), 1, [2], [3], [4], 6, **IF
+    ),
+}  # fmt: skip
+
+
+def untrained_run(folder, recipe, seed=0, **options):
+    torch.manual_seed(seed)
+    run = RunFolder(folder / f"{recipe}-s{seed}-{len(list(folder.glob('*')))}")
+    (run.path / "checkpoints").mkdir(parents=True)
+    about = {"recipe": recipe, "seed": seed, "env": {"name": "kart-eye", "options": options}}
+    write_text(run.path / "config.json", as_text(about))
+    run.save("best", POLICIES[recipe](), {})
+    return run
+
+
+@pytest.fixture(scope="module")
+def design(tmp_path_factory):
+    runs = tmp_path_factory.mktemp("map") / "runs"
+    for recipe in POLICIES:
+        untrained_run(runs, recipe, forks=1)
+    return EyeMapDesign(runs=str(runs), episodes=2, limit=12, quick=True)
+
+
+@pytest.fixture(scope="module")
+def results(design, ran):
+    folder = Path(design.runs).parent / "results"
+    outcome = run_experiment(design, (), 1, folder)
+    assert (outcome.done, outcome.of, outcome.failed) == (12, 12, {})
+    return folder
+
+
+def test_every_policy_is_driven_in_every_cell_by_every_way_or_chip(design, results):
+    rows = list(design.all_rows())
+    assert len(rows) == 4 * (5 + 2 + 2)
+    assert {(row["rate"], row["quiet"]) for row in rows} == set(design.cells)
+    assert all(row["trained_rate"] == 60 for row in rows)
+
+
+def test_the_page_compares_each_chip_with_the_best_float_network(design, results):
+    text = (results / "kart-eye-map.md").read_text(encoding="utf-8")
+    for accounting in ACCOUNTINGS.values():
+        assert f"### {accounting.title}" in text
+    assert (results / "kart-eye-map.png").stat().st_size > 10_000
+    rows = list(design.all_rows())
+    for found in maps(rows):
+        for cell in (cell for row in found.cells for cell in row):
+            floats = [
+                row for row in rows
+                if not row["spiking"] and (row["rate"], row["quiet"]) == (cell.rate, cell.quiet)
+            ]  # fmt: skip
+            best = max(row["finished"] for row in floats)
+            (spiking,) = cell.spiking.rows
+            as_late = max(latency(spiking)[0], 1 / cell.rate)
+            equal = [row for row in floats if row["finished"] >= best - EQUAL]
+            no_later = [row for row in equal if latency(row)[0] <= as_late]
+            mine, least, cheapest = (
+                min(power(row, found.accounting) for row in rows)
+                for rows in ([spiking], no_later, equal)
+            )
+            assert cell.ratio == pytest.approx(mine / least)
+            assert cell.ratio_to_later == pytest.approx(mine / cheapest)
+
+
+def test_what_is_there_is_not_made_again(design, results, ran):
+    before = len(ran)
+    outcome = run_experiment(design, (), 1, results)
+    assert len(ran) == before
+    assert outcome.done == outcome.of
+
+
+def test_a_training_at_the_rate_of_a_cell_is_taken_before_a_transferred_one(tmp_path):
+    untrained_run(tmp_path, "kart-eye-cnn", forks=1)
+    untrained_run(tmp_path, "kart-eye-cnn", forks=1, rate=240)
+    made = EyeMapDesign(runs=str(tmp_path))
+    slower = {}
+    for part in made.parts():
+        for row in part.rows():
+            seer = row.make.args[0]
+            slower[row.of["options"]["rate"]] = row.of["options"]["rate"] // seer.rate
+    assert slower == {60: 1, 240: 1, 960: 4}
+    assert len(made.parts()) == 12
+
+
+def test_a_map_without_policies_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="no run folder of kart-eye"):
+        EyeMapDesign(runs=str(tmp_path)).check(tmp_path)
+
+
+# prices
+
+
+def counted(**changes):
+    zeros = dict.fromkeys(
+        ("macs", "first_macs", "cells", "sent", "compared", "units", "gates", "events", "sop",
+         "graded_sop", "bias_sop", "neuron_update", "one_state_update", "neuron_idle", "touched",
+         "spike_in", "spike_out", "message", "constants"), 0.0,
+    )  # fmt: skip
+    about = {"rate": 100, "span": 0.01, "runs": 1.0, "late": [2, 3], "way": "zero-skipping"}
+    return {**zeros, "spiking": False, **about, **changes}
+
+
+def test_a_float_network_costs_what_its_terms_say():
+    row = counted(macs=100, cells=10, events=20, sent=7, units=3, gates=2)
+    # [pJ] Horowitz 2014: 1.25 a byte, 0.1 an addition, 3.1 a product, 2.5 an access of 16 bits
+    expected = {
+        "operations": 155, "updates": 2 * (5 * 2.5 + 3 * 3.1 + 0.5), "traffic": 7 * 2.5,
+        "histogram": 20 * 2.6 + 10 * 7.5, "constants": 3 * 1.35, "comparisons": 0,
+    }  # fmt: skip
+    found = terms(row, ACCOUNTINGS["int"])
+    assert found.keys() == set(TERMS)
+    for name, pico in expected.items():
+        assert found[name] == pytest.approx(100e-12 * pico), name
+
+
+def test_a_chip_pays_for_all_neurons_for_those_that_are_touched_or_for_operations():
+    row = counted(spiking=True, sop=100, neuron_update=40, touched=10, events=9, cells=5)
+    found = {name: terms(row, each) for name, each in ACCOUNTINGS.items()}
+    assert found["int"]["updates"] == pytest.approx(100e-12 * 40 * 26.5)
+    assert found["int-touched"]["updates"] == pytest.approx(100e-12 * 10 * (26.5 + 7.5 + 3.1))
+    assert found["speck-events"]["updates"] == pytest.approx(100e-12 * 100 * 0.1)
+    assert found["speck-events"]["histogram"] == 0
+    # silicon's update over its synaptic operation
+    ratio = (51.2 + 21.6) / 35.5
+    assert found["loihi1"]["updates"] == pytest.approx(100e-12 * 40 * 1.35 * ratio)
+    assert found["loihi1"]["operations"] == found["int"]["operations"]
+
+
+def test_an_event_waits_for_a_control_step_for_layers_or_for_other_events():
+    assert latency(counted(spiking=True)) == pytest.approx((0.025, 0.04))
+    row = counted(way="triggered by 64 events", events=16, late=[0, 0])
+    assert latency(row) == pytest.approx((0.02, 0.04))
+
+
+# the rule
+
+
+@pytest.mark.parametrize(("events", "places"), [(3.0, 1000.0), (500.0, 400.0), (1e4, 1e4)])
+def test_places_are_found_from_events_and_the_places_that_they_fell_in(events, places):
+    assert places_of(events, occupied(events, places)) == pytest.approx(places, rel=1e-4)
+
+
+def test_occupied_places_are_those_of_random_draws():
+    drawn = np.random.default_rng(0).integers(0, 50, (2000, 40))
+    mean = np.mean([len(np.unique(row)) for row in drawn])
+    assert occupied(40, 50) == pytest.approx(mean, rel=0.02)
+
+
+@pytest.mark.parametrize("spiking", [False, True])
+def test_the_rule_gives_back_the_counts_that_it_starts_from(spiking):
+    row = counted(
+        spiking=spiking, macs=100, first_macs=40, cells=9, events=10, sent=7, units=3, gates=2,
+        sop=80, touched=60, spike_in=5, spike_out=4, message=6, neuron_update=90,
+    )  # fmt: skip
+    again = predict(row, row["rate"], row["events"] * row["rate"], row["span"])
+    assert {name: again[name] for name in row if name != "late"} == pytest.approx(
+        {name: value for name, value in row.items() if name != "late"}
+    )
+
+
+def test_at_a_border_that_counts_give_in_closed_form_both_cost_the_same():
+    """Cells with one event at most, no layers behind the first: r rest = e operations."""
+    events, rate = 100.0, 10.0  # a second; of the counts
+    chip = counted(
+        spiking=True, rate=rate, events=10, cells=10 * (1 - 1e-9), sop=1000, touched=0,
+    )  # fmt: skip
+    net = counted(rate=rate, span=1e-9, events=10, cells=1e-6, first_macs=0, macs=50)
+    by = ACCOUNTINGS["int-touched"]
+    # both add up the events, the float network sees none of them: e 100 sop + cells = r 50 mac
+    wanted = events * (100 * 1.35 + 7.5) / (50 * 1.55)
+
+    def ratio(at):
+        mine, other = (predict(row, at, events, row["span"]) for row in (chip, net))
+        spent = [power(row, by) - row["rate"] * row["events"] * 2.6e-12 for row in (mine, other)]
+        return spent[0] / spent[1]
+
+    rates = list(np.geomspace(10, 1000, 400))
+    assert border(rates, [ratio(at) for at in rates]) == pytest.approx(wanted, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("ratios", "at"),
+    [((2.0, 0.5, 0.1), 120.0), ((0.9, 0.5, 0.1), 0.0), ((3.0, 2.0, 1.5), math.inf)],
+)
+def test_a_border_lies_between_rates_by_their_logarithms(ratios, at):
+    assert border((60, 240, 960), ratios) == pytest.approx(at)

@@ -1,0 +1,219 @@
+"""What policies that see by events do is counted as loops over their weights count it."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from lab.experiments.vision import ChipSight, FloatSight, Way, drive, touched
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.policies import FloatVisionPolicy, SpikingVisionPolicy
+
+SHAPE = (2, 6, 8)
+KARTS, STEPS = 3, 7
+
+
+def float_policy(**changes):
+    torch.manual_seed(0)
+    settings = {"channels": [3], "kernels": [3], "strides": [2], "hidden": [5], "gru": 4}
+    policy = FloatVisionPolicy(math.prod(SHAPE), 7, SHAPE, **{**settings, **changes})
+    for bias in policy.biases.values():
+        torch.nn.init.normal_(bias, std=0.2)
+    return policy.requires_grad_(False)
+
+
+def spiking_policy(neuron="lif"):
+    torch.manual_seed(1)
+    policy = SpikingVisionPolicy(
+        math.prod(SHAPE), 7, SHAPE, 2 if neuron == "lif" else 1, [2], [3], [2], 6,
+        0, neuron == "lif", neuron == "lif", neuron, "pipelined" if neuron == "lif" else "gated",
+    ).requires_grad_(False)  # fmt: skip
+    for matrix in policy.synapses.values():
+        matrix.weight *= 2
+    return policy
+
+
+def recording(mean=0.15, steps=STEPS):
+    """Counts (S, B, obs)."""
+    counts = np.random.default_rng(0).poisson(mean, (steps, KARTS, math.prod(SHAPE)))
+    return counts.astype(np.uint8)
+
+
+def rounded(matrix):
+    """Weights of 8 bits, one scale a matrix."""
+    weight = matrix().numpy()
+    scale = np.float32(np.abs(weight).max()) / np.float32(127)
+    return np.round(weight / scale) * scale
+
+
+def dense(policy, name):
+    """The matrix (N, M) of the synapses, of a convolution by a loop over its windows."""
+    matrix = policy.matrix(name)
+    weight = rounded(matrix)
+    if weight.ndim == 2:
+        return weight
+    (channels, rows, columns), (features, y, x) = matrix.source, matrix.target
+    found = np.zeros((features, y, x, channels, rows, columns), np.float32)
+    for o, oy, ox, c, ky, kx in np.ndindex(*found.shape[:3], channels, *weight.shape[2:]):
+        iy, ix = (at * matrix.stride + k - matrix.padding for at, k in ((oy, ky), (ox, kx)))
+        if 0 <= iy < rows and 0 <= ix < columns:
+            found[o, oy, ox, c, iy, ix] = weight[o, c, ky, kx]
+    return found.reshape(features * y * x, -1)
+
+
+class PlainNetwork:
+    """The float network of one kart, weight by weight."""
+
+    def __init__(self, policy, delta=None):
+        self.weights = {name: dense(policy, name) for name in policy.synapses}
+        self.biases = {
+            name: np.repeat(policy.biases[name].numpy(), len(w) // len(policy.biases[name]))
+            for name, w in self.weights.items()
+        }
+        self.delta, self.sent = delta, {n: np.zeros(w.shape[1]) for n, w in self.weights.items()}
+        self.h, self.macs = np.zeros(policy.gru), 0
+
+    def through(self, name, x):
+        is_sent = x != 0
+        if self.delta is not None and name != "conv1":
+            is_sent = np.abs(x - self.sent[name]) > self.delta
+            x = self.sent[name] = np.where(is_sent, x, self.sent[name])
+        for weight in self.weights[name]:
+            for w, sent in zip(weight, is_sent, strict=True):
+                self.macs += int(w != 0 and sent)
+        return self.weights[name] @ x + self.biases[name]
+
+    def act(self, counts):
+        x = np.minimum(counts.astype(float), 4.0)
+        for name in ("conv1", "fc1"):
+            x = np.maximum(self.through(name, x), 0)
+        a, b = (np.split(self.through(n, v), 3) for n, v in (("gru", x), ("back", self.h)))
+        r, z = (1 / (1 + np.exp(-a[k] - b[k])) for k in (0, 1))
+        self.h = z * self.h + (1 - z) * np.tanh(a[2] + r * b[2])
+        return self.through("out", self.h).argmax()
+
+
+@pytest.mark.parametrize("delta", [None, 0.2])
+@pytest.mark.parametrize("is_pruned", [False, True])
+def test_a_float_network_counts_each_weight_that_meets_what_is_sent(delta, is_pruned):
+    policy = float_policy()
+    if is_pruned:
+        for name in policy.synapses:
+            policy.matrix(name).mask.bernoulli_(0.5)
+    sight = FloatSight(policy, KARTS, Way(delta=delta))
+    plain = [PlainNetwork(policy, delta) for _ in range(KARTS)]
+    for counts in recording():
+        expected = [each.act(seen) for each, seen in zip(plain, counts, strict=True)]
+        assert sight.act(counts).tolist() == expected
+    assert sight.totals["macs"].tolist() == [each.macs for each in plain]
+
+
+def test_a_network_that_skips_nothing_else_is_the_policy():
+    policy = float_policy()
+    for name in policy.synapses:  # weights that 8 bits hold
+        policy.matrix(name).weight.copy_(torch.from_numpy(rounded(policy.matrix(name))))
+    sight, state = FloatSight(policy, KARTS, Way()), policy.rest(KARTS)
+    for counts in recording():
+        mean, _ = policy.advance(torch.from_numpy(counts).float(), state)
+        assert sight.act(counts).tolist() == mean.argmax(1).tolist()
+        np.testing.assert_allclose(sight._memory, state[1], atol=1e-6)
+
+
+def test_a_triggered_network_runs_where_enough_events_came_and_sees_all_of_them():
+    policy, seen = float_policy(), recording(0.03, 30)
+    sight = FloatSight(policy, KARTS, Way(trigger=4))
+    since, runs = np.zeros(seen.shape[1:], np.int64), np.zeros(KARTS)
+    frames, before = [], sight.act(np.zeros_like(seen[0]))
+    for counts in seen:
+        actions = sight.act(counts)
+        since += counts
+        ran = since.sum(1) >= 4
+        assert (actions[~ran] == before[~ran]).all()
+        frames += [since[0].copy()] * int(ran[0])
+        since[ran], before = 0, actions
+        runs += ran
+    assert sight.totals["runs"].tolist() == runs.tolist()
+    assert 0 < runs.sum() < KARTS * len(seen)
+    # what the first kart saw, as counts in every control step
+    other = FloatSight(policy, 1, Way())
+    for frame in frames:
+        last = other.act(frame[None].astype(np.uint8))
+    assert last == before[:1]
+
+
+def test_at_a_higher_rate_a_float_network_sees_the_events_of_as_long_as_in_training():
+    policy, seen = float_policy(gru=0), recording(0.1, 12)
+    fast, slow = FloatSight(policy, KARTS, Way(), 4), FloatSight(policy, KARTS, Way())
+    for number, counts in enumerate(seen, start=1):
+        actions = fast.act(counts)
+        if number % 4 == 0:
+            window = seen[number - 4 : number].sum(0).astype(np.uint8)
+            assert actions.tolist() == slow.act(window).tolist()
+
+
+@pytest.mark.parametrize(
+    ("place", "neuron"),
+    [("loihi1", "lif"), ("int", "lif"), ("speck2f", "if"), ("speck2f:queue=on", "if")],
+)
+def test_a_chip_touches_the_neurons_that_a_loop_finds_and_counts_the_operations(place, neuron):
+    sight = ChipSight(spiking_policy(neuron), KARTS, place)
+    program = sight.program
+    found, sops = np.zeros(KARTS), np.zeros(KARTS)
+    for counts in recording(0.3):
+        sight.act(counts)
+        rows = {n: r.spikes[:, 0] for n, r in sight._controller.network.recordings.items()}
+        rows[program.input] = sight._controller.encoded[:, 0]
+        for layer in program.layers:
+            reached = np.zeros((KARTS, layer.size), bool)
+            for s in layer.synapses:
+                weight = s.weight if s.window is None else s.window.dense(s.weight)
+                for kart, axon in np.argwhere(rows[s.source]):
+                    reached[kart] |= weight[axon] != 0
+                    sops[kart] += rows[s.source][kart, axon] * np.count_nonzero(weight[axon])
+            found += reached.sum(1)
+    assert sight.totals["touched"].tolist() == found.tolist()
+    assert found.sum() > 0
+    # of the last control step some are still under way, where layers hand on late
+    late = place in ("loihi1", "int")
+    assert (sight.totals["sop"] <= sops).all()
+    assert late or sight.totals["sop"].tolist() == sops.tolist()
+
+
+@pytest.mark.parametrize("neuron", ["lif", "if"])
+def test_at_a_higher_rate_biases_and_lasting_currents_make_as_many_spikes_a_second(neuron):
+    torch.manual_seed(2)
+    memory = 3 if neuron == "lif" else 0
+    policy = SpikingVisionPolicy(
+        math.prod(SHAPE), 7, SHAPE, 1, [2], [3], [2], 6, memory, False, False, neuron
+    ).requires_grad_(False)
+    policy.biases["conv1"] += 0.7 if neuron == "lif" else 0.15
+    policy.matrix("hidden").weight.abs_().mul_(0.1)  # seldom, so that none is lost in a reset
+    sent = []
+    for slower in (1, 4):
+        sight = ChipSight(policy, 1, "ideal", slower)
+        for _ in range(400 * slower):
+            sight.act(np.zeros((1, math.prod(SHAPE)), np.uint8))
+        sent.append(sight.totals["spike_out"][0])
+    assert sent[0] > 1000
+    assert sent[1] == pytest.approx(sent[0], rel=0.3)
+
+
+def test_touched_neurons_are_counted_once_a_layer():
+    ones = np.ones((2, 3))
+    reach = [[("a", None, ones), ("b", None, ones)], [("a", None, ones * [1, 0, 0])]]
+    spikes = {"a": np.array([[1, 1], [0, 0]]), "b": np.array([[1, 0], [0, 2]])}
+    assert touched(reach, spikes).tolist() == [4, 3]
+
+
+def test_counts_of_an_episode_end_with_it():
+    policy = FloatVisionPolicy(1024, 7, channels=[2], kernels=[3], strides=[2], hidden=[3], gru=3)
+    row = drive({"forks": 1}, FloatSight(policy.requires_grad_(False), 3, Way()), 3, 40)
+    assert row["runs"] == 1
+    assert row["gates"] == 3
+    assert row["steps"] <= 3 * 40
+
+
+def test_leaky_traces_are_refused():
+    with pytest.raises(ConfigError, match="leaky traces"):
+        FloatSight(float_policy(traces=[0.5]), 1, Way())
