@@ -45,10 +45,12 @@ from spikedeploy.trainers.policies import (
     Policy,
     PopsanPolicy,
     SpikingMlpPolicy,
+    SpikingVisionPolicy,
 )
 from spikedeploy.trainers.policies.delta import event_channels, hidden_node, live_neurons
 from spikedeploy.trainers.policies.spiking import TorchRateEncoder
 
+_Kept = DeltaSnnPolicy | SpikingVisionPolicy  # policies that keep their states
 # (B, T) -> random bytes (B, T, M), as the methods of Xorshift
 RandomBytes = Callable[[int, int], NDArray[np.uint8]]
 
@@ -121,13 +123,13 @@ def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -
     Those of a policy with states are one episode, in their order: with one timestep per control
     step it is one long inference.
     """
-    if not isinstance(policy, SpikingPolicy | DeltaSnnPolicy):
+    if not isinstance(policy, SpikingPolicy | _Kept):
         raise ConfigError(f"{path}: a policy of kind {policy.kind!r} has no spikes to compare")
     stated = load(path)
     codec = stated.codec
     if codec is None:
         raise ArtifactError(f"{path} has no codec: it was written by another tool. Export again.")
-    is_chip, is_episode = isinstance(policy, ChipSnnPolicy), isinstance(policy, DeltaSnnPolicy)
+    is_chip, is_episode = isinstance(policy, ChipSnnPolicy), isinstance(policy, _Kept)
     on = policy.target if isinstance(policy, ChipSnnPolicy) else chip("ideal")
     graph, program = FloatGraph(stated), compiled(stated, on)
     double, single = deepcopy(policy).double(), deepcopy(policy).float()
@@ -166,8 +168,10 @@ _COMPARED_ON_A_CHIP = (
 
 
 @torch.no_grad()
-def _by_steps(policy: DeltaSnnPolicy, observations: Tensor) -> _PolicyOutput:
+def _by_steps(policy: _Kept, observations: Tensor) -> _PolicyOutput:
     """Return what a policy in torch does in the control steps (S, obs) of an episode."""
+    if isinstance(policy, SpikingVisionPolicy):
+        return _seeing(policy, observations)
     state = policy.rest(1)
     rows = [policy.advance(observation[None], state) for observation in observations]
     mean, events, hidden = (torch.cat(column) for column in zip(*rows, strict=True))
@@ -178,6 +182,20 @@ def _by_steps(policy: DeltaSnnPolicy, observations: Tensor) -> _PolicyOutput:
     if policy.head == "continuous":
         return _PolicyOutput(spikes, _numbers(torch.tanh(mean)), None)
     return _PolicyOutput(spikes, _numbers(mean), mean.argmax(-1).numpy())
+
+
+def _seeing(policy: SpikingVisionPolicy, observations: Tensor) -> _PolicyOutput:
+    state, layers = policy.rest(1), len(policy.spiking)
+    means, sent = [], []
+    for observation in observations[:, None]:
+        means.append(policy.advance(observation, state)[0])
+        sent.append(state[layers : 2 * layers])
+    spikes = {"input": policy.encode(observations)}
+    for k in range(layers):
+        spikes[f"lif{k + 1}"] = torch.cat([each[k] for each in sent])
+    mean = torch.cat(means)
+    rows: Spikes = {n: raster.numpy().astype(np.int64)[None] for n, raster in spikes.items()}
+    return _PolicyOutput(rows, _numbers(mean), mean.argmax(-1).numpy())
 
 
 @torch.no_grad()
@@ -207,7 +225,8 @@ def _numbers(tensor: torch.Tensor) -> NDArray[np.float64]:
 def _by_numpy(graph: FloatGraph, raster: NDArray[np.uint8]) -> tuple[Spikes, Numbers]:
     graph.reset()
     values = graph.run(raster)
-    spikes = {name: values[name].astype(np.int64) for name in graph.spiking}
+    rows = {name: values[name].astype(np.int64) for name in graph.spiking}
+    spikes = {name: each.reshape(*each.shape[:2], -1) for name, each in rows.items()}
     return {"input": raster, **spikes}, values["output"].astype(np.float64)
 
 
@@ -239,7 +258,7 @@ def _onnx_checks(
     policy: Policy, path: Path, observations: NDArray[np.float64]
 ) -> list[ParityCheck]:
     """Return the checks of the file on observations (n, obs)."""
-    if isinstance(policy, SpikingPolicy | DeltaSnnPolicy):
+    if isinstance(policy, SpikingPolicy | _Kept):
         return spiking_onnx.checks(artifact(policy, Provenance("")), path, observations)
     single = deepcopy(policy).float()
     network = session(path)

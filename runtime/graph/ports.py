@@ -45,12 +45,16 @@ def ports(nodes: Mapping[str, nir.NIRNode]) -> tuple[Port, ...]:
 def by_port(all_: Sequence[Port], rasters: Rows | Mapping[str, Rows]) -> dict[str, Rows]:
     """The raster (B, T, *shape) of each port, by name; that of a single port needs no name.
 
+    That of a single port may also be (B, T, M), in C order, as a codec encodes it.
+
     Raises ObservationError where names or shapes do not fit the ports.
     """
     if isinstance(rasters, Mapping):
         given = dict(rasters)
     elif len(all_) == 1:
-        given = {all_[0].name: rasters}
+        (port,) = all_
+        is_flat = rasters.shape[2:] == (port.size,)
+        given = {port.name: split(all_, rasters)[port.name] if is_flat else rasters}
     else:
         raise ObservationError(
             f"the network has the inputs {', '.join(port.name for port in all_)}, found one raster "

@@ -53,6 +53,8 @@ class SparseConfig(RunConfig):
     sharpness: factor of the teacher's logits in the targets of discrete actions
     schedule: of the learning rate before pruning: it falls in each of the dense "rounds", whose
         optimisers are new, or "once" over all of them
+    guide: run folder of a float policy that sees, whose convolutions a spiking student starts from,
+        and whose outputs are half of what it imitates of actions and all of what it does of signs
     sign_weight: of policies that see: weight of what the signs said, beside the actions
     """
 
@@ -92,6 +94,7 @@ class SparseConfig(RunConfig):
     rounding: bool = True
     sharpness: Rate = 2.0
     schedule: Literal["rounds", "once"] = "rounds"
+    guide: str = ""
     sign_weight: float = Field(default=1.0, ge=0)
     log_every: Positive = 200
     checkpoint_every: Positive = 1_000

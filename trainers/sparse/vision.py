@@ -17,12 +17,13 @@ from torch.nn.functional import cross_entropy
 from spikedeploy.envs.eye.batch import STEERING, EyeBatch
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.distill.teacher import compute_cross_entropy
 from spikedeploy.trainers.policies import SpikingVisionPolicy, VisionPolicy
-from spikedeploy.trainers.policies.policy import SynapseGroup
+from spikedeploy.trainers.policies.policy import PrunedKernel, SynapseGroup
 from spikedeploy.trainers.policies.vision import SIGNS, vision_artifact
-from spikedeploy.trainers.run_folder import with_prefix
+from spikedeploy.trainers.run_folder import load_policy, with_prefix
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import (
     BatchController,
@@ -121,7 +122,7 @@ class VisionStudent:
     """A policy that sees by events, which learns from windows of walks.
 
     policy: what is trained
-    sign_weight: of the error of the second head, beside that of actions
+    guide: float policy that it imitates as well, None for none
     offsets: what rounding by the chip adds to each weight; none before `round`
     """
 
@@ -129,6 +130,7 @@ class VisionStudent:
 
     def __init__(self, policy: VisionPolicy, config: SparseConfig) -> None:
         self.policy, self._config = policy, config
+        self.guide = _guide(config.guide, policy) if config.guide else None
         self.offsets: Mapping[str, Tensor] = {}
         widths = [policy.inputs(name) for name in policy.synapses]
         self._rates = [torch.full((width,), 0.1) for width in widths]
@@ -138,7 +140,13 @@ class VisionStudent:
         pool.take_observations()
 
     def begin(self, pool: WalkPool, rng: np.random.Generator) -> None:
-        """Scale the first weights to what the walks bring."""
+        """Take over the guide's convolutions, and scale weights to what the walks bring."""
+        if self.guide is not None:
+            with torch.no_grad():
+                for name in kernels(self.policy):
+                    weight, known = (p.matrix(name).weight for p in (self.policy, self.guide))
+                    # a further channel of a count begins as the first does
+                    weight.copy_(known.repeat_interleave(len(weight[0]) // len(known[0]), 1))
         self.policy.normalise(self._sample(pool, rng).seen[:16].float())
 
     def _sample(self, pool: WalkPool, rng: np.random.Generator) -> Windows:
@@ -156,10 +164,16 @@ class VisionStudent:
         # what the burn-in saw counts where an episode begins
         counted = torch.arange(c.window)[None] >= c.burn_in
         error = compute_cross_entropy(done.mean, wanted, c.sharpness)
-        said = cross_entropy(
-            done.signs.flatten(0, 1), hint.flatten(),
-            torch.tensor([_UNKNOWN, 1.0, 1.0]), reduction="none",
-        ).view_as(error)  # fmt: skip
+        if self.guide is None:
+            said = cross_entropy(
+                done.signs.flatten(0, 1), hint.flatten(),
+                torch.tensor([_UNKNOWN, 1.0, 1.0]), reduction="none",
+            ).view_as(error)  # fmt: skip
+        else:
+            with torch.no_grad():
+                known = self.guide.unrolled(seen, self.guide.weights(), self.guide.rest(c.batch))
+            error = (error + compute_cross_entropy(done.mean, known.mean, 1.0)) / 2
+            said = compute_cross_entropy(done.signs, known.signs, 1.0)
         some = counted.expand_as(error)
         active = [(each != 0).float().mean(0) for each in done.inputs]
         pairs = zip(self._rates, active, strict=True)
@@ -215,6 +229,27 @@ class VisionStudent:
         """Restore what `tensors` returned."""
         self._rates = [named[f"rate{number}"] for number in range(len(self._rates))]
         self.offsets = with_prefix("offsets", named)
+
+
+def kernels(policy: VisionPolicy) -> list[str]:
+    """Return the names of a policy's convolutions."""
+    return [name for name in policy.synapses if isinstance(policy.matrix(name), PrunedKernel)]
+
+
+def _guide(run: str, policy: VisionPolicy) -> VisionPolicy:
+    """Return the best policy of a run, whose convolutions are those of another."""
+    found = load_policy(run)
+    if not isinstance(found, VisionPolicy) or _seen_by(found) != _seen_by(policy):
+        raise ConfigError(
+            f"guide: the policy of {run} does not see by convolutions as this one does. Give a run "
+            "with its shape, channels, kernels and strides"
+        )
+    return found.requires_grad_(False)
+
+
+def _seen_by(policy: VisionPolicy) -> list[Any]:
+    spec = policy.spec()
+    return [spec[name] for name in ("shape", "channels", "kernels", "strides")]
 
 
 def mirrored(windows: Windows, chosen: Tensor, policy: VisionPolicy) -> tuple[Tensor, Tensor]:

@@ -7,14 +7,19 @@ import pytest
 import torch
 
 from lab.kill import differences
+from spikedeploy.exporters.parity import check
+from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import VisionSnnConfig, resolve
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import from_config
+from spikedeploy.trainers.run_folder import load_policy
 from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.pool import Windows
+from spikedeploy.trainers.sparse.pool import Walk, WalkPool, Windows
 from spikedeploy.trainers.sparse.sparse import phases
-from spikedeploy.trainers.sparse.vision import mirrored, rounding_of_kernels
+from spikedeploy.trainers.sparse.vision import VisionStudent, mirrored, rounding_of_kernels
 from spikedeploy.trainers.train import train
 from tests.trainers.test_resume import After, resumed
 
@@ -31,6 +36,55 @@ def test_a_stopped_training_ends_with_the_same_files_and_keeps_its_budget(kind, 
     operations = [row["operations"] for row in read(whole / "metrics.csv") if "operations" in row]
     best = json.loads((whole / "checkpoints" / "best.json").read_text())
     assert best["eval_operations"] <= 1.2 * 400 < max(operations)
+
+
+@pytest.fixture(scope="module")
+def guide(tmp_path_factory):
+    return train("smoke-eye-cnn", overrides=SHORT, runs=tmp_path_factory.mktemp("runs"), quiet=True)
+
+
+def test_a_student_with_a_guide_starts_from_its_kernels_and_is_written_as_it_is(guide, tmp_path):
+    """Its walks are the guide's, and its training goes on to the same bits."""
+    settings = [*SHORT, f"guide={guide}", f"pool={guide}", "teacher_walks=0", "noisy_walks=0"]
+    settings += ["policy.most=2"]
+    whole = train("smoke-eye-snn", overrides=settings, runs=tmp_path / "whole", quiet=True)
+    runs, stop = tmp_path / "part", After(7)
+    part = train("smoke-eye-snn", overrides=settings, runs=runs, quiet=True, interrupt=stop)
+    resumed(part)
+    assert differences(whole, part) == []
+    policy = load_policy(whole)
+    observations = np.random.default_rng(0).poisson(0.3, (60, 1024)).astype(np.float64)
+    path = to_nir(policy, Provenance("kart-eye"), tmp_path / "policy.nir")
+    checks = check(policy, path, observations)
+    assert [found.passed for found in checks] == [True] * 7
+
+
+def test_a_guide_lends_kernels_to_further_channels_alike(guide):
+    config = resolve(SparseConfig, "smoke-eye-snn", overrides=[f"guide={guide}", "policy.most=2"])
+    policy = from_config(config.policy, 1024, 7, head="discrete")
+    student = VisionStudent(policy, config)
+    normalised = []
+    policy.normalise = normalised.append
+    student.begin(pool_of_counts(), np.random.default_rng(0))
+    own, known = (each.matrix("conv1").weight for each in (policy, student.guide))
+    assert torch.equal(own[:, 0::2], known)
+    assert torch.equal(own[:, 1::2], known)
+    assert len(normalised) == 1
+
+
+def pool_of_counts():
+    counts = np.random.default_rng(0).poisson(0.3, (30, 1024)).astype(np.uint8)
+    pool = WalkPool([Walk(counts, np.zeros((30, 10), np.float32))])
+    pool.take_observations()
+    return pool
+
+
+def test_a_guide_with_other_kernels_is_refused(guide):
+    settings = [f"guide={guide}", "policy.channels=[4, 3]"]
+    config = resolve(SparseConfig, "smoke-eye-snn", overrides=settings)
+    policy = from_config(config.policy, 1024, 7, head="discrete")
+    with pytest.raises(ConfigError, match="Give a run with its shape, channels"):
+        VisionStudent(policy, config)
 
 
 def test_nothing_is_pruned_on_the_way_to_a_budget_that_is_not_reached():
