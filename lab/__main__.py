@@ -18,6 +18,7 @@ COMMANDS = {
     "energy-ratio": "lab.experiments.energy_ratio",
     "kart-trainings": "lab.experiments.kart_trainings",
     "phase-table": "lab.experiments.phase_table",
+    "convolutions": "lab.bench.convolutions",
     "envs": "lab.bench.envs",
     "latency": "lab.bench.latency",
     "parity": "lab.bench.parity",

@@ -362,9 +362,11 @@ def _add_window(
 def _add_plane(sums: Array, plane: Array, features: int) -> None:
     """Add a plane (positions, features) to the sums, which are in C order, and clear it."""
     places = len(sums) // features
-    for place in range(places):
-        for feature in range(features):
-            sums[feature * places + place] += plane[place * features + feature]
+    for feature in range(features):
+        # sums one after another: a stride is often a power of two, which few places in a cache have
+        maps = sums[feature * places : (feature + 1) * places]
+        for place in range(places):
+            maps[place] += plane[place * features + feature]
     for n in range(len(sums)):
         plane[n] = 0
 

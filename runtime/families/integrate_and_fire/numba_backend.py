@@ -20,6 +20,7 @@ from spikedeploy.runtime.families.integrate_and_fire.numba_kernels import (
     LEAKS,
     OVERFLOWS,
     Constants,
+    Neurons,
     run,
 )
 from spikedeploy.runtime.families.numba_pipeline import (
@@ -48,7 +49,6 @@ def constants(
         rules.leak_order == "last",
         rules.adds == "event",
         rules.checks == "event",
-        rules.fires == "reached",
         rules.spikes_max,
         rules.spikes_max if several else 1,
         rules.reset_at == "leak",
@@ -69,13 +69,14 @@ def constants(
 
 
 def _numbers(rules: IntegrateAndFireRules, convention: Convention, layer: Layer) -> Integers:
-    """(5, N) leak, threshold, bias on the membrane, floor and membrane after a reset."""
-    each = (
-        layer.membrane_decay,
-        layer.threshold,
-        layer.voltage_bias,
-        floor_of(rules, convention, layer),
-        layer.v_reset,
+    """(6, N) of a layer, as in Neurons."""
+    each = Neurons(
+        loss=layer.membrane_decay,
+        threshold=layer.threshold,
+        fires=layer.threshold + (rules.fires == "above"),
+        push=layer.voltage_bias,
+        floor=floor_of(rules, convention, layer),
+        reset=layer.v_reset,
     )
     return np.stack([np.broadcast_to(values, (layer.size,)).astype(np.int64) for values in each])
 

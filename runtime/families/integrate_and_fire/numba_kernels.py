@@ -1,8 +1,9 @@
 """The compiled kernels of integrate-and-fire neurons: a window of a whole program in one call.
 
-A timestep as in `neurons`, in int64, rule by rule: one pass over the neurons of a layer, whose sums
+A timestep as in `neurons`, in int64, rule by rule: passes over the neurons of a layer, whose sums
 only the axons that spiked have touched; or event by event, where only neurons that an event reaches
-are looked at.
+are looked at. Loops that hold one rule each become vector instructions; spikes are counted, and
+membranes reset, only where a threshold was passed.
 """
 
 from typing import Any, NamedTuple
@@ -59,11 +60,9 @@ HEARD_BIAS, UNHEARD_BIAS = range(len(LAYER), len(LAYER) + 2)
 # entries of Constants.rules, as in IntegrateAndFireRules; of spikes AT_ONCE where the threshold is
 # looked at once; a register holds LOWEST to HIGHEST
 (
-    LEAK, LEAKS_LAST, BY_EVENT, CHECKS_EVENTS, REACHED, SPIKES_MAX, AT_ONCE, RESETS_LATE, SUBTRACT,
+    LEAK, LEAKS_LAST, BY_EVENT, CHECKS_EVENTS, SPIKES_MAX, AT_ONCE, RESETS_LATE, SUBTRACT,
     OVERFLOW, BITS, LOWEST, HIGHEST, INPUT_MOST,
-) = range(14)  # fmt: skip
-# rows of Constants.neurons
-LOSS, THRESHOLD, PUSH, FLOOR, RESET = range(5)
+) = range(13)  # fmt: skip
 LEAKS = {"none": 0, "linear": 1, "crossing": 2, "shift": 3}
 NONE, LINEAR, CROSSING, SHIFT = LEAKS.values()
 # what a register does when a number does not fit
@@ -76,7 +75,7 @@ class Constants(NamedTuple):
 
     weights to sources: as in Wiring.
     rules: entries above.
-    neurons: (5, N) rows above.
+    neurons: (6, N) fields of Neurons.
     """
 
     weights: Array
@@ -88,6 +87,25 @@ class Constants(NamedTuple):
     sources: Array
     rules: Array
     neurons: Array
+
+
+class Neurons(NamedTuple):
+    """Those of a layer, (N,) each.
+
+    loss: leak of a timestep.
+    threshold: what a spike subtracts.
+    fires: least membrane that spikes.
+    push: bias on the membrane.
+    floor: least membrane.
+    reset: membrane after a spike.
+    """
+
+    loss: Array
+    threshold: Array
+    fires: Array
+    push: Array
+    floor: Array
+    reset: Array
 
 
 @kept_on_disk
@@ -141,60 +159,104 @@ def run(
 @jit
 def _timestep(constants: Array, memory: Array, call: Array, layer: int, row: int) -> None:
     """A timestep of a layer, up to the list of its spikes."""
-    about, own = constants.layers[layer], constants.sources[layer + 1]
-    size, neuron = about[SIZE], about[NEURON]
+    about, own, rules = constants.layers[layer], constants.sources[layer + 1], constants.rules
+    size, first = about[SIZE], about[NEURON]
     if waits(about, call):
         pause(about, own, memory, call, row)
+        list_spikes(own, memory, row)
+        return
+    last, numbers = first + size, constants.neurons
+    neurons = Neurons(
+        numbers[0, first:last],
+        numbers[1, first:last],
+        numbers[2, first:last],
+        numbers[3, first:last],
+        numbers[4, first:last],
+        numbers[5, first:last],
+    )
+    before, after = states_of(about, memory, call, row)
+    spikes, arrived = memory.rasters[raster_at(own, row) :][:size], memory.wide[0, :size]
+    if rules[BY_EVENT]:
+        lost = _add_events(
+            constants, memory, call, about, row, neurons, before, after, spikes, arrived
+        )
     else:
-        neurons = constants.neurons[:, neuron : neuron + size]
-        before, after = states_of(about, memory, call, row)
-        spikes = memory.rasters[raster_at(own, row) : raster_at(own, row) + size]
-        if constants.rules[BY_EVENT]:
-            arrived = memory.wide[0, :size]
-            lost = _step_by_events(
-                constants, memory, call, about, row, neurons, before, after, spikes, arrived
-            )
-        else:
-            sum_weights(constants, memory, memory.wide, about, row, call, True)
-            arrived = memory.wide[0, :size]
-            lost = _step(constants.rules, neurons, arrived, before, after, spikes)
-        memory.counts[layer, SATURATION] += lost
-        if call.counting:
-            for n in range(size):
-                memory.counts[layer, UPDATE] += (before[n] != 0) | (arrived[n] != 0)
+        sum_weights(constants, memory, memory.wide, about, row, call, True)
+        lost = _add_sums(rules, neurons, arrived, before, after)
+    if not rules[CHECKS_EVENTS]:
+        for n in range(size):
+            spikes[n] = after[n] >= neurons.fires[n]
     list_spikes(own, memory, row)
+    if not rules[CHECKS_EVENTS]:
+        fired, _ = sent(own, memory, row)
+        for n in fired:
+            _spike(rules, neurons, n, after, spikes)
+    memory.counts[layer, SATURATION] += lost
+    if call.counting:
+        active = 0
+        for n in range(size):
+            active += (before[n] != 0) | (arrived[n] != 0)
+        memory.counts[layer, UPDATE] += active
 
 
 @jit
-def _step(
-    rules: Array, neurons: Array, sums: Array, before: Array, after: Array, spikes: Array
-) -> Number:
-    """A timestep in which all that arrives is one sum; how many numbers did not fit.
+def _add_sums(rules: Array, neurons: Array, sums: Array, before: Array, after: Array) -> Number:
+    """A timestep up to its spikes where all that arrives is one sum; how many did not fit.
 
     sums: (N,) of what arrives; those of biases on the membrane are added.
     """
-    leaks, lost = rules[LEAK] != NONE, 0
-    for n in range(len(spikes)):
-        was, total = before[n], sums[n] + neurons[PUSH, n]
-        sums[n] = total
-        v = was
-        if leaks and not rules[LEAKS_LAST]:
-            v = _leak(rules, neurons, n, v)
-        if rules[RESETS_LATE] and _fires(rules, neurons, n, was):
-            v = _after_spike(rules, neurons, n, was)
-        raised = v + total
-        held = _hold(rules, raised)
-        lost += held != raised
-        v = max(held, neurons[FLOOR, n])
-        if leaks and rules[LEAKS_LAST]:
-            v = _leak(rules, neurons, n, v)
-        after[n] = v
-        _spike(rules, neurons, n, after, spikes)
+    size, lost, leaks = len(sums), 0, rules[LEAK] != NONE
+    lowest, highest = rules[LOWEST], rules[HIGHEST]
+    start = before
+    if rules[RESETS_LATE] or (leaks and not rules[LEAKS_LAST]):
+        start = after
+        _begin(rules, neurons, before, after)
+    for n in range(size):
+        sums[n] += neurons.push[n]
+    if rules[OVERFLOW] < WRAP:
+        for n in range(size):
+            raised = start[n] + sums[n]
+            held = min(max(raised, lowest), highest)
+            lost += held != raised
+            after[n] = max(held, neurons.floor[n])
+    else:
+        for n in range(size):
+            raised = start[n] + sums[n]
+            held = _hold(rules, raised)
+            lost += held != raised
+            after[n] = max(held, neurons.floor[n])
+    if rules[LEAKS_LAST]:
+        _leak_all(rules, neurons, after, after)
     return lost
 
 
 @jit
-def _step_by_events(
+def _begin(rules: Array, neurons: Array, before: Array, after: Array) -> None:
+    """The leak at the start of a timestep, and the resets that take its place."""
+    _leak_all(rules, neurons, before, after)
+    if rules[RESETS_LATE]:
+        for n in range(len(after)):
+            if before[n] >= neurons.fires[n]:
+                after[n] = _after_spike(rules, neurons, n, before[n])
+
+
+@jit
+def _leak_all(rules: Array, neurons: Array, before: Array, after: Array) -> None:
+    """As _leak of the specification."""
+    leak = rules[LEAK]
+    for n in range(len(after)):
+        v, loss = before[n], neurons.loss[n]
+        if leak == LINEAR:
+            v = max(v - loss, 0) if v >= 0 else min(v + loss, 0)
+        elif leak == CROSSING:
+            v = v - loss if v > 0 else v + loss if v < 0 else v
+        elif leak == SHIFT:
+            v = v if loss < 0 else v - (v >> min(loss, 63))
+        after[n] = v
+
+
+@jit
+def _add_events(
     constants: Array,
     memory: Array,
     call: Array,
@@ -213,12 +275,11 @@ def _step_by_events(
     rules, weights, size, lost = constants.rules, constants.weights, about[SIZE], 0
     for n in range(size):
         after[n], spikes[n], arrived[n] = before[n], 0, 0
-        if not rules[LEAKS_LAST]:
-            after[n] = _leak(rules, neurons, n, before[n])
-            if rules[RESETS_LATE] and _fires(rules, neurons, n, before[n]):
-                after[n] = _after_spike(rules, neurons, n, before[n])
-            if rules[CHECKS_EVENTS] and rules[LEAK] != NONE:
-                # the leak is an event, too
+    if not rules[LEAKS_LAST]:
+        _begin(rules, neurons, before, after)
+        if rules[CHECKS_EVENTS] and rules[LEAK] != NONE:
+            # the leak is an event, too
+            for n in range(size):
                 lost += _spike_once(rules, neurons, n, after, spikes)
     for k in range(about[FIRST_WIRE], about[LAST_WIRE]):
         wire = constants.wires[k]
@@ -238,15 +299,12 @@ def _step_by_events(
     heard = is_heard(about, row, call.timesteps)
     if about[HEARD_BIAS if heard else UNHEARD_BIAS]:
         for n in range(size):
-            bias = neurons[PUSH, n]
+            bias = neurons.push[n]
             if heard:
                 bias += weights[about[BIAS] + n]
             lost += _arrive(rules, neurons, n, bias, after, spikes, arrived)
-    for n in range(size):
-        if rules[LEAKS_LAST]:
-            after[n] = _leak(rules, neurons, n, after[n])
-        if not rules[CHECKS_EVENTS]:
-            _spike(rules, neurons, n, after, spikes)
+    if rules[LEAKS_LAST]:
+        _leak_all(rules, neurons, after, after)
     return lost
 
 
@@ -296,7 +354,7 @@ def _arrive(
     """An event that reaches a neuron; how many numbers did not fit."""
     raised = membranes[n] + weight
     held = _hold(rules, raised)
-    membranes[n] = max(held, neurons[FLOOR, n])
+    membranes[n] = max(held, neurons.floor[n])
     arrived[n] |= weight != 0
     lost = np.int64(held != raised)
     if rules[CHECKS_EVENTS]:
@@ -306,10 +364,10 @@ def _arrive(
 
 @jit
 def _spike(rules: Array, neurons: Array, n: int, membranes: Array, spikes: Array) -> None:
-    """The spikes at the end of a timestep."""
+    """The spikes at the end of a timestep of a neuron that has some."""
     fired, left = 0, membranes[n]
-    while fired < rules[AT_ONCE] and _fires(rules, neurons, n, left):
-        fired, left = fired + 1, left - neurons[THRESHOLD, n]
+    while fired < rules[AT_ONCE] and left >= neurons.fires[n]:
+        fired, left = fired + 1, left - neurons.threshold[n]
         if not rules[RESETS_LATE]:
             membranes[n] = _after_spike(rules, neurons, n, membranes[n])
     spikes[n] = fired
@@ -318,7 +376,7 @@ def _spike(rules: Array, neurons: Array, n: int, membranes: Array, spikes: Array
 @jit
 def _spike_once(rules: Array, neurons: Array, n: int, membranes: Array, spikes: Array) -> Number:
     """A spike, if the membrane is high enough; 1 if it is more than can be counted."""
-    if not _fires(rules, neurons, n, membranes[n]):
+    if membranes[n] < neurons.fires[n]:
         return 0
     membranes[n] = _after_spike(rules, neurons, n, membranes[n])
     if spikes[n] >= rules[SPIKES_MAX]:
@@ -328,29 +386,9 @@ def _spike_once(rules: Array, neurons: Array, n: int, membranes: Array, spikes: 
 
 
 @jit
-def _leak(rules: Array, neurons: Array, n: int, v: Number) -> Number:
-    """As _leak of the specification."""
-    leak, loss = rules[LEAK], neurons[LOSS, n]
-    if leak == LINEAR:
-        return max(v - loss, 0) if v >= 0 else min(v + loss, 0)
-    if leak == CROSSING:
-        return v - loss if v > 0 else v + loss if v < 0 else v
-    if leak == SHIFT:
-        return v if loss < 0 else v - (v >> min(loss, 63))
-    return v
-
-
-@jit
-def _fires(rules: Array, neurons: Array, n: int, v: Number) -> Number:
-    """Fires where V >= threshold, or V > threshold."""
-    threshold = neurons[THRESHOLD, n]
-    return v > threshold or (rules[REACHED] == 1 and v == threshold)
-
-
-@jit
 def _after_spike(rules: Array, neurons: Array, n: int, v: Number) -> Number:
     """As _after_spike of the specification."""
-    return v - neurons[THRESHOLD, n] if rules[SUBTRACT] else neurons[RESET, n]
+    return v - neurons.threshold[n] if rules[SUBTRACT] else neurons.reset[n]
 
 
 @jit
