@@ -16,6 +16,7 @@ COMMANDS = {
     "clocks": "lab.experiments.clocks",
     "drift": "lab.experiments.drift",
     "energy-ratio": "lab.experiments.energy_ratio",
+    "eye-events": "lab.experiments.eye_events",
     "kart-trainings": "lab.experiments.kart_trainings",
     "phase-table": "lab.experiments.phase_table",
     "convolutions": "lab.bench.convolutions",

@@ -43,9 +43,10 @@ TURN = 5.0  # [rad/s] at full steering and full speed
 LAG = 0.08  # [s] time constant of the turn rate
 BRAKE = 12.0  # [m/s^2] at a gate, and from it
 RADIUS = 0.25  # of the kart [m]
+READABLE = 5.0  # height of a letter [px]
 HEAD_ON = 0.75  # share of the speed into a wall that is a crash; below it the kart slides
 TAKEN = HALF + 0.3  # of the middle of a fork [m], where an arm has been taken
-CAMERA = CameraParameters(on_threshold=0.25, off_threshold=0.25, mismatch=0.03, shot_noise_hz=0.6)
+CAMERA = CameraParameters(on_threshold=0.25, off_threshold=0.25, mismatch=0.03, shot_noise_hz=0.1)
 _FOLLOWED = 1 - math.exp(-1 / (PHYSICS * LAG))  # share of a change, in a step of the physics
 _GREY = math.log(60.0)  # log luminance of a wall, of which the view draws the rest
 _GAP = 0.6  # [m] before a gate at which a kart stands
@@ -132,12 +133,12 @@ class EyeBatch:
         self._frame = np.zeros((4, batch))  # direction and origin of the corridor, x and y
         self._over, self._go = np.zeros(batch, np.bool_), zeros.copy()  # steps of the physics [s]
         self._length, self._arm = zeros.copy(), np.zeros(batch, np.int64)
-        self._sign, self._letter = np.zeros((batch, 2)), np.zeros((batch, 2))
+        self._sign, self._letters = np.zeros((2, 2, batch)), np.zeros((2, 3, batch))
         self._held = np.zeros(batch, np.bool_)
         self._walls = np.full((batch, 2, SIDES, 5), np.nan, np.float32)
         self._planes = np.zeros((batch, PLANES, 8), np.float32)
         self._textures = np.zeros((batch, TEXTURES, TEXTURE_ROWS, TEXTURE_COLUMNS), np.float32)
-        self._pictures = np.zeros((batch, n + 2, len(BLURS), ROWS, COLUMNS), np.float32)
+        self._pictures = np.zeros((batch, 2 * n + 3, len(BLURS), ROWS, COLUMNS), np.float32)
         self._frames = np.full((batch, *options.shape), _GREY, np.float32)  # log luminance
         parameters = CameraParameters(**{**asdict(CAMERA), **options.camera})
         self._camera = EventCamera(self._frames.shape, parameters, [0] * batch, is_log=True)
@@ -177,7 +178,7 @@ class EyeBatch:
         self._hold[b] = course.wait[k]
         self._frame[:, b] = *directions(course.ahead[k]), *course.origin[k]
         self._length[b], self._arm[b] = course.length[k], course.arm[k]
-        self._sign[b], self._letter[b] = course.sign[k, :2], course.letter[k]
+        self._sign[..., b], self._letters[..., b] = course.sign[k, :, :2], course.letters[k]
         self._walls[b], self._planes[b] = course.local[k].walls, course.local[k].planes
         self._held[b] = False
 
@@ -228,8 +229,8 @@ class EyeBatch:
 
         forks     passed
         arm       +1 where the right arm ahead is open, else -1
-        visible   the letter of the sign ahead is in the picture, at least in part
-        readable  all of it is, at a height of 6 pixels or more
+        visible   letters of a sign of the corridor are in the picture, at least in part
+        readable  all of them are, at a height of READABLE pixels or more
         hint      0 before the sign was readable, then until the turn 1 for left, 2 for right
         state     (B, 6) x / 1 m, distance to the fork / 1 m, sin and cos of the heading, both by
                   the corridor, turn rate / 5 rad/s, speed / 3 m/s
@@ -391,15 +392,15 @@ class EyeBatch:
     def _notice(self) -> None:
         """Set which letters are visible and readable, and hold what was read until the turn."""
         x, y, angle = self._local()
-        x, depth = x - self._sign[:, 0], self._sign[:, 1] - y
+        x, depth = x - self._sign[:, 0], self._sign[:, 1] - y  # (2, B) of both signs
+        low, high, tall = self._letters[:, 0] - EYE, self._letters[:, 1] - EYE, self._letters[:, 2]
         far = np.maximum(depth, 0.05)
         # of the board's middle, to the right of the kart's axis and along it
         along = far * np.cos(angle) - x * np.sin(angle)
         aside = -x * np.cos(angle) - far * np.sin(angle)
-        top, side = self._view.slope[0], 1.0
-        tall = self._letter[:, 1] - self._letter[:, 0]
+        top = self._view.slope[0] * along
         pixels = tall / np.maximum(along, 0.05) * self.options.shape[1] / 2
-        in_view = (depth > 0.2) & (along > 0.1) & (np.abs(aside) < side * along)
-        self._visible = in_view & (self._letter[:, 0] - EYE < top * along)
-        self._readable = in_view & (self._letter[:, 1] - EYE < top * along) & (pixels >= 6)
+        in_view = (depth > 0.2) & (along > 0.1) & (np.abs(aside) < along)
+        self._visible = (in_view & (low < top)).any(0)
+        self._readable = (in_view & (high < top) & (pixels >= READABLE)).any(0)
         self._held |= self._readable

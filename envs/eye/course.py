@@ -21,9 +21,10 @@ Floats = NDArray[np.float64]
 HALF = 1.2  # half width of a corridor [m]
 WALL = 2.0  # height of the walls [m]
 LENGTHS = (5.5, 7.0)  # [m]
-SIGN_BEFORE = (0.0, 0.4)  # of the fork's middle [m]
-SIGN_ABOVE = (0.55, 0.75)  # lower edge of a sign above the floor [m]
-SIGN_ASIDE = 0.2  # of a sign from the middle [m], to either side
+SIGN_AFTER = (2.8, 3.2)  # of a corridor's first sign, from the middle of the fork behind [m]
+SIGN_BEFORE = (0.0, 0.4)  # of its second, before the middle of the fork ahead [m]
+SIGN_ABOVE = (0.5, 0.75)  # lower edge of a sign above the floor [m]
+SIGN_ASIDE = 0.25  # of a sign from the middle [m], to either side
 GATE_AT = 2.6  # of a gate, from the middle of the fork behind [m]
 GATE_BAR = (0.25, 0.45)  # heights of a closed gate [m]
 UNSEEN_SEEDS = 5_000  # from which signs are of hands that training never sees
@@ -35,7 +36,7 @@ _FLOOR, _SKY = -0.5, 0.7  # log luminance
 _WAVES = 6
 
 SIDES = 8  # walls across each axis of the world, padded
-PLANES = 6  # signs and gates that can be seen from a corridor
+PLANES = 9  # signs and gates that can be seen from a corridor
 
 
 @dataclass(frozen=True)
@@ -60,10 +61,11 @@ class Course:
     length    (n + 1,) of the corridors, from middle to middle of their forks
     origin    (n + 1, 2) where each begins
     ahead     (n + 1,) direction, in quarter turns counterclockwise from the x axis
-    sign      (n + 1, 3) of a sign in its corridor: x of its middle, y, its lower edge
-    letter    (n + 1, 2) heights above the floor between which its letter stands
+    sign      (n + 1, 2, 3) of the two signs in a corridor: x of the middle, y, lower edge
+    letters   (n + 1, 2, 3) of each: heights above the floor between which its letters stand, and
+              the height of one
     wait      (n,) time [s] that the gate of a corridor stays closed; 0 is no gate
-    pictures  (n + 2, 6, ROWS, COLUMNS) float32 log luminance of the signs, and of a gate
+    pictures  (2 n + 3, 6, ROWS, COLUMNS) float32 log luminance of the signs, and of a gate
     textures  (TEXTURES, TEXTURE_ROWS, TEXTURE_COLUMNS) float32 log luminance
     local     (n,) what can be seen from each
     """
@@ -73,7 +75,7 @@ class Course:
     origin: Floats
     ahead: NDArray[np.int64]
     sign: Floats
-    letter: Floats
+    letters: Floats
     wait: Floats
     pictures: NDArray[np.float32]
     textures: NDArray[np.float32]
@@ -96,17 +98,20 @@ def draw_course(seed: int, forks: int, signs: Signs, wait: float) -> Course:
     ahead = np.cumsum(np.concatenate(([0], -arm)))
     steps = length[:-1, None] * directions(ahead[:-1])
     origin = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
-    aside = rng.uniform(-SIGN_ASIDE, SIGN_ASIDE, forks + 1)
-    before, above = (rng.uniform(*ends, forks + 1) for ends in (SIGN_BEFORE, SIGN_ABOVE))
-    sign = np.stack((aside, length - before, above), axis=1)
+    aside, above = (
+        rng.uniform(*ends, (forks + 1, 2)) for ends in ((-SIGN_ASIDE, SIGN_ASIDE), SIGN_ABOVE)
+    )
+    after, before = (rng.uniform(*ends, forks + 1) for ends in (SIGN_AFTER, SIGN_BEFORE))
+    sign = np.stack((aside, np.stack((after, length - before), axis=1), above), axis=-1)
     waits = wait * rng.uniform(0.5, 1.5, forks)
     said = np.concatenate((arm, rng.integers(0, 2, 1) * 2 - 1))
     unseen = seed >= UNSEEN_SEEDS
-    boards = [draw_board(rng, signs, int(each), unseen) for each in said]
-    letter = above[:, None] + np.array([board.letter for board in boards])
+    boards = [draw_board(rng, signs, int(each), unseen) for each in said.repeat(2)]
+    letters = np.reshape([(*board.letters, board.tall) for board in boards], (-1, 2, 3))
+    letters[..., :2] += above[..., None]
     pictures = np.stack([board.levels for board in boards] + [_stripes()])
     textures = _draw_textures(rng)
-    made = Course(arm, length, origin, ahead, sign, letter, waits, pictures, textures, [])
+    made = Course(arm, length, origin, ahead, sign, letters, waits, pictures, textures, [])
     looks: Floats = np.stack(
         (rng.integers(0, TEXTURES, (forks + 3, 3)), rng.uniform(0, PERIOD, (forks + 3, 3))), -1
     )
@@ -161,15 +166,18 @@ def _local(course: Course, k: int, looks: Floats) -> Local:
 
 def _planes(course: Course, k: int) -> Floats:
     """Signs and gates (PLANES, 8) that can be seen from corridor k, the farthest first."""
-    length, gates = course.length[k], bool(course.wait.any())
-    gate = course.forks + 1 if gates else -1
+    length, gate = course.length[k], len(course.pictures) - 1 if course.wait.any() else -1
     next_gate = gate if k + 1 < course.forks else -1
-    (x, y, above), (next_x, next_y, next_above) = course.sign[k : k + 2].tolist()
-    high, next_high = (above, above + HEIGHT), (next_above, next_above + HEIGHT)
     arms = (1, -1)  # in an arm, x is s * (length - y) here
-    rows = [((s * next_y, length - s * next_x), (0, -s), WIDTH / 2, next_high, k + 1) for s in arms]
+    rows = []
+    for place in (1, 0):
+        x, y, low = course.sign[k + 1, place].tolist()
+        edges, picture = (low, low + HEIGHT), 2 * (k + 1) + place
+        rows += [((s * y, length - s * x), (0, -s), WIDTH / 2, edges, picture) for s in arms]
     rows += [((s * GATE_AT, length), (0, -s), HALF, GATE_BAR, next_gate) for s in arms]
-    rows.append(((x, y), (1, 0), WIDTH / 2, high, k))
+    for place in (1, 0):
+        x, y, low = course.sign[k, place].tolist()
+        rows.append(((x, y), (1, 0), WIDTH / 2, (low, low + HEIGHT), 2 * k + place))
     rows.append(((0, GATE_AT), (1, 0), HALF, GATE_BAR, gate))
     planes = np.empty((PLANES, 8))
     for place, (middle, right, half, heights, picture) in enumerate(rows):

@@ -97,15 +97,16 @@ def _map(
         pygame.draw.polygon(surface, _EDGE, at(corners), 5)
     for corners in [*shown[:-1], _arms(course, k), shown[-1]]:
         pygame.draw.polygon(surface, _AHEAD if corners is not shown[-1] else _ROAD, at(corners))
-    sign = to_world(course, k, course.sign[k, :2] + np.array([[-WIDTH / 2, 0], [WIDTH / 2, 0]]))
-    pygame.draw.lines(surface, _SIGN, False, at(sign), 3)
+    for place in course.sign[k, :, :2]:
+        ends = to_world(course, k, place + np.array([[-WIDTH / 2, 0], [WIDTH / 2, 0]]))
+        pygame.draw.lines(surface, _SIGN, False, at(ends), 3)
     if batch.closed[0]:
         bar = to_world(course, k, np.array([[-HALF, GATE_AT], [HALF, GATE_AT]]))
         pygame.draw.lines(surface, (240, 90, 100), False, at(bar), 3)
     if len(trail) > 1:
         pygame.draw.aalines(surface, _TRAIL, False, at(np.array(trail)))
     _draw_kart(surface, (float(middle[0]), float(middle[1])))
-    words = {"letters": "letter: right · mirrored: left", "chevrons": "follow the chevrons"}
+    words = {"letters": "a word: right · mirrored: left", "chevrons": "follow the chevrons"}
     text = _font().render(words[batch.options.signs], True, _TEXT)
     surface.blit(text, text.get_rect(midbottom=(size[0] / 2, size[1] - 8)))
     drawn: NDArray[np.uint8] = pygame.surfarray.array3d(surface).swapaxes(0, 1)

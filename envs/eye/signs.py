@@ -25,7 +25,9 @@ BLURS = 0.03 * 1.3 ** np.arange(6)  # [m] footprint of a pixel at which each pic
 LETTERS = "FRJ4"
 _WORD = 4  # letters
 _PITCH = 0.42  # of letters [m]
+_ASIDE = 0.03  # of a letter from its place [m], to either side
 _BORDER = 0.04  # [m]
+_FRAME = 0.5  # log luminance by which the border is darker than the board
 
 
 @dataclass(frozen=True)
@@ -51,12 +53,12 @@ class Hand:
 
 
 _TRAINING = (
-    Hand((0.40, 0.44), (0.60, 0.75), (0.13, 0.17), (0.0, 0.12), (0.46, 0.54), (0.0, 0.0), (2, 2.5)),
-    Hand((0.40, 0.44), (0.65, 0.80), (0.12, 0.15), (0.0, 0.08), (0.50, 0.58), (0.1, 0.2), (2, 3)),
+    Hand((0.34, 0.38), (0.60, 0.78), (0.12, 0.17), (0.0, 0.13), (0.46, 0.56), (0.0, 0.0), (2, 3)),
+    Hand((0.34, 0.38), (0.60, 0.80), (0.12, 0.16), (0.0, 0.10), (0.48, 0.58), (0.1, 0.2), (2, 3)),
 )
 _UNSEEN = (
-    Hand((0.39, 0.43), (0.58, 0.64), (0.14, 0.18), (0.0, 0.10), (0.45, 0.56), (0.0, 0.0), (2, 3)),
-    Hand((0.40, 0.44), (0.62, 0.78), (0.12, 0.15), (0.05, 0.15), (0.47, 0.57), (0.0, 0.15), (2, 3)),
+    Hand((0.34, 0.38), (0.58, 0.66), (0.14, 0.18), (0.05, 0.15), (0.45, 0.54), (0.0, 0.0), (3, 4)),
+    Hand((0.35, 0.38), (0.62, 0.78), (0.12, 0.15), (0.0, 0.10), (0.47, 0.57), (0.04, 0.1), (2, 3)),
 )
 
 
@@ -123,48 +125,53 @@ class Board:
     """The picture of a sign.
 
     levels  (6, ROWS, COLUMNS) log luminance above the board's, blurred by BLURS; the top row first
-    letter  (low, high) [m] of the letter above the board's lower edge
+    letters (low, high) [m] of all letters above the board's lower edge
+    tall    height of a letter [m]
     """
 
     levels: Floats
-    letter: tuple[float, float]
+    letters: tuple[float, float]
+    tall: float
 
 
 def draw_board(rng: np.random.Generator, signs: Signs, arm: int, unseen: bool) -> Board:
     """The sign that says which arm is open: +1 right, -1 left."""
     form = draw_form(rng, unseen)
     low = float(rng.uniform(0.3, 0.6))
-    contrast = float(rng.uniform(0.9, 1.2)) * (1 if rng.random() < 0.5 else -1)
-    lift = float(rng.uniform(-0.5, 0.5)) * (
-        HEIGHT - form.tall - form.stroke * form.tall - 2 * _BORDER
-    )
-    ink = np.zeros((ROWS, COLUMNS))
+    room = HEIGHT - (1 + form.stroke) * form.tall - 2 * _BORDER
+    picture = np.zeros((ROWS, COLUMNS))
     half = form.stroke * form.tall / 2
+    reach = (form.wide / 2 * (1 + 2 * form.serif) + abs(form.slant) / 2) * form.tall + half
+    heights = []
     for place in range(_WORD):
-        letter = LETTERS[int(rng.integers(len(LETTERS)))]
+        lines = strokes(LETTERS[int(rng.integers(len(LETTERS)))], form)
         if signs == "chevrons":
             lines = [_line((0.0, 0), (1.0, low), (0.0, 1))]
-        else:
-            lines = strokes(letter, form)
-        middle = arm * (place - (_WORD - 1) / 2) * _PITCH
-        reach = (
-            (form.wide + abs(form.slant) + 2 * form.serif * form.wide) * form.tall / 2
-            + half
-            + TEXEL
-        )
-        columns = np.flatnonzero(np.abs(_across() - middle) <= reach)
+        lift = float(rng.uniform(-0.5, 0.5)) * room
+        heights += [HEIGHT / 2 + lift - form.tall / 2, HEIGHT / 2 + lift + form.tall / 2]
+        aside = float(rng.uniform(-1, 1)) * _ASIDE
+        middle = arm * ((place - (_WORD - 1) / 2) * _PITCH + aside)
+        contrast = float(rng.uniform(1.0, 1.3)) * (1 if rng.random() < 0.5 else -1)
+        columns = np.flatnonzero(np.abs(_across() - middle) <= 1.3 * reach + TEXEL)
+        centre = _centre(lines)
         placed = []
-        for line in lines:
-            x = (line[:, 0] - 0.5) * form.wide + form.slant * (line[:, 1] - 0.5)
-            up = (line[:, 1] - 0.5) * form.tall + lift
+        for points in lines:
+            x = (points[:, 0] - centre) * form.wide + form.slant * (points[:, 1] - 0.5)
+            up = (points[:, 1] - 0.5) * form.tall + lift
             placed.append(np.stack((arm * x * form.tall + middle, up), axis=1))
-        ink[:, columns] = np.maximum(ink[:, columns], _ink(placed, half, _across()[columns]))
+        picture[:, columns] += contrast * _ink(placed, half, _across()[columns])
     edge = np.minimum(WIDTH / 2 - np.abs(_across()), HEIGHT / 2 - np.abs(_up())[:, None])
     frame = np.clip(0.5 + (_BORDER - edge) / TEXEL, 0, 1)
-    picture = contrast * ink - 0.5 * contrast * frame
+    picture -= _FRAME * frame
     levels = np.stack([rows @ picture @ columns for rows, columns in _blurs()])
-    middle = HEIGHT / 2 + lift
-    return Board(levels.astype(np.float32), (middle - form.tall / 2, middle + form.tall / 2))
+    return Board(levels.astype(np.float32), (min(heights), max(heights)), form.tall)
+
+
+def _centre(lines: list[Points]) -> float:
+    """Mean x of the ink of a letter, which is set in the middle of its place."""
+    lengths = [np.linalg.norm(np.diff(points, axis=0), axis=1) for points in lines]
+    middles = [(points[1:, 0] + points[:-1, 0]) / 2 for points in lines]
+    return float(np.average(np.concatenate(middles), weights=np.concatenate(lengths)))
 
 
 def _across() -> Points:

@@ -53,7 +53,7 @@ class View:
         heading   (B,) [rad]
         walls     (B, 2, SIDES, 5), planes (B, PLANES, 8) of Local
         textures  (all, TEXTURES, TEXTURE_ROWS, TEXTURE_COLUMNS)
-        pictures  (all, n + 2, 6, ROWS, COLUMNS)
+        pictures  (all, 2 n + 3, 6, ROWS, COLUMNS)
         which     (B,) those of the scenes, of all textures and pictures
         """
         cos, sin = np.cos(heading).astype(np.float32), np.sin(heading).astype(np.float32)

@@ -22,7 +22,7 @@ from spikedeploy import envs
 from spikedeploy.campaign.sweep_grid import JobSpecification, SweepGrid, expand, versions_for
 from spikedeploy.campaign.sweep_page import Sweep, write_sweep
 from spikedeploy.comparison.comparison import Comparison, Row
-from spikedeploy.comparison.episodes import EpisodeJob, foreign_period, play
+from spikedeploy.comparison.episodes import EpisodeJob, period_of, play
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.console import progress, say
 from spikedeploy.errors import ConfigError
@@ -117,7 +117,7 @@ def evaluate_job(job: SweepJob) -> dict[str, Any]:
         play(EpisodeJob(of.env, text, entry.candidate, entry.chip, seed, {}, None, of.metrics))
         for seed in seeds
     ]
-    spec, period = envs.spec(of.env), foreign_period(of.env, text)
+    spec, period = envs.spec(of.env), period_of(of.env, text)
     rows = [Row(entry, episodes)]
     found = Comparison(spec.id, seeds, rows, (), of.disturb, spec.foreign, period).as_json()[0]
     return {**found, "file": of.policy, "steps": [episode.steps for episode in episodes]}

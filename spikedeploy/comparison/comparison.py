@@ -139,7 +139,7 @@ class Comparison:
     tables energy tables to price by; empty for those of each row's chip
     disturb  disturbances of the world
     foreign  whether the environment is not ours
-    period   time of a control step [s] of one that is not ours, where it says so
+    period   time of a control step [s], where it is not as the environment's class says
     """
 
     env: str

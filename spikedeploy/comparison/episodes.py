@@ -176,9 +176,9 @@ def summarise(
     )
 
 
-def foreign_period(env: str, options: str) -> float | None:
-    """Time of a control step [s] of an environment that is not ours, where it says so."""
-    if not envs.spec(env).foreign:
+def period_of(env: str, options: str) -> float | None:
+    """Time of a control step [s] by the options; None where it is that of the class, or unknown."""
+    if not envs.spec(env).foreign and not json.loads(options):
         return None
     world: Any = _environment(env, options).unwrapped
     period: float | None = world.CONTROL_DT

@@ -17,7 +17,7 @@ from spikedeploy.comparison.comparison import Comparison, Row
 from spikedeploy.comparison.episodes import (
     Episode,
     EpisodeJob,
-    foreign_period,
+    period_of,
     play,
     summarise,
 )
@@ -83,7 +83,7 @@ def compare_policies(
             for entry in group:
                 played[entry] = list(islice(found, len(seeds)))
     spec, rows = envs.spec(env), [Row(entry, played[entry]) for entry in entries]
-    period, disturb = foreign_period(env, as_json), disturbed_by(options)
+    period, disturb = period_of(env, as_json), disturbed_by(options)
     return Comparison(spec.id, seeds, rows, (), disturb, spec.foreign, period)
 
 
@@ -164,7 +164,7 @@ def run_policy(
     rows, disturb = [Row(entry, episodes)], disturbed_by(options)
     if loop is not None:  # it may have played more
         seeds = range(seeds[0], seeds[0] + len(episodes))
-    return Comparison(played.env_id, seeds, rows, (), disturb, foreign, period if foreign else None)
+    return Comparison(played.env_id, seeds, rows, (), disturb, foreign, period)
 
 
 @contextmanager

@@ -105,6 +105,10 @@ class PursuitController(Player):
         """The action () that the environment's driver takes now."""
         return np.asarray(self._world.pursue())
 
+    def replay(self, observations: Floats) -> NDArray[Any]:
+        """Refused: without the environment in that state nothing is known."""
+        raise ConfigError("the pursuit looks at no observations, so it has no actions for them")
+
     def costs(self, played: Rollout) -> Costs:
         """Nothing is observed, so nothing that counts is computed."""
         return NOTHING

@@ -6,6 +6,11 @@ import pytest
 from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.eye.batch import EyeBatch, EyeOptions, nearest_action
+from spikedeploy.envs.eye.course import draw_course
+from spikedeploy.envs.rollout import rollout
+from spikedeploy.policies.costs import NOTHING
+from spikedeploy.policies.registry import find, open_policy
+from spikedeploy.runtime.errors import ConfigError
 
 
 def drive(batch, steps):
@@ -54,6 +59,31 @@ def test_held_actions_drive_the_same_path_at_every_rate(rate):
         np.testing.assert_array_equal(getattr(slow, name), getattr(fast, name))
 
 
+@pytest.mark.parametrize("rate", [240, 960])
+def test_events_of_a_second_are_as_many_at_every_rate(rate):
+    totals = []
+    for each in (60, rate):
+        batch = EyeBatch(4, rate=each)
+        batch.reset(range(4))
+        straight = np.full(4, 3)
+        totals.append(sum(batch.step(straight)[0].sum(dtype=np.int64) for _ in range(each)))
+    assert totals[1] == pytest.approx(totals[0], rel=0.06)
+
+
+def test_a_waiting_kart_sends_a_hundredth_of_the_events():
+    batch = EyeBatch(4, quiet=0.9, forks=1)
+    batch.reset(range(4))
+    events, steps = np.zeros(2), np.zeros(2)  # driving, waiting
+    for _ in range(150):
+        seen, _, _, _, info = batch.step(np.full(4, 3))
+        waits = info["waiting"] & batch.closed & (batch._hold > 0.5)
+        for state, mask in ((0, batch.speed > 2.9), (1, waits)):
+            events[state] += seen[mask].sum(dtype=np.int64)
+            steps[state] += mask.sum()
+    driving, waiting = events / steps
+    assert 0 < waiting < driving / 80
+
+
 def test_a_kart_waits_at_gates_for_the_share_of_time_that_was_asked_for_and_is_quiet():
     batch = EyeBatch(8, quiet=0.5, forks=2, camera={"shot_noise_hz": 0.0})
     batch.reset(range(8))
@@ -93,3 +123,28 @@ def test_the_wrong_arm_ends_the_episode_and_is_no_crash():
 def test_an_option_that_is_not_valid_is_one_sentence(options, words):
     with pytest.raises(EnvError, match=words):
         EyeOptions(**options)
+
+
+def test_the_world_is_frozen():
+    course = draw_course(10_000, 6, "letters", 1.0)
+    assert course.arm.tolist() == [-1, 1, -1, -1, 1, 1]
+    assert course.pictures.sum(dtype=np.float64) == pytest.approx(-17140.1076, rel=1e-6)
+    batch = EyeBatch(2, quiet=0.2)
+    batch.reset([10_000, 10_001])
+    seen = np.stack([batch.step(nearest_action(batch.teacher()))[0] for _ in range(240)])
+    assert batch.x == pytest.approx([5.79661909518106, 6.0297083321673], abs=1e-9)
+    assert batch.y == pytest.approx([2.0001735584526754, 2.0001751975254645], abs=1e-9)
+    # a last bit of an exponential may move an event
+    assert seen.sum((0, 2, 3, 4), dtype=np.int64) == pytest.approx([101257, 116444], rel=1e-3)
+
+
+def test_the_pursuit_drives_by_no_observation_and_costs_nothing():
+    world = envs.make("kart-eye", forks=1)
+    player = open_policy(find("pursuit"), None, world)
+    played = rollout(world, player, 10_000)
+    assert played.success
+    assert player.costs(played) is NOTHING
+    with pytest.raises(ConfigError, match="looks at no observations"):
+        player.replay(played.observation[:-1])
+    with pytest.raises(ConfigError, match="own driver: kart-eye"):
+        open_policy(find("pursuit"), None, envs.make("kart-grid"))
