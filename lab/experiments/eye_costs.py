@@ -10,15 +10,17 @@ histogram    events that are added up until the control step ends, and the cells
 constants    biases, and what the host adds
 comparisons  units of a delta network, which are compared with what they sent, and their kept sums
 
-The rule, `predict`, takes the counts of a policy at one control rate, without quiet, and the events
-a second of another cell of the map:
+The rule, `predict`, takes the counts of a policy at one control rate, moving and mostly at rest,
+and the events a second of another cell of the map:
 
     occupied(n, M) = M (1 - exp(-n / M)), places of M in which one of n events falls
-    a float network that runs f times a second: f (first(occupied(e s, C)) + rest), where s is the
-        time of which it sees the events, and `rest`, behind the first layer, is always the same
-    a delta network: behind the first layer so many operations an event
-    a spiking one: so many operations for a cell with events; updates f N, or f occupied(a / f, N)
-        where a chip updates those alone at which some of a operations a second arrive
+    a float network that runs f times a second sees occupied(e s, C) cells in the time s: its first
+        layer takes so many operations a cell, the others so many that lie on a line through both
+    a delta network: behind the first layer a random walk, whose changes since the last control step
+        grow with the root of its time
+    a spiking one: operations a second on a line through both, by cells with events a second;
+        updates f N, or f occupied(a / f, N) where a chip updates those alone at which some of a
+        operations a second arrive
 """
 
 import math
@@ -175,64 +177,68 @@ def places_of(events: float, found: float) -> float:
     return high
 
 
-def predict(row: Record, rate: float, events: float, span: float) -> Record:
-    """Counts of a control step at another rate and with so many events a second, from one row.
+def predict(row: Record, rest: Record, rate: float, events: float, span: float) -> Record:
+    """Counts of a control step at another rate and with so many events a second, from two rows.
 
     row     of the policy, at the rate it was trained for and without quiet
+    rest    of the same, with most quiet
     rate    control rate [Hz]
     events  of the camera a second, those of noise included
-    span    time [s] whose events a float network sees that is not triggered
+    span    time [s] whose events a float network sees, at least
     """
     if row["spiking"]:
-        return _predicted_chip(row, rate, events)
-    return _predicted_float(row, rate, events, span)
+        return _predicted_chip(row, rest, rate, events)
+    return _predicted_float(row, rest, rate, events, span)
 
 
-# counts of a control step that do not depend on events
-_STEADY = ("bias_sop", "one_state_update", "constants")
+def _on_line(name: str, row: Record, rest: Record, at: float, by: str = "cells") -> float:
+    """A count where another one is `at`, on the line through two rows, not below 0."""
+    between = row[by] - rest[by]
+    slope = (row[name] - rest[name]) / between if abs(between) > 1e-9 * row[by] else 0.0
+    return float(max(row[name] + slope * (at - row[by]), 0.0))
 
 
-def _predicted_chip(row: Record, rate: float, events: float) -> Record:
-    cells = places_of(row["events"], row["cells"])
-    now = occupied(events / rate, cells)
-    found = {name: row[name] * now / row["cells"] for name in ("sop", "graded_sop", "spike_out")}
+# counts of a control step that depend on neither events nor rate
+_STEADY = ("bias_sop", "one_state_update", "constants", "neuron_update", "neuron_idle")
+_ACTIVE = ("sop", "graded_sop", "spike_out", "spike_in")
+
+
+def _predicted_chip(row: Record, rest: Record, rate: float, events: float) -> Record:
+    now = occupied(events / rate, places_of(row["events"], row["cells"]))
+    slower = row["rate"] / rate  # a second has so many control steps less
+    found = {name: _on_line(name, row, rest, now / slower) * slower for name in _ACTIVE}
     # packets of spikes follow them, those of readouts to the host are sent in each step
-    steady = row["message"] - row["spike_in"]
-    found["spike_in"] = row["spike_in"] * now / row["cells"]
-    found["message"] = steady + found["spike_in"]
+    found["message"] = row["message"] - row["spike_in"] + found["spike_in"]
     touched = occupied(found["sop"], places_of(row["sop"], row["touched"]))
-    updated = {name: row[name] for name in ("neuron_update", "neuron_idle")}
-    kept = {name: row[name] for name in _STEADY}
-    return row | kept | updated | found | {
-        "rate": rate, "events": events / rate, "cells": now, "touched": touched
-    }  # fmt: skip
+    about = {"rate": rate, "events": events / rate, "cells": now, "touched": touched}
+    return row | {name: row[name] for name in _STEADY} | found | about
 
 
-def _predicted_float(row: Record, rate: float, events: float, span: float) -> Record:
-    way = WAYS[row["way"]]
-    runs = rate
+def _predicted_float(row: Record, rest: Record, rate: float, events: float, span: float) -> Record:
+    way, runs = WAYS[row["way"]], rate
     if way.trigger == 1:
         runs = rate * -math.expm1(-events / rate)
     elif way.trigger:
         runs = min(rate, events / way.trigger)
-    # what is seen: the events since it last ran, or those of as long as in training
-    before = (
-        row["events"] / row["runs"] if way.trigger else row["events"] * row["rate"] * row["span"]
-    )
-    seen = events / runs if way.trigger else events * span
-    now = occupied(seen, places_of(before, row["cells"] / row["runs"]))
-    each = {
-        name: row[name] / row["runs"]
-        for name in ("macs", "first_macs", "cells", "sent", "compared", "units", "gates")
-    }
-    behind, sent = each["macs"] - each["first_macs"], each["sent"]
-    if way.delta is not None:  # a change of a unit is one however often it is looked at
-        share = min(1.0, (events / rate) / row["events"])
+    usual = max(row["span"], 1 / (row["runs"] * row["rate"])) if way.trigger else row["span"]
+    seen = max(span, 1 / runs) if way.trigger else span
+    each, resting = _per_run(row), _per_run(rest)
+    now = occupied(events * seen, places_of(row["events"] * row["rate"] * usual, each["cells"]))
+    behind, sent = (_on_line(name, each, resting, now) for name in ("behind", "sent"))
+    if way.delta is not None:
+        share = min(1.0, math.sqrt(row["rate"] / rate))
         behind, sent = behind * share, sent * share
     first = each["first_macs"] / each["cells"] * now
     found = each | {"first_macs": first, "macs": first + behind, "sent": sent, "cells": now}
     found = {name: count * runs / rate for name, count in found.items()}
     return row | found | {"rate": rate, "events": events / rate, "runs": runs / rate}
+
+
+def _per_run(row: Record) -> Record:
+    """Counts of a time that a float network runs."""
+    names = ("macs", "first_macs", "cells", "sent", "compared", "units", "gates")
+    each = {name: row[name] / row["runs"] for name in names}
+    return each | {"behind": each["macs"] - each["first_macs"]}
 
 
 def border(rates: Sequence[float], ratios: Sequence[float]) -> float:

@@ -63,10 +63,17 @@ class Group:
         """Mean power [W]."""
         return float(np.mean([power(row, accounting) for row in self.rows]))
 
-    def predicted(self, accounting: Accounting, rate: float, events: float, span: float) -> float:
-        """Mean power [W] elsewhere, from the counts of these rows."""
-        found = (predict(row, rate, events, span) for row in self.rows)
+    def predicted(
+        self, rest: "Group", accounting: Accounting, rate: float, events: float, span: float
+    ) -> float:
+        """Mean power [W] elsewhere, from the counts of these rows and of those with most quiet."""
+        resting = {row["seed"]: row for row in rest.rows}
+        found = (predict(r, resting.get(r["seed"], r), rate, events, span) for r in self.rows)
         return float(np.mean([power(row, accounting) for row in found]))
+
+
+# policy and way -> what the rule starts from: at the lowest rate without quiet, and with most
+References = dict[tuple[str, str], tuple[Group, Group]]
 
 
 @dataclass(frozen=True)
@@ -128,7 +135,7 @@ class Map:
     rates: Sequence[int]
     quiet: Sequence[float]
     cells: Sequence[Sequence[Cell | None]]
-    references: dict[tuple[str, str], Group]
+    references: "References"
 
     def borders(self, column: int) -> tuple[float, float]:
         """Control rates [Hz] from which spiking costs less: as counted, and by the rule."""
@@ -153,18 +160,21 @@ class Map:
                 events = np.interp(1 - share, [c.quiet for c in column], [c.events for c in column])
                 groups = (near.spiking, *near.rivals)
                 mine, *others = (
-                    self.references[g.key].predicted(
-                        self.accounting, rate, float(events), _span(g, float(rate))
-                    )
+                    _predicted(self.references, g, self.accounting, float(rate), float(events))
                     for g in groups
                 )
                 ratios[k, i] = math.log(mine / min(others))
         return rates, moving, ratios
 
 
-def _span(group: Group, rate: float) -> float:
-    """Time [s] whose events a float group sees: a control step of its training, at least."""
-    return float(max(1 / rate, group.rows[0]["span"]))
+def _predicted(
+    references: "References", group: Group, accounting: Accounting, rate: float, events: float
+) -> float:
+    """Power [W] of a group at another rate, by the rule."""
+    moving, resting = references[group.key]
+    # events that a float group sees are those of a control step of its training, at least
+    span = float(max(1 / rate, group.rows[0]["span"]))
+    return moving.predicted(resting, accounting, rate, events, span)
 
 
 def _distance(cell: Cell, rate: float, moving: float) -> float:
@@ -180,10 +190,10 @@ def maps(rows: Sequence[Record]) -> list[Map]:
         for place, found in grouped(rows, "rate", "quiet")
     }
     found = []
-    # the rule takes the counts of the lowest rate, without quiet
-    references = (
-        {group.key: group for group in cells.get((rates[0], quiet[0]), ())} if rates else {}
-    )
+    # the rule takes the counts of the lowest rate, without quiet and with most
+    ends = [cells.get((rates[0], q), []) for q in (quiet[0], quiet[-1])] if rates else [[], []]
+    resting = {group.key: group for group in ends[1]}
+    references = {g.key: (g, resting[g.key]) for g in ends[0] if g.key in resting}
     for accounting in ACCOUNTINGS.values():
         table = [
             [_cell(rate, q, cells.get((rate, q), []), accounting, references) for q in quiet]
@@ -196,7 +206,7 @@ def maps(rows: Sequence[Record]) -> list[Map]:
 
 def _cell(
     rate: int, quiet: float, groups: Sequence[Group], accounting: Accounting,
-    references: dict[tuple[str, str], Group],
+    references: "References",
 ) -> Cell | None:  # fmt: skip
     known = [group for group in groups if group.key in references]
     rivals = [group for group in known if not group.rows[0]["spiking"]]
@@ -214,8 +224,7 @@ def _cell(
     events = float(np.mean([group.mean("events") * rate for group in (mine, *rivals)]))
     cell = Cell(rate, quiet, events, rivals, mine, bool(equal), accounting, 0.0)
     expected, *others = (
-        references[g.key].predicted(accounting, rate, events, _span(g, rate))
-        for g in (mine, *cell.rivals)
+        _predicted(references, g, accounting, rate, events) for g in (mine, *cell.rivals)
     )
     return replace(cell, predicted=expected / min(others))
 
@@ -308,10 +317,9 @@ def _edges(centres: NDArray[Any]) -> NDArray[Any]:
 
 
 def errors(found: Map) -> list[float]:
-    """Predicted over counted ratio [1] of all cells but the one that the rule starts from."""
-    cells = [cell for row in found.cells for cell in row if cell is not None]
-    start = found.rates[0], found.quiet[0]
-    return [c.predicted / c.ratio for c in cells if (c.rate, c.quiet) != start]
+    """Predicted over counted ratio [1] of all cells but those of the rate that the rule has."""
+    cells = [cell for row in found.cells[1:] for cell in row if cell is not None]
+    return [cell.predicted / cell.ratio for cell in cells]
 
 
 def rate_text(rate: float) -> str:

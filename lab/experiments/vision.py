@@ -6,10 +6,11 @@ arXiv 1612.05571), and triggered by events it runs only where so many came since
 holds its action and memory else.
 
 At a control rate that is k times as high as in training, a float network sees the events of the
-last k control steps, as many as in training, or where it is triggered those since it last ran; its
-memory moves by a k-th: h' = h + (1 - z) (n - h) / k. A spiking network takes the events as they
-come; its decay factors become their k-th roots, and what comes in every timestep, biases and
-currents that last, is so much smaller. Whether a policy still drives then is measured.
+last k control steps, as many as in training, or all since it last ran where that is longer ago; its
+memory moves by a k-th for each control step: h' = h + (1 - z) (n - h) / k. A spiking network takes
+the events as they come; its decay factors become their k-th roots, and what comes in every
+timestep, biases and currents that last, is so much smaller. Whether a policy still drives then is
+measured.
 """
 
 from collections.abc import Mapping, Sequence
@@ -116,7 +117,9 @@ class FloatSight:
         self.totals["events"] += counts.sum(1)
         rows = np.flatnonzero(self._since.sum(1) >= self._way.trigger)
         if len(rows):
-            seen = self._since if self._way.trigger else self._seen.sum(0, dtype=np.int64)
+            lately = self._seen.sum(0, dtype=np.int64)
+            is_long = (self._waited > self._slower) & (self._way.trigger > 0)
+            seen = np.where(is_long[:, None], self._since, lately)
             self._actions[rows] = self._run(torch.from_numpy(seen[rows]).float(), rows)
             self._since[rows], self._waited[rows] = 0, 0
         found: NDArray[np.int64] = self._actions.copy()

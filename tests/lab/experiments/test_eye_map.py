@@ -185,7 +185,8 @@ def test_the_rule_gives_back_the_counts_that_it_starts_from(spiking):
         spiking=spiking, macs=100, first_macs=40, cells=9, events=10, sent=7, units=3, gates=2,
         sop=80, touched=60, spike_in=5, spike_out=4, message=6, neuron_update=90,
     )  # fmt: skip
-    again = predict(row, row["rate"], row["events"] * row["rate"], row["span"])
+    rest = row | {"cells": 4, "sop": 30, "sent": 5, "macs": 70, "first_macs": 18}
+    again = predict(row, rest, row["rate"], row["events"] * row["rate"], row["span"])
     assert {name: again[name] for name in row if name != "late"} == pytest.approx(
         {name: value for name, value in row.items() if name != "late"}
     )
@@ -203,7 +204,9 @@ def test_at_a_border_that_counts_give_in_closed_form_both_cost_the_same():
     wanted = events * (100 * 1.35 + 7.5) / (50 * 1.55)
 
     def ratio(at):
-        mine, other = (predict(row, at, events, row["span"]) for row in (chip, net))
+        rest = {"cells": 0, "sop": 0}
+        mine = predict(chip, chip | rest, at, events, 1e-9)
+        other = predict(net, net, at, events, 1e-9)
         spent = [power(row, by) - row["rate"] * row["events"] * 2.6e-12 for row in (mine, other)]
         return spent[0] / spent[1]
 

@@ -214,6 +214,23 @@ def test_counts_of_an_episode_end_with_it():
     assert row["steps"] <= 3 * 40
 
 
+def test_a_triggered_network_sees_the_events_of_as_long_as_in_training_at_least():
+    policy, seen = float_policy(), recording(0.03, 12)
+    sight = FloatSight(policy, KARTS, Way(trigger=1), 4)
+    shown = []
+    sight._run = lambda x, rows: shown.append(x.numpy().copy()) or np.zeros(len(rows))
+    waited = np.zeros(KARTS, int)
+    for number, counts in enumerate(seen, start=1):
+        sight.act(counts)
+        waited += 1
+        rows = np.flatnonzero(counts.any(1) | (waited > 99))
+        expected = [seen[max(number - max(4, waited[k]), 0) : number, k].sum(0) for k in rows]
+        if len(rows):
+            np.testing.assert_array_equal(shown.pop(), np.array(expected))
+        waited[rows] = 0
+    assert not shown
+
+
 def test_leaky_traces_are_refused():
     with pytest.raises(ConfigError, match="leaky traces"):
         FloatSight(float_policy(traces=[0.5]), 1, Way())
