@@ -99,7 +99,7 @@ class EyeMapDesign(Design):
     policies  run folders; all of kart-eye in `runs` where none is named
     """
 
-    episodes: int = 64
+    episodes: int = 32
     policies: Sequence[str] = ()
 
     NAME = "kart-eye-map"
