@@ -15,6 +15,7 @@ robustness   return under disturbances and faults
 gymnasium    sparse policies on the field's own tasks
 lineup       shipped policies trained again with other seeds
 eye_map      where spiking costs less, by control rate and quiet; vision, eye_costs, eye_map_page
+eye_entry    kart-eye's entry test: what drives without convolutions, and what does with them
 
 Other tables of results/ have a script each:
 
@@ -44,4 +45,5 @@ EXPERIMENTS = {
     "gymnasium": "lab.experiments.gymnasium:GymnasiumDesign",
     "lineup": "lab.experiments.lineup:LineupDesign",
     "kart-eye-map": "lab.experiments.eye_map:EyeMapDesign",
+    "kart-eye": "lab.experiments.eye_entry:EyeEntryDesign",
 }

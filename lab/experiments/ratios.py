@@ -32,10 +32,11 @@ def ratio_of(
     return Estimate(float(middle(left) / middle(right)), _interval(tops[usable] / bottoms[usable]))
 
 
-def nested_ratio(values: ArrayLike, reference: ArrayLike) -> Estimate:
+def nested_ratio(values: ArrayLike, reference: ArrayLike, together: bool = False) -> Estimate:
     """Mean of values (S, n) of S trainings in n episodes / mean of a reference in the same.
 
     reference  (n,), or (R, n) of R trainings
+    together   whether these are the same trainings, which are drawn together
 
     A resample draws trainings of both, then episodes, the same for all of them; the `mean` of the
     estimate is the ratio of the sample itself. NaN where the reference is 0.
@@ -48,7 +49,7 @@ def nested_ratio(values: ArrayLike, reference: ArrayLike) -> Estimate:
     trainings, episodes = each.shape
     ratios = []
     for drawn, picks in _draws(trainings, episodes, rng):
-        of = rng.integers(len(beside), size=(len(drawn), len(beside), 1))
+        of = drawn if together else rng.integers(len(beside), size=(len(drawn), len(beside), 1))
         with np.errstate(divide="ignore", invalid="ignore"):  # rare successes, none drawn
             ratios.append(each[drawn, picks].mean((1, 2)) / beside[of, picks].mean((1, 2)))
     return Estimate(float(each.mean() / beside.mean()), _interval(np.concatenate(ratios)))

@@ -1,0 +1,256 @@
+"""The entry test of kart-eye: a world that needs a network that sees, or one that a grid drives.
+
+Linear policies, MLPs and GRUs on event counts that are summed over a grid, and float convolutions
+with a GRU, are trained by one recipe: as many walks of the privileged teacher, as many updates, as
+many walks of their own. What each has is a row of designs.toml. Each training is evaluated on signs
+and corridors that no training saw; a row is a file, <runs>/evaluations/<training>.json, which says
+what it was made with. Rows of trainings that are not here stay in the table.
+"""
+
+import csv
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lab.experiments import DESIGNS, QUICK, pages
+from lab.experiments.pages import grouped, mean, releases, versions_at_start, versions_text
+from lab.experiments.ratios import nested_ratio
+from lab.experiments.runner import Design, Part, command_line
+from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows, write_exactly
+from spikedeploy import zoo
+from spikedeploy.comparison.statistics import Estimate, share, stratified_bootstrap
+from spikedeploy.files import read_json
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.seeds import EVALUATION
+from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.policies.vision import SIGNS
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse.pool import BatchController, Stateless
+from spikedeploy.trainers.sparse.student import FloatController
+from spikedeploy.trainers.sparse.vision import EyeEpisodes
+
+TEACHER = "teacher"  # drives by what the simulation knows, and is no training
+MOST_OF_GRIDS, LEAST_RIGHT, LEAST_FINISHED = 0.75, 0.95, 0.90  # what the test asks for
+_ROWS: Mapping[str, Mapping[str, Any]] = DESIGNS["kart-eye"]["networks"]
+_TABLE = "kart-eye.csv"
+_VERSION = 1  # of what a row holds; a higher one makes all rows again
+_TEXT = ("network", "quick", "versions")
+_COLUMNS = (
+    "network", "seed", "episodes", "weights", "updates", "walks", "right_share", "finish_share",
+    "crash_share", "quick", "versions", "right", "wrong", "finish", "crash",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class EyeEntryDesign(Design):
+    """The parts of the experiment: the teacher, and each network's trainings, seed by seed.
+
+    settings  of every training
+    """
+
+    seeds: int = 5
+
+    NAME = "kart-eye"
+    OPTIONS: ClassVar = {n: n for n in ("seeds", "runs", "episodes", "quick")} | {"set": "settings"}
+    QUICK: ClassVar = {"seeds": 1, "episodes": 2, "limit": 120}
+
+    def trainings(self) -> list[TrainingJob]:
+        """All trainings: of a seed those of each network, so that early pages have all rows."""
+        return [self._training(name, seed) for seed in range(self.seeds) for name in _ROWS]
+
+    def _training(self, network: str, seed: int) -> TrainingJob:
+        of = _ROWS[network]
+        every = (*of["settings"], *(QUICK["kart-eye"] if self.quick else ()), *self.settings)
+        name = f"{network}-s{seed}"
+        return TrainingJob(name, of["recipe"], seed, self.runs, every, telling=every)
+
+    def check(self, results: Path) -> None:
+        """Refuse unknown settings, and a table that the rows cannot stand in."""
+        super().check(results)
+        self.read_kept(results / _TABLE)
+
+    def parts(self) -> list[Part]:
+        """The teacher's episodes; each training and its episodes."""
+        trained = [Part(each.name, partial(self._rows, each), each) for each in self.trainings()]
+        return [Part(TEACHER, partial(self._rows, None)), *trained]
+
+    # rows
+
+    def _rows(self, training: TrainingJob | None) -> list[StoredRow]:
+        """The row of a training that ended, or of the teacher."""
+        made = {
+            "policy": zoo.sha256(training.checkpoint()) if training else TEACHER,
+            "episodes": self.episodes,
+            "first_seed": EVALUATION,
+            "limit": self.limit,
+            "version": _VERSION,
+        }
+        name = training.name if training else TEACHER
+        file = Path(self.runs) / "evaluations" / f"{name}.json"
+        return [StoredRow(file, made, partial(self._evaluate, training))]
+
+    def _evaluate(self, training: TrainingJob | None) -> Record:
+        facts: Record = {"network": TEACHER, "seed": None, "quick": "yes" if self.quick else ""}
+        config = training.config if training else self._training(next(iter(_ROWS)), 0).planned()
+        env: EnvConfig = config.env
+        episodes = EyeEpisodes(env, self.episodes, self.limit)
+        controller: BatchController = Stateless(lambda seen: taught(episodes, seen))
+        if training is not None:
+            run = RunFolder(training.existing_run)
+            policy = run.policy("best")
+            controller = FloatController(policy)
+            progress = run.load("last")[0]
+            facts |= {
+                "network": training.name.rpartition("-s")[0],
+                "seed": training.seed,
+                "weights": sum(each.numel() for each in policy.parameters()),
+                "updates": progress["updates"],
+                "walks": config.teacher_walks + config.noisy_walks
+                + config.walks * config.dense_rounds,
+                "versions": versions_text(read_json(training.existing_run / "versions.json")),
+            }  # fmt: skip
+        *_, ends = episodes.play(range(EVALUATION, EVALUATION + self.episodes), controller)
+        return facts | outcomes(ends)
+
+    def read_kept(self, table: Path) -> list[Record]:
+        """The rows of the table so far; ConfigError where they cannot stand beside new ones."""
+        rows = read_table(table) if table.is_file() else []
+        for row in rows:
+            if (row["episodes"], bool(row["quick"])) != (self.episodes, self.quick):
+                raise ConfigError(
+                    f"{table} has rows of {row['episodes']} episodes"
+                    f"{', of quick trainings' if row['quick'] else ''}: name another folder with -o"
+                )
+        return rows
+
+    def write(self, results: Path) -> list[Path]:
+        """Write page and table of the complete rows; return the files, the page first."""
+        table = results / _TABLE
+        found = {(row["network"], row["seed"]): row for row in self.read_kept(table)}
+        found |= {(row["network"], row["seed"]): row for row in self.all_rows()}
+        order = [TEACHER, *_ROWS]
+        rows = sorted(found.values(), key=lambda r: (order.index(r["network"]), r["seed"] or 0))
+        write_exactly(({n: row.get(n) for n in _COLUMNS} for row in rows), _COLUMNS, table)
+        rows = read_table(table)  # as they stand there, so that the page can be made of it again
+        by_name = dict(grouped(rows, "network"))
+        page, shown = pages.write_page(
+            results / "kart-eye.md",
+            {},
+            command=command_line(),
+            quick=self.quick,
+            episodes=self.episodes,
+            missing=self._missing(rows),
+            networks=[network_facts(name, of) for name, of in by_name.items()],
+            verdicts="\n".join(f"- {line}" for line in verdicts(by_name)),
+            versions=[
+                f"- {releases()}",
+                *versions_at_start(row["versions"] for row in rows if row["versions"]),
+            ],
+        )
+        return [page, table, shown]
+
+    def _missing(self, rows: Sequence[Record]) -> str:
+        """The trainings that have no row; empty where there are none."""
+        there = {f"{row['network']}-s{row['seed']}" for row in rows}
+        lack = [each.name for each in self.trainings() if each.name not in there]
+        return f"**Not trained or evaluated yet: {', '.join(lack)}.**" if lack else ""
+
+
+def taught(episodes: EyeEpisodes, seen: Any) -> Any:  # noqa: ANN401 - arrays
+    """Actions (B,) of the privileged teacher: those of the largest label."""
+    return episodes.label(seen)[:, :-SIGNS].argmax(1)
+
+
+def outcomes(ends: Sequence[Mapping[str, float]]) -> Record:
+    """What episodes came to: forks taken right and wrong, finishes and crashes, one each."""
+    right, wrong, finish, crash = (
+        [int(end[name]) for end in ends] for name in ("forks", "wrong", "finish", "crash")
+    )
+    taken = sum(right) + sum(wrong)
+    return {
+        "episodes": len(ends),
+        "right_share": sum(right) / taken if taken else None,
+        "finish_share": sum(finish) / len(ends),
+        "crash_share": sum(crash) / len(ends),
+        "right": right,
+        "wrong": wrong,
+        "finish": finish,
+        "crash": crash,
+    }
+
+
+def read_table(table: Path) -> list[Record]:
+    """The rows of the table; ConfigError where it is damaged."""
+    try:
+        rows = read_rows(table, _TEXT)
+        for row in rows:
+            if tuple(row) != _COLUMNS or row["network"] not in (TEACHER, *_ROWS):
+                raise ValueError(f"a row of {row.get('network')}")
+    except (OSError, ValueError, csv.Error) as error:
+        raise ConfigError(f"{table} is damaged ({error}): put it back, or move it away") from error
+    return rows
+
+
+# the page
+
+
+def network_facts(name: str, rows: Sequence[Record]) -> Record:
+    """Facts that the page shows of a network in all its trainings."""
+    return {
+        "name": name,
+        "sees": _ROWS[name]["sees"] if name in _ROWS else "the simulation's state",
+        "trainings": len(rows) if name in _ROWS else 0,
+        "weights": mean(rows, "weights"),
+        "right": right_share(rows),
+        "finish": episode_share(rows, "finish"),
+        "crash": episode_share(rows, "crash"),
+        "best": max((row["right_share"] for row in rows if row["right_share"]), default=None),
+    }
+
+
+def right_share(rows: Sequence[Record]) -> Estimate | None:
+    """Share of the forks taken that were taken right; None where none was."""
+    right = np.array([row["right"] for row in rows])
+    taken = right + np.array([row["wrong"] for row in rows])
+    return nested_ratio(right, taken, together=True) if taken.any() else None
+
+
+def episode_share(rows: Sequence[Record], event: str) -> Estimate:
+    """Share of the episodes in which something happened."""
+    values = [row[event] for row in rows]
+    if len(values) == 1:
+        return share(values[0])
+    return stratified_bootstrap(values, np.random.default_rng(0)).mean
+
+
+def verdicts(rows: Mapping[str, Sequence[Record]]) -> Iterator[str]:
+    """Whether the test is passed, in sentences; none on networks that have no row."""
+    grids = {n: right_share(of) for n, of in rows.items() if n != TEACHER and _is_grid(n)}
+    found = {name: right for name, right in grids.items() if right is not None}
+    if found:
+        best = max(found, key=lambda name: found[name].mean)
+        above = [name for name, right in found.items() if right.mean >= MOST_OF_GRIDS]
+        holds = f"not below: {', '.join(above)}" if above else "all of them are below"
+        yield (
+            f"Policies on grids stay below {MOST_OF_GRIDS:.0%} right: {holds}. The most has {best}:"
+            f" {pages.percent(found[best], 1)}."
+        )
+    for name, of in rows.items():
+        right = None if name == TEACHER or _is_grid(name) else right_share(of)
+        if right is None:
+            continue
+        finish = episode_share(of, "finish")
+        does = right.mean >= LEAST_RIGHT and finish.mean >= LEAST_FINISHED
+        yield (
+            f"A convolutional float network reaches {LEAST_RIGHT:.0%} right and "
+            f"{LEAST_FINISHED:.0%} finished: {name} {'does' if does else 'does not'}, with "
+            f"{pages.percent(right, 1)} and {pages.percent(finish, 1)}."
+        )
+
+
+def _is_grid(name: str) -> bool:
+    return bool(_ROWS[name]["grid"])

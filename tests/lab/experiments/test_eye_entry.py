@@ -1,0 +1,98 @@
+"""The entry test of kart-eye in its smallest size, and what its page concludes."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lab.experiments import eye_entry
+from lab.experiments.eye_entry import EyeEntryDesign, outcomes, read_table, right_share, verdicts
+from lab.experiments.runner import run_experiment
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import resolve
+from spikedeploy.trainers.sparse.config import SparseConfig
+
+TWO = ("linear-4x8", "cnn")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _two_networks():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(eye_entry, "_ROWS", {name: eye_entry._ROWS[name] for name in TWO})
+        yield
+
+
+@pytest.fixture(scope="module")
+def design(tmp_path_factory):
+    runs = str(tmp_path_factory.mktemp("eye") / "runs")
+    return EyeEntryDesign(1, runs, episodes=2, quick=True, limit=60)
+
+
+@pytest.fixture(scope="module")
+def results(design, ran):
+    folder = Path(design.runs).parent / "results"
+    outcome = run_experiment(design, (), 1, folder)
+    assert (outcome.done, outcome.of, outcome.failed) == (3, 3, {})
+    assert ran == ["teacher", "linear-4x8-s0", "cnn-s0"]
+    return folder
+
+
+def test_each_row_holds_its_episodes_one_by_one(results):
+    rows = {row["network"]: row for row in read_table(results / "kart-eye.csv")}
+    assert list(rows) == ["teacher", *TWO]
+    assert all(len(row["right"]) == len(row["finish"]) == 2 for row in rows.values())
+    assert rows["cnn"]["updates"] == rows["linear-4x8"]["updates"] > 0
+    # 2 x 4 x 8 cells onto seven actions, and onto three of the second head, biases and all
+    assert rows["linear-4x8"]["weights"] == 64 * 10 + 10
+
+
+def test_what_is_done_is_not_done_again_and_rows_of_elsewhere_stay(design, results, ran, tmp_path):
+    before, count = (results / "kart-eye.csv").read_bytes(), len(ran)
+    run_experiment(design, (), 1, results)
+    assert len(ran) == count
+    shutil.copy(results / "kart-eye.csv", tmp_path)
+    replace(design, runs=str(tmp_path / "none")).write(tmp_path)
+    assert (tmp_path / "kart-eye.csv").read_bytes() == before
+    for changed in ({"episodes": 3}, {"quick": False}):
+        with pytest.raises(ConfigError, match=r"rows of 2 episodes, of quick trainings: .* -o"):
+            replace(design, **changed).check(results)
+
+
+def test_all_networks_train_equally_hard():
+    def effort(row):
+        made = resolve(SparseConfig, row["recipe"], overrides=row["settings"], seed=0)
+        return made.model_dump(exclude={"policy", "recipe"})
+
+    whole = eye_entry.DESIGNS["kart-eye"]["networks"]
+    first, *others = (effort(row) for row in whole.values())
+    assert len(others) == 10
+    assert all(each == first for each in others)
+
+
+def test_right_counts_the_forks_that_were_taken():
+    ends = [
+        {"forks": 6.0, "wrong": 0.0, "finish": 1.0, "crash": 0.0},
+        {"forks": 2.0, "wrong": 1.0, "finish": 0.0, "crash": 0.0},
+        {"forks": 0.0, "wrong": 0.0, "finish": 0.0, "crash": 1.0},
+    ]
+    row = outcomes(ends)
+    assert (row["right_share"], row["finish_share"]) == (pytest.approx(8 / 9), pytest.approx(1 / 3))
+    assert right_share([row, row]).mean == pytest.approx(8 / 9)
+    assert right_share([outcomes(ends[2:])]) is None
+
+
+@pytest.mark.parametrize(
+    ("right", "finish", "words"),
+    [((6, 6), (1, 1), "cnn does,"), ((6, 1), (1, 0), "cnn does not,")],
+)
+def test_the_page_concludes_from_its_numbers(right, finish, words):
+    def row(right, finish):
+        wrong = [int(taken < 6) for taken in right]
+        return {"right": list(right), "wrong": wrong, "finish": list(finish), "crash": [0, 0]}
+
+    found = list(verdicts({"linear-4x8": [row((6, 0), (1, 0))], "cnn": [row(right, finish)]}))
+    assert "not below: linear-4x8" in found[0]  # 6 of 7
+    assert words in found[1]
+    assert np.isclose(right_share([row((6, 0), (1, 0))]).mean, 6 / 7)
