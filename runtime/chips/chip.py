@@ -90,13 +90,19 @@ class Convolutions:
 
     kernel: largest extent of a kernel.
     strides: possible.
+    padding: most zeros on a side.
+    pools: possible extents of the sum pool behind the neurons.
     channels: most features.
+    source: largest extent of the network's input.
     extent: largest of what a layer puts out.
     """
 
     kernel: int
     strides: tuple[int, ...]
+    padding: int
+    pools: tuple[int, ...]
     channels: int
+    source: int
     extent: int
 
 

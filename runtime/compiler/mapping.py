@@ -13,7 +13,8 @@ Where each core computes a layer (Speck), memories have entries, and every layer
 layer with a kernel of c channels, f features and kx ky taps takes c 2^(ceil(log2 kx ky) +
 ceil(log2 f)) entries of kernel memory, its f maps of y x neurons f 2^(ceil(log2 y) + ceil(log2 x))
 of neuron memory (sinabs 3.1.3, source read). A linear map behind a Flatten is a kernel as large as
-what is flattened.
+what is flattened. A core knows one extent of a kernel: one that is not square takes the square that
+holds it.
 """
 
 import math
@@ -369,7 +370,9 @@ def _kernel_entries(graph: nir.NIRGraph, maps: Sequence[str]) -> int:
             channels, *space = flattened or [int(node.weight.shape[-1])]
         else:
             continue
-        total += channels * 2 ** (_log2(math.prod(space)) + _log2(features))
+        # the square that holds the kernel; a linear map without maps is a kernel of 1 x 1
+        taps = max(space, default=1) ** 2
+        total += channels * 2 ** (_log2(taps) + _log2(features))
     return total
 
 

@@ -7,6 +7,7 @@ of a network that is placed on a chip, which yield their results. A new rule is 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import pairwise
 from typing import Any, Literal, TypeAlias
 
 import nir
@@ -20,7 +21,7 @@ from spikedeploy.runtime.compiler.topology import Population, Topology, topology
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.graph.order import delay_timesteps
-from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, window_of
+from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, POOLS, window_of
 
 Floats: TypeAlias = NDArray[np.float64]
 Status = Literal["pass", "fail", "unknown", "not applicable"]
@@ -226,28 +227,99 @@ def _graded(design: PlacedNetwork) -> Iterator[RuleResult]:
 
 
 def _shape(design: PlacedNetwork) -> Iterator[RuleResult]:
-    """Channels and extents of what a layer puts out."""
+    """Channels and extents of the input, and of what a layer puts out."""
     if (limits := design.limits.convolutions) is None:
         return
-    most = f"{limits.channels} channels of {limits.extent} in each axis"
-    remedy = "Make the layer smaller, with a stride or a pool."
-    for population in design.network.populations:
-        channels, *extents = population.shape
-        fits = channels <= limits.channels and max(extents, default=1) <= limits.extent
-        yield _result(population.name, _verdict(fits), _by(population.shape), most, "", remedy)
+    remedy = "Make it smaller, with a stride or a pool."
+    shapes = [(p.name, p.shape, limits.extent) for p in design.network.populations]
+    for name in design.network.inputs:
+        node = design.artifact.graph.nodes[name]
+        taken = tuple(int(n) for n in node.input_type["input"])
+        shapes.append((name, taken, limits.source))
+    for name, (channels, *extents), extent in shapes:
+        fits = channels <= limits.channels and max(extents, default=1) <= extent
+        most = f"{limits.channels} channels of {extent} in each axis"
+        yield _result(name, _verdict(fits), _by((channels, *extents)), most, "", remedy)
 
 
 def _kernel(design: PlacedNetwork) -> Iterator[RuleResult]:
+    """Window of a convolution; a linear map is one as large as the maps that it flattens."""
     if (limits := design.limits.convolutions) is None:
         return
+    most = (
+        f"square kernels to {limits.kernel}, strides {', '.join(map(str, limits.strides))}, "
+        f"padding to {limits.padding}, no dilation"
+    )
     for name, node in design.nodes:
         if not isinstance(node, CONVOLUTIONS) or name in design.network.host:
             continue
         window = window_of(name, node)
-        fits = max(window.kernel) <= limits.kernel and {*window.stride} <= {*limits.strides}
+        fits = (
+            max(window.kernel) <= limits.kernel
+            and len({*window.kernel}) == 1
+            and {*window.stride} <= {*limits.strides}
+            and max(max(pair) for pair in window.padding) <= limits.padding
+            and {*window.dilation} == {1}
+        )
         found = f"a kernel of {_by(window.kernel)}, stride {_by(window.stride)}"
-        most = f"kernels to {limits.kernel}, strides {', '.join(map(str, limits.strides))}"
-        yield _result(name, _verdict(fits), found, most, "", "Train with such a kernel.")
+        if any(pair != (0, 0) for pair in window.padding):
+            found += f", padding {', '.join(f'{a} and {b}' for a, b in window.padding)}"
+        if {*window.dilation} != {1}:
+            found += f", dilation {_by(window.dilation)}"
+        remedy = "Train with such a kernel, or fill it up with zeros to one."
+        yield _result(name, _verdict(fits), found, most, "", remedy)
+    for flattened, name in _flattened(design):
+        extent = max(flattened[1:], default=1)
+        note = "" if len({*flattened[1:]}) < 2 else f"filled up with zeros to {extent} x {extent}"
+        remedy = "Make the maps that it hears smaller, with a stride or a pool."
+        found = f"a kernel of {_by(flattened[1:])}"
+        yield _result(name, _verdict(extent <= limits.kernel), found, most, "", remedy, note)
+
+
+def _flattened(design: PlacedNetwork) -> Iterator[tuple[tuple[int, ...], str]]:
+    """Shapes (C, Y, X) that linear maps hear behind a Flatten, and their names."""
+    nodes = design.artifact.graph.nodes
+    for population in design.network.populations:
+        for maps in (each.maps for each in population.presynaptic):
+            for before, name in pairwise(maps):
+                if isinstance(nodes[before], nir.Flatten) and isinstance(nodes[name], DENSE):
+                    yield tuple(int(n) for n in nodes[before].input_type["input"]), name
+
+
+def _layer_order(design: PlacedNetwork) -> Iterator[RuleResult]:
+    """Pools, then one map with weights, then neurons: what a core does with what it hears."""
+    if design.limits.convolutions is None:
+        return
+    nodes = design.artifact.graph.nodes
+    most = "pools, then one convolution or linear map"
+    remedy = "Put neurons between maps, and pools behind neurons."
+    for population in design.network.populations:
+        for maps in (each.maps for each in population.presynaptic):
+            kinds = [nodes[name] for name in maps if not isinstance(nodes[name], nir.Flatten)]
+            weights = [isinstance(node, (*CONVOLUTIONS, *DENSE)) for node in kinds]
+            fits = weights[-1:] == [True] and sum(weights) == 1
+            found = ", then ".join(type(node).__name__ for node in kinds) or "no map"
+            yield _result(population.name, _verdict(fits), found, most, "", remedy)
+
+
+def _pool(design: PlacedNetwork) -> Iterator[RuleResult]:
+    """Each pool, with those before it, divides coordinates by what a core can divide them by."""
+    if (limits := design.limits.convolutions) is None:
+        return
+    nodes = design.artifact.graph.nodes
+    most = f"square pools of {', '.join(map(str, limits.pools))} without overlap or padding"
+    presynaptic = (each for p in design.network.populations for each in p.presynaptic)
+    for maps in dict.fromkeys(each.maps for each in presynaptic):
+        divided = np.ones(2, np.int64)
+        for name in (each for each in maps if isinstance(nodes[each], POOLS)):
+            window = window_of(name, nodes[name])
+            divided *= window.kernel
+            fits = window.kernel == window.stride and not np.any(window.padding)
+            fits = fits and divided[0] == divided[1] and int(divided[0]) in limits.pools
+            found = f"a pool of {_by(window.kernel)}, stride {_by(window.stride)}"
+            if tuple(divided) != window.kernel:
+                found += f", {_by(tuple(divided))} with those before it"
+            yield _result(name, _verdict(fits), found, most, "", "Train with such a pool.")
 
 
 def _by(extents: tuple[int, ...]) -> str:
@@ -536,6 +608,8 @@ NODE_RULES: dict[str, Rule] = {
         "layers", "Connect it to fewer layers.", "destinations", _destinations
     ),
     "kernel": _kernel,
+    "pool": _pool,
+    "layer-order": _layer_order,
     "sign": _axon_signs,
     "axon-types": _at_most(
         "weights of a neuron",

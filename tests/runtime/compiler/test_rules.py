@@ -90,16 +90,49 @@ def membrane(tau):
     return one(neurons=lif(2, tau=tau, r=tau / 1e-3))
 
 
-def convolved(size, kernel, stride=1, features=2):
+def convolved(size, kernel, stride=1, features=2, padding=0, dilation=1):
     """A convolution of a square image."""
-    weight = np.ones((features, 1, kernel, kernel))
-    node = nir.Conv2d((size, size), weight, stride, 0, 1, 1, np.zeros(features))
-    extent = (size - kernel) // stride + 1
-    shape = (features, extent, extent)
-    edges = "input->c, c->n, n->output"
-    return Artifact(
-        graph(edges, c=node, n=integrate(*shape), **ends([1, size, size], shape)), None, CONVENTION
-    )
+    kernel = (kernel, kernel) if isinstance(kernel, int) else kernel
+    weight = np.ones((features, 1, *kernel))
+    node = nir.Conv2d((size, size), weight, stride, padding, dilation, 1, np.zeros(features))
+    reach = (dilation * (k - 1) + 1 for k in kernel)
+    shape = (features, *((size + 2 * padding - each) // stride + 1 for each in reach))
+    nodes = {"c": node, "n": integrate(*shape), **ends([1, size, size], shape)}
+    edges = list(pairwise(["input", "c", "n", "output"]))
+    # nir 1.0.8 takes all kernels for square ones
+    return Artifact(nir.NIRGraph(nodes, edges, type_check=False), None, CONVENTION)
+
+
+def pooled(*pools, size=16, behind=False):
+    """Neurons, pools (extent, stride) and a convolution of 1 x 1, or pools behind it."""
+    extents, nodes = [size], []
+    for kernel, stride in pools:
+        axes = np.array([[kernel] * 2, [stride] * 2, [0, 0]])
+        nodes.append(nir.SumPool2d(*axes))
+        extents.append((extents[-1] - kernel) // stride + 1)
+    convolution = nir.Conv2d(None, np.ones((1, 1, 1, 1)), 1, 0, 1, 1, np.zeros(1))
+    nodes.insert(len(nodes) * (not behind), convolution)
+    first = nir.Conv2d(None, np.ones((1, 1, 1, 1)), 1, 0, 1, 1, np.zeros(1))
+    nodes = [first, integrate(1, size, size), *nodes, integrate(1, *[extents[-1]] * 2)]
+    names = [f"n{k}" for k in range(len(nodes))]
+    edges = list(pairwise(["input", *names, "output"]))
+    made = {
+        **dict(zip(names, nodes, strict=True)),
+        **ends([1, size, size], [1, *[extents[-1]] * 2]),
+    }
+    return Artifact(nir.NIRGraph(made, edges), None, CONVENTION)
+
+
+def flattened(*extents):
+    """A linear map of maps of such extents."""
+    size = int(np.prod(extents))
+    nodes = {
+        "flat": nir.Flatten({"input": np.array([1, *extents])}, 0, -1),
+        "w": nir.Linear(np.ones((2, size))),
+        "n": integrate(2),
+    }
+    edges = "input->flat, flat->w, w->n, n->output"
+    return Artifact(graph(edges, **nodes, **ends([1, *extents], 2)), None, CONVENTION)
 
 
 def heard_by(layers):
@@ -172,6 +205,15 @@ BOUNDARIES = [
     ("output-sources", "xylo-imu", reached(1, 128), reached(1, 129)),
     ("kernel", "speck2f", convolved(20, 16), convolved(20, 17)),
     ("kernel", "speck2f", convolved(20, 2, stride=8), convolved(20, 2, stride=3)),
+    ("kernel", "speck2f", convolved(20, 15, padding=7), convolved(20, 15, padding=8)),
+    ("kernel", "speck2f", convolved(20, 3), convolved(20, (3, 2))),
+    ("kernel", "speck2f", convolved(20, 3), convolved(20, 3, dilation=2)),
+    ("kernel", "speck2f", flattened(16, 16), flattened(16, 17)),
+    ("pool", "speck2f", pooled((4, 4)), pooled((3, 3))),
+    ("pool", "speck2f", pooled((2, 2), (2, 2)), pooled((2, 2), (2, 2), (2, 2))),
+    ("pool", "speck2f", pooled((2, 2)), pooled((2, 1))),
+    ("layer-order", "speck2f", pooled((2, 2)), pooled((2, 2), behind=True)),
+    ("shape", "speck2f", convolved(128, 2, 2, features=1), convolved(129, 4, 4, features=1)),
     ("shape", "speck2f", convolved(65, 2, features=1), convolved(66, 2, features=1)),
     ("shape", "speck2f", convolved(2, 2, features=1024), convolved(2, 2, features=1025)),
     ("destinations", "speck2f", heard_by(2), heard_by(3)),
