@@ -1,6 +1,6 @@
 """Events that the camera of kart-eye sends, by control rate and share of quiet.
 
-    python -m lab eye-events [-o results/kart-eye-events.md] [--karts 4] [--forks 2]
+    python -m lab eye-events [-o results/kart-eye-events.md] [--karts 4] [--forks 1]
 
 The privileged teacher drives; its path and its events are those of 60 Hz as near as noise lets
 them be, since the physics and the views do not depend on the control rate. Means over the time in
@@ -51,10 +51,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("-o", "--output", type=Path, default=Path("results/kart-eye-events.md"))
     parser.add_argument("--karts", type=int, default=4)
-    parser.add_argument("--forks", type=int, default=2)
+    parser.add_argument("--forks", type=int, default=1)
     given = parser.parse_args()
     rows = [measure(rate, quiet, given.karts, given.forks) for rate in RATES for quiet in QUIET]
-    courses = f"{given.karts} courses of {given.forks} forks"
-    text = f"# Events of kart-eye\n\n`python -m lab eye-events`: the teacher drives {courses}.\n\n"
-    write_text(given.output, text + markdown_text([HEADS, *rows]))
+    text = "# Events of kart-eye\n\nWritten by `python -m lab eye-events`: the teacher drives "
+    text += (
+        f"{given.karts} courses, forks in each: {given.forks}. While a kart waits there is noise "
+    )
+    text += "alone, until the gate lifts before it.\n\n"
+    write_text(given.output, text + markdown_text([HEADS, *rows]) + "\n")
     print(given.output)
