@@ -11,14 +11,17 @@ constants    biases, and what the host adds
 comparisons  units of a delta network, which are compared with what they sent, and their kept sums
 
 The rule, `predict`, takes the counts of a policy at one control rate, moving and mostly at rest,
-and the events a second of another cell of the map:
+and the events a second of another cell of the map. Events come at the rate of motion for the share
+of time that this takes, and not at all else; what is counted at rest follows from both counts.
 
     occupied(n, M) = M (1 - exp(-n / M)), places of M in which one of n events falls
     a float network that runs f times a second sees occupied(e s, C) cells in the time s: its first
-        layer takes so many operations a cell, the others so many that lie on a line through both
+        layer takes so many operations a cell, the others what they take in motion and at rest
+    one that n events trigger runs min(f, 1 / (n / e + 1 / (2 f))) times a second, as a control step
+        ends half a step after them, and not at all at rest
     a delta network: behind the first layer a random walk, whose changes since the last control step
         grow with the root of its time
-    a spiking one: operations a second on a line through both, by cells with events a second;
+    a spiking one: operations a second as at rest, and the others as cells with events a second;
         updates f N, or f occupied(a / f, N) where a chip updates those alone at which some of a
         operations a second arrive
 """
@@ -186,59 +189,70 @@ def predict(row: Record, rest: Record, rate: float, events: float, span: float) 
     events  of the camera a second, those of noise included
     span    time [s] whose events a float network sees, at least
     """
+    moving = min(1.0, events / (row["events"] * row["rate"]))
+    still = _still(row, rest)
     if row["spiking"]:
-        return _predicted_chip(row, rest, rate, events)
-    return _predicted_float(row, rest, rate, events, span)
+        each = [_chip_at(row, still, rate, share) for share in (1.0, 0.0)]
+    else:
+        each = [_float_at(row, still, rate, span, share) for share in (1.0, 0.0)]
+    mixed = {name: moving * n + (1 - moving) * each[1][name] for name, n in each[0].items()}
+    return row | mixed | {"rate": rate}
 
 
-def _on_line(name: str, row: Record, rest: Record, at: float, by: str = "cells") -> float:
-    """A count where another one is `at`, on the line through two rows, not below 0."""
-    between = row[by] - rest[by]
-    slope = (row[name] - rest[name]) / between if abs(between) > 1e-9 * row[by] else 0.0
-    return float(max(row[name] + slope * (at - row[by]), 0.0))
+_COUNTED = (
+    "events", "cells", "macs", "first_macs", "sent", "sop", "graded_sop", "spike_out", "spike_in",
+)  # fmt: skip
 
 
-# counts of a control step that depend on neither events nor rate
-_STEADY = ("bias_sop", "one_state_update", "constants", "neuron_update", "neuron_idle")
-_ACTIVE = ("sop", "graded_sop", "spike_out", "spike_in")
+def _still(row: Record, rest: Record) -> Record:
+    """Counts of a control step at rest, of which `rest` has a share, and motion the other."""
+    moving = min(1.0, rest["events"] / row["events"])
+    if moving > 1 - 1e-9:
+        return row | dict.fromkeys(_COUNTED, 0.0)
+    found = {n: (rest[n] - moving * row[n]) / (1 - moving) for n in _COUNTED if n in row}
+    return row | {name: max(each, 0.0) for name, each in found.items()}
 
 
-def _predicted_chip(row: Record, rest: Record, rate: float, events: float) -> Record:
-    now = occupied(events / rate, places_of(row["events"], row["cells"]))
+def _chip_at(row: Record, still: Record, rate: float, moving: float) -> Record:
+    """Counts of a spiking policy at a rate, in motion (1) or at rest (0)."""
     slower = row["rate"] / rate  # a second has so many control steps less
-    found = {name: _on_line(name, row, rest, now / slower) * slower for name in _ACTIVE}
+    events = moving * row["events"] * slower
+    cells = occupied(events, places_of(row["events"], row["cells"]))
+    found = {"events": events, "cells": cells}
+    for name in ("sop", "graded_sop", "spike_out", "spike_in"):
+        by_events = max(row[name] - still[name], 0.0) * cells / row["cells"]
+        found[name] = by_events + min(still[name], row[name]) * slower
     # packets of spikes follow them, those of readouts to the host are sent in each step
     found["message"] = row["message"] - row["spike_in"] + found["spike_in"]
-    touched = occupied(found["sop"], places_of(row["sop"], row["touched"]))
-    about = {"rate": rate, "events": events / rate, "cells": now, "touched": touched}
-    return row | {name: row[name] for name in _STEADY} | found | about
+    found["touched"] = occupied(found["sop"], places_of(row["sop"], row["touched"]))
+    return found
 
 
-def _predicted_float(row: Record, rest: Record, rate: float, events: float, span: float) -> Record:
-    way, runs = WAYS[row["way"]], rate
-    if way.trigger == 1:
-        runs = rate * -math.expm1(-events / rate)
-    elif way.trigger:
-        runs = min(rate, events / way.trigger)
-    usual = max(row["span"], 1 / (row["runs"] * row["rate"])) if way.trigger else row["span"]
-    seen = max(span, 1 / runs) if way.trigger else span
-    each, resting = _per_run(row), _per_run(rest)
-    now = occupied(events * seen, places_of(row["events"] * row["rate"] * usual, each["cells"]))
-    behind, sent = (_on_line(name, each, resting, now) for name in ("behind", "sent"))
+def _float_at(row: Record, still: Record, rate: float, span: float, moving: float) -> Record:
+    """Counts of a float network at a rate, in motion (1) or at rest (0)."""
+    way = WAYS[row["way"]]
+    events = moving * row["events"] * row["rate"]  # a second
+    runs, usual, seen = rate, row["span"], span
+    if way.trigger:
+        runs = min(rate, 1 / (way.trigger / events + 1 / (2 * rate))) if events else 0.0
+        usual = max(usual, 1 / (row["runs"] * row["rate"]))
+        seen = max(span, 1 / runs) if runs else 0.0
+    each = {name: row[name] / row["runs"] for name in _PER_RUN}
+    places = places_of(row["events"] * row["rate"] * usual, each["cells"])
+    now = occupied(events * seen, places)
+    behind, sent = each["macs"] - each["first_macs"], each["sent"]
+    if not moving:
+        behind, sent = still["macs"] - still["first_macs"], still["sent"]
     if way.delta is not None:
         share = min(1.0, math.sqrt(row["rate"] / rate))
         behind, sent = behind * share, sent * share
     first = each["first_macs"] / each["cells"] * now
     found = each | {"first_macs": first, "macs": first + behind, "sent": sent, "cells": now}
     found = {name: count * runs / rate for name, count in found.items()}
-    return row | found | {"rate": rate, "events": events / rate, "runs": runs / rate}
+    return found | {"events": events / rate, "runs": runs / rate}
 
 
-def _per_run(row: Record) -> Record:
-    """Counts of a time that a float network runs."""
-    names = ("macs", "first_macs", "cells", "sent", "compared", "units", "gates")
-    each = {name: row[name] / row["runs"] for name in names}
-    return each | {"behind": each["macs"] - each["first_macs"]}
+_PER_RUN = ("macs", "first_macs", "cells", "sent", "compared", "units", "gates")
 
 
 def border(rates: Sequence[float], ratios: Sequence[float]) -> float:

@@ -168,6 +168,21 @@ def test_an_event_waits_for_a_control_step_for_layers_or_for_other_events():
 # the rule
 
 
+@pytest.mark.parametrize(("rate", "runs"), [(4, 4), (200, 1 / (0.064 + 0.0025)), (4000, 15.5)])
+def test_a_network_that_events_trigger_runs_as_often_as_a_simulation_says(rate, runs):
+    """1,000 events a second; it runs as soon as 64 have come and the control step is over."""
+    row = counted(way="triggered by 64 events", events=20, cells=19, macs=9, rate=50, runs=0.9)
+    found = predict(row, row | {"events": 0}, rate, 1000.0, 0.02)["runs"] * rate
+    since, ran = 0, 0
+    arriving = np.random.default_rng(0).poisson(1000 / rate, 60 * rate)
+    for events in arriving:
+        since += events
+        if since >= 64:
+            since, ran = 0, ran + 1
+    assert found == pytest.approx(runs, rel=0.01)
+    assert found == pytest.approx(ran / 60, rel=0.25)
+
+
 @pytest.mark.parametrize(("events", "places"), [(3.0, 1000.0), (500.0, 400.0), (1e4, 1e4)])
 def test_places_are_found_from_events_and_the_places_that_they_fell_in(events, places):
     assert places_of(events, occupied(events, places)) == pytest.approx(places, rel=1e-4)
@@ -185,11 +200,15 @@ def test_the_rule_gives_back_the_counts_that_it_starts_from(spiking):
         spiking=spiking, macs=100, first_macs=40, cells=9, events=10, sent=7, units=3, gates=2,
         sop=80, touched=60, spike_in=5, spike_out=4, message=6, neuron_update=90,
     )  # fmt: skip
-    rest = row | {"cells": 4, "sop": 30, "sent": 5, "macs": 70, "first_macs": 18}
-    again = predict(row, rest, row["rate"], row["events"] * row["rate"], row["span"])
-    assert {name: again[name] for name in row if name != "late"} == pytest.approx(
-        {name: value for name, value in row.items() if name != "late"}
-    )
+    rest = row | {"events": 4, "cells": 3.6, "sop": 40, "sent": 5, "macs": 70, "first_macs": 16}
+    names = {"events", "cells", "rate", *(("sop",) if spiking else ("macs", "first_macs", "sent"))}
+    for start in (row, rest):
+        again = predict(row, rest, row["rate"], start["events"] * row["rate"], row["span"])
+        expected = {name: start[name] for name in names}
+        assert {name: again[name] for name in names} == pytest.approx(expected)
+    if spiking:
+        once = predict(row, rest, row["rate"], row["events"] * row["rate"], row["span"])
+        assert once["touched"] == pytest.approx(row["touched"])
 
 
 def test_at_a_border_that_counts_give_in_closed_form_both_cost_the_same():
@@ -204,9 +223,9 @@ def test_at_a_border_that_counts_give_in_closed_form_both_cost_the_same():
     wanted = events * (100 * 1.35 + 7.5) / (50 * 1.55)
 
     def ratio(at):
-        rest = {"cells": 0, "sop": 0}
+        rest = {"events": 0, "cells": 0, "sop": 0}
         mine = predict(chip, chip | rest, at, events, 1e-9)
-        other = predict(net, net, at, events, 1e-9)
+        other = predict(net, net | {"events": 0, "cells": 0}, at, events, 1e-9)
         spent = [power(row, by) - row["rate"] * row["events"] * 2.6e-12 for row in (mine, other)]
         return spent[0] / spent[1]
 
