@@ -270,7 +270,8 @@ def verify(
             "--limits, go with --network; a trace file says it itself"
         )
     replays = []
-    for path in traces:
+    # of a folder its traces; an empty one is refused as a trace is
+    for path in (file for each in traces for file in sorted(each.glob("*.json")) or [each]):
         replays.append(replay_trace(path))
         if not json:
             print_verifications(replays[-1:])

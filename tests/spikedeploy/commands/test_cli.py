@@ -270,6 +270,11 @@ def test_verify_names_a_file_once_that_it_cannot_read(command, tmp_path):
     ]
 
 
+def test_verify_replays_the_traces_of_a_folder(command):
+    code, out, _ = command("verify", GOLDEN / "speck", "--json")
+    assert (code, len(json.loads(out))) == (0, 3)
+
+
 def test_verify_tells_the_first_difference_and_goes_on(command, tmp_path):
     record = json.loads(TRACE.read_text())
     record["v"][17][2] += 64
