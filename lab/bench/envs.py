@@ -8,8 +8,13 @@ figure counts the steps of all of them. Without names, every kart is measured wi
 
 Of karts, PPO's rollouts are measured, too, with the recipes' spiking policies: observe, encode,
 spike through all timesteps, draw an action, and step, in 16 copies.
+
+The name event-camera measures the camera of envs/event_camera.py alone: frames of 32x64 pixels per
+second, of one camera and of 32, whose bright edges move. v2e, whose model it is, is not on PyPI, so
+that no peer runs beside it.
 """
 
+import itertools
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -20,7 +25,9 @@ import numpy as np
 
 from lab.bench.turns import Act, interleave, parser_of, report
 from spikedeploy import envs
+from spikedeploy.envs.event_camera import EventCamera
 
+_CAMERA, _PIXELS = "event-camera", (32, 64)
 KARTS = tuple(name for name, spec in envs.ENVS.items() if spec.world == "kart")
 
 
@@ -36,6 +43,22 @@ def steps_of(env: Any, steps: int) -> Act:  # noqa: ANN401
             _, _, terminated, truncated, _ = env.step(action)
             if not several and (terminated or truncated):
                 env.reset()
+
+    return step
+
+
+def frames_of(cameras: int, frames: int) -> Act:
+    """A function that shows so many frames to each of some event cameras, with v2e's defaults."""
+    camera = EventCamera((cameras, *_PIXELS), "v2e", range(cameras))
+    x = np.arange(_PIXELS[1]) / _PIXELS[1]
+    # a stripe that passes in 100 frames
+    films = [np.where((x - n / 100) % 1 < 0.25, 200, 60).astype(np.uint8) for n in range(100)]
+    shown = [np.broadcast_to(row, camera.shape) for row in films]
+    time = itertools.count(1)
+
+    def step() -> None:
+        for n in range(frames):
+            camera.process(shown[n % len(shown)], next(time) / 1000)
 
     return step
 
@@ -68,6 +91,12 @@ def main() -> None:
     copies, rounds = given.vector, max(1, given.steps // given.vector)
     rows: dict[str, tuple[Act, int]] = {}
     for name in given.names:
+        if name == _CAMERA:
+            for many in (1, 32):
+                each = max(1, given.steps // many)
+                label = f"{name:16} {'one' if many == 1 else f'{many} of them':10}"
+                rows[label] = frames_of(many, each), each * many
+            continue
         options = {"track": given.track} if name in KARTS else {}
         make = partial(envs.make, name, **options)
         several = gymnasium.vector.SyncVectorEnv([make] * copies)

@@ -29,7 +29,9 @@ from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.policies.vision import SIGNS
 from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import BatchController, Stateless
+from spikedeploy.trainers.sparse.sparse import phases
 from spikedeploy.trainers.sparse.student import FloatController
 from spikedeploy.trainers.sparse.vision import EyeEpisodes
 
@@ -109,8 +111,7 @@ class EyeEntryDesign(Design):
                 "seed": training.seed,
                 "weights": sum(each.numel() for each in policy.parameters()),
                 "updates": progress["updates"],
-                "walks": config.teacher_walks + config.noisy_walks
-                + config.walks * config.dense_rounds,
+"walks": walks_of(config),
                 "versions": versions_text(read_json(training.existing_run / "versions.json")),
             }  # fmt: skip
         *_, ends = episodes.play(range(EVALUATION, EVALUATION + self.episodes), controller)
@@ -158,6 +159,12 @@ class EyeEntryDesign(Design):
         there = {f"{row['network']}-s{row['seed']}" for row in rows}
         lack = [each.name for each in self.trainings() if each.name not in there]
         return f"**Not trained or evaluated yet: {', '.join(lack)}.**" if lack else ""
+
+
+def walks_of(config: SparseConfig) -> int:
+    """Return how many walks a training has seen: the teacher's, and its own of each phase."""
+    own = config.walks * (len(phases(config)) - 1)
+    return config.teacher_walks + config.noisy_walks + own
 
 
 def taught(episodes: EyeEpisodes, seen: Any) -> Any:  # noqa: ANN401 - arrays
