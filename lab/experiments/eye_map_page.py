@@ -137,6 +137,11 @@ class Map:
     cells: Sequence[Sequence[Cell | None]]
     references: "References"
 
+    def equal(self, column: int) -> str:
+        """How many of the cells at a share of quiet have equal success: `2 of 3`."""
+        found = [cell.is_equal for row in self.cells if (cell := row[column]) is not None]
+        return f"{sum(found)} of {len(found)}"
+
     def borders(self, column: int) -> tuple[float, float]:
         """Control rates [Hz] from which spiking costs less: as counted, and by the rule."""
         some = [(r, row[column]) for r, row in zip(self.rates, self.cells, strict=True)]
