@@ -10,11 +10,13 @@ from lab.kill import differences
 from spikedeploy.exporters.parity import check
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import VisionSnnConfig, resolve
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import from_config
+from spikedeploy.trainers.policies.vision import vision_artifact
 from spikedeploy.trainers.run_folder import load_policy
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool, Windows
@@ -119,3 +121,9 @@ def test_rounded_weights_are_multiples_of_the_chips_step():
         assert offsets[name].abs().max() > 0
         assert offsets[name].abs().max() <= 1.01 * np.abs(weight).max() / 127
         assert levels < 260
+
+
+@pytest.mark.parametrize(("recipe", "on"), [("kart-eye-snn", "loihi1"), ("kart-eye-if", "speck2f")])
+def test_a_spiking_student_keeps_the_design_rules_of_its_chip(recipe, on):
+    policy = from_config(resolve(SparseConfig, recipe).policy, 1024, 7, head="discrete")
+    assert compile_program(vision_artifact(policy), chip(on)).layers
