@@ -84,6 +84,11 @@ def _random_layer(rng, name, size, wires, start):
         if sparse:
             weight *= rng.random(weight.shape) < 0.3
         synapses.append(Synapses(source, weight.astype(np.int16), delay))
+    return random_neurons(rng, name, size, synapses, start, top)
+
+
+def random_neurons(rng, name, size, synapses, start=0, top=255):
+    """A layer of CuBa-LIF neurons, whose numbers are about as large as weights up to `top`."""
     return Layer(
         name=name,
         synapses=tuple(synapses),
@@ -169,9 +174,3 @@ def random_convolutions(rng, make_layer, datasheet, convention, delay=1, loop=Fa
     )
     layers.append(make_layer(rng, "three", size, synapses))
     return Program(datasheet, convention, "input", width, tuple(layers), "three", None)
-
-
-def listed(program):
-    """The program with matrices in place of kernels."""
-    layers = (replace(a, synapses=tuple(s.listed() for s in a.synapses)) for a in program.layers)
-    return replace(program, layers=tuple(layers))

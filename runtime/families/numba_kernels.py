@@ -31,16 +31,13 @@ Number = Any
     SIZE, NEURON, STATE, WIDTH, FIRST_WIRE, LAST_WIRE, START, BIAS, BIAS_FAN_OUT, IS_OUTPUT, READ,
     LEAVES, HEAD, TAIL,
 ) = LAYER = range(14)  # fmt: skip
-# columns of Constants.wires; WINDOW is a row of Constants.windows, or MATRIX
-SOURCE, LAG, WEIGHT, FAN_OUT, WINDOW = range(5)
-MATRIX = -1
-# columns of Constants.windows; what a row, or column, of the source reaches begins at ROWS and
-# COLUMNS in Constants.reach; CHANNELS of a group in the source, FEATURES in the target, of FEATURES
-# times groups in all that ALL_FEATURES are
+# columns of Constants.wires, of which the further ones describe a window: what a row, or column, of
+# the source reaches begins at ROWS and COLUMNS in Constants.tables; CHANNELS of a group in the
+# source, FEATURES in the target, of FEATURES times groups in all that ALL_FEATURES are
 (
-    SOURCE_Y, SOURCE_X, ROWS, COLUMNS, KERNEL_Y, KERNEL_X, CHANNELS, FEATURES, ALL_FEATURES,
-    TARGET_Y, TARGET_X,
-) = WINDOWS = range(11)  # fmt: skip
+    SOURCE, LAG, WEIGHT, FAN_OUT, IS_WINDOW, SOURCE_Y, SOURCE_X, ROWS, COLUMNS, KERNEL_Y, KERNEL_X,
+    CHANNELS, FEATURES, ALL_FEATURES, TARGET_Y, TARGET_X,
+) = WIRE = range(16)  # fmt: skip
 # columns of Constants.sources; NEURONS of each, rows that it REMEMBERS, where its RASTER and its
 # LENGTHS begin in a row of the memory
 NEURONS, REMEMBERS, RASTER, LENGTHS = range(4)
@@ -50,17 +47,14 @@ class Wiring(NamedTuple):
     """The part of a family's Constants that it has in common with others.
 
     weights: (W,) axon-major, and then the biases; of windows (C, ky, kx, O / G).
-    fan_out: (A,) of each axon of each synapses.
-    wires, windows, layers, sources: a row for each, columns above; source 0 is the input, k + 1
-        layer k.
-    reach: (R,) position that a row, or column, reaches by each element of a kernel; or -1.
+    tables: (A,) fan-out of each axon of each synapses; of windows also the position that a row, or
+        column, reaches by each element of the kernel, or -1.
+    wires, layers, sources: a row for each, columns above; source 0 is the input, k + 1 layer k.
     """
 
     weights: Array
-    fan_out: Array
+    tables: Array
     wires: Array
-    windows: Array
-    reach: Array
     layers: Array
     sources: Array
 
@@ -286,18 +280,16 @@ def sum_weights(
     for k in range(about[FIRST_WIRE], about[LAST_WIRE]):
         wire = constants.wires[k]
         axons, spikes = sent(constants.sources[wire[SOURCE]], memory, row - wire[LAG])
-        if wire[WINDOW] == MATRIX:
+        if wire[IS_WINDOW]:
+            for axon in axons:
+                for _ in range(spikes[axon] if many else 1):
+                    _add_window(plane, constants.weights, wire, constants.tables, axon)
+            if len(axons):
+                _add_plane(sums, plane, wire[ALL_FEATURES])
+        else:
             _add_rows(sums, constants.weights, wire[WEIGHT], axons)
             if many:
                 _add_more(sums, constants.weights, wire[WEIGHT], axons, spikes)
-        elif len(axons):
-            window = constants.windows[wire[WINDOW]]
-            for axon in axons:
-                for _ in range(spikes[axon] if many else 1):
-                    _add_window(
-                        plane, constants.weights, wire[WEIGHT], window, constants.reach, axon
-                    )
-            _add_plane(sums, plane, window[ALL_FEATURES])
 
 
 @jit
@@ -335,23 +327,27 @@ def _add_more(sums: Array, weights: Array, start: int, axons: Array, spikes: Arr
 
 
 @jit
-def _add_window(
-    plane: Array, weights: Array, start: int, window: Array, reach: Array, axon: int
-) -> None:
+def locate(wire: Array, axon: Number) -> tuple[Number, Number, Number]:
+    """Channel of an axon of a window, and where in the tables is what its row and column reach."""
+    line, x = axon // wire[SOURCE_X], axon % wire[SOURCE_X]
+    channel, y = line // wire[SOURCE_Y], line % wire[SOURCE_Y]
+    return channel, wire[ROWS] + y * wire[KERNEL_Y], wire[COLUMNS] + x * wire[KERNEL_X]
+
+
+@jit
+def _add_window(plane: Array, weights: Array, wire: Array, tables: Array, axon: int) -> None:
     """Add the weights of an axon, as often as its window overlaps the target, to the plane."""
-    width, features, elements = window[SOURCE_X], window[FEATURES], window[KERNEL_X]
-    row, x = axon // width, axon % width
-    channel, y = row // window[SOURCE_Y], row % window[SOURCE_Y]
-    first = channel // window[CHANNELS] * features
-    rows = reach[window[ROWS] + y * window[KERNEL_Y] :]
-    columns = reach[window[COLUMNS] + x * elements :]
-    at = start + channel * window[KERNEL_Y] * elements * features
-    for i in range(window[KERNEL_Y]):
+    channel, row, column = locate(wire, axon)
+    features, elements, lines = wire[FEATURES], wire[KERNEL_X], wire[KERNEL_Y]
+    first = channel // wire[CHANNELS] * features
+    rows, columns = tables[row : row + lines], tables[column : column + elements]
+    at = wire[WEIGHT] + channel * lines * elements * features
+    for i in range(lines):
         if rows[i] >= 0:
             for j in range(elements):
                 if columns[j] >= 0:
-                    place = rows[i] * window[TARGET_X] + columns[j]
-                    to = place * window[ALL_FEATURES] + first
+                    place = rows[i] * wire[TARGET_X] + columns[j]
+                    to = place * wire[ALL_FEATURES] + first
                     sums = plane[to : to + features]
                     kernel = weights[at + (i * elements + j) * features :]
                     for feature in range(features):
@@ -398,7 +394,7 @@ def count(constants: Array, memory: Array, call: Array, steps: int) -> None:
         for k in range(about[FIRST_WIRE], about[LAST_WIRE]):
             wire = constants.wires[k]
             # of the rows that the source emitted, not of those that arrived
-            source, fan_out = constants.sources[wire[SOURCE]], constants.fan_out[wire[FAN_OUT] :]
+            source, fan_out = constants.sources[wire[SOURCE]], constants.tables[wire[FAN_OUT] :]
             for row in range(timesteps):
                 axons, spikes = sent(source, memory, row)
                 for axon in axons:

@@ -24,14 +24,14 @@ from spikedeploy.runtime.emulator.backend import (
 from spikedeploy.runtime.emulator.ledger import EVENTS, LedgerBuilder
 from spikedeploy.runtime.families.numba_kernels import (
     LENGTHS,
-    MATRIX,
     NEURONS,
     RASTER,
     REMEMBERS,
     SIZE,
+    SOURCE_Y,
     STATE,
     WIDTH,
-    WINDOWS,
+    WIRE,
     Memory,
     Wiring,
 )
@@ -63,14 +63,18 @@ def wire(
     lags = [lag for of_layer in delays for lag in of_layer]
     weights = np.cumsum([0, *(s.weight.size for s in synapses)]).tolist()
     axons = np.cumsum([0, *(len(s.fan_out) for s in synapses)]).tolist()
-    reach: list[Numbers] = [np.zeros(0, np.int32)]
-    shapes: list[list[int]] = []
-    wires = []
-    for k, s in enumerate(synapses):
-        place = MATRIX if s.window is None else len(shapes)
-        if s.window is not None:
-            shapes.append(_describe(s.window, reach))
-        wires.append((index[s.source], lags[k], weights[k], axons[k], place))
+    tables: list[Numbers] = [s.fan_out for s in synapses]
+    wires = [
+        (
+            index[s.source],
+            lags[k],
+            weights[k],
+            axons[k],
+            s.window is not None,
+            *describe(s.window, tables),
+        )
+        for k, s in enumerate(synapses)
+    ]
     remembered = dict.fromkeys(program.sizes, 0)
     remembered[program.output] = program.readout.lag if program.readout else 0
     for s, lag in zip(synapses, lags, strict=True):
@@ -104,10 +108,8 @@ def wire(
         weights=aligned_copy(
             np.concatenate([*map(_packed, synapses), *(a.bias for a in layers)]), dtype
         ),
-        fan_out=np.concatenate([s.fan_out for s in synapses]),
+        tables=np.concatenate(tables),
         wires=np.array(wires, np.int64),
-        windows=np.array(shapes, np.int64).reshape(len(shapes), len(WINDOWS)),
-        reach=np.concatenate(reach),
         layers=np.array(rows, np.int64),
         # without places in memory, which depend on the timesteps
         sources=np.array([(n, remembered[name], 0, 0) for name, n in program.sizes.items()]),
@@ -129,16 +131,18 @@ def _packed(synapses: Synapses) -> Numbers:
     return np.ascontiguousarray(np.moveaxis(parted, 1, -1)).ravel()
 
 
-def _describe(window: Window, reach: list[Numbers]) -> list[int]:
-    """The row of a window, whose tables are put behind those of others."""
+def describe(window: Window | None, tables: list[Numbers]) -> list[int]:
+    """Columns of a wire from SOURCE_Y on; what its rows and columns reach is put into the tables."""
+    if window is None:
+        return [0] * (len(WIRE) - SOURCE_Y)
     (channels, height, width), (features, target_y, target_x) = window.source, window.target
     starts = []
     for table, extent, pool in zip(window.reach, (height, width), window.pool, strict=True):
-        starts.append(sum(map(len, reach)))
+        starts.append(sum(map(len, tables)))
         # of the source as it sends: rows that a pool leaves over reach nothing
-        whole = np.full((extent, table.shape[1]), -1, np.int32)
+        whole = np.full((extent, table.shape[1]), -1, np.int64)
         whole[: len(table) * pool] = table.repeat(pool, axis=0)
-        reach.append(whole.ravel())
+        tables.append(whole.ravel())
     of_group = channels // window.groups, features // window.groups
     return [height, width, *starts, *window.kernel, *of_group, features, target_y, target_x]
 

@@ -58,10 +58,8 @@ class Constants(NamedTuple):
     """
 
     weights: Array
-    fan_out: Array
+    tables: Array
     wires: Array
-    windows: Array
-    reach: Array
     layers: Array
     sources: Array
     chip: Array
@@ -86,10 +84,8 @@ class Neurons(NamedTuple):
 @kept_on_disk
 def run(
     weights: Array,
-    fan_out: Array,
+    tables: Array,
     wires: Array,
-    windows: Array,
-    reach: Array,
     layers: Array,
     sources: Array,
     chip: Array,
@@ -127,7 +123,7 @@ def run(
     fresh: whether to begin from zero.
     """
     constants = Constants(
-        weights, fan_out, wires, windows, reach, layers, sources, chip, registers, whole, real,
+        weights, tables, wires, layers, sources, chip, registers, whole, real,
         rooms,
     )  # fmt: skip
     every = Memory(rasters, lists, lengths, states, refractory, counts, narrow, wide)

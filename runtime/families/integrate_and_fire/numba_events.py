@@ -15,15 +15,24 @@ from spikedeploy.runtime.families.integrate_and_fire.events import (
     Spikes,
     window_of,
 )
-from spikedeploy.runtime.families.numba_kernels import Array, Number, jit, kept_on_disk
+from spikedeploy.runtime.families.numba_kernels import (
+    CHANNELS,
+    FEATURES,
+    KERNEL_X,
+    KERNEL_Y,
+    SOURCE_Y,
+    TARGET_X,
+    TARGET_Y,
+    WEIGHT,
+    WIRE,
+    Array,
+    Number,
+    jit,
+    kept_on_disk,
+    locate,
+)
+from spikedeploy.runtime.families.numba_pipeline import describe
 
-# columns of Arrays.windows: axons along Y and X of the source; by what the pool divides, and
-# extents behind it; CHANNELS of a group in the source, FEATURES of one in the target; where WEIGHTS
-# begin, and what ROWS and COLUMNS of the pooled source reach
-(
-    SOURCE_Y, SOURCE_X, POOL_Y, POOL_X, POOLED_Y, POOLED_X, CHANNELS, FEATURES, KERNEL_Y, KERNEL_X,
-    TARGET_Y, TARGET_X, WEIGHTS, ROWS, COLUMNS,
-) = range(15)  # fmt: skip
 # entries of Arrays.rules
 LOW, HIGH, SINGLE, SUBTRACT, MOST, CHANNELS_FIRST, EACH = range(7)
 
@@ -34,17 +43,17 @@ _ROOM = 1 << 14
 class Arrays(NamedTuple):
     """A layer as the kernel takes it.
 
-    windows: (P, 15) a row for each of its synapses, columns above.
+    wires: (P, 16) a row for each of its synapses, columns as of Wiring, of which some are not used.
     weights: (W,) by channel of the source; elements of the kernel inside the channels of the
         target where spikes leave channel after channel, outside where place after place.
-    reach: (R,) position that a row, or column, reaches by each element of a kernel; or -1.
+    tables: (R,) position that a row, or column, reaches by each element of a kernel; or -1.
     threshold, floor: (N,) where neurons differ, else (1,).
     rules: entries above.
     """
 
-    windows: Array
+    wires: Array
     weights: Array
-    reach: Array
+    tables: Array
     threshold: Array
     floor: Array
     rules: Array
@@ -66,18 +75,13 @@ def arrays(each: EventLayer) -> tuple[Arrays, int]:
     """A layer as arrays, and the spikes that one event can cause in it."""
     rules, layer = each.rules, each.layer
     channels_first = rules.event_order == "cyx"
-    windows, weights, reach = [], [], []
-    begin = place = 0
-    for synapses in layer.synapses:
-        window, (rows, columns) = window_of(synapses), window_of(synapses).reach
-        found = _ordered_weights(synapses, channels_first)
-        row = [*window.source[1:], *window.pool, *window.pooled[1:]]
-        row += [window.source[0] // window.groups, window.target[0] // window.groups]
-        row += [*window.kernel, *window.target[1:], begin, place, place + rows.size]
-        windows.append(row)
-        weights.append(found)
-        reach += [rows.ravel(), columns.ravel()]
-        begin, place = begin + found.size, place + rows.size + columns.size
+    wires = np.zeros((len(layer.synapses), len(WIRE)), np.int64)
+    weights: list[Numbers] = []
+    tables: list[Numbers] = []
+    for wire, synapses in zip(wires, layer.synapses, strict=True):
+        wire[WEIGHT] = sum(map(len, weights))
+        wire[SOURCE_Y:] = describe(window_of(synapses), tables)
+        weights.append(_ordered_weights(synapses, channels_first))
     same = bool(
         (layer.threshold == layer.threshold[0]).all() and (each.floor == each.floor[0]).all()
     )
@@ -90,9 +94,9 @@ def arrays(each: EventLayer) -> tuple[Arrays, int]:
     single, subtract = rules.event_spikes == "single", each.convention.reset == "subtract"
     table = [low, high, single, subtract, rules.spikes_max, channels_first, not same]
     made = Arrays(
-        np.array(windows, np.int64),
+        wires,
         np.concatenate(weights),
-        np.concatenate(reach),
+        np.concatenate(tables),
         layer.threshold[kept].astype(np.int64),
         each.floor[kept],
         np.array(table, np.int64),
@@ -141,9 +145,9 @@ def _rows(size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 @kept_on_disk
 def work(
-    windows: Array,
+    wires: Array,
     weights: Array,
-    reach: Array,
+    tables: Array,
     threshold: Array,
     floor: Array,
     rules: Array,
@@ -162,35 +166,30 @@ def work(
 
     Returns the number of the first event that was not worked on, and the spikes sent.
     """
-    layer = Arrays(windows, weights, reach, threshold, floor, rules)
+    layer = Arrays(wires, weights, tables, threshold, floor, rules)
     count = 0
     for event in range(first, len(axons)):
         if count > room:
             return event, count
-        window, axon = windows[places[event]], axons[event]
-        x = axon % window[SOURCE_X] // window[POOL_X]
-        y = axon // window[SOURCE_X] % window[SOURCE_Y] // window[POOL_Y]
-        channel = axon // (window[SOURCE_X] * window[SOURCE_Y])
-        if y >= window[POOLED_Y] or x >= window[POOLED_X]:
-            continue
-        features, height, width = window[FEATURES], window[KERNEL_Y], window[KERNEL_X]
-        rows, columns = window[ROWS] + y * height, window[COLUMNS] + x * width
-        begin = window[WEIGHTS] + channel * features * height * width
+        wire = wires[places[event]]
+        channel, rows, columns = locate(wire, axons[event])
+        features, height, width = wire[FEATURES], wire[KERNEL_Y], wire[KERNEL_X]
+        begin = wire[WEIGHT] + channel * features * height * width
         # neuron of the first feature of the group at the place (0, 0), and neurons of a feature
-        size = window[TARGET_Y] * window[TARGET_X]
-        target = channel // window[CHANNELS] * features * size
+        size = wire[TARGET_Y] * wire[TARGET_X]
+        target = channel // wire[CHANNELS] * features * size
         was = count
         if rules[CHANNELS_FIRST]:
             for feature in range(features):
                 for ky in range(height - 1, -1, -1):
-                    row = reach[rows + ky]
+                    row = tables[rows + ky]
                     if row < 0:
                         continue
                     for kx in range(width - 1, -1, -1):
-                        column = reach[columns + kx]
+                        column = tables[columns + kx]
                         if column < 0:
                             continue
-                        neuron = target + feature * size + row * window[TARGET_X] + column
+                        neuron = target + feature * size + row * wire[TARGET_X] + column
                         weight = weights[begin + (feature * height + ky) * width + kx]
                         n = touch(layer, neuron, weight, membrane, touched, overflows)
                         for _ in range(n):
@@ -198,15 +197,15 @@ def work(
                             count += 1
         else:
             for ky in range(height - 1, -1, -1):
-                row = reach[rows + ky]
+                row = tables[rows + ky]
                 if row < 0:
                     continue
                 for kx in range(width - 1, -1, -1):
-                    column = reach[columns + kx]
+                    column = tables[columns + kx]
                     if column < 0:
                         continue
                     for feature in range(features):
-                        neuron = target + feature * size + row * window[TARGET_X] + column
+                        neuron = target + feature * size + row * wire[TARGET_X] + column
                         weight = weights[begin + (ky * width + kx) * features + feature]
                         n = touch(layer, neuron, weight, membrane, touched, overflows)
                         for _ in range(n):

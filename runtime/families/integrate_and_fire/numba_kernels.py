@@ -13,27 +13,22 @@ import numpy as np
 from spikedeploy.runtime.families.numba_kernels import (
     BIAS,
     CHANNELS,
-    COLUMNS,
     FEATURES,
     FIRST_WIRE,
+    IS_WINDOW,
     KERNEL_X,
     KERNEL_Y,
     LAG,
     LAST_WIRE,
     LAYER,
-    MATRIX,
     NEURON,
-    ROWS,
     SATURATION,
     SIZE,
     SOURCE,
-    SOURCE_X,
-    SOURCE_Y,
     TARGET_X,
     TARGET_Y,
     UPDATE,
     WEIGHT,
-    WINDOW,
     Call,
     Memory,
     begin,
@@ -42,6 +37,7 @@ from spikedeploy.runtime.families.numba_kernels import (
     jit,
     kept_on_disk,
     list_spikes,
+    locate,
     of_copy,
     pause,
     raster_at,
@@ -79,10 +75,8 @@ class Constants(NamedTuple):
     """
 
     weights: Array
-    fan_out: Array
+    tables: Array
     wires: Array
-    windows: Array
-    reach: Array
     layers: Array
     sources: Array
     rules: Array
@@ -111,10 +105,8 @@ class Neurons(NamedTuple):
 @kept_on_disk
 def run(
     weights: Array,
-    fan_out: Array,
+    tables: Array,
     wires: Array,
-    windows: Array,
-    reach: Array,
     layers: Array,
     sources: Array,
     rules: Array,
@@ -138,7 +130,7 @@ def run(
 ) -> bool:
     """One window of every layer; arguments and result as of the kernel of CuBa-LIF neurons."""
     constants = Constants(
-        weights, fan_out, wires, windows, reach, layers, sources, rules, neurons
+        weights, tables, wires, layers, sources, rules, neurons
     )  # fmt: skip
     every = Memory(rasters, lists, lengths, states, refractory, counts, narrow, wide)
     timesteps, batch = presynaptic.shape[0], presynaptic.shape[1]
@@ -286,16 +278,13 @@ def _add_events(
         axons, counts = sent(constants.sources[wire[SOURCE]], memory, row - wire[LAG])
         for axon in axons:
             for _ in range(counts[axon]):
-                if wire[WINDOW] == MATRIX:
+                if wire[IS_WINDOW]:
+                    lost += _arrive_through(constants, wire, axon, neurons, after, spikes, arrived)
+                else:
                     at = wire[WEIGHT] + axon * size
                     for n in range(size):
                         weight = weights[at + n]
                         lost += _arrive(rules, neurons, n, weight, after, spikes, arrived)
-                else:
-                    window = constants.windows[wire[WINDOW]]
-                    lost += _arrive_through(
-                        constants, wire, window, axon, neurons, after, spikes, arrived
-                    )
     heard = is_heard(about, row, call.timesteps)
     if about[HEARD_BIAS if heard else UNHEARD_BIAS]:
         for n in range(size):
@@ -312,7 +301,6 @@ def _add_events(
 def _arrive_through(
     constants: Array,
     wire: Array,
-    window: Array,
     axon: int,
     neurons: Array,
     membranes: Array,
@@ -320,23 +308,18 @@ def _arrive_through(
     arrived: Array,
 ) -> Number:
     """An event on an axon of a window; how many numbers did not fit."""
-    reach, weights, rules, lost = constants.reach, constants.weights, constants.rules, 0
-    line, x = axon // window[SOURCE_X], axon % window[SOURCE_X]
-    channel, y = line // window[SOURCE_Y], line % window[SOURCE_Y]
-    first, places = (
-        channel // window[CHANNELS] * window[FEATURES],
-        window[TARGET_Y] * window[TARGET_X],
-    )
-    rows = reach[window[ROWS] + y * window[KERNEL_Y] :]
-    columns = reach[window[COLUMNS] + x * window[KERNEL_X] :]
-    at = wire[WEIGHT] + channel * window[KERNEL_Y] * window[KERNEL_X] * window[FEATURES]
-    for i in range(window[KERNEL_Y]):
-        for j in range(window[KERNEL_X]):
-            if rows[i] >= 0 and columns[j] >= 0:
-                place = rows[i] * window[TARGET_X] + columns[j]
-                for feature in range(window[FEATURES]):
-                    n = (first + feature) * places + place
-                    weight = weights[at + (i * window[KERNEL_X] + j) * window[FEATURES] + feature]
+    tables, weights, rules, lost = constants.tables, constants.weights, constants.rules, 0
+    channel, rows, columns = locate(wire, axon)
+    features, places = wire[FEATURES], wire[TARGET_Y] * wire[TARGET_X]
+    first = channel // wire[CHANNELS] * features * places
+    at = wire[WEIGHT] + channel * wire[KERNEL_Y] * wire[KERNEL_X] * features
+    for i in range(wire[KERNEL_Y]):
+        for j in range(wire[KERNEL_X]):
+            y, x = tables[rows + i], tables[columns + j]
+            if y >= 0 and x >= 0:
+                for feature in range(features):
+                    n = first + feature * places + y * wire[TARGET_X] + x
+                    weight = weights[at + (i * wire[KERNEL_X] + j) * features + feature]
                     lost += _arrive(rules, neurons, n, weight, membranes, spikes, arrived)
     return lost
 

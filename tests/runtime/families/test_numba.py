@@ -32,7 +32,7 @@ from spikedeploy.runtime.families.cuba.numpy_backend import NumpyPipeline
 from tests.equality import check_equal, check_like_the_interpreter, runs
 from tests.networks import popsan
 from tests.paths import ROOT
-from tests.programs import layer, random_programs, rasters
+from tests.programs import layer, random_convolutions, random_neurons, random_programs, rasters
 
 compiled = pytest.mark.skipif(
     find_spec("numba") is None, reason="numba is not installed (pip install '.[fast]')"
@@ -59,6 +59,24 @@ def test_it_equals_the_interpreter_in_every_current_membrane_spike_and_count(pro
     # no chip of integers subtracts yet, but the specification says what would happen
     program = replace(program, convention=replace(program.convention, reset=reset))
     check_like_the_interpreter(program, run, "numba")
+
+
+@compiled
+@settings(max_examples=80, deadline=None)
+@given(compilable_programs, st.integers(0, 2**32 - 1), st.booleans(), runs)
+def test_kernels_of_convolutions_do_too_and_equal_their_matrices(program, seed, loop, run):
+    # chips and conventions of random programs
+    program = random_convolutions(
+        np.random.default_rng(seed), random_neurons, program.chip, program.convention, 1, loop
+    )
+    check_like_the_interpreter(program, run, "numba")
+    raster = rasters(program, *run)[0]
+    ours, listed = (
+        Machine(each, run[0], trace=True, backend="numba") for each in (program, program.listed())
+    )
+    np.testing.assert_array_equal(ours.infer(raster), listed.infer(raster))
+    check_equal(ours.recordings, listed.recordings)
+    check_ledgers(ours, listed)
 
 
 @compiled
