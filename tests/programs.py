@@ -1,7 +1,5 @@
 """Programs that several tests build without a policy: from registers and random integers."""
 
-from dataclasses import replace
-
 import numpy as np
 from hypothesis import strategies as st
 

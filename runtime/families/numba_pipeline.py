@@ -132,7 +132,7 @@ def _packed(synapses: Synapses) -> Numbers:
 
 
 def describe(window: Window | None, tables: list[Numbers]) -> list[int]:
-    """Columns of a wire from SOURCE_Y on; what its rows and columns reach is put into the tables."""
+    """Columns of a wire from SOURCE_Y on; what rows and columns reach is put into the tables."""
     if window is None:
         return [0] * (len(WIRE) - SOURCE_Y)
     (channels, height, width), (features, target_y, target_x) = window.source, window.target

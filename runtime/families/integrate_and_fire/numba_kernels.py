@@ -174,7 +174,7 @@ def _timestep(constants: Array, memory: Array, call: Array, layer: int, row: int
         )
     else:
         sum_weights(constants, memory, memory.wide, about, row, call, True)
-        lost = _add_sums(rules, neurons, arrived, before, after)
+        lost = _add_sums(rules, neurons, about[UNHEARD_BIAS], arrived, before, after)
     if not rules[CHECKS_EVENTS]:
         for n in range(size):
             spikes[n] = after[n] >= neurons.fires[n]
@@ -192,10 +192,13 @@ def _timestep(constants: Array, memory: Array, call: Array, layer: int, row: int
 
 
 @jit
-def _add_sums(rules: Array, neurons: Array, sums: Array, before: Array, after: Array) -> Number:
+def _add_sums(
+    rules: Array, neurons: Array, pushes: Number, sums: Array, before: Array, after: Array
+) -> Number:
     """A timestep up to its spikes where all that arrives is one sum; how many did not fit.
 
-    sums: (N,) of what arrives; those of biases on the membrane are added.
+    pushes: whether there are biases on the membrane.
+    sums: (N,) of what arrives; those biases are added.
     """
     size, lost, leaks = len(sums), 0, rules[LEAK] != NONE
     lowest, highest = rules[LOWEST], rules[HIGHEST]
@@ -203,8 +206,9 @@ def _add_sums(rules: Array, neurons: Array, sums: Array, before: Array, after: A
     if rules[RESETS_LATE] or (leaks and not rules[LEAKS_LAST]):
         start = after
         _begin(rules, neurons, before, after)
-    for n in range(size):
-        sums[n] += neurons.push[n]
+    if pushes:
+        for n in range(size):
+            sums[n] += neurons.push[n]
     if rules[OVERFLOW] < WRAP:
         for n in range(size):
             raised = start[n] + sums[n]
