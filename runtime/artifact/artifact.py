@@ -15,7 +15,7 @@ from spikedeploy.files import replacing
 from spikedeploy.runtime.artifact.hdf5 import read_graph, write_graph
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.convention import Convention, Floor, Integrator, Reset, Spikes, State
-from spikedeploy.runtime.dialects.reading import read_as_written, read_like
+from spikedeploy.runtime.dialects.reading import finite_nodes, read_as_written, read_like
 from spikedeploy.runtime.dialects.rewriting import rewrite_for
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
 from spikedeploy.runtime.graph.neurons import (
@@ -255,6 +255,8 @@ def _artifact_of_graph(
             return stored.with_convention(stored.convention.with_options(given))
         graph, codec = stored.graph, stored.codec
     else:
+        if written_by is not None:
+            graph = finite_nodes(graph, written_by)
         check_graph(graph)
         graph = with_floats(graph)
     if like is not None:

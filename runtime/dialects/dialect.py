@@ -85,6 +85,7 @@ class Writer:
     open: options that its files do not say.
     always: what else its files do not say, and no option chooses.
     convention: (convention, nodes) to what the options mean for these nodes.
+    finite: a node to one that says the same without infinite numbers.
     """
 
     tool: str
@@ -99,6 +100,7 @@ class Writer:
     open: Mapping[str, Assumption] = field(default_factory=dict)
     always: tuple[str, ...] = ()
     convention: Callable[[Convention, Nodes], Convention] = lambda convention, nodes: convention
+    finite: Callable[[nir.NIRNode], nir.NIRNode] = lambda node: node
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,12 @@ def read_like(
     return _with_nodes(graph, nodes, edges), convention
 
 
+def finite_nodes(graph: nir.NIRGraph, name: str) -> nir.NIRGraph:
+    """The graph without the infinite numbers that the tool `name` writes; before it is checked."""
+    nodes = {each: writer(name).finite(node) for each, node in graph.nodes.items()}
+    return _with_nodes(graph, nodes, set(graph.edges))
+
+
 def read_as_written(
     graph: nir.NIRGraph, name: str, given: Mapping[str, Any] | None = None
 ) -> tuple[nir.NIRGraph, Convention]:

@@ -471,6 +471,7 @@ _SINABS_WRITER = Writer(
 # snnTorch
 
 _SNNTORCH_TOOL = "snnTorch 1.0.0"
+_SNNTORCH_RATE = 1e4  # 1/dt of its export [1/s]
 _SNNTORCH_MAPS = (nir.Affine, nir.Linear, nir.Conv2d, nir.Flatten, nir.AvgPool2d)
 
 
@@ -501,9 +502,12 @@ def _snntorch_reads(name: str, node: nir.NIRNode, convention: Convention) -> nir
 
 def _snntorch_means(name: str, node: nir.NIRNode, convention: Convention) -> nir.NIRNode:
     """The neuron with time constants [s] of exactly its decay factors in float32."""
-    if not isinstance(node, (nir.LIF, nir.CubaLIF)):
+    if not isinstance(node, (nir.IF, nir.LIF, nir.CubaLIF)):
         return node
     require_values(name, node, "writes", v_leak=0, v_reset=0)
+    if isinstance(node, nir.IF):
+        require(node.r == _SNNTORCH_RATE, name, "writes no IF, but a Leaky of beta = 1")
+        return with_gain(node, convention)
     dt, exact = convention.dt, {}
     for field in ("tau",) if isinstance(node, nir.LIF) else ("tau_syn", "tau_mem"):
         # dt/(1 - beta), beta as the network had it
@@ -511,6 +515,18 @@ def _snntorch_means(name: str, node: nir.NIRNode, convention: Convention) -> nir
         beta = 1 - dt / float64(written)
         exact[field] = dt / (1 - beta.astype(written.dtype).astype(np.float64))
     return with_gain(with_parameters(node, **exact), convention)
+
+
+def _snntorch_finite(node: nir.NIRNode) -> nir.NIRNode:
+    """An IF for a Leaky of beta = 1, whose tau = dt/(1 - beta) and r are infinite in the file."""
+    fields = ("tau", "r", "v_leak", "v_threshold", "v_reset")
+    values = [np.asarray(getattr(node, name, None)) for name in fields]
+    tau, r, leak, threshold, reset = values
+    if not isinstance(node, nir.LIF) or any(each.dtype.kind != "f" for each in values):
+        return node
+    if not (np.isposinf(tau).all() and np.isposinf(r).all() and not leak.any()):
+        return node
+    return nir.IF(np.full(r.shape, _SNNTORCH_RATE), threshold, reset)
 
 
 def _snntorch_convention(convention: Convention, nodes: Nodes) -> Convention:
@@ -549,7 +565,7 @@ _SNNTORCH = Preset(
 )
 _SNNTORCH_WRITER = Writer(
     tool=_SNNTORCH_TOOL,
-    kinds=(*_SNNTORCH_MAPS, nir.LIF, nir.CubaLIF),
+    kinds=(*_SNNTORCH_MAPS, nir.IF, nir.LIF, nir.CubaLIF),
     # its neurons have decay factors and no dt; its export writes r = tau/dt with 1e-4
     timestep=tau_over_r,
     default_timestep=(1e-4, ""),
@@ -557,6 +573,7 @@ _SNNTORCH_WRITER = Writer(
     "decays count timesteps",
     translate=_snntorch_means,
     convention=_snntorch_convention,
+    finite=_snntorch_finite,
     source="snntorch 1.0.0, export_nir.py, _neurons/leaky.py and _neurons/synaptic.py",
     open={
         "reset": Assumption(

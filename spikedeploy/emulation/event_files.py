@@ -96,7 +96,7 @@ class Recording:
         height, width = self.size or (MOST_PIXELS, MOST_PIXELS)
         return (
             f"is at x = {x}, y = {y}; the camera has {height}x{width} pixels (height x width). "
-            "Give the size of the camera that recorded it with --camera HxW."
+            "Correct the event, or the size: in the file, or where that has none with --camera HxW."
         )
 
     def _unordered(self, _x: int, _y: int, t: int, before: int) -> str:

@@ -17,7 +17,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.dialects.reading import preset, read_as_written, read_like, writer
-from spikedeploy.runtime.errors import ConventionError, RuleError
+from spikedeploy.runtime.errors import ArtifactError, ConventionError, RuleError
 from spikedeploy.runtime.float_model import FloatGraph
 from tests.networks import chain, cuba, lif, popsan
 
@@ -217,6 +217,18 @@ def test_a_delayed_reset_of_leaky_runs_on_chips_where_it_spikes_as_zero_does():
         compile_program(recorded("snntorch_leaky_default"), chip("loihi1"))
 
 
+def test_a_leaky_without_a_leak_is_an_integrator_that_speck_takes(tmp_path):
+    # beta = 1 makes tau = dt/(1 - beta) and r = tau/dt infinite
+    endless = nir.LIF(*full(np.inf, np.inf, 0, 1), v_reset=np.zeros(1))
+    nir.write(tmp_path / "a.nir", chain(nir.Linear(np.array([[0.4]])), endless, width=1, act=1))
+    artifact = load(tmp_path / "a.nir", written_by="snntorch", reset="zero")
+    spikes = FloatGraph(artifact).run(np.ones((1, 7, 1)))["n2"].ravel()
+    assert spikes.tolist() == [0, 0, 1, 0, 0, 1, 0]  # 0.4, 0.8, 1.2
+    compile_program(artifact, chip("speck2f:queue=on"))
+    with pytest.raises(ArtifactError, match="'n2': r holds inf"):
+        load(tmp_path / "a.nir")
+
+
 # what is refused
 
 REFUSED = [
@@ -233,7 +245,7 @@ REFUSED = [
     (read_like, "nengo", lif(1, r=2.0), "needs r = 1"),
     (read_like, "lava", nir.Affine(np.eye(1), np.ones(1)), "reads no bias"),
     (read_like, "lava", cuba(1, dt=1e-3), "needs r = tau_mem/dt"),
-    (read_as_written, "snntorch", nir.IF(*full(1, 1)), "writes no IF, only Affine"),
+    (read_as_written, "snntorch", nir.IF(*full(1, 1)), "writes no IF, but a Leaky"),
     (read_as_written, "snntorch", lif(1, v_leak=1.0), "writes v_leak = 0"),
     (read_as_written, "norse", lif(1, r=10.0), "writes r = 1"),
     (read_as_written, "spikingjelly", nir.LIF(*full(1, 1, 0.5, 1)), "writes v_leak = v_reset"),
