@@ -3,11 +3,12 @@
     python -m lab convolutions [--rounds 9] [--json]
 
 One process, one thread. Networks of integrate-and-fire neurons with random weights are compiled for
-the two chips and run by the compiled kernels. The libraries get the weights and the thresholds that
-Speck has. Inputs are spikes of independent pixels. Each candidate takes the timesteps of a
-recording at once, in the form that it wants, with states reset before; its time is divided by their
-number. Ours keep no ledger. Candidates take turns; a library that is not installed is left out,
-with a line. sinabs needs nirtorch and pbr: `pip install --no-deps sinabs==3.1.3 nirtorch pbr`.
+the two chips and run by the compiled kernels, on Speck also event after event. The libraries get
+the weights and the thresholds that Speck has. Inputs are spikes of independent pixels. Each
+candidate takes the timesteps of a recording at once, in the form that it wants, with states reset
+before; its time is divided by their number. Ours keep no ledger. Candidates take turns; a library
+that is not installed is left out, with a line. sinabs needs nirtorch and pbr:
+`pip install --no-deps sinabs==3.1.3 nirtorch pbr`.
 
 sinabs computes what Speck does in timesteps, and its spikes are compared. snnTorch spikes once a
 timestep at most, and Norse resets to 0: only their speed is compared.
@@ -65,8 +66,10 @@ NETWORKS = {
 # standard deviation of the weights times the root of the fan-in, for thresholds of 1: the first
 # layers then spike about as often as the input
 GAIN = 2.0
+_SPECK = Convention(DT, "subtract", spikes="reached", floor="threshold")
 CHIPS = {
-    "speck2f": Convention(DT, "subtract", spikes="reached", floor="threshold"),
+    "speck2f": _SPECK,
+    "speck2f:queue=on": _SPECK,  # event after event
     "loihi1": Convention(DT),
 }
 
@@ -235,7 +238,7 @@ def table(result: dict[str, Any]) -> str:
             for of_chip, sops in found["operations"].items():
                 ms = found["median_ms"][of_chip]
                 line = (
-                    f"    {of_chip:8}{ms:8.3f} ms {sops:9.0f} SOPs {1e6 * ms / sops:6.1f} ns each"
+                    f"    {of_chip:17}{ms:8.3f} ms {sops:9.0f} SOPs {1e6 * ms / sops:6.1f} ns each"
                 )
                 lines.append(line + (f" {min(peers.values()) / ms:6.1f} x" if peers else ""))
             if found["equal"] is not None:

@@ -222,10 +222,13 @@ def shape_of(layer: Layer) -> tuple[int, int, int]:
     return window_of(layer.synapses[0]).target
 
 
+@lru_cache(maxsize=64)
 def ranks(shape: tuple[int, int, int], order: str) -> Integers:
     """(N,) place of each neuron (C, Y, X) in the order in which spikes of an event leave."""
     places = np.arange(np.prod(shape)).reshape(shape)
-    return places.ravel() if order == "cyx" else np.argsort(places.transpose(1, 2, 0).ravel())
+    found = places.ravel() if order == "cyx" else np.argsort(places.transpose(1, 2, 0).ravel())
+    found.setflags(write=False)
+    return found
 
 
 # timesteps: events of a timestep in the order in which spikes leave
@@ -249,14 +252,16 @@ def update_by_events(
     done = {layer.name: _Done.nothing(len(counts), layer.size) for layer in network.layers}
     working = EventNetwork(rules, network, hears)
     source = next(e for e in working.layers if e.layer.name == name).layer.synapses[place]
-    order = np.argsort(ranks(window_of(source).source, rules.event_order))
+    rank = ranks(window_of(source).source, rules.event_order)
     for state in states.values():
         # what was there before is kept in recordings
         state.membrane = state.membrane.copy()
     for copy, row in enumerate(counts):
         for layer, before in states.items():
             working.states[layer] = EventState.of(before.membrane[copy])
-        axons = np.repeat(order, row[order])
+        some = np.flatnonzero(row)
+        some = some[np.argsort(rank[some])]
+        axons = np.repeat(some, row[some])
         sent = working.work(Spikes(np.zeros(len(axons), np.int64), axons))
         for layer, after in working.states.items():
             states[layer].membrane[copy] = after.membrane
