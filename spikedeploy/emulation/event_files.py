@@ -7,6 +7,7 @@ so that memory does not grow with the recording.
 """
 
 import importlib.util
+import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -309,8 +310,67 @@ def _faery_parts(path: Path) -> tuple[Size | None, Callable[[], Iterator[Columns
     size = None if (width, height) == _UNKNOWN else (height, width)
 
     def parts() -> Iterator[Columns]:
+        if path.suffix == ".raw":
+            _check_times_high(path)
+        times, first, offset = _dat_times(path) if path.suffix == ".dat" else None, 0, 0
         # a stream is read once
         for events in faery.events_stream_from_file(path, dimensions_fallback=_UNKNOWN):
-            yield events["x"], events["y"], events["t"].astype(np.int64), events["p"]
+            t = events["t"].astype(np.int64)
+            if times is not None:
+                stored = times[first : first + len(t)].astype(np.int64)
+                # headers of faery hold the time of the first event
+                offset = offset if first else int(t[0] - stored[0])
+                t, first = stored + offset, first + len(t)
+            yield events["x"], events["y"], t, events["p"]
 
     return size, parts
+
+
+def _dat_times(path: Path) -> NDArray[np.uint32]:
+    """Times [us] of a .dat as they are stored; faery raises each that falls to the one ahead of it.
+
+    Behind the header stand two bytes, then eight for each event, its time first.
+    """
+    place = len(_header(path)) + 2
+    return np.memmap(path, "<u4", "r", place, ((path.stat().st_size - place) // 8, 2))[:, 0]
+
+
+# by version of EVT: a word, the place of its type in it, and of the time where that is TIME_HIGH
+_WORDS = {"2": ("<u4", 28, 0), "21": ("<u8", 60, 32), "3": ("<u2", 12, 0)}
+_TIME_HIGH = 8
+
+
+def _check_times_high(path: Path) -> None:
+    """Refuse a .raw whose high bits of time fall, unless all begin anew; faery takes each for that.
+
+    Words as in Prophesee's documentation, docs.prophesee.ai, Encoding Formats EVT 2.0, 2.1, 3.0.
+    """
+    header = _header(path)
+    version = re.search(rb"% (?:evt |format EVT)(\d)\.?(1?)", header)
+    known = _WORDS.get(b"".join(version.groups()).decode()) if version else None
+    if known is None:
+        return
+    kind, of_type, of_time = known
+    most = (1 << (of_type - of_time)) - 1
+    width = np.dtype(kind).itemsize
+    last = 0
+    with path.open("rb") as file:
+        file.seek(len(header))
+        while part := file.read(width * _PART):
+            words = np.frombuffer(part[: len(part) // width * width], kind)
+            high = (words[words >> of_type == _TIME_HIGH] >> of_time & most).astype(np.int64)
+            falls = -np.diff(high, prepend=last)
+            if ((falls > 0) & (falls < most // 8 * 7)).any():
+                raise ObservationError(f"{path}: its times jump back. {_SORT}.")
+            last = int(high[-1]) if len(high) else last
+
+
+def _header(path: Path) -> bytes:
+    """The lines that begin with "%", ahead of all others; of .raw to "% end"."""
+    found = b""
+    with path.open("rb") as file:
+        while (line := file.readline(_PART)).startswith(b"%") and line.endswith(b"\n"):
+            found += line
+            if line.strip() == b"% end":
+                break
+    return found

@@ -1,6 +1,7 @@
 """Recordings of event cameras: the same events from every format, and what is refused."""
 
 import importlib.util
+import re
 
 import h5py
 import nir
@@ -165,6 +166,34 @@ def test_formats_without_a_length_are_read_up_to_their_end(name, tmp_path):
     found = np.concatenate(list(open_recording(path).events()))
     assert 0.4 * COUNT < len(found) < 0.6 * COUNT
     np.testing.assert_array_equal(found, wanted[: len(found)])
+
+
+@pytest.mark.parametrize("version", ["dat", "evt2", "evt3"])
+def test_recordings_of_prophesee_whose_times_jump_back_are_refused(version, tmp_path):
+    faery = pytest.importorskip("faery", reason="the extra events is not installed")
+    path, rows = tmp_path / ("a.dat" if version == "dat" else "a.raw"), drawn(20_000)
+    rows = np.rec.fromarrays([rows[n] for n in "txyp"], faery.EVENTS_DTYPE)
+    format_of = {} if version == "dat" else {"version": version}
+    faery.events_stream_from_array(rows, (WIDTH, HEIGHT)).to_file(path, **format_of)
+    assert sum(map(len, open_recording(path).events())) == len(rows)
+    header, body = re.fullmatch(rb"((?:%[^\n]*\n)+)(.*)", path.read_bytes(), re.DOTALL).groups()
+    start, body = (body[:2], body[2:]) if version == "dat" else (b"", body)
+    path.write_bytes(header + start + 2 * body)
+    with pytest.raises(ObservationError, match=r"back|before the one ahead"):
+        list(open_recording(path).events())
+
+
+def test_a_dat_whose_counter_wraps_goes_on(tmp_path):
+    path, wanted = tmp_path / "a.dat", drawn(1000)
+    wanted["t"] += (1 << 32) - 2000
+    # Prophesee, Encoding Formats, DAT: x, y and p in 14, 14 and 4 bits
+    words = wanted["x"].astype("<u4") | wanted["y"].astype("<u4") << 14
+    words |= wanted["p"].astype("<u4") << 28
+    body = np.stack([(wanted["t"] % (1 << 32)).astype("<u4"), words], 1).tobytes()
+    path.write_bytes(b"% Version 2\n% Width 64\n% Height 48\n\x0c\x08" + body)
+    pytest.importorskip("faery", reason="the extra events is not installed")
+    found = np.concatenate(list(open_recording(path).events()))
+    np.testing.assert_array_equal(found, wanted)
 
 
 def test_other_files_are_refused(tmp_path):
