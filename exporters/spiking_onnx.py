@@ -326,7 +326,7 @@ def _codec(artifact: Artifact) -> Codec:
 
 def _model(artifact: Artifact, name: str) -> onnx.ModelProto:
     codec, graph = _codec(artifact), OnnxGraph(np.float64)
-    plan = Plan(compile_program(artifact, chip("ideal"), limits=False).listed(), codec)
+    plan = Plan(compile_program(artifact, chip("ideal"), limits=False).listed("ONNX"), codec)
     if plan.program.graded:
         raise ConfigError(
             f"--to onnx: layer {min(plan.program.graded)!r}: sigma-delta neurons are not written "

@@ -115,15 +115,15 @@ class Synapses:
             return self.listed().scaled(factors)
         return replace(self, weight=self.weight * self.by_weight(factors))
 
-    def listed(self) -> "Synapses":
-        """The same synapses as a matrix; RuleError where that is too large."""
+    def listed(self, needed_by: str = "the list of them") -> "Synapses":
+        """The same synapses as a matrix; RuleError, with what needs it, where that is too large."""
         if self.window is None:
             return self
         if (found := 8 * math.prod(self.shape)) > MAX_BYTES:
             raise RuleError(
-                f"rule matrix: the synapses from {self.source!r}: as a matrix, which is needed "
-                f"here, their weights take {found} bytes; at most {MAX_BYTES}. Make the "
-                "convolution smaller, or run the network in float."
+                f"rule matrix: the synapses from {self.source!r}: {needed_by} needs them as a "
+                f"matrix, which takes {found} bytes; at most {MAX_BYTES}. Make its maps smaller, "
+                "or run the network in float."
             )
         return replace(self, weight=self.window.dense(self.weight), window=None)
 

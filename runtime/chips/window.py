@@ -23,8 +23,8 @@ Numbers = NDArray[Any]
 Places = NDArray[np.int64]
 Axes = tuple[int, int]
 
-# elements of windows that are unfolded in place of adding one weight: each weight that is added
-# has its place computed, of what is unfolded only copied
+# numbers that are written for each weight that is added: its place, if it is inside, itself, the
+# sum; of a window that is unfolded one for each element
 _PER_ADDITION = 4
 # bytes of the windows that are unfolded at once
 _UNFOLDED = 1 << 25

@@ -125,11 +125,13 @@ class Program:
                 self._check(layer, synapses, presynaptic)
             presynaptic.add(layer.name)
 
-    def listed(self) -> "Program":
+    def listed(self, needed_by: str = "the list of them") -> "Program":
         """The same with a matrix for each window; RuleError where one is too large."""
 
         def listed(layers: tuple[Layer, ...]) -> tuple[Layer, ...]:
-            return tuple(replace(a, synapses=tuple(s.listed() for s in a.synapses)) for a in layers)
+            return tuple(
+                replace(a, synapses=tuple(s.listed(needed_by) for s in a.synapses)) for a in layers
+            )
 
         return replace(self, layers=listed(self.layers), host=listed(self.host))
 

@@ -134,7 +134,7 @@ def _synapses(
             found.append(replace(each, source=name))
         else:
             matrix = joined.setdefault(each.delay, np.zeros((ends[-1], each.shape[1])))
-            matrix[rows[each.source]] = each.listed().weight
+            matrix[rows[each.source]] = each.listed("a row of several Inputs").weight
     return *found, *(Synapses(name, matrix, lag) for lag, matrix in joined.items())
 
 
@@ -147,8 +147,9 @@ def _outlet(matrices: "_Matrices", block: "_Block", port: Port) -> HostOutput:
                 f"is connected to the input {source!r} without neurons between. Put "
                 "some there, or run the graph in float."
             )
+    end = f"an Output behind maps, {port.name!r},"
     taps = [
-        ReadoutTerm(source, None if _is_identity(each) else each.listed().weight, each.delay)
+        ReadoutTerm(source, None if _is_identity(each) else each.listed(end).weight, each.delay)
         for source in block.sources
         for each in matrices.between(source, block)
     ]

@@ -49,7 +49,9 @@ def check_axons(layers: Sequence[Layer], chip_name: str, rules: IntegrateAndFire
     if rules.signs == "axon":
         _check_signs(layers, chip_name)
     for layer in layers if rules.axon_types else ():
-        found = axon_types(np.concatenate([s.listed().weight for s in layer.synapses]))
+        found = axon_types(
+            np.concatenate([s.listed("a core of typed axons").weight for s in layer.synapses])
+        )
         if found > rules.axon_types:
             raise RuleError(
                 f"rule axon-types: layer {layer.name!r}: its weights need {found} types of axons, "

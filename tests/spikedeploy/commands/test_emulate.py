@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.networks import chain, graph, lif
+from tests.runtime.compiler.test_kernels_on_chips import for_speck
 
 
 def full(*values):
@@ -97,6 +98,19 @@ def test_what_runs_beyond_the_limits_of_a_chip_says_so(emulate):
     code, _, out, _ = emulate(network, np.ones((3, 17), np.uint8), *words, "--limits", "off")
     assert code == 0
     assert "limits off: `spikedeploy check` says" in out
+
+
+@pytest.mark.parametrize("name", ["speck2f", "loihi1", "int", "ideal"])
+def test_convolutions_of_128_by_128_fit_and_advance_a_timestep(name, emulate, command, tmp_path):
+    artifact = for_speck(name)
+    raster = (np.random.default_rng(0).random((1, 2, 128, 128)) < 0.01).astype(np.uint8)
+    on = ("--chip", name, "--dt", 1e-3, "--reset", artifact.convention.reset)
+    code, arrays, _, _ = emulate(artifact.graph, raster, *on)
+    assert code == 0
+    assert arrays["n1"].shape == (1, 8, 64, 64)
+    assert arrays["n1"].any()
+    code, out, _ = command("check", tmp_path / "a.nir", *on[:4])
+    assert (code, f"✓ {name}" in out) == (0, True)
 
 
 @pytest.mark.parametrize("kind", CASES)
