@@ -137,6 +137,12 @@ class RunFolder:
             save_file(named, part, metadata={"state": json.dumps(record)})
         self.write_numbers(name, record)
 
+    @property
+    def levels(self) -> dict[float, str]:
+        """Operations of each level of pruning that has a policy -> its checkpoint, fewest first."""
+        names = (path.stem for path in self.path.glob(f"checkpoints/{LEVEL}*.safetensors"))
+        return dict(sorted((float(name.removeprefix(LEVEL)), name) for name in names))
+
     def write_numbers(self, name: str, state: Mapping[str, Any]) -> None:
         """Write the numbers to read of a checkpoint, after its weights."""
         with write_errors(self.checkpoint(name).with_suffix(".json")) as path:

@@ -1,10 +1,12 @@
 """The entry test of kart-eye: a world that needs a network that sees, or one that a grid drives.
 
 Linear policies, MLPs and GRUs on event counts that are summed over a grid, and float convolutions
-with a GRU, are trained by one recipe: as many walks of the privileged teacher, as many updates, as
-many walks of their own. What each has is a row of designs.toml. Each training is evaluated on signs
-and corridors that no training saw; a row is a file, <runs>/evaluations/<training>.json, which says
-what it was made with. Rows of trainings that are not here stay in the table.
+with a GRU, are trained by one recipe: the same walks of the privileged teacher, as many updates, as
+many walks of their own. What each has is a row of designs.toml. So are spiking policies, which
+begin with the convolutions of the float policy of their seed, and drive on emulated chips. Each
+training is evaluated on signs and corridors that no training saw; a row is a file in
+<runs>/evaluations, which says what it was made with. Rows of trainings that are not here stay in
+the table.
 """
 
 import csv
@@ -17,39 +19,43 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lab.experiments import DESIGNS, QUICK, pages
+from lab.experiments.eye_map import NOT_PRUNED
 from lab.experiments.pages import grouped, mean, releases, versions_at_start, versions_text
 from lab.experiments.ratios import nested_ratio
 from lab.experiments.runner import Design, Part, command_line
 from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows, write_exactly
+from lab.experiments.vision import FIRST_SEED, drive, sight
 from spikedeploy import zoo
 from spikedeploy.comparison.statistics import Estimate, share, stratified_bootstrap
 from spikedeploy.files import read_json
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.policies.vision import SIGNS
-from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.run_folder import LEVEL, RunFolder
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import BatchController, Stateless
-from spikedeploy.trainers.sparse.sparse import phases
 from spikedeploy.trainers.sparse.student import FloatController
 from spikedeploy.trainers.sparse.vision import EyeEpisodes
 
+_BESIDE = "cnn"  # the network whose finishes are 100 %
 TEACHER = "teacher"  # drives by what the simulation knows, and is no training
 MOST_OF_GRIDS, LEAST_RIGHT, LEAST_FINISHED = 0.75, 0.95, 0.90  # what the test asks for
 _ROWS: Mapping[str, Mapping[str, Any]] = DESIGNS["kart-eye"]["networks"]
+_WALKS: Mapping[str, Any] = DESIGNS["kart-eye"]["walks"]
 _TABLE = "kart-eye.csv"
 _VERSION = 1  # of what a row holds; a higher one makes all rows again
-_TEXT = ("network", "quick", "versions")
+_TEXT = ("network", "level", "way", "quick", "versions")
+_KEY = ("network", "seed", "level", "way")
 _COLUMNS = (
-    "network", "seed", "episodes", "weights", "updates", "walks", "right_share", "finish_share",
-    "crash_share", "quick", "versions", "right", "wrong", "finish", "crash",
+    "network", "seed", "level", "way", "episodes", "weights", "updates", "walks", "right_share",
+    "finish_share", "crash_share", *(COUNTED := ("macs", "sop", "neuron_update", "events")),
+    "quick", "versions", "right", "wrong", "finish", "crash",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class EyeEntryDesign(Design):
-    """The parts of the experiment: the teacher, and each network's trainings, seed by seed.
+    """The parts: the teacher, the walks that all learn from, each network's trainings by seed.
 
     settings  of every training
     """
@@ -61,14 +67,24 @@ class EyeEntryDesign(Design):
     QUICK: ClassVar = {"seeds": 1, "episodes": 2, "limit": 120}
 
     def trainings(self) -> list[TrainingJob]:
-        """All trainings: of a seed those of each network, so that early pages have all rows."""
-        return [self._training(name, seed) for seed in range(self.seeds) for name in _ROWS]
+        """The walks, and of a seed the trainings of each network, so that early pages have all."""
+        each = [self._training(name, seed) for seed in range(self.seeds) for name in _ROWS]
+        return [self._walks, *each]
+
+    @property
+    def _walks(self) -> TrainingJob:
+        """A training of one update, in whose folder are the teacher's walks."""
+        every = (*(QUICK["kart-eye-walks"] if self.quick else ()), *_WALKS["settings"])
+        return TrainingJob("walks", _WALKS["recipe"], 0, self.runs, every, telling=every)
 
     def _training(self, network: str, seed: int) -> TrainingJob:
         of = _ROWS[network]
         every = (*of["settings"], *(QUICK["kart-eye"] if self.quick else ()), *self.settings)
+        parents = {"pool": self._walks}
+        if "guide" in of:
+            parents["guide"] = self._training(of["guide"], seed)
         name = f"{network}-s{seed}"
-        return TrainingJob(name, of["recipe"], seed, self.runs, every, telling=every)
+        return TrainingJob(name, of["recipe"], seed, self.runs, every, parents, telling=every)
 
     def check(self, results: Path) -> None:
         """Refuse unknown settings, and a table that the rows cannot stand in."""
@@ -76,45 +92,66 @@ class EyeEntryDesign(Design):
         self.read_kept(results / _TABLE)
 
     def parts(self) -> list[Part]:
-        """The teacher's episodes; each training and its episodes."""
-        trained = [Part(each.name, partial(self._rows, each), each) for each in self.trainings()]
-        return [Part(TEACHER, partial(self._rows, None)), *trained]
+        """The teacher's episodes; the walks; each training and its episodes."""
+        walks, *others = self.trainings()
+        trained = []
+        for each in others:
+            after = [parent.name for parent in each.parents.values()]
+            trained.append(Part(each.name, partial(self._rows, each), each, after=after))
+        return [Part(TEACHER, partial(self._rows, None)), Part.to_train(walks), *trained]
 
     # rows
 
     def _rows(self, training: TrainingJob | None) -> list[StoredRow]:
-        """The row of a training that ended, or of the teacher."""
+        """The rows of a training that ended, of each level and way, or of the teacher."""
         made = {
-            "policy": zoo.sha256(training.checkpoint()) if training else TEACHER,
             "episodes": self.episodes,
-            "first_seed": EVALUATION,
+            "first_seed": FIRST_SEED,
             "limit": self.limit,
             "version": _VERSION,
         }
-        name = training.name if training else TEACHER
-        file = Path(self.runs) / "evaluations" / f"{name}.json"
-        return [StoredRow(file, made, partial(self._evaluate, training))]
+        folder = Path(self.runs) / "evaluations"
+        if training is None:
+            make = partial(self._evaluate, None, "", "")
+            return [StoredRow(folder / f"{TEACHER}.json", {**made, "policy": TEACHER}, make)]
+        run = RunFolder(training.existing_run)
+        ways = _ROWS[training.name.rpartition("-s")[0]].get("ways", [""])
+        rows = []
+        for level in reversed(run.levels.values()):
+            policy = zoo.sha256(run.checkpoint(level))
+            for way in ways:
+                name = "-".join(filter(None, (training.name, level, way.replace(":", "-"))))
+                make = partial(self._evaluate, training, level, way)
+                of = {**made, "policy": policy, "way": way}
+                rows.append(StoredRow(folder / f"{name}.json", of, make))
+        return rows
 
-    def _evaluate(self, training: TrainingJob | None) -> Record:
-        facts: Record = {"network": TEACHER, "seed": None, "quick": "yes" if self.quick else ""}
+    def _evaluate(self, training: TrainingJob | None, level: str, way: str) -> Record:
+        facts: Record = {"network": TEACHER, "quick": "yes" if self.quick else ""}
         config = training.config if training else self._training(next(iter(_ROWS)), 0).planned()
         env: EnvConfig = config.env
         episodes = EyeEpisodes(env, self.episodes, self.limit)
         controller: BatchController = Stateless(lambda seen: taught(episodes, seen))
         if training is not None:
             run = RunFolder(training.existing_run)
-            policy = run.policy("best")
+            policy = run.policy(level)
             controller = FloatController(policy)
-            progress = run.load("last")[0]
+            progress = run.load(level)[0]
             facts |= {
                 "network": training.name.rpartition("-s")[0],
                 "seed": training.seed,
+                "level": level,
+                "way": way,
                 "weights": sum(each.numel() for each in policy.parameters()),
                 "updates": progress["updates"],
-"walks": walks_of(config),
+                "walks": walks_of(self._walks.config) + config.walks * progress["phase"],
                 "versions": versions_text(read_json(training.existing_run / "versions.json")),
-            }  # fmt: skip
-        *_, ends = episodes.play(range(EVALUATION, EVALUATION + self.episodes), controller)
+            }
+            if way:
+                seeing = sight(policy, self.episodes, way)
+                counted, ends = drive(env.options, seeing, self.episodes, self.limit)
+                return facts | {n: counted[n] for n in COUNTED if n in counted} | outcomes(ends)
+        *_, ends = episodes.play(range(FIRST_SEED, FIRST_SEED + self.episodes), controller)
         return facts | outcomes(ends)
 
     def read_kept(self, table: Path) -> list[Record]:
@@ -131,13 +168,19 @@ class EyeEntryDesign(Design):
     def write(self, results: Path) -> list[Path]:
         """Write page and table of the complete rows; return the files, the page first."""
         table = results / _TABLE
-        found = {(row["network"], row["seed"]): row for row in self.read_kept(table)}
-        found |= {(row["network"], row["seed"]): row for row in self.all_rows()}
+        both = (*self.read_kept(table), *self.all_rows())
+        found = {tuple(row.get(name) or 0 for name in _KEY): row for row in both}
         order = [TEACHER, *_ROWS]
-        rows = sorted(found.values(), key=lambda r: (order.index(r["network"]), r["seed"] or 0))
+        rows = sorted(found.values(), key=lambda r: (order.index(r["network"]), r.get("seed") or 0))
         write_exactly(({n: row.get(n) for n in _COLUMNS} for row in rows), _COLUMNS, table)
         rows = read_table(table)  # as they stand there, so that the page can be made of it again
-        by_name = dict(grouped(rows, "network"))
+        whole = (row for row in rows if row["level"] in (None, NOT_PRUNED) and not row["way"])
+        by_name = dict(grouped(whole, "network"))
+        driven = [
+            student_facts(key, of, rows)
+            for key, of in grouped(rows, "network", "level", "way")
+            if key[2]
+        ]
         page, shown = pages.write_page(
             results / "kart-eye.md",
             {},
@@ -147,6 +190,7 @@ class EyeEntryDesign(Design):
             missing=self._missing(rows),
             networks=[network_facts(name, of) for name, of in by_name.items()],
             verdicts="\n".join(f"- {line}" for line in verdicts(by_name)),
+            students=driven,
             versions=[
                 f"- {releases()}",
                 *versions_at_start(row["versions"] for row in rows if row["versions"]),
@@ -157,14 +201,13 @@ class EyeEntryDesign(Design):
     def _missing(self, rows: Sequence[Record]) -> str:
         """The trainings that have no row; empty where there are none."""
         there = {f"{row['network']}-s{row['seed']}" for row in rows}
-        lack = [each.name for each in self.trainings() if each.name not in there]
+        lack = [each.name for each in self.trainings()[1:] if each.name not in there]
         return f"**Not trained or evaluated yet: {', '.join(lack)}.**" if lack else ""
 
 
 def walks_of(config: SparseConfig) -> int:
-    """Return how many walks a training has seen: the teacher's, and its own of each phase."""
-    own = config.walks * (len(phases(config)) - 1)
-    return config.teacher_walks + config.noisy_walks + own
+    """Return how many walks of the teacher a training has made."""
+    return config.teacher_walks + config.noisy_walks
 
 
 def taught(episodes: EyeEpisodes, seen: Any) -> Any:  # noqa: ANN401 - arrays
@@ -216,6 +259,29 @@ def network_facts(name: str, rows: Sequence[Record]) -> Record:
         "finish": episode_share(rows, "finish"),
         "crash": episode_share(rows, "crash"),
         "best": max((row["right_share"] for row in rows if row["right_share"]), default=None),
+    }
+
+
+def student_facts(
+    of: tuple[str, str, str], rows: Sequence[Record], all_rows: Sequence[Record]
+) -> Record:
+    """Facts that the page shows of a network, its level and its way, in all its trainings."""
+    network, level, way = of
+    seeds = {row["seed"] for row in rows}
+    beside = [
+        row["finish"] for row in all_rows
+        if (row["network"], row["level"], row["way"]) == (_BESIDE, NOT_PRUNED, None)
+        and row["seed"] in seeds
+    ]  # fmt: skip
+    operations = "macs" if rows[0]["macs"] else "sop"
+    return {
+        **network_facts(network, rows),
+        "way": way,
+        "aim": None if level == NOT_PRUNED else float(level.removeprefix(LEVEL)),
+        "operations": mean(rows, operations),
+        "kind": {"macs": "MACs", "sop": "SOPs"}[operations],
+        "updates": mean(rows, "neuron_update"),
+        "of_cnn": nested_ratio([row["finish"] for row in rows], beside) if beside else None,
     }
 
 

@@ -1,11 +1,11 @@
 """The map of kart-eye: control rates and shares of quiet at which spiking costs less.
 
-Policies are run folders of kart-eye, of `spikedeploy train kart-eye-…`: all in the folder of the
-experiment, or those that are named. Each drives in every cell of the map, a control rate and a
-share of quiet: the training at the rate of the cell, else the one of its recipe and seed at the
-highest rate below, transferred (`vision`). A cell of a policy is a part of the experiment, and a
-row for each way of a float network to save operations, or for each chip, a file of its own. Counts
-are kept and not energies, so that the page can be written again with other prices.
+Policies are run folders of kart-eye, of `spikedeploy train kart-eye-…`: those that the experiment
+`kart-eye` has trained, or those that are named. Each drives in every cell of the map, a control
+rate and a share of quiet: the training at the rate of the cell, else the one of its recipe and seed
+at the highest rate below, transferred (`vision`). A cell of a policy is a part of the experiment,
+and a row for each way of a float network to save operations, or for each chip, a file of its own.
+Counts are kept and not energies, so that the page can be written again with other prices.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,6 +27,7 @@ from spikedeploy.trainers.run_folder import LEVEL, RunFolder, existing_run, file
 
 MAP: dict[str, Any] = DESIGNS["kart-eye-map"]
 ENV = "kart-eye"
+NOT_PRUNED = f"{LEVEL}{1e6:g}"  # the level of the recipes that is above all operations
 TEXTS = ("policy", "way")
 COLUMNS = (
     "policy", "seed", "spiking", "way", "rate", "quiet", "trained_rate", "span", "episodes",
@@ -55,9 +56,9 @@ class Seer:
 
     @property
     def recipe(self) -> str:
-        """`kart-eye-cnn`, or of a level of pruning `kart-eye-cnn level-4000`."""
+        """`kart-eye-cnn`, or of a level of pruning `kart-eye-cnn ops-30000`."""
         recipe = str(self.settings["recipe"])
-        return recipe if self.level in ("best", "last") else f"{recipe} {self.level}"
+        return recipe if self.level in ("best", NOT_PRUNED) else f"{recipe} {self.level}"
 
     @property
     def seed(self) -> int:
@@ -96,7 +97,7 @@ class Seer:
 class EyeMapDesign(Design):
     """The parts of the experiment.
 
-    policies  run folders; all of kart-eye in `runs` where none is named
+    policies  run folders; all of the recipes of designs.toml in `runs` where none is named
     """
 
     episodes: int = 32
@@ -110,7 +111,8 @@ class EyeMapDesign(Design):
     def of(cls, options: Any) -> "EyeMapDesign":  # noqa: ANN401
         """The design of the options of a command."""
         named = [name for text in options.get("policies", ()) for name in text.split(",") if name]
-        made: EyeMapDesign = super().of({**options, **({"policies": named} if named else {})})
+        given = {**options, **({"policies": named} if named else {})}
+        made: EyeMapDesign = super().of({"runs": str(Path("runs") / ENV), **given})
         return made
 
     @property
@@ -122,16 +124,17 @@ class EyeMapDesign(Design):
         return [(rate, quiet) for rate in rates for quiet in shares]
 
     def seers(self) -> list[Seer]:
-        """All policies: the deployed checkpoint of each run, and its levels of pruning."""
+        """All policies: of each run its levels of pruning, or where it has none its best."""
         named = [existing_run(name, self.runs) for name in self.policies]
         found = []
         for path in named or runs_in(Path(self.runs)):
             run = RunFolder(path)
+            if not named and run.settings()["recipe"] not in MAP["recipes"]:
+                continue
             if run.settings()["env"]["name"] != ENV:
                 raise ConfigError(f"{path} is no training of {ENV}; leave it out")
-            files = sorted(file.stem for file in path.glob("checkpoints/*.safetensors"))
-            best = [name for name in ("best", "last") if name in files][:1]
-            found += [Seer(run, n) for n in (*best, *(f for f in files if f.startswith(LEVEL)))]
+            names = list(run.levels.values()) or ["best"]
+            found += [Seer(run, name) for name in names if run.checkpoint(name).is_file()]
         return found
 
     def check(self, results: Path) -> None:
@@ -187,7 +190,7 @@ class EyeMapDesign(Design):
             about |= {"spiking": True, "late": list(late), **chip}
         else:
             about |= {"spiking": False, "late": [0, 0]}
-        return about | drive(options, seeing, self.episodes, self.limit)
+        return about | drive(options, seeing, self.episodes, self.limit)[0]
 
     def all_rows(self) -> Iterator[Record]:
         """The results so far."""

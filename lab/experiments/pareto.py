@@ -24,7 +24,7 @@ from lab.experiments.training import Record, StoredRow, TrainingJob, results
 from spikedeploy import zoo
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.trainers.run_folder import LEVEL
+from spikedeploy.trainers.run_folder import LEVEL, RunFolder
 from spikedeploy.trainers.sparse.pool import Stateless
 
 ENVS = ("hexapod", "hexapod-command", "kart-grid", "kart-gazebo", "kart-steer")
@@ -79,8 +79,7 @@ class StudentTraining(TrainingJob):
         """Names of the checkpoints that are evaluated, most operations first."""
         if self.level:
             return [BEST]
-        found = self.run.glob(f"checkpoints/{LEVEL}*.safetensors") if self.run else ()
-        return sorted((path.stem for path in found), key=operations_of, reverse=True)
+        return list(reversed(RunFolder(self.run).levels.values())) if self.run else []
 
     def aim(self, level: str) -> float:
         """Operations that a checkpoint aims at; with reward those of the policy at the start."""

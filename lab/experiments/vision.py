@@ -42,9 +42,12 @@ from spikedeploy.trainers.policies.vision import (
     vision_artifact,
 )
 
+FIRST_SEED = EVALUATION + 10_000  # of evaluations; kart-eye was designed on seeds below
+
 Counts = NDArray[np.uint8]
 Totals = dict[str, NDArray[np.float64]]
 BITS = 8  # of the weights of float networks, as of those of chips
+OUTCOMES = ("finish", "wrong", "crash", "forks")  # of an episode
 _RECURRENT = ("gru", "back", "out")  # synapses behind the layers of units
 
 
@@ -273,18 +276,20 @@ def sight(policy: Policy, karts: int, way: str, slower: int = 1) -> Sight:
 
 def drive(
     options: Mapping[str, Any], seen: Sight, episodes: int, limit: int | None = None
-) -> Record:
-    """What so many evaluation episodes of kart-eye brought; counts are means of a control step.
+) -> tuple[Record, list[Record]]:
+    """What evaluation episodes of kart-eye brought, and how each of them ended.
+
+    Counts are means of a control step.
 
     options: of the environment
     limit: control steps of an episode, those at gates included; None for all
     """
     env = EyeBatch(episodes, **options)
-    counts = env.reset(range(EVALUATION, EVALUATION + episodes)).reshape(episodes, -1)
+    counts = env.reset(range(FIRST_SEED, FIRST_SEED + episodes)).reshape(episodes, -1)
     ended = np.zeros(episodes, np.bool_)
     totals: dict[str, float] = {}
-    outcome, steps = dict.fromkeys(("finish", "wrong", "crash", "forks"), 0), 0
-    number = 0
+    ends: list[Record] = [{} for _ in range(episodes)]
+    steps = number = 0
     while not ended.all():
         counts, _, terminated, truncated, info = env.step(seen.act(counts))
         counts = counts.reshape(episodes, -1)
@@ -293,15 +298,17 @@ def drive(
         if now.any():
             for name, each in seen.totals.items():
                 totals[name] = totals.get(name, 0.0) + float(each[now].sum())
-            for name in outcome:
-                outcome[name] += int(info[name][now].sum())
+            for k in np.flatnonzero(now).tolist():
+                ends[k] = {name: int(info[name][k]) for name in OUTCOMES}
             steps += number * int(now.sum())
         ended |= now
-    return {
+    finish, wrong, crash, forks = (sum(end[name] for end in ends) for name in OUTCOMES)
+    row = {
         "episodes": episodes,
         "steps": steps,
-        "finished": outcome["finish"] / episodes,
-        "right": outcome["forks"] / max(outcome["forks"] + outcome["wrong"], 1),
-        "crashed": outcome["crash"] / episodes,
+        "finished": finish / episodes,
+        "right": forks / max(forks + wrong, 1),
+        "crashed": crash / episodes,
         **{name: total / steps for name, total in totals.items()},
     }
+    return row, ends

@@ -53,8 +53,9 @@ class SparseConfig(RunConfig):
     sharpness: factor of the teacher's logits in the targets of discrete actions
     schedule: of the learning rate before pruning: it falls in each of the dense "rounds", whose
         optimisers are new, or "once" over all of them
-    guide: run folder of a float policy that sees, whose convolutions a spiking student starts from,
-        and whose outputs are half of what it imitates of actions and all of what it does of signs
+    guide: run folder of a float policy that sees: from the convolutions of its level that is pruned
+        least a spiking student starts, and its outputs are half of what it imitates of actions and
+        all of what it does of signs
     sign_weight: of policies that see: weight of what the signs said, beside the actions
     """
 
@@ -71,7 +72,7 @@ class SparseConfig(RunConfig):
     dense_updates: Positive = 3_000
     level_updates: Positive = 3_000
     polish_updates: Positive = 2_000
-    dense_rounds: Positive = 3
+    dense_rounds: Count = 3
     window: Batch = 20
     burn_in: Count = 6
     batch: Batch = 88

@@ -167,13 +167,12 @@ def starting_point(config: SparsePpoConfig, runs: Path) -> tuple[RunFolder, Spar
             "Take the recipe of its task."
         )
     if not run.checkpoint(level).is_file():
-        levels = sorted(path.stem for path in run.path.glob(f"checkpoints/{LEVEL}*.safetensors"))
         raise ConfigError(
             f"start: {config.start} has no policy at its budget yet. Wait until it ends, or "
             "continue it with --resume."
             if level == "best"
             else f"start_checkpoint: {config.start} has no policy {level!r}. It has "
-            f"{', '.join(levels) or 'none of any level yet'}."
+            f"{', '.join(run.levels.values()) or 'none of any level yet'}."
         )
     policy = run.policy(level)
     if isinstance(policy, DeltaMlpPolicy):

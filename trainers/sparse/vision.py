@@ -23,7 +23,7 @@ from spikedeploy.trainers.distill.teacher import compute_cross_entropy
 from spikedeploy.trainers.policies import SpikingVisionPolicy, VisionPolicy
 from spikedeploy.trainers.policies.policy import PrunedKernel, SynapseGroup
 from spikedeploy.trainers.policies.vision import SIGNS, vision_artifact
-from spikedeploy.trainers.run_folder import load_policy, with_prefix
+from spikedeploy.trainers.run_folder import RunFolder, with_prefix
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import (
     BatchController,
@@ -237,8 +237,9 @@ def kernels(policy: VisionPolicy) -> list[str]:
 
 
 def _guide(run: str, policy: VisionPolicy) -> VisionPolicy:
-    """Return the best policy of a run, whose convolutions are those of another."""
-    found = load_policy(run)
+    """Return the policy of a run that is pruned least, whose convolutions are those of another."""
+    folder = RunFolder.find(run)
+    found = folder.policy(next(reversed(folder.levels.values()), None))
     if not isinstance(found, VisionPolicy) or _seen_by(found) != _seen_by(policy):
         raise ConfigError(
             f"guide: the policy of {run} does not see by convolutions as this one does. Give a run "

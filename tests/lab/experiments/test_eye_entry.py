@@ -9,18 +9,19 @@ import pytest
 
 from lab.experiments import eye_entry
 from lab.experiments.eye_entry import EyeEntryDesign, outcomes, read_table, right_share, verdicts
+from lab.experiments.eye_map import NOT_PRUNED
 from lab.experiments.runner import run_experiment
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.sparse.config import SparseConfig
 
-TWO = ("linear-4x8", "cnn")
+THREE = ("linear-4x8", "cnn", "snn")
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _two_networks():
+def _three_networks():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(eye_entry, "_ROWS", {name: eye_entry._ROWS[name] for name in TWO})
+        patch.setattr(eye_entry, "_ROWS", {name: eye_entry._ROWS[name] for name in THREE})
         yield
 
 
@@ -34,16 +35,18 @@ def design(tmp_path_factory):
 def results(design, ran):
     folder = Path(design.runs).parent / "results"
     outcome = run_experiment(design, (), 1, folder)
-    assert (outcome.done, outcome.of, outcome.failed) == (3, 3, {})
-    assert ran == ["teacher", "linear-4x8-s0", "cnn-s0"]
+    assert (outcome.done, outcome.of, outcome.failed) == (5, 5, {})
+    assert ran == ["teacher", "walks", "linear-4x8-s0", "cnn-s0", "snn-s0"]
     return folder
 
 
 def test_each_row_holds_its_episodes_one_by_one(results):
-    rows = {row["network"]: row for row in read_table(results / "kart-eye.csv")}
-    assert list(rows) == ["teacher", *TWO]
-    assert all(len(row["right"]) == len(row["finish"]) == 2 for row in rows.values())
+    found = read_table(results / "kart-eye.csv")
+    assert all(len(row["right"]) == len(row["finish"]) == 2 for row in found)
+    rows = {row["network"]: row for row in found if row["level"] in (None, NOT_PRUNED)}
+    assert list(rows) == ["teacher", *THREE]
     assert rows["cnn"]["updates"] == rows["linear-4x8"]["updates"] > 0
+    assert rows["cnn"]["walks"] == rows["snn"]["walks"] == 3 + 2 * 2
     # 2 x 4 x 8 cells onto seven actions, and onto three of the second head, biases and all
     assert rows["linear-4x8"]["weights"] == 64 * 10 + 10
 
@@ -66,9 +69,19 @@ def test_all_networks_train_equally_hard():
         return made.model_dump(exclude={"policy", "recipe"})
 
     whole = eye_entry.DESIGNS["kart-eye"]["networks"]
+    unlike = {"budget", "levels", "chip", "rounding"}  # behind the level that is not pruned
     first, *others = (effort(row) for row in whole.values())
-    assert len(others) == 10
-    assert all(each == first for each in others)
+    assert len(others) == 12
+    assert all(each[n] == first[n] for each in others for n in first.keys() - unlike)
+
+
+def test_spiking_policies_drive_on_their_chips_at_each_level_of_pruning(results):
+    rows = [r for r in read_table(results / "kart-eye.csv") if r["network"] == "snn"]
+    assert [row["level"] for row in rows] == [NOT_PRUNED, "ops-60000", "ops-30000"]
+    assert all(row["way"] == "loihi1" and row["neuron_update"] > 0 for row in rows)
+    page = (results / "kart-eye.md").read_text(encoding="utf-8")
+    assert page.count("| snn | loihi1 |") == 3
+    assert page.count("| cnn | zero-skipping |") == 3
 
 
 def test_right_counts_the_forks_that_were_taken():

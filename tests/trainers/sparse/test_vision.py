@@ -90,7 +90,7 @@ def test_a_guide_with_other_kernels_is_refused(guide):
 
 
 def test_nothing_is_pruned_on_the_way_to_a_budget_that_is_not_reached():
-    config = resolve(SparseConfig, "kart-eye-cnn")
+    config = resolve(SparseConfig, "kart-eye-gru")
     assert [phase.last for phase in phases(config)] == [None] * config.dense_rounds + [1e6]
 
 
