@@ -119,13 +119,18 @@ class Synapses:
         """The same synapses as a matrix; RuleError, with what needs it, where that is too large."""
         if self.window is None:
             return self
-        if (found := 8 * math.prod(self.shape)) > MAX_BYTES:
-            raise RuleError(
-                f"rule matrix: the synapses from {self.source!r}: {needed_by} needs them as a "
-                f"matrix, which takes {found} bytes; at most {MAX_BYTES}. Make its maps smaller, "
-                "or run the network in float."
-            )
+        check_matrix(self.source, self.shape, needed_by)
         return replace(self, weight=self.window.dense(self.weight), window=None)
+
+
+def check_matrix(source: str, shape: tuple[int, int], needed_by: str) -> None:
+    """Refuse a matrix (M, N) of the synapses from a source that is too large."""
+    if (found := 8 * math.prod(shape)) > MAX_BYTES:
+        raise RuleError(
+            f"rule matrix: the synapses from {source!r}: {needed_by} needs them as a matrix, which "
+            f"takes {found} bytes; at most {MAX_BYTES}. Make its maps smaller, or run the network "
+            "in float."
+        )
 
 
 @dataclass(frozen=True, eq=False)

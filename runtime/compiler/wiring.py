@@ -21,7 +21,7 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.layer import MAX_BYTES, Synapses
+from spikedeploy.runtime.chips.layer import MAX_BYTES, Synapses, check_matrix
 from spikedeploy.runtime.compiler.chains import weights_of
 from spikedeploy.runtime.compiler.program import HostOutput, ReadoutTerm
 from spikedeploy.runtime.compiler.topology import BIASED, arriving
@@ -133,8 +133,11 @@ def _synapses(
         elif len(rows) == 1:
             found.append(replace(each, source=name))
         else:
-            matrix = joined.setdefault(each.delay, np.zeros((ends[-1], each.shape[1])))
-            matrix[rows[each.source]] = each.listed("a row of several Inputs").weight
+            if each.delay not in joined:
+                shape = ends[-1], each.shape[1]
+                check_matrix(name, shape, "a row of several Inputs")
+                joined[each.delay] = np.zeros(shape)
+            joined[each.delay][rows[each.source]] = each.listed().weight
     return *found, *(Synapses(name, matrix, lag) for lag, matrix in joined.items())
 
 
