@@ -3,10 +3,11 @@
     python recount.py policy.nir rollout.npz out.npz
 
 Written from docs/codec.md with h5py and NumPy alone: nothing of spikedeploy is used, so that what
-the toolchain counts can be checked by something that shares no line with it. It reads feed-forward
-graphs of Affine, Linear, LIF, CubaLIF, IF, LI, CubaLI and I, and the codes "population", "rate"
-(regular) and "delta". out.npz holds "action" (S, act) or (S,), "spikes/NAME" (S,) of the input and
-of every spiking node, and "sops/NAME" (S,) of the synapses into every node of neurons.
+the toolchain counts can be checked by something that shares no line with it. It reads graphs of
+Affine, Linear, Conv2d, Flatten, LIF, CubaLIF, IF, LI, CubaLI and I, with loops where the clock is
+pipelined, and the codes "population", "rate" (regular), "delta" and "events" (channels). out.npz
+holds "action" (S, act) or (S,), "spikes/NAME" (S,) of the input and of every spiking node, and
+"sops/NAME" (S,) of the synapses into every node of neurons.
 """
 
 import sys
@@ -86,7 +87,47 @@ class Delta:
         return (1 if e > 0 else -1) * min((abs(e) + 128) // 256, most)
 
 
-CODES = {"population": Population, "rate": Rate, "delta": Delta}
+class Events:
+    """Counts of an event camera, K channels a polarity."""
+
+    def __init__(self, fields, timesteps):
+        if fields["code"] != "channels":
+            sys.exit(f"events of code {fields['code']} are not recounted")
+        self.fields, self.timesteps = fields, timesteps
+
+    def spikes(self, x):
+        """(T, M) of the normalised observation x (obs,)."""
+        counts = np.floor(x).reshape(int(self.fields["polarities"]), 1, -1)
+        raster = np.zeros((self.timesteps, x.size * int(self.fields["most"])))
+        raster[0] = (counts >= np.arange(1, self.fields["most"] + 1)[:, None]).ravel()
+        return raster
+
+
+CODES = {"population": Population, "rate": Rate, "delta": Delta, "events": Events}
+
+
+def convolve(node, weight, maps):
+    """Output (O, Y, X) of a kernel (O, I / groups, ky, kx) over maps (I, Y, X)."""
+    padding, stride, dilation = (np.broadcast_to(node[n], 2) for n in GEOMETRY)
+    padded = np.pad(maps, [(0, 0), *((side, side) for side in padding)])
+    extents = np.array(padded.shape[1:]) - dilation * (np.array(weight.shape[2:]) - 1)
+    ends = (extents - 1) // stride * stride + 1
+    groups = np.split(padded, node["groups"]), np.split(weight, node["groups"])
+    grouped = zip(*groups, strict=True)
+    return np.concatenate([part(*each, stride, dilation, ends) for each in grouped])
+
+
+def part(maps, weight, stride, dilation, ends):
+    """Output of one group of channels."""
+    total = 0
+    for at in np.ndindex(weight.shape[2:]):
+        (y, x), (below, right) = at * dilation, at * dilation + ends
+        seen = maps[:, y : below : stride[0], x : right : stride[1]]
+        total = total + np.einsum("oi,iyx->oyx", weight[:, :, at[0], at[1]], seen)
+    return total
+
+
+GEOMETRY = ("padding", "stride", "dilation")
 
 
 def decay(tau, convention):
@@ -123,8 +164,7 @@ class Neurons:
 
     def step(self, x):
         """Spikes or membranes (N,) of the next timestep."""
-        self.arriving.append(x)
-        drive = self.gain * self.arriving.pop(0)
+        drive = self.gain * x
         self.current = drive if self.a is None else self.a * self.current + drive
         self.membrane = self.b * self.membrane + self.current + self.leak
         if self.threshold is None:
@@ -169,13 +209,13 @@ class Policy:
         self.nodes = tree["nodes"]
         edges = [(a.decode(), b.decode()) for a, b in tree["edges"]]
         self.sources = {name: [a for a, b in edges if b == name] for name in self.nodes}
-        self.order = self.sorted()
         self.neurons = {
             name: Neurons(node, self.convention) for name, node in self.nodes.items() if "r" in node
         }
         graded = known.get("sigma_delta", {})
         for name, stated in graded.items():
             self.neurons[name] = SigmaDelta(self.nodes[name], self.convention, stated)
+        self.order = self.sorted()
         self.spiking = [
             n for n, layer in self.neurons.items() if layer.threshold is not None or n in graded
         ]
@@ -191,12 +231,17 @@ class Policy:
             ready = [
                 name
                 for name in self.nodes
-                if name not in order and all(source in order for source in self.sources[name])
+                if name not in order
+                and (self.delays(name) or all(source in order for source in self.sources[name]))
             ]
             if not ready:
-                sys.exit("only graphs without loops")
+                sys.exit("loops only where the clock is pipelined")
             order += ready
         return order
+
+    def delays(self, name):
+        """Whether what a node receives acts a timestep later."""
+        return name in self.neurons and self.neurons[name].delay > 0
 
     def play(self, observations):
         """Actions, spikes and SOPs of every control step."""
@@ -229,28 +274,42 @@ class Policy:
 
     def step(self, row):
         """Output (N,) of every node in one timestep."""
-        values = {self.input: row}
+        values = {self.input: row.reshape(self.nodes[self.input]["shape"])}
         for name in self.order:
             if name == self.input:
                 continue
-            node, x = self.nodes[name], sum(values[source] for source in self.sources[name])
+            node = self.nodes[name]
+            if self.delays(name):
+                values[name] = self.neurons[name].step(self.neurons[name].arriving.pop(0))
+                continue
+            x = sum(values[source] for source in self.sources[name])
             if name in self.neurons:
                 values[name] = self.neurons[name].step(x)
             elif node["type"] in ("Affine", "Linear"):
                 values[name] = node["weight"] @ x + node.get("bias", 0.0)
+            elif node["type"] == "Conv2d":
+                values[name] = convolve(node, node["weight"], x) + node["bias"][:, None, None]
+            elif node["type"] == "Flatten":
+                values[name] = x.ravel()
             elif node["type"] == "Output":
                 values[name] = x
             else:
                 sys.exit(f"node {name}: {node['type']} is not recounted")
+        for name in filter(self.delays, self.neurons):
+            arrives = sum(values[source] for source in self.sources[name])
+            self.neurons[name].arriving.append(arrives)
         return values
 
     def operations(self, name, values):
         """Spikes times non-zero fan-out, over all weights into a node of neurons."""
         total = 0
         for weights in self.sources[name]:
-            fan_out = np.count_nonzero(self.nodes[weights]["weight"], axis=0)
+            node = self.nodes[weights]
+            there = (node["weight"] != 0).astype(int)
             for source in self.sources[weights]:
-                total += int((values[source] != 0) @ fan_out)
+                sent = (values[source] != 0).astype(int)
+                one = convolve(node, there, sent) if node["type"] == "Conv2d" else there @ sent
+                total += int(one.sum())
         return total
 
     def action(self, score):

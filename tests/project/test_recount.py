@@ -10,10 +10,14 @@ import pytest
 
 from spikedeploy import zoo
 from spikedeploy.envs.rollout import Rollout
+from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.policies.costs import spiking_costs
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import EVENTS
+from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.config import VisionSnnConfig
+from spikedeploy.trainers.policies import from_config
 from spikedeploy.trainers.policies.delta import delta_artifact
 from tests.delta_policies import delta_mlp
 from tests.networks import chain, cuba, event_driven
@@ -33,10 +37,11 @@ def recounted(policy, rollout, folder):
         return dict(found)
 
 
-def acted(artifact, path, observed):
-    """The float twin on a random walk of observations, which it writes as a rollout."""
+def acted(artifact, path, observed, seen=None):
+    """The float twin on observations, or a random walk of them, which it writes as a rollout."""
     rng = np.random.default_rng(3)
-    seen = rng.normal(0, 1.0, (STEPS + 1, observed)).cumsum(axis=0)
+    if seen is None:
+        seen = rng.normal(0, 1.0, (STEPS + 1, observed)).cumsum(axis=0)
     seen = artifact.codec.normaliser.mean + artifact.codec.normaliser.std * seen
     controller = SpikingController(artifact)
     controller.reset(0)
@@ -50,10 +55,10 @@ def acted(artifact, path, observed):
     return controller, np.stack(actions), spikes
 
 
-def check(path, tmp_path):
+def check(path, tmp_path, seen=None):
     """The script on a file finds the spikes, SOPs and actions of the float twin."""
     artifact = load(path)
-    played = acted(artifact, tmp_path / "walk.npz", artifact.codec.encoder.observed)
+    played = acted(artifact, tmp_path / "walk.npz", artifact.codec.encoder.observed, seen)
     controller, actions, spikes = played
     found = recounted(path, tmp_path / "walk.npz", tmp_path)
     np.testing.assert_allclose(found["action"], actions, rtol=0, atol=1e-9)
@@ -116,3 +121,17 @@ def test_a_delta_network_is_recounted(tmp_path):
     # what the host reads are membranes, through the identity of `action`, which computes nothing
     assert costs.effective_macs == ledger.per_inference("graded_sop")
     assert costs.effective_acs + costs.effective_macs == pytest.approx(costs.sops)
+
+
+@pytest.mark.parametrize("options", [{"memory": 3}, {"recurrent": False, "most": 2}])
+def test_a_policy_that_sees_by_convolutions_is_recounted(options, tmp_path):
+    torch = pytest.importorskip("torch")
+    torch.manual_seed(2)
+    shape = {"shape": (2, 7, 10), "channels": (3, 4), "kernels": (3, 3), "strides": (2, 2)}
+    policy = from_config(VisionSnnConfig(**shape, hidden=9, **options), 140, 7, head="discrete")
+    events = torch.poisson(torch.full((4, 12, 140), 0.4))
+    policy.normalise(events.to(next(policy.parameters()).dtype))
+    path = to_nir(policy, Provenance("test"), tmp_path / "eyes.nir")
+    seen = np.random.default_rng(4).poisson(0.3, (STEPS + 1, 140)).astype(float)
+    found, controller = check(path, tmp_path, seen)
+    check_operations(found, controller.ledger)
