@@ -15,7 +15,9 @@ timestep at most, and Norse resets to 0: only their speed is compared.
 """
 
 import time
+import tracemalloc
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -70,8 +72,10 @@ _SPECK = Convention(DT, "subtract", spikes="reached", floor="threshold")
 CHIPS = {
     "speck2f": _SPECK,
     "speck2f:queue=on": _SPECK,  # event after event
-    "loihi1": Convention(DT),
+    **dict.fromkeys(("loihi1", "int", "ideal"), Convention(DT)),
 }
+# of these, which are run: the others are compiled
+RUN = ("speck2f", "speck2f:queue=on", "loihi1")
 
 
 def main() -> None:
@@ -80,14 +84,21 @@ def main() -> None:
     torch.set_num_threads(1)
     result: dict[str, Any] = {}
     for name, (extent, layers) in NETWORKS.items():
-        graph, compiled, taken = build(extent, layers), {}, {}
+        graph, compiled, taken, held = build(extent, layers), {}, {}, {}
         for of_chip, convention in CHIPS.items():
-            start = time.perf_counter()
             artifact = Artifact(graph, None, convention)
             # their fully connected layers have more axons than chips have room for
-            compiled[of_chip] = compile_program(artifact, chip(of_chip), limits=False)
+            make = partial(compile_program, artifact, chip(of_chip), limits=False)
+            start = time.perf_counter()
+            program = make()
             taken[of_chip] = time.perf_counter() - start
-        result[name] = {"compile_s": taken, "rates": {}}
+            tracemalloc.start()  # slows what it watches
+            make()
+            held[of_chip] = tracemalloc.get_traced_memory()[1] / 1e6
+            tracemalloc.stop()
+            if of_chip in RUN:
+                compiled[of_chip] = program
+        result[name] = {"compile_s": taken, "compile_mb": held, "rates": {}}
         for rate in RATES:
             raster = bernoulli(RECORDINGS, TIMESTEPS, 2 * extent**2, rate)
             result[name]["rates"][f"{rate:.0%}"] = compare(compiled, raster, arguments.rounds)
@@ -230,7 +241,8 @@ def table(result: dict[str, Any]) -> str:
     """Return the result for people."""
     lines = ["one thread, medians of one run; times and synaptic operations (SOPs) of a timestep"]
     for name, network in result.items():
-        lines += ["", f"{name}; compiled in s: {row(network['compile_s'])}"]
+        taken, held = row(network["compile_s"]), row(network["compile_mb"])
+        lines += ["", f"{name}; compiled in s: {taken}; at most MB meanwhile: {held}"]
         for rate, found in network["rates"].items():
             peers = {name: ms for name, ms in found["median_ms"].items() if name in NEURONS}
             lines.append(f"  {rate} of inputs, ms: {row(peers)}")
