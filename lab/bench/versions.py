@@ -1,10 +1,11 @@
 """How fast our backends are in this checkout, beside another checkout of the same repository.
 
     git worktree add ../before 7b2e800
-    python -m lab versions ../before [--backend numpy] [--rounds 15] [--json]
+    python -m lab versions ../before [--policies] [--backend numpy] [--rounds 15] [--json]
 
 One process for each checkout, with one thread; they take turns, and the medians of their inferences
-are compared. Networks and inputs are those of lab/bench/runtime.py, without a ledger.
+are compared. Networks and inputs are those of lab/bench/runtime.py, without a ledger. With
+--policies they are control steps of shipped policies on loihi1, with one, at random observations.
 """
 
 import argparse
@@ -23,19 +24,22 @@ import numpy as np
 HERE = Path(__file__).resolve().parents[2]
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 INPUTS = {1: 20, 1024: 1}  # inferences of a round, by the batch
+POLICIES = ("hexapod/sparse", "hexapod/popsan", "kart-steer/sparse", "kart-grid/sparse")
+OBSERVATIONS = 200  # of a policy in a round
 CALIBRATION = 4  # rasters that thresholds are set with
 
 Times = dict[str, dict[str, float]]
+Cases = dict[str, list[Callable[[], Any]]]
 
 
 def main() -> None:
     """Measure, and print a table or JSON."""
     arguments = parse_options()
     if arguments.child:
-        serve(arguments.backend)
+        serve(make_policies if arguments.policies else make_cases, arguments.backend)
         return
     trees = {"other": arguments.other.resolve(), "this": HERE}
-    children = {name: child(tree, arguments.backend) for name, tree in trees.items()}
+    children = {name: child(tree, arguments) for name, tree in trees.items()}
     cases = {name: json.loads(ask(each, "cases")) for name, each in children.items()}["this"]
     taken: dict[str, dict[str, list[float]]] = {case: {n: [] for n in trees} for case in cases}
     for turn in range(arguments.rounds + 1):
@@ -50,10 +54,11 @@ def main() -> None:
     print(json.dumps(median, indent=2) if arguments.json else table(median))
 
 
-def child(tree: Path, backend: str) -> "subprocess.Popen[str]":
+def child(tree: Path, arguments: argparse.Namespace) -> "subprocess.Popen[str]":
     """A process that imports from the tree, and measures what it is asked for."""
     environment = {**os.environ, "PYTHONPATH": str(tree), **dict.fromkeys(THREADS, "1")}
-    command = [sys.executable, __file__, str(tree), "--backend", backend, "--child"]
+    command = [sys.executable, __file__, str(tree), "--backend", arguments.backend, "--child"]
+    command += ["--policies"] * arguments.policies
     pipe = subprocess.PIPE
     return subprocess.Popen(command, cwd=tree, env=environment, stdin=pipe, stdout=pipe, text=True)
 
@@ -66,10 +71,10 @@ def ask(process: "subprocess.Popen[str]", question: str) -> str:
     return process.stdout.readline()
 
 
-def serve(backend: str) -> None:
+def serve(make: Callable[[str], Cases], backend: str) -> None:
     """Times [us per inference] of a round of the case that each line names."""
     sys.path[0] = os.environ["PYTHONPATH"]  # not this folder, but the tree
-    cases = make_cases(backend)
+    cases = make(backend)
     for line in sys.stdin:
         case = line.strip()
         times = list(cases) if case == "cases" else time_calls(cases[case], case)
@@ -82,7 +87,7 @@ def time_calls(acts: list[Callable[[], Any]], case: str) -> list[float]:
     return [1e6 * timeit.timeit(act, number=1) / batch for act in acts]
 
 
-def make_cases(backend: str) -> dict[str, list[Callable[[], Any]]]:
+def make_cases(backend: str) -> Cases:
     """The inferences of a round, of each network and batch."""
     from lab.bench.nets import bernoulli, encode, kart, popsan
     from spikedeploy.runtime.emulator.machine import Machine
@@ -101,6 +106,23 @@ def make_cases(backend: str) -> dict[str, list[Callable[[], Any]]]:
     return cases
 
 
+def make_policies(backend: str) -> Cases:
+    """The control steps of a round, of each policy."""
+    from spikedeploy import load
+    from spikedeploy.runtime.chips.chip import chip
+    from spikedeploy.runtime.emulator.controllers import SpikingController
+
+    cases = {}
+    for name in POLICIES:
+        artifact = load(name).artifact
+        seen = np.random.default_rng(0).normal(
+            size=(OBSERVATIONS, artifact.codec.normaliser.mean.size)
+        )
+        act = SpikingController(artifact, chip("loihi1"), backend=backend).act
+        cases[f"{name}, batch 1"] = [partial(act, each) for each in seen]
+    return cases
+
+
 def table(median: Times) -> str:
     """Return the result for people."""
     lines = [f"{'us per inference':36}{'other':>10}{'this':>10}{'other / this':>14}"]
@@ -115,6 +137,9 @@ def parse_options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("other", type=Path, help="the other checkout")
     parser.add_argument("--backend", default="numpy", choices=("numpy", "numba"))
+    parser.add_argument(
+        "--policies", action="store_true", help="shipped ones, in place of networks"
+    )
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
