@@ -198,10 +198,10 @@ class EyeBatch:
         outcome = {name: np.zeros(self.size, np.bool_) for name in ("right", "wrong", "crash")}
         self.pixels[:] = 0
         for _ in range(self._renders):
-            moved = self._moving()
+            moved = self.moving()
             for _ in range(self._substeps // self._renders):
                 self._drive(wanted, outcome)
-            self._draw(np.flatnonzero(moved | self._moving()))
+            self._draw(np.flatnonzero(moved | self.moving()))
             self._time += 1 / (self._renders * options.rate)
             self._camera.count(self._frames, self._time, self.pixels)
         self.steps += 1
@@ -284,8 +284,8 @@ class EyeBatch:
         angle = (angle + math.pi) % (2 * math.pi) - math.pi
         return ax * fy - ay * fx, ax * fx + ay * fy, angle
 
-    def _moving(self) -> NDArray[np.bool_]:
-        """Mask (B,) of the karts whose view changes."""
+    def moving(self) -> NDArray[np.bool_]:
+        """Return a mask (B,) of the karts whose view changes."""
         opens = (self._hold > 0) & (self._hold < _OPENING)
         moving: NDArray[np.bool_] = ~self._over & ((self.speed > 0) | opens)
         return moving

@@ -18,7 +18,7 @@ from lab.experiments import DESIGNS
 from lab.experiments.networks import constants
 from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, read_rows
-from lab.experiments.vision import ChipSight, drive, sight
+from lab.experiments.vision import ChipSight, drive, sight, wait_longer
 from spikedeploy.envs.eye.batch import EyeOptions
 from spikedeploy.reports.table import write_rows
 from spikedeploy.runtime.errors import ConfigError
@@ -117,11 +117,10 @@ class EyeMapDesign(Design):
 
     @property
     def cells(self) -> list[tuple[int, float]]:
-        """Control rate [Hz] and share of quiet; of a quick trial the corners alone."""
-        rates, shares = MAP["rates"], MAP["quiet"]
-        if self.quick:
-            rates, shares = rates[::2], shares[::3]
-        return [(rate, quiet) for rate in rates for quiet in shares]
+        """Control rate [Hz] and share of quiet that are driven; fewer in a quick trial."""
+        rates = MAP["rates"][:: 2 if self.quick else 1]
+        checked = [] if self.quick else [(rate, quiet) for rate, quiet in MAP["checked"]]
+        return sorted([(rate, quiet) for rate in rates for quiet in MAP["measured"]] + checked)
 
     def seers(self) -> list[Seer]:
         """All policies: of each run its levels of pruning, or where it has none its best."""
@@ -193,17 +192,41 @@ class EyeMapDesign(Design):
         return about | drive(options, seeing, self.episodes, self.limit)[0]
 
     def all_rows(self) -> Iterator[Record]:
-        """The results so far."""
-        return (row for part in self.parts() for row in part.found)
+        """The results so far, and those that follow from them where a kart waits for longer."""
+        found = [row for part in self.parts() for row in part.found]
+        driven = {self._place(row) for row in found}
+        longest = max(MAP["measured"])
+        for row in found:
+            yield row
+            for quiet in MAP["quiet"] if row["quiet"] == longest and "still" in row else ():
+                longer = wait_longer(row, quiet)
+                if quiet > longest and self._place(longer) not in driven:
+                    yield longer
+
+    @staticmethod
+    def _place(row: Record) -> tuple[Any, ...]:
+        return tuple(row[name] for name in ("policy", "seed", "way", "rate", "quiet"))
+
+    def deviations(self) -> list[float]:
+        """Operations of cells that were driven over those that follow from a shorter wait [1]."""
+        found = {self._place(row): row for part in self.parts() for row in part.found}
+        rows = []
+        for row in found.values():
+            shorter = found.get((*self._place(row)[:-1], max(MAP["measured"])))
+            if row["quiet"] > max(MAP["measured"]) and shorter is not None:
+                name = "sop" if row["spiking"] else "macs"
+                rows.append(row[name] / wait_longer(shorter, row["quiet"])[name])
+        return sorted(rows)
 
     def write(self, results: Path) -> list[Path]:
         """Write page, table and picture of the complete rows; return the files, the page first."""
         from lab.experiments.eye_map_page import write
 
         rows = list(self.all_rows())
-        table = write_rows(rows, COLUMNS, results / "kart-eye-map.csv")
+        told = [{name: each for name, each in row.items() if name != "still"} for row in rows]
+        table = write_rows(told, COLUMNS, results / "kart-eye-map.csv")
         missing = sum(not part.is_done for part in self.parts())
-        return [*write(rows, results, missing, self.limit), table]
+        return [*write(rows, results, missing, self.limit, self.deviations()), table]
 
 
 def read_table(path: Path) -> list[Record]:

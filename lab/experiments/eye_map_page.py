@@ -332,8 +332,17 @@ def rate_text(rate: float) -> str:
     return "everywhere" if rate == 0 else "never" if math.isinf(rate) else f"{rate:,.0f} Hz"
 
 
-def write(rows: Sequence[Record], results: Path, missing: int, limit: int | None) -> list[Path]:
-    """Write the page with its picture; return the files, the page first."""
+def write(
+    rows: Sequence[Record],
+    results: Path,
+    missing: int,
+    limit: int | None,
+    deviations: Sequence[float],
+) -> list[Path]:
+    """Write the page with its picture; return the files, the page first.
+
+    deviations  sorted; operations of driven cells over those that were derived
+    """
     found = maps(rows)
     drawn = {"kart-eye-map.png": figure(found)} if found else {}
     notes = [f"{missing} parts are missing."] if missing else []
@@ -348,6 +357,7 @@ def write(rows: Sequence[Record], results: Path, missing: int, limit: int | None
         episodes=max((row["episodes"] for row in rows), default=0),
         statics={c: STATIC[c] for c in ("loihi1", "speck2f")},
         errors=errors,
+        deviations=deviations,
         rate_text=rate_text,
         EQUAL=EQUAL,
         costs=eye_costs,

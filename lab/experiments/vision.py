@@ -279,7 +279,8 @@ def drive(
 ) -> tuple[Record, list[Record]]:
     """What evaluation episodes of kart-eye brought, and how each of them ended.
 
-    Counts are means of a control step.
+    Counts are means of a control step; `still` has those of steps in which nothing moved, neither
+    kart nor gate, and how many these were, and how many at gates.
 
     options: of the environment
     limit: control steps of an episode, those at gates included; None for all
@@ -287,23 +288,32 @@ def drive(
     env = EyeBatch(episodes, **options)
     counts = env.reset(range(FIRST_SEED, FIRST_SEED + episodes)).reshape(episodes, -1)
     ended = np.zeros(episodes, np.bool_)
-    totals: dict[str, float] = {}
     ends: list[Record] = [{} for _ in range(episodes)]
-    steps = number = 0
+    totals, still = dict.fromkeys(seen.totals, 0.0), dict.fromkeys(seen.totals, 0.0)
+    steps = number = resting = waiting = 0
+    rested = ~env.moving()
     while not ended.all():
-        counts, _, terminated, truncated, info = env.step(seen.act(counts))
+        before = {name: each.copy() for name, each in seen.totals.items()} if rested.any() else {}
+        actions = seen.act(counts)
+        for name, each in before.items():
+            still[name] += float((seen.totals[name] - each)[rested].sum())
+        resting += int(rested.sum())
+        rested = ~env.moving()
+        counts, _, terminated, truncated, info = env.step(actions)
         counts = counts.reshape(episodes, -1)
         number += 1
         now = (terminated | truncated | (number == limit)) & ~ended
         if now.any():
             for name, each in seen.totals.items():
-                totals[name] = totals.get(name, 0.0) + float(each[now].sum())
+                totals[name] += float(each[now].sum())
             for k in np.flatnonzero(now).tolist():
                 ends[k] = {name: int(info[name][k]) for name in OUTCOMES}
             steps += number * int(now.sum())
+        waiting += int((info["waiting"] & ~ended).sum())
         ended |= now
+        rested &= ~env.moving() & ~ended
     finish, wrong, crash, forks = (sum(end[name] for end in ends) for name in OUTCOMES)
-    row = {
+    row: Record = {
         "episodes": episodes,
         "steps": steps,
         "finished": finish / episodes,
@@ -311,4 +321,25 @@ def drive(
         "crashed": crash / episodes,
         **{name: total / steps for name, total in totals.items()},
     }
+    if resting:
+        each_still = {name: total / resting for name, total in still.items()}
+        row["still"] = {"steps": resting, "waiting": waiting, **each_still}
     return row, ends
+
+
+def wait_longer(row: Record, quiet: float) -> Record:
+    """The row of a cell whose gates stay closed for longer, from one that was driven.
+
+    As waits are the drawn ones times a factor, each episode takes as many steps more at its gates
+    as follow from it; in these nothing moves, and each counts what those counted.
+    """
+    factor = quiet / (1 - quiet) / (row["quiet"] / (1 - row["quiet"]))
+    still = row["still"]
+    more = (factor - 1) * still["waiting"]
+    steps = row["steps"] + more
+    means = {
+        n: (row["steps"] * row[n] + more * each) / steps
+        for n, each in still.items()
+        if n in row and n != "steps"
+    }
+    return {**row, **means, "quiet": quiet, "steps": round(steps)}

@@ -21,6 +21,7 @@ from lab.experiments.eye_costs import (
 from lab.experiments.eye_map import EyeMapDesign
 from lab.experiments.eye_map_page import EQUAL, maps
 from lab.experiments.runner import run_experiment
+from lab.experiments.vision import drive, wait_longer
 from spikedeploy.files import as_text, write_text
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.policies import FloatVisionPolicy, SpikingVisionPolicy
@@ -112,12 +113,35 @@ def test_a_training_at_the_rate_of_a_cell_is_taken_before_a_transferred_one(tmp_
             seer = row.make.args[0]
             slower[row.of["options"]["rate"]] = row.of["options"]["rate"] // seer.rate
     assert slower == {60: 1, 240: 1, 960: 4}
-    assert len(made.parts()) == 12
+    assert len(made.parts()) == 7
 
 
 def test_a_map_without_policies_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="no run folder of kart-eye"):
         EyeMapDesign(runs=str(tmp_path)).check(tmp_path)
+
+
+class Straight:
+    """Straight on through the first gate and into the wall; counts steps and events."""
+
+    def __init__(self, karts):
+        self.totals = {"runs": np.zeros(karts), "events": np.zeros(karts)}
+
+    def act(self, counts):
+        self.totals["runs"] += 1
+        self.totals["events"] += counts.sum(1)
+        return np.full(len(counts), 3)
+
+
+def test_longer_waits_follow_from_shorter_ones():
+    def driven(quiet):
+        return {"quiet": quiet} | drive({"quiet": quiet, "forks": 1}, Straight(3), 3)[0]
+
+    found, wanted = wait_longer(driven(0.5), 0.8), driven(0.8)
+    assert found["steps"] == pytest.approx(wanted["steps"], abs=6)  # whole control steps
+    assert found["steps"] > 1.5 * driven(0.5)["steps"]
+    assert found["runs"] == pytest.approx(1.0)
+    assert found["events"] == pytest.approx(wanted["events"], rel=0.05)
 
 
 # prices
