@@ -38,10 +38,11 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.onnx_session import session
+from spikedeploy.trainers.onnx_session import infer, rest, session
 from spikedeploy.trainers.policies import (
     ChipSnnPolicy,
     DeltaSnnPolicy,
+    FloatVisionPolicy,
     Policy,
     PopsanPolicy,
     SpikingMlpPolicy,
@@ -262,6 +263,8 @@ def _onnx_checks(
         return spiking_onnx.checks(artifact(policy, Provenance("")), path, observations)
     single = deepcopy(policy).float()
     network = session(path)
+    if isinstance(single, FloatVisionPolicy):
+        return [_stepped_check(network, single, observations)]
     together, alone = LargestDifference(), LargestDifference()
     for batch in batches(observations):
         _compare(together, network, single, batch)
@@ -272,6 +275,24 @@ def _onnx_checks(
         _check(f"{name}: torch = ONNX Runtime", together, len(observations)),
         _check(f"{name}, one at a time", alone, min(_ALONE, len(observations))),
     ]
+
+
+@torch.no_grad()
+def _stepped_check(
+    network: Any,  # noqa: ANN401
+    policy: FloatVisionPolicy,
+    observations: NDArray[np.float64],
+) -> ParityCheck:
+    """Return the check of a policy with states on observations (S, obs), in their order."""
+    apart, state, states = LargestDifference(), policy.rest(1), rest(network)
+    for row in observations[:, None].astype(np.float32):
+        (found,) = infer(network, [OUTPUTS[policy.head]], row, states)
+        mean, _ = policy.advance(torch.from_numpy(row), state)
+        expected = (torch.tanh(mean) if policy.head == "continuous" else mean).numpy()
+        unit = np.maximum(1, np.abs(expected).max())
+        apart.add(found / unit, expected / unit)
+    name = "logits" if policy.head == "discrete" else "actions"
+    return _check(f"{name}: torch = ONNX Runtime, states kept", apart, len(observations))
 
 
 def _check(name: str, difference: LargestDifference, count: int) -> ParityCheck:

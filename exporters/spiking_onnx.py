@@ -35,7 +35,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.network import FloatMachine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.onnx_session import session
+from spikedeploy.trainers.onnx_session import NEXT, infer, rest, session
 
 _OPSET = 17
 _IR_VERSION = 8  # ONNX Runtime 1.17 and newer read both
@@ -279,7 +279,6 @@ def _rate(graph: OnnxGraph, encoder: RateEncoder, x: str, timesteps: int) -> Spi
 
 
 KIND = "snn-step"
-NEXT = "next."  # what the names of states that go out begin with
 _TOLERANCE = 1e-9  # of an action, or of the largest score: float64 sums in different order
 
 Rows = dict[str, list[str]]  # name of a source -> its spikes or membranes (B, N) in each timestep
@@ -298,14 +297,11 @@ def checks(artifact: Artifact, path: Path, observations: NDArray[np.float64]) ->
     """Compare the file with the float twin on successive observations (S, obs) of an episode."""
     codec = _codec(artifact)
     twin, levels, network = FloatMachine(artifact, "none"), codec.encoder.start(0), session(path)
-    names = [each.name for each in network.get_outputs()]
-    states = {each.name: np.zeros((1, each.shape[1])) for each in network.get_inputs()[1:]}
-    apart = LargestDifference()
+    output, states, apart = network.get_outputs()[0].name, rest(network), LargestDifference()
     for row in observations[:, None]:
         scores = codec.scores(twin.infer(codec.encode(row, levels)))
         expected = np.tanh(scores) if codec.squash == "tanh" else scores
-        found, *left = network.run(names, {OBSERVATION: row, **states})
-        states = {n.removeprefix(NEXT): v for n, v in zip(names[1:], left, strict=True)}
+        (found,) = infer(network, [output], row, states)
         unit = max(1.0, float(np.abs(expected).max()))
         apart.add(found / unit, expected / unit)
     detail = f"largest difference {apart.largest:.1e}, limit {_TOLERANCE:.0e}"

@@ -5,33 +5,44 @@ What spikes is written by spiking_onnx, with its states.
 observation (B, obs) -> features -> normalise, clip -> Gemm, Relu ... -> Gemm, Tanh -> action
                                                                      -> Gemm -> logits
 
+A policy that sees by events has convolutions in place of the first matrices, and states in and
+out, as spiking_onnx names them: leaky traces of what it sees, and the memory of a GRU.
+
+    counts (B, C·Y·X) -> normalise, clip -> sum pool, traces -> Conv, Relu ... -> Gemm, Relu ...
+                      -> GRU -> Gemm -> logits
+
 The first output is the action, or for discrete actions the logits: the largest is taken, while
 training sampled from their softmax. The other outputs are the inputs of the weight matrices, in
 order, from which effective operations are counted; ONNX Runtime computes them only on request.
+States go out last.
 """
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import onnx
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, cat
 
 from spikedeploy.exporters.spiking_onnx import OBSERVATION, OUTPUTS, OnnxGraph, spiking_to_onnx
 from spikedeploy.exporters.to_nir import artifact
 from spikedeploy.files import replacing
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.policies import MlpPolicy, Policy, PrunedMlpPolicy
+from spikedeploy.trainers.onnx_session import NEXT
+from spikedeploy.trainers.policies import FloatVisionPolicy, MlpPolicy, Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.mlp import Features
+from spikedeploy.trainers.policies.policy import PrunedKernel
 
 _KINDS = ("ann", "control")
+_Float = MlpPolicy | PrunedMlpPolicy | FloatVisionPolicy
 
 
 def to_onnx(policy: Policy, origin: Provenance, path: str | Path, kind: str = "ann") -> Path:
     """Write the policy to `path` and return it; `kind` is that of a float one in comparisons."""
-    if not isinstance(policy, MlpPolicy | PrunedMlpPolicy):
+    if not isinstance(policy, _Float):
         return spiking_to_onnx(artifact(policy, origin), path)
     if kind not in _KINDS:
         raise ConfigError(f"kind {kind!r} is unknown; it is one of {', '.join(_KINDS)}")
@@ -42,30 +53,38 @@ def to_onnx(policy: Policy, origin: Provenance, path: str | Path, kind: str = "a
     return path
 
 
-def _macs(policy: MlpPolicy | PrunedMlpPolicy) -> int:
-    """Multiply-accumulates of one inference: one for each weight that is left."""
-    if isinstance(policy, PrunedMlpPolicy):
-        return sum(int(counts.sum()) for counts in _fan_outs(policy))
-    return sum(layer.get_parameter("weight").numel() for layer in policy.layers)
+def _macs(policy: _Float) -> int:
+    """Multiply-accumulates of one inference: one for each weight that is left, where it is used."""
+    if isinstance(policy, MlpPolicy):
+        return sum(layer.get_parameter("weight").numel() for layer in policy.layers)
+    return sum(int(counts.sum()) for counts in _fan_outs(policy))
 
 
-def _fan_outs(policy: PrunedMlpPolicy) -> list[Tensor]:
-    """Weights that are left of each input (M,) of each matrix; the skip's with the first."""
+def _fan_outs(policy: PrunedMlpPolicy | FloatVisionPolicy) -> list[Tensor]:
+    """Weights that are left of each input (M,) of each matrix; the skip's with the first.
+
+    Those of a kernel at all positions at which they meet the input.
+    """
+    if isinstance(policy, FloatVisionPolicy):
+        return [policy.matrix(name).fan_out for name in policy.synapses]
     first, *others = (matrix.fan_out for matrix in policy.layers)
     return [first + policy.past.fan_out if policy.skip else first, *others]
 
 
-def _model(
-    policy: MlpPolicy | PrunedMlpPolicy, origin: Provenance, name: str, kind: str
-) -> onnx.ModelProto:
+def _model(policy: _Float, origin: Provenance, name: str, kind: str) -> onnx.ModelProto:
     graph = OnnxGraph()
-    pruned: dict[str, str] = {}
-    if isinstance(policy, PrunedMlpPolicy):
-        _pruned_layers(graph, policy, _add_normaliser(graph, policy, OBSERVATION))
-        counts = [[int(n) for n in each] for each in _fan_outs(policy)]
-        pruned = {"fan_out": json.dumps(counts, separators=(",", ":"))}
-    else:
+    more: dict[str, str] = {}
+    if isinstance(policy, MlpPolicy):
         _layers(graph, policy, _add_normaliser(graph, policy, _features(graph, policy.features)))
+    else:
+        seen = _add_normaliser(graph, policy, OBSERVATION)
+        if isinstance(policy, FloatVisionPolicy):
+            _vision_layers(graph, policy, seen)
+            more = {"biases": str(_biases(policy))}
+        else:
+            _pruned_layers(graph, policy, seen)
+        counts = [[int(n) for n in each] for each in _fan_outs(policy)]
+        more["fan_out"] = json.dumps(counts, separators=(",", ":"))
     properties = {
         "env": origin.env,
         "recipe": origin.recipe,
@@ -79,7 +98,7 @@ def _model(
         "version": origin.version,
         "sha256": graph.sha256(),
         **({"checkpoint": origin.checkpoint} if origin.checkpoint else {}),
-        **pruned,
+        **more,
     }
     return graph.model(policy.observations, policy.actions, policy.head, properties)
 
@@ -194,6 +213,108 @@ def _pruned_layers(graph: OnnxGraph, policy: PrunedMlpPolicy, seen: str) -> None
         hidden = graph.node("Add", [hidden, graph.node("MatMul", [seen, past], "skip")], "sum")
     squash = "Identity" if policy.head == "discrete" else "Tanh"
     graph.node(squash, [hidden], OUTPUTS[policy.head])
+
+
+def _biases(policy: FloatVisionPolicy) -> int:
+    """Biases that an inference adds: one a unit that is used, and six a unit of a GRU."""
+    names = list(policy.synapses)
+    used = [int((policy.matrix(n).fan_out > 0).sum()) for n in names[1:] if n != "back"]
+    # the last of them is of the GRU, where there is one
+    return sum(used) + policy.actions + (6 * policy.gru - used[-1] if policy.gru else 0)
+
+
+def _vision_layers(graph: OnnxGraph, policy: FloatVisionPolicy, seen: str) -> None:
+    """Add grid, layers and memory, up to the output."""
+    weights = {name: _array(weight) for name, weight in policy.weights().items()}
+    biases = {name: _array(bias) for name, bias in policy.biases.items()}
+    hidden = _with_traces(graph, policy, _grid(graph, policy, seen))
+    for name in policy.synapses:
+        if name == "gru":
+            hidden = _gru(graph, policy, hidden)
+        if name in ("gru", "back"):
+            continue
+        matrix = policy.matrix(name)
+        graph.presynaptic(hidden, policy.inputs(name))
+        weight = graph.constant(f"{name}.weight", weights[name])
+        bias = graph.constant(f"{name}.bias", biases[name])
+        if isinstance(matrix, PrunedKernel):
+            maps = _reshaped(graph, hidden, matrix.source, f"{name}.maps")
+            hidden = graph.node(
+                "Conv", [maps, weight, bias], f"{name}.sums",
+                strides=[matrix.stride] * 2, pads=[matrix.padding] * 4,
+            )  # fmt: skip
+            hidden = _reshaped(graph, hidden, [int(np.prod(matrix.target))], f"{name}.flat")
+        else:
+            hidden = graph.node("Gemm", [hidden, weight, bias], f"{name}.sums", transB=1)
+        if name != "out":
+            hidden = graph.node("Relu", [hidden], f"{name}.rectified")
+    squash = "Identity" if policy.head == "discrete" else "Tanh"
+    graph.node(squash, [hidden], OUTPUTS[policy.head])
+
+
+def _reshaped(graph: OnnxGraph, value: str, shape: Sequence[int], name: str) -> str:
+    sizes = graph.constant(f"{name}.shape", [-1, *shape])
+    return graph.node("Reshape", [value, sizes], name)
+
+
+def _grid(graph: OnnxGraph, policy: FloatVisionPolicy, seen: str) -> str:
+    """Add sums over the cells of the grid; return their name."""
+    if policy.pool == (1, 1):
+        return seen
+    maps = _reshaped(graph, seen, policy.shape, "seen.maps")
+    sizes = {"kernel_shape": policy.pool, "strides": policy.pool}
+    means = graph.node("AveragePool", [maps], "grid.means", **sizes)
+    cells = graph.constant("grid.cells", float(np.prod(policy.pool)))
+    sums = graph.node("Mul", [means, cells], "grid.sums")
+    return _reshaped(graph, sums, [policy.grid], "grid")
+
+
+def _with_traces(graph: OnnxGraph, policy: FloatVisionPolicy, grid: str) -> str:
+    """Add leaky traces of the grid, a state; return the name of both side by side."""
+    count = len(policy.traces)
+    if not count:
+        return grid
+    # r = lambda r + x ; (1 - lambda) r goes on
+    decays = np.repeat(policy.traces, policy.grid)
+    width, decay = decays.size, graph.constant("traces.decay", decays)
+    share = graph.constant("traces.share", 1 - decays)
+    kept = graph.node("Mul", [graph.state("traces", width), decay], "traces.kept")
+    arriving = graph.node("Concat", [grid] * count, "traces.arriving", axis=1)
+    traces = graph.node("Add", [kept, arriving], "traces.sums")
+    graph.next_state(f"{NEXT}traces", traces, width)
+    scaled = graph.node("Mul", [traces, share], "traces.scaled")
+    return graph.node("Concat", [grid, scaled], "traces.beside", axis=1)
+
+
+def _gru(graph: OnnxGraph, policy: FloatVisionPolicy, hidden: str) -> str:
+    """Add a control step of the GRU, whose memory is a state; return its name."""
+    memory = graph.state("memory", policy.gru)
+    past = graph.node("Identity", [memory], "back.inputs")
+    weights, both = policy.weights(), []
+    for name, value in (("gru", hidden), ("back", past)):
+        graph.presynaptic(value, policy.inputs(name))
+        both.append(graph.constant(f"{name}.weight", _gates(weights[name])[None]))
+    biases = [_gates(policy.biases[name]) for name in ("gru", "back")]
+    bias = graph.constant("gru.bias", np.concatenate(biases)[None])
+    first = graph.constant("first", [0])
+    rows = [
+        graph.node("Unsqueeze", [value, first], f"{name}.row")
+        for name, value in (("gru", hidden), ("back", past))
+    ]
+    # torch's n = tanh(Wn x + b + r (Un h + c)) is ONNX's with linear_before_reset
+    done = graph.node(
+        "GRU", [rows[0], *both, bias, "", rows[1]], "gru.rows",
+        hidden_size=policy.gru, linear_before_reset=1,
+    )  # fmt: skip
+    now = _reshaped(graph, done, [policy.gru], "gru.memory")
+    graph.next_state(f"{NEXT}{memory}", now, policy.gru)
+    return now
+
+
+def _gates(tensor: Tensor) -> NDArray[np.float32]:
+    """Weights (3 H, M) or biases (3 H,) of reset, update and new, as ONNX orders gates."""
+    reset, update, new = tensor.chunk(3)
+    return _array(cat([update, reset, new]))
 
 
 def _array(tensor: Tensor) -> NDArray[np.float32]:

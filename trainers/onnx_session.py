@@ -3,6 +3,9 @@
 A file of a stranger can ask for any memory and time. One that computes with the operators of dense
 networks alone cannot, and is opened as it is. Any other is first tried in a process with limits;
 loops and branches are refused, because one trial says nothing about the next inference.
+
+What passes from one control step to the next is an input of the file, and an output of the same
+width named `next.INPUT`: a state. It is 0 where an episode begins.
 """
 
 import subprocess
@@ -15,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import onnxruntime
+from numpy.typing import NDArray
 
 from spikedeploy.runtime.errors import ArtifactError
 
@@ -149,6 +153,39 @@ def session(path: str | Path) -> Any:  # noqa: ANN401
     return network
 
 
+NEXT = "next."  # what the names of states that go out begin with
+DTYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
+
+States = dict[str, NDArray[np.floating[Any]]]
+
+
+def rest(network: Any) -> States:  # noqa: ANN401
+    """Return the states (1, N) of a file by name, as an episode begins; without any, nothing."""
+    out = {each.name: (each.type, each.shape[1:]) for each in network.get_outputs()}
+    states = {}
+    for each in network.get_inputs():
+        kind, width = each.type, each.shape[1:]
+        is_row = len(width) == 1 and isinstance(width[0], int) and width[0] <= _LARGEST_MATRIX
+        if kind in DTYPES and is_row and out.get(f"{NEXT}{each.name}") == (kind, width):
+            states[each.name] = np.zeros((1, *width), DTYPES[kind])
+    return states
+
+
+def infer(
+    network: Any,  # noqa: ANN401
+    names: list[str],
+    observation: NDArray[Any],
+    states: States,
+) -> list[NDArray[Any]]:
+    """Return the outputs of these names for observations (B, obs); states are moved on."""
+    first = network.get_inputs()[0].name
+    found: list[NDArray[Any]] = network.run(
+        [*names, *(f"{NEXT}{name}" for name in states)], {first: observation, **states}
+    )
+    states.update(zip(states, found[len(names) :], strict=True))
+    return found[: len(names)]
+
+
 def has_policy_metadata(network: Any) -> bool:  # noqa: ANN401
     """Return whether its metadata are those of our policies, which fix environment and units."""
     said: dict[str, str] = network.get_modelmeta().custom_metadata_map
@@ -206,11 +243,10 @@ def trial() -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (_SECONDS, _SECONDS))
     try:
         found = _opened(sys.argv[1])
-        kinds = {"tensor(float)": np.float32, "tensor(double)": np.float64}
         zeros = {
             each.name: np.zeros([n if isinstance(n, int) else 1 for n in each.shape], kind)
             for each in found.get_inputs()
-            if (kind := kinds.get(each.type))
+            if (kind := DTYPES.get(each.type))
         }
         # other inputs are refused by whoever feeds them
         if len(zeros) == len(found.get_inputs()):

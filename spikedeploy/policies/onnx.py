@@ -23,13 +23,12 @@ from spikedeploy.runtime.metrics.energy import (
     mac_energy_estimate,
     reading_energy,
 )
-from spikedeploy.trainers.onnx_session import session
+from spikedeploy.trainers.onnx_session import DTYPES, NEXT, States, infer, rest, session
 
 KINDS = ("ann", "control")
 HEADS = ("continuous", "discrete")
 
 _STEP = "snn-step"  # what exporters.spiking_onnx writes
-_DTYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
 
 class OnnxController(Player):
@@ -40,6 +39,8 @@ class OnnxController(Player):
     observed    size of the observation
     actions     size of the action, or number of actions to choose from
     chooses     whether the output is logits, of which the largest is taken
+
+    A file with states, such as the memory of a GRU, keeps them from one control step to the next.
 
     `sampled` draws from the softmax of the logits instead.
     """
@@ -54,8 +55,9 @@ class OnnxController(Player):
                 "docs/own-network.md shows. To play it, give the .nir file that it was made of"
             )
         self._input, (self._output, *self._presynaptic) = _ends(path, self._session)
-        self._dtype = _DTYPES[self._input.type]
-        self._single = self._input.shape[0] == 1
+        self._dtype = DTYPES[self._input.type]
+        self._states = rest(self._session)
+        self._single = self._input.shape[0] == 1 or bool(self._states)
         self.observed = _width(path, self._input)
         self.actions = _width(path, self._output)
         head = self.metadata.get("head", HEADS[0])
@@ -87,13 +89,14 @@ class OnnxController(Player):
         return cls(candidate.path, sampled)
 
     def reset(self, seed: int) -> None:
-        """Start an episode: only sampling has a state."""
+        """Start an episode: states are 0, and sampling begins anew."""
+        self._states = rest(self._session)
         if self._sampler is not None:
             self._sampler.reset(seed)
 
     def replay(self, observations: Floats) -> NDArray[Any]:
         """Actions (S, act) or (S,) for the observations (S, obs) of an episode."""
-        output = self._run([self._output], observations)[0]
+        output = self._run([self._output], observations, self._states)[0]
         if self._sampler is not None:
             return self._sampler(output)
         return output.argmax(axis=1) if self.chooses else output
@@ -133,10 +136,13 @@ class OnnxController(Player):
         )
 
     def effective_macs(self, observations: Floats) -> float | None:
-        """Mean multiply-accumulates with non-zero input; None where the file cannot tell."""
+        """Mean multiply-accumulates with non-zero input; None where the file cannot tell.
+
+        observations: (S, obs) of an episode from its beginning, where there are states
+        """
         if not self._presynaptic:
             return None
-        presynaptic = self._run(self._presynaptic, observations)
+        presynaptic = self._run(self._presynaptic, observations, rest(self._session))
         # MACs = sum over weight matrices of non-zero inputs x fan-out
         operations = zip(presynaptic, self._fan_outs(), strict=True)
         return float(
@@ -152,7 +158,12 @@ class OnnxController(Player):
 
     @property
     def biases(self) -> int | None:
-        """Units that are used, each of which has a bias; None where the file cannot tell."""
+        """Units that are used, each of which has a bias; None where the file cannot tell.
+
+        Units of a GRU have six.
+        """
+        if "biases" in self.metadata:
+            return int(self.metadata["biases"])
         if not self._presynaptic:
             return None
         return sum(int(np.count_nonzero(each)) for each in self._fan_outs()[1:]) + self.actions
@@ -171,7 +182,7 @@ class OnnxController(Player):
         ends = [_width(self.path, each) for each in (*self._presynaptic, self._output)]
         return [np.full(width, target) for width, target in pairwise(ends)]
 
-    def _run(self, outputs: list[Any], observations: Floats) -> list[Floats]:
+    def _run(self, outputs: list[Any], observations: Floats, states: States) -> list[Floats]:
         observed = observed_numbers(observations)
         if observed.shape[1:] != (self.observed,):
             raise ObservationError(
@@ -187,7 +198,7 @@ class OnnxController(Player):
         names = [each.name for each in outputs]
         parts = batch[:, None] if self._single else [batch]
         try:
-            runs = [self._session.run(names, {self._input.name: part}) for part in parts]
+            runs = [infer(self._session, names, part, states) for part in parts]
         except Exception as error:  # ONNX Runtime's errors share no other base class
             raise ArtifactError(
                 f"{self.path} cannot be run on observations of {self.observed} numbers: "
@@ -203,35 +214,44 @@ class OnnxController(Player):
 
 
 def _metadata(path: str | Path, session: Any) -> dict[str, str]:  # noqa: ANN401
-    """Metadata of the exporter; macs is a number of 0 or more, fan_out lists of numbers."""
+    """Metadata of the exporter; macs, biases are numbers of 0 or more, fan_out lists of them."""
     said: dict[str, str] = dict(session.get_modelmeta().custom_metadata_map)
     try:
-        macs = float(said.get("macs", 0))
+        macs, biases = float(said.get("macs", 0)), int(said.get("biases", 0))
         counts = [np.array(each, np.int64) for each in json.loads(said.get("fan_out", "[]"))]
-        sound = math.isfinite(macs) and macs >= 0 and all(each.ndim == 1 for each in counts)
+        sound = math.isfinite(macs) and min(macs, biases) >= 0
+        sound &= all(each.ndim == 1 for each in counts)
     except (ValueError, TypeError, OverflowError, RecursionError):
         sound = False
     if not sound:
         found = ", ".join(
-            f"{key} = {said[key][:40]!r}" for key in ("macs", "fan_out") if key in said
+            f"{key} = {said[key][:40]!r}" for key in ("macs", "biases", "fan_out") if key in said
         )
         raise ArtifactError(
-            f"{path} says {found}; macs must be a number of 0 or more, fan_out lists of whole "
-            "numbers. Export it again"
+            f"{path} says {found}; macs and biases must be numbers of 0 or more, fan_out lists of "
+            "whole numbers. Export it again"
         )
     return said
 
 
 def _ends(path: str | Path, session: Any) -> tuple[Any, list[Any]]:  # noqa: ANN401
-    """The input and the outputs, which must be those of a policy: (B, width) of floats."""
+    """The input and the outputs, which must be those of a policy: (B, width) of floats.
+
+    Inputs and outputs of states stand behind them, and are left out.
+    """
     inputs, outputs = session.get_inputs(), session.get_outputs()
+    states = rest(session)
+    behind = {f"{NEXT}{name}" for name in states}
+    inputs = [each for each in inputs if each.name not in states]
+    outputs = [each for each in outputs if each.name not in behind]
     if len(inputs) != 1 or not outputs:
         raise ArtifactError(
             f"{path} has {len(inputs)} inputs and {len(outputs)} outputs; a policy has one input, "
-            "the observations. Export it so"
+            f"the observations, and states, each with an output {NEXT}NAME of its width. Export it "
+            "so"
         )
     for each in (*inputs, *outputs):
-        if each.type not in _DTYPES or len(each.shape or ()) != 2:
+        if each.type not in DTYPES or len(each.shape or ()) != 2:
             raise ArtifactError(
                 f"{path}: {each.name!r} is a {each.type} {each.shape}; a policy takes and puts out "
                 "tensors of floats (batch, width). Export it so"

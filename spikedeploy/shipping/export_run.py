@@ -105,6 +105,7 @@ def kind_of(policy: "Policy", control: bool = False) -> str:
         return "control"
     spec = policy.spec()
     sees_all = spec.get("features", {"name": "all"})["name"] == "all"
+    sees_all &= list(spec.get("pool", (1, 1))) == [1, 1]
     return "ann" if sees_all and spec["hidden"] and not control else "control"
 
 

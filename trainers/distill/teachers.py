@@ -64,7 +64,7 @@ def onnx_teacher(path: str, spaces: Callable[[], OwnSpaces], units: Units | None
         return _onnx_of_others(path, network, spaces(), units or "own")
     if units is not None:
         raise ConfigError(f"the teacher {path} says itself how it acts: leave teacher_units out")
-    entry, exit_ = network.get_inputs()[0], network.get_outputs()[0]
+    entry, exit_ = _one_input(path, network), network.get_outputs()[0]
 
     def act_all(observation: FloatArray) -> FloatArray:
         feed = {entry.name: observation.astype(np.float32)}
@@ -102,15 +102,7 @@ def _onnx_of_others(path: str, network: Any, spaces: OwnSpaces, units: Units) ->
 
 def _ends(path: str, network: Any) -> tuple[Any, Any]:  # noqa: ANN401
     """Return the input, and the output or the action of several; or refuse the file."""
-    entries, exits = network.get_inputs(), network.get_outputs()
-    if len(entries) != 1:
-        names = ", ".join(entry.name for entry in entries)
-        raise ConfigError(
-            f"the teacher {path} has {len(entries)} inputs ({names}), and a teacher sees one "
-            "observation: recurrent policies, which keep a state, cannot teach. Export a policy "
-            "without"
-        )
-    (entry,) = entries
+    entry, exits = _one_input(path, network), network.get_outputs()
     if entry.type not in _TYPES:
         raise ConfigError(f"the teacher {path} takes {entry.type}: export it with float inputs")
     if len(entry.shape) > 1 and isinstance(entry.shape[0], int) and entry.shape[0] != 1:
@@ -126,6 +118,19 @@ def _ends(path: str, network: Any) -> tuple[Any, Any]:  # noqa: ANN401
             "action: export it with one output, or name it so"
         )
     return entry, found[0]
+
+
+def _one_input(path: str, network: Any) -> Any:  # noqa: ANN401
+    """Return the input, or refuse a file that has others, such as states."""
+    entries = network.get_inputs()
+    if len(entries) != 1:
+        names = ", ".join(entry.name for entry in entries)
+        raise ConfigError(
+            f"the teacher {path} has {len(entries)} inputs ({names}), and a teacher sees one "
+            "observation: recurrent policies, which keep a state, cannot teach. Export a policy "
+            "without"
+        )
+    return entries[0]
 
 
 _SHIPPED = (".onnx", ".nir")

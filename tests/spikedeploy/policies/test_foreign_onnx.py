@@ -59,7 +59,7 @@ def huge(path):
 REFUSED = {
     "endless loop": (endless, "loops, branches or functions"),
     "1 GiB": (huge, "cannot be run once on zeros"),
-    "macs": ({"said": {"macs": "abc"}}, "macs = 'abc'; macs must be a number"),
+    "macs": ({"said": {"macs": "abc"}}, "macs = 'abc'; macs and biases must be"),
     "nan macs": ({"said": {"macs": "nan"}}, "macs = 'nan'"),
     "fan_out": ({"said": {"fan_out": "[[1], 2]"}}, "fan_out"),
     "deep": ({"said": {"fan_out": "[" * 100_000}}, "fan_out"),
