@@ -1,9 +1,9 @@
 """Spiking neurons with surrogate gradients, fused over time, and their firing rates.
 
-`cuba_lif` and `integrate_and_fire` run a whole layer over all timesteps in one autograd node. The
-forward pass is the arithmetic of files and chips; the backward pass of `cuba_lif` equals snnTorch's
-`Synaptic` with reset_mechanism="zero", reset_delay=False, in which the gradient also flows through
-the reset.
+`cuba_lif`, `integrate_and_fire` and `lif` run a whole layer over all timesteps in one autograd
+node. The forward pass is the arithmetic of files and chips; the backward pass of `cuba_lif` equals
+snnTorch's `Synaptic` with reset_mechanism="zero", reset_delay=False, in which the gradient also
+flows through the reset.
 """
 
 import math
@@ -18,6 +18,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
+from spikedeploy.runtime.convention import Reset
 from spikedeploy.runtime.families.numba_kernels import jit
 from spikedeploy.trainers.config import require_known
 
@@ -159,6 +160,78 @@ def _gradients(
     return result
 
 
+def lif(
+    drive: Tensor, beta: Tensor, membrane: Tensor, reset: Reset, gradient: Surrogate
+) -> tuple[Tensor, Tensor]:
+    """Return spikes (T, B, N) of leaky neurons with states, and membranes (B, N) behind them.
+
+    drive: (T, B, N) weighted input of each timestep, bias included
+    beta: (N,) decay factors, with a gradient; 1 makes a neuron that integrates
+    membrane: (B, N) before the first timestep
+    reset: of a membrane above 1, to zero or by subtraction of 1; no gradient flows through it
+    """
+    found: tuple[Tensor, Tensor] = _Lif.apply(drive, beta, membrane, reset, gradient)  # type: ignore[no-untyped-call]
+    return found
+
+
+class _Lif(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any,  # noqa: ANN401
+        drive: Tensor,
+        beta: Tensor,
+        membrane: Tensor,
+        reset: Reset,
+        gradient: Surrogate,
+    ) -> tuple[Tensor, Tensor]:
+        above = torch.empty(drive.shape, dtype=drive.dtype)  # membranes before the reset
+        x, factors, kept = (each.detach() for each in (drive, beta, membrane.clone()))
+        if usable(drive):
+            x, factors, kept = (each.contiguous() for each in (x, factors, kept))
+            every = x.numpy(), factors.numpy(), kept.numpy(), above.numpy(), _one(drive)
+            _integrate_lif(*every, reset == "subtract")
+        else:
+            for one, v in zip(x.unbind(), above.unbind(), strict=True):
+                # V = beta V + x ; s = V > 1 ; V = (1 - s) V, or V - s
+                torch.add(factors * kept, one, out=v)
+                kept = _behind(v, reset)
+        ctx.save_for_backward(above, factors.contiguous(), membrane)
+        ctx.constants = reset, gradient
+        behind = _behind(above[-1], reset)
+        ctx.mark_non_differentiable(behind)
+        return (above > 1).to(drive.dtype), behind
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, upstream: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
+        above, beta, membrane = ctx.saved_tensors
+        reset, gradient = ctx.constants
+        to_drive = gradient(above - 1).mul_(upstream)
+        later, to_beta = torch.zeros_like(membrane), torch.zeros_like(membrane)
+        if usable(above):
+            v, factors, first = above.numpy(), beta.numpy(), membrane.contiguous().numpy()
+            filled = later.numpy(), to_beta.numpy(), to_drive.numpy()
+            _differentiate_lif(v, factors, first, *filled, _one(above), reset == "subtract")
+        else:
+            for t in reversed(range(len(above))):
+                g = to_drive[t].add_(later if reset == "subtract" else later * (above[t] <= 1))
+                later = g * beta
+                to_beta += g * (_behind(above[t - 1], reset) if t else membrane)
+        return to_drive, to_beta.sum(0), None, None, None
+
+
+def _one(tensor: Tensor) -> Array:
+    """Return 1 in the type of a tensor, so that compiled loops stay in it."""
+    one: Array = tensor.new_ones(1).numpy()
+    return one
+
+
+def _behind(membrane: Tensor, reset: Reset) -> Tensor:
+    """Return membranes behind the reset."""
+    spikes = (membrane > 1).to(membrane.dtype)
+    return membrane - spikes if reset == "subtract" else membrane * (1 - spikes)
+
+
 def integrate_and_fire(drive: Tensor, threshold: float, timesteps: int) -> Tensor:
     """Return the spikes (T, B, N) of integrate-and-fire neurons with a constant drive.
 
@@ -280,6 +353,52 @@ def _differentiate(
             to_membrane[n] = g * beta
             to_current[n] = g + to_current[n] * alpha if alpha else g
             result[t, n] = to_current[n]
+
+
+@jit
+def _integrate_lif(
+    drive: Array, beta: Array, kept: Array, above: Array, one: Array, subtracts: bool
+) -> None:
+    """Write membranes (T, B, N) before the reset; `kept` (B, N) are those behind it."""
+    threshold = one[0]
+    less = threshold if subtracts else threshold - threshold
+    for t in range(drive.shape[0]):
+        for b in range(drive.shape[1]):
+            for n in range(drive.shape[2]):
+                v = beta[n] * kept[b, n] + drive[t, b, n]
+                above[t, b, n] = v
+                behind = v - less if subtracts else less
+                kept[b, n] = behind if v > threshold else v
+
+
+@jit
+def _differentiate_lif(
+    above: Array,
+    beta: Array,
+    first: Array,
+    later: Array,
+    to_beta: Array,
+    result: Array,
+    one: Array,
+    subtracts: bool,
+) -> None:
+    """Write gradients (T, B, N) of drives over those of spikes, and (B, N) of decay factors.
+
+    first (B, N) are membranes before the first timestep; later, to_beta (B, N) begin at 0
+    """  # fmt: skip
+    threshold = one[0]
+    nothing = threshold - threshold
+    less = threshold if subtracts else nothing
+    for t in range(above.shape[0] - 1, -1, -1):
+        for b in range(above.shape[1]):
+            for n in range(above.shape[2]):
+                passes = subtracts or above[t, b, n] <= threshold
+                g = result[t, b, n] + (later[b, n] if passes else nothing)
+                result[t, b, n] = g
+                later[b, n] = g * beta[n]
+                v = above[t - 1, b, n] if t else first[b, n]
+                behind = v - less if subtracts else less
+                to_beta[b, n] += g * (behind if t and v > threshold else v)
 
 
 _COMPILED = hasattr(_integrate, "py_func")  # without Numba, the loops stay what is written here

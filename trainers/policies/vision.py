@@ -41,7 +41,7 @@ from spikedeploy.runtime.codec.events import EventEncoder
 from spikedeploy.runtime.convention import Convention, Reset
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies.delta import DT
-from spikedeploy.trainers.policies.neurons import spike, surrogate
+from spikedeploy.trainers.policies.neurons import lif, spike, surrogate
 from spikedeploy.trainers.policies.policy import (
     Head,
     Latent,
@@ -403,7 +403,8 @@ class SpikingVisionPolicy(VisionPolicy):
             else:
                 each = drive.shape[-1] // len(beta)  # neurons of a channel
                 drive = drive + bias.repeat_interleave(each)
-                rows, membranes[k] = self._spikes(drive, beta.repeat_interleave(each), membranes[k])
+                decays = beta.repeat_interleave(each)
+                rows, membranes[k] = lif(drive, decays, membranes[k], self._reset, self._gradient)
             sent[k] = rows[-1]
         hidden = self._late(rows, before)
         if self.recurrent:
@@ -429,14 +430,6 @@ class SpikingVisionPolicy(VisionPolicy):
         """Return rows (L, B, N) as they arrive: pipelined, a control step after they were sent."""
         return torch.cat([before[None], rows[:-1]]) if self.clock == "pipelined" else rows
 
-    def _spikes(self, drive: Tensor, beta: Tensor, membrane: Tensor) -> tuple[Tensor, Tensor]:
-        """Return spikes (L, B, N) for drives (L, B, N), and membranes behind them."""
-        raster = []
-        for x in drive.unbind():
-            sent, membrane = self._fired(beta * membrane + x)
-            raster.append(sent)
-        return torch.stack(raster), membrane
-
     def _hidden_spikes(
         self, drive: Tensor, beta: Tensor, bias: Tensor, membrane: Tensor, current: Tensor,
         back: Tensor | None, sent: Tensor,
@@ -460,7 +453,11 @@ class SpikingVisionPolicy(VisionPolicy):
         # s = V > 1 ; V = (1 - s) V, or V - s
         sent = spike(membrane - _THRESHOLD, self._gradient)
         kept = sent.detach()  # no gradient through the reset
-        return sent, membrane - kept if self.neuron == "if" else membrane * (1 - kept)
+        return sent, membrane - kept if self._reset == "subtract" else membrane * (1 - kept)
+
+    @property
+    def _reset(self) -> Reset:
+        return "subtract" if self.neuron == "if" else "zero"
 
     @torch.no_grad()
     def normalise(self, counts: Tensor) -> None:
@@ -491,7 +488,7 @@ def vision_artifact(
     Spiking neurons have gains of 1; `readout` is an LI, and `action` adds its constant.
     """
     precise = deepcopy(policy).double()
-    reset: Reset = "subtract" if policy.neuron == "if" else "zero"
+    reset = policy._reset
     convention = Convention(
         dt=dt, reset=reset, source="as trained", state="kept", clock=policy.clock
     )

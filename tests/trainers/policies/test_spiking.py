@@ -174,3 +174,35 @@ def test_regular_spikes_are_evenly_spaced_and_begin_half_way():
     spikes = TorchRateEncoder(2, "regular")(torch.tensor([[-0.5, 0.0]]), 8)
     assert spikes[:, 0, 0].tolist() == [0, 1, 0, 0, 0, 1, 0, 0]
     assert spikes[:, 0, 1].tolist() == [1, 0, 1, 0, 1, 0, 1, 0]
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("reset", ["zero", "subtract"])
+def test_lif_layers_with_states_are_those_of_single_timesteps(reset, compiled, monkeypatch):
+    if compiled and not neurons._COMPILED:
+        pytest.skip("needs Numba")
+    monkeypatch.setattr(neurons, "_COMPILED", compiled)
+    torch.manual_seed(0)
+    gradient = neurons.surrogate("atan", 2.0)
+    drive = (0.7 * torch.randn(20, 5, 33)).requires_grad_()
+    beta = torch.rand(33).requires_grad_()
+    first, weight = 0.3 * torch.randn(5, 33), torch.randn(20, 5, 33)
+
+    def backward(spikes):
+        return torch.autograd.grad((spikes * weight).sum(), (drive, beta))
+
+    membrane, raster = first, []
+    for x in drive.unbind():
+        above = beta * membrane + x
+        spikes = neurons.spike(above - 1, gradient)
+        kept = spikes.detach()
+        membrane = above * (1 - kept) if reset == "zero" else above - kept
+        raster.append(spikes)
+    wanted = torch.stack(raster)
+    found, behind = neurons.lif(drive, beta, first, reset, gradient)
+    assert 0.02 < found.mean() < 0.5
+    assert torch.equal(found, wanted)
+    assert torch.equal(behind, membrane)
+    (to_drive, to_beta), (wanted_drive, wanted_beta) = backward(found), backward(wanted)
+    assert torch.equal(to_drive, wanted_drive)
+    torch.testing.assert_close(to_beta, wanted_beta, rtol=1e-5, atol=1e-5)
