@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from spikedeploy.comparison.comparison import Comparison
 from spikedeploy.comparison.lineup import Entry
+from spikedeploy.envs.eye.course import floor_plan
+from spikedeploy.envs.eye.env import KartEyeEnv
 from spikedeploy.envs.kart.track import RADIUS
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.make_env import make_env
@@ -316,6 +318,7 @@ def network_json(trace: NetworkTrace, most_neurons: float = math.inf) -> dict[st
 
 _OWN = {"speed": "m/s", "heading": "rad", "lateral": "m", "slip": "m/s"}
 _KART = {"speed": "px/s", "progress": "of the track"}
+_EYE = {"forks": "passed", "arm": "+1 right", "readable": "", "speed": "m/s"}
 _MOST_CURVES = 4  # of other people's environments
 
 
@@ -327,8 +330,8 @@ def info_curves(info: Mapping[str, Floats]) -> list[dict[str, Any]]:
             curve("speed", "m/s", info["speed"], info["command_speed"]),
             curve("turn rate", "rad/s", turn, info["command_turn"]),
         ]
-    if "slip" in info or "gates" in info:
-        units = _OWN if "slip" in info else _KART
+    if not {"slip", "gates", "forks"}.isdisjoint(info):
+        units = _OWN if "slip" in info else _KART if "gates" in info else _EYE
     else:  # the first numbers of somebody else's infos that change
         changing = [name for name, values in info.items() if np.ptp(np.nan_to_num(values)) > 0]
         units = dict.fromkeys(changing[:_MOST_CURVES], "")
@@ -376,6 +379,8 @@ def scene_of(env: Any) -> Scene | None:  # noqa: ANN401
         return _Bodies(body.model, body.data)
     if hasattr(inner, "track") and hasattr(inner, "pose"):
         return _Kart(inner)
+    if isinstance(inner, KartEyeEnv):
+        return _Corridors(inner)
     return None
 
 
@@ -451,6 +456,29 @@ class _Kart:
     def pose(self) -> Floats:
         """(1, 3) x [px], y [px] and heading [rad]."""
         return np.array([self._env.pose])
+
+
+_ZOOM = 30.0  # of corridors on the page [px / m]
+_SEEN = 0.6  # drawn half length of a kart in corridors [m], to be found
+
+
+class _Corridors:
+    """A kart in corridors, from above, with signs."""
+
+    def __init__(self, env: KartEyeEnv) -> None:
+        self._env = env
+
+    def shapes(self) -> dict[str, Any]:
+        """Walls, and signs as gates [px]; y points down."""
+        walls, signs = (
+            _round(lines * _ZOOM * (1, -1), 1) for lines in floor_plan(self._env.batch.courses[0])
+        )
+        return {"kind": "track", "walls": walls, "gates": signs, "radius": _SEEN * _ZOOM}
+
+    def pose(self) -> Floats:
+        """(1, 3) x [px], y [px] and heading [rad]."""
+        karts = self._env.batch
+        return np.array([(karts.x[0] * _ZOOM, -karts.y[0] * _ZOOM, -karts.heading[0])])
 
 
 def _round(values: Any, digits: int = 4) -> Any:  # noqa: ANN401

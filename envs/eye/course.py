@@ -203,6 +203,28 @@ def to_world(course: Course, k: int, points: Floats) -> Floats:
     return found
 
 
+def floor_plan(course: Course) -> tuple[Floats, Floats]:
+    """Ends (n, 2, 2) of walls and of signs from above [m]; arms end where a corridor would begin.
+
+    The closed arm of a fork is drawn shut, the open one leads into the next corridor.
+    """
+    walls, signs, w = [to_world(course, 0, np.array([[-HALF, -HALF], [HALF, -HALF]]))], [], HALF
+    for k in range(course.forks):
+        length, arm = course.length[k], course.length[k + 1] + w
+        lines = [((x, w if k else -w), (x, length - w)) for x in (-w, w)]
+        for side in (-1, 1):
+            is_open = side == course.arm[k] and k + 1 < course.forks
+            end = side * (w if is_open else arm)
+            lines += [((0, length + w), (end, length + w))]
+            if not is_open:
+                near, far = (end, length - w), (end, length + w)
+                lines += [((side * w, length - w), near), (near, far)]
+        walls += [to_world(course, k, np.array(line)) for line in lines]
+        across = np.array([[-WIDTH / 2, 0], [WIDTH / 2, 0]])
+        signs += [to_world(course, k, place + across) for place in course.sign[k, :, :2]]
+    return np.array(walls), np.array(signs)
+
+
 def _draw_textures(rng: np.random.Generator) -> NDArray[np.float32]:
     """Smooth sums of waves, periodic along the wall."""
     u = np.arange(TEXTURE_COLUMNS) * (2 * math.pi / TEXTURE_COLUMNS)

@@ -96,7 +96,10 @@ def line_up(
     others = dict.fromkeys(_of_kind("control", [*chosen, *shipped]))
     ranked = sorted(others, key=lambda control: order.get(control.name, len(order)))
     controls += [each for each in ranked if each not in controls]
-    return entries + [Entry(candidate, None, ann) for candidate in controls]
+    # what looks at no observation has no actions for those of others
+    return entries + [
+        Entry(each, None, None if each.format == "pursuit" else ann) for each in controls
+    ]
 
 
 def make_entries(candidate: Candidate, chip: str | None) -> list[Entry]:

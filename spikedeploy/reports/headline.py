@@ -135,7 +135,8 @@ def _other_energies(row: Row) -> list[str]:
     others = [name for name in row["energy_per_inference_j"] if name != quoted_table([row])]
     energy = {name: energy_cell(name)(row) for name in others}
     beside = ", ".join(f"{cell} ({name})" for name, cell in energy.items() if cell != ABSENT)
-    return [f"by {row['chip']}'s own tables: {beside}"] if beside else []
+    whose = f"{row['chip']}'s own" if row["chip"] else "other"
+    return [f"by {whose} tables: {beside}"] if beside else []
 
 
 def _macs(row: Row) -> str:
