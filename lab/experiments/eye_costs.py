@@ -18,7 +18,8 @@ of time that this takes, and not at all else; what is counted at rest follows fr
     a float network that runs f times a second sees occupied(e s, C) cells in the time s: its first
         layer takes so many operations a cell, the others what they take in motion and at rest
     one that n events trigger runs min(f, 1 / (n / e + 1 / (2 f))) times a second, as a control step
-        ends half a step after them, and not at all at rest
+        ends half a step after them, and not at all at rest; one that runs in every k-th step f / k
+        times
     a delta network: behind the first layer a random walk, whose changes since the last control step
         grow with the root of its time
     a spiking one: operations a second as at rest, and the others as cells with events a second;
@@ -32,7 +33,7 @@ from dataclasses import dataclass
 
 from lab.experiments.costs import ACC16, INT8
 from lab.experiments.training import Record
-from lab.experiments.vision import WAYS
+from lab.experiments.vision import WAYS, Way
 from spikedeploy.runtime.metrics.energy import (
     ACCESS,
     ADDITION,
@@ -149,8 +150,8 @@ def latency(row: Record) -> tuple[float, float]:
     The event waits until the control step ends, or until as many have come as trigger a network,
     and for the control steps in which layers hand it on.
     """
-    trigger = 0 if row["spiking"] else WAYS[row["way"]].trigger
-    waits = max(1.0, trigger / max(row["events"], 1e-9)) / row["rate"]
+    way = Way() if row["spiking"] else WAYS[row["way"]]
+    waits = max(way.every, way.trigger / max(row["events"], 1e-9)) / row["rate"]
     first, last = (steps / row["rate"] for steps in row["late"])
     return first + waits / 2, last + waits
 
@@ -243,6 +244,9 @@ def _float_at(row: Record, still: Record, rate: float, span: float, moving: floa
     behind, sent = each["macs"] - each["first_macs"], each["sent"]
     if not moving:
         behind, sent = still["macs"] - still["first_macs"], still["sent"]
+    if way.every > 1:
+        runs, seen = rate / way.every, max(span, way.every / rate)
+        usual = max(usual, way.every / row["rate"])
     if way.delta is not None:
         share = min(1.0, math.sqrt(row["rate"] / rate))
         behind, sent = behind * share, sent * share
@@ -256,15 +260,16 @@ _PER_RUN = ("macs", "first_macs", "cells", "sent", "compared", "units", "gates")
 
 
 def border(rates: Sequence[float], ratios: Sequence[float]) -> float:
-    """Control rate [Hz] from which spiking costs less, of ratios of its power to that of float.
+    """Control rate [Hz] above which spiking costs less, of ratios of its power to that of float.
 
-    Interpolated between logarithms; 0 where it costs less at all rates, infinity where at none.
+    Interpolated between logarithms; 0 where it costs less at all rates, infinity where not at the
+    highest.
     """
-    if ratios[0] < 1:
+    dearer = [k for k, ratio in enumerate(ratios) if ratio >= 1]
+    if not ratios or dearer[-1:] == [len(ratios) - 1]:
+        return math.inf
+    if not dearer:
         return 0.0
-    for k in range(1, len(rates)):
-        if ratios[k] < 1:
-            before, after = math.log(ratios[k - 1]), math.log(ratios[k])
-            share = before / (before - after)
-            return float(rates[k - 1] * (rates[k] / rates[k - 1]) ** share)
-    return math.inf
+    k = dearer[-1]
+    before, after = math.log(ratios[k]), math.log(ratios[k + 1])
+    return float(rates[k] * (rates[k + 1] / rates[k]) ** (before / (before - after)))

@@ -143,9 +143,12 @@ class Map:
         return f"{sum(found)} of {len(found)}"
 
     def borders(self, column: int) -> tuple[float, float]:
-        """Control rates [Hz] from which spiking costs less: as counted, and by the rule."""
+        """Control rates [Hz] from which spiking costs less: as counted, and by the rule.
+
+        Of cells of equal success; infinity where there is none.
+        """
         some = [(r, row[column]) for r, row in zip(self.rates, self.cells, strict=True)]
-        there = [(rate, cell) for rate, cell in some if cell is not None]
+        there = [(rate, cell) for rate, cell in some if cell is not None and cell.is_equal]
         rates = [rate for rate, _ in there]
         return (
             border(rates, [cell.ratio for _, cell in there]),

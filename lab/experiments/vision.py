@@ -2,8 +2,8 @@
 
 A float network skips multiplications by zero, and saves more in one of the WAYS: as a delta network
 it sends only what has changed by more than a threshold since it was sent (Neil et al. 2017,
-arXiv 1612.05571), and triggered by events it runs only where so many came since it last ran, and
-holds its action and memory else.
+arXiv 1612.05571), and triggered by events it runs only where so many came since it last ran, or in
+every so many control steps, and holds its action and memory else.
 
 At a control rate that is k times as high as in training, a float network sees the events of the
 last k control steps, as many as in training, or all since it last ran where that is longer ago; its
@@ -57,10 +57,12 @@ class Way:
 
     delta    change of a unit above which it is sent again; None sends all that are not 0
     trigger  events that must have come since it last ran; 0 lets it run in every control step
+    every    control steps from one run to the next
     """
 
     delta: float | None = None
     trigger: int = 0
+    every: int = 1
 
 
 WAYS = {
@@ -69,6 +71,9 @@ WAYS = {
     "delta 0.3": Way(delta=0.3),
     "triggered by 1 event": Way(trigger=1),
     "triggered by 64 events": Way(trigger=64),
+    "triggered by 256 events": Way(trigger=256),
+    "every 2 steps": Way(every=2),
+    "every 4 steps": Way(every=4),
 }
 
 
@@ -118,10 +123,12 @@ class FloatSight:
         self._since += counts
         self._waited += 1
         self.totals["events"] += counts.sum(1)
-        rows = np.flatnonzero(self._since.sum(1) >= self._way.trigger)
+        is_due = (self._step - 1) % self._way.every == 0
+        rows = np.flatnonzero(is_due & (self._since.sum(1) >= self._way.trigger))
         if len(rows):
             lately = self._seen.sum(0, dtype=np.int64)
-            is_long = (self._waited > self._slower) & (self._way.trigger > 0)
+            holds = self._way.trigger > 0 or self._way.every > self._slower
+            is_long = (self._waited > self._slower) & holds
             seen = np.where(is_long[:, None], self._since, lately)
             self._actions[rows] = self._run(torch.from_numpy(seen[rows]).float(), rows)
             self._since[rows], self._waited[rows] = 0, 0
@@ -152,7 +159,8 @@ class FloatSight:
         # r = sigmoid(.) ; z = sigmoid(.) ; n = tanh(Wn x + r Un h) ; h' = h + (1 - z) (n - h) / k
         r, z = (torch.sigmoid(inputs[k] + past[k]) for k in (0, 1))
         n = torch.tanh(inputs[2] + r * past[2])
-        waited = self._waited[rows] if self._way.trigger else np.ones(len(rows))
+        holds = self._way.trigger > 0 or self._way.every > 1
+        waited = self._waited[rows] if holds else np.ones(len(rows))
         share = torch.from_numpy(np.minimum(waited / self._slower, 1)).float()[:, None]
         self._memory[rows] = h = h + share * (1 - z) * (n - h)
         self.totals["gates"][rows] += self._policy.gru

@@ -171,7 +171,7 @@ class Program:
         """
         starts = {layer.name: layer.start for layer in (*self.layers, *self.host)}
         found = {self.input: (0, 0)}
-        for layer in (*self.layers, *self.host):
+        for layer in self._from_the_input():
             paths = [
                 tuple(n + starts.get(s.source, 0) + s.delay - layer.start for n in found[s.source])
                 for s in layer.synapses
@@ -183,6 +183,26 @@ class Program:
         if not ends:
             return 0, 0
         return min(f[0] + lag for f, lag in ends), max(f[1] + lag for f, lag in ends)
+
+    def _from_the_input(self) -> list[Layer]:
+        """Layers that input reaches, each behind those before it but for what closes a loop."""
+        layers = {layer.name: layer for layer in (*self.layers, *self.host)}
+        onto: dict[str, list[str]] = {name: [] for name in (self.input, *layers)}
+        for layer in layers.values():
+            for synapses in layer.synapses:
+                if synapses.fan_out.any():
+                    onto[synapses.source].append(layer.name)
+        done: list[str] = []
+        seen, under_way = {self.input}, [(self.input, iter(onto[self.input]))]
+        while under_way:
+            name, targets = under_way[-1]
+            if (target := next((each for each in targets if each not in seen), None)) is None:
+                done.append(name)
+                under_way.pop()
+            else:
+                seen.add(target)
+                under_way.append((target, iter(onto[target])))
+        return [layers[name] for name in reversed(done[:-1])]
 
     def control_steps_late(self, timesteps: int) -> tuple[int, int] | None:
         """Control steps of T timesteps from an observation to the actions that it reaches.

@@ -18,7 +18,7 @@ from lab.experiments.eye_costs import (
     predict,
     terms,
 )
-from lab.experiments.eye_map import EyeMapDesign
+from lab.experiments.eye_map import MAP, EyeMapDesign
 from lab.experiments.eye_map_page import EQUAL, maps
 from lab.experiments.runner import run_experiment
 from lab.experiments.vision import drive, wait_longer
@@ -66,7 +66,7 @@ def results(design, ran):
 
 def test_every_policy_is_driven_in_every_cell_by_every_way_or_chip(design, results):
     rows = list(design.all_rows())
-    assert len(rows) == 4 * (5 + 2 + 2)
+    assert len(rows) == 4 * (len(MAP["ways"]) + 2 + 2)
     assert {(row["rate"], row["quiet"]) for row in rows} == set(design.cells)
     assert all(row["trained_rate"] == 60 for row in rows)
 
@@ -259,7 +259,12 @@ def test_at_a_border_that_counts_give_in_closed_form_both_cost_the_same():
 
 @pytest.mark.parametrize(
     ("ratios", "at"),
-    [((2.0, 0.5, 0.1), 120.0), ((0.9, 0.5, 0.1), 0.0), ((3.0, 2.0, 1.5), math.inf)],
+    [
+        ((2.0, 0.5, 0.1), 120.0),
+        ((0.9, 0.5, 0.1), 0.0),
+        ((0.5, 2.0, 0.5), 480.0),
+        ((3.0, 2.0, 1.5), math.inf),
+    ],
 )
 def test_a_border_lies_between_rates_by_their_logarithms(ratios, at):
     assert border((60, 240, 960), ratios) == pytest.approx(at)

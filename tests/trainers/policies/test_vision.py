@@ -5,9 +5,10 @@ from pydantic import ValidationError
 from torch.nn.functional import conv2d
 
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.trainers.config import VisionConfig, VisionSnnConfig
-from spikedeploy.trainers.policies import build, from_config
+from spikedeploy.trainers.policies import SpikingVisionPolicy, build, from_config
 from spikedeploy.trainers.policies.policy import PrunedKernel, SynapseGroup
 from spikedeploy.trainers.policies.vision import vision_artifact
 from spikedeploy.trainers.sparse.student import operations, prune
@@ -150,3 +151,15 @@ def test_pruning_ranks_kernels_and_matrices_by_operations_together():
     assert sum(share > 0 for share in pruned) > 3
     # for equal worth, a weight of a kernel that many inputs meet goes first
     assert pruned[0] > pruned[-1]
+
+
+@pytest.mark.parametrize("skip", [True, False])
+def test_a_pipelined_policy_acts_as_many_steps_late_as_it_has_layers(skip):
+    policy = SpikingVisionPolicy(
+        1024, 7, channels=(2, 2), kernels=(3, 3), strides=(4, 2), hidden=4, skip=skip
+    )
+    if skip:
+        torch.nn.init.normal_(policy.matrix("past").weight)
+    program = compile_program(vision_artifact(policy), chip("loihi1"))
+    # two convolutions, the hidden layer, and the readout, which may hear the convolutions as well
+    assert program.control_steps_late(1) == ((3, 4) if skip else (4, 4))
