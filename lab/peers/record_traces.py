@@ -57,11 +57,11 @@ DELAYED = {"lava": 9, "brian2_loihi": 9}
 
 
 def golden_traces() -> list[Path]:
-    """The traces whose tool is here: not those of RTL, nor of a board, which others recorded.
+    """The traces whose tool is here: not those of RTL, Speck or a board, which others recorded.
 
     What our own commands put out (commands/) is no trace.
     """
-    elsewhere = ("rtl", "board", "commands")
+    elsewhere = ("rtl", "speck", "board", "commands")
     return sorted(path for path in GOLDEN.rglob("*.json") if path.parent.name not in elsewhere)
 
 

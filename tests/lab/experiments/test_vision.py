@@ -208,10 +208,23 @@ def test_touched_neurons_are_counted_once_a_layer():
 
 def test_counts_of_an_episode_end_with_it():
     policy = FloatVisionPolicy(1024, 7, channels=[2], kernels=[3], strides=[2], hidden=[3], gru=3)
-    row = drive({"forks": 1}, FloatSight(policy.requires_grad_(False), 3, Way()), 3, 40)
+    row, ends = drive({"forks": 1}, FloatSight(policy.requires_grad_(False), 3, Way()), 3, 40)
+    assert len(ends) == 3
     assert row["runs"] == 1
     assert row["gates"] == 3
     assert row["steps"] <= 3 * 40
+
+
+def test_a_network_that_runs_in_every_second_step_holds_its_action_and_sees_what_came_since():
+    policy, seen = float_policy(), recording(0.03, 12)
+    sight = FloatSight(policy, KARTS, Way(every=2))
+    shown = []
+    sight._run = lambda x, rows: shown.append(x.numpy().copy()) or np.arange(KARTS)
+    actions = [sight.act(counts) for counts in seen]
+    assert len(shown) == 6
+    for k, sum_of in enumerate(shown[1:], start=1):
+        np.testing.assert_array_equal(sum_of, seen[2 * k - 1] + seen[2 * k])
+    assert all(action.tolist() == list(range(KARTS)) for action in actions)
 
 
 def test_a_triggered_network_sees_the_events_of_as_long_as_in_training_at_least():
