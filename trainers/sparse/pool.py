@@ -83,9 +83,14 @@ class Episodes:
     """
 
     def __init__(self, config: EnvConfig, count: int, limit: int | None = None) -> None:
-        self._envs: list[Any] = [envs.make(config.name, **config.options) for _ in range(count)]
-        self._limit = limit
+        self._count, self._limit = count, limit
         self.earned: list[Earned] = []
+        self._make(config)
+
+    def _make(self, config: EnvConfig) -> None:
+        """Make the copies."""
+        every = range(self._count)
+        self._envs: list[Any] = [envs.make(config.name, **config.options) for _ in every]
 
     def play(
         self, seeds: Sequence[int], controller: BatchController, label: Label | None = None
@@ -98,8 +103,8 @@ class Episodes:
         walks: list[Walk] = []
         totals: list[float] = []
         infos: list[dict[str, Any]] = []
-        for at in range(0, len(seeds), len(self._envs)):
-            played = self._side_by_side(seeds[at : at + len(self._envs)], controller, label)
+        for at in range(0, len(seeds), self._count):
+            played = self._side_by_side(seeds[at : at + self._count], controller, label)
             walks += played[0]
             totals += played[1]
             infos += played[2]

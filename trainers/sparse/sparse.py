@@ -367,9 +367,7 @@ class Sparse(Runner[SparseConfig]):
         self._student.prepare(self.pool)
 
 
-def _taught_episodes(
-    config: SparseConfig, sizes: tuple[int, int]
-) -> tuple[Episodes | EyeEpisodes, Teacher]:
+def _taught_episodes(config: SparseConfig, sizes: tuple[int, int]) -> tuple[Episodes, Teacher]:
     """Return copies of the environment, and what is imitated in them."""
     limit = config.validation.limit
     if envs.spec(config.env.name).short != "kart-eye":

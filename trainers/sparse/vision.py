@@ -28,6 +28,7 @@ from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import (
     BatchController,
     Earned,
+    Episodes,
     Label,
     Walk,
     WalkPool,
@@ -40,16 +41,12 @@ _SMOOTHING = 0.02  # weight of the newest batch in mean rates
 _STEP = "weights"  # the kind of rounding, as an arithmetic's `ablation_steps` name it
 
 
-class EyeEpisodes:
-    """Karts that see by events, for whole episodes, as `pool.Episodes` is for other environments.
+class EyeEpisodes(Episodes):
+    """Karts that see by events, simulated side by side as one batch."""
 
-    earned: what the episodes of the last call of `play` brought, one for each seed
-    """
-
-    def __init__(self, config: EnvConfig, count: int, limit: int | None = None) -> None:
-        self._options, self._count, self._limit = config.options, count, limit
-        self._env = EyeBatch(count, **config.options)
-        self.earned: list[Earned] = []
+    def _make(self, config: EnvConfig) -> None:
+        self._options = config.options
+        self._env = EyeBatch(self._count, **self._options)
 
     def label(self, observation: NDArray[Any]) -> NDArray[np.float64]:
         """Return labels (B, act + 3) of where the karts are now."""
@@ -57,21 +54,6 @@ class EyeEpisodes:
         hint = np.eye(SIGNS)[self._env.known()["hint"]]
         # log of a bell: exp(-1/2 d^2), up to a constant
         return np.concatenate([-0.5 * apart**2, hint], axis=1)
-
-    def play(
-        self, seeds: Sequence[int], controller: BatchController, label: Label | None = None
-    ) -> tuple[list[Walk], list[float], list[dict[str, Any]]]:
-        """Return walks (none without `label`), returns and last infos, one for each seed."""
-        self.earned = []
-        walks: list[Walk] = []
-        totals: list[float] = []
-        infos: list[dict[str, Any]] = []
-        for at in range(0, len(seeds), self._count):
-            played = self._side_by_side(seeds[at : at + self._count], controller, label)
-            walks += played[0]
-            totals += played[1]
-            infos += played[2]
-        return walks, totals, infos
 
     def _side_by_side(
         self, seeds: Sequence[int], controller: BatchController, label: Label | None
@@ -140,8 +122,8 @@ class VisionStudent:
         pool.take_observations()
 
     def begin(self, pool: WalkPool, rng: np.random.Generator) -> None:
-        """Take over the guide's convolutions, and scale weights to what the walks bring."""
-        if self.guide is not None:
+        """Take over the guide's convolutions, if of one shape, and scale weights to the walks."""
+        if self.guide is not None and _seen_by(self.guide) == _seen_by(self.policy):
             with torch.no_grad():
                 for name in kernels(self.policy):
                     weight, known = (p.matrix(name).weight for p in (self.policy, self.guide))
@@ -237,13 +219,13 @@ def kernels(policy: VisionPolicy) -> list[str]:
 
 
 def _guide(run: str, policy: VisionPolicy) -> VisionPolicy:
-    """Return the policy of a run that is pruned least, whose convolutions are those of another."""
+    """Return the policy of a run that is pruned least, which sees what another sees."""
     folder = RunFolder.find(run)
     found = folder.policy(next(reversed(folder.levels.values()), None))
-    if not isinstance(found, VisionPolicy) or _seen_by(found) != _seen_by(policy):
+    if not isinstance(found, VisionPolicy) or found.shape != policy.shape:
         raise ConfigError(
-            f"guide: the policy of {run} does not see by convolutions as this one does. Give a run "
-            "with its shape, channels, kernels and strides"
+            f"guide: the policy of {run} does not see counts {policy.shape} as this one does. Give "
+            "a run with its shape"
         )
     return found.requires_grad_(False)
 

@@ -81,11 +81,19 @@ def pool_of_counts():
     return pool
 
 
-def test_a_guide_with_other_kernels_is_refused(guide):
+def test_a_guide_with_other_kernels_lends_none(guide):
     settings = [f"guide={guide}", "policy.channels=[4, 3]"]
     config = resolve(SparseConfig, "smoke-eye-snn", overrides=settings)
     policy = from_config(config.policy, 1024, 7, head="discrete")
-    with pytest.raises(ConfigError, match="Give a run with its shape, channels"):
+    student = VisionStudent(policy, config)
+    student.begin(pool_of_counts(), np.random.default_rng(0))
+    assert policy.matrix("conv1").weight.shape[0] == 4
+
+
+def test_a_guide_that_sees_something_else_is_refused(guide):
+    config = resolve(SparseConfig, "smoke-eye-snn", overrides=[f"guide={guide}"])
+    policy = from_config(VisionSnnConfig(shape=(2, 8, 32), hidden=4), 512, 7, head="discrete")
+    with pytest.raises(ConfigError, match="Give a run with its shape"):
         VisionStudent(policy, config)
 
 
