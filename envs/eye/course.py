@@ -27,7 +27,7 @@ SIGN_ABOVE = (0.5, 0.75)  # lower edge of a sign above the floor [m]
 SIGN_ASIDE = 0.25  # of a sign from the middle [m], to either side
 GATE_AT = 2.6  # of a gate, from the middle of the fork behind [m]
 GATE_BAR = (0.25, 0.45)  # heights of a closed gate [m]
-UNSEEN_SEEDS = 5_000  # from which signs are of hands that training never sees
+UNSEEN_SEEDS = 5_000  # from which signs are of other hands than those of training
 
 TEXTURES = 4  # of an episode
 TEXTURE_ROWS, TEXTURE_COLUMNS = 34, 256  # first row floor, last row sky

@@ -2,7 +2,7 @@
 
 A letter as it is means right, a mirrored one left; chevrons point. Letters are strokes of a few
 hands: proportions, slant and width are drawn for each sign, and those of evaluation come from hands
-and ranges that training never saw.
+of their own, whose ranges overlap those of training.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 
 from lab.experiments.costs import ACC16, INT8
 from lab.experiments.training import Record
-from lab.experiments.vision import WAYS, Way
+from lab.experiments.vision import WAYS, Execution
 from spikedeploy.runtime.metrics.energy import (
     ACCESS,
     ADDITION,
@@ -96,6 +96,9 @@ ACCOUNTINGS = {
     "int-touched": Accounting(
         "8-bit integers, touched neurons", "int", INT8, "touched", "assumed: no emulated chip"
     ),
+    "int-memory": Accounting(
+        "8-bit integers, sums of 16 bits in memory", "int", ACC16, "all", "derived",
+    ),
     "speck": Accounting("Speck in timesteps", "speck2f", ACC16, "all", "derived"),
     "speck-events": Accounting(
         "Speck, event by event", "speck2f:queue=on", ACC16, "operation",
@@ -150,7 +153,7 @@ def latency(row: Record) -> tuple[float, float]:
     The event waits until the control step ends, or until as many have come as trigger a network,
     and for the control steps in which layers hand it on.
     """
-    way = Way() if row["spiking"] else WAYS[row["way"]]
+    way = Execution() if row["spiking"] else WAYS[row["way"]]
     waits = max(way.every, way.trigger / max(row["events"], 1e-9)) / row["rate"]
     first, last = (steps / row["rate"] for steps in row["late"])
     return first + waits / 2, last + waits

@@ -24,7 +24,7 @@ from lab.experiments.pages import grouped, mean, releases, versions_at_start, ve
 from lab.experiments.ratios import nested_ratio
 from lab.experiments.runner import Design, Part, command_line
 from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows, write_exactly
-from lab.experiments.vision import FIRST_SEED, drive, sight
+from lab.experiments.vision import FIRST_SEED, drive, make_controller
 from spikedeploy import zoo
 from spikedeploy.comparison.statistics import Estimate, share, stratified_bootstrap
 from spikedeploy.files import read_json
@@ -32,7 +32,6 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.policies.vision import SIGNS
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder
-from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import BatchController, Stateless
 from spikedeploy.trainers.sparse.student import FloatController
 from spikedeploy.trainers.sparse.vision import EyeEpisodes
@@ -131,9 +130,9 @@ class EyeEntryDesign(Design):
         config = training.config if training else self._training(next(iter(_ROWS)), 0).planned()
         env: EnvConfig = config.env
         episodes = EyeEpisodes(env, self.episodes, self.limit)
-        controller: BatchController = Stateless(lambda seen: taught(episodes, seen))
+        controller: BatchController = Stateless(lambda seen: taught_actions(episodes, seen))
         if training is not None:
-            run = RunFolder(training.existing_run)
+            run, taught = RunFolder(training.existing_run), self._walks.config
             policy = run.policy(level)
             controller = FloatController(policy)
             progress = run.load(level)[0]
@@ -144,12 +143,14 @@ class EyeEntryDesign(Design):
                 "way": way,
                 "weights": sum(each.numel() for each in policy.parameters()),
                 "updates": progress["updates"],
-                "walks": walks_of(self._walks.config) + config.walks * progress["phase"],
+                "walks": taught.teacher_walks
+                + taught.noisy_walks
+                + config.walks * progress["phase"],
                 "versions": versions_text(read_json(training.existing_run / "versions.json")),
             }
             if way:
-                seeing = sight(policy, self.episodes, way)
-                counted, ends = drive(env.options, seeing, self.episodes, self.limit)
+                driver = make_controller(policy, self.episodes, way)
+                counted, ends = drive(env.options, driver, self.episodes, self.limit)
                 return facts | {n: counted[n] for n in COUNTED if n in counted} | outcomes(ends)
         *_, ends = episodes.play(range(FIRST_SEED, FIRST_SEED + self.episodes), controller)
         return facts | outcomes(ends)
@@ -187,6 +188,7 @@ class EyeEntryDesign(Design):
             command=command_line(),
             quick=self.quick,
             episodes=self.episodes,
+            first_seed=FIRST_SEED,
             missing=self._missing(rows),
             networks=[network_facts(name, of) for name, of in by_name.items()],
             verdicts="\n".join(f"- {line}" for line in verdicts(by_name)),
@@ -205,12 +207,7 @@ class EyeEntryDesign(Design):
         return f"**Not trained or evaluated yet: {', '.join(lack)}.**" if lack else ""
 
 
-def walks_of(config: SparseConfig) -> int:
-    """Return how many walks of the teacher a training has made."""
-    return config.teacher_walks + config.noisy_walks
-
-
-def taught(episodes: EyeEpisodes, seen: Any) -> Any:  # noqa: ANN401 - arrays
+def taught_actions(episodes: EyeEpisodes, seen: Any) -> Any:  # noqa: ANN401 - arrays
     """Actions (B,) of the privileged teacher: those of the largest label."""
     return episodes.label(seen)[:, :-SIGNS].argmax(1)
 
@@ -313,7 +310,8 @@ def verdicts(rows: Mapping[str, Sequence[Record]]) -> Iterator[str]:
             f" {pages.percent(found[best], 1)}."
         )
     for name, of in rows.items():
-        right = None if name == TEACHER or _is_grid(name) else right_share(of)
+        sees = name != TEACHER and _ROWS[name]["recipe"] == _ROWS[_BESIDE]["recipe"]
+        right = right_share(of) if sees else None
         if right is None:
             continue
         finish = episode_share(of, "finish")

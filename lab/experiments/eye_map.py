@@ -18,7 +18,7 @@ from lab.experiments import DESIGNS
 from lab.experiments.networks import constants
 from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, read_rows
-from lab.experiments.vision import ChipSight, drive, sight, wait_longer
+from lab.experiments.vision import CountedChipController, drive, make_controller, wait_longer
 from spikedeploy.envs.eye.batch import EyeOptions
 from spikedeploy.reports.table import write_rows
 from spikedeploy.runtime.errors import ConfigError
@@ -30,16 +30,16 @@ ENV = "kart-eye"
 NOT_PRUNED = f"{LEVEL}{1e6:g}"  # the level of the recipes that is above all operations
 TEXTS = ("policy", "way")
 COLUMNS = (
-    "policy", "seed", "spiking", "way", "rate", "quiet", "trained_rate", "span", "episodes",
-    "steps", "finished", "right", "crashed", "late", "events", "cells", "macs", "first_macs",
-    "sent", "compared", "units", "gates", "runs", "sop", "graded_sop", "bias_sop", "neuron_update",
-    "one_state_update", "neuron_idle", "touched", "spike_in", "spike_out", "message", "saturation",
-    "lost_spike", "constants", "neurons",
+    "policy", "seed", "spiking", "way", "rate", "quiet", "driven_quiet", "trained_rate", "span",
+    "episodes", "steps", "finished", "right", "crashed", "late", "events", "cells", "macs",
+    "first_macs", "sent", "compared", "units", "gates", "runs", "sop", "graded_sop", "bias_sop",
+    "neuron_update", "one_state_update", "neuron_idle", "touched", "spike_in", "spike_out",
+    "message", "saturation", "lost_spike", "constants", "neurons",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Seer:
+class Checkpoint:
     """A policy: a checkpoint of a run.
 
     run     its folder
@@ -122,7 +122,7 @@ class EyeMapDesign(Design):
         checked = [] if self.quick else [(rate, quiet) for rate, quiet in MAP["checked"]]
         return sorted([(rate, quiet) for rate in rates for quiet in MAP["measured"]] + checked)
 
-    def seers(self) -> list[Seer]:
+    def checkpoints(self) -> list[Checkpoint]:
         """All policies: of each run its levels of pruning, or where it has none its best."""
         named = [existing_run(name, self.runs) for name in self.policies]
         found = []
@@ -133,12 +133,12 @@ class EyeMapDesign(Design):
             if run.settings()["env"]["name"] != ENV:
                 raise ConfigError(f"{path} is no training of {ENV}; leave it out")
             names = list(run.levels.values()) or ["best"]
-            found += [Seer(run, name) for name in names if run.checkpoint(name).is_file()]
+            found += [Checkpoint(run, name) for name in names if run.checkpoint(name).is_file()]
         return found
 
     def check(self, results: Path) -> None:
         """Refuse a map without policies."""
-        if not self.seers():
+        if not self.checkpoints():
             raise ConfigError(
                 f"{self.runs} has no run folder of {ENV}: train some with `spikedeploy train "
                 f"kart-eye-cnn --runs {self.runs}`, or name them, --policies FOLDER"
@@ -146,50 +146,57 @@ class EyeMapDesign(Design):
 
     def parts(self) -> list[Part]:
         """Each policy in each cell of the map."""
-        seers = self.seers()
+        checkpoints = self.checkpoints()
         found = []
-        for seer in seers:
-            alike = [s.rate for s in seers if (s.recipe, s.seed) == (seer.recipe, seer.seed)]
+        for checkpoint in checkpoints:
+            alike = [
+                s.rate
+                for s in checkpoints
+                if (s.recipe, s.seed) == (checkpoint.recipe, checkpoint.seed)
+            ]
             for rate, quiet in self.cells:
                 # the nearest training from below is transferred
-                if seer.rate == max((each for each in alike if each <= rate), default=None):
-                    name = f"{seer.recipe}-s{seer.seed}-{rate}-q{quiet:g}".replace(" ", "-")
-                    found.append(Part(name, partial(self._rows, seer, rate, quiet, name)))
+                if checkpoint.rate == max((each for each in alike if each <= rate), default=None):
+                    name = f"{checkpoint.recipe}-s{checkpoint.seed}-{rate}-q{quiet:g}".replace(
+                        " ", "-"
+                    )
+                    found.append(Part(name, partial(self._rows, checkpoint, rate, quiet, name)))
         return found
 
-    def _rows(self, seer: Seer, rate: int, quiet: float, name: str) -> list[StoredRow]:
+    def _rows(self, checkpoint: Checkpoint, rate: int, quiet: float, name: str) -> list[StoredRow]:
         """The rows of a policy in a cell, one for each way or chip."""
-        options = {**seer.settings["env"]["options"], "rate": rate, "quiet": quiet}
+        options = {**checkpoint.settings["env"]["options"], "rate": rate, "quiet": quiet}
         made = {
-            "policy": file_sha256(seer.weights), "episodes": self.episodes, "limit": self.limit,
-            "options": options,
+            "policy": file_sha256(checkpoint.weights), "episodes": self.episodes,
+            "limit": self.limit, "options": options,
         }  # fmt: skip
         folder = Path(self.runs) / "evaluations" / name
         return [
             StoredRow(
                 folder / f"{way.replace(' ', '-').replace(':', '-')}.json",
                 {**made, "way": way},
-                partial(self._evaluate, seer, options, way),
+                partial(self._evaluate, checkpoint, options, way),
             )
-            for way in seer.ways
+            for way in checkpoint.ways
         ]
 
-    def _evaluate(self, seer: Seer, options: Record, way: str) -> Record:
-        slower = options["rate"] // seer.rate
-        seeing = sight(seer.policy, self.episodes, way, slower)
+    def _evaluate(self, checkpoint: Checkpoint, options: Record, way: str) -> Record:
+        slower = options["rate"] // checkpoint.rate
+        controller = make_controller(checkpoint.policy, self.episodes, way, slower)
         about: Record = {
-            "policy": seer.recipe, "seed": seer.seed, "way": way, "rate": options["rate"],
-            "quiet": options["quiet"], "trained_rate": seer.rate, "span": 1 / seer.rate,
+            "policy": checkpoint.recipe, "seed": checkpoint.seed, "way": way,
+            "rate": options["rate"], "quiet": options["quiet"], "driven_quiet": options["quiet"],
+            "trained_rate": checkpoint.rate, "span": 1 / checkpoint.rate,
         }  # fmt: skip
-        if isinstance(seeing, ChipSight):
-            program = seeing.program
+        if isinstance(controller, CountedChipController):
+            program = controller.program
             late = program.control_steps_late(1) or (0, 0)
             sizes = sum(layer.size for layer in program.layers)
             chip = {"constants": constants(program), "neurons": sizes}
             about |= {"spiking": True, "late": list(late), **chip}
         else:
             about |= {"spiking": False, "late": [0, 0]}
-        return about | drive(options, seeing, self.episodes, self.limit)[0]
+        return about | drive(options, controller, self.episodes, self.limit)[0]
 
     def all_rows(self) -> Iterator[Record]:
         """The results so far, and those that follow from them where a kart waits for longer."""

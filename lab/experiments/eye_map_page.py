@@ -96,6 +96,11 @@ class Cell:
     accounting: Accounting
     predicted: float
 
+    @property
+    def is_driven(self) -> bool:
+        """Whether karts waited as long, and not for less, from which its counts follow."""
+        return all(row["driven_quiet"] == self.quiet for row in self.spiking.rows)
+
     @cached_property
     def rivals(self) -> Sequence[Group]:
         """Those of the others that act no later, on average."""
@@ -325,9 +330,9 @@ def _edges(centres: NDArray[Any]) -> NDArray[Any]:
 
 
 def errors(found: Map) -> list[float]:
-    """Predicted over counted ratio [1] of all cells but those of the rate that the rule has."""
+    """Predicted over counted ratio [1] of driven cells at other rates than the rule has."""
     cells = [cell for row in found.cells[1:] for cell in row if cell is not None]
-    return [cell.predicted / cell.ratio for cell in cells]
+    return [cell.predicted / cell.ratio for cell in cells if cell.is_driven]
 
 
 def rate_text(rate: float) -> str:

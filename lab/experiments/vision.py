@@ -42,7 +42,7 @@ from spikedeploy.trainers.policies.vision import (
     vision_artifact,
 )
 
-FIRST_SEED = EVALUATION + 10_000  # of evaluations; kart-eye was designed on seeds below
+FIRST_SEED = EVALUATION + 30_000  # of evaluations; kart-eye and its students were tried below
 
 Counts = NDArray[np.uint8]
 Totals = dict[str, NDArray[np.float64]]
@@ -52,7 +52,7 @@ _RECURRENT = ("gru", "back", "out")  # synapses behind the layers of units
 
 
 @dataclass(frozen=True)
-class Way:
+class Execution:
     """A way of a float network to save operations, besides those with zeros.
 
     delta    change of a unit above which it is sent again; None sends all that are not 0
@@ -66,18 +66,18 @@ class Way:
 
 
 WAYS = {
-    "zero-skipping": Way(),
-    "delta 0.1": Way(delta=0.1),
-    "delta 0.3": Way(delta=0.3),
-    "triggered by 1 event": Way(trigger=1),
-    "triggered by 64 events": Way(trigger=64),
-    "triggered by 256 events": Way(trigger=256),
-    "every 2 steps": Way(every=2),
-    "every 4 steps": Way(every=4),
+    "zero-skipping": Execution(),
+    "delta 0.1": Execution(delta=0.1),
+    "delta 0.3": Execution(delta=0.3),
+    "triggered by 1 event": Execution(trigger=1),
+    "triggered by 64 events": Execution(trigger=64),
+    "triggered by 256 events": Execution(trigger=256),
+    "every 2 steps": Execution(every=2),
+    "every 4 steps": Execution(every=4),
 }
 
 
-class Sight(Protocol):
+class CountedController(Protocol):
     """A controller of B karts, for one episode of each, that counts what it does."""
 
     @property
@@ -88,7 +88,7 @@ class Sight(Protocol):
         """Actions (B,) for counts of events (B, obs)."""
 
 
-class FloatSight:
+class CountedFloatController:
     """A float network with weights of 8 bits; what it does is counted where it is computed.
 
     totals: by name (B,)
@@ -99,7 +99,9 @@ class FloatSight:
         events              of the camera
     """
 
-    def __init__(self, policy: FloatVisionPolicy, karts: int, way: Way, slower: int = 1) -> None:
+    def __init__(
+        self, policy: FloatVisionPolicy, karts: int, way: Execution, slower: int = 1
+    ) -> None:
         if policy.traces:
             raise ConfigError("a policy with leaky traces has no other control rate; leave it out")
         self._policy, self._way, self._slower = in_bits(deepcopy(policy), BITS), way, slower
@@ -187,7 +189,7 @@ class FloatSight:
         return maps.flatten(1)
 
 
-class ChipSight:
+class CountedChipController:
     """A spiking network on a chip, whose ledger counts.
 
     totals: by name (B,), besides the events of the ledger
@@ -273,17 +275,20 @@ def _slowed(policy: SpikingVisionPolicy, slower: int) -> SpikingVisionPolicy:
     return policy
 
 
-def sight(policy: Policy, karts: int, way: str, slower: int = 1) -> Sight:
+def make_controller(policy: Policy, karts: int, way: str, slower: int = 1) -> CountedController:
     """A policy as a controller: a float one by one of the WAYS, a spiking one on a chip."""
     if isinstance(policy, FloatVisionPolicy):
-        return FloatSight(policy, karts, WAYS[way], slower)
+        return CountedFloatController(policy, karts, WAYS[way], slower)
     if isinstance(policy, SpikingVisionPolicy):
-        return ChipSight(policy, karts, way, slower)
+        return CountedChipController(policy, karts, way, slower)
     raise ConfigError(f"a policy of kind {policy.kind!r} does not see by events; leave it out")
 
 
 def drive(
-    options: Mapping[str, Any], seen: Sight, episodes: int, limit: int | None = None
+    options: Mapping[str, Any],
+    controller: CountedController,
+    episodes: int,
+    limit: int | None = None,
 ) -> tuple[Record, list[Record]]:
     """What evaluation episodes of kart-eye brought, and how each of them ended.
 
@@ -297,14 +302,16 @@ def drive(
     counts = env.reset(range(FIRST_SEED, FIRST_SEED + episodes)).reshape(episodes, -1)
     ended = np.zeros(episodes, np.bool_)
     ends: list[Record] = [{} for _ in range(episodes)]
-    totals, still = dict.fromkeys(seen.totals, 0.0), dict.fromkeys(seen.totals, 0.0)
+    totals, still = dict.fromkeys(controller.totals, 0.0), dict.fromkeys(controller.totals, 0.0)
     steps = number = resting = waiting = 0
     rested = ~env.moving()
     while not ended.all():
-        before = {name: each.copy() for name, each in seen.totals.items()} if rested.any() else {}
-        actions = seen.act(counts)
+        before = (
+            {name: each.copy() for name, each in controller.totals.items()} if rested.any() else {}
+        )
+        actions = controller.act(counts)
         for name, each in before.items():
-            still[name] += float((seen.totals[name] - each)[rested].sum())
+            still[name] += float((controller.totals[name] - each)[rested].sum())
         resting += int(rested.sum())
         rested = ~env.moving()
         counts, _, terminated, truncated, info = env.step(actions)
@@ -312,7 +319,7 @@ def drive(
         number += 1
         now = (terminated | truncated | (number == limit)) & ~ended
         if now.any():
-            for name, each in seen.totals.items():
+            for name, each in controller.totals.items():
                 totals[name] += float(each[now].sum())
             for k in np.flatnonzero(now).tolist():
                 ends[k] = {name: int(info[name][k]) for name in OUTCOMES}
@@ -350,4 +357,4 @@ def wait_longer(row: Record, quiet: float) -> Record:
         for n, each in still.items()
         if n in row and n != "steps"
     }
-    return {**row, **means, "quiet": quiet, "steps": round(steps)}
+    return {**row, **means, "quiet": quiet, "driven_quiet": row["quiet"], "steps": round(steps)}

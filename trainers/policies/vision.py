@@ -274,7 +274,7 @@ class SpikingVisionPolicy(VisionPolicy):
     memory: those of them whose currents decay slowly
     recurrent: whether they are connected with each other
     skip: whether the last convolution also reaches the readouts
-    neuron: "lif", whose spikes reset to 0, or "if", without a leak, whose spikes subtract
+    neuron: "lif", whose spikes reset to 0, or "if", without leak and bias, whose spikes subtract
     """
 
     kind = "vision-snn"
@@ -319,7 +319,9 @@ class SpikingVisionPolicy(VisionPolicy):
         self.signs = nn.Linear(hidden + width, SIGNS)
         self.biases = nn.ParameterDict({"out": torch.zeros(actions)})
         for name in self.spiking:
-            self.biases[name] = torch.zeros(self.matrix(name).weight.shape[0])
+            zeros = torch.zeros(self.matrix(name).weight.shape[0])
+            # what has no leak has no biases on Speck either, where events come one by one
+            self.biases[name] = nn.Parameter(zeros, requires_grad=neuron == "lif")
         beta, alpha = (_spread_decays(*each) for each in ((*_FAST, hidden), (*_SLOW, memory)))
         self.decays = nn.ParameterDict({"hidden": torch.logit(beta)})
         if memory:

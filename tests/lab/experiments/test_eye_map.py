@@ -110,8 +110,8 @@ def test_a_training_at_the_rate_of_a_cell_is_taken_before_a_transferred_one(tmp_
     slower = {}
     for part in made.parts():
         for row in part.rows():
-            seer = row.make.args[0]
-            slower[row.of["options"]["rate"]] = row.of["options"]["rate"] // seer.rate
+            checkpoint = row.make.args[0]
+            slower[row.of["options"]["rate"]] = row.of["options"]["rate"] // checkpoint.rate
     assert slower == {60: 1, 240: 1, 960: 4}
     assert len(made.parts()) == 7
 

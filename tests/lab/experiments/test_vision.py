@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from lab.experiments.vision import ChipSight, FloatSight, Way, drive, touched
+from lab.experiments.vision import (
+    CountedChipController,
+    CountedFloatController,
+    Execution,
+    drive,
+    touched,
+)
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.policies import FloatVisionPolicy, SpikingVisionPolicy
 
@@ -101,42 +107,42 @@ def test_a_float_network_counts_each_weight_that_meets_what_is_sent(delta, is_pr
     if is_pruned:
         for name in policy.synapses:
             policy.matrix(name).mask.bernoulli_(0.5)
-    sight = FloatSight(policy, KARTS, Way(delta=delta))
+    controller = CountedFloatController(policy, KARTS, Execution(delta=delta))
     plain = [PlainNetwork(policy, delta) for _ in range(KARTS)]
     for counts in recording():
         expected = [each.act(seen) for each, seen in zip(plain, counts, strict=True)]
-        assert sight.act(counts).tolist() == expected
-    assert sight.totals["macs"].tolist() == [each.macs for each in plain]
+        assert controller.act(counts).tolist() == expected
+    assert controller.totals["macs"].tolist() == [each.macs for each in plain]
 
 
 def test_a_network_that_skips_nothing_else_is_the_policy():
     policy = float_policy()
     for name in policy.synapses:  # weights that 8 bits hold
         policy.matrix(name).weight.copy_(torch.from_numpy(rounded(policy.matrix(name))))
-    sight, state = FloatSight(policy, KARTS, Way()), policy.rest(KARTS)
+    controller, state = CountedFloatController(policy, KARTS, Execution()), policy.rest(KARTS)
     for counts in recording():
         mean, _ = policy.advance(torch.from_numpy(counts).float(), state)
-        assert sight.act(counts).tolist() == mean.argmax(1).tolist()
-        np.testing.assert_allclose(sight._memory, state[1], atol=1e-6)
+        assert controller.act(counts).tolist() == mean.argmax(1).tolist()
+        np.testing.assert_allclose(controller._memory, state[1], atol=1e-6)
 
 
 def test_a_triggered_network_runs_where_enough_events_came_and_sees_all_of_them():
     policy, seen = float_policy(), recording(0.03, 30)
-    sight = FloatSight(policy, KARTS, Way(trigger=4))
+    controller = CountedFloatController(policy, KARTS, Execution(trigger=4))
     since, runs = np.zeros(seen.shape[1:], np.int64), np.zeros(KARTS)
-    frames, before = [], sight.act(np.zeros_like(seen[0]))
+    frames, before = [], controller.act(np.zeros_like(seen[0]))
     for counts in seen:
-        actions = sight.act(counts)
+        actions = controller.act(counts)
         since += counts
         ran = since.sum(1) >= 4
         assert (actions[~ran] == before[~ran]).all()
         frames += [since[0].copy()] * int(ran[0])
         since[ran], before = 0, actions
         runs += ran
-    assert sight.totals["runs"].tolist() == runs.tolist()
+    assert controller.totals["runs"].tolist() == runs.tolist()
     assert 0 < runs.sum() < KARTS * len(seen)
     # what the first kart saw, as counts in every control step
-    other = FloatSight(policy, 1, Way())
+    other = CountedFloatController(policy, 1, Execution())
     for frame in frames:
         last = other.act(frame[None].astype(np.uint8))
     assert last == before[:1]
@@ -144,7 +150,10 @@ def test_a_triggered_network_runs_where_enough_events_came_and_sees_all_of_them(
 
 def test_at_a_higher_rate_a_float_network_sees_the_events_of_as_long_as_in_training():
     policy, seen = float_policy(gru=0), recording(0.1, 12)
-    fast, slow = FloatSight(policy, KARTS, Way(), 4), FloatSight(policy, KARTS, Way())
+    fast, slow = (
+        CountedFloatController(policy, KARTS, Execution(), 4),
+        CountedFloatController(policy, KARTS, Execution()),
+    )
     for number, counts in enumerate(seen, start=1):
         actions = fast.act(counts)
         if number % 4 == 0:
@@ -157,13 +166,13 @@ def test_at_a_higher_rate_a_float_network_sees_the_events_of_as_long_as_in_train
     [("loihi1", "lif"), ("int", "lif"), ("speck2f", "if"), ("speck2f:queue=on", "if")],
 )
 def test_a_chip_touches_the_neurons_that_a_loop_finds_and_counts_the_operations(place, neuron):
-    sight = ChipSight(spiking_policy(neuron), KARTS, place)
-    program = sight.program
+    controller = CountedChipController(spiking_policy(neuron), KARTS, place)
+    program = controller.program
     found, sops = np.zeros(KARTS), np.zeros(KARTS)
     for counts in recording(0.3):
-        sight.act(counts)
-        rows = {n: r.spikes[:, 0] for n, r in sight._controller.network.recordings.items()}
-        rows[program.input] = sight._controller.encoded[:, 0]
+        controller.act(counts)
+        rows = {n: r.spikes[:, 0] for n, r in controller._controller.network.recordings.items()}
+        rows[program.input] = controller._controller.encoded[:, 0]
         for layer in program.layers:
             reached = np.zeros((KARTS, layer.size), bool)
             for s in layer.synapses:
@@ -172,12 +181,12 @@ def test_a_chip_touches_the_neurons_that_a_loop_finds_and_counts_the_operations(
                     reached[kart] |= weight[axon] != 0
                     sops[kart] += rows[s.source][kart, axon] * np.count_nonzero(weight[axon])
             found += reached.sum(1)
-    assert sight.totals["touched"].tolist() == found.tolist()
+    assert controller.totals["touched"].tolist() == found.tolist()
     assert found.sum() > 0
     # of the last control step some are still under way, where layers hand on late
     late = place in ("loihi1", "int")
-    assert (sight.totals["sop"] <= sops).all()
-    assert late or sight.totals["sop"].tolist() == sops.tolist()
+    assert (controller.totals["sop"] <= sops).all()
+    assert late or controller.totals["sop"].tolist() == sops.tolist()
 
 
 @pytest.mark.parametrize("neuron", ["lif", "if"])
@@ -191,10 +200,10 @@ def test_at_a_higher_rate_biases_and_lasting_currents_make_as_many_spikes_a_seco
     policy.matrix("hidden").weight.abs_().mul_(0.1)  # seldom, so that none is lost in a reset
     sent = []
     for slower in (1, 4):
-        sight = ChipSight(policy, 1, "ideal", slower)
+        controller = CountedChipController(policy, 1, "ideal", slower)
         for _ in range(400 * slower):
-            sight.act(np.zeros((1, math.prod(SHAPE)), np.uint8))
-        sent.append(sight.totals["spike_out"][0])
+            controller.act(np.zeros((1, math.prod(SHAPE)), np.uint8))
+        sent.append(controller.totals["spike_out"][0])
     assert sent[0] > 1000
     assert sent[1] == pytest.approx(sent[0], rel=0.3)
 
@@ -208,7 +217,9 @@ def test_touched_neurons_are_counted_once_a_layer():
 
 def test_counts_of_an_episode_end_with_it():
     policy = FloatVisionPolicy(1024, 7, channels=[2], kernels=[3], strides=[2], hidden=[3], gru=3)
-    row, ends = drive({"forks": 1}, FloatSight(policy.requires_grad_(False), 3, Way()), 3, 40)
+    row, ends = drive(
+        {"forks": 1}, CountedFloatController(policy.requires_grad_(False), 3, Execution()), 3, 40
+    )
     assert len(ends) == 3
     assert row["runs"] == 1
     assert row["gates"] == 3
@@ -217,10 +228,10 @@ def test_counts_of_an_episode_end_with_it():
 
 def test_a_network_that_runs_in_every_second_step_holds_its_action_and_sees_what_came_since():
     policy, seen = float_policy(), recording(0.03, 12)
-    sight = FloatSight(policy, KARTS, Way(every=2))
+    controller = CountedFloatController(policy, KARTS, Execution(every=2))
     shown = []
-    sight._run = lambda x, rows: shown.append(x.numpy().copy()) or np.arange(KARTS)
-    actions = [sight.act(counts) for counts in seen]
+    controller._run = lambda x, rows: shown.append(x.numpy().copy()) or np.arange(KARTS)
+    actions = [controller.act(counts) for counts in seen]
     assert len(shown) == 6
     for k, sum_of in enumerate(shown[1:], start=1):
         np.testing.assert_array_equal(sum_of, seen[2 * k - 1] + seen[2 * k])
@@ -229,12 +240,12 @@ def test_a_network_that_runs_in_every_second_step_holds_its_action_and_sees_what
 
 def test_a_triggered_network_sees_the_events_of_as_long_as_in_training_at_least():
     policy, seen = float_policy(), recording(0.03, 12)
-    sight = FloatSight(policy, KARTS, Way(trigger=1), 4)
+    controller = CountedFloatController(policy, KARTS, Execution(trigger=1), 4)
     shown = []
-    sight._run = lambda x, rows: shown.append(x.numpy().copy()) or np.zeros(len(rows))
+    controller._run = lambda x, rows: shown.append(x.numpy().copy()) or np.zeros(len(rows))
     waited = np.zeros(KARTS, int)
     for number, counts in enumerate(seen, start=1):
-        sight.act(counts)
+        controller.act(counts)
         waited += 1
         rows = np.flatnonzero(counts.any(1) | (waited > 99))
         expected = [seen[max(number - max(4, waited[k]), 0) : number, k].sum(0) for k in rows]
@@ -246,4 +257,4 @@ def test_a_triggered_network_sees_the_events_of_as_long_as_in_training_at_least(
 
 def test_leaky_traces_are_refused():
     with pytest.raises(ConfigError, match="leaky traces"):
-        FloatSight(float_policy(traces=[0.5]), 1, Way())
+        CountedFloatController(float_policy(traces=[0.5]), 1, Execution())
