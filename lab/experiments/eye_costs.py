@@ -3,7 +3,9 @@
 A spiking policy is priced by one of the ACCOUNTINGS, and a float one by the same table beside it,
 at 45 nm. Static power is no part of either.
 
-operations   synaptic operations; or multiplications of weights
+operations   synaptic operations; or multiplications of weights, by the cheapest of three circuits:
+             inputs that are not 0; in the first layer those that changed, onto sums that are kept;
+             all inputs of convolutions, by an array that reads each of them for 16 channels
 updates      neurons that a chip updates, and those that it looks at; units of a GRU
 traffic      messages and spikes, where a table prices them; activations that are written and read
 histogram    events that are added up until the control step ends, and the cells that hold some
@@ -16,7 +18,8 @@ of time that this takes, and not at all else; what is counted at rest follows fr
 
     occupied(n, M) = M (1 - exp(-n / M)), places of M in which one of n events falls
     a float network that runs f times a second sees occupied(e s, C) cells in the time s: its first
-        layer takes so many operations a cell, the others what they take in motion and at rest
+        layer takes so many operations a cell, the others what they take in motion and at rest; of
+        its cells change those of the events that came and of as many that are past
     one that n events trigger runs min(f, 1 / (n / e + 1 / (2 f))) times a second, as a control step
         ends half a step after them, and not at all at rest; one that runs in every k-th step f / k
         times
@@ -54,6 +57,9 @@ CELL = 2 * ACCESS + 2 * _BYTE
 # a unit of a GRU: three functions from tables of 16 bits, three products, five additions, and the
 # state of 16 bits read and written
 GATES = 3 * ACCESS + 3 * MULTIPLICATION + 5 * ADDITION + 2 * ACCESS
+# a multiplication of 8 bits in an array whose weights and sums are in registers, and whose inputs
+# are read once for 16 of its columns, as each of 16 x 16 units takes part in each cycle
+IN_ARRAY = TABLES[INT8].joules["mac"] - _BYTE + _BYTE / 16
 # the leak of a neuron that was not updated for a while, assumed, as no chip that is emulated has
 # it: the timestep of its last update read and written, beta^n from a table of 16 bits, a product
 LAZY_LEAK = 3 * ACCESS + MULTIPLICATION
@@ -138,13 +144,24 @@ def _float(row: Record, table: str) -> tuple[float, ...]:
     compared = row["compared"]
     kept = compared and row["units"] * 2 * ACCESS
     return (
-        row["macs"] * TABLES[table].joules["mac"],
+        _multiplications(row, TABLES[table].joules["mac"]),
         row["gates"] * GATES,
         moved,
         row["events"] * EVENT + row["cells"] * CELL,
         addition_energy(row["units"]),
         delta_encoder(compared, row["sent"] if compared else 0) - reading_energy(compared) + kept,
     )
+
+
+def _multiplications(row: Record, each: float) -> float:
+    """Energy [J] of a float network's multiplications, by the cheapest circuit."""
+    kept = row["first_units"] * 2 * ACCESS
+    found: float = min(
+        row["macs"] * each,
+        (row["macs"] - row["first_macs"] + row["changed_macs"]) * each + kept,
+        (row["macs"] - row["conv_macs"]) * each + row["dense_macs"] * IN_ARRAY,
+    )
+    return found
 
 
 def latency(row: Record) -> tuple[float, float]:
@@ -204,7 +221,8 @@ def predict(row: Record, rest: Record, rate: float, events: float, span: float) 
 
 
 _COUNTED = (
-    "events", "cells", "macs", "first_macs", "sent", "sop", "graded_sop", "spike_out", "spike_in",
+    "events", "cells", "macs", "first_macs", "changed_macs", "conv_macs", "sent", "sop",
+    "graded_sop", "spike_out", "spike_in",
 )  # fmt: skip
 
 
@@ -245,21 +263,41 @@ def _float_at(row: Record, still: Record, rate: float, span: float, moving: floa
     places = places_of(row["events"] * row["rate"] * usual, each["cells"])
     now = occupied(events * seen, places)
     behind, sent = each["macs"] - each["first_macs"], each["sent"]
+    convolved = each["conv_macs"] - each["first_macs"]
     if not moving:
         behind, sent = still["macs"] - still["first_macs"], still["sent"]
+        convolved = still["conv_macs"] - still["first_macs"]
     if way.every > 1:
         runs, seen = rate / way.every, max(span, way.every / rate)
         usual = max(usual, way.every / row["rate"])
     if way.delta is not None:
         share = min(1.0, math.sqrt(row["rate"] / rate))
-        behind, sent = behind * share, sent * share
+        behind, sent, convolved = behind * share, sent * share, convolved * share
     first = each["first_macs"] / each["cells"] * now
-    found = each | {"first_macs": first, "macs": first + behind, "sent": sent, "cells": now}
+    changed = each["changed_macs"] * _quotient(
+        occupied(2 * events / runs, places) if runs else 0.0,
+        occupied(2 * row["events"] / row["runs"], places),
+    )
+    found = each | {
+        "first_macs": first,
+        "changed_macs": changed,
+        "macs": first + behind,
+        "conv_macs": first + convolved,
+        "sent": sent,
+        "cells": now,
+    }
     found = {name: count * runs / rate for name, count in found.items()}
     return found | {"events": events / rate, "runs": runs / rate}
 
 
-_PER_RUN = ("macs", "first_macs", "cells", "sent", "compared", "units", "gates")
+_PER_RUN = (
+    "macs", "first_macs", "changed_macs", "conv_macs", "dense_macs", "cells", "sent", "compared",
+    "units", "first_units", "gates",
+)  # fmt: skip
+
+
+def _quotient(a: float, b: float) -> float:
+    return a / b if b else 0.0
 
 
 def border(rates: Sequence[float], ratios: Sequence[float]) -> float:

@@ -8,6 +8,7 @@ and a row for each way of a float network to save operations, or for each chip, 
 Counts are kept and not energies, so that the page can be written again with other prices.
 """
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -22,8 +23,10 @@ from lab.experiments.vision import CountedChipController, drive, make_controller
 from spikedeploy.envs.eye.batch import EyeOptions
 from spikedeploy.reports.table import write_rows
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import differences
 from spikedeploy.trainers.policies.vision import SpikingVisionPolicy, VisionPolicy
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder, existing_run, file_sha256, runs_in
+from spikedeploy.trainers.sparse.config import SparseConfig
 
 MAP: dict[str, Any] = DESIGNS["kart-eye-map"]
 ENV = "kart-eye"
@@ -55,10 +58,16 @@ class Checkpoint:
         return self.run.settings()
 
     @property
-    def recipe(self) -> str:
-        """`kart-eye-cnn`, or of a level of pruning `kart-eye-cnn ops-30000`."""
-        recipe = str(self.settings["recipe"])
-        return recipe if self.level in ("best", NOT_PRUNED) else f"{recipe} {self.level}"
+    def name(self) -> str:
+        """`kart-eye-cnn`, `kart-eye-cnn gru=32`, of a level of pruning `kart-eye-cnn ops-30000`."""
+        own = [text.split(".", 1)[1] for text in self._differences if text.startswith("policy.")]
+        level = [] if self.level in ("best", NOT_PRUNED) else [self.level]
+        return " ".join([str(self.settings["recipe"]), *own, *level]).replace('"', "")
+
+    @property
+    def _differences(self) -> list[str]:
+        """Settings that are not those of the recipe."""
+        return differences(self.run.config(SparseConfig))
 
     @property
     def seed(self) -> int:
@@ -100,7 +109,7 @@ class EyeMapDesign(Design):
     policies  run folders; all of the recipes of designs.toml in `runs` where none is named
     """
 
-    episodes: int = 32
+    episodes: int = 48
     policies: Sequence[str] = ()
 
     NAME = "kart-eye-map"
@@ -152,14 +161,13 @@ class EyeMapDesign(Design):
             alike = [
                 s.rate
                 for s in checkpoints
-                if (s.recipe, s.seed) == (checkpoint.recipe, checkpoint.seed)
+                if (s.name, s.seed) == (checkpoint.name, checkpoint.seed)
             ]
             for rate, quiet in self.cells:
                 # the nearest training from below is transferred
                 if checkpoint.rate == max((each for each in alike if each <= rate), default=None):
-                    name = f"{checkpoint.recipe}-s{checkpoint.seed}-{rate}-q{quiet:g}".replace(
-                        " ", "-"
-                    )
+                    words = f"{checkpoint.name}-s{checkpoint.seed}-{rate}-q{quiet:g}"
+                    name = re.sub("[^a-z0-9.]+", "-", words)
                     found.append(Part(name, partial(self._rows, checkpoint, rate, quiet, name)))
         return found
 
@@ -184,7 +192,7 @@ class EyeMapDesign(Design):
         slower = options["rate"] // checkpoint.rate
         controller = make_controller(checkpoint.policy, self.episodes, way, slower)
         about: Record = {
-            "policy": checkpoint.recipe, "seed": checkpoint.seed, "way": way,
+            "policy": checkpoint.name, "seed": checkpoint.seed, "way": way,
             "rate": options["rate"], "quiet": options["quiet"], "driven_quiet": options["quiet"],
             "trained_rate": checkpoint.rate, "span": 1 / checkpoint.rate,
         }  # fmt: skip
@@ -230,7 +238,7 @@ class EyeMapDesign(Design):
         from lab.experiments.eye_map_page import write
 
         rows = list(self.all_rows())
-        told = [{name: each for name, each in row.items() if name != "still"} for row in rows]
+        told = [{name: row.get(name) for name in COLUMNS} for row in rows]
         table = write_rows(told, COLUMNS, results / "kart-eye-map.csv")
         missing = sum(not part.is_done for part in self.parts())
         return [*write(rows, results, missing, self.limit, self.deviations()), table]

@@ -15,6 +15,7 @@ from lab.experiments.eye_costs import ACCOUNTINGS, Accounting, border, latency, 
 from lab.experiments.pages import grouped
 from lab.experiments.runner import command_line
 from lab.experiments.training import Record
+from spikedeploy.comparison.statistics import Estimate, stratified_bootstrap
 from spikedeploy.reports.plots import save
 from spikedeploy.runtime.metrics.energy_tables import STATIC
 
@@ -81,9 +82,10 @@ class Cell:
     """A cell of the map by an accounting: the cheapest of equal success of either kind.
 
     events     of the camera a second
-    others     float groups that finish as often as the best of them, but for EQUAL
-    spiking    the cheapest group that does; where none does the one that finishes most
+    spiking    the cheapest group that finishes as often as the best float one, but for EQUAL; where
+               none does the one that finishes most
     is_equal   whether it does
+    others     float groups that finish as often as `spiking`, but for EQUAL
     predicted  power of spiking over float [1], by the rule
     """
 
@@ -123,6 +125,16 @@ class Cell:
         return self.spiking.power(self.accounting) / least
 
     @property
+    def difference(self) -> Estimate:
+        """Finishes of spiking less those of the rival [1], in the same episodes."""
+        theirs = {row["seed"]: row["finishes"] for row in self.rival.rows}
+        pairs = [
+            (r["finishes"], theirs[r["seed"]]) for r in self.spiking.rows if r["seed"] in theirs
+        ]
+        rows = [np.subtract(*pair).tolist() for pair in pairs]
+        return stratified_bootstrap(rows, np.random.default_rng(0)).mean
+
+    @property
     def microwatts(self) -> tuple[float, float]:
         """Power of spiking and of float [uW]."""
         spiking, rival = (g.power(self.accounting) for g in (self.spiking, self.rival))
@@ -148,12 +160,9 @@ class Map:
         return f"{sum(found)} of {len(found)}"
 
     def borders(self, column: int) -> tuple[float, float]:
-        """Control rates [Hz] from which spiking costs less: as counted, and by the rule.
-
-        Of cells of equal success; infinity where there is none.
-        """
+        """Control rates [Hz] from which spiking costs less: as counted, and by the rule."""
         some = [(r, row[column]) for r, row in zip(self.rates, self.cells, strict=True)]
-        there = [(rate, cell) for rate, cell in some if cell is not None and cell.is_equal]
+        there = [(rate, cell) for rate, cell in some if cell is not None]
         rates = [rate for rate, _ in there]
         return (
             border(rates, [cell.ratio for _, cell in there]),
@@ -227,13 +236,13 @@ def _cell(
     if not rivals or not spiking:
         return None
     enough = max(group.finished for group in rivals) - EQUAL
-    rivals = [group for group in rivals if group.finished >= enough]
     equal = [group for group in spiking if group.finished >= enough]
     mine = (
         min(equal, key=lambda group: group.power(accounting))
         if equal
         else max(spiking, key=lambda group: group.finished)
     )
+    rivals = [group for group in rivals if group.finished >= mine.finished - EQUAL]
     events = float(np.mean([group.mean("events") * rate for group in (mine, *rivals)]))
     cell = Cell(rate, quiet, events, rivals, mine, bool(equal), accounting, 0.0)
     expected, *others = (
@@ -330,9 +339,18 @@ def _edges(centres: NDArray[Any]) -> NDArray[Any]:
 
 
 def errors(found: Map) -> list[float]:
-    """Predicted over counted ratio [1] of driven cells at other rates than the rule has."""
+    """Power by the rule over power as counted [1], ascending, of each policy by itself.
+
+    In driven cells at other rates than that whose counts the rule has.
+    """
     cells = [cell for row in found.cells[1:] for cell in row if cell is not None]
-    return [cell.predicted / cell.ratio for cell in cells if cell.is_driven]
+    return sorted(
+        _predicted(found.references, group, found.accounting, cell.rate, cell.events)
+        / group.power(found.accounting)
+        for cell in cells
+        if cell.is_driven
+        for group in (cell.spiking, *cell.others)
+    )
 
 
 def rate_text(rate: float) -> str:

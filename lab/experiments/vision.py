@@ -36,6 +36,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.policies import Policy
+from spikedeploy.trainers.policies.policy import PrunedKernel
 from spikedeploy.trainers.policies.vision import (
     FloatVisionPolicy,
     SpikingVisionPolicy,
@@ -46,6 +47,10 @@ FIRST_SEED = EVALUATION + 30_000  # of evaluations; kart-eye and its students we
 
 Counts = NDArray[np.uint8]
 Totals = dict[str, NDArray[np.float64]]
+_COUNTS_OF_FLOATS = (
+    "macs", "first_macs", "changed_macs", "conv_macs", "dense_macs", "cells", "sent", "compared",
+    "units", "first_units", "gates", "runs", "events",
+)  # fmt: skip
 BITS = 8  # of the weights of float networks, as of those of chips
 OUTCOMES = ("finish", "wrong", "crash", "forks")  # of an episode
 _RECURRENT = ("gru", "back", "out")  # synapses behind the layers of units
@@ -93,9 +98,13 @@ class CountedFloatController:
 
     totals: by name (B,)
         macs, first_macs    multiplications of weights with what is sent; those of the first layer
+        changed_macs        those of the first layer with inputs that changed since it last ran
+        conv_macs           those of the convolutions, the first one included
+        dense_macs          those of the convolutions, if no zero were skipped
         cells, sent         inputs of the first layer that are not 0; of the others what is sent
         compared            units that are compared with what they sent, in a delta network
-        units, gates, runs  units of all layers, units of the GRU, and how often it ran
+        units, first_units  units of all layers, those of the first
+        gates, runs         units of the GRU, and how often it ran
         events              of the camera
     """
 
@@ -108,12 +117,12 @@ class CountedFloatController:
         self._weights = {name: w.detach() for name, w in self._policy.weights().items()}
         self._fan_out = {n: self._policy.matrix(n).fan_out for n in self._weights}
         self._biases = {name: each.detach() for name, each in self._policy.biases.items()}
-        names = ("macs", "first_macs", "cells", "sent", "compared", "units", "gates", "runs")
-        self.totals: Totals = {name: np.zeros(karts) for name in (*names, "events")}
+        self.totals: Totals = {name: np.zeros(karts) for name in _COUNTS_OF_FLOATS}
         self._seen = np.zeros((slower, karts, policy.observations), np.uint8)  # of the last steps
         self._since = np.zeros((karts, policy.observations), np.int64)  # events since it last ran
         self._waited, self._step = np.zeros(karts), 0
         self._memory = torch.zeros(karts, policy.gru)
+        # what was sent last; of the first layer what it last saw
         self._sent = {name: torch.zeros(karts, len(f)) for name, f in self._fan_out.items()}
         self._actions = np.full(karts, policy.actions // 2)
 
@@ -172,18 +181,25 @@ class CountedFloatController:
         """Drives (n, N) of the units behind a group of synapses, from inputs (n, M)."""
         totals, is_first = self.totals, name == next(iter(self._weights))
         is_sent = x != 0
+        before = self._sent[name][rows]
         if self._way.delta is not None and not is_first:
-            before = self._sent[name][rows]
             is_sent = (x - before).abs() > self._way.delta
             self._sent[name][rows] = x = torch.where(is_sent, x, before)
             totals["compared"][rows] += x.shape[1]
-        macs = (is_sent.double() @ self._fan_out[name].double()).numpy()
+        fan_out, matrix = self._fan_out[name].double(), self._policy.matrix(name)
+        macs = (is_sent.double() @ fan_out).numpy()
         totals["macs"][rows] += macs
         totals["cells" if is_first else "sent"][rows] += is_sent.sum(1).numpy()
+        drive = matrix.drive(x, self._weights[name])
+        totals["units"][rows] += drive.shape[1]
         if is_first:
             totals["first_macs"][rows] += macs
-        drive = self._policy.matrix(name).drive(x, self._weights[name])
-        totals["units"][rows] += drive.shape[1]
+            totals["first_units"][rows] += drive.shape[1]
+            totals["changed_macs"][rows] += ((x != before).double() @ fan_out).numpy()
+            self._sent[name][rows] = x
+        if isinstance(matrix, PrunedKernel):
+            totals["conv_macs"][rows] += macs
+            totals["dense_macs"][rows] += matrix.weight[0].numel() * drive.shape[1]
         bias = self._biases[name]
         maps: Tensor = drive.view(len(drive), len(bias), -1) + bias[:, None]
         return maps.flatten(1)
@@ -293,7 +309,8 @@ def drive(
     """What evaluation episodes of kart-eye brought, and how each of them ended.
 
     Counts are means of a control step; `still` has those of steps in which nothing moved, neither
-    kart nor gate, and how many these were, and how many at gates.
+    kart nor gate, and how many these were, and how many at gates; `finishes` says of each episode
+    whether it was finished.
 
     options: of the environment
     limit: control steps of an episode, those at gates included; None for all
@@ -332,6 +349,7 @@ def drive(
         "episodes": episodes,
         "steps": steps,
         "finished": finish / episodes,
+        "finishes": [end["finish"] for end in ends],
         "right": forks / max(forks + wrong, 1),
         "crashed": crash / episodes,
         **{name: total / steps for name, total in totals.items()},

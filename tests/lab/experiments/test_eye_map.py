@@ -22,10 +22,11 @@ from lab.experiments.eye_map import MAP, EyeMapDesign
 from lab.experiments.eye_map_page import EQUAL, maps
 from lab.experiments.runner import run_experiment
 from lab.experiments.vision import drive, wait_longer
-from spikedeploy.files import as_text, write_text
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.policies import FloatVisionPolicy, SpikingVisionPolicy
 from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse.config import SparseConfig
 
 SMALL = {"channels": [2], "kernels": [3], "strides": [4], "hidden": [4], "gru": 4}
 IF = {"recurrent": False, "skip": False, "neuron": "if", "clock": "gated"}
@@ -42,8 +43,8 @@ def untrained_run(folder, recipe, seed=0, **options):
     torch.manual_seed(seed)
     run = RunFolder(folder / f"{recipe}-s{seed}-{len(list(folder.glob('*')))}")
     (run.path / "checkpoints").mkdir(parents=True)
-    about = {"recipe": recipe, "seed": seed, "env": {"name": "kart-eye", "options": options}}
-    write_text(run.path / "config.json", as_text(about))
+    made = [f"env.options.{name}={value}" for name, value in options.items()]
+    run.write_config(resolve(SparseConfig, recipe, overrides=made, seed=seed))
     run.save("best", POLICIES[recipe](), {})
     return run
 
@@ -86,7 +87,8 @@ def test_the_page_compares_each_chip_with_the_best_float_network(design, results
             best = max(row["finished"] for row in floats)
             (spiking,) = cell.spiking.rows
             as_late = max(latency(spiking)[0], 1 / cell.rate)
-            equal = [row for row in floats if row["finished"] >= best - EQUAL]
+            assert cell.is_equal == (spiking["finished"] >= best - EQUAL)
+            equal = [row for row in floats if row["finished"] >= spiking["finished"] - EQUAL]
             no_later = [row for row in equal if latency(row)[0] <= as_late]
             mine, least, cheapest = (
                 min(power(row, found.accounting) for row in rows)
@@ -148,17 +150,36 @@ def test_longer_waits_follow_from_shorter_ones():
 
 
 def counted(**changes):
-    zeros = dict.fromkeys(
-        ("macs", "first_macs", "cells", "sent", "compared", "units", "gates", "events", "sop",
-         "graded_sop", "bias_sop", "neuron_update", "one_state_update", "neuron_idle", "touched",
-         "spike_in", "spike_out", "message", "constants"), 0.0,
-    )  # fmt: skip
+    names = (
+        "macs first_macs changed_macs conv_macs dense_macs cells sent compared units first_units "
+        "gates events sop graded_sop bias_sop neuron_update one_state_update neuron_idle touched "
+        "spike_in spike_out message constants"
+    )
+    zeros = dict.fromkeys(names.split(), 0.0)
     about = {"rate": 100, "span": 0.01, "runs": 1.0, "late": [2, 3], "way": "zero-skipping"}
     return {**zeros, "spiking": False, **about, **changes}
 
 
+@pytest.mark.parametrize(
+    ("changed", "dense", "pico"),
+    [
+        (70, 1000, 100 * 1.55),  # zeros left out
+        (10, 1000, 70 * 1.55 + 2 * 2 * 2.5),  # only what changed, onto sums that are kept
+        (70, 100, 40 * 1.55 + 100 * (0.3 + 1.25 / 16)),  # all of them in an array
+    ],
+)
+def test_multiplications_are_done_by_the_cheapest_circuit(changed, dense, pico):
+    row = counted(
+        macs=100, first_macs=40, changed_macs=changed, first_units=2, conv_macs=60, dense_macs=dense
+    )
+    found = terms(row, ACCOUNTINGS["int"])["operations"]
+    assert found == pytest.approx(100e-12 * pico)
+
+
 def test_a_float_network_costs_what_its_terms_say():
-    row = counted(macs=100, cells=10, events=20, sent=7, units=3, gates=2)
+    row = counted(
+        macs=100, dense_macs=1e4, changed_macs=1e4, cells=10, events=20, sent=7, units=3, gates=2
+    )
     # [pJ] Horowitz 2014: 1.25 a byte, 0.1 an addition, 3.1 a product, 2.5 an access of 16 bits
     expected = {
         "operations": 155, "updates": 2 * (5 * 2.5 + 3 * 3.1 + 0.5), "traffic": 7 * 2.5,
@@ -221,11 +242,14 @@ def test_occupied_places_are_those_of_random_draws():
 @pytest.mark.parametrize("spiking", [False, True])
 def test_the_rule_gives_back_the_counts_that_it_starts_from(spiking):
     row = counted(
-        spiking=spiking, macs=100, first_macs=40, cells=9, events=10, sent=7, units=3, gates=2,
+        spiking=spiking, macs=100, first_macs=40, changed_macs=50, conv_macs=70, cells=9,
+        events=10, sent=7, units=3, gates=2,
         sop=80, touched=60, spike_in=5, spike_out=4, message=6, neuron_update=90,
     )  # fmt: skip
     rest = row | {"events": 4, "cells": 3.6, "sop": 40, "sent": 5, "macs": 70, "first_macs": 16}
-    names = {"events", "cells", "rate", *(("sop",) if spiking else ("macs", "first_macs", "sent"))}
+    rest |= {"changed_macs": 20, "conv_macs": 36}
+    floats = ("macs", "first_macs", "changed_macs", "conv_macs", "sent")
+    names = {"events", "cells", "rate", *(("sop",) if spiking else floats)}
     for start in (row, rest):
         again = predict(row, rest, row["rate"], start["events"] * row["rate"], row["span"])
         expected = {name: start[name] for name in names}
@@ -241,7 +265,8 @@ def test_at_a_border_that_counts_give_in_closed_form_both_cost_the_same():
     chip = counted(
         spiking=True, rate=rate, events=10, cells=10 * (1 - 1e-9), sop=1000, touched=0,
     )  # fmt: skip
-    net = counted(rate=rate, span=1e-9, events=10, cells=1e-6, first_macs=0, macs=50)
+    array = {"changed_macs": 1e4, "dense_macs": 1e4}
+    net = counted(rate=rate, span=1e-9, events=10, cells=1e-6, first_macs=0, macs=50, **array)
     by = ACCOUNTINGS["int-touched"]
     # both add up the events, the float network sees none of them: e 100 sop + cells = r 50 mac
     wanted = events * (100 * 1.35 + 7.5) / (50 * 1.55)

@@ -78,13 +78,16 @@ class PlainNetwork:
             for name, w in self.weights.items()
         }
         self.delta, self.sent = delta, {n: np.zeros(w.shape[1]) for n, w in self.weights.items()}
-        self.h, self.macs = np.zeros(policy.gru), 0
+        self.h, self.macs, self.changed = np.zeros(policy.gru), 0, 0
 
     def through(self, name, x):
         is_sent = x != 0
         if self.delta is not None and name != "conv1":
             is_sent = np.abs(x - self.sent[name]) > self.delta
             x = self.sent[name] = np.where(is_sent, x, self.sent[name])
+        if name == "conv1":
+            self.changed += np.count_nonzero(self.weights[name][:, x != self.sent[name]])
+            self.sent[name] = x
         for weight in self.weights[name]:
             for w, sent in zip(weight, is_sent, strict=True):
                 self.macs += int(w != 0 and sent)
@@ -113,6 +116,8 @@ def test_a_float_network_counts_each_weight_that_meets_what_is_sent(delta, is_pr
         expected = [each.act(seen) for each, seen in zip(plain, counts, strict=True)]
         assert controller.act(counts).tolist() == expected
     assert controller.totals["macs"].tolist() == [each.macs for each in plain]
+    assert controller.totals["changed_macs"].tolist() == [each.changed for each in plain]
+    assert controller.totals["dense_macs"].tolist() == [STEPS * 3 * 3 * 4 * 18] * KARTS
 
 
 def test_a_network_that_skips_nothing_else_is_the_policy():
