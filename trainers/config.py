@@ -221,12 +221,14 @@ class VisionConfig(_Convolutions):
 class VisionSnnConfig(_Convolutions):
     """A spiking network on binary events: convolutions, a hidden layer, leaky readouts.
 
-    most: channels of counts, of 1 and more, of 2 and more ...
+    most: largest count that is told: "lif" has a channel of 1 and more, one of 2 and more ...; "if"
+        takes counts as so many spikes
     hidden: neurons of the layer behind the convolutions
     memory: those of them whose currents decay slowly; "if" has none
     recurrent: whether these are connected with each other
     skip: whether the last convolution also reaches the readouts
-    neuron: "lif", whose spikes reset to 0, or "if", without a leak, whose spikes subtract
+    neuron: "lif", whose spikes reset to 0, or "if", for Speck: without leak, bias and recurrence,
+        several spikes a timestep, which subtract
     clock: as in DeltaSnnConfig
     """
 
@@ -242,6 +244,8 @@ class VisionSnnConfig(_Convolutions):
 
     @model_validator(mode="after")
     def _memory_is_part_of_the_hidden_layer(self) -> "VisionSnnConfig":
+        if self.neuron == "if" and self.recurrent:
+            raise ValueError("recurrent: neurons that are for Speck have no recurrence, set false")
         most = 0 if self.neuron == "if" else self.hidden
         if self.memory > most:
             raise ValueError(

@@ -25,7 +25,7 @@ is no part of what is deployed.
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, cast
 
@@ -38,10 +38,10 @@ from torch.nn.functional import avg_pool2d
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.codec.codec import Codec, Normaliser
 from spikedeploy.runtime.codec.events import EventEncoder
-from spikedeploy.runtime.convention import Convention, Reset
+from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies.delta import DT
-from spikedeploy.trainers.policies.neurons import lif, spike, surrogate
+from spikedeploy.trainers.policies.neurons import integrate_many, lif, spike, surrogate
 from spikedeploy.trainers.policies.policy import (
     Head,
     Latent,
@@ -268,13 +268,15 @@ class FloatVisionPolicy(VisionPolicy):
 class SpikingVisionPolicy(VisionPolicy):
     """Binary events into convolutions of LIF neurons, a hidden layer, and leaky readouts.
 
-    most: channels of counts: of 1 and more, of 2 and more ...
+    most: largest count that is told: "lif" has a channel of 1 and more, one of 2 and more ...; "if"
+        takes counts as so many spikes of one channel
     channels, kernels, strides: of each convolution
     hidden: neurons of the layer behind them
     memory: those of them whose currents decay slowly
     recurrent: whether they are connected with each other
     skip: whether the last convolution also reaches the readouts
-    neuron: "lif", whose spikes reset to 0, or "if", without leak and bias, whose spikes subtract
+    neuron: "lif", whose spikes reset to 0, or "if", for Speck: without leak, bias and recurrence,
+        several spikes a timestep, which subtract
     """
 
     kind = "vision-snn"
@@ -307,7 +309,7 @@ class SpikingVisionPolicy(VisionPolicy):
         self.neuron, self.clock, self.surrogate_width = neuron, clock, surrogate_width
         self.normalizer = TorchNormaliser(observations, clip)
         self.synapses = nn.ModuleDict()
-        width = self._convolutions((most * shape[0], *shape[1:]), channels, kernels, strides)
+        width = self._convolutions(self._encoded, channels, kernels, strides)
         self._dense("hidden", width, hidden)
         if recurrent:
             self._dense("back", hidden, hidden, 0.5)
@@ -320,7 +322,7 @@ class SpikingVisionPolicy(VisionPolicy):
         self.biases = nn.ParameterDict({"out": torch.zeros(actions)})
         for name in self.spiking:
             zeros = torch.zeros(self.matrix(name).weight.shape[0])
-            # what has no leak has no biases on Speck either, where events come one by one
+            # nor has Speck biases, where events come one by one
             self.biases[name] = nn.Parameter(zeros, requires_grad=neuron == "lif")
         beta, alpha = (_spread_decays(*each) for each in ((*_FAST, hidden), (*_SLOW, memory)))
         self.decays = nn.ParameterDict({"hidden": torch.logit(beta)})
@@ -343,10 +345,15 @@ class SpikingVisionPolicy(VisionPolicy):
         """Names of the layers that spike."""
         return [*(f"conv{k}" for k in range(1, len(self.channels) + 1)), "hidden"]
 
+    @property
+    def _encoded(self) -> tuple[int, int, int]:
+        """Channels, rows and columns of what the encoder sends."""
+        each = self.most if self.neuron == "lif" else 1
+        return each * self.shape[0], self.shape[1], self.shape[2]
+
     def decay(self, name: str) -> Tensor:
-        """Return decay factors, of each channel, hidden neuron or readout; 1 without a leak."""
-        found = torch.sigmoid(self.decays[name])
-        return torch.ones_like(found) if self.neuron == "if" and name in self.spiking else found
+        """Return decay factors, of each channel, hidden neuron or readout; of "lif" alone."""
+        return torch.sigmoid(self.decays[name])
 
     @property
     def current_decay(self) -> Tensor:
@@ -357,7 +364,10 @@ class SpikingVisionPolicy(VisionPolicy):
         return found
 
     def encode(self, counts: Tensor) -> Tensor:
-        """Return the events (n, most C·Y·X) of counts (n, C·Y·X), 0 or 1."""
+        """Return the events (n, most C·Y·X) of counts (n, C·Y·X), 0 or 1; of "if" (n, C·Y·X)."""
+        if self.neuron == "if":
+            sent: Tensor = self.normalizer(counts).floor().clamp(0, self.most)
+            return sent
         levels = torch.arange(1, self.most + 1, dtype=counts.dtype)[:, None]
         seen: Tensor = self.normalizer(counts).reshape(len(counts), self.shape[0], 1, -1)
         return (seen >= levels).to(self.signs.weight.dtype).flatten(1)
@@ -370,7 +380,7 @@ class SpikingVisionPolicy(VisionPolicy):
         """
         zeros = self.signs.weight.new_zeros
         sizes = [self._size(name) for name in self.spiking]
-        events = int(np.prod(self.shape)) * self.most
+        events = int(np.prod(self._encoded))
         return [
             zeros(robots, size)
             for size in (*sizes, *sizes, events, self.hidden, self.actions, SIGNS)
@@ -398,7 +408,9 @@ class SpikingVisionPolicy(VisionPolicy):
             inputs.append(arriving.flatten(0, 1))
             drive = self.matrix(name).drive(inputs[-1], weights[name]).view(length, batch, -1)
             beta, bias, before = self.decay(name), self.biases[name], sent[k]
-            if name == "hidden":
+            if self.neuron == "if":
+                rows, membranes[k] = integrate_many(drive, membranes[k])
+            elif name == "hidden":
                 rows, membranes[k], current = self._hidden_spikes(
                     drive, beta, bias, membranes[k], current, weights.get("back"), before
                 )
@@ -406,7 +418,7 @@ class SpikingVisionPolicy(VisionPolicy):
                 each = drive.shape[-1] // len(beta)  # neurons of a channel
                 drive = drive + bias.repeat_interleave(each)
                 decays = beta.repeat_interleave(each)
-                rows, membranes[k] = lif(drive, decays, membranes[k], self._reset, self._gradient)
+                rows, membranes[k] = lif(drive, decays, membranes[k], self._gradient)
             sent[k] = rows[-1]
         hidden = self._late(rows, before)
         if self.recurrent:
@@ -452,14 +464,9 @@ class SpikingVisionPolicy(VisionPolicy):
 
     def _fired(self, membrane: Tensor) -> tuple[Tensor, Tensor]:
         """Return spikes, and membranes behind their reset."""
-        # s = V > 1 ; V = (1 - s) V, or V - s
+        # s = V > 1 ; V = (1 - s) V
         sent = spike(membrane - _THRESHOLD, self._gradient)
-        kept = sent.detach()  # no gradient through the reset
-        return sent, membrane - kept if self._reset == "subtract" else membrane * (1 - kept)
-
-    @property
-    def _reset(self) -> Reset:
-        return "subtract" if self.neuron == "if" else "zero"
+        return sent, membrane * (1 - sent.detach())  # no gradient through the reset
 
     @torch.no_grad()
     def normalise(self, counts: Tensor) -> None:
@@ -490,10 +497,11 @@ def vision_artifact(
     Spiking neurons have gains of 1; `readout` is an LI, and `action` adds its constant.
     """
     precise = deepcopy(policy).double()
-    reset = policy._reset
     convention = Convention(
-        dt=dt, reset=reset, source="as trained", state="kept", clock=policy.clock
+        dt=dt, reset="zero", source="as trained", state="kept", clock=policy.clock
     )
+    if policy.neuron == "if":
+        convention = replace(convention, reset="subtract", spikes="many", floor="threshold")
     return Artifact(_graph(precise, dt), vision_codec(precise), convention, origin)
 
 
@@ -502,7 +510,12 @@ def vision_codec(policy: SpikingVisionPolicy) -> Codec:
     normalizer = policy.normalizer
     return Codec(
         Normaliser(to_array(normalizer.mean), to_array(normalizer.std), normalizer.clip),
-        EventEncoder(policy.observations, policy.shape[0], policy.most),
+        EventEncoder(
+            policy.observations,
+            policy.shape[0],
+            policy.most,
+            "counts" if policy.neuron == "if" else "channels",
+        ),
         policy.timesteps,
         "argmax" if policy.head == "discrete" else "tanh",
     )
@@ -510,7 +523,7 @@ def vision_codec(policy: SpikingVisionPolicy) -> Codec:
 
 def _graph(policy: SpikingVisionPolicy, dt: float) -> nir.NIRGraph:
     weights = {name: to_array(weight) for name, weight in policy.weights().items()}
-    source: tuple[int, ...] = (policy.most * policy.shape[0], *policy.shape[1:])
+    source: tuple[int, ...] = policy._encoded
     nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array(source)})}
     for number, name in enumerate(policy.spiking[:-1], start=1):
         kernel = cast(PrunedKernel, policy.matrix(name))
@@ -522,7 +535,10 @@ def _graph(policy: SpikingVisionPolicy, dt: float) -> nir.NIRGraph:
         source = kernel.target
     nodes["flat"] = nir.Flatten({"input": np.array(source)}, 0, -1)
     last = f"lif{len(policy.spiking)}"
-    if policy.memory:
+    if policy.neuron == "if":
+        nodes["hidden"] = nir.Linear(weights["hidden"])
+        nodes[last] = _neurons(policy, "hidden", (policy.hidden,), dt)
+    elif policy.memory:
         nodes["hidden"], nodes[last] = nir.Linear(weights["hidden"]), _hidden_neurons(policy, dt)
     else:
         nodes["hidden"] = nir.Affine(weights["hidden"], to_array(policy.biases["hidden"]))

@@ -6,6 +6,7 @@ has the logit of each action, then 1 for what the sign ahead said: nothing yet, 
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -122,13 +123,15 @@ class VisionStudent:
         pool.take_observations()
 
     def begin(self, pool: WalkPool, rng: np.random.Generator) -> None:
-        """Take over the guide's convolutions, if of one shape, and scale weights to the walks."""
-        if self.guide is not None and _seen_by(self.guide) == _seen_by(self.policy):
+        """Take over those of the guide's convolutions that fit, and scale weights to the walks."""
+        if self.guide is not None:
             with torch.no_grad():
-                for name in kernels(self.policy):
+                for name in set(kernels(self.policy)) & set(kernels(self.guide)):
                     weight, known = (p.matrix(name).weight for p in (self.policy, self.guide))
                     # a further channel of a count begins as the first does
-                    weight.copy_(known.repeat_interleave(len(weight[0]) // len(known[0]), 1))
+                    found = known.repeat_interleave(len(weight[0]) // len(known[0]), 1)
+                    if found.shape == weight.shape:
+                        weight.copy_(found)
         self.policy.normalise(self._sample(pool, rng).seen[:16].float())
 
     def _sample(self, pool: WalkPool, rng: np.random.Generator) -> Windows:
@@ -157,7 +160,7 @@ class VisionStudent:
             error = (error + compute_cross_entropy(done.mean, known.mean, 1.0)) / 2
             said = compute_cross_entropy(done.signs, known.signs, 1.0)
         some = counted.expand_as(error)
-        active = [(each != 0).float().mean(0) for each in done.inputs]
+        active = self._frequencies(done.inputs)
         pairs = zip(self._rates, active, strict=True)
         self._rates = [torch.lerp(before, rate.detach(), _SMOOTHING) for before, rate in pairs]
         total = error[some].mean() + c.sign_weight * said[some].mean()
@@ -177,7 +180,12 @@ class VisionStudent:
 
     def adopt_rates(self, activities: list[Tensor]) -> None:
         """Take over how often inputs behind the first group are not 0."""
-        self._rates[1:] = [(each != 0).float().mean(0) for each in activities]
+        self._rates[1:] = self._frequencies(activities)
+
+    def _frequencies(self, activities: list[Tensor]) -> list[Tensor]:
+        """Return spikes (M,) of inputs (n, M) in a control step, of floats how often not 0."""
+        spiking = isinstance(self.policy, SpikingVisionPolicy)
+        return [(each if spiking else (each != 0).float()).mean(0) for each in activities]
 
     def round(self, target: Chip) -> None:
         """Compute with the numbers that the chip would have now, if the configuration says so."""
@@ -230,11 +238,6 @@ def _guide(run: str, policy: VisionPolicy) -> VisionPolicy:
     return found.requires_grad_(False)
 
 
-def _seen_by(policy: VisionPolicy) -> list[Any]:
-    spec = policy.spec()
-    return [spec[name] for name in ("shape", "channels", "kernels", "strides")]
-
-
 def mirrored(windows: Windows, chosen: Tensor, policy: VisionPolicy) -> tuple[Tensor, Tensor]:
     """Return counts and labels of windows, those that are chosen (B,) as a mirror shows them."""
     seen, label = windows.seen.float(), windows.label
@@ -254,7 +257,9 @@ def mirrored(windows: Windows, chosen: Tensor, policy: VisionPolicy) -> tuple[Te
 def rounding_of_kernels(policy: SpikingVisionPolicy, target: Chip) -> dict[str, Tensor]:
     """Return what rounding of weights by the chip adds to each group of synapses, by name."""
     artifact = vision_artifact(policy)
-    exact = compile_program(artifact, chip("ideal"), limits=False)
+    # weights do not depend on how neurons spike; "ideal" knows one way alone
+    plain = replace(artifact.convention, spikes="above", floor="none")
+    exact = compile_program(replace(artifact, convention=plain), chip("ideal"), limits=False)
     rounded = compile_program(artifact, target, limits=False)
     offsets = {name: torch.zeros_like(weight) for name, weight in policy.weights().items()}
     for before, after in zip(exact.layers, rounded.layers, strict=True):

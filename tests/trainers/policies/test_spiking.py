@@ -177,8 +177,7 @@ def test_regular_spikes_are_evenly_spaced_and_begin_half_way():
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-@pytest.mark.parametrize("reset", ["zero", "subtract"])
-def test_lif_layers_with_states_are_those_of_single_timesteps(reset, compiled, monkeypatch):
+def test_lif_layers_with_states_are_those_of_single_timesteps(compiled, monkeypatch):
     if compiled and not neurons._COMPILED:
         pytest.skip("needs Numba")
     monkeypatch.setattr(neurons, "_COMPILED", compiled)
@@ -195,14 +194,38 @@ def test_lif_layers_with_states_are_those_of_single_timesteps(reset, compiled, m
     for x in drive.unbind():
         above = beta * membrane + x
         spikes = neurons.spike(above - 1, gradient)
-        kept = spikes.detach()
-        membrane = above * (1 - kept) if reset == "zero" else above - kept
+        membrane = above * (1 - spikes.detach())
         raster.append(spikes)
     wanted = torch.stack(raster)
-    found, behind = neurons.lif(drive, beta, first, reset, gradient)
+    found, behind = neurons.lif(drive, beta, first, gradient)
     assert 0.02 < found.mean() < 0.5
     assert torch.equal(found, wanted)
     assert torch.equal(behind, membrane)
     (to_drive, to_beta), (wanted_drive, wanted_beta) = backward(found), backward(wanted)
     assert torch.equal(to_drive, wanted_drive)
     torch.testing.assert_close(to_beta, wanted_beta, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_integrators_send_what_fits_and_are_differentiated_as_rectified_sums(compiled, monkeypatch):
+    if compiled and not neurons._COMPILED:
+        pytest.skip("needs Numba")
+    monkeypatch.setattr(neurons, "_COMPILED", compiled)
+    torch.manual_seed(0)
+    drive = (1.5 * torch.randn(20, 5, 33)).requires_grad_()
+    first, weight = 0.3 * torch.randn(5, 33), torch.randn(20, 5, 33)
+    membrane, raster = first, []
+    for x in drive.unbind():
+        above = membrane + x
+        # floor, with the gradient of what is rounded
+        spikes = above.relu() + (above.relu().floor() - above.relu()).detach()
+        membrane = (above - spikes).maximum(torch.tensor(-1.0))
+        raster.append(spikes)
+    wanted = torch.stack(raster)
+    found, behind = neurons.integrate_many(drive, first)
+    assert found.max() > 2
+    assert (behind == -1).any()
+    torch.testing.assert_close(found, wanted)
+    torch.testing.assert_close(behind, membrane.detach())
+    got, expected = (torch.autograd.grad((n * weight).sum(), drive)[0] for n in (found, wanted))
+    torch.testing.assert_close(got, expected)

@@ -23,7 +23,9 @@ POLICIES = [
     VisionConfig(**GRID, hidden=(6,), gru=0, traces=(0.5, 0.9)),
     VisionSnnConfig(**SMALL, hidden=9, memory=4),
     VisionSnnConfig(**SMALL, hidden=9, most=2, clock="gated", recurrent=False),
-    VisionSnnConfig(**SMALL, hidden=9, recurrent=False, skip=False, neuron="if"),
+    VisionSnnConfig(
+        **SMALL, hidden=9, recurrent=False, skip=False, most=3, clock="gated", neuron="if"
+    ),
 ]
 
 
@@ -93,21 +95,31 @@ def test_the_spiking_network_is_its_equations(recurrent, memory):
 @pytest.mark.parametrize("config", POLICIES[2:], ids=["memory", "gated", "if"])
 def test_a_file_chooses_as_the_policy_does(config):
     policy, seen = made(config), counts(3, 25, seed=4).double()
-    policy.biases["hidden"].uniform_(-0.1, 0.2)
+    if config.neuron == "lif":
+        policy.biases["hidden"].uniform_(-0.1, 0.2)
     policy.matrix("out").weight.normal_()
     window = policy.unrolled(seen, policy.weights(), policy.rest(3)).mean
-    controller = SpikingController(vision_artifact(policy), chip("ideal"), ledger="none")
+    place = chip("ideal") if config.neuron == "lif" else None  # which has no such neurons
+    controller = SpikingController(vision_artifact(policy), place, ledger="none")
     controller.reset(0)
     chosen = np.stack([controller.act_batch(row) for row in seen.numpy().swapaxes(0, 1)], 1)
     assert chosen.tolist() == window.argmax(-1).tolist()
     assert len(set(chosen.ravel())) > 2
 
 
+def test_a_policy_of_integrators_is_one_that_speck_takes_event_by_event():
+    policy = made(POLICIES[4])
+    for target in ("speck2f", "speck2f:queue=on"):
+        assert compile_program(vision_artifact(policy), chip(target)).layers
+
+
 def test_memory_is_part_of_the_hidden_layer_and_needs_a_leak():
     with pytest.raises(ValidationError, match="at most 8 can"):
         VisionSnnConfig(hidden=8, memory=9)
     with pytest.raises(ValidationError, match="at most 0 can"):
-        VisionSnnConfig(hidden=8, memory=2, neuron="if")
+        VisionSnnConfig(hidden=8, memory=2, recurrent=False, neuron="if")
+    with pytest.raises(ValidationError, match="have no recurrence"):
+        VisionSnnConfig(hidden=8, neuron="if")
 
 
 def synapses_of(kernel, activity):
