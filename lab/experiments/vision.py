@@ -280,10 +280,10 @@ def _slowed(policy: SpikingVisionPolicy, slower: int) -> SpikingVisionPolicy:
     policy, before = deepcopy(policy), policy
     for decays in policy.decays.values():
         decays.copy_(torch.logit(torch.sigmoid(decays.double()) ** (1 / slower)))
-    for name in policy.spiking:
+    for name in policy.spiking if policy.neuron == "lif" else ():
         old, new = (each.decay(name).double() for each in (before, policy))
         # as much is summed up: b' / (1 - beta') = b / (1 - beta)
-        share = torch.where(old < 1, (1 - new) / (1 - old), 1 / slower).float()
+        share = ((1 - new) / (1 - old)).float()
         policy.biases[name] *= share
         if name == "hidden" and policy.memory:  # so do currents that last
             for synapses in ("hidden", "back") if policy.recurrent else ("hidden",):

@@ -320,25 +320,29 @@ class SpikingVisionPolicy(VisionPolicy):
         # it also sees the last convolution, so that gradients reach that one directly
         self.signs = nn.Linear(hidden + width, SIGNS)
         self.biases = nn.ParameterDict({"out": torch.zeros(actions)})
+        self.decays = nn.ParameterDict()
+        if neuron == "lif":
+            self._leak(memory)
+        readout = torch.logit(torch.tensor(_READOUT))
+        self.decays["out"] = readout.repeat(actions)
+        self.decays["signs"] = torch.logit(torch.tensor(_SIGNS)).repeat(SIGNS)
+        self._gradient = surrogate("atan", surrogate_width)
+
+    def _leak(self, memory: int) -> None:
+        """Add biases and decay factors of neurons, and of the currents of some of them."""
         for name in self.spiking:
-            zeros = torch.zeros(self.matrix(name).weight.shape[0])
-            # nor has Speck biases, where events come one by one
-            self.biases[name] = nn.Parameter(zeros, requires_grad=neuron == "lif")
-        beta, alpha = (_spread_decays(*each) for each in ((*_FAST, hidden), (*_SLOW, memory)))
-        self.decays = nn.ParameterDict({"hidden": torch.logit(beta)})
+            self.biases[name] = torch.zeros(self.matrix(name).weight.shape[0])
+        beta, alpha = (_spread_decays(*each) for each in ((*_FAST, self.hidden), (*_SLOW, memory)))
+        self.decays["hidden"] = torch.logit(beta)
         if memory:
             self.decays["current"] = torch.logit(alpha)
             with torch.no_grad():
-                for name in ("hidden", "back") if recurrent else ("hidden",):
+                for name in ("hidden", "back") if self.recurrent else ("hidden",):
                     # a current that sums up steady noise is as large as one that does not
                     self.matrix(name).weight[-memory:] *= (1 - alpha**2).sqrt()[:, None]
         convolved = torch.logit(torch.tensor(_CONVOLVED))
         for name in self.spiking[:-1]:
             self.decays[name] = convolved.repeat(self.matrix(name).weight.shape[0])
-        readout = torch.logit(torch.tensor(_READOUT))
-        self.decays["out"] = readout.repeat(actions)
-        self.decays["signs"] = torch.logit(torch.tensor(_SIGNS)).repeat(SIGNS)
-        self._gradient = surrogate("atan", surrogate_width)
 
     @property
     def spiking(self) -> list[str]:
@@ -407,18 +411,20 @@ class SpikingVisionPolicy(VisionPolicy):
             arriving = self._late(rows, before)
             inputs.append(arriving.flatten(0, 1))
             drive = self.matrix(name).drive(inputs[-1], weights[name]).view(length, batch, -1)
-            beta, bias, before = self.decay(name), self.biases[name], sent[k]
+            before = sent[k]
             if self.neuron == "if":
                 rows, membranes[k] = integrate_many(drive, membranes[k])
             elif name == "hidden":
                 rows, membranes[k], current = self._hidden_spikes(
-                    drive, beta, bias, membranes[k], current, weights.get("back"), before
+                    drive, membranes[k], current, weights.get("back"), before
                 )
             else:
-                each = drive.shape[-1] // len(beta)  # neurons of a channel
-                drive = drive + bias.repeat_interleave(each)
-                decays = beta.repeat_interleave(each)
-                rows, membranes[k] = lif(drive, decays, membranes[k], self._gradient)
+                # one of each channel
+                beta, bias = (
+                    each.repeat_interleave(drive.shape[-1] // len(each))
+                    for each in (self.decay(name), self.biases[name])
+                )
+                rows, membranes[k] = lif(drive + bias, beta, membranes[k], self._gradient)
             sent[k] = rows[-1]
         hidden = self._late(rows, before)
         if self.recurrent:
@@ -445,14 +451,19 @@ class SpikingVisionPolicy(VisionPolicy):
         return torch.cat([before[None], rows[:-1]]) if self.clock == "pipelined" else rows
 
     def _hidden_spikes(
-        self, drive: Tensor, beta: Tensor, bias: Tensor, membrane: Tensor, current: Tensor,
-        back: Tensor | None, sent: Tensor,
-    ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+        self,
+        drive: Tensor,
+        membrane: Tensor,
+        current: Tensor,
+        back: Tensor | None,
+        sent: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Return spikes (L, B, H), and membranes and currents behind them.
 
         back: recurrent weights (H, H), through which spikes come back in the next timestep
         """
-        alpha, raster = self.current_decay, []
+        alpha, beta, bias = self.current_decay, self.decay("hidden"), self.biases["hidden"]
+        raster = []
         for x in drive.unbind():
             # I = alpha I + x + R s ; V = beta V + I + b
             current = alpha * current + x
@@ -527,9 +538,10 @@ def _graph(policy: SpikingVisionPolicy, dt: float) -> nir.NIRGraph:
     nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array(source)})}
     for number, name in enumerate(policy.spiking[:-1], start=1):
         kernel = cast(PrunedKernel, policy.matrix(name))
+        has_bias = policy.neuron == "lif"
+        bias = to_array(policy.biases[name]) if has_bias else np.zeros(kernel.target[0])
         nodes[name] = nir.Conv2d(
-            source[1:], weights[name], kernel.stride, kernel.padding, 1, 1,
-            to_array(policy.biases[name]),
+            source[1:], weights[name], kernel.stride, kernel.padding, 1, 1, bias,
         )  # fmt: skip
         nodes[f"lif{number}"] = _neurons(policy, name, kernel.target, dt)
         source = kernel.target

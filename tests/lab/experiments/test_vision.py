@@ -194,14 +194,12 @@ def test_a_chip_touches_the_neurons_that_a_loop_finds_and_counts_the_operations(
     assert late or controller.totals["sop"].tolist() == sops.tolist()
 
 
-@pytest.mark.parametrize("neuron", ["lif", "if"])
-def test_at_a_higher_rate_biases_and_lasting_currents_make_as_many_spikes_a_second(neuron):
+def test_at_a_higher_rate_biases_and_lasting_currents_make_as_many_spikes_a_second():
     torch.manual_seed(2)
-    memory = 3 if neuron == "lif" else 0
     policy = SpikingVisionPolicy(
-        math.prod(SHAPE), 7, SHAPE, 1, [2], [3], [2], 6, memory, False, False, neuron
+        math.prod(SHAPE), 7, SHAPE, 1, [2], [3], [2], 6, 3, False, False
     ).requires_grad_(False)
-    policy.biases["conv1"] += 0.7 if neuron == "lif" else 0.15
+    policy.biases["conv1"] += 0.7
     policy.matrix("hidden").weight.abs_().mul_(0.1)  # seldom, so that none is lost in a reset
     sent = []
     for slower in (1, 4):
