@@ -67,7 +67,12 @@ class EyeEntryDesign(Design):
 
     def trainings(self) -> list[TrainingJob]:
         """The walks, and of a seed the trainings of each network, so that early pages have all."""
-        each = [self._training(name, seed) for seed in range(self.seeds) for name in _ROWS]
+        each = [
+            self._training(name, seed)
+            for seed in range(self.seeds)
+            for name, of in _ROWS.items()
+            if seed < of.get("seeds", self.seeds)
+        ]
         return [self._walks, *each]
 
     @property

@@ -15,7 +15,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.sparse.config import SparseConfig
 
-THREE = ("linear-4x8", "cnn", "snn")
+THREE = ("linear-traces-8x16", "cnn", "snn")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -36,7 +36,7 @@ def results(design, ran):
     folder = Path(design.runs).parent / "results"
     outcome = run_experiment(design, (), 1, folder)
     assert (outcome.done, outcome.of, outcome.failed) == (5, 5, {})
-    assert ran == ["teacher", "walks", "linear-4x8-s0", "cnn-s0", "snn-s0"]
+    assert ran == ["teacher", "walks", "linear-traces-8x16-s0", "cnn-s0", "snn-s0"]
     return folder
 
 
@@ -45,10 +45,10 @@ def test_each_row_holds_its_episodes_one_by_one(results):
     assert all(len(row["right"]) == len(row["finish"]) == 2 for row in found)
     rows = {row["network"]: row for row in found if row["level"] in (None, NOT_PRUNED)}
     assert list(rows) == ["teacher", *THREE]
-    assert rows["cnn"]["updates"] == rows["linear-4x8"]["updates"] > 0
+    assert rows["cnn"]["updates"] == rows["linear-traces-8x16"]["updates"] > 0
     assert rows["cnn"]["walks"] == rows["snn"]["walks"] == 3 + 2 * 2
-    # 2 x 4 x 8 cells onto seven actions, and onto three of the second head, biases and all
-    assert rows["linear-4x8"]["weights"] == 64 * 10 + 10
+    # 2 x 8 x 16 cells and three traces of each, onto seven actions and three of the second head
+    assert rows["linear-traces-8x16"]["weights"] == 4 * 256 * 10 + 10
 
 
 def test_what_is_done_is_not_done_again_and_rows_of_elsewhere_stay(design, results, ran, tmp_path):
@@ -71,7 +71,7 @@ def test_all_networks_train_equally_hard():
     whole = eye_entry.DESIGNS["kart-eye"]["networks"]
     unlike = {"budget", "levels", "chip", "rounding"}  # behind the level that is not pruned
     first, *others = (effort(row) for row in whole.values())
-    assert len(others) == 16
+    assert len(others) == 9
     assert all(each[n] == first[n] for each in others for n in first.keys() - unlike)
 
 
@@ -105,7 +105,9 @@ def test_the_page_concludes_from_its_numbers(right, finish, words):
         wrong = [int(taken < 6) for taken in right]
         return {"right": list(right), "wrong": wrong, "finish": list(finish), "crash": [0, 0]}
 
-    found = list(verdicts({"linear-4x8": [row((6, 0), (1, 0))], "cnn": [row(right, finish)]}))
-    assert "not below: linear-4x8" in found[0]  # 6 of 7
+    found = list(
+        verdicts({"linear-traces-8x16": [row((6, 0), (1, 0))], "cnn": [row(right, finish)]})
+    )
+    assert "not below: linear-traces-8x16" in found[0]  # 6 of 7
     assert words in found[1]
     assert np.isclose(right_share([row((6, 0), (1, 0))]).mean, 6 / 7)
