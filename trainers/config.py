@@ -227,7 +227,6 @@ class VisionSnnConfig(_Convolutions):
     memory: those of them whose currents decay slowly; "if" has none
     recurrent: whether these are connected with each other
     skip: whether the last convolution also reaches the readouts
-    readouts: initial decay factors of the leaky readouts that add up to an action's logit
     neuron: "lif", whose spikes reset to 0, or "if", for Speck: without leak, bias and recurrence,
         several spikes a timestep, which subtract
     clock: as in DeltaSnnConfig
@@ -239,7 +238,6 @@ class VisionSnnConfig(_Convolutions):
     memory: Count = 0
     recurrent: bool = True
     skip: bool = True
-    readouts: tuple[Annotated[float, Field(gt=0, lt=1)], ...] = (0.7,)
     neuron: Literal["lif", "if"] = "lif"
     clock: Literal["gated", "pipelined"] = "pipelined"
     surrogate_width: Rate = 2.0

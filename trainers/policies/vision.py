@@ -56,6 +56,7 @@ SIGNS = 3  # none, left, right: of the second head
 _THRESHOLD = 1.0
 _RATE = 0.08  # initial share of timesteps in which a neuron of a spiking layer spikes
 _FAST, _SLOW = (1.0, 5.0), (10.0, 100.0)  # time constants of membranes, of currents [timesteps]
+_READOUT = 0.7  # initial decay factor of readouts
 _SIGNS = 0.9  # of those of the second head, which remembers for longer
 _CONVOLVED = 0.5  # initial decay factor of the membranes of convolutions
 
@@ -274,7 +275,6 @@ class SpikingVisionPolicy(VisionPolicy):
     memory: those of them whose currents decay slowly
     recurrent: whether they are connected with each other
     skip: whether the last convolution also reaches the readouts
-    readouts: initial decay factors of the leaky readouts that add up to an action's logit
     neuron: "lif", whose spikes reset to 0, or "if", for Speck: without leak, bias and recurrence,
         several spikes a timestep, which subtract
     """
@@ -295,7 +295,6 @@ class SpikingVisionPolicy(VisionPolicy):
         memory: int = 0,
         recurrent: bool = True,
         skip: bool = True,
-        readouts: Sequence[float] = (0.7,),
         neuron: Literal["lif", "if"] = "lif",
         clock: Literal["gated", "pipelined"] = "pipelined",
         surrogate_width: float = 2.0,
@@ -314,14 +313,9 @@ class SpikingVisionPolicy(VisionPolicy):
         self._dense("hidden", width, hidden)
         if recurrent:
             self._dense("back", hidden, hidden, 0.5)
-        self.readouts = tuple(readouts)
-        self._dense("out", hidden, len(readouts) * actions, 1.0)
-        decays = torch.tensor(readouts).repeat_interleave(actions)
-        with torch.no_grad():
-            # slower ones sum up more
-            self.matrix("out").weight.mul_((1 - decays)[:, None] / (1 - decays[0]))
+        self._dense("out", hidden, actions, 1.0)
         if skip:
-            self._dense("past", width, len(readouts) * actions, 0.0)
+            self._dense("past", width, actions, 0.0)
         self.latent_size = hidden
         # it also sees the last convolution, so that gradients reach that one directly
         self.signs = nn.Linear(hidden + width, SIGNS)
@@ -329,7 +323,8 @@ class SpikingVisionPolicy(VisionPolicy):
         self.decays = nn.ParameterDict()
         if neuron == "lif":
             self._leak(memory)
-        self.decays["out"] = torch.logit(decays)
+        readout = torch.logit(torch.tensor(_READOUT))
+        self.decays["out"] = readout.repeat(actions)
         self.decays["signs"] = torch.logit(torch.tensor(_SIGNS)).repeat(SIGNS)
         self._gradient = surrogate("atan", surrogate_width)
 
@@ -385,14 +380,14 @@ class SpikingVisionPolicy(VisionPolicy):
         """Return the state at the beginning of an episode.
 
         Membranes of each spiking layer (B, N), what each sends (B, N), the events that are under
-        way (B, M), the currents (B, H), and the readouts (B, R act) and (B, 3).
+        way (B, M), the currents (B, H), and the readouts (B, act) and (B, 3).
         """
         zeros = self.signs.weight.new_zeros
         sizes = [self._size(name) for name in self.spiking]
         events = int(np.prod(self._encoded))
         return [
             zeros(robots, size)
-            for size in (*sizes, *sizes, events, self.hidden, len(self.decays["out"]), SIGNS)
+            for size in (*sizes, *sizes, events, self.hidden, self.actions, SIGNS)
         ]
 
     def _size(self, name: str) -> int:
@@ -447,8 +442,7 @@ class SpikingVisionPolicy(VisionPolicy):
             readout, signs = gamma * readout + drive, delta * signs + other
             means.append(readout)
             said.append(signs)
-        every = torch.stack(means, 1).view(batch, length, -1, self.actions)
-        mean = every.sum(2) + self.biases["out"]
+        mean = torch.stack(means, 1) + self.biases["out"]
         behind = [*membranes, *sent, under_way, current, readout, signs]
         return Unrolled(mean, torch.stack(said, 1) + self.signs.bias, inputs, behind)
 
@@ -565,8 +559,7 @@ def _graph(policy: SpikingVisionPolicy, dt: float) -> nir.NIRGraph:
     gamma = to_array(policy.decay("out"))
     tau = dt / (1 - gamma)
     nodes["readout"] = nir.LI(tau=tau, r=tau / dt, v_leak=np.zeros(tau.size))
-    summed = np.tile(np.eye(policy.actions), len(policy.readouts))
-    nodes["action"] = nir.Affine(summed, to_array(policy.biases["out"]))
+    nodes["action"] = nir.Affine(np.eye(policy.actions), to_array(policy.biases["out"]))
     nodes["output"] = nir.Output({"output": np.array([policy.actions])})
     edges = list(pairwise(nodes))
     if policy.recurrent:
