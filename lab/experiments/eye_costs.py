@@ -128,7 +128,7 @@ def _chip(row: Record, accounting: Accounting) -> tuple[float, ...]:
     table = TABLES[accounting.chip_table or accounting.table]
     each = {name: j * accounting.scale for name, j in chip_terms(row, table).items()}
     updates, operations = each["updates"] + each["idle"], each["operations"]
-    # what is sent to a chip in timesteps is 0 or 1: counted until the control step ends
+    # what is sent to a chip in timesteps is counted until the control step ends
     histogram = row["events"] * EVENT + row["cells"] * CELL
     if accounting.updates == "touched":
         updates = row["touched"] * (table.joules["neuron_update"] + LAZY_LEAK)

@@ -123,16 +123,21 @@ class VisionStudent:
         pool.take_observations()
 
     def begin(self, pool: WalkPool, rng: np.random.Generator) -> None:
-        """Take over those of the guide's convolutions that fit, and scale weights to the walks."""
+        """Take over the guide's first convolutions that fit, and scale weights to the walks."""
         if self.guide is not None:
-            with torch.no_grad():
-                for name in set(kernels(self.policy)) & set(kernels(self.guide)):
-                    weight, known = (p.matrix(name).weight for p in (self.policy, self.guide))
-                    # a further channel of a count begins as the first does
-                    found = known.repeat_interleave(len(weight[0]) // len(known[0]), 1)
-                    if found.shape == weight.shape:
-                        weight.copy_(found)
+            self._take_over(self.guide)
         self.policy.normalise(self._sample(pool, rng).seen[:16].float())
+
+    @torch.no_grad()
+    def _take_over(self, guide: VisionPolicy) -> None:
+        for name in kernels(self.policy)[: len(kernels(guide))]:
+            weight, known = (p.matrix(name).weight for p in (self.policy, guide))
+            # a further channel of a count begins as the first does
+            times = len(weight[0]) // len(known[0]) if name == "conv1" else 1
+            found = known.repeat_interleave(times, 1)
+            if found.shape != weight.shape:
+                break
+            weight.copy_(found)
 
     def _sample(self, pool: WalkPool, rng: np.random.Generator) -> Windows:
         c = self._config
@@ -179,7 +184,7 @@ class VisionStudent:
         return sum(costs, start=torch.zeros(()))
 
     def adopt_rates(self, activities: list[Tensor]) -> None:
-        """Take over how often inputs behind the first group are not 0."""
+        """Take over the frequencies of inputs behind the first group, as of `_frequencies`."""
         self._rates[1:] = self._frequencies(activities)
 
     def _frequencies(self, activities: list[Tensor]) -> list[Tensor]:

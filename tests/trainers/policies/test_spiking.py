@@ -176,11 +176,15 @@ def test_regular_spikes_are_evenly_spaced_and_begin_half_way():
     assert spikes[:, 0, 1].tolist() == [1, 0, 1, 0, 1, 0, 1, 0]
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_lif_layers_with_states_are_those_of_single_timesteps(compiled, monkeypatch):
-    if compiled and not neurons._COMPILED:
+@pytest.fixture(params=[True, False], ids=["compiled", "torch"])
+def either_way(request, monkeypatch):
+    if request.param and not neurons._COMPILED:
         pytest.skip("needs Numba")
-    monkeypatch.setattr(neurons, "_COMPILED", compiled)
+    monkeypatch.setattr(neurons, "_COMPILED", request.param)
+
+
+@pytest.mark.usefixtures("either_way")
+def test_lif_layers_with_states_are_those_of_single_timesteps():
     torch.manual_seed(0)
     gradient = neurons.surrogate("atan", 2.0)
     drive = (0.7 * torch.randn(20, 5, 33)).requires_grad_()
@@ -206,11 +210,8 @@ def test_lif_layers_with_states_are_those_of_single_timesteps(compiled, monkeypa
     torch.testing.assert_close(to_beta, wanted_beta, rtol=1e-5, atol=1e-5)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_integrators_send_what_fits_and_are_differentiated_as_rectified_sums(compiled, monkeypatch):
-    if compiled and not neurons._COMPILED:
-        pytest.skip("needs Numba")
-    monkeypatch.setattr(neurons, "_COMPILED", compiled)
+@pytest.mark.usefixtures("either_way")
+def test_integrators_send_what_fits_and_are_differentiated_as_rectified_sums():
     torch.manual_seed(0)
     drive = (1.5 * torch.randn(20, 5, 33)).requires_grad_()
     first, weight = 0.3 * torch.randn(5, 33), torch.randn(20, 5, 33)
