@@ -232,9 +232,12 @@ class WalkPool:
         self.event_rate = torch.from_numpy(spikes / self.steps).float()
         self.mean_move = moves / self.steps
 
-    def take_observations(self) -> None:
-        """Let windows hold the raw observations in `seen`, and nothing in `moved`."""
-        self._take_labels()
+    def take_observations(self, others: Sequence[Single] = ()) -> None:
+        """Let windows hold the raw observations in `seen`, and nothing in `moved`.
+
+        others: (S, act) further labels of each walk, which stand behind its own
+        """
+        self._take_labels(others)
         first = torch.from_numpy(self.walks[0].observation)
         shape = len(self.walks), int(self._length.max()), first.shape[1]
         self._seen = torch.zeros(shape, dtype=first.dtype)
@@ -242,9 +245,11 @@ class WalkPool:
             self._seen[k, : len(walk.label)] = torch.from_numpy(walk.observation)
         self._moved = self._seen[..., :0]
 
-    def _take_labels(self) -> None:
+    def _take_labels(self, others: Sequence[Single] = ()) -> None:
         """Take over lengths (W,) and labels (W, S, act), the last of each walk repeated."""
         labels = [walk.label for walk in self.walks]
+        if others:
+            labels = [np.concatenate(both, 1) for both in zip(labels, others, strict=True)]
         self._length = np.array([len(each) for each in labels])
         missing = self._length.max() - self._length
         pairs = zip(labels, missing, strict=True)

@@ -31,6 +31,7 @@ from spikedeploy.trainers.sparse.pool import (
     Earned,
     Episodes,
     Label,
+    Single,
     Walk,
     WalkPool,
     Windows,
@@ -114,13 +115,16 @@ class VisionStudent:
     def __init__(self, policy: VisionPolicy, config: SparseConfig) -> None:
         self.policy, self._config = policy, config
         self.guide = _guide(config.guide, policy) if config.guide else None
+        self._guided: list[Single] = []  # labels of the guide, walk by walk
         self.offsets: Mapping[str, Tensor] = {}
         widths = [policy.inputs(name) for name in policy.synapses]
         self._rates = [torch.full((width,), 0.1) for width in widths]
 
     def prepare(self, pool: WalkPool) -> None:
-        """Let windows hold counts as they are."""
-        pool.take_observations()
+        """Let windows hold counts as they are, and what the guide says of them as labels."""
+        if self.guide is not None:
+            self._guided += [said_by(self.guide, w) for w in pool.walks[len(self._guided) :]]
+        pool.take_observations(self._guided)
 
     def begin(self, pool: WalkPool, rng: np.random.Generator) -> None:
         """Take over the guide's first convolutions that fit, and scale weights to the walks."""
@@ -148,9 +152,9 @@ class VisionStudent:
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Return the error of windows, and the operations in a control step, with a gradient."""
         c, windows = self._config, self._sample(pool, rng)
-        seen, label = mirrored(windows, torch.from_numpy(rng.random(c.batch) < 0.5), self.policy)
+        seen, labels = mirrored(windows, torch.from_numpy(rng.random(c.batch) < 0.5), self.policy)
         done = self.policy.unrolled(seen, self.weights(), self.policy.rest(c.batch))
-        wanted, hint = label[..., :-SIGNS], label[..., -SIGNS:].argmax(-1)
+        wanted, hint = labels[..., 0, :-SIGNS], labels[..., 0, -SIGNS:].argmax(-1)
         # what the burn-in saw counts where an episode begins
         counted = torch.arange(c.window)[None] >= c.burn_in
         error = compute_cross_entropy(done.mean, wanted, c.sharpness)
@@ -160,10 +164,9 @@ class VisionStudent:
                 torch.tensor([_UNKNOWN, 1.0, 1.0]), reduction="none",
             ).view_as(error)  # fmt: skip
         else:
-            with torch.no_grad():
-                known = self.guide.unrolled(seen, self.guide.weights(), self.guide.rest(c.batch))
-            error = (error + compute_cross_entropy(done.mean, known.mean, 1.0)) / 2
-            said = compute_cross_entropy(done.signs, known.signs, 1.0)
+            known = labels[..., 1, :]
+            error = (error + compute_cross_entropy(done.mean, known[..., :-SIGNS], 1.0)) / 2
+            said = compute_cross_entropy(done.signs, known[..., -SIGNS:], 1.0)
         some = counted.expand_as(error)
         active = self._frequencies(done.inputs)
         pairs = zip(self._rates, active, strict=True)
@@ -243,15 +246,26 @@ def _guide(run: str, policy: VisionPolicy) -> VisionPolicy:
     return found.requires_grad_(False)
 
 
+@torch.no_grad()
+def said_by(guide: VisionPolicy, walk: Walk) -> Single:
+    """Return logits (S, act + 3) of a float policy through a walk: of actions, then of signs."""
+    counts = torch.from_numpy(walk.observation)[None].float()
+    done = guide.unrolled(counts, guide.weights(), guide.rest(1))
+    found: Single = torch.cat([done.mean, done.signs], -1)[0].numpy()
+    return found
+
+
 def mirrored(windows: Windows, chosen: Tensor, policy: VisionPolicy) -> tuple[Tensor, Tensor]:
-    """Return counts and labels of windows, those that are chosen (B,) as a mirror shows them."""
-    seen, label = windows.seen.float(), windows.label
+    """Return counts and labels (W, L, k, act + 3), those that are chosen (B,) as a mirror shows.
+
+    k: labels of a control step, of the teacher and of a guide
+    """
+    seen = windows.seen.float()
+    label = windows.label.view(*seen.shape[:2], -1, policy.actions + SIGNS).clone()
     maps = seen[chosen].view(-1, seen.shape[1], *policy.shape)
     seen[chosen] = maps.flip(-1).flatten(-3)
     actions, signs = label[chosen][..., :-SIGNS], label[chosen][..., -SIGNS:]
-    other = torch.cat([actions.flip(-1), signs[..., [0, 2, 1]]], -1)
-    label = label.clone()
-    label[chosen] = other
+    label[chosen] = torch.cat([actions.flip(-1), signs[..., [0, 2, 1]]], -1)
     return seen, label
 
 

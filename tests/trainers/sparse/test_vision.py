@@ -81,6 +81,19 @@ def pool_of_counts():
     return pool
 
 
+def test_labels_of_a_guide_are_its_outputs_through_the_whole_walk(guide):
+    config = resolve(SparseConfig, "smoke-eye-snn", overrides=[f"guide={guide}"])
+    student = VisionStudent(from_config(config.policy, 1024, 7, head="discrete"), config)
+    pool = pool_of_counts()
+    student.prepare(pool)
+    label = pool.windows(np.array([0]), np.array([5]), 20).label[0]
+    state, said = student.guide.rest(1), []
+    for counts in torch.from_numpy(pool.walks[0].observation[:25]).float():
+        said.append(student.guide.advance(counts[None], state)[0][0])
+    assert label.shape == (20, 20)
+    torch.testing.assert_close(label[:, 10:17], torch.stack(said)[5:].detach())
+
+
 def test_a_guide_with_other_kernels_lends_none(guide):
     settings = [f"guide={guide}", "policy.channels=[4, 3]"]
     config = resolve(SparseConfig, "smoke-eye-snn", overrides=settings)
@@ -112,7 +125,7 @@ def test_a_mirrored_window_is_that_of_the_other_arm():
     counts, labels = mirrored(windows, torch.tensor([False, True]), policy)
     assert counts[0].tolist() == seen[0].tolist()
     assert counts[1, 0].tolist() == [14, 13, 12, 17, 16, 15, 20, 19, 18, 23, 22, 21]
-    assert labels[:, 0].tolist() == [
+    assert labels[:, 0, 0].tolist() == [
         [0, 1, 2, 3, 4, 5, 6, 0, 1, 0],
         [6, 5, 4, 3, 2, 1, 0, 0, 0, 1],
     ]
