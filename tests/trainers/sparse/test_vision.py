@@ -87,9 +87,8 @@ def test_labels_of_a_guide_are_its_outputs_through_the_whole_walk(guide):
     pool = pool_of_counts()
     student.prepare(pool)
     label = pool.windows(np.array([0]), np.array([5]), 20).label[0]
-    state, said = student.guide.rest(1), []
-    for counts in torch.from_numpy(pool.walks[0].observation[:25]).float():
-        said.append(student.guide.advance(counts[None], state)[0][0])
+    state, seen = student.guide.rest(1), torch.from_numpy(pool.walks[0].observation[:25]).float()
+    said = [student.guide.advance(counts[None], state)[0][0] for counts in seen]
     assert label.shape == (20, 20)
     torch.testing.assert_close(label[:, 10:17], torch.stack(said)[5:].detach())
 
