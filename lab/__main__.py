@@ -17,6 +17,7 @@ COMMANDS = {
     "drift": "lab.experiments.drift",
     "energy-ratio": "lab.experiments.energy_ratio",
     "eye-events": "lab.experiments.eye_events",
+    "eye-trainings": "lab.experiments.eye_trainings",
     "kart-trainings": "lab.experiments.kart_trainings",
     "phase-table": "lab.experiments.phase_table",
     "convolutions": "lab.bench.convolutions",

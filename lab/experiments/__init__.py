@@ -16,6 +16,7 @@ gymnasium    sparse policies on the field's own tasks
 lineup       shipped policies trained again with other seeds
 eye_map      where spiking costs less, by control rate and quiet; vision, eye_costs, eye_map_page
 eye_entry    kart-eye's entry test: what drives without convolutions, and what does with them
+eye_trainings  what its trainings left, as archives; the files of such in archives
 
 Other tables of results/ have a script each:
 

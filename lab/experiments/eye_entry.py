@@ -11,7 +11,7 @@ the table.
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -88,7 +88,9 @@ class EyeEntryDesign(Design):
         if "guide" in of:
             parents["guide"] = self._training(of["guide"], seed)
         name = f"{network}-s{seed}"
-        return TrainingJob(name, of["recipe"], seed, self.runs, every, parents, telling=every)
+        job = TrainingJob(name, of["recipe"], seed, self.runs, every, parents)
+        # the walks are a run of one of the recipes too, and differ in their rounds
+        return replace(job, telling=(*every, f"dense_rounds={job.planned().dense_rounds}"))
 
     def check(self, results: Path) -> None:
         """Refuse unknown settings, and a table that the rows cannot stand in."""

@@ -1,0 +1,106 @@
+"""Archives of files that trainings left: the same files make the same archive; unpacked with care.
+
+python -m lab kart-trainings pack --runs runs/experiment-kart
+python -m lab eye-trainings unpack --runs runs/kart-eye
+"""
+
+import argparse
+import re
+import sys
+import zlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile, ZipInfo
+
+from spikedeploy.files import replacing
+
+RESULTS = Path(__file__).resolve().parents[2] / "results"
+_DATE = (2026, 1, 1, 0, 0, 0)  # of every member, so that the same files make the same archive
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Files of an experiment's trainings that are kept.
+
+    folder  of the archives
+    name    of a member: a path below the folder of run folders
+    most    size of a member [bytes]
+    last    endings of the files that make a training count as complete; they are written last
+    """
+
+    folder: Path
+    name: re.Pattern[str]
+    most: int
+    last: tuple[str, ...]
+
+    def write(self, runs: Path, folder: Path, files: Mapping[str, Sequence[Path]]) -> list[Path]:
+        """Write archives, files by the name of each; return them, those without files left out.
+
+        Raises ValueError where an archive holds files that `runs` lacks; then none is written.
+        """
+        written = {folder / f"{name}.zip": sorted(found) for name, found in files.items() if found}
+        for archive, found in written.items():
+            _check_kept(archive, {file.relative_to(runs).as_posix() for file in found})
+        for archive, found in written.items():
+            with replacing(archive) as part, ZipFile(part, "w") as zipped:
+                for file in found:
+                    member = ZipInfo(file.relative_to(runs).as_posix(), _DATE)
+                    zipped.writestr(member, file.read_bytes(), ZIP_DEFLATED, compresslevel=9)
+        return list(written)
+
+    def unpack(self, archive: Path, runs: Path) -> int:
+        """Write the archive's files where there are none; return the number of those written.
+
+        Raises BadZipFile where a member is no file of a training.
+        """
+        with ZipFile(archive) as zipped:
+            content = {m.filename: self._read(zipped, m) for m in zipped.infolist()}
+        missing = [name for name in content if not (runs / name).exists()]
+        for name in sorted(missing, key=lambda name: name.endswith(self.last)):
+            with replacing(runs / name) as part:
+                part.write_bytes(content[name])
+        return len(missing)
+
+    def _read(self, zipped: ZipFile, member: ZipInfo) -> bytes:
+        """The content of a member; BadZipFile where it is no file of a training, or too large."""
+        if not self.name.fullmatch(member.filename) or member.file_size > self.most:
+            raise BadZipFile(f"{zipped.filename}: {member.filename!r} is no file of a training")
+        return zipped.read(member)
+
+    def command(self, about: str, pack: Callable[[Path, Path], Iterable[Path]]) -> int:
+        """Pack or unpack, as the arguments say; return the exit code."""
+        parser = argparse.ArgumentParser(description=about)
+        parser.add_argument("what", choices=["pack", "unpack"])
+        parser.add_argument("--runs", type=Path, required=True, help="folder of the run folders")
+        parser.add_argument("--archives", type=Path, default=self.folder, help="of the archives")
+        options = parser.parse_args()
+        try:
+            print(self._run(options, pack))
+        except (OSError, ValueError, RuntimeError, BadZipFile, zlib.error) as error:
+            sys.exit(f"error: {error}")
+        return 0
+
+    def _run(
+        self, options: argparse.Namespace, pack: Callable[[Path, Path], Iterable[Path]]
+    ) -> str:
+        if options.what == "pack":
+            written = list(pack(options.runs, options.archives))
+            if not written:
+                raise ValueError(f"{options.runs} has no complete training or evaluation")
+            return f"{len(written)} archives in {options.archives}"
+        found = sorted(options.archives.glob("*.zip"))
+        if not found:
+            raise ValueError(f"{options.archives} has no archives")
+        count = sum(self.unpack(each, options.runs) for each in found)
+        return f"{count} files written into {options.runs}"
+
+
+def _check_kept(archive: Path, names: set[str]) -> None:
+    """Refuse to write an archive anew without what it holds: it was not trained again."""
+    if not archive.is_file():
+        return
+    with ZipFile(archive) as zipped:
+        lost = set(zipped.namelist()) - names
+    if lost:
+        raise ValueError(f"{archive} holds {min(lost)}, which --runs lacks: unpack it there first")

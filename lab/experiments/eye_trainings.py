@@ -1,0 +1,90 @@
+"""Archives of what the trainings of kart-eye left, from which others and the map go on.
+
+    python -m lab eye-trainings pack --runs runs/kart-eye
+    python -m lab eye-trainings unpack --runs runs/kart-eye
+    python -m lab eye-trainings walks --runs runs/kart-eye
+
+`pack` writes an archive for each training that ended: settings, versions, metrics, and the policy
+of each level of pruning, without optimisers and walks; and one with all evaluations. After
+`unpack`, `python -m lab experiment kart-eye` trains what is missing, for which it needs the walks
+that all trainings begin with: `walks` plays them again, and takes them if they are the same to the
+bit.
+"""
+
+import re
+import shutil
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from lab.experiments.archives import RESULTS, Kept
+from lab.experiments.eye_entry import EyeEntryDesign
+from lab.experiments.training import TrainingJob, counters
+from spikedeploy.files import replacing
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.run_folder import LEVEL, file_sha256
+
+_RUN = ("config.json", "versions.json", "metrics.csv", "checkpoints/last.json")
+_NAME = re.compile(
+    rf"kart-eye-[\w-]+/({'|'.join(map(re.escape, _RUN))}"
+    rf"|checkpoints/{LEVEL}[\w+]+\.(json|safetensors))"
+    r"|evaluations/([\w.+-]+/)?[\w.+-]+\.json"
+)
+# a training counts as complete by its counters, which must not come before the rest
+KEPT = Kept(RESULTS / "kart-eye" / "trainings", _NAME, 16 << 20, ("last.json",))
+
+
+def pack(runs: Path, archives: Path) -> list[Path]:
+    """Write the archives of everything that is complete; return them.
+
+    Raises ValueError where an archive holds files that `runs` lacks; then none is written.
+    """
+    files = {"evaluations": [*(runs / "evaluations").rglob("*.json")]}
+    for training in EyeEntryDesign(runs=str(runs)).trainings():
+        if training.is_trained:
+            files[training.name] = list(_files(training))
+    return KEPT.write(runs, archives, files)
+
+
+def _files(training: TrainingJob) -> Iterable[Path]:
+    run = training.existing_run
+    yield from (run / name for name in _RUN if (run / name).is_file())
+    yield from run.glob(f"checkpoints/{LEVEL}*")
+
+
+def replay_walks(runs: Path) -> int:
+    """Play the common walks again into the run folder that lacks them; return how many files.
+
+    Raises ConfigError where they are not those that the run recorded, to the bit.
+    """
+    walks = EyeEntryDesign(runs=str(runs)).trainings()[0]
+    run = walks.existing_run
+    sums = counters(run)["pool_sha256"]
+    with TemporaryDirectory(dir=runs) as folder:
+        again = EyeEntryDesign(runs=folder).trainings()[0]
+        if not again.complete():
+            raise ConfigError("interrupted: nothing was written")
+        made = sorted((again.existing_run / "pool").iterdir())
+        if [file_sha256(file) for file in made] != sums:
+            raise ConfigError(
+                f"the walks are not those that {run} recorded, as they depend on the versions in "
+                "its versions.json: install these, or train all again in another folder"
+            )
+        for file in made:
+            (run / "pool").mkdir(exist_ok=True)
+            with replacing(run / "pool" / file.name) as part:
+                shutil.copyfile(file, part)
+    return len(made)
+
+
+def main() -> int:
+    """Pack, unpack, or play walks again, as the arguments say."""
+    about = str(__doc__).split("\n", 1)[0]
+    if sys.argv[1:2] == ["walks"] and sys.argv[2:3] == ["--runs"] and len(sys.argv) == 4:
+        try:
+            print(f"{replay_walks(Path(sys.argv[3]))} files of walks in {sys.argv[3]}")
+        except ConfigError as error:
+            sys.exit(f"error: {error}")
+        return 0
+    return KEPT.command(about, pack)
