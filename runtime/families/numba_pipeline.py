@@ -150,12 +150,10 @@ def describe(window: Window | None, tables: list[Numbers]) -> list[int]:
 class NumbaPipeline(ABC):
     """A program as a Backend, in memory for windows of T timesteps of B.
 
-    states: of a neuron; its membrane is the last.
-    state_type: of them.
+    states_of_neuron: its membrane is the last.
     """
 
     states_of_neuron: ClassVar[int]
-    state_type: ClassVar[DTypeLike]
 
     def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
         self.schedule = schedule
@@ -177,7 +175,7 @@ class NumbaPipeline(ABC):
             rasters=np.zeros((batch, spikes), np.uint8),
             lists=np.zeros((batch, spikes), np.int32),
             lengths=np.zeros((batch, lengths), np.int64),
-            states=aligned_zeros((batch, states), self.state_type),
+            states=aligned_zeros((batch, states), self.state_type(known)),
             refractory=np.zeros((batch, int(self._layers[:, SIZE].sum())), np.int64),
             counts=np.zeros((batch, len(self._layers), len(EVENTS)), np.int64),
             narrow=narrow,
@@ -206,6 +204,11 @@ class NumbaPipeline(ABC):
         delays: rows by which each synapse of each layer delivers late.
         windows: whether what runs are windows, in which biases may start late, or single timesteps.
         """
+
+    @staticmethod
+    @abstractmethod
+    def state_type(constants: Any) -> DTypeLike:  # noqa: ANN401
+        """Number type of the states."""
 
     @staticmethod
     @abstractmethod

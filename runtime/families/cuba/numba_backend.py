@@ -80,13 +80,17 @@ class CubaPipeline(NumbaPipeline):
     """CuBa-LIF layers with integers as a Backend."""
 
     states_of_neuron: ClassVar[int] = 2
-    state_type: ClassVar[DTypeLike] = np.float64
     kernel = staticmethod(run)
 
     @staticmethod
     def constants(program: Program, delays: Delays, windows: bool) -> Constants:
         """All that does not change while the program runs."""
         return constants(program, cast("CubaFixedPoint", program.chip.arithmetic), delays, windows)
+
+    @staticmethod
+    def state_type(constants: Any) -> DTypeLike:  # noqa: ANN401
+        """Number type of currents and membranes."""
+        return np.float64
 
     @staticmethod
     def sum_types(constants: Any) -> tuple[DTypeLike, DTypeLike]:  # noqa: ANN401

@@ -31,6 +31,7 @@ from spikedeploy.runtime.families.numba_pipeline import (
 )
 
 _EXACT_INT16 = (1 << 15) - 1
+_NARROW_BITS = 31  # of a membrane that int32 holds, with what the host may read of it
 
 
 @lru_cache(maxsize=8)
@@ -39,7 +40,11 @@ def constants(
 ) -> Constants:
     """As NumbaPipeline.constants; shared by the machines of a program."""
     layers = program.layers
-    rows = [(bool((a.bias + a.voltage_bias).any()), bool(a.voltage_bias.any())) for a in layers]
+    numbers_of = [_numbers(rules, program.convention, a) for a in layers]
+    rows = [
+        (bool((a.bias + a.voltage_bias).any()), bool(a.voltage_bias.any()), _are_alike(each))
+        for a, each in zip(layers, numbers_of, strict=True)
+    ]
     weight_type = np.int16 if largest_weight(layers) <= _EXACT_INT16 else np.int64
     lowest, highest = edges(rules.membrane) or (0, 0)
     subtract = program.convention.reset == "subtract"
@@ -64,8 +69,38 @@ def constants(
             program, delays, windows, IntegrateAndFirePipeline.states_of_neuron, rows, weight_type
         ),
         rules=np.array(numbers, np.int64),
-        neurons=np.concatenate([_numbers(rules, program.convention, a) for a in layers], axis=1),
+        neurons=_narrowed(np.concatenate(numbers_of, axis=1), program, rules),
     )
+
+
+def _narrowed(numbers: Integers, program: Program, rules: IntegrateAndFireRules) -> Integers:
+    """The numbers of neurons in the type that membranes and sums get, int32 where all fit in it.
+
+    Numba adds integers in int64 whatever their types are; large layers take half the memory.
+    """
+    edge = np.iinfo(np.int32)
+    most = max(map(_most_arriving, program.layers)) * max(
+        program.chip.input_spikes_max, rules.spikes_max
+    )
+    bounded = rules.membrane.overflow not in ("none", "wrap-once") or rules.membrane.between
+    if not bounded or rules.membrane.bits > _NARROW_BITS or most > edge.max:
+        return numbers
+    floorless = np.maximum(numbers, edge.min)  # a floor that is none may be lower
+    return floorless.astype(np.int32) if floorless.max(initial=0) <= edge.max else numbers
+
+
+def _most_arriving(layer: Layer) -> int:
+    """Largest sum of magnitudes that one spike of each source brings a neuron, biases included."""
+    total = np.abs(layer.bias.astype(np.int64)) + np.abs(layer.voltage_bias.astype(np.int64))
+    for synapses in layer.synapses:
+        total = total + synapses.over_axons(np.abs(synapses.weight.astype(np.int64)), np.add)
+    return int(total.max(initial=0))
+
+
+def _are_alike(numbers: Integers) -> bool:
+    """Return whether the neurons of a layer have one threshold and one floor."""
+    neurons = Neurons(*numbers)
+    return bool(np.ptp(neurons.fires) == 0 and np.ptp(neurons.floor) == 0)
 
 
 def _numbers(rules: IntegrateAndFireRules, convention: Convention, layer: Layer) -> Integers:
@@ -85,7 +120,6 @@ class IntegrateAndFirePipeline(NumbaPipeline):
     """Integrate-and-fire layers as a Backend, in timesteps."""
 
     states_of_neuron: ClassVar[int] = 1
-    state_type: ClassVar[DTypeLike] = np.int64
     kernel = staticmethod(run)
 
     @staticmethod
@@ -95,9 +129,14 @@ class IntegrateAndFirePipeline(NumbaPipeline):
         return constants(program, rules, delays, windows)
 
     @staticmethod
+    def state_type(constants: Any) -> DTypeLike:  # noqa: ANN401
+        """Number type of membranes, that of the neurons' own numbers."""
+        return cast(DTypeLike, constants.neurons.dtype)
+
+    @staticmethod
     def sum_types(constants: Any) -> tuple[DTypeLike, DTypeLike]:  # noqa: ANN401
         """Number types of the narrow sums, which it does not use, and of the wide."""
-        return np.int64, np.int64
+        return constants.neurons.dtype, constants.neurons.dtype
 
     @staticmethod
     def obstacle(program: Program) -> str | None:

@@ -51,8 +51,8 @@ Array = Any  # the compiler sees the types
 Number = Any
 
 # columns of Constants.layers behind those of all families: whether its biases are an event, while
-# the bias axon spikes and while it does not
-HEARD_BIAS, UNHEARD_BIAS = range(len(LAYER), len(LAYER) + 2)
+# the bias axon spikes and while it does not; whether its neurons have one threshold and floor
+HEARD_BIAS, UNHEARD_BIAS, ALIKE = range(len(LAYER), len(LAYER) + 3)
 # entries of Constants.rules, as in IntegrateAndFireRules; of spikes AT_ONCE where the threshold is
 # looked at once; a register holds LOWEST to HIGHEST
 (
@@ -174,10 +174,9 @@ def _timestep(constants: Array, memory: Array, call: Array, layer: int, row: int
         )
     else:
         sum_weights(constants, memory, memory.wide, about, row, call, True)
-        lost = _add_sums(rules, neurons, about[UNHEARD_BIAS], arrived, before, after)
-    if not rules[CHECKS_EVENTS]:
-        for n in range(size):
-            spikes[n] = after[n] >= neurons.fires[n]
+        lost = _add_sums(rules, neurons, about, arrived, before, after, spikes)
+    if rules[BY_EVENT] and not rules[CHECKS_EVENTS]:
+        _fire(neurons, after, spikes)
     list_spikes(own, memory, row)
     if not rules[CHECKS_EVENTS]:
         fired, _ = sent(own, memory, row)
@@ -193,12 +192,17 @@ def _timestep(constants: Array, memory: Array, call: Array, layer: int, row: int
 
 @jit
 def _add_sums(
-    rules: Array, neurons: Array, pushes: Number, sums: Array, before: Array, after: Array
+    rules: Array,
+    neurons: Array,
+    about: Array,
+    sums: Array,
+    before: Array,
+    after: Array,
+    spikes: Array,
 ) -> Number:
     """A timestep up to its spikes where all that arrives is one sum; how many did not fit.
 
-    pushes: whether there are biases on the membrane.
-    sums: (N,) of what arrives; those biases are added.
+    sums: (N,) of what arrives; biases on the membrane are added.
     """
     size, lost, leaks = len(sums), 0, rules[LEAK] != NONE
     lowest, highest = rules[LOWEST], rules[HIGHEST]
@@ -206,9 +210,20 @@ def _add_sums(
     if rules[RESETS_LATE] or (leaks and not rules[LEAKS_LAST]):
         start = after
         _begin(rules, neurons, before, after)
-    if pushes:
+    if about[UNHEARD_BIAS]:
         for n in range(size):
             sums[n] += neurons.push[n]
+    if about[ALIKE] and rules[OVERFLOW] < WRAP and not rules[LEAKS_LAST]:
+        # one pass over memory, of which large layers are a matter
+        floor, fires = neurons.floor[0], neurons.fires[0]
+        for n in range(size):
+            raised = start[n] + sums[n]
+            held = min(max(raised, lowest), highest)
+            lost += held != raised
+            kept = max(held, floor)
+            after[n] = kept
+            spikes[n] = kept >= fires
+        return lost
     if rules[OVERFLOW] < WRAP:
         for n in range(size):
             raised = start[n] + sums[n]
@@ -223,7 +238,15 @@ def _add_sums(
             after[n] = max(held, neurons.floor[n])
     if rules[LEAKS_LAST]:
         _leak_all(rules, neurons, after, after)
+    _fire(neurons, after, spikes)
     return lost
+
+
+@jit
+def _fire(neurons: Array, membranes: Array, spikes: Array) -> None:
+    """Spikes (N,) of membranes that are high enough, one each."""
+    for n in range(len(membranes)):
+        spikes[n] = membranes[n] >= neurons.fires[n]
 
 
 @jit
