@@ -1,9 +1,8 @@
 """A stand-in for a core in simulation: the interpreter behind the interface of hardware."""
 
-from types import SimpleNamespace
-
 import numpy as np
 
+from spikedeploy.emulation.rtl_backend import Answer
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 
 
@@ -35,6 +34,4 @@ class EmulatedHardware:
             first = part.stop
             if layer.name in self.program.to_host:
                 outputs[layer.name] = (spikes if layer.spiking else membrane)[part]
-        return SimpleNamespace(
-            outputs=outputs, current=current, membrane=membrane, spikes=spikes, clocks=100
-        )
+        return Answer(outputs, current, membrane, spikes, clocks=100)

@@ -26,7 +26,8 @@ from spikedeploy.runtime.errors import ConfigError
 Integers = NDArray[np.int64]
 
 
-class Answer(Protocol):
+@dataclass(frozen=True, eq=False)
+class Answer:
     """A timestep of hardware with a probe.
 
     outputs: (N,) of each layer that the host listens to, by name: membranes of a layer without a
@@ -35,16 +36,11 @@ class Answer(Protocol):
     clocks: that the timestep took.
     """
 
-    @property
-    def outputs(self) -> Mapping[str, Integers]: ...
-    @property
-    def current(self) -> Integers: ...
-    @property
-    def membrane(self) -> Integers: ...
-    @property
-    def spikes(self) -> Integers: ...
-    @property
-    def clocks(self) -> int: ...
+    outputs: Mapping[str, Integers]
+    current: Integers
+    membrane: Integers
+    spikes: Integers
+    clocks: int
 
 
 class Hardware(Protocol):
