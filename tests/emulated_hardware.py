@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from spikedeploy.emulation.rtl_backend import Answer
+from spikedeploy.exporters.verilog.simulation import Timestep
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 
 
@@ -34,4 +34,4 @@ class EmulatedHardware:
             first = part.stop
             if layer.name in self.program.to_host:
                 outputs[layer.name] = (spikes if layer.spiking else membrane)[part]
-        return Answer(outputs, current, membrane, spikes, clocks=100)
+        return Timestep(100, outputs, current, membrane, spikes)

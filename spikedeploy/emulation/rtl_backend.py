@@ -5,13 +5,14 @@ it the emulated chip gets the same input spikes, and counts events for the ledge
 membrane and spike of both is compared in every timestep.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.exporters.verilog.simulation import Timestep
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import (
     Backend,
@@ -26,31 +27,14 @@ from spikedeploy.runtime.errors import ConfigError
 Integers = NDArray[np.int64]
 
 
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """A timestep of hardware with a probe.
-
-    outputs: (N,) of each layer that the host listens to, by name: membranes of a layer without a
-        threshold [state units], 0 or 1 of one with spikes.
-    current, membrane, spikes: (N,) of all neurons, layer after layer as in the program.
-    clocks: that the timestep took.
-    """
-
-    outputs: Mapping[str, Integers]
-    current: Integers
-    membrane: Integers
-    spikes: Integers
-    clocks: int
-
-
 class Hardware(Protocol):
     """A core that runs one program."""
 
     def reset(self) -> None:
         """Forget every current, membrane and spike."""
 
-    def step(self, axons: Integers) -> Answer:
-        """One timestep in which these axons of the input spike."""
+    def step(self, axons: Iterable[int]) -> Timestep:
+        """One timestep, with its states, in which these axons of the input spike."""
 
 
 @dataclass
@@ -142,7 +126,7 @@ class RtlBackend:
             for k in range(layer.size)
         ]
         self._lag = program.readout.lag if program.readout else 0
-        self._answers: Sequence[Answer] = ()
+        self._answers: Sequence[Timestep] = ()
         self.reset()
 
     @staticmethod
@@ -187,7 +171,7 @@ class RtlBackend:
         wanted = np.concatenate([each[0].astype(np.int64) for each in columns], axis=1)
         order = [layer.name for layer in program.layers if layer.name in program.to_host]
         for t, answer in enumerate(self._answers):
-            out = [answer.outputs[name] for name in order]
+            out = [answer.values[name] for name in order]
             found = np.concatenate([answer.current, answer.membrane, answer.spikes, *out])
             self._comparison.add(self._names, found.astype(np.int64), wanted[t], answer.clocks)
 
@@ -216,7 +200,7 @@ class RtlBackend:
         return self._left(layer).astype(np.uint8)
 
     def _left(self, layer: str) -> Integers:
-        return np.stack([answer.outputs[layer] for answer in self._answers])[:, None]
+        return np.stack([answer.values[layer] for answer in self._answers])[:, None]
 
     def states(self) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
         """Current and membrane (1, N) of each layer after the last timestep."""
