@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.exporters.c.plan import LayerPlan, Plan
-from spikedeploy.exporters.verilog.refusals import check_program, check_rows
+from spikedeploy.exporters.verilog.refusals import check_image, check_program
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.program import Program
@@ -436,7 +436,8 @@ def core_image(program: Program, codec: Codec | None = None) -> CoreImage:
     """
     check_program(program)
     image = CoreImage(Plan(program, codec))
-    check_rows(image)
+    check_image(image)
+    _ = image.localparams, image.neuron_words  # what cannot be is refused here, and not later
     return image
 
 

@@ -17,5 +17,5 @@ def check_program(program: Program) -> None:
         raise RuleError(f"--to verilog: rule arithmetic: {chip}")
 
 
-def check_rows(image: "CoreImage") -> None:
+def check_image(image: "CoreImage") -> None:
     """Refuse what is too large."""

@@ -1,9 +1,9 @@
 """A compiled program as files of Verilog: the core, its parameters and its memories."""
 
-from collections.abc import Mapping, Sequence
 from importlib.resources import files
 
 from spikedeploy.exporters.verilog.image import CoreImage
+from spikedeploy.exporters.verilog.text import hex_text
 
 CORE, PARAMETERS, SIMULATION = "policy_core.v", "policy_params.vh", "sim_main.cpp"
 
@@ -39,14 +39,3 @@ def parameters_text(image: CoreImage, origin: str) -> str:
         else:
             lines.append(f"localparam {name} = {value};")
     return "\n".join(lines) + "\n"
-
-
-def hex_text(words: Sequence[int], bits: int) -> str:
-    """The contents of a memory for $readmemh."""
-    digits = -(-bits // 4)
-    return "".join(f"{word:0{digits}x}\n" for word in words)
-
-
-def by_name(image: CoreImage) -> Mapping[str, int]:
-    """Words of each layer that the host listens to."""
-    return {output.layer: output.words for output in image.outputs}
