@@ -114,9 +114,12 @@ class Link:
         """Begin an episode: all states are forgotten."""
         self.exchange([NEW_EPISODE])
 
-    def infer(self, timesteps: Iterable[Sequence[int]]) -> list[list[int]]:
-        """The words of each timestep, of the input axons that spike in it."""
-        tokens, found = [], []
+    def infer(self, timesteps: Iterable[Sequence[int]], forget: bool = False) -> list[list[int]]:
+        """The words of each timestep, of the input axons that spike in it.
+
+        forget: whether all states are forgotten before.
+        """
+        tokens, found = [NEW_EPISODE] * forget, []
         for axons in timesteps:
             tokens += [*axons, END_OF_TIMESTEP]
         for part in self._parts(tokens):

@@ -1,0 +1,157 @@
+"""Resources that a core takes on a board, predicted before synthesis: cells and memories.
+
+Memories follow the rules by which Yosys maps them, and are exact. Cells are a sum of terms of the
+widths of registers; their factors are a fit to builds, which tests compare with others.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from spikedeploy.exporters.verilog.boards import Board, Device
+from spikedeploy.exporters.verilog.image import CoreImage
+from spikedeploy.runtime.errors import RuleError
+
+# words x bits of a block RAM
+_SHAPES = {
+    "ice40": ((256, 16), (512, 8), (1024, 4), (2048, 2)),
+    "ecp5": ((512, 36), (1024, 18), (2048, 9), (4096, 4), (8192, 2), (16384, 1)),
+}
+# Yosys makes logic of constants where that costs less: a bit costs 1/16, a block RAM so much
+_BLOCK_COST = {"ice40": 64, "ecp5": 128}
+_CONSTANT_COST = 1 / 16
+_LARGE_WORDS, _LARGE_BITS = 16384, 16  # of the single-port RAM of the UltraPlus
+
+
+@dataclass(frozen=True)
+class Memory:
+    """A memory of the design.
+
+    name: as the Verilog calls it.
+    words: W; bits: of each.
+    constant: whether nothing is written to it.
+    """
+
+    name: str
+    words: int
+    bits: int
+    constant: bool
+
+    def blocks(self, device: Device) -> int:
+        """Block RAMs that it takes; 0 where it becomes logic."""
+        shapes = _SHAPES[device.family]
+        count = min(-(-self.words // words) * -(-self.bits // bits) for words, bits in shapes)
+        cost = self.words * self.bits * (_CONSTANT_COST if self.constant else 1)
+        return 0 if cost <= count * _BLOCK_COST[device.family] else count
+
+    @property
+    def large(self) -> int:
+        """Large RAMs that it takes."""
+        return -(-self.words // _LARGE_WORDS) * -(-self.bits // _LARGE_BITS)
+
+
+def memories_of(image: CoreImage, buffer_bits: int) -> tuple[Memory, ...]:
+    """The memories of the core and its link; buffer_bits: of an address of the link's buffer."""
+    rows = image.rows
+    return (
+        Memory("axon_memory", image.axons, rows.entry_bits, True),
+        Memory("synapse_memory", len(rows.words), rows.bits, True),
+        Memory("neuron_memory", image.neurons, image.neuron_word_bits, True),
+        Memory("sum_memory", image.slots << image.neuron_bits, image.sum_bits, False),
+        Memory("state_memory", 2 << image.neuron_bits, image.state_bits + image.rest_bits, False),
+        Memory("buffer", 1 << buffer_bits, 16, False),
+    )
+
+
+@dataclass(frozen=True)
+class Use:
+    """What a design takes of an FPGA.
+
+    board: with the FPGA.
+    cells, block_rams, large_rams, multipliers: of it.
+    states_in_large_ram: whether the states are there, as block RAM is short.
+    """
+
+    board: Board
+    cells: int
+    block_rams: int
+    large_rams: int
+    multipliers: int
+    states_in_large_ram: bool
+
+    def rows(self) -> Iterator[tuple[str, int, int]]:
+        """What there is, how many the design takes, and how many the FPGA has."""
+        device = self.board.device
+        yield "cells", self.cells, device.cells
+        yield f"block RAMs of {device.block_bits} bits", self.block_rams, device.block_rams
+        if device.large_rams:
+            yield "large RAMs", self.large_rams, device.large_rams
+        yield "multipliers", self.multipliers, device.multipliers
+
+    @property
+    def full(self) -> tuple[str, ...]:
+        """What the FPGA has too few of."""
+        return tuple(name for name, taken, there in self.rows() if taken > there)
+
+    @property
+    def fits(self) -> bool:
+        """True if the FPGA has enough of all."""
+        return not self.full
+
+    def check(self) -> None:
+        """Refuse a design that does not fit; RuleError."""
+        for name, taken, there in self.rows():
+            if taken > there:
+                raise RuleError(
+                    f"rule {'cells' if name == 'cells' else 'memory'}: the policy takes about "
+                    f"{taken:,} {name}; the {self.board.device.title} of {self.board.title} has "
+                    f"{there:,}. Choose a larger board, or a policy with fewer synapses; a policy "
+                    "that fits no board needs memory outside the FPGA, which the core does not use."
+                )
+
+    def lines(self) -> tuple[str, ...]:
+        """The same for a terminal."""
+        return tuple(
+            f"{name:<26} {taken:>7,} of {there:,}"
+            + (f" ({taken / there:.0%})" if there else "")
+            + (", too few" if taken > there else "")
+            for name, taken, there in self.rows()
+            if taken or there
+        )
+
+    def record(self) -> dict[str, Any]:
+        """The same as data."""
+        return {
+            "cells": self.cells,
+            "block_rams": self.block_rams,
+            "large_rams": self.large_rams,
+            "multipliers": self.multipliers,
+            "fits": self.fits,
+        }
+
+
+def predict(image: CoreImage, board: Board, buffer_bits: int = 8) -> Use:
+    """What a core with its link takes on a board.
+
+    buffer_bits: of an address of the link's buffer.
+    """
+    device = board.device
+    blocks = {each: each.blocks(device) for each in memories_of(image, buffer_bits)}
+    states = next(each for each in blocks if each.name == "state_memory")
+    # block RAM is filled first: it takes fewer clocks to be cleared, and every board has it
+    move = sum(blocks.values()) > device.block_rams and 0 < states.large <= device.large_rams
+    logic = [each for each, count in blocks.items() if not count]
+    return Use(
+        board,
+        cells=round(_cells(image, device, logic)),
+        block_rams=sum(blocks.values()) - move * blocks[states],
+        large_rams=move * states.large,
+        multipliers=0,
+        states_in_large_ram=move,
+    )
+
+
+def _cells(image: CoreImage, device: Device, logic: list[Memory]) -> float:
+    """Cells of a core with its link; logic: memories that become cells."""
+    terms: Mapping[str, float] = {"constant": 1.0}
+    return 920.0
