@@ -1,7 +1,6 @@
 """A folder that `export --to verilog` wrote: its record, how it is written, and its simulation."""
 
 import hashlib
-import shutil
 import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -13,16 +12,18 @@ from spikedeploy import zoo
 from spikedeploy.console import say
 from spikedeploy.errors import ConfigError
 from spikedeploy.exporters.c.packaging import MAKEFILE, write_texts
+from spikedeploy.exporters.verilog.board_files import MARK
 from spikedeploy.exporters.verilog.image import core_image
 from spikedeploy.exporters.verilog.simulation import PROGRAM, RtlProcess, image_process
+from spikedeploy.exporters.verilog.tools import make_variables, require_tool
 from spikedeploy.files import as_text, read_json
 from spikedeploy.outputs import has_text
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 
-MARK = "exported by spikedeploy as Verilog"
 RECORD = "export.json"
+COSTS = "costs.json"  # to which make adds what it built
 _REMEDY = "export the policy again"
 # what makes another program of a core, where Verilog makes another core, which is compared anyway
 _OF_THE_PROGRAM = (".hex", ".vh")
@@ -54,7 +55,11 @@ class VerilogFolder:
 
     def changed(self) -> tuple[str, ...]:
         """Names of files that are there, and not as they were written."""
-        there = {name: self.folder / name for name in self.files if (self.folder / name).is_file()}
+        there = {
+            name: path
+            for name in self.files
+            if name != COSTS and (path := self.folder / name).is_file()
+        }
         return tuple(name for name, path in there.items() if _sum(path) != self.files[name])
 
     def missing(self) -> tuple[str, ...]:
@@ -106,13 +111,13 @@ def read_folder(folder: Path) -> VerilogFolder:
             f"{RECORD} with its mark"
         )
     found = read_json(folder / RECORD, _REMEDY)
-    names, files = ("policy", "sha256", "chip", "board"), found.get("files")
-    texts = [found.get(name) for name in names]
-    if not isinstance(files, dict) or not all(isinstance(each, str) for each in texts):
+    files = found.get("files")
+    texts = {name: found.get(name) for name in ("policy", "sha256", "chip", "board")}
+    if not isinstance(files, dict) or not all(isinstance(each, str) for each in texts.values()):
         raise ConfigError(f"{folder / RECORD} is damaged, fields are missing: {_REMEDY}")
     if not all(_is_inside(name) and isinstance(value, str) for name, value in files.items()):
         raise ConfigError(f"{folder / RECORD} is damaged, it names files elsewhere: {_REMEDY}")
-    return VerilogFolder(folder, *map(str, texts), files)
+    return VerilogFolder(folder, files=files, **{name: str(text) for name, text in texts.items()})
 
 
 def _is_inside(name: str) -> bool:
@@ -153,12 +158,11 @@ def build_simulation(found: VerilogFolder) -> Path:
 
     Raises ConfigError with what make said where it cannot be built.
     """
-    if shutil.which("make") is None:
-        raise ConfigError("--via builds a simulation with make: apt-get install make")
+    make = require_tool("make")
     target = found.folder / PROGRAM
     if not target.exists():
         say(f"building {target} with Verilator")
-    words = ["make", "-s", "-C", str(found.folder), "-f", MAKEFILE, PROGRAM]
+    words = [make, "-s", "-C", str(found.folder), "-f", MAKEFILE, *make_variables(), PROGRAM]
     done = subprocess.run(words, capture_output=True, text=True, errors="replace", check=False)
     if done.returncode or not target.is_file():
         lines = [line.strip() for line in (done.stderr or done.stdout).splitlines() if line.strip()]

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from spikedeploy import files, zoo
+from spikedeploy.exporters.verilog import tools
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.shipping import verilog_folder
 from spikedeploy.shipping.verilog_folder import (
     MARK,
     RECORD,
@@ -159,7 +159,7 @@ def test_a_simulation_that_cannot_be_built_is_a_sentence(tmp_path, monkeypatch):
     export = written(tmp_path, texts)
     with pytest.raises(ConfigError, match=r"cannot be built: Verilator is missing$"):
         build_simulation(export)
-    monkeypatch.setattr(verilog_folder.shutil, "which", lambda name: None)
+    monkeypatch.setattr(tools, "find_tool", lambda name: None)
     with pytest.raises(ConfigError, match="apt-get install make"):
         build_simulation(export)
 
