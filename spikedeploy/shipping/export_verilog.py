@@ -119,11 +119,11 @@ def export_verilog(
     events = raster.reshape(len(raster), -1).sum(axis=1)
     lines = (
         *use.lines,
-        f"input events           {events.mean():,.1f} of a control step, at most {events.max():,}",
-        f"clocks                 {clocks.mean():,.0f} of a control step, at most "
-        f"{clocks.max():,} of {len(clocks)}; {1e6 * clocks.max() / on.clock_hz:,.0f} µs on "
-        f"{on.title}, and the UART",
-        f"of {source}",
+        f"{'input events':<26} {events.mean():>7,.1f}, at most {events.max():,}",
+        f"{'clocks':<26} {clocks.mean():>7,.0f}, at most {clocks.max():,} in {len(clocks)} control "
+        f"steps: {1e6 * clocks.max() / on.clock_hz:,.0f} µs at {on.clock_hz / 1e6:g} MHz, and the "
+        "UART",
+        f"of a control step, means of {source}",
         *made.program.remarks,
         f"wrote {folder}: {len(texts) + 1} files for {on.title}",
         f"build it: make -C {folder} lint sim netlist bit bitcheck",
