@@ -145,6 +145,6 @@ def board(name: str) -> Board:
     boards = _tables()[1]
     if name not in boards:
         near = get_close_matches(name, boards, n=1)
-        hint = f"; did you mean {near[0]!r}" if near else ""
-        raise ConfigError(f"--board: there is no board {name!r}{hint}. Known: {', '.join(boards)}.")
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        raise ConfigError(f"--board: there is no board {name!r}.{hint} Known: {', '.join(boards)}.")
     return boards[name]

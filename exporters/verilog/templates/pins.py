@@ -35,7 +35,7 @@ class PinsPort:
         self.noise, self.bit_times, self.clocks = noise, bit_times, 0
         self._symbols: Symbols = []
         self._process = subprocess.Popen(
-            [program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
+            [program.resolve()], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
         )
 
     def write(self, data: bytes, /) -> int:
