@@ -35,11 +35,11 @@ from spikedeploy.exporters.verilog.simulation import PROGRAM, image_process
 from spikedeploy.exporters.verilog.tools import make_variables, missing_tools
 from spikedeploy.files import read_json, write_json, write_text
 from spikedeploy.make_env import make_env
-from spikedeploy.reports.table import markdown_text
+from spikedeploy.reports.table import ABSENT, markdown_text
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.shipping.export_verilog import export_verilog, program_for
+from spikedeploy.shipping.export_verilog import export_verilog, program_for, use_of_board
 from spikedeploy.shipping.sources import episode_of, named_env
 
 Row = dict[str, Any]
@@ -188,25 +188,27 @@ def row_lengths(image: CoreImage) -> NDArray[np.int64]:
 
 
 def build(name: str, board_name: str) -> Row:
-    """Cells, memories and frequencies of a policy on a board; why not, where it does not fit."""
+    """Cells, memories and frequencies of a policy on a board, as predicted and as built.
+
+    predicted, built: as in costs.json; the second is missing where it does not fit, or no tool is
+        there.
+    """
+    use = use_of_board(file_of(name), None, board_name)
+    if not use.fits:
+        return {"predicted": use.record}
     family = board(board_name).device.family
     needed = ("yosys", f"nextpnr-{family}", "icepack" if family == "ice40" else "ecppack")
     if missing := missing_tools(*needed):
-        say(f"{name} on {board_name} is left out: {', '.join(missing)} is not installed")
-        return {}
+        say(f"{name} on {board_name} is not built: {', '.join(missing)} is not installed")
+        return {"predicted": use.record}
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)
-        try:
-            export_verilog(name, None, board_name, folder, 2)
-        except (ConfigError, RuleError) as error:
-            return {"refused": str(error)}
+        export_verilog(name, None, board_name, folder, 2)
         words = ["make", "-s", "-C", text, *make_variables(), "bit", "seeds"]
         done = subprocess.run(words, capture_output=True, text=True, check=False)
-        found = read_json(folder / "costs.json")
         if done.returncode:
-            lines = [line for line in done.stderr.splitlines() if "ERROR" in line]
-            found["failed"] = lines[0] if lines else done.stderr[-300:]
-        return found
+            raise ConfigError(f"{name} on {board_name} cannot be built: {done.stderr[-300:]}")
+        return read_json(folder / "costs.json")
 
 
 def put(text: str, place: str, table: str) -> str:
@@ -222,7 +224,7 @@ def tables(found: Mapping[str, Mapping[str, Row]]) -> dict[str, str]:
     driven = {name: row for name, row in found["drive"].items() if "refused" not in row}
     return {
         "drive": _table(_DRIVE, driven),
-        "build": "",
+        "build": _build_table(found["build"]),
         "latency": _table(_LATENCY, driven),
     }
 
@@ -274,3 +276,33 @@ _LATENCY: Columns = {
 def _table(columns: Columns, rows: Mapping[str, Row]) -> str:
     cells = [[name, *(of(row) for of in columns.values())] for name, row in rows.items()]
     return markdown_text([["policy", *columns], *cells])
+
+
+_BUILD = ("policy", "board", "cells", "predicted", "block RAMs", "large RAMs", "MHz, of five seeds")
+
+
+def _build_table(rows: Mapping[str, Row]) -> str:
+    """What each policy takes on each board; in bold what is too little."""
+    lines = []
+    for name, row in rows.items():
+        policy, board_name = name.split()
+        device, built = board(board_name).device, row.get("built", [])
+        taken = {**row["predicted"], **(built[0] if built else {})}
+        speeds = [each["mhz"] for each in built]
+        lines.append(
+            (
+                policy,
+                board_name,
+                _share(taken["cells"], device.cells) if built else ABSENT,
+                f"{row['predicted']['cells']:,}",
+                _share(taken["block_rams"], device.block_rams),
+                _share(taken["large_rams"], device.large_rams) if device.large_rams else ABSENT,
+                f"{min(speeds):.1f} to {max(speeds):.1f}" if built else ABSENT,
+            )
+        )
+    return markdown_text([_BUILD, *lines])
+
+
+def _share(taken: int, there: int) -> str:
+    text = f"{taken:,} of {there:,}"
+    return f"**{text}**" if taken > there else text
