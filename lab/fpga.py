@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from spikedeploy import zoo
 from spikedeploy.comparison.evaluation import run_policy
-from spikedeploy.comparison.hardware import driver
 from spikedeploy.console import say
 from spikedeploy.errors import ConfigError
 from spikedeploy.exporters.verilog.boards import board, board_names
@@ -40,6 +39,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.export_verilog import export_verilog, program_for, use_of_board
+from spikedeploy.shipping.hardware_run import driver
 from spikedeploy.shipping.sources import episode_of, named_env
 
 Row = dict[str, Any]

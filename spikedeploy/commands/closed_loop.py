@@ -27,9 +27,9 @@ from spikedeploy.errors import ConfigError
 
 if TYPE_CHECKING:
     from spikedeploy.comparison.comparison import Comparison
-    from spikedeploy.comparison.hardware import Driver
     from spikedeploy.realtime.paced_loop import PacedLoop
     from spikedeploy.shipping.cards import Settings
+    from spikedeploy.shipping.hardware_run import Driver
     from spikedeploy.shipping.reproduce import Reproduction
 
 # of which the numbers of an evaluation depend most
@@ -170,7 +170,7 @@ def _hardware(via: Path | None, policy: str) -> "AbstractContextManager[Driver |
     """The hardware of --via; None where there is none."""
     if via is None:
         return nullcontext()
-    from spikedeploy.comparison.hardware import driver
+    from spikedeploy.shipping.hardware_run import driver
 
     return driver(via, policy)
 

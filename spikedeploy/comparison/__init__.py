@@ -5,7 +5,6 @@ A comparison becomes rows of plain data (`Comparison.as_json`), which `reports` 
 lineup       which policies play, on which chip, and what each is measured against
 evaluation   every entry on every seed, in parallel; or one policy alone
 episodes     one episode as a job: played, measured, compared with those of its references
-hardware     episodes that a core in simulation drove, beside the emulated chip
 comparison   the rows: returns, agreement, costs, energies, metrics
 metrics      numbers of an episode from its step infos: speed, falls, lap time ...
 statistics   bootstrap and Wilson intervals, interquartile mean, paired differences
