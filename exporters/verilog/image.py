@@ -12,6 +12,7 @@ from spikedeploy.exporters.verilog.refusals import check_image, check_program
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
 
 Integers = NDArray[np.int64]
 
@@ -224,12 +225,24 @@ class CoreImage:
     @property
     def rules_shift(self) -> int:
         """Bits by which weights are shifted to meet the states."""
-        return int(self.plan.rules.mantissa_shift)  # type: ignore[union-attr]
+        return self._rules.mantissa_shift
+
+    @property
+    def _rules(self) -> CubaFixedPoint:
+        """The arithmetic of the chip."""
+        rules = self.plan.rules
+        if not isinstance(rules, CubaFixedPoint):
+            raise TypeError(type(rules).__name__)
+        return rules
 
     @cached_property
     def state_bits(self) -> int:
         """Bits of a current and of a membrane."""
         return signed_bits(self._magnitude("current", "membrane"))
+
+    def membrane_bits(self, layer: str) -> int:
+        """Bits of a membrane of a layer."""
+        return signed_bits(self.plan.magnitudes[layer].held["membrane"])
 
     @cached_property
     def value_bits(self) -> int:
@@ -250,12 +263,12 @@ class CoreImage:
 
     @property
     def _refractory(self) -> int:
-        return int(self.plan.rules.refractory)  # type: ignore[union-attr]
+        return self._rules.refractory
 
     @cached_property
     def fields(self) -> Mapping[str, Field]:
         """Numbers of the neurons, by name, as they are stored."""
-        per_layer = {name: [] for name in _FIELDS}  # type: dict[str, list[int | None]]
+        per_layer: dict[str, list[int | None]] = {name: [] for name in _FIELDS}
         heard = {output.layer for output in self.outputs}
         axon = self.axons
         for layer in self.plan.layers:
@@ -278,9 +291,9 @@ class CoreImage:
         }
         found, at = {}, self.layer_bits
         for name, values in per_layer.items():
-            each = self._place(Field(bits.get(name, 1), tuple(values)), at)
-            found[name] = each
-            at += each.bits * (each.at >= 0)
+            field = self._place(Field(bits.get(name, 1), tuple(values)), at)
+            found[name] = field
+            at += field.bits * (field.at >= 0)
         return found
 
     def _fields_of(
@@ -321,7 +334,7 @@ class CoreImage:
     @property
     def decay_bits(self) -> int:
         """A decay is a fraction of 2**this."""
-        return int(self.plan.rules.decay_bits)  # type: ignore[union-attr]
+        return self._rules.decay_bits
 
     @cached_property
     def neuron_word_bits(self) -> int:
@@ -355,7 +368,7 @@ class CoreImage:
         names = ("accumulator", "current", "push", "membrane")
         found = {}
         for name in names:
-            register: Register = getattr(self.plan.rules, name)
+            register: Register = getattr(self._rules, name)
             changes = name in self.plan.held
             found[name] = register if changes else Register(register.bits, "none")
         return found
@@ -367,14 +380,16 @@ class CoreImage:
         rows, slot_bits = self.rows, unsigned_bits(self.slots - 1)
         found: dict[str, int | tuple[int, int]] = {
             "AXONS": self.axons,
+            "AXON_COUNT": (self.axons, 16),
             "AXON_BITS": unsigned_bits(self.axons - 1),
             "NEURONS": self.neurons,
             "NEURON_BITS": self.neuron_bits,
+            "LAST_NEURON": (self.neurons - 1, self.neuron_bits),
             "LAYERS": len(self.program.layers),
             "LAYER_BITS": self.layer_bits,
             "NEURON_WORD_BITS": self.neuron_word_bits,
             "SLOT_BITS": slot_bits,
-            "SLOT_MASK": self.slots - 1,
+            "SLOT_MASK": (self.slots - 1, slot_bits),
             "SUMS": self.slots << self.neuron_bits,
             "SYNAPSES": len(rows.words),
             "SYNAPSE_ADDRESS_BITS": rows.address_bits,
@@ -390,15 +405,16 @@ class CoreImage:
             "ADDER_BITS": self.adder_bits,
             "DECAY_BITS": self.decay_bits,
             "COUNT_BITS": unsigned_bits(self.decay_bits - 1),
+            "LAST_BIT": (self.decay_bits - 1, unsigned_bits(self.decay_bits - 1)),
             "DECAY_FIELD": self.fields["CURRENT_DECAY"].bits,
             "VOLTAGE_BIAS_FIELD": self.fields["VOLTAGE_BIAS"].bits,
             "THRESHOLD_FIELD": self.fields["THRESHOLD"].bits,
-            "REFRACTORY": self._refractory,
+            "RESTS": (self._refractory - 1, max(1, self.rest_bits)),
             "REST_BITS": self.rest_bits,
             "STATE_WORD_BITS": self.state_bits + self.rest_bits,
             "RESET_SUBTRACTS": int(self.program.convention.reset == "subtract"),
             "HEARS_SPIKES": int(any(not output.silent for output in self.outputs)),
-            "LAST_HEARD": self.last_heard,
+            "LAST_HEARD": (self.last_heard, self.neuron_bits),
         }
         for name, register in self.registers.items():
             low, high = register.between or (0, 0)
@@ -410,9 +426,10 @@ class CoreImage:
             }
         shifts = [(layer.unit.bit_length() - 1) + self.rules_shift for layer in self.plan.layers]
         found["SHIFT_OF"] = _packed(shifts, 8)
+        none = [0] * len(self.program.layers)
         for name, each in self.fields.items():
             found[f"{name}_AT"] = each.at
-            found[f"{name}_OF"] = _packed(each.of_layer or [0] * len(self.program.layers), each.bits)
+            found[f"{name}_OF"] = _packed(each.of_layer or none, each.bits)
         return found
 
 
@@ -435,6 +452,7 @@ def core_image(program: Program, codec: Codec | None = None) -> CoreImage:
     codec: says how many timesteps an inference has, which bounds states that are reset.
     """
     check_program(program)
+    program = program.listed("the core of an FPGA")
     image = CoreImage(Plan(program, codec))
     check_image(image)
     _ = image.localparams, image.neuron_words  # what cannot be is refused here, and not later
@@ -456,7 +474,7 @@ def _store_rows(rows: Sequence[Sequence[tuple[int, int]]], gaps: tuple[int, int]
     gaps: the target that each row begins with, and bits of the largest distance.
     """
     weights = [weight for row in rows for _, weight in row]
-    weight_bits = max(2, (max([~min(weights, default=0), max(weights, default=0), 1])).bit_length() + 1)
+    weight_bits = signed_bits(max([1, *weights, *(~weight for weight in weights)]))
     start, widest = gaps
     gap_bits = min(widest, _WORD - 1 - weight_bits)
     if gap_bits < _NARROWEST_GAP:
@@ -482,9 +500,7 @@ def _store_rows(rows: Sequence[Sequence[tuple[int, int]]], gaps: tuple[int, int]
     return Rows(tuple(words), gap_bits, weight_bits, tuple(starts), fillers)
 
 
-def _with_gaps(
-    row: Sequence[tuple[int, int]], start: int, most: int
-) -> list[tuple[int, int]]:
+def _with_gaps(row: Sequence[tuple[int, int]], start: int, most: int) -> list[tuple[int, int]]:
     """Distance to the synapse before, and weight of each; fillers where distances are too wide."""
     found, at = [], start
     for target, weight in row:

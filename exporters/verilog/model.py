@@ -1,7 +1,7 @@
-"""The core in Python: the same memories, the same integers, clock for clock; no simulator needed.
+"""The core in Python: the same memories and integers, clock for clock; without a simulator.
 
-It reads the words of the memories and the parameters, as policy_core.v does, and nothing else of the
-program: what it computes is what the hardware is asked to compute.
+It reads the words of the memories and the parameters, as policy_core.v does, and nothing else of
+the program: what it computes is what the hardware is asked to compute.
 """
 
 from collections.abc import Iterable, Sequence
@@ -123,7 +123,7 @@ class CoreModel:
                 membrane -= threshold
             elif spiked or resting:
                 membrane = 0
-            rest = self["REFRACTORY"] - 1 if spiked else max(self.rests[neuron] - 1, 0)
+            rest = self["RESTS"] if spiked else max(self.rests[neuron] - 1, 0)
             self.rests[neuron] = rest
         self.sums[self._slot][neuron] = self._signed_field("BIAS", neuron, self["SUM_BITS"])
         self.currents[neuron], self.membranes[neuron] = current, membrane

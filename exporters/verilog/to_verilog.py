@@ -10,7 +10,7 @@ CORE, PARAMETERS, SIMULATION = "policy_core.v", "policy_params.vh", "sim_main.cp
 
 def template(name: str) -> str:
     """The text of a file in templates/."""
-    return files(__package__).joinpath("templates", name).read_text(encoding="ascii")
+    return files(__package__).joinpath(f"templates/{name}").read_text(encoding="ascii")
 
 
 def core_files(image: CoreImage, origin: str) -> dict[str, str]:

@@ -81,7 +81,7 @@ module policy_core #(
   reg [SLOT_BITS+NEURON_BITS-1:0] sum_address;  // of the accumulator that it is added to
   reg adding;  // that accumulator has been read
 
-  wire last_neuron = neuron == NEURONS - 1;
+  wire last_neuron = neuron == LAST_NEURON;
   wire take = s_axis_tvalid && state == LISTEN;
 
   // ---------------------------------------------------------------------------------------------
@@ -112,12 +112,17 @@ module policy_core #(
   reg signed [SUM_BITS-1:0] sum_memory[0:SUMS-1];
   reg signed [SUM_BITS-1:0] sum;
   wire sum_write;
-  wire [SLOT_BITS+NEURON_BITS-1:0] sum_read_address, sum_write_address;
   wire signed [SUM_BITS-1:0] sum_written;
+  // verilator lint_off WIDTH
+  // verilator lint_off UNUSEDSIGNAL
+  // where there is one slot, its bit is 0 and left out
+  wire [SLOT_BITS+NEURON_BITS-1:0] sum_read_address, sum_write_address;
   always @(posedge clk) begin
     if (sum_write) sum_memory[sum_write_address] <= sum_written;
     sum <= sum_memory[sum_read_address];
   end
+  // verilator lint_on UNUSEDSIGNAL
+  // verilator lint_on WIDTH
 
   // currents and membranes [state units]; beside a membrane the timesteps that the neuron rests
   wire state_write;
@@ -175,8 +180,8 @@ module policy_core #(
 
   // verilator lint_off WIDTH
   wire signed [SUM_BITS-1:0] wide_weight = weight;  // the sign is extended
-  // verilator lint_on WIDTH
   wire [SLOT_BITS+NEURON_BITS-1:0] next_target = target + synapse_gap;
+  // verilator lint_on WIDTH
   wire [SLOT_BITS-1:0] next_slot = (slot + next_target[NEURON_BITS+:SLOT_BITS]) & SLOT_MASK;
 
   assign sum_read_address = state == DELIVER ?
@@ -192,7 +197,7 @@ module policy_core #(
   wire [DECAY_FIELD-1:0] decay = pass ? membrane_decay : current_decay;
   wire keeps_nothing = decay == 0;
   wire keeps_all = DECAY_FIELD > DECAY_BITS && decay[DECAY_FIELD-1];
-  wire decayed = USE_DSP != 0 || count == DECAY_BITS - 1;
+  wire decayed = USE_DSP != 0 || count == LAST_BIT;
 
   wire signed [STATE_BITS-1:0] next_product;
   wire next_fraction;
@@ -246,7 +251,7 @@ module policy_core #(
   generate
     if (REST_BITS > 0) begin : rests
       wire [REST_BITS-1:0] rest = state_word[STATE_BITS+:REST_BITS];
-      wire [REST_BITS-1:0] next_rest = spiked ? REFRACTORY - 1 : resting ? rest - 1'b1 : rest;
+      wire [REST_BITS-1:0] next_rest = spiked ? RESTS : resting ? rest - 1'b1 : rest;
       assign resting = |rest;
       assign state_written = {state == STORE ? next_rest : {REST_BITS{1'b0}},
           state == CLEAR ? {STATE_BITS{1'b0}} : value[STATE_BITS-1:0]};
@@ -310,7 +315,7 @@ module policy_core #(
         end else if (s_axis_tdata == STEP) begin
           updating <= 1;
           state <= READ;
-        end else if (s_axis_tdata < AXONS) state <= AXON;
+        end else if (s_axis_tdata < AXON_COUNT) state <= AXON;
       end
       AXON: begin
         {negate, synapse_address} <= axon_row;
