@@ -101,7 +101,7 @@ def host_module():
 
 def design(on, words=3):
     """Text of the top module of a board, and of what simulates its pins."""
-    use = SimpleNamespace(states_in_large_ram=False)
+    use = SimpleNamespace(states_in_large_ram=False, buffer_in_large_ram=False)
     values = {"board": on, "ports": on.ports, "link": written.Buffer(words), "use": use}
     values["origin"] = "a test"
     return {name: written.render(name, **values) for name in ("top.v", "pins_main.cpp")}

@@ -17,9 +17,13 @@ _SHAPES = {
     "ice40": ((256, 16), (512, 8), (1024, 4), (2048, 2)),
     "ecp5": ((512, 36), (1024, 18), (2048, 9), (4096, 4), (8192, 2), (16384, 1)),
 }
-# Yosys makes logic of constants where that costs less: a bit costs 1/16, a block RAM so much
+# costs by which Yosys chooses: of a block RAM, of a bit of a multiplexer behind several of them, and
+# of a bit that becomes logic
 _BLOCK_COST = {"ice40": 64, "ecp5": 128}
-_CONSTANT_COST = 1 / 16
+_MULTIPLEXER_COST = 0.5
+_CONSTANT_COST, _VARIABLE_COST = 1 / 16, 1
+# memories that can be in it: one port is enough for them
+_MOVABLE = ("state_memory", "buffer")
 _LARGE_WORDS, _LARGE_BITS = 16384, 16  # of the single-port RAM of the UltraPlus
 
 
@@ -39,10 +43,14 @@ class Memory:
 
     def blocks(self, device: Device) -> int:
         """Block RAMs that it takes; 0 where it becomes logic."""
-        shapes = _SHAPES[device.family]
-        count = min(-(-self.words // words) * -(-self.bits // bits) for words, bits in shapes)
-        cost = self.words * self.bits * (_CONSTANT_COST if self.constant else 1)
-        return 0 if cost <= count * _BLOCK_COST[device.family] else count
+        each = _BLOCK_COST[device.family]
+        found = []
+        for words, bits in _SHAPES[device.family]:
+            deep, count = -(-self.words // words), -(-self.words // words) * -(-self.bits // bits)
+            found.append((count * each + _MULTIPLEXER_COST * (deep - 1) * self.bits, count))
+        cost, count = min(found)
+        bit = _CONSTANT_COST if self.constant else _VARIABLE_COST
+        return count if cost < self.words * self.bits * bit else 0
 
     @property
     def large(self) -> int:
@@ -69,7 +77,8 @@ class Use:
 
     board: with the FPGA.
     cells, block_rams, large_rams, multipliers: of it.
-    states_in_large_ram: whether the states are there, as block RAM is short.
+    states_in_large_ram, buffer_in_large_ram: whether the states, and the link's buffer, are there,
+        as block RAM is short.
     """
 
     board: Board
@@ -77,7 +86,8 @@ class Use:
     block_rams: int
     large_rams: int
     multipliers: int
-    states_in_large_ram: bool
+    states_in_large_ram: bool = False
+    buffer_in_large_ram: bool = False
 
     def rows(self) -> Iterator[tuple[str, int, int]]:
         """What there is, how many the design takes, and how many the FPGA has."""
@@ -136,18 +146,22 @@ def predict(image: CoreImage, board: Board, buffer_bits: int = 8) -> Use:
     buffer_bits: of an address of the link's buffer.
     """
     device = board.device
-    blocks = {each: each.blocks(device) for each in memories_of(image, buffer_bits)}
-    states = next(each for each in blocks if each.name == "state_memory")
-    # block RAM is filled first: it takes fewer clocks to be cleared, and every board has it
-    move = sum(blocks.values()) > device.block_rams and 0 < states.large <= device.large_rams
-    logic = [each for each, count in blocks.items() if not count]
+    blocks = {each.name: each.blocks(device) for each in memories_of(image, buffer_bits)}
+    logic = [each for each in memories_of(image, buffer_bits) if not blocks[each.name]]
+    large: dict[str, int] = {}
+    # block RAM comes first: every board has it, and tools make Verilog of its bitstream again
+    for each in memories_of(image, buffer_bits):
+        short = sum(blocks.values()) > device.block_rams
+        if each.name in _MOVABLE and short and each.large + sum(large.values()) <= device.large_rams:
+            large[each.name], blocks[each.name] = each.large, 0
     return Use(
         board,
         cells=round(_cells(image, device, logic)),
-        block_rams=sum(blocks.values()) - move * blocks[states],
-        large_rams=move * states.large,
+        block_rams=sum(blocks.values()),
+        large_rams=sum(large.values()),
         multipliers=0,
-        states_in_large_ram=move,
+        states_in_large_ram="state_memory" in large,
+        buffer_in_large_ram="buffer" in large,
     )
 
 

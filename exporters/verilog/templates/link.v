@@ -17,8 +17,9 @@
 
 module link #(
   parameter integer ADDRESS_BITS = 8,  // 8 to 10; the buffer holds 2**this numbers of 16 bits:
-                                         // tokens below, words above, two numbers each
-  parameter integer PAUSE_BITS = 16    // 2**this clocks of silence end a request
+                                       // tokens below, words above, two numbers each
+  parameter integer PAUSE_BITS = 16,   // 2**this clocks of silence end a request
+  parameter integer BUFFER_IN_SPRAM = 0  // 1: in single-port RAM of the UltraPlus
 ) (
   input  wire        clk,
   input  wire        rst,
@@ -81,8 +82,6 @@ module link #(
   reg [15:0] crc;
   reg [PAUSE_BITS-1:0] pause;         // clocks since the last byte of the request
 
-  (* no_rw_check *)  // what is written is never read in the same clock
-  reg [15:0] buffer [0:(1 << ADDRESS_BITS) - 1];
   reg [15:0] buffered;                // what stands at `index`, a clock later
   wire receiving = state != HUNT && state <= CHECK_HIGH;
   wire sending = state[4];
@@ -93,10 +92,23 @@ module link #(
   wire [ADDRESS_BITS-1:0] write_address = store_token ? {1'b0, index[INDEX_BITS-1:0]}
     : {1'b1, halves[INDEX_BITS-1:0]};
 
-  always @(posedge clk) begin
-    if (store_token || store_word) buffer[write_address] <= stored;
-    buffered <= buffer[{sending, index[INDEX_BITS-1:0]}];
-  end
+  wire store = store_token || store_word;
+  wire [ADDRESS_BITS-1:0] read_address = {sending, index[INDEX_BITS-1:0]};
+
+  generate
+    if (BUFFER_IN_SPRAM != 0) begin : large
+      wire [ADDRESS_BITS-1:0] address = store ? write_address : read_address;
+      (* ram_style = "huge" *) reg [15:0] buffer [0:(1 << ADDRESS_BITS) - 1];
+      always @(posedge clk) if (store) buffer[address] <= stored; else buffered <= buffer[address];
+    end else begin : block
+      // what is written is never read in the same clock
+      (* no_rw_check *) reg [15:0] buffer [0:(1 << ADDRESS_BITS) - 1];
+      always @(posedge clk) begin
+        if (store) buffer[write_address] <= stored;
+        buffered <= buffer[read_address];
+      end
+    end
+  endgenerate
 
   // the CRC shifts its own bits out: fed with its lowest bit it shifts in zeros
   wire crc_valid = sending ? tx_bit_valid : rx_bit_valid;

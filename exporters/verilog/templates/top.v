@@ -58,7 +58,10 @@ module top (
     .bit_valid(tx_bit_valid), .bit_value(tx_bit), .tx(tx_level)
   );
 
-  link #(.ADDRESS_BITS({{ link.address_bits }}), .PAUSE_BITS({{ board.pause_bits }})) frames (
+  link #(
+    .ADDRESS_BITS({{ link.address_bits }}), .PAUSE_BITS({{ board.pause_bits }}),
+    .BUFFER_IN_SPRAM({{ use.buffer_in_large_ram | int }})
+  ) frames (
     .clk(clk), .rst(rst),
     .rx_data(rx_data), .rx_valid(rx_valid), .rx_error(rx_error), .rx_bit_valid(rx_bit_valid),
     .tx_data(tx_data), .tx_valid(tx_valid), .tx_ready(tx_ready),
