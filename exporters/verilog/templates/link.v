@@ -96,11 +96,11 @@ module link #(
   wire [ADDRESS_BITS-1:0] read_address = {sending, index[INDEX_BITS-1:0]};
 
   generate
-    if (BUFFER_IN_SPRAM != 0) begin : large
+    if (BUFFER_IN_SPRAM != 0) begin : in_spram
       wire [ADDRESS_BITS-1:0] address = store ? write_address : read_address;
       (* ram_style = "huge" *) reg [15:0] buffer [0:(1 << ADDRESS_BITS) - 1];
       always @(posedge clk) if (store) buffer[address] <= stored; else buffered <= buffer[address];
-    end else begin : block
+    end else begin : in_block_ram
       // what is written is never read in the same clock
       (* no_rw_check *) reg [15:0] buffer [0:(1 << ADDRESS_BITS) - 1];
       always @(posedge clk) begin
