@@ -4,6 +4,7 @@ import shutil
 import struct
 import subprocess
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -75,12 +76,18 @@ class RtlProcess:
         self.close()
 
     def close(self) -> None:
-        """End the process."""
-        if self._process.stdin and not self._process.stdin.closed:
-            self._process.stdin.close()
-        self._process.wait(10)
-        if self._process.stdout:
-            self._process.stdout.close()
+        """End the process, also one that ended by itself or does not end."""
+        process = self._process
+        if process.stdin and not process.stdin.closed:
+            with suppress(BrokenPipeError):  # of bytes that nobody reads any more
+                process.stdin.close()
+        if process.stdout:
+            process.stdout.close()
+        try:
+            process.wait(10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
     def reset(self) -> None:
         """Begin a new episode: forget every state and spike."""
