@@ -8,6 +8,8 @@ from dataclasses import replace
 
 import pytest
 
+from spikedeploy.commands import options
+from spikedeploy.exporters.verilog.boards import board_names
 from spikedeploy.exporters.verilog.tools import missing_tools
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.shipping.verilog_folder import RECORD, read_folder
@@ -93,7 +95,7 @@ def test_files_of_others_and_files_that_were_changed_are_not_replaced(command, h
     [
         ((POLICY, "--to", "verilog"), 2, "name it, as in -o"),
         ((POLICY, "--board", "icestick"), 2, "--board goes with --to verilog"),
-        ((POLICY, *TO, "--board", "icebraker"), 2, "did you mean 'icebreaker'"),
+        ((POLICY, *TO, "--board", "icebraker"), 2, "Did you mean 'icebreaker'"),
         (("kart-steer/linear", *TO), 2, "is no spiking policy"),
         (("kept.nir", *TO), 2, "no such file"),
         (("net.nir", *TO), 2, "has no codec"),
@@ -110,6 +112,12 @@ def test_what_cannot_be_written_is_refused_in_a_sentence(command, here, words, s
     assert code == status if status else code in (1, 2), err
     assert said in err
     assert not (here / "core").exists()
+
+
+def test_the_help_of_both_commands_names_every_board():
+    for command in ("export", "check"):
+        told = options._TABLES[command]["board"]["help"]
+        assert ", ".join(board_names()) in told
 
 
 def test_check_says_what_of_a_board_is_taken_and_what_is_full(command):
