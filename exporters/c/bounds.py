@@ -101,7 +101,9 @@ def _bound(register: Register) -> int | None:
     if register.between is not None:
         return max(map(abs, register.between))
     half = 1 << (register.bits - 1)
-    return None if register.overflow in ("none", "wrap-once") else half
+    if register.overflow in ("none", "wrap-once"):
+        return None
+    return half - (register.overflow == "clip")
 
 
 def _hold(register: Register, before: int) -> int:

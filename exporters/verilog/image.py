@@ -204,10 +204,21 @@ class CoreImage:
                 weights[base + at] = weights.get(base + at, 0) + int(row[at])
         return sorted((target, weight) for target, weight in weights.items() if weight)
 
-    def _magnitude(self, *names: str) -> int:
-        """Largest magnitude that any of the registers passes on [state units]."""
-        each = self.plan.magnitudes.values()
-        return max(magnitudes.held[name] for magnitudes in each for name in names)
+    def _held_bits(self, *names: str) -> int:
+        """Bits of what any of the registers passes on [state units]."""
+        return max(self._register_bits(layer, name) for layer in self._layers for name in names)
+
+    def _register_bits(self, layer: str, name: str) -> int:
+        """Bits of what a register passes on of a layer; two's complement has one number more."""
+        register: Register = getattr(self._rules, name)
+        most = self.plan.magnitudes[layer].held[name]
+        lowest = register.overflow in ("wrap", "saturate") and most == 1 << (register.bits - 1)
+        return register.bits if lowest else signed_bits(most)
+
+    @property
+    def _layers(self) -> list[str]:
+        """Names of the layers."""
+        return [layer.name for layer in self.program.layers]
 
     @cached_property
     def sum_bits(self) -> int:
@@ -238,16 +249,16 @@ class CoreImage:
     @cached_property
     def state_bits(self) -> int:
         """Bits of a current and of a membrane."""
-        return signed_bits(self._magnitude("current", "membrane"))
+        return self._held_bits("current", "membrane")
 
     def membrane_bits(self, layer: str) -> int:
         """Bits of a membrane of a layer."""
-        return signed_bits(self.plan.magnitudes[layer].held["membrane"])
+        return self._register_bits(layer, "membrane")
 
     @cached_property
     def value_bits(self) -> int:
         """Bits of what any of the registers passes on."""
-        return signed_bits(self._magnitude("accumulator", "current", "push", "membrane"))
+        return self._held_bits("accumulator", "current", "push", "membrane")
 
     @cached_property
     def adder_bits(self) -> int:
@@ -417,10 +428,13 @@ class CoreImage:
             "LAST_HEARD": (self.last_heard, self.neuron_bits),
         }
         for name, register in self.registers.items():
+            reached = max(m.registers[name] for m in self.plan.magnitudes.values())
             low, high = register.between or (0, 0)
+            low, high = max(low, -reached), min(high, reached)
             found |= {
                 f"{name.upper()}_KIND": _KINDS[register.overflow],
                 f"{name.upper()}_BITS": register.bits,
+                f"{name.upper()}_RANGED": int(register.between is not None),
                 f"{name.upper()}_LOW": (low, 64),
                 f"{name.upper()}_HIGH": (high, 64),
             }

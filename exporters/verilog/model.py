@@ -173,8 +173,10 @@ class CoreModel:
             number += -2 * half if number > half else 2 * half if number <= -half else 0
         elif kind != _NONE:
             number = min(max(number, 1 - half if kind == _CLIP else -half), half - 1)
+        if not self[f"{name}_RANGED"]:
+            return number
         low, high = (_signed(self[f"{name}_{end}"], 64) for end in ("LOW", "HIGH"))
-        return number if low == high else min(max(number, low), high)
+        return min(max(number, low), high)
 
     def __getitem__(self, name: str) -> int:
         """A parameter."""

@@ -41,6 +41,13 @@ def check_program(program: Program) -> None:
             f"rule decay: decay_bits is {arithmetic.decay_bits}; the core has "
             f"{_DECAY_BITS} at most. Choose fewer."
         )
+    for name in ("accumulator", "current", "push", "membrane"):
+        between = getattr(arithmetic, name).between
+        if between is not None and not between[0] <= 0 <= between[1]:
+            raise RuleError(
+                f"rule register: {name} is held between {between[0]} and {between[1]}; a register "
+                "of the core holds 0, which it begins with. Choose a range around 0."
+            )
     if program.clock == "free":
         raise RuleError(
             "rule clock: clock 'free': layers run on between their windows, and the "

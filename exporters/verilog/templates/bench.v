@@ -7,7 +7,10 @@
 `timescale 1ns / 1ps
 `default_nettype none
 
-module bench;
+module bench #(
+    parameter STATE_IN_SPRAM = 0,  // of the core
+    parameter USE_DSP = 0
+);
   `include "vectors.vh"  // numbers of TOKENS, WORDS and UPDATES
 
   reg [15:0] tokens[0:TOKENS-1];
@@ -38,7 +41,10 @@ module bench;
   wire all_seen = word == WORDS;
 `endif
 
-  policy_core core (
+  policy_core #(
+      .STATE_IN_SPRAM(STATE_IN_SPRAM),
+      .USE_DSP(USE_DSP)
+  ) core (
       .clk(clk),
       .rst(rst),
       .s_axis_tdata(tokens[token]),

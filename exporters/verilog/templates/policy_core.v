@@ -203,7 +203,9 @@ module policy_core #(
   wire next_fraction;
   generate
     if (USE_DSP != 0) begin : dsp
+      // verilator lint_off UNUSEDSIGNAL
       wire signed [STATE_BITS+DECAY_FIELD:0] whole = kept * $signed({1'b0, decay});
+      // verilator lint_on UNUSEDSIGNAL
       assign next_product = whole[DECAY_BITS+:STATE_BITS];
       assign next_fraction = |whole[DECAY_BITS-1:0];
     end else begin : serial
@@ -220,7 +222,7 @@ module policy_core #(
 
   wire signed [VALUE_BITS-1:0] drive;
   policy_drive #(SUM_BITS, DRIVE_BITS, VALUE_BITS, LAYERS, LAYER_BITS, SHIFT_OF, ACCUMULATOR_KIND,
-      ACCUMULATOR_BITS, ACCUMULATOR_LOW, ACCUMULATOR_HIGH) field_drive (sum, layer, drive);
+      ACCUMULATOR_BITS, ACCUMULATOR_RANGED, ACCUMULATOR_LOW, ACCUMULATOR_HIGH) field_drive (sum, layer, drive);
 
   reg signed [ADDER_BITS-1:0] left;
   // verilator lint_off WIDTH
@@ -236,11 +238,11 @@ module policy_core #(
   wire signed [ADDER_BITS-1:0] total = left + right + {{(ADDER_BITS - 1) {1'b0}}, carry};
 
   wire signed [VALUE_BITS-1:0] fit_current, fit_push, fit_membrane;
-  policy_register #(ADDER_BITS, VALUE_BITS, CURRENT_KIND, CURRENT_BITS, CURRENT_LOW,
+  policy_register #(ADDER_BITS, VALUE_BITS, CURRENT_KIND, CURRENT_BITS, CURRENT_RANGED, CURRENT_LOW,
       CURRENT_HIGH) current_register (total, fit_current);
-  policy_register #(ADDER_BITS, VALUE_BITS, PUSH_KIND, PUSH_BITS, PUSH_LOW,
+  policy_register #(ADDER_BITS, VALUE_BITS, PUSH_KIND, PUSH_BITS, PUSH_RANGED, PUSH_LOW,
       PUSH_HIGH) push_register (total, fit_push);
-  policy_register #(ADDER_BITS, VALUE_BITS, MEMBRANE_KIND, MEMBRANE_BITS, MEMBRANE_LOW,
+  policy_register #(ADDER_BITS, VALUE_BITS, MEMBRANE_KIND, MEMBRANE_BITS, MEMBRANE_RANGED, MEMBRANE_LOW,
       MEMBRANE_HIGH) membrane_register (total, fit_membrane);
 
   // ---------------------------------------------------------------------------------------------
@@ -462,6 +464,7 @@ module policy_drive #(
     parameter [8*LAYERS-1:0] SHIFT_OF = 0,
     parameter KIND = 0,
     parameter BITS = 2,
+    parameter RANGED = 0,
     parameter signed [63:0] LOW = 0,
     parameter signed [63:0] HIGH = 0
 ) (
@@ -479,18 +482,19 @@ module policy_drive #(
     for (k = 1; k < LAYERS; k = k + 1)
       if (layer == k[LAYER_BITS-1:0]) shifted = wide <<< SHIFT_OF[8*k+:8];
   end
-  policy_register #(DRIVE_BITS, VALUE_BITS, KIND, BITS, LOW, HIGH) accumulator (shifted, drive);
+  policy_register #(DRIVE_BITS, VALUE_BITS, KIND, BITS, RANGED, LOW, HIGH) accumulator (shifted, drive);
 endmodule
 
 // A number as a signed register of BITS holds it. KIND: what happens to one that does not fit:
 // 0 cannot be; 1 wraps (two's complement); 2 wraps once, where the two edges are read as
 // +2**(BITS-1); 3 ends at the largest magnitude; 4 ends at the edges of two's complement.
-// Then from LOW to HIGH, where these are not equal.
+// RANGED: then it is clipped to LOW and HIGH.
 module policy_register #(
     parameter IN_BITS = 2,
     parameter OUT_BITS = 2,
     parameter KIND = 0,
     parameter BITS = 2,
+    parameter RANGED = 0,
     parameter signed [63:0] LOW = 0,
     parameter signed [63:0] HIGH = 0
 ) (
@@ -524,10 +528,12 @@ module policy_register #(
       end
     end
     wire signed [IN_BITS-1:0] ranged;
-    if (LOW == HIGH) begin : whole
+    if (!RANGED) begin : whole
       assign ranged = fitted;
     end else begin : between
-      assign ranged = fitted < LOW ? LOW : fitted > HIGH ? HIGH : fitted;
+      wire signed [IN_BITS-1:0] low = LOW[IN_BITS-1:0];
+      wire signed [IN_BITS-1:0] high = HIGH[IN_BITS-1:0];
+      assign ranged = fitted < low ? low : fitted > high ? high : fitted;
     end
     if (OUT_BITS > IN_BITS) begin : wider
       assign held = {{(OUT_BITS - IN_BITS) {ranged[IN_BITS-1]}}, ranged};

@@ -1,0 +1,126 @@
+"""The core's Verilog equals the emulator and the model, in Icarus and in Verilator."""
+
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from spikedeploy.exporters.verilog.bench import BENCH, record
+from spikedeploy.exporters.verilog.image import core_image
+from spikedeploy.exporters.verilog.model import CoreModel
+from spikedeploy.exporters.verilog.simulation import RtlProcess, build_simulation
+from spikedeploy.exporters.verilog.to_verilog import CORE
+from tests.exporters.test_c_networks import delayed
+from tests.exporters.verilog.test_core_model import shipped
+from tests.rtl_builds import (
+    EDGES,
+    benched,
+    edges,
+    linted,
+    needs_icarus,
+    needs_verilator,
+    passes,
+    recorded,
+    written,
+)
+
+# parameters of the bench, where the core is for an UltraPlus
+ULTRA_PLUS = ("-Pbench.STATE_IN_SPRAM=1", "-Pbench.USE_DSP=1")
+
+
+@needs_icarus
+@pytest.mark.parametrize("seed", range(4))
+def test_delays_loops_and_refractory_periods_equal_in_icarus(tmp_path, seed):
+    reset = "subtract" if seed % 2 else "zero"
+    program = delayed(seed)
+    program = replace(program, convention=replace(program.convention, reset=reset))
+    written(*recorded(program, timesteps=3, inferences=2, seed=seed), tmp_path)
+    assert passes(benched(tmp_path, 7 * (seed % 2)))
+
+
+@needs_icarus
+@pytest.mark.parametrize(("name", "register"), EDGES)
+def test_the_edges_of_each_register_equal_in_icarus(tmp_path, name, register):
+    program, raster = edges(name, register, "subtract" if register.between else "zero")
+    image = core_image(program)
+    written(image, record(image, raster), tmp_path)
+    assert passes(benched(tmp_path))
+
+
+@needs_icarus
+@pytest.mark.parametrize(
+    "name", ["hexapod/sparse", "kart-steer/sparse-gated", "chips/CartPole-v1/loihi2"]
+)
+def test_shipped_policies_equal_in_icarus_with_and_without_an_ultra_plus(tmp_path, name):
+    artifact, program = shipped(name, "loihi2" if "loihi2" in name else "loihi1")
+    found = recorded(program, min(artifact.codec.timesteps, 5), 3, rate=0.1, codec=artifact.codec)
+    written(*found, tmp_path)
+    assert passes(benched(tmp_path, 0, 3))
+    assert passes(benched(tmp_path, 5, top=ULTRA_PLUS))
+
+
+@needs_icarus
+def test_tokens_that_mean_nothing_are_ignored(tmp_path):
+    image, found = recorded(delayed(3), timesteps=1)
+    tokens = [[0x7FFF, 9, 0x8002, *each[:-1], 0xFFFF, each[-1]] for each in found.tokens]
+    written(image, replace(found, tokens=tokens), tmp_path)
+    assert passes(benched(tmp_path))
+
+
+@needs_icarus
+def test_the_bench_fails_where_a_number_differs(tmp_path):
+    image, found = recorded(delayed(3), timesteps=1)
+    found.membrane[-1, -1] += 1
+    written(image, found, tmp_path)
+    assert "FAIL: 1 numbers differ" in benched(tmp_path)[0]
+
+
+@needs_verilator
+@pytest.mark.parametrize("probe", [(), ("-DPOLICY_PROBE",)])
+def test_verilator_has_no_warning(tmp_path, probe):
+    programs = [delayed(0), delayed(5), edges(*EDGES[-1])[0], edges(*EDGES[12])[0]]
+    programs += [shipped("hexapod/sparse")[1], shipped("kart-steer/snn")[1]]
+    for program in programs:
+        written(*recorded(program, 1, 1), tmp_path)
+        assert linted(tmp_path, *probe) == ""
+        assert linted(tmp_path, *probe, "-GUSE_DSP=1", "-GSTATE_IN_SPRAM=1") == ""
+
+
+@needs_verilator
+def test_an_episode_equals_in_verilator_clock_for_clock(tmp_path):
+    artifact, program = shipped("hexapod/sparse")
+    image, found = recorded(program, 1, 300, rate=0.03, codec=artifact.codec)
+    simulated = build_simulation(written(image, found, tmp_path))
+    for stall in (None, 4):
+        model = CoreModel(image)
+        with RtlProcess(simulated, image.outputs, image.neurons, True, stall) as core:
+            for k, tokens in enumerate(found.tokens):
+                axons = [token for token in tokens if token < 0x8000]
+                if tokens[0] == 0x8001:
+                    core.reset()
+                    model.reset()
+                step = core.step(axons)
+                for name in ("current", "membrane", "spikes"):
+                    np.testing.assert_array_equal(getattr(step, name), getattr(found, name)[k])
+                values = np.concatenate(list(step.values.values()))
+                assert (values & 0xFFFFFFFF).tolist() == list(found.words[k])
+                assert stall or step.clocks == model.step(axons).clocks
+
+
+@needs_verilator
+def test_the_bench_passes_in_verilator_too(tmp_path):
+    written(*recorded(delayed(2), timesteps=3), tmp_path)
+    command = ["verilator", "--binary", "-Wall", "-DPOLICY_PROBE", BENCH, CORE]
+    command += ["-MAKEFLAGS", "OPT_GLOBAL=-O0 OPT_SLOW=-O0 OPT_FAST=-O0"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    for options in ([], ["+stall=9"]):
+        said = subprocess.run(
+            [tmp_path / "obj_dir" / "Vbench", *options],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert "PASS" in said.stdout
