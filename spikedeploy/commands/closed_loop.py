@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from spikedeploy.comparison.comparison import Comparison
     from spikedeploy.realtime.paced_loop import PacedLoop
     from spikedeploy.shipping.cards import Settings
-    from spikedeploy.shipping.hardware_run import Driver
+    from spikedeploy.shipping.hardware_run import Driver, HardwareRun
     from spikedeploy.shipping.reproduce import Reproduction
 
 # of which the numbers of an evaluation depend most
@@ -140,9 +140,7 @@ def run(
         else:
             comparison = play(chip=core.chip, video=video, backend=core.backend, name=core.name)
             drove = core.beside_emulated(comparison, partial(play, chip=core.chip))
-        document = _report(replace(comparison, tables=prices), options, output, loop)
-    if drove:
-        document["hardware"] = drove.as_json()
+        document = _report(replace(comparison, tables=prices), options, output, loop, drove)
     from spikedeploy.reports.terminal import print_run  # after the first action, which is sooner
 
     _print(document, json, print_run, tables, output, video)
@@ -214,6 +212,7 @@ def _report(
     options: dict[str, Any],
     output: Path | None,
     loop: "PacedLoop | None" = None,
+    drove: "HardwareRun | None" = None,
 ) -> dict[str, Any]:
     """The comparison as a document, which is written where there is a folder for it."""
     from spikedeploy.reports import comparison as report
@@ -221,6 +220,8 @@ def _report(
     document = report.document(comparison)
     if loop:
         document["real_time"] = loop.measured().as_json()
+    if drove:
+        document["hardware"] = drove.as_json()
     if output:
         recorded = report.recordings(comparison, document["rows"], options)
         report.write(document, output, episodes=recorded)
