@@ -4,21 +4,44 @@ Memories follow the rules by which Yosys maps them, and are exact. Cells are a s
 widths of registers; their factors are a fit to builds, which tests compare with others.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from spikedeploy.exporters.verilog.boards import Board, Device
-from spikedeploy.exporters.verilog.image import CoreImage
+from spikedeploy.exporters.verilog.image import CoreImage, unsigned_bits
 from spikedeploy.runtime.errors import RuleError
 
+# cells for each: whatever the core, UART and link included; bit of a state, of an adder and of a
+# value; bit of a sum, of a synapse and of an address; words of spikes; bit of a constant that
+# becomes logic; bit of a neuron's parameters; bit of a register whose edges are not a wrap's
+_FACTORS: Mapping[str, Mapping[str, float]] = {
+    "ice40": {
+        "all": 421.0,
+        "states": 1.375,
+        "addresses": 3.025,
+        "spikes": 30.0,
+        "logic": 0.042,
+        "parameters": 2.655,
+        "edges": 1.017,
+    },
+    "ecp5": {
+        "all": 421.0,
+        "states": 1.375,
+        "addresses": 3.025,
+        "spikes": 30.0,
+        "logic": 0.042,
+        "parameters": 2.655,
+        "edges": 1.017,
+    },
+}
 # words x bits of a block RAM
 _SHAPES = {
     "ice40": ((256, 16), (512, 8), (1024, 4), (2048, 2)),
     "ecp5": ((512, 36), (1024, 18), (2048, 9), (4096, 4), (8192, 2), (16384, 1)),
 }
-# costs by which Yosys chooses: of a block RAM, of a bit of a multiplexer behind several of them, and
-# of a bit that becomes logic
+# costs by which Yosys chooses: of a block RAM, of a bit of a multiplexer behind several of them,
+# and of a bit that becomes logic
 _BLOCK_COST = {"ice40": 64, "ecp5": 128}
 _MULTIPLEXER_COST = 0.5
 _CONSTANT_COST, _VARIABLE_COST = 1 / 16, 1
@@ -32,7 +55,7 @@ class Memory:
     """A memory of the design.
 
     name: as the Verilog calls it.
-    words: W; bits: of each.
+    words: W; bits: of each, without those that are always the same.
     constant: whether nothing is written to it.
     """
 
@@ -60,15 +83,26 @@ class Memory:
 
 def memories_of(image: CoreImage, buffer_bits: int) -> tuple[Memory, ...]:
     """The memories of the core and its link; buffer_bits: of an address of the link's buffer."""
-    rows = image.rows
+    contents = {
+        "axon_memory": image.axon_words,
+        "synapse_memory": image.rows.words,
+        "neuron_memory": image.neuron_words,
+    }
+    constant = (Memory(name, len(w), _varying_bits(w), True) for name, w in contents.items())
     return (
-        Memory("axon_memory", image.axons, rows.entry_bits, True),
-        Memory("synapse_memory", len(rows.words), rows.bits, True),
-        Memory("neuron_memory", image.neurons, image.neuron_word_bits, True),
+        *constant,
         Memory("sum_memory", image.slots << image.neuron_bits, image.sum_bits, False),
         Memory("state_memory", 2 << image.neuron_bits, image.state_bits + image.rest_bits, False),
         Memory("buffer", 1 << buffer_bits, 16, False),
     )
+
+
+def _varying_bits(words: Sequence[int]) -> int:
+    """Bits that are not the same in all words, which take no memory."""
+    varying = 0
+    for word in words:
+        varying |= word ^ words[0]
+    return varying.bit_count()
 
 
 @dataclass(frozen=True)
@@ -152,7 +186,8 @@ def predict(image: CoreImage, board: Board, buffer_bits: int = 8) -> Use:
     # block RAM comes first: every board has it, and tools make Verilog of its bitstream again
     for each in memories_of(image, buffer_bits):
         short = sum(blocks.values()) > device.block_rams
-        if each.name in _MOVABLE and short and each.large + sum(large.values()) <= device.large_rams:
+        fits = each.large + sum(large.values()) <= device.large_rams
+        if each.name in _MOVABLE and short and fits:
             large[each.name], blocks[each.name] = each.large, 0
     return Use(
         board,
@@ -167,5 +202,19 @@ def predict(image: CoreImage, board: Board, buffer_bits: int = 8) -> Use:
 
 def _cells(image: CoreImage, device: Device, logic: list[Memory]) -> float:
     """Cells of a core with its link; logic: memories that become cells."""
-    terms: Mapping[str, float] = {"constant": 1.0}
-    return 920.0
+    edges = sum(each.overflow not in ("none", "wrap") for each in image.registers.values())
+    rows = image.rows
+    terms = {
+        "all": 1,
+        "states": image.state_bits + image.adder_bits + image.value_bits,
+        "addresses": image.sum_bits
+        + rows.weight_bits
+        + rows.entry_bits
+        + rows.address_bits
+        + 3 * (image.neuron_bits + unsigned_bits(image.slots - 1)),
+        "spikes": any(not output.silent for output in image.outputs),
+        "logic": sum(each.words * each.bits for each in logic),
+        "parameters": image.neuron_word_bits,
+        "edges": edges * image.value_bits,
+    }
+    return sum(factor * terms[name] for name, factor in _FACTORS[device.family].items())

@@ -1,7 +1,7 @@
 """Comparison of the design with the emulator, word by word; the standard library.
 
-    python3 compare.py core PROGRAM [STEPS]    the core, or its netlist, by sim_main.cpp
-    python3 compare.py pins PROGRAM [STEPS]    the design of the board, by its UART, pins_main.cpp
+Usage: `python3 compare.py core PROGRAM [STEPS]`, of the core or its netlist, which sim_main.cpp
+drives; `python3 compare.py pins PROGRAM [STEPS]`, of the design of the board, by its UART.
 """
 
 import json
@@ -64,8 +64,8 @@ class CoreProcess:
         """The words of a timestep."""
         tokens = [NEW_EPISODE] * step.new + [*step.axons, END_OF_TIMESTEP]
         into, out = self._process.stdin, self._process.stdout
-        assert into is not None  # noqa: S101
-        assert out is not None  # noqa: S101
+        assert into is not None
+        assert out is not None
         into.write(struct.pack(f"<{len(tokens) + 1}H", len(tokens), *tokens))
         into.flush()
         clocks, *words = struct.unpack(f"<{1 + self._words}I", out.read(4 + 4 * self._words))

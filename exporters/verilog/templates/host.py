@@ -16,6 +16,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -249,10 +250,9 @@ def open_board(port: str, baud: int | None = None) -> Policy:
         opened = serial.Serial(port, baud or read("policy.json")["link"]["baud"])
     except (OSError, ValueError) as error:
         raise SystemExit(f"{port} cannot be opened: {error}") from error
-    try:  # USB converters collect bytes for 16 ms otherwise
+    # USB converters collect bytes for 16 ms otherwise; not all systems let a program say so
+    with suppress(AttributeError, NotImplementedError, OSError, ValueError):
         opened.set_low_latency_mode(True)
-    except (AttributeError, NotImplementedError, OSError, ValueError):
-        pass
     return open_policy(opened)
 
 

@@ -1,10 +1,10 @@
-"""Frames over a serial port to the core on the board, as link.v has them; the standard library only.
+"""Frames over a serial port to the core on the board, as link.v has them.
 
     request   A5  sequence  n  n tokens of 2 bytes  CRC of 2 bytes
     reply     5A  sequence  n  n words of 4 bytes   CRC of 2 bytes
 
 A request that is not answered in time is repeated with its sequence number, and the board, which
-knows the number, does nothing twice.
+knows the number, does nothing twice. The standard library is all that is needed.
 """
 
 import struct
@@ -150,8 +150,8 @@ class Link:
             if words is not None:
                 return words
         raise LinkError(
-            f"the board has not answered {self.tries} requests. Is the bitstream on it, and is this "
-            "its port and its baud rate?"
+            f"the board has not answered {self.tries} requests. Is the bitstream on it, and is "
+            "this its port and its baud rate?"
         )
 
     def _answer(self) -> list[int] | None:

@@ -1,15 +1,9 @@
-"""Port to the design in simulation, by the pins of its UART; the standard library only.
-
-    python3 pins.py PROGRAM VECTORS [STEPS]    replay vectors.txt through the pins, and compare
-"""
+"""Port to the design in simulation, by the pins of its UART; the standard library only."""
 
 import struct
 import subprocess
-import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
-
-from link import Link
 
 SILENCE, GLITCH, BROKEN = 0x200, 0x300, 0x100
 _MOST = 1_000_000  # bit times to wait for a byte, so that a design that is stuck is noticed
@@ -66,12 +60,3 @@ class PinsPort:
         self._process.stdin.close()  # type: ignore[union-attr]
         self._process.wait()
         self._process.stdout.close()  # type: ignore[union-attr]
-
-
-def main(arguments: Iterable[str]) -> int:
-    """Compare a design with the vectors; the exit code."""
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -1,6 +1,6 @@
 """Cells, memories and frequency of a build, from nextpnr's report; put into costs.json.
 
-    python3 report.py REPORT SEED
+Usage: `python3 report.py REPORT SEED`.
 """
 
 import json

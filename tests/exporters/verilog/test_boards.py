@@ -101,8 +101,9 @@ def test_verilator_warns_of_nothing_in_the_design_of_a_board(name, tmp_path):
 
 def _netlist(folder):
     """Cells of the design after elaboration: nets by number, flip-flops and what drives them."""
-    script = "read_verilog top.v uart.v link.v policy_core.v; hierarchy -top top; proc; flatten; tribuf; "
-    script += "opt -full; check -assert; select -assert-none t:$dlatch* t:$adlatch*; write_json n.json"
+    script = "read_verilog top.v uart.v link.v policy_core.v; hierarchy -top top; proc; flatten; "
+    script += "tribuf; opt -full; check -assert; select -assert-none t:$dlatch* t:$adlatch*; "
+    script += "write_json n.json"
     done = subprocess.run(
         ["yosys", "-q", "-p", script], cwd=folder, capture_output=True, text=True, check=False
     )

@@ -16,10 +16,10 @@ def program(tmp_path_factory):
     """The design of a board around a core that counts, in Verilator."""
     folder = tmp_path_factory.mktemp("pins")
     write_design(folder, "icebreaker")
-    words = "verilator --cc --exe --build -O2 -Wno-fatal -CFLAGS -O0 --prefix Vpins --top-module top"
+    words = "verilator --cc --exe --build -O2 -Wno-fatal -CFLAGS -O0 --prefix Vpins"
     sources = ["top.v", "uart.v", "link.v", "policy_core.v", "pins_main.cpp"]
     done = subprocess.run(
-        [*words.split(), *sources, "--Mdir", "obj", "-o", "../pins"],
+        [*words.split(), "--top-module", "top", *sources, "--Mdir", "obj", "-o", "../pins"],
         cwd=folder, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
@@ -198,5 +198,5 @@ def test_a_board_that_is_silent_is_an_error_that_says_what_to_look_at():
         def read(self, size=1):
             return b""
 
-    with pytest.raises(LINK.LinkError, match="has not answered 5 requests. Is the bitstream on it"):
+    with pytest.raises(LINK.LinkError, match=r"has not answered 5 requests\. Is the bitstream on"):
         LINK.Link(Silent(), TOKENS, WORDS, 3)
