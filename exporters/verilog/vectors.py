@@ -14,7 +14,8 @@ from spikedeploy.runtime.emulator.machine import Machine
 def words_of(recorded: Recording, output: Output) -> NDArray[np.uint32]:
     """Words (T, words) that leave of a layer."""
     if output.silent:
-        return recorded.membrane[0].astype("<i4").view("<u4")
+        membranes: NDArray[np.uint32] = recorded.membrane[0].astype("<i4").view("<u4")
+        return membranes
     spikes = recorded.spikes[0].astype(np.uint8)
     padded = np.zeros((len(spikes), 32 * output.words), np.uint8)
     padded[:, : output.neurons] = spikes
