@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -14,6 +15,7 @@ from spikedeploy.exporters.to_program import as_rows, plain_record
 from spikedeploy.exporters.verilog.bench import BENCH, bench_files, record
 from spikedeploy.exporters.verilog.boards import Board
 from spikedeploy.exporters.verilog.image import CoreImage
+from spikedeploy.exporters.verilog.model import STEP, CoreModel
 from spikedeploy.exporters.verilog.resources import Use, predict
 from spikedeploy.exporters.verilog.tools import TOOLS
 from spikedeploy.exporters.verilog.vectors import episode_record
@@ -106,6 +108,7 @@ def board_files(
     }
     steps = int(np.clip(_UPDATES // image.neurons, _LEAST_STEPS, _MOST_STEPS)) // codec.timesteps
     raster = codec.encode_episode(observation[: max(1, steps)], seed)
+    recorded = record(image, raster, episodes={0})
     episode = episode_record(image, codec, observation[:_EPISODE_STEPS], seed)
     return {
         **{name: _text(name) for name in _SAME},
@@ -113,9 +116,9 @@ def board_files(
         board.constraints_name: board.constraints,
         "policy.json": as_rows(host_record(image.program, codec, image, board, origin)),
         BENCH: _text(BENCH),
-        **bench_files(image, record(image, raster, episodes={0})),
+        **bench_files(image, recorded),
         "episode.json": as_rows(episode),
-        "costs.json": json.dumps(costs_record(image, board, use), indent=2) + "\n",
+        "costs.json": json.dumps(costs_record(image, board, use, recorded.tokens), indent=2) + "\n",
     }
 
 
@@ -125,9 +128,32 @@ _PROGRAMMERS = {
 }
 
 
-def costs_record(image: CoreImage, board: Board, use: Use) -> dict[str, Any]:
-    """What the core takes on the board, as predicted; builds are put beside it."""
-    return {"board": board.name, "device": board.device.title, "predicted": use.record()}
+def costs_record(
+    image: CoreImage, board: Board, use: Use, tokens: Sequence[Sequence[int]]
+) -> dict[str, Any]:
+    """What the core takes on the board: cells as predicted, and time; builds are put beside it.
+
+    tokens: of recorded timesteps, which are measured on the model of the core.
+    """
+    core = CoreModel(image)
+    clocks = [core.step(each for each in step if each < STEP).clocks for step in tokens]
+    # a request and a reply have 5 bytes beside tokens and words, and a byte has 10 bits on the line
+    line = [10 * (10 + 2 * len(step) + 4 * image.words) / board.baud for step in tokens]
+    return {
+        "board": board.name,
+        "device": board.device.title,
+        "clock_hz": board.clock_hz,
+        "timestep": {
+            "recorded": len(clocks),
+            "clocks": {"mean": float(np.mean(clocks)), "most": max(clocks)},
+            "core_us": {
+                "mean": 1e6 * float(np.mean(clocks)) / board.clock_hz,
+                "most": 1e6 * max(clocks) / board.clock_hz,
+            },
+            "uart_us": {"mean": 1e6 * float(np.mean(line)), "most": 1e6 * max(line)},
+        },
+        "predicted": use.record(),
+    }
 
 
 def host_record(

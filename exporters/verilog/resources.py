@@ -14,7 +14,8 @@ from spikedeploy.runtime.errors import RuleError
 
 # cells for each: whatever the core, UART and link included; bit of a state, of an adder and of a
 # value; bit of a sum, of a synapse and of an address; words of spikes; bit of a constant that
-# becomes logic; bit of a neuron's parameters; bit of a register whose edges are not a wrap's
+# becomes logic; RAM made of cells; bit of a neuron's parameters; bit of a register that does more
+# at its edges than wrap
 _FACTORS: Mapping[str, Mapping[str, float]] = {
     "ice40": {
         "all": 421.0,
@@ -22,6 +23,7 @@ _FACTORS: Mapping[str, Mapping[str, float]] = {
         "addresses": 3.025,
         "spikes": 30.0,
         "logic": 0.042,
+        "small": 0.0,
         "parameters": 2.655,
         "edges": 1.017,
     },
@@ -31,6 +33,7 @@ _FACTORS: Mapping[str, Mapping[str, float]] = {
         "addresses": 3.025,
         "spikes": 30.0,
         "logic": 0.042,
+        "small": 4.0,
         "parameters": 2.655,
         "edges": 1.017,
     },
@@ -45,6 +48,8 @@ _SHAPES = {
 _BLOCK_COST = {"ice40": 64, "ecp5": 128}
 _MULTIPLEXER_COST = 0.5
 _CONSTANT_COST, _VARIABLE_COST = 1 / 16, 1
+# RAM that an ECP5 makes of its cells
+_SMALL_WORDS, _SMALL_BITS, _SMALL_COST = 16, 4, 4
 # memories that can be in it: one port is enough for them
 _MOVABLE = ("state_memory", "buffer")
 _LARGE_WORDS, _LARGE_BITS = 16384, 16  # of the single-port RAM of the UltraPlus
@@ -64,16 +69,25 @@ class Memory:
     bits: int
     constant: bool
 
-    def blocks(self, device: Device) -> int:
-        """Block RAMs that it takes; 0 where it becomes logic."""
+    def place(self, device: Device) -> tuple[str, int]:
+        """Where Yosys puts it, and how many: "blocks" of RAM, "small" RAMs in cells, or "logic"."""
         each = _BLOCK_COST[device.family]
         found = []
         for words, bits in _SHAPES[device.family]:
             deep, count = -(-self.words // words), -(-self.words // words) * -(-self.bits // bits)
-            found.append((count * each + _MULTIPLEXER_COST * (deep - 1) * self.bits, count))
-        cost, count = min(found)
+            found.append((count * each + self._multiplexers(deep), "blocks", count))
         bit = _CONSTANT_COST if self.constant else _VARIABLE_COST
-        return count if cost < self.words * self.bits * bit else 0
+        found.append((self.words * self.bits * bit, "logic", self.words * self.bits))
+        if device.family == "ecp5" and not self.constant:
+            deep = -(-self.words // _SMALL_WORDS)
+            count = deep * -(-self.bits // _SMALL_BITS)
+            found.append((count * _SMALL_COST + self._multiplexers(deep), "small", count))
+        _, kind, count = min(found)
+        return kind, count
+
+    def _multiplexers(self, deep: int) -> float:
+        """Cost of the choice between RAMs for different words."""
+        return _MULTIPLEXER_COST * (deep - 1) * self.bits
 
     @property
     def large(self) -> int:
@@ -180,18 +194,22 @@ def predict(image: CoreImage, board: Board, buffer_bits: int = 8) -> Use:
     buffer_bits: of an address of the link's buffer.
     """
     device = board.device
-    blocks = {each.name: each.blocks(device) for each in memories_of(image, buffer_bits)}
-    logic = [each for each in memories_of(image, buffer_bits) if not blocks[each.name]]
+    placed = {each: each.place(device) for each in memories_of(image, buffer_bits)}
+    blocks = {each.name: count for each, (kind, count) in placed.items() if kind == "blocks"}
+    in_cells = {
+        kind: sum(count for other, count in placed.values() if other == kind)
+        for kind in ("logic", "small")
+    }
     large: dict[str, int] = {}
     # block RAM comes first: every board has it, and tools make Verilog of its bitstream again
-    for each in memories_of(image, buffer_bits):
+    for each in placed:
         short = sum(blocks.values()) > device.block_rams
         fits = each.large + sum(large.values()) <= device.large_rams
-        if each.name in _MOVABLE and short and fits:
+        if each.name in _MOVABLE and each.name in blocks and short and fits:
             large[each.name], blocks[each.name] = each.large, 0
     return Use(
         board,
-        cells=round(_cells(image, device, logic)),
+        cells=round(_cells(image, device, in_cells)),
         block_rams=sum(blocks.values()),
         large_rams=sum(large.values()),
         multipliers=0,
@@ -200,8 +218,8 @@ def predict(image: CoreImage, board: Board, buffer_bits: int = 8) -> Use:
     )
 
 
-def _cells(image: CoreImage, device: Device, logic: list[Memory]) -> float:
-    """Cells of a core with its link; logic: memories that become cells."""
+def _cells(image: CoreImage, device: Device, in_cells: Mapping[str, int]) -> float:
+    """Cells of a core with its link; in_cells: bits of logic and small RAMs of its memories."""
     edges = sum(each.overflow not in ("none", "wrap") for each in image.registers.values())
     rows = image.rows
     terms = {
@@ -213,7 +231,7 @@ def _cells(image: CoreImage, device: Device, logic: list[Memory]) -> float:
         + rows.address_bits
         + 3 * (image.neuron_bits + unsigned_bits(image.slots - 1)),
         "spikes": any(not output.silent for output in image.outputs),
-        "logic": sum(each.words * each.bits for each in logic),
+        **in_cells,
         "parameters": image.neuron_word_bits,
         "edges": edges * image.value_bits,
     }
