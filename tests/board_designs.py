@@ -79,14 +79,15 @@ endmodule
 
 
 def scripts():
-    """link.py and pins.py of an export, as modules."""
+    """Scripts of an export, as modules."""
     sys.path.insert(0, str(TEMPLATES))
     try:
+        import decompiled
         import link
         import pins
     finally:
         sys.path.remove(str(TEMPLATES))
-    return SimpleNamespace(link=link, pins=pins)
+    return SimpleNamespace(decompiled=decompiled, link=link, pins=pins)
 
 
 def host_module():

@@ -23,7 +23,7 @@ def declare_once(text: str) -> str:
             for name in names:
                 port = name.split("=")[0].strip()
                 if kind == "reg" and port in ports:
-                    ports[port] = f"output reg {port}"
+                    ports[port] = f"output reg {name}"
             names = [each for each in names if each.split("=")[0].strip() not in ports]
             line = f"{kind} {', '.join(names)};" if names else ""
         lines.append(line)

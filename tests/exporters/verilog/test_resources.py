@@ -75,9 +75,13 @@ def test_states_and_then_the_buffer_move_where_block_ram_is_short():
 def test_a_design_that_does_not_fit_is_refused_by_what_is_full():
     use = Use(board("icestick"), cells=1300, block_rams=9, large_rams=0, multipliers=0)
     assert use.full == ("cells",)
-    with pytest.raises(RuleError, match=r"rule cells: the policy takes about 1,300 cells; the .*1,2"):
+    with pytest.raises(
+        RuleError, match=r"rule cells: the policy takes about 1,300 cells; the .*1,2"
+    ):
         use.check()
-    with pytest.raises(RuleError, match="rule memory: the policy takes about 17 block RAMs of 4096"):
+    with pytest.raises(
+        RuleError, match="rule memory: the policy takes about 17 block RAMs of 4096"
+    ):
         replace(use, cells=1000, block_rams=17).check()
     assert use.lines()[0].split() == ["cells", "1,300", "of", "1,280", "(102%),", "too", "few"]
     assert not use.record()["fits"]
