@@ -18,6 +18,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 
 needs_icarus = pytest.mark.skipif(not shutil.which("iverilog"), reason="iverilog is not installed")
+needs_yosys = pytest.mark.skipif(not shutil.which("yosys"), reason="yosys is not installed")
 needs_verilator = pytest.mark.skipif(not has_verilator(), reason="verilator is not installed")
 
 

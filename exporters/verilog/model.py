@@ -46,12 +46,14 @@ class _Found:
 class CoreModel:
     """A core with the memories of an image.
 
+    dsp: whether a decay takes one clock, in a multiplier, as with USE_DSP.
     sums: by slot and neuron [units of the layer].
     currents, membranes: of all neurons [state units].
     rests: timesteps that each neuron rests.
     """
 
-    def __init__(self, image: CoreImage) -> None:
+    def __init__(self, image: CoreImage, dsp: bool = False) -> None:
+        self._dsp = dsp
         self._parameters = image.localparams
         self._axons, self._synapses = image.axon_words, image.rows.words
         self._neurons = image.neuron_words
@@ -135,7 +137,8 @@ class CoreModel:
         """What is left of a state, rounded toward zero."""
         bits, state = self["DECAY_BITS"], states[neuron]
         factor = self._field(f"{name}_DECAY", neuron, self["DECAY_FIELD"])
-        self._clocks += 1 + (1 if factor in (0, 1 << bits) else bits)  # READ, DECAY
+        at_once = self._dsp or factor in (0, 1 << bits)
+        self._clocks += 1 + (1 if at_once else bits)  # READ, DECAY
         left = abs(state) * factor >> bits
         return left if state >= 0 else -left
 

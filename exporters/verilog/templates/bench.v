@@ -1,6 +1,6 @@
-// Self-checking bench, for Verilator and Icarus: the tokens of recorded timesteps go in, and all that
-// comes out must be as the emulator has it: every word, and with POLICY_PROBE every current, membrane
-// and spike. +stall=SEED lets tokens and the reader of words wait at random.
+// Self-checking bench, for Verilator and Icarus: the tokens of recorded timesteps go in, and all
+// that comes out must be as the emulator has it: every word, and with POLICY_PROBE every current,
+// membrane and spike. +stall=SEED lets tokens and the reader of words wait at random.
 //
 //   with Icarus:    iverilog -DPOLICY_PROBE -o bench bench.v policy_core.v && vvp bench
 //   with Verilator: verilator --binary -DPOLICY_PROBE bench.v policy_core.v && obj_dir/Vbench
@@ -81,7 +81,8 @@ module bench #(
     end
 `ifdef POLICY_PROBE
     if (probe_valid) begin
-      if (update >= UPDATES || updates[update] !== {probe_current, probe_membrane, probe_spike}) begin
+      if (update >= UPDATES
+          || updates[update] !== {probe_current, probe_membrane, probe_spike}) begin
         if (wrong < 10)
           $display("update %0d, neuron %0d: current %0d, membrane %0d, spike %0d", update,
                    probe_neuron, probe_current, probe_membrane, probe_spike);

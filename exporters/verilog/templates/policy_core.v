@@ -5,8 +5,8 @@
 // Words go out (m_axis) while a timestep is computed, of each layer that the host listens to:
 // the membrane of each neuron, or the spikes of up to 32 neurons, the first in bit 0.
 //
-// A spike of an axon has a row of synapses. Each adds its weight to an accumulator of its target, of
-// which there is one for each timestep up to the largest delay (a ring of slots), so that a row
+// A spike of an axon has a row of synapses. Each adds its weight to an accumulator of its target,
+// of which there is one for each timestep up to the largest delay (a ring of slots), so that a row
 // can be worked off at once, whenever its spikes arrive. A timestep then updates all neurons:
 //
 //   u = fit(part of u + sum of the weights)            part: decay / 2**DECAY_BITS of it, rounded
@@ -143,7 +143,7 @@ module policy_core #(
   wire signed [STATE_BITS-1:0] kept = state_word[STATE_BITS-1:0];
 
   // ---------------------------------------------------------------------------------------------
-  // Parameters of the neuron
+  // Parameters of the neuron: its own, or those of its layer
 
   wire [LAYER_BITS-1:0] layer = parameters[LAYER_BITS-1:0];
   wire [DECAY_FIELD-1:0] current_decay, membrane_decay;
@@ -221,8 +221,9 @@ module policy_core #(
   // Adder: product + sums, current + voltage bias, product + push, membrane - threshold - 1
 
   wire signed [VALUE_BITS-1:0] drive;
-  policy_drive #(SUM_BITS, DRIVE_BITS, VALUE_BITS, LAYERS, LAYER_BITS, SHIFT_OF, ACCUMULATOR_KIND,
-      ACCUMULATOR_BITS, ACCUMULATOR_RANGED, ACCUMULATOR_LOW, ACCUMULATOR_HIGH) field_drive (sum, layer, drive);
+  policy_drive #(SUM_BITS, DRIVE_BITS, VALUE_BITS, LAYERS, LAYER_BITS, SHIFT_OF,
+      ACCUMULATOR_KIND, ACCUMULATOR_BITS, ACCUMULATOR_RANGED, ACCUMULATOR_LOW,
+      ACCUMULATOR_HIGH) layer_drive (sum, layer, drive);
 
   reg signed [ADDER_BITS-1:0] left;
   // verilator lint_off WIDTH
@@ -238,12 +239,12 @@ module policy_core #(
   wire signed [ADDER_BITS-1:0] total = left + right + {{(ADDER_BITS - 1) {1'b0}}, carry};
 
   wire signed [VALUE_BITS-1:0] fit_current, fit_push, fit_membrane;
-  policy_register #(ADDER_BITS, VALUE_BITS, CURRENT_KIND, CURRENT_BITS, CURRENT_RANGED, CURRENT_LOW,
-      CURRENT_HIGH) current_register (total, fit_current);
-  policy_register #(ADDER_BITS, VALUE_BITS, PUSH_KIND, PUSH_BITS, PUSH_RANGED, PUSH_LOW,
-      PUSH_HIGH) push_register (total, fit_push);
-  policy_register #(ADDER_BITS, VALUE_BITS, MEMBRANE_KIND, MEMBRANE_BITS, MEMBRANE_RANGED, MEMBRANE_LOW,
-      MEMBRANE_HIGH) membrane_register (total, fit_membrane);
+  policy_register #(ADDER_BITS, VALUE_BITS, CURRENT_KIND, CURRENT_BITS,
+      CURRENT_RANGED, CURRENT_LOW, CURRENT_HIGH) current_register (total, fit_current);
+  policy_register #(ADDER_BITS, VALUE_BITS, PUSH_KIND, PUSH_BITS,
+      PUSH_RANGED, PUSH_LOW, PUSH_HIGH) push_register (total, fit_push);
+  policy_register #(ADDER_BITS, VALUE_BITS, MEMBRANE_KIND, MEMBRANE_BITS,
+      MEMBRANE_RANGED, MEMBRANE_LOW, MEMBRANE_HIGH) membrane_register (total, fit_membrane);
 
   // ---------------------------------------------------------------------------------------------
   // Spikes, and the timesteps that a neuron rests after one
@@ -285,7 +286,7 @@ module policy_core #(
   // verilator lint_off UNUSEDSIGNAL
   wire [63:0] membrane_word = {{(64 - VALUE_BITS) {value[VALUE_BITS-1]}}, value};
   // verilator lint_on UNUSEDSIGNAL
-  assign m_axis_tdata = spiking ? spikes : membrane_word[31:0];
+  assign m_axis_tdata = HEARS_SPIKES && spiking ? spikes : membrane_word[31:0];
   assign m_axis_tlast = neuron == LAST_HEARD;
 
   // ---------------------------------------------------------------------------------------------
@@ -482,7 +483,8 @@ module policy_drive #(
     for (k = 1; k < LAYERS; k = k + 1)
       if (layer == k[LAYER_BITS-1:0]) shifted = wide <<< SHIFT_OF[8*k+:8];
   end
-  policy_register #(DRIVE_BITS, VALUE_BITS, KIND, BITS, RANGED, LOW, HIGH) accumulator (shifted, drive);
+  policy_register #(DRIVE_BITS, VALUE_BITS, KIND, BITS, RANGED, LOW,
+      HIGH) accumulator (shifted, drive);
 endmodule
 
 // A number as a signed register of BITS holds it. KIND: what happens to one that does not fit:

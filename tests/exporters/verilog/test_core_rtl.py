@@ -6,13 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.verilog.bench import BENCH, record
 from spikedeploy.exporters.verilog.image import core_image
 from spikedeploy.exporters.verilog.model import CoreModel
 from spikedeploy.exporters.verilog.simulation import RtlProcess, build_simulation
 from spikedeploy.exporters.verilog.to_verilog import CORE
+from spikedeploy.make_env import make_env
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.seeds import VALIDATION
+from spikedeploy.shipping.sources import world_of
 from tests.exporters.test_c_networks import delayed
-from tests.exporters.verilog.test_core_model import shipped
+from tests.exporters.verilog.test_core_model import ZOO, shipped
 from tests.rtl_builds import (
     EDGES,
     benched,
@@ -20,6 +26,7 @@ from tests.rtl_builds import (
     linted,
     needs_icarus,
     needs_verilator,
+    needs_yosys,
     passes,
     recorded,
     written,
@@ -87,6 +94,18 @@ def test_verilator_has_no_warning(tmp_path, probe):
         assert linted(tmp_path, *probe, "-GUSE_DSP=1", "-GSTATE_IN_SPRAM=1") == ""
 
 
+@needs_yosys
+@pytest.mark.parametrize("seed", range(2))
+def test_synthesis_finds_no_latch_and_no_net_with_two_drivers(tmp_path, seed):
+    program = [delayed(1), shipped("hexapod/sparse")[1]][seed]
+    written(*recorded(program, 1, 1), tmp_path)
+    steps = f"read_verilog {CORE}; hierarchy -check -top policy_core; proc; flatten; opt_clean"
+    steps += "; check -assert; select -assert-none t:$dlatch t:$adlatch t:$dlatchsr"
+    command = ["yosys", "-q", "-p", steps]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 @needs_verilator
 def test_an_episode_equals_in_verilator_clock_for_clock(tmp_path):
     artifact, program = shipped("hexapod/sparse")
@@ -124,3 +143,55 @@ def test_the_bench_passes_in_verilator_too(tmp_path):
             check=True,
         )
         assert "PASS" in said.stdout
+
+
+# sparse policies, and those with a rate code, of loihi1
+SHIPPED = sorted(str(file.relative_to(ZOO).with_suffix("")) for file in ZOO.glob("[hk]*/s*.nir"))
+
+
+@needs_verilator
+@pytest.mark.fpga
+@pytest.mark.parametrize("name", SHIPPED)
+def test_twenty_episodes_of_a_shipped_policy_equal_in_verilator(tmp_path, name):
+    artifact, program = shipped(name)
+    image = core_image(program, artifact.codec)
+    simulated = build_simulation(written(image, record(image, silence(image, artifact)), tmp_path))
+    env = make_env(world_of(name, artifact), {})
+    kept = program.convention.state == "kept"
+    wrong = 0
+    for episode in range(20):
+        controller = SpikingController(artifact, program.chip, "none")
+        seen = rollout(env, controller, VALIDATION[0] + episode).observation[:-1]
+        raster = artifact.codec.encode_episode(np.asarray(seen, np.float64))
+        machine = Machine(program, 1, "none", trace=True)
+        stall = episode if episode % 2 else None
+        with RtlProcess(simulated, image.outputs, image.neurons, True, stall) as core:
+            if episode % 3:  # an episode that is broken off
+                core.step(range(0, image.axons, 3))
+            core.reset()
+            for inference in raster:
+                if not kept:
+                    core.reset()
+                machine.infer(inference[None])
+                wrong += unequal(core, machine, program, inference)
+    env.close()
+    assert wrong == 0
+
+
+def silence(image, artifact):
+    """Input spikes of one inference, none."""
+    return np.zeros((1, artifact.codec.timesteps, image.axons), np.uint8)
+
+
+def unequal(core, machine, program, inference):
+    """Numbers of the core that are not those of the machine, which has run the inference."""
+    found, seen = 0, machine.recordings
+    steps = [core.step(np.flatnonzero(row).tolist()) for row in inference]
+    for name in ("current", "membrane", "spikes"):
+        wanted = np.concatenate([getattr(seen[a.name], name)[0] for a in program.layers], axis=1)
+        found += np.count_nonzero(wanted != np.array([getattr(step, name) for step in steps]))
+    for layer in program.to_host:
+        quantity = "spikes" if program.layer(layer).spiking else "membrane"
+        wanted = getattr(seen[layer], quantity)[0]
+        found += np.count_nonzero(wanted != np.array([step.values[layer] for step in steps]))
+    return int(found)
