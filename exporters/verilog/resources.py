@@ -14,8 +14,8 @@ from spikedeploy.runtime.errors import RuleError
 
 # cells for each: whatever the core, UART and link included; bit of a state, of an adder and of a
 # value; bit of a sum, of a synapse and of an address; words of spikes; bit of a constant that
-# becomes logic; RAM made of cells; bit of a neuron's parameters; bit of a register that does more
-# at its edges than wrap
+# becomes logic; RAM made of cells; bit of a multiplexer of RAMs; bit of a neuron's parameters; bit
+# of a register that does more at its edges than wrap
 _FACTORS: Mapping[str, Mapping[str, float]] = {
     "ice40": {
         "all": 421.0,
@@ -23,19 +23,16 @@ _FACTORS: Mapping[str, Mapping[str, float]] = {
         "addresses": 3.025,
         "spikes": 30.0,
         "logic": 0.042,
-        "small": 0.0,
         "parameters": 2.655,
         "edges": 1.017,
     },
     "ecp5": {
-        "all": 421.0,
-        "states": 1.375,
-        "addresses": 3.025,
-        "spikes": 30.0,
-        "logic": 0.042,
-        "small": 4.0,
-        "parameters": 2.655,
-        "edges": 1.017,
+        "all": 732.7,
+        "states": 4.883,
+        "spikes": -102.0,
+        "logic": 0.032,
+        "small": 1.17,
+        "multiplexers": 1.4,
     },
 }
 # words x bits of a block RAM
@@ -56,6 +53,27 @@ _LARGE_WORDS, _LARGE_BITS = 16384, 16  # of the single-port RAM of the UltraPlus
 
 
 @dataclass(frozen=True)
+class Place:
+    """A way to make a memory.
+
+    rams: what it costs by Yosys's count, without multiplexers.
+    kind: "blocks" of RAM, "small" RAMs in cells, or "logic".
+    count: of these, or bits of logic.
+    multiplexers: bits that are chosen between RAMs, or between words side by side.
+    """
+
+    rams: float
+    kind: str
+    count: int
+    multiplexers: int
+
+    @property
+    def cost(self) -> float:
+        """What Yosys makes least."""
+        return self.rams + _MULTIPLEXER_COST * self.multiplexers
+
+
+@dataclass(frozen=True)
 class Memory:
     """A memory of the design.
 
@@ -69,25 +87,22 @@ class Memory:
     bits: int
     constant: bool
 
-    def place(self, device: Device) -> tuple[str, int]:
-        """Where Yosys puts it, and how many: "blocks" of RAM, "small" RAMs in cells, or "logic"."""
+    def place(self, device: Device) -> "Place":
+        """Where Yosys puts it."""
         each = _BLOCK_COST[device.family]
         found = []
         for words, bits in _SHAPES[device.family]:
-            deep, count = -(-self.words // words), -(-self.words // words) * -(-self.bits // bits)
-            found.append((count * each + self._multiplexers(deep), "blocks", count))
+            # words that are this far apart stand side by side, and share RAMs
+            deep = -(-self.words // words)
+            count = -(-deep * self.bits // bits)
+            found.append(Place(count * each, "blocks", count, (deep - 1) * self.bits))
         bit = _CONSTANT_COST if self.constant else _VARIABLE_COST
-        found.append((self.words * self.bits * bit, "logic", self.words * self.bits))
+        found.append(Place(self.words * self.bits * bit, "logic", self.words * self.bits, 0))
         if device.family == "ecp5" and not self.constant:
             deep = -(-self.words // _SMALL_WORDS)
             count = deep * -(-self.bits // _SMALL_BITS)
-            found.append((count * _SMALL_COST + self._multiplexers(deep), "small", count))
-        _, kind, count = min(found)
-        return kind, count
-
-    def _multiplexers(self, deep: int) -> float:
-        """Cost of the choice between RAMs for different words."""
-        return _MULTIPLEXER_COST * (deep - 1) * self.bits
+            found.append(Place(count * _SMALL_COST, "small", count, (deep - 1) * self.bits))
+        return min(found, key=lambda place: place.cost)
 
     @property
     def large(self) -> int:
@@ -195,11 +210,12 @@ def predict(image: CoreImage, board: Board, buffer_bits: int = 8) -> Use:
     """
     device = board.device
     placed = {each: each.place(device) for each in memories_of(image, buffer_bits)}
-    blocks = {each.name: count for each, (kind, count) in placed.items() if kind == "blocks"}
+    blocks = {m.name: place.count for m, place in placed.items() if place.kind == "blocks"}
     in_cells = {
-        kind: sum(count for other, count in placed.values() if other == kind)
+        kind: sum(place.count for place in placed.values() if place.kind == kind)
         for kind in ("logic", "small")
     }
+    in_cells["multiplexers"] = sum(place.multiplexers for place in placed.values())
     large: dict[str, int] = {}
     # block RAM comes first: every board has it, and tools make Verilog of its bitstream again
     for each in placed:
@@ -219,7 +235,7 @@ def predict(image: CoreImage, board: Board, buffer_bits: int = 8) -> Use:
 
 
 def _cells(image: CoreImage, device: Device, in_cells: Mapping[str, int]) -> float:
-    """Cells of a core with its link; in_cells: bits of logic and small RAMs of its memories."""
+    """Cells of a core with its link; in_cells: what its memories take of them."""
     edges = sum(each.overflow not in ("none", "wrap") for each in image.registers.values())
     rows = image.rows
     terms = {
