@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.exporters.c.plan import LayerPlan, Plan
-from spikedeploy.exporters.verilog.refusals import check_image, check_program
+from spikedeploy.exporters.verilog.refusals import check_membranes, check_program
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
 
 Integers = NDArray[np.int64]
+# target and weight of each synapse of an axon
+Row = tuple[tuple[int, int], ...]
 
 # bits of a synapse that a block RAM of the iCE40 holds side by side
 _WORD = 16
@@ -65,6 +67,7 @@ class Rows:
     words: {last, gap, weight} of each synapse.
     gap_bits, weight_bits: of a word.
     starts: of each axon: the first synapse of its row, and whether weights are subtracted.
+    first: target from which the gaps of a row count, of the input's channels and of neurons.
     fillers: synapses of weight 0 in gaps that are too wide.
     """
 
@@ -72,6 +75,7 @@ class Rows:
     gap_bits: int
     weight_bits: int
     starts: tuple[tuple[int, bool], ...]
+    first: tuple[int, int]
     fillers: int
 
     @property
@@ -174,12 +178,13 @@ class CoreImage:
     @cached_property
     def rows(self) -> Rows:
         """Rows of the input's channels, then of the neurons."""
-        return _store_rows([self._row(k) for k in range(self.axons + self.neurons)], self._gaps)
+        every = [self._row(k) for k in range(self.axons + self.neurons)]
+        return _store_rows(every[: self.axons], every[self.axons :], self.target_bits)
 
     @property
-    def _gaps(self) -> tuple[int, int]:
-        """First target, and bits of the largest distance between two."""
-        return self.lags[0] << self.neuron_bits, (self.slots << self.neuron_bits).bit_length() - 1
+    def target_bits(self) -> int:
+        """Bits of a target: slots from now, and neuron."""
+        return unsigned_bits(self.slots - 1) + self.neuron_bits
 
     @cached_property
     def _targets(self) -> Mapping[str, list[tuple[Integers, int]]]:
@@ -191,7 +196,7 @@ class CoreImage:
                 found.setdefault(synapses.source, []).append((each.weight, base))
         return found
 
-    def _row(self, axon: int) -> list[tuple[int, int]]:
+    def _row(self, axon: int) -> Row:
         """Target, with its slot, and weight of each synapse of an axon."""
         source, channel = self.program.input, axon
         for name, first in self.first.items() if axon >= self.axons else ():
@@ -202,7 +207,7 @@ class CoreImage:
             row = weight[channel]
             for at in np.flatnonzero(row).tolist():
                 weights[base + at] = weights.get(base + at, 0) + int(row[at])
-        return sorted((target, weight) for target, weight in weights.items() if weight)
+        return tuple(sorted((target, weight) for target, weight in weights.items() if weight))
 
     def _held_bits(self, *names: str) -> int:
         """Bits of what any of the registers passes on [state units]."""
@@ -387,7 +392,6 @@ class CoreImage:
     @cached_property
     def localparams(self) -> Mapping[str, int | tuple[int, int]]:
         """Parameters of the core by name; a pair is a number, and the bits of its vector."""
-        last_lag = self.lags[0] << self.neuron_bits
         rows, slot_bits = self.rows, unsigned_bits(self.slots - 1)
         found: dict[str, int | tuple[int, int]] = {
             "AXONS": self.axons,
@@ -407,7 +411,8 @@ class CoreImage:
             "SYNAPSE_BITS": rows.bits,
             "GAP_BITS": rows.gap_bits,
             "WEIGHT_BITS": rows.weight_bits,
-            "FIRST_TARGET": (last_lag, slot_bits + self.neuron_bits),
+            "FIRST_OF_INPUT": (rows.first[0], self.target_bits),
+            "FIRST_OF_NEURONS": (rows.first[1], self.target_bits),
             "ROW_BITS": rows.entry_bits,
             "SUM_BITS": self.sum_bits,
             "DRIVE_BITS": self.drive_bits,
@@ -468,7 +473,8 @@ def core_image(program: Program, codec: Codec | None = None) -> CoreImage:
     check_program(program)
     program = program.listed("the core of an FPGA")
     image = CoreImage(Plan(program, codec))
-    check_image(image)
+    heard = [output.layer for output in image.outputs if output.silent]
+    check_membranes({layer: image.membrane_bits(layer) for layer in heard})
     _ = image.localparams, image.neuron_words  # what cannot be is refused here, and not later
     return image
 
@@ -482,45 +488,50 @@ def _packed(values: Iterable[int], bits: int) -> tuple[int, int]:
     return word, at
 
 
-def _store_rows(rows: Sequence[Sequence[tuple[int, int]]], gaps: tuple[int, int]) -> Rows:
-    """Rows of targets and weights as words; those that are equal, or negatives, once.
-
-    gaps: the target that each row begins with, and bits of the largest distance.
-    """
-    weights = [weight for row in rows for _, weight in row]
+def _store_rows(inputs: Sequence[Row], neurons: Sequence[Row], target_bits: int) -> Rows:
+    """Rows of the input's channels and of neurons as words; equal ones, and negatives, once."""
+    every = [*inputs, *neurons]
+    weights = [weight for row in every for _, weight in row]
     weight_bits = signed_bits(max([1, *weights, *(~weight for weight in weights)]))
-    start, widest = gaps
-    gap_bits = min(widest, _WORD - 1 - weight_bits)
+    gap_bits = min(target_bits, _WORD - 1 - weight_bits)
     if gap_bits < _NARROWEST_GAP:
-        gap_bits = widest
+        gap_bits = target_bits
+    first = _first(inputs), _first(neurons)
     words: list[int] = []
-    known: dict[tuple[tuple[int, int], ...], int] = {}
+    known: dict[Row, int] = {}
     starts: list[tuple[int, bool]] = []
     fillers = 0
-    for row in rows:
-        key = tuple(row)
-        opposite = tuple((target, -weight) for target, weight in row)
+    for axon, row in enumerate(every):
+        start = first[axon >= len(inputs)]
+        # from its start, with which rows of both kinds can be the same
+        key = tuple((target - start, weight) for target, weight in row)
+        opposite = tuple((gap, -weight) for gap, weight in key)
         if key in known or opposite in known:
             starts.append((known.get(key, known.get(opposite, 0)), key not in known))
             continue
         known[key] = len(words)
         starts.append((len(words), False))
-        synapses = _with_gaps(row, start, (1 << gap_bits) - 1)
+        synapses = _with_gaps(key, (1 << gap_bits) - 1)
         fillers += len(synapses) - len(row)
         for k, (gap, weight) in enumerate(synapses):
             last = k == len(synapses) - 1
             word = (last << gap_bits | gap) << weight_bits
             words.append(word | weight & ((1 << weight_bits) - 1))
-    return Rows(tuple(words), gap_bits, weight_bits, tuple(starts), fillers)
+    return Rows(tuple(words), gap_bits, weight_bits, tuple(starts), first, fillers)
 
 
-def _with_gaps(row: Sequence[tuple[int, int]], start: int, most: int) -> list[tuple[int, int]]:
+def _first(rows: Iterable[Row]) -> int:
+    """The least target of the rows."""
+    return min((row[0][0] for row in rows if row), default=0)
+
+
+def _with_gaps(row: Row, most: int) -> Row:
     """Distance to the synapse before, and weight of each; fillers where distances are too wide."""
-    found, at = [], start
+    found, at = [], 0
     for target, weight in row:
         while target - at > most:
             found.append((most, 0))
             at += most
         found.append((target - at, weight))
         at = target
-    return found or [(0, 0)]
+    return tuple(found) or ((0, 0),)

@@ -81,7 +81,7 @@ class CoreModel:
             self._clocks += 1
             if token < self["AXONS"]:
                 self._clocks += 1
-                self._deliver(self._axons[token])
+                self._deliver(self._axons[token], self["FIRST_OF_INPUT"])
         self._clocks += 1
         found = _Found()
         place, pending = 0, 0
@@ -99,7 +99,8 @@ class CoreModel:
                         self._emit(found, pending, neuron)
                         place = pending = 0
             if spiked:
-                self._deliver(self._field("ROW", neuron, self["ROW_BITS"]))
+                row = self._field("ROW", neuron, self["ROW_BITS"])
+                self._deliver(row, self["FIRST_OF_NEURONS"])
         self._slot = (self._slot + 1) & self["SLOT_MASK"]
         clocks, self._clocks = self._clocks, 0
         return ModelStep(clocks, **vars(found))
@@ -142,12 +143,12 @@ class CoreModel:
         left = abs(state) * factor >> bits
         return left if state >= 0 else -left
 
-    def _deliver(self, row: int) -> None:
-        """Add a row of synapses to the accumulators."""
+    def _deliver(self, row: int, target: int) -> None:
+        """Add a row of synapses to the accumulators; target: from which its first gap counts."""
         address_bits, weight_bits = self["SYNAPSE_ADDRESS_BITS"], self["WEIGHT_BITS"]
         negated, address = row >> address_bits, row & ((1 << address_bits) - 1)
         neuron_bits = self["NEURON_BITS"]
-        target, last = self["FIRST_TARGET"], False
+        last = False
         self._clocks += 2  # FIRST, FLUSH
         while not last:
             word = self._synapses[address]

@@ -1,13 +1,10 @@
 """Refusals: programs that the core does not compute, by the name of a rule."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
-
-if TYPE_CHECKING:
-    from spikedeploy.exporters.verilog.image import CoreImage
 
 # of a token; half of its numbers are for what is no spike
 _AXONS = 1 << 15
@@ -98,12 +95,11 @@ def _check_wires(program: Program) -> None:
         )
 
 
-def check_image(image: "CoreImage") -> None:
-    """Refuse membranes that are wider than a word to the host; RuleError."""
-    for output in image.outputs:
-        bits = image.membrane_bits(output.layer) if output.silent else 0
-        if bits > _WORD:
+def check_membranes(bits: Mapping[str, int]) -> None:
+    """Refuse membranes that are wider than a word to the host; bits: by layer."""
+    for layer, found in bits.items():
+        if found > _WORD:
             raise RuleError(
-                f"rule word: layer {output.layer!r}: its membranes have {bits} bits; "
-                f"a word to the host has {_WORD}. Choose a narrower membrane (membrane=32-clip)."
+                f"rule word: layer {layer!r}: its membranes have {found} bits; a word to the host "
+                f"has {_WORD}. Choose a narrower membrane (membrane={_WORD}-clip)."
             )

@@ -109,7 +109,8 @@ module policy_core #(
   always @(posedge clk) parameters <= neuron_memory[neuron];
 
   // sums of the weights that arrive [units of the layer], a ring of slots for each neuron
-  reg signed [SUM_BITS-1:0] sum_memory[0:SUMS-1];
+  // no_rw_check: what is read and written in one clock is not used
+  (* no_rw_check *) reg signed [SUM_BITS-1:0] sum_memory[0:SUMS-1];
   reg signed [SUM_BITS-1:0] sum;
   wire sum_write;
   wire signed [SUM_BITS-1:0] sum_written;
@@ -326,7 +327,7 @@ module policy_core #(
       end
       FIRST: begin
         synapse_address <= synapse_address + 1'b1;
-        target <= FIRST_TARGET;
+        target <= updating ? FIRST_OF_NEURONS : FIRST_OF_INPUT;
         state <= DELIVER;
       end
       DELIVER: begin
