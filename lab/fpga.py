@@ -4,7 +4,7 @@ r"""Policies on FPGAs: states and returns compared, clocks, cells, frequencies; 
         [--boards icebreaker,ulx3s] [--steps drive,build]
 
 drive: the core drives episodes in simulation; every state is compared with the emulated chip, every
-return with its own. build: synthesis, then place and route with three seeds, for each board. What is
+return with its own. build: synthesis, then place and route with three seeds, for boards. What is
 found goes into results/fpga.json row by row, so that a run that is stopped goes on where --only and
 --boards say; `-o docs` writes the tables of docs/fpga.md from all of it. Needs make and Verilator
 for the first, Yosys and nextpnr for the second ([how to](docs/fpga.md)); what no tool is there for
