@@ -52,10 +52,11 @@ def written(image, found, folder, patch=None):
     return folder
 
 
-def benched(folder, *stalls, top=(), warnings=True):
+def benched(folder, *stalls, top=(), restart=None, warnings=True):
     """What the bench says in Icarus, with each seed of waiting; 0 waits for nothing.
 
     top: options that set its parameters.
+    restart: clock of another reset.
     warnings: whether a warning of the compiler is an error.
     """
     command = ["iverilog", "-g2005", "-Wall", "-Wno-timescale", "-DPOLICY_PROBE", *top]
@@ -66,6 +67,7 @@ def benched(folder, *stalls, top=(), warnings=True):
     said = []
     for seed in stalls or (0,):
         command = ["vvp", "-N", "bench", f"+stall={seed}"]
+        command += [f"+restart={restart}"] if restart is not None else []
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         said.append((done.stdout + done.stderr).strip())
     return said

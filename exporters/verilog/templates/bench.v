@@ -1,6 +1,7 @@
 // Self-checking bench, for Verilator and Icarus: the tokens of recorded timesteps go in, and all
 // that comes out must be as the emulator has it: every word, and with POLICY_PROBE every current,
-// membrane and spike. +stall=SEED lets tokens and the reader of words wait at random.
+// membrane and spike. +stall=SEED lets tokens and the reader of words wait at random; +restart=CLOCK
+// resets the core once more in that clock, and begins anew.
 //
 //   with Icarus:    iverilog -DPOLICY_PROBE -o bench bench.v policy_core.v && vvp bench
 //   with Verilator: verilator --binary -DPOLICY_PROBE bench.v policy_core.v && obj_dir/Vbench
@@ -24,7 +25,11 @@ module bench #(
   reg rst = 1, offered = 0, listens = 0;
   integer clocks = 0, token = 0, word = 0, wrong = 0;
   reg [31:0] noise = 0;  // random bits; 0 lets nothing wait
-  initial if (!$value$plusargs("stall=%d", noise)) noise = 0;
+  integer restart = -1;
+  initial begin
+    if (!$value$plusargs("stall=%d", noise)) noise = 0;
+    if (!$value$plusargs("restart=%d", restart)) restart = -1;
+  end
 
   wire s_axis_tready, m_axis_tvalid, m_axis_tlast;
   wire [31:0] m_axis_tdata;
@@ -66,13 +71,13 @@ module bench #(
 
   always @(posedge clk) begin
     clocks <= clocks + 1;
-    rst <= clocks < 3;
+    rst <= clocks < 3 || (clocks >= restart && clocks < restart + 3);
     // what has been offered stays until it is taken
     offered <= (offered && !s_axis_tready) || noise == 0 || noise[7];
     listens <= noise == 0 || noise[23];
     noise <= {noise[30:0], noise[31] ^ noise[21] ^ noise[1] ^ noise[0]};
-    if (s_axis_tvalid && s_axis_tready) token <= token + 1;
-    if (m_axis_tvalid && listens) begin
+    if (s_axis_tvalid && s_axis_tready && !rst) token <= token + 1;
+    if (m_axis_tvalid && listens && !rst) begin
       if (word >= WORDS || words[word] !== {m_axis_tlast, m_axis_tdata}) begin
         if (wrong < 10) $display("word %0d is %h", word, {m_axis_tlast, m_axis_tdata});
         wrong <= wrong + 1;
@@ -80,7 +85,7 @@ module bench #(
       word <= word + 1;
     end
 `ifdef POLICY_PROBE
-    if (probe_valid) begin
+    if (probe_valid && !rst) begin
       if (update >= UPDATES
           || updates[update] !== {probe_current, probe_membrane, probe_spike}) begin
         if (wrong < 10)
@@ -91,6 +96,13 @@ module bench #(
       update <= update + 1;
     end
 `endif
+    if (rst) begin
+      token <= 0;
+      word <= 0;
+`ifdef POLICY_PROBE
+      update <= 0;
+`endif
+    end
     // the core has been ready for some clocks after the last token
     if (token == TOKENS && s_axis_tready && !rst && all_seen) begin
       if (wrong == 0) $display("PASS: %0d tokens, %0d words, %0d clocks", token, word, clocks);

@@ -33,6 +33,9 @@ from tests.rtl_builds import (
 )
 
 # parameters of the bench, where the core is for an UltraPlus
+FREE_WIDTHS = (
+    "int:weight_bits=5,decay_bits=7,accumulator=12-wrap,current=13-wrap,membrane=14-saturate"
+)
 ULTRA_PLUS = ("-Pbench.STATE_IN_SPRAM=1", "-Pbench.USE_DSP=1")
 
 
@@ -57,14 +60,29 @@ def test_the_edges_of_each_register_equal_in_icarus(tmp_path, name, register):
 
 @needs_icarus
 @pytest.mark.parametrize(
-    "name", ["hexapod/sparse", "kart-steer/sparse-gated", "chips/CartPole-v1/loihi2"]
+    ("name", "on"),
+    [
+        ("hexapod/sparse", "loihi1"),
+        ("kart-steer/sparse-gated", "loihi1"),
+        ("chips/CartPole-v1/loihi2", "loihi2"),
+        ("chips/CartPole-v1/truenorth", FREE_WIDTHS),
+    ],
 )
-def test_shipped_policies_equal_in_icarus_with_and_without_an_ultra_plus(tmp_path, name):
-    artifact, program = shipped(name, "loihi2" if "loihi2" in name else "loihi1")
+def test_shipped_policies_equal_in_icarus_with_and_without_an_ultra_plus(tmp_path, name, on):
+    artifact, program = shipped(name, on)
     found = recorded(program, min(artifact.codec.timesteps, 5), 3, rate=0.1, codec=artifact.codec)
+    assert found[1].spikes.any()
     written(*found, tmp_path)
     assert passes(benched(tmp_path, 0, 3))
     assert passes(benched(tmp_path, 5, top=ULTRA_PLUS))
+
+
+@needs_icarus
+def test_a_reset_in_any_clock_begins_anew(tmp_path):
+    rng = np.random.default_rng(0)
+    written(*recorded(shipped("kart-steer/sparse")[1], 1, 3, rate=0.1), tmp_path)
+    for clock in rng.integers(3, 1500, 12).tolist():
+        assert passes(benched(tmp_path, clock % 2 * 9, restart=clock))
 
 
 @needs_icarus
