@@ -91,7 +91,12 @@ EDGES = [
     *((name, Register(12, "wrap-once")) for name in REGISTERS),
     ("membrane", Register(14, "clip", (0, 1 << 11))),
     ("membrane", Register(14, "saturate", (-700, 3000))),
+    # as wide as Loihi's
+    ("current", Register(24, "wrap-once")),
+    ("current", Register(24, "wrap")),
+    ("membrane", Register(24, "clip")),
 ]
+_LARGEST = (1 << 15) - 1
 
 
 def edges(name, register, reset="zero"):
@@ -100,18 +105,26 @@ def edges(name, register, reset="zero"):
     Each neuron gets a number of its own through two axons, up or down; currents and membranes keep
     all, nothing, or parts of themselves.
     """
-    half = 1 << (register.bits - 1)
+    shift = 6 if register.bits > 16 else 0
+    half = 1 << (register.bits - 1 - shift)
     ends = [half + d for d in (-2, -1, 0, 1, 2)] + [2 * half - 1, 2 * half, 2 * half + 1]
     ends += [3 * half - 1, 3 * half, 3 * half + 1, 1, 2, 3]
     values = np.array([*ends, *(-each for each in ends)])
-    wide = {each: Register(28, "wrap-once" if each == "current" else "clip") for each in REGISTERS}
-    rules = chip("loihi1", mantissa_shift=0, **{**wide, name: register})
+    bits = register.bits + 10
+    wide = {n: Register(bits, "wrap-once" if n == "current" else "clip") for n in REGISTERS}
+    rules = chip("loihi1", mantissa_shift=shift, **{**wide, name: register})
     rng = np.random.default_rng(register.bits)
+    # a weight has 16 bits: as many axons as the largest number takes
+    axons = -(-3 * (half + 1) // _LARGEST)
+    parts = np.array(
+        [np.sign(values) * np.clip(abs(values) - k * _LARGEST, 0, _LARGEST) for k in range(axons)]
+    )
     layers = []
     whole = 4095 if register.overflow == "wrap-once" else 4096  # else nothing bounds what it keeps
     for k, (current, membrane) in enumerate([(whole, 0), (0, whole), (2048, 4095), (4095, 1)]):
-        weight = np.stack([values, -values, rng.integers(-9, 10, len(values))]).astype(np.int16)
-        threshold = np.abs(values) + rng.integers(-1, 2, len(values))
+        small = rng.integers(-9, 10, (1, len(values)))
+        weight = np.concatenate([parts, -parts, small]).astype(np.int16)
+        threshold = (np.abs(values) << shift) + rng.integers(-1, 2, len(values))
         layers.append(
             Layer(
                 name=f"layer{k}",
@@ -126,7 +139,8 @@ def edges(name, register, reset="zero"):
             )
         )
     convention = Convention(1e-3, state="kept", reset=reset)
-    program = Program(rules, convention, "input", 3, tuple(layers), "layer3", None, clock="gated")
+    width = 2 * axons + 1
+    program = Program(rules, convention, "input", width, tuple(layers), "layer3", None)
     patterns = [(1, 0, 0), (0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 1, 0), (0, 0, 1), (0, 1, 1)]
     patterns += [(1, 0, 1), (1, 0, 0), (1, 0, 0), (1, 1, 1)]
-    return program, np.array(patterns, np.uint8)[:, None]
+    return program, np.repeat(np.array(patterns, np.uint8), [axons, axons, 1], axis=1)[:, None]

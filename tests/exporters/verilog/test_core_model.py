@@ -166,3 +166,22 @@ def test_membranes_that_are_wider_than_a_word_are_refused():
 def test_a_range_without_0_is_refused():
     rules = chip("loihi1", membrane=Register(24, "clip", (5, 9)))
     refused("register", replace(delayed(1), chip=rules))
+
+
+def test_the_edges_of_loihi_s_registers_are_among_the_vectors():
+    program, raster = edges("current", Register(24, "wrap-once"))
+    current = record(core_image(program), raster).current
+    assert {64 - (1 << 23), (1 << 23) - 64, 1 << 23} <= set(current.ravel().tolist())
+    program, raster = edges("membrane", Register(24, "clip"))
+    membrane = record(core_image(program), raster).membrane
+    assert {1 - (1 << 23), (1 << 23) - 2, (1 << 23) - 1} <= set(membrane.ravel().tolist())
+
+
+def test_thresholds_are_met_by_one_less_by_the_same_and_by_one_more():
+    program, raster = edges("membrane", Register(24, "clip"))
+    found = record(core_image(program), raster, backend="interpreter")
+    threshold = np.concatenate([layer.threshold for layer in program.layers])
+    # where no spike has changed the membrane, it is seen as it was compared
+    apart = (found.membrane - threshold)[found.spikes == 0]
+    assert {-1, 0} <= set(apart.tolist())
+    assert found.spikes.any()
