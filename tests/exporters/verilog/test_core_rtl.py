@@ -3,6 +3,7 @@
 import subprocess
 from dataclasses import replace
 
+import nir
 import numpy as np
 import pytest
 
@@ -13,15 +14,21 @@ from spikedeploy.exporters.verilog.model import CoreModel
 from spikedeploy.exporters.verilog.simulation import RtlProcess, build_simulation
 from spikedeploy.exporters.verilog.to_verilog import CORE
 from spikedeploy.make_env import make_env
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.shipping.sources import world_of
 from tests.exporters.test_c_networks import delayed
 from tests.exporters.verilog.test_core_model import ZOO, shipped
+from tests.networks import cuba, ends, graph
 from tests.rtl_builds import (
     EDGES,
     benched,
+    differing,
     edges,
     linted,
     needs_icarus,
@@ -75,6 +82,44 @@ def test_shipped_policies_equal_in_icarus_with_and_without_an_ultra_plus(tmp_pat
     written(*found, tmp_path)
     assert passes(benched(tmp_path, 0, 3))
     assert passes(benched(tmp_path, 5, top=ULTRA_PLUS))
+
+
+def foreign(seed):
+    """A network that none of the trainers makes: two layers, a skip, a loop, a readout."""
+    rng = np.random.default_rng(seed)
+
+    def random(neurons, channels, bias=False):
+        weight = rng.normal(0, 1, (neurons, channels)) * (rng.random((neurons, channels)) < 0.6)
+        return nir.Affine(weight, rng.normal(0, 0.2, neurons)) if bias else nir.Linear(weight)
+
+    nodes = {
+        **ends(10, 3),
+        "w1": random(12, 10, bias=True),
+        "a": cuba(12, alpha=0.7),
+        "w2": random(9, 12),
+        "b": cuba(9, beta=0.95),
+        "skip": random(9, 10),
+        "loop": random(12, 9),
+        "w3": random(3, 9),
+        "out": nir.LI(*(np.full(3, v) for v in (4e-3, 4.0, 0.0))),
+    }
+    edges = "input->w1, w1->a, a->w2, w2->b, input->skip, skip->b, b->loop, loop->a, b->w3"
+    return graph(f"{edges}, w3->out, out->output", **nodes)
+
+
+@needs_icarus
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("on", ["int", "int:weight_bits=4,decay_bits=5,membrane=20-wrap", "loihi1"])
+def test_networks_of_others_equal_in_icarus(tmp_path, seed, on):
+    reset = "subtract" if on != "loihi1" and seed % 2 else "zero"
+    clock = "pipelined" if seed != 1 or on == "loihi1" else "gated"
+    convention = Convention(1e-3, state="kept", reset=reset, clock=clock)
+    program = compile_program(Artifact(foreign(seed), None, convention), chip(on), clock=clock)
+    image, found = recorded(program, timesteps=6, inferences=4, seed=seed)
+    assert found.spikes.any()
+    assert differing(image, found) == 0
+    written(image, found, tmp_path)
+    assert passes(benched(tmp_path, 0, 3))
 
 
 @needs_icarus
