@@ -18,13 +18,14 @@ from spikedeploy.runtime.errors import RuleError
 # of a register that does more at its edges than wrap
 _FACTORS: Mapping[str, Mapping[str, float]] = {
     "ice40": {
-        "all": 421.0,
-        "states": 1.375,
-        "addresses": 3.025,
-        "spikes": 30.0,
-        "logic": 0.042,
-        "parameters": 2.655,
-        "edges": 1.017,
+        "all": 421.8,
+        "states": 2.379,
+        "addresses": 1.493,
+        "spikes": 21.4,
+        "logic": 0.069,
+        "multiplexers": 0.764,
+        "parameters": 1.237,
+        "edges": 1.090,
     },
     "ecp5": {
         "all": 732.7,
