@@ -75,13 +75,13 @@ def controller_of(artifact):
     return SpikingController(artifact, told, clock=own_clock(artifact.convention))
 
 
-def policy_at(port, artifact, image):
-    """host.py's policy at a port."""
+def policy_at(port, artifact, image, seconds=10.0):
+    """host.py's policy at a port, which waits so long for an answer."""
     record = host_record(image.program, artifact.codec, image, board("icebreaker"), "a test")
     record = json.loads(json.dumps(record, allow_nan=False))
     sizes = record["link"]
-    link = LINK.Link(port, sizes["tokens"], sizes["words"], sizes["timestep"], tries=30)
-    return HOST.Policy(link, record)
+    sizes = (sizes["tokens"], sizes["words"], sizes["timestep"])
+    return HOST.Policy(LINK.Link(port, *sizes, seconds, tries=30), record)
 
 
 def check_actions(artifact, steps=12, lose=0.0):
@@ -89,7 +89,7 @@ def check_actions(artifact, steps=12, lose=0.0):
     image, controller = image_of(artifact), controller_of(artifact)
     with EmulatedBoard(image, lose) as emulated:
         port = FilePort(emulated.path)
-        policy = policy_at(port, artifact, image)
+        policy = policy_at(port, artifact, image, 0.1 if lose else 10.0)
         for seed in (3, 4):
             controller.reset(seed)
             policy.reset(seed)
