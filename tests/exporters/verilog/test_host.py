@@ -79,8 +79,7 @@ def policy_at(port, artifact, image, seconds=10.0):
     """host.py's policy at a port, which waits so long for an answer."""
     record = host_record(image.program, artifact.codec, image, board("icebreaker"), "a test")
     record = json.loads(json.dumps(record, allow_nan=False))
-    sizes = record["link"]
-    sizes = (sizes["tokens"], sizes["words"], sizes["timestep"])
+    sizes = (record["link"][name] for name in ("tokens", "words", "timestep"))
     return HOST.Policy(LINK.Link(port, *sizes, seconds, tries=30), record)
 
 
