@@ -12,6 +12,7 @@ to_program   a compiled program as plain files, and what is expected of a chip; 
 kit/         beside it: scripts for the chips' tools, copied as they are, and imported by nothing
 to_xylo      a compiled program as a specification for Rockpool, beside the table
 c/           a compiled program as C99 for microcontrollers, beside the table: it takes no torch
+verilog/     a compiled program as Verilog for FPGAs, beside the table likewise
 """
 
 from collections.abc import Callable

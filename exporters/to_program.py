@@ -296,7 +296,7 @@ def host_record(program: Program, codec: Codec | None, run: ChipRun) -> dict[str
         return {"missing": missing}
     taps, bias = _taps(program)
     found = [{**tap, "from": run.windows[tap["layer"]].start} for tap in taps]
-    return {"codec": _plain(codec.to_record()), "bias": bias, "taps": found}
+    return {"codec": plain_record(codec.to_record()), "bias": bias, "taps": found}
 
 
 class KitPlayer:
@@ -385,14 +385,14 @@ def _place(mapping: CoreMapping) -> Iterator[dict[str, Any]]:
             }
 
 
-def _plain(record: object) -> Any:  # noqa: ANN401
+def plain_record(record: object) -> Any:  # noqa: ANN401
     """A metadata tree as JSON has it: arrays as lists, infinity as null."""
     if isinstance(record, Mapping):
-        return {name: _plain(value) for name, value in record.items()}
+        return {name: plain_record(value) for name, value in record.items()}
     if isinstance(record, np.ndarray | np.generic):
-        return _plain(record.tolist())
+        return plain_record(record.tolist())
     if isinstance(record, list | tuple):
-        return [_plain(each) for each in record]
+        return [plain_record(each) for each in record]
     return None if isinstance(record, float) and math.isinf(record) else record
 
 

@@ -24,8 +24,20 @@ for ignored, usual in (
 
 
 def pytest_addoption(parser):
-    """`--lab` runs the tests of the lab too; a path in their folder does so without it."""
+    """`--lab` runs the tests of the lab too; a path in their folder does so without it.
+
+    `--fpga` runs those that take minutes of synthesis and simulation.
+    """
     parser.addoption("--lab", action="store_true", help="the tests of the lab too")
+    parser.addoption("--fpga", action="store_true", help="long tests of FPGAs too")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Skip the long tests of FPGAs where nobody asks for them."""
+    if not config.getoption("--fpga"):
+        for item in items:
+            if item.get_closest_marker("fpga"):
+                item.add_marker(pytest.mark.skip(reason="minutes of synthesis: --fpga runs it"))
 
 
 def pytest_ignore_collect(collection_path, config):

@@ -25,11 +25,13 @@ class Magnitudes:
     states: of any number in the update [state units].
     registers: of what reaches each register of CuBa-LIF neurons before it is held, by its name
         [state units]; empty for other neurons.
+    held: of what each register passes on, likewise.
     """
 
     arriving: int
     states: int
     registers: Mapping[str, int]
+    held: Mapping[str, int]
 
     @property
     def kind(self) -> str:
@@ -79,7 +81,9 @@ def _bound_cuba(
         "push": pushed,
         "membrane": _bound_before(push, keeps[1] / one, membrane),
     }
-    return Magnitudes(weights, states, reached)
+    passed = {"accumulator": drive, "current": current, "push": push, "membrane": membrane}
+    held = {name: min(reached[name], most) for name, most in passed.items()}
+    return Magnitudes(weights, states, reached, held)
 
 
 def _bound_integrate(layer: Layer, rules: IntegrateAndFireRules, weights: int) -> Magnitudes:
@@ -89,7 +93,7 @@ def _bound_integrate(layer: Layer, rules: IntegrateAndFireRules, weights: int) -
         raise _unbounded(layer)
     leak = int(layer.membrane_decay.max(initial=0)) if rules.leak != "shift" else 0
     threshold = int(layer.threshold.max(initial=0)) if layer.spiking else 0
-    return Magnitudes(weights, max(held, threshold) + weights + leak + threshold, {})
+    return Magnitudes(weights, max(held, threshold) + weights + leak + threshold, {}, {})
 
 
 def _bound(register: Register) -> int | None:
@@ -97,7 +101,9 @@ def _bound(register: Register) -> int | None:
     if register.between is not None:
         return max(map(abs, register.between))
     half = 1 << (register.bits - 1)
-    return None if register.overflow in ("none", "wrap-once") else half
+    if register.overflow in ("none", "wrap-once"):
+        return None
+    return half - (register.overflow == "clip")
 
 
 def _hold(register: Register, before: int) -> int:
@@ -138,6 +144,6 @@ def _bound_before(added: int, keeps: float, state: int) -> int:
 
 def _unbounded(layer: Layer) -> ConfigError:
     return ConfigError(
-        f"--to c: layer {layer.name!r}: nothing bounds its states to 62 bits, so that integers of "
-        "C could overflow. Choose registers that saturate or wrap, or another model of the chip."
+        f"layer {layer.name!r}: nothing bounds its states to 62 bits, so that integers could "
+        "overflow. Choose registers that saturate or wrap, or another model of the chip."
     )

@@ -91,15 +91,15 @@ def int16_files(
     }
 
 
-def write_texts(texts: Mapping[str, str], folder: Path) -> None:
+def write_texts(texts: Mapping[str, str], folder: Path, record: str = RECORD) -> None:
     """Write files by name into a folder, some of them into folders in it: all, or none.
 
-    They get their names when all are whole: first RECORD, which says whose they are, and last the
-    Makefile, which is away meanwhile, so that no make builds a mixture of two exports.
+    They get their names when all are whole: first the record, which says whose they are, and last
+    the Makefile, which is away meanwhile, so that no make builds a mixture of two exports.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:  # which ends in reverse order
-        for name in sorted(texts, key=lambda name: (name == RECORD) - (name == MAKEFILE)):
+        for name in sorted(texts, key=lambda name: (name == record) - (name == MAKEFILE)):
             (folder / name).parent.mkdir(exist_ok=True)
             part = stack.enter_context(replacing(folder / name))
             part.write_text(texts[name], encoding="ascii")

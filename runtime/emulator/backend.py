@@ -1,10 +1,10 @@
 """Backends, which compute a program: their interface, and the choice among them."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import Any, Literal, Protocol, TypeVar, get_args
+from typing import Any, Literal, Protocol, TypeAlias, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -135,6 +135,10 @@ class Backend(Protocol):
 
     def restore(self, saved: SavedState) -> None:
         """Continue from there; T may be another where layers run row by row."""
+
+
+# makes a backend that has no name here, such as hardware in simulation, as a class of backends does
+BackendMaker: TypeAlias = Callable[[Program, Schedule, int], Backend]
 
 
 def backend_class(program: Program, name: str) -> type[Backend]:

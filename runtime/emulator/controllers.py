@@ -11,7 +11,7 @@ from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.backend import BackendName
+from spikedeploy.runtime.emulator.backend import BackendMaker, BackendName
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import run_network
@@ -68,7 +68,7 @@ class SpikingController:
         chip: Chip | None = None,
         ledger: Rows = "each",
         sampled: bool = False,
-        backend: BackendName = "numpy",
+        backend: BackendName | BackendMaker = "numpy",
         faults: Faults = NONE,
         trace: bool = False,
         **options: Any,  # noqa: ANN401

@@ -11,6 +11,7 @@ from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import (
     Backend,
+    BackendMaker,
     BackendName,
     Recording,
     RunMode,
@@ -46,7 +47,7 @@ class Machine:
         "auto" do so too where nothing faster supports the arithmetic. "The same" is bit for bit on
         chips with integers. On `ideal` it is up to the rounding of float64: backends add up the
         same products in another order, and a membrane that comes within that of its threshold may
-        spike with one and not with the other.
+        spike with one and not with the other. A function makes one of another kind.
     """
 
     def __init__(
@@ -55,14 +56,16 @@ class Machine:
         batch: int | None = 1,
         ledger: Rows = "each",
         trace: bool = False,
-        backend: BackendName = "numpy",
+        backend: BackendName | BackendMaker = "numpy",
     ) -> None:
         if batch is not None and batch < 1:
             raise ConfigError(f"batch is {batch}; the least is 1.")
         self.program, self.batch = program, batch
         self.recordings: Mapping[str, Recording] = {}
         self._trace = trace
-        self._backend_class = backend_class(program, backend)
+        self._make_backend: BackendMaker = (
+            backend_class(program, backend) if isinstance(backend, str) else backend
+        )
         self._ledger = LedgerBuilder(program, ledger)
         # by batch size; since the last reset only that of `_active` has run
         self._backends: dict[int, Backend] = {}
@@ -269,7 +272,7 @@ class Machine:
             trace=self._trace or (batch in self._hosts and timesteps > 1),
             counting=self._ledger.keeps,
         )
-        built = self._backend_class(program, schedule, batch)
+        built = self._make_backend(program, schedule, batch)
         if isinstance(built, InterpreterBackend) and len(self._seeds) == batch:
             built.seed(self._seeds)
         return built

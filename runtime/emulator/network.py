@@ -11,7 +11,7 @@ from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.backend import BackendName, Recording
+from spikedeploy.runtime.emulator.backend import BackendMaker, BackendName, Recording
 from spikedeploy.runtime.emulator.interpreter import count
 from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows
 from spikedeploy.runtime.emulator.machine import Machine
@@ -137,7 +137,7 @@ def run_network(
     chip: Chip | None,
     ledger: Rows = "each",
     trace: bool = False,
-    backend: BackendName | None = None,
+    backend: BackendName | BackendMaker | None = None,
     faults: Faults = NONE,
     **options: Any,  # noqa: ANN401
 ) -> RunningNetwork:

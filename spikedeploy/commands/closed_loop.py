@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from spikedeploy.comparison.comparison import Comparison
     from spikedeploy.realtime.paced_loop import PacedLoop
     from spikedeploy.shipping.cards import Settings
+    from spikedeploy.shipping.hardware_run import Driver, HardwareRun
     from spikedeploy.shipping.reproduce import Reproduction
 
 # of which the numbers of an evaluation depend most
@@ -89,11 +90,15 @@ def run(
     native: bool = False,
     codec: Path | None = None,
     backend: Computes = "numpy",
+    via: Path | None = None,
     tables: TablesChoice = "one",
     force: bool = False,
     json: bool = False,
 ) -> None:
-    """Run one policy in its environment: returns, successes and costs."""
+    """Run one policy in its environment: returns, successes and costs.
+
+    With --via: hardware in simulation drives, and exit code 1 says that it is not the chip's equal.
+    """
     from spikedeploy.comparison.evaluation import run_policy
     from spikedeploy.comparison.metrics import checked_metrics
     from spikedeploy.outputs import check_output, has_text, mark
@@ -113,27 +118,59 @@ def run(
     prices = checked_table_names(energy or ())
     metrics = checked_metrics(world.metric or ())
     clock.check(video is not None, episodes > 1)
+    if via is not None:
+        _check_via(via, chip, backend, native, (reading, on_chip, damaged, clock))
     policy = _adopt(policy, reading, codec, env, chip, on_chip, force)
-    options = world.options()
-    with clock.loop(prices) as loop:
-        comparison = run_policy(
-            runnable(policy),
-            env or trained_in(policy),
-            chip,
-            range(seed, seed + episodes),
-            video,
-            sampled,
-            options,
-            metrics,
-            loop,
-            faults=damaged.faults(),
-            backend=backend,
-            **on_chip.arguments(),
-        )
-    document = _report(replace(comparison, tables=prices), options, output, loop)
+    options, file, loop, drove = world.options(), runnable(policy), None, None
+    play = partial(
+        run_policy,
+        file,
+        env or trained_in(policy),
+        seeds=range(seed, seed + episodes),
+        sampled=sampled,
+        options=options,
+        metrics=metrics,
+        faults=damaged.faults(),
+        **on_chip.arguments(),
+    )
+    with _hardware(via, file) as core:
+        if core is None:
+            with clock.loop(prices) as loop:
+                comparison = play(chip=chip, video=video, loop=loop, backend=backend)
+        else:
+            comparison = play(chip=core.chip, video=video, backend=core.backend, name=core.name)
+            drove = core.beside_emulated(comparison, partial(play, chip=core.chip))
+        document = _report(replace(comparison, tables=prices), options, output, loop, drove)
     from spikedeploy.reports.terminal import print_run  # after the first action, which is sooner
 
     _print(document, json, print_run, tables, output, video)
+    if drove:
+        for line in () if json else drove.lines():
+            typer.echo(line)
+        raise typer.Exit(0 if drove.equal else 1)
+
+
+def _check_via(
+    via: Path, chip: str | None, backend: str, native: bool, groups: tuple[object, ...]
+) -> None:
+    """Refuse options that an export has already decided, or that a simulation has no sense for."""
+    given = {"--chip": chip, "--native": native or None, "--backend": backend != "numpy" or None}
+    named = [name for name, value in given.items() if value is not None]
+    if named or groups != (Reading(), OnChip(), Damaged(), ByTheClock()):
+        what = named[0] if named else "options of reading, of the emulated chip and by the clock"
+        raise ConfigError(
+            f"--via {via}: the folder says what it was exported for, and a simulation is not by "
+            f"the clock: leave {what} out"
+        )
+
+
+def _hardware(via: Path | None, policy: str) -> "AbstractContextManager[Driver | None]":
+    """The hardware of --via; None where there is none."""
+    if via is None:
+        return nullcontext()
+    from spikedeploy.shipping.hardware_run import driver
+
+    return driver(via, policy)
 
 
 def _adopt(
@@ -175,6 +212,7 @@ def _report(
     options: dict[str, Any],
     output: Path | None,
     loop: "PacedLoop | None" = None,
+    drove: "HardwareRun | None" = None,
 ) -> dict[str, Any]:
     """The comparison as a document, which is written where there is a folder for it."""
     from spikedeploy.reports import comparison as report
@@ -182,6 +220,8 @@ def _report(
     document = report.document(comparison)
     if loop:
         document["real_time"] = loop.measured().as_json()
+    if drove:
+        document["hardware"] = drove.as_json()
     if output:
         recorded = report.recordings(comparison, document["rows"], options)
         report.write(document, output, episodes=recorded)

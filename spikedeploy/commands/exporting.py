@@ -26,6 +26,7 @@ def export(
     env: str | None = None,
     clock: ChipClock | None = None,
     prefix: str = "policy",
+    board: str | None = None,
     raster: Path | None = None,
     state: States | None = None,
     checkpoint: str | None = None,
@@ -38,12 +39,14 @@ def export(
     force: bool = False,
     json: bool = False,
 ) -> None:
-    """Write a trained policy as .nir or .onnx, and check the file against it; or as C99.
+    """Write a trained policy as .nir or .onnx, and check the file against it; or as C99 or Verilog.
 
     --to card makes the run folder ready for upload: the policy, card.md, curve.svg, report.html.
     """
     from spikedeploy import zoo
 
+    if board is not None and to != "verilog":
+        raise typer.BadParameter("--board goes with --to verilog")
     if film and to != "card":
         raise typer.BadParameter("--film goes with --to card")
     if run.endswith(zoo.SUFFIXES) and zoo.resolve(run) is None:
@@ -82,6 +85,12 @@ def export(
 
         code = export_c(run, chip, output, observations, prefix, force)
         print_result(json, code.record(), *code.lines)
+        return
+    if to == "verilog":
+        from spikedeploy.shipping.export_verilog import export_verilog
+
+        core = export_verilog(run, chip, board, output, observations, force)
+        print_result(json, core.record(), *core.lines)
         return
     if to == "card":
         from spikedeploy.shipping.run_card import export_card

@@ -189,6 +189,7 @@ def check(
     reading: Reading,
     chip: list[str] | None = None,
     rules: bool = False,
+    board: str | None = None,
     against: Path | None = None,
     output: Path | None = None,
     force: bool = False,
@@ -197,7 +198,7 @@ def check(
     """Check whether a network fits on chips, rule by rule and node by node.
 
     Exit code 0: every chip that was named passes; of 'all', at least one that has limits. With
-    --against: the float twin equals the recording.
+    --against: the float twin equals the recording. With --board: it fits on that FPGA.
     """
     from spikedeploy.emulation.design_report import ALL, design_report, network_path
     from spikedeploy.outputs import check_output_folder
@@ -206,6 +207,10 @@ def check(
     from spikedeploy.shipping.exported_run import runnable
 
     file = runnable(file)
+    if board is not None:
+        if output or against or rules:
+            raise typer.BadParameter("--board says what is full: leave --rules, --against, -o out")
+        _check_board(file, board, chip, reading, json)
     if against is not None:
         if output:
             raise typer.BadParameter("-o writes the rules of chips: leave --against out")
@@ -221,6 +226,21 @@ def check(
         print_report(report, rules)
         _name_page(output)
     raise typer.Exit(0 if report.passed else 1)
+
+
+def _check_board(
+    file: str, board: str, chips: list[str] | None, reading: Reading, json: bool
+) -> NoReturn:
+    """Print what of a board's FPGA a network takes, before any synthesis, and exit."""
+    from spikedeploy.emulation.design_report import network_path
+    from spikedeploy.shipping.export_verilog import use_of_board
+
+    if len(chips or ()) > 1:
+        raise ConfigError("--board: a core has the integers of one chip: name one with --chip")
+    chip = chips[0] if chips else None
+    use = use_of_board(network_path(file), chip, board, **reading.arguments())
+    print_result(json, use.record, *use.lines)
+    raise typer.Exit(0 if use.fits else 1)
 
 
 def _check_against(

@@ -6,5 +6,6 @@ open_loop      a raster through a network, on a chip or in float, and all that i
 rasters        rasters in .npy and .npz files
 drift          where a chip leaves the float twin, with or without calibration
 design_report  a network against the design rules of chips
+rtl_backend    hardware in simulation in the place of the emulated chip, compared with it
 verification   recorded traces and spikes, of emulators, a framework or silicon, against ours
 """

@@ -18,7 +18,7 @@ from spikedeploy import zoo
 from spikedeploy.envs.foreign import is_target
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.codec.codec import observed_numbers
-from spikedeploy.runtime.emulator.backend import BackendName
+from spikedeploy.runtime.emulator.backend import BackendMaker, BackendName
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import NONE, Faults
 
@@ -78,7 +78,7 @@ class Candidate:
     limits: bool = True
     quantisation: Quantisation = PLAIN
     faults: Faults = NONE
-    backend: BackendName = "numpy"
+    backend: BackendName | BackendMaker = "numpy"
     chip: str | None = None
     units: Literal["own", "scaled"] | None = None
 

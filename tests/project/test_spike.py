@@ -44,6 +44,7 @@ def spike(home, *words, cwd=None):
         ("train", "[train]"),
         ("export", "[train]"),
         ("export hexapod/sparse --to c", ""),
+        ("export hexapod/sparse --to verilog", ""),
         ("export hexapod/sparse --to nir", "[train]"),
         ("export last --to c", "[train]"),
         ("tune", "[tune]"),
@@ -81,6 +82,7 @@ def test_a_changed_project_is_installed_again(file, checkout):
         (["docs"], "mkdocs {home} build --strict"),
         (["test", "--peers", "norse"], "python {home} -m lab live-peers norse"),
         (["lab", "drift", "-o", "x.md"], "python {home} -m lab drift -o x.md"),
+        (["test", "--fpga", "-x"], "python {home} -m pytest -n 2 --dist worksteal --fpga -x"),
     ],
 )
 def test_words_that_are_not_of_the_command_line_run_in_the_checkout(
@@ -88,6 +90,24 @@ def test_words_that_are_not_of_the_command_line_run_in_the_checkout(
 ):
     _, _, lines = spike(checkout, *words, cwd=tmp_path)
     assert lines[-1] == called.format(home=checkout, tmp=tmp_path)
+
+
+def test_the_tools_of_fpgas_are_installed_once_and_for_their_tests_alone(checkout):
+    spike(checkout, "test")
+    assert spike(checkout, "test")[1] == ["python"]
+    _, programs, lines = spike(checkout, "test", "--fpga")
+    assert programs == ["pip", "python"]
+    assert lines[0].endswith(f"install -e {checkout}[fpga]")
+    assert spike(checkout, "test", "--fpga")[1] == ["python"]
+
+
+def test_the_suite_runs_where_the_tools_of_fpgas_cannot_be_installed(checkout):
+    spike(checkout, "test")
+    pip = checkout / ".venv/bin/pip"
+    pip.write_text(pip.read_text() + "exit 1\n")
+    done, programs, _ = spike(checkout, "test", "--fpga")
+    assert (done.returncode, programs) == (0, ["pip", "python"])
+    assert "those of the system are used" in done.stderr
 
 
 def test_where_a_tested_version_is_missing_others_are_installed_and_that_is_said(checkout):

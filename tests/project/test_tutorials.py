@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from spikedeploy.exporters.verilog.tools import missing_tools
 from spikedeploy.runtime import CHIPS
 from tests.project.test_docs import checkout  # noqa: F401  the folder of the reader
 from tests.project.tutorials import PAGES, commands, fails, missing, parts, programs, short
@@ -59,11 +60,23 @@ def called(lines, folder):
         program = str(folder / words[0]) if "/" in words[0] else shutil.which(words[0])
         if program is None or shutil.which("cc") is None or not has_library(words[0]):
             return None
+        if missing_tools(*(tool for word in words for tool in NEEDED.get(word, ()))):
+            return None
         done = subprocess.run([program, *words[1:]], cwd=folder, capture_output=True, text=True,
                               check=False, stdin=subprocess.DEVNULL, timeout=100)  # fmt: skip
         assert done.returncode == 0, done.stderr
         printed += done.stdout + done.stderr  # qemu writes what a board says to the second
     return printed
+
+
+# targets of the Makefile of an export to Verilog -> what they need
+NEEDED = {
+    "lint": ("verilator",),
+    "sim": ("verilator", "g++"),
+    "netlist": ("verilator", "g++", "yosys"),
+    "bit": ("yosys", "nextpnr-ice40", "icepack"),
+    "bitcheck": ("verilator", "g++", "iceunpack", "icebox_vlog"),
+}
 
 
 def has_library(program):

@@ -92,9 +92,11 @@ def fails(line):
 def short(line):
     """A command line, whose training takes seconds."""
     words = shlex.split(line, comments=True)
-    if words[1] != "train":
+    if words[1] not in ("train", "distill"):
         return line
-    settings = [*_SHORT[words[words.index("--recipe") + 1]], *_VALIDATION]
+    trained = words[1] == "train"
+    recipe = words[words.index("--recipe") + 1] if trained else "distill-sparse"  # with --budget
+    settings = [*_SHORT[recipe], *_VALIDATION]
     return shlex.join([*words, *(word for each in settings for word in ("--set", each))])
 
 

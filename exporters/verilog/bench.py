@@ -1,0 +1,100 @@
+"""Contents of the self-checking bench: tokens of timesteps, and what the emulator makes of them."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.exporters.verilog.image import CoreImage
+from spikedeploy.exporters.verilog.model import FORGET, STEP, CoreModel
+from spikedeploy.exporters.verilog.text import hex_text
+from spikedeploy.exporters.verilog.vectors import words_of
+from spikedeploy.runtime.emulator.backend import BackendName
+from spikedeploy.runtime.emulator.machine import Machine
+
+BENCH = "bench.v"
+_SPARE = 4  # times as many clocks as without any waiting
+_BITS64 = (1 << 64) - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Timesteps of the emulator, S of them.
+
+    tokens: of each timestep; FORGET before a new episode, and STEP at the end.
+    words: of each timestep, as they leave the core.
+    current, membrane, spikes: (S, N) of all neurons.
+    """
+
+    tokens: Sequence[Sequence[int]]
+    words: Sequence[Sequence[int]]
+    current: NDArray[np.int64]
+    membrane: NDArray[np.int64]
+    spikes: NDArray[np.int64]
+
+
+def record(
+    image: CoreImage,
+    raster: NDArray[np.uint8],
+    backend: BackendName = "interpreter",
+    episodes: Collection[int] = (),
+) -> Recorded:
+    """Timesteps of the emulator with input spikes (S, T, M) of one inference after another.
+
+    episodes: inferences with which a new episode begins; each one does where states are reset.
+    """
+    program = image.program
+    machine = Machine(program, 1, "none", trace=True, backend=backend)
+    resets = program.convention.state == "reset"
+    tokens: list[list[int]] = []
+    words: list[list[int]] = []
+    found: dict[str, list[NDArray[np.int64]]] = {n: [] for n in ("current", "membrane", "spikes")}
+    for s, inference in enumerate(raster):
+        new = resets or s in episodes
+        if new:
+            machine.reset()
+        machine.infer(inference[None])
+        seen = machine.recordings
+        for t, row in enumerate(inference):
+            tokens.append([FORGET] * (new and t == 0) + [*np.flatnonzero(row).tolist(), STEP])
+        each = [words_of(seen[output.layer], output) for output in image.outputs]
+        words += np.concatenate(each, axis=1).tolist()
+        for name, rows in found.items():
+            layers = [getattr(seen[layer.name], name)[0] for layer in program.layers]
+            rows.append(np.concatenate(layers, axis=1).astype(np.int64))
+    together = {name: np.concatenate(rows) for name, rows in found.items()}
+    return Recorded(tokens, words, **together)
+
+
+def bench_files(image: CoreImage, recorded: Recorded) -> dict[str, str]:
+    """Text of the files that bench.v reads, by name."""
+    words = [
+        (k == len(each) - 1) << 32 | word for each in recorded.words for k, word in enumerate(each)
+    ]
+    tokens = [token for each in recorded.tokens for token in each]
+    states = (recorded.current, recorded.membrane, recorded.spikes)
+    updates = [
+        (current & _BITS64) << 65 | (membrane & _BITS64) << 1 | spike
+        for current, membrane, spike in zip(*(s.ravel().tolist() for s in states), strict=True)
+    ]
+    counts = {"TOKENS": len(tokens), "WORDS": len(words), "UPDATES": len(updates)}
+    counts["MOST_CLOCKS"] = _SPARE * _clocks(image, recorded)
+    return {
+        "vectors.vh": "".join(f"localparam {name} = {n};\n" for name, n in counts.items()),
+        "tokens.hex": hex_text(tokens, 16),
+        "words.hex": hex_text(words, 33),
+        "updates.hex": hex_text(updates, 129),
+    }
+
+
+def _clocks(image: CoreImage, recorded: Recorded) -> int:
+    """Clocks of all timesteps without any waiting."""
+    model = CoreModel(image)
+    total = model.clear_clocks
+    for tokens in recorded.tokens:
+        if tokens[0] == FORGET:
+            model.reset()
+            total += 1 + model.clear_clocks
+        total += model.step(token for token in tokens if token < STEP).clocks
+    return total

@@ -1,0 +1,218 @@
+"""Files around a core on a board: top module, UART, constraints, Makefile, host, and costs."""
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from numpy.typing import NDArray
+
+from spikedeploy.exporters.to_program import as_rows, plain_record
+from spikedeploy.exporters.verilog.bench import BENCH, bench_files, record
+from spikedeploy.exporters.verilog.boards import Board
+from spikedeploy.exporters.verilog.image import CoreImage
+from spikedeploy.exporters.verilog.model import STEP, CoreModel
+from spikedeploy.exporters.verilog.resources import Use, predict
+from spikedeploy.exporters.verilog.tools import TOOLS
+from spikedeploy.exporters.verilog.vectors import episode_record
+from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.errors import RuleError
+
+MARK = "exported by spikedeploy as Verilog"
+# copied as they are
+_SAME = (
+    *("uart.v", "link.v", "link.py", "host.py"),
+    *("pins.py", "compare.py", "decompiled.py", "report.py"),
+)
+_FILLED = ("top.v", "pins_main.cpp", "Makefile", "README.md")
+# of the longest reply: its length is a byte
+_WORDS_MOST = 255
+_EPISODE_STEPS = 100
+# updates of neurons that the bench checks, about, and its timesteps
+_UPDATES = 10_000
+_LEAST_STEPS, _MOST_STEPS = 40, 300
+
+
+@dataclass(frozen=True)
+class Buffer:
+    """The buffer of link.v for a core.
+
+    words: of a timestep.
+    """
+
+    words: int
+
+    def check(self) -> None:
+        """Refuse more words than a reply has; RuleError."""
+        if self.words > _WORDS_MOST:
+            raise RuleError(
+                f"rule link: {self.words} words leave the core in a timestep; a reply has at most "
+                f"{_WORDS_MOST}. Read fewer membranes, or spikes in place of them."
+            )
+
+    @property
+    def address_bits(self) -> int:
+        """Bits of an address: half of the buffer is for words, of two numbers each."""
+        return max(8, (2 * self.words - 1).bit_length() + 1)
+
+    @property
+    def tokens_most(self) -> int:
+        """Tokens of a request."""
+        return min(_WORDS_MOST, 1 << (self.address_bits - 1))
+
+    @property
+    def words_most(self) -> int:
+        """Words of a reply."""
+        return min(_WORDS_MOST, 1 << (self.address_bits - 2))
+
+
+def board_files(
+    image: CoreImage,
+    codec: Codec,
+    board: Board,
+    origin: str,
+    observation: NDArray[np.float64],
+    seed: int = 0,
+) -> dict[str, str]:
+    """Text of the files around a core, by name; RuleError where it is too large for the board.
+
+    origin: where the program comes from, for comments.
+    observation: (S, obs) of one episode from its beginning, of which the vectors are made.
+    seed: of an encoder that is random.
+    """
+    use, buffer = predict(image, board), Buffer(image.words)
+    use.check()
+    buffer.check()
+    family = board.device.family
+    states = f"chparam -set STATE_IN_SPRAM {int(use.states_in_large_ram)} policy_core;"
+    values = {
+        "mark": MARK,
+        "origin": origin,
+        "board": board,
+        "ports": board.ports,
+        "family": family,
+        "constraints": board.constraints_name,
+        "bitstream": "policy.bin" if family == "ice40" else "policy.bit",
+        "tools": [tool for name, tool in TOOLS.items() if name != "make"],
+        "dsp": False,
+        "parameters": states,
+        "programmer": _PROGRAMMERS[board.program[0].split()[0]],
+        "link": buffer,
+        "use": use,
+        "image": image,
+    }
+    steps = int(np.clip(_UPDATES // image.neurons, _LEAST_STEPS, _MOST_STEPS)) // codec.timesteps
+    raster = codec.encode_episode(observation[: max(1, steps)], seed)
+    recorded = record(image, raster, episodes={0})
+    episode = episode_record(image, codec, observation[:_EPISODE_STEPS], seed)
+    return {
+        **{name: _text(name) for name in _SAME},
+        **{name: render(name, **values) for name in _FILLED},
+        board.constraints_name: board.constraints,
+        "policy.json": as_rows(host_record(image.program, codec, image, board, origin)),
+        BENCH: _text(BENCH),
+        **bench_files(image, recorded),
+        "episode.json": as_rows(episode),
+        "costs.json": json.dumps(costs_record(image, board, use, recorded.tokens), indent=2) + "\n",
+    }
+
+
+_PROGRAMMERS = {
+    "iceprog": "apt-get install fpga-icestorm",
+    "openFPGALoader": "apt-get install openfpgaloader",
+}
+
+
+def costs_record(
+    image: CoreImage, board: Board, use: Use, tokens: Sequence[Sequence[int]]
+) -> dict[str, Any]:
+    """What the core takes on the board: cells as predicted, and time; builds are put beside it.
+
+    tokens: of recorded timesteps, which are measured on the model of the core.
+    """
+    core = CoreModel(image)
+    clocks = [core.step(each for each in step if each < STEP).clocks for step in tokens]
+    # a request and a reply have 5 bytes beside tokens and words, and a byte has 10 bits on the line
+    line = [10 * (10 + 2 * len(step) + 4 * image.words) / board.baud for step in tokens]
+    return {
+        "board": board.name,
+        "device": board.device.title,
+        "clock_hz": board.clock_hz,
+        "timestep": {
+            "recorded": len(clocks),
+            "clocks": {"mean": float(np.mean(clocks)), "most": max(clocks)},
+            "core_us": {
+                "mean": 1e6 * float(np.mean(clocks)) / board.clock_hz,
+                "most": 1e6 * max(clocks) / board.clock_hz,
+            },
+            "uart_us": {"mean": 1e6 * float(np.mean(line)), "most": 1e6 * max(line)},
+        },
+        "predicted": use.record(),
+    }
+
+
+def host_record(
+    program: Program, codec: Codec, image: CoreImage, board: Board, origin: str
+) -> dict[str, Any]:
+    """What host.py has to know: the codec, the words, and what becomes of them."""
+    buffer = Buffer(image.words)
+    terms, bias = [], []  # type: list[dict[str, Any]], list[float]
+    for outlet in program.ways_out:
+        for term in outlet.taps:
+            layer = program.layer(term.layer)
+            scale = [] if layer.spiking else np.broadcast_to(layer.scale, (layer.size,)).tolist()
+            terms.append(
+                {
+                    "layer": term.layer,
+                    "first": len(bias),
+                    "size": len(outlet.bias),
+                    "lag": term.lag,
+                    "scale": scale,
+                    "weight": None if term.weight is None else term.weight.tolist(),
+                }
+            )
+        bias += outlet.bias.tolist()
+    return {
+        "format": MARK,
+        "policy": origin,
+        "board": board.name,
+        "link": {
+            "baud": board.baud,
+            "tokens": buffer.tokens_most,
+            "words": buffer.words_most,
+            "timestep": image.words,
+        },
+        "state": program.convention.state,
+        "codec": plain_record(codec.to_record()),
+        "outputs": [{**vars(output), "words": output.words} for output in image.outputs],
+        # where spikes of one layer leave, the emulator adds the bias behind the product
+        "plain": not (program.reads_membranes or program.outlets),
+        "bias": bias,
+        "terms": terms,
+    }
+
+
+def render(template: str, **values: object) -> str:
+    """The text of a template of `templates/`, in which what is left out leaves no empty lines."""
+    return re.sub(r"\n{3,}", "\n\n", _templates().get_template(template).render(values))
+
+
+def _text(name: str) -> str:
+    """The text of a file of `templates/` that is copied as it is."""
+    return _templates().loader.get_source(_templates(), name)[0]  # type: ignore[union-attr]
+
+
+@cache
+def _templates() -> Environment:
+    return Environment(
+        loader=PackageLoader(__package__),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )

@@ -1,0 +1,255 @@
+"""Resources that a core takes on a board, predicted before synthesis: cells and memories.
+
+Memories follow the rules by which Yosys maps them, and are exact. Cells are a sum of terms of the
+widths of registers; their factors are a fit to builds, which tests compare with others.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from spikedeploy.exporters.verilog.boards import Board, Device
+from spikedeploy.exporters.verilog.image import CoreImage, unsigned_bits
+from spikedeploy.runtime.errors import RuleError
+
+# cells for each: whatever the core, UART and link included; bit of a state, of an adder and of a
+# value; bit of a sum, of a synapse and of an address; words of spikes; bit of a constant that
+# becomes logic; RAM made of cells; bit of a multiplexer of RAMs; bit of a neuron's parameters; bit
+# of a register that does more at its edges than wrap
+_FACTORS: Mapping[str, Mapping[str, float]] = {
+    "ice40": {
+        "all": 421.8,
+        "states": 2.379,
+        "addresses": 1.493,
+        "spikes": 21.4,
+        "logic": 0.069,
+        "multiplexers": 0.764,
+        "parameters": 1.237,
+        "edges": 1.090,
+    },
+    "ecp5": {
+        "all": 732.7,
+        "states": 4.883,
+        "spikes": -102.0,
+        "logic": 0.032,
+        "small": 1.17,
+        "multiplexers": 1.4,
+    },
+}
+# words x bits of a block RAM
+_SHAPES = {
+    "ice40": ((256, 16), (512, 8), (1024, 4), (2048, 2)),
+    "ecp5": ((512, 36), (1024, 18), (2048, 9), (4096, 4), (8192, 2), (16384, 1)),
+}
+# costs by which Yosys chooses: of a block RAM, of a bit of a multiplexer behind several of them,
+# and of a bit that becomes logic
+_BLOCK_COST = {"ice40": 64, "ecp5": 128}
+_MULTIPLEXER_COST = 0.5
+_CONSTANT_COST, _VARIABLE_COST = 1 / 16, 1
+# RAM that an ECP5 makes of its cells
+_SMALL_WORDS, _SMALL_BITS, _SMALL_COST = 16, 4, 4
+# memories that can be in it: one port is enough for them
+_MOVABLE = ("state_memory", "buffer")
+_LARGE_WORDS, _LARGE_BITS = 16384, 16  # of the single-port RAM of the UltraPlus
+
+
+@dataclass(frozen=True)
+class Place:
+    """A way to make a memory.
+
+    rams: what it costs by Yosys's count, without multiplexers.
+    kind: "blocks" of RAM, "small" RAMs in cells, or "logic".
+    count: of these, or bits of logic.
+    multiplexers: bits that are chosen between RAMs, or between words side by side.
+    """
+
+    rams: float
+    kind: str
+    count: int
+    multiplexers: int
+
+    @property
+    def cost(self) -> float:
+        """What Yosys makes least."""
+        return self.rams + _MULTIPLEXER_COST * self.multiplexers
+
+
+@dataclass(frozen=True)
+class Memory:
+    """A memory of the design.
+
+    name: as the Verilog calls it.
+    words: W; bits: of each, without those that are always the same.
+    constant: whether nothing is written to it.
+    """
+
+    name: str
+    words: int
+    bits: int
+    constant: bool
+
+    def place(self, device: Device) -> "Place":
+        """Where Yosys puts it."""
+        each = _BLOCK_COST[device.family]
+        found = []
+        for words, bits in _SHAPES[device.family]:
+            # words that are this far apart stand side by side, and share RAMs
+            deep = -(-self.words // words)
+            count = -(-deep * self.bits // bits)
+            found.append(Place(count * each, "blocks", count, (deep - 1) * self.bits))
+        bit = _CONSTANT_COST if self.constant else _VARIABLE_COST
+        found.append(Place(self.words * self.bits * bit, "logic", self.words * self.bits, 0))
+        if device.family == "ecp5" and not self.constant:
+            deep = -(-self.words // _SMALL_WORDS)
+            count = deep * -(-self.bits // _SMALL_BITS)
+            found.append(Place(count * _SMALL_COST, "small", count, (deep - 1) * self.bits))
+        return min(found, key=lambda place: place.cost)
+
+    @property
+    def large(self) -> int:
+        """Large RAMs that it takes."""
+        return -(-self.words // _LARGE_WORDS) * -(-self.bits // _LARGE_BITS)
+
+
+def memories_of(image: CoreImage, buffer_bits: int) -> tuple[Memory, ...]:
+    """The memories of the core and its link; buffer_bits: of an address of the link's buffer."""
+    contents = {
+        "axon_memory": image.axon_words,
+        "synapse_memory": image.rows.words,
+        "neuron_memory": image.neuron_words,
+    }
+    constant = (Memory(name, len(w), _varying_bits(w), True) for name, w in contents.items())
+    return (
+        *constant,
+        Memory("sum_memory", image.slots << image.neuron_bits, image.sum_bits, False),
+        Memory("state_memory", 2 << image.neuron_bits, image.state_bits + image.rest_bits, False),
+        Memory("buffer", 1 << buffer_bits, 16, False),
+    )
+
+
+def _varying_bits(words: Sequence[int]) -> int:
+    """Bits that are not the same in all words, which take no memory."""
+    varying = 0
+    for word in words:
+        varying |= word ^ words[0]
+    return varying.bit_count()
+
+
+@dataclass(frozen=True)
+class Use:
+    """What a design takes of an FPGA.
+
+    board: with the FPGA.
+    cells, block_rams, large_rams, multipliers: of it.
+    states_in_large_ram, buffer_in_large_ram: whether the states, and the link's buffer, are there,
+        as block RAM is short.
+    """
+
+    board: Board
+    cells: int
+    block_rams: int
+    large_rams: int
+    multipliers: int
+    states_in_large_ram: bool = False
+    buffer_in_large_ram: bool = False
+
+    def rows(self) -> Iterator[tuple[str, int, int]]:
+        """What there is, how many the design takes, and how many the FPGA has."""
+        device = self.board.device
+        yield "cells", self.cells, device.cells
+        yield f"block RAMs of {device.block_bits} bits", self.block_rams, device.block_rams
+        if device.large_rams:
+            yield "large RAMs", self.large_rams, device.large_rams
+        yield "multipliers", self.multipliers, device.multipliers
+
+    @property
+    def full(self) -> tuple[str, ...]:
+        """What the FPGA has too few of."""
+        return tuple(name for name, taken, there in self.rows() if taken > there)
+
+    @property
+    def fits(self) -> bool:
+        """True if the FPGA has enough of all."""
+        return not self.full
+
+    def check(self) -> None:
+        """Refuse a design that does not fit; RuleError."""
+        for name, taken, there in self.rows():
+            if taken > there:
+                raise RuleError(
+                    f"rule {'cells' if name == 'cells' else 'memory'}: the policy takes about "
+                    f"{taken:,} {name}; the {self.board.device.title} of {self.board.title} has "
+                    f"{there:,}. Choose a larger board, or a policy with fewer synapses; a policy "
+                    "that fits no board needs memory outside the FPGA, which the core does not use."
+                )
+
+    def lines(self) -> tuple[str, ...]:
+        """The same for a terminal."""
+        return tuple(
+            f"{name:<26} {taken:>7,} of {there:,}"
+            + (f" ({taken / there:.0%})" if there else "")
+            + (", too few" if taken > there else "")
+            for name, taken, there in self.rows()
+            if taken or there
+        )
+
+    def record(self) -> dict[str, Any]:
+        """The same as data."""
+        return {
+            "cells": self.cells,
+            "block_rams": self.block_rams,
+            "large_rams": self.large_rams,
+            "multipliers": self.multipliers,
+            "fits": self.fits,
+        }
+
+
+def predict(image: CoreImage, board: Board, buffer_bits: int = 8) -> Use:
+    """What a core with its link takes on a board.
+
+    buffer_bits: of an address of the link's buffer.
+    """
+    device = board.device
+    placed = {each: each.place(device) for each in memories_of(image, buffer_bits)}
+    blocks = {m.name: place.count for m, place in placed.items() if place.kind == "blocks"}
+    in_cells = {
+        kind: sum(place.count for place in placed.values() if place.kind == kind)
+        for kind in ("logic", "small")
+    }
+    in_cells["multiplexers"] = sum(place.multiplexers for place in placed.values())
+    large: dict[str, int] = {}
+    # block RAM comes first: every board has it, and tools make Verilog of its bitstream again
+    for each in placed:
+        short = sum(blocks.values()) > device.block_rams
+        fits = each.large + sum(large.values()) <= device.large_rams
+        if each.name in _MOVABLE and each.name in blocks and short and fits:
+            large[each.name], blocks[each.name] = each.large, 0
+    return Use(
+        board,
+        cells=round(_cells(image, device, in_cells)),
+        block_rams=sum(blocks.values()),
+        large_rams=sum(large.values()),
+        multipliers=0,
+        states_in_large_ram="state_memory" in large,
+        buffer_in_large_ram="buffer" in large,
+    )
+
+
+def _cells(image: CoreImage, device: Device, in_cells: Mapping[str, int]) -> float:
+    """Cells of a core with its link; in_cells: what its memories take of them."""
+    edges = sum(each.overflow not in ("none", "wrap") for each in image.registers.values())
+    rows = image.rows
+    terms = {
+        "all": 1,
+        "states": image.state_bits + image.adder_bits + image.value_bits,
+        "addresses": image.sum_bits
+        + rows.weight_bits
+        + rows.entry_bits
+        + rows.address_bits
+        + 3 * (image.neuron_bits + unsigned_bits(image.slots - 1)),
+        "spikes": any(not output.silent for output in image.outputs),
+        **in_cells,
+        "parameters": image.neuron_word_bits,
+        "edges": edges * image.value_bits,
+    }
+    return sum(factor * terms[name] for name, factor in _FACTORS[device.family].items())

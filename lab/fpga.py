@@ -1,0 +1,320 @@
+r"""Policies on FPGAs: states and returns compared, clocks, cells, frequencies; docs/fpga.md.
+
+    python -m lab fpga -o docs [--episodes 20] [--seeds 3] [--only hexapod/sparse]
+        [--boards icebreaker,ulx3s] [--steps drive,build]
+
+drive: the core drives episodes in simulation; every state is compared with the emulated chip, every
+return with its own. build: synthesis, then place and route with three seeds, for boards. What is
+found goes into results/fpga.json row by row, so that a run that is stopped goes on where --only and
+--boards say; `-o docs` writes the tables of docs/fpga.md from all of it. Needs make and Verilator
+for the first, Yosys and nextpnr for the second ([how to](docs/fpga.md)); what no tool is there for
+is left out, and said. Exits with 1 where something differs.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy import zoo
+from spikedeploy.comparison.evaluation import run_policy
+from spikedeploy.console import say
+from spikedeploy.errors import ConfigError
+from spikedeploy.exporters.verilog.boards import board, board_names
+from spikedeploy.exporters.verilog.image import CoreImage, core_image
+from spikedeploy.exporters.verilog.simulation import PROGRAM, image_process
+from spikedeploy.exporters.verilog.tools import make_variables, missing_tools
+from spikedeploy.files import read_json, write_json, write_text
+from spikedeploy.make_env import make_env
+from spikedeploy.reports.table import ABSENT, markdown_text
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.errors import RuleError
+from spikedeploy.seeds import EVALUATION
+from spikedeploy.shipping.export_verilog import export_verilog, program_for, use_of_board
+from spikedeploy.shipping.hardware_run import driver
+from spikedeploy.shipping.sources import episode_of, named_env
+
+Row = dict[str, Any]
+
+ROOT = Path(__file__).resolve().parents[1]
+RECORD = ROOT / "results/fpga.json"
+STEPS = ("drive", "build")
+# where the core of every policy fits
+_LARGEST = "ulx3s"
+# bytes of a request, and of a reply, beside their tokens and words; bits of a byte on the line
+_FRAME, _BITS = 5, 10
+
+
+def main() -> int:
+    """Measure what is asked for, and write the tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs", help="of fpga.md")
+    parser.add_argument("--episodes", type=int, default=20)
+    parser.add_argument("--seeds", type=int, default=3, help="of place and route, from 1")
+    parser.add_argument("--only", default="", help="a policy, such as hexapod/sparse")
+    parser.add_argument("--boards", default=",".join(board_names()), help="names, with commas")
+    parser.add_argument("--steps", default=",".join(STEPS), help="drive, build, or '' for none")
+    options = parser.parse_args()
+    steps, boards = options.steps.split(","), options.boards.split(",")
+    if unknown := set(steps) - {*STEPS, ""}:
+        raise ConfigError(f"--steps {min(unknown)!r} is none of {', '.join(STEPS)}")
+    names = [name for name in spiking() if options.only in ("", name)]
+    for name in names if "drive" in steps else ():
+        keep("drive", name, drive(name, options.episodes))
+    for name in names if "build" in steps else ():
+        for each in boards:
+            keep("build", f"{name} {each}", build(name, each, options.seeds))
+    page = options.output / "fpga.md"
+    text = page.read_text(encoding="utf-8")
+    for place, table in tables(recorded()).items():
+        text = put(text, place, table)
+    write_text(page, text)
+    print(f"wrote {page}")
+    return int(any(row.get("differing") for row in recorded()["drive"].values()))
+
+
+def spiking() -> list[str]:
+    """Shipped policies that spike, for Loihi's kind of integers."""
+    names = [name for name in zoo.names() if file_of(name).suffix == ".nir"]
+    return [name for name in names if not name.startswith("chips/")]
+
+
+def file_of(name: str) -> Path:
+    """The file of a shipped policy."""
+    if (found := zoo.path(name)) is None:
+        raise ConfigError(f"no policy {name!r} is shipped")
+    return found
+
+
+def recorded() -> dict[str, dict[str, Row]]:
+    """All that was found, by step and name."""
+    found = read_json(RECORD) if RECORD.is_file() else {}
+    return {step: found.get(step, {}) for step in STEPS}
+
+
+def keep(step: str, name: str, row: Row) -> None:
+    """Enter a row into the record."""
+    found = recorded()
+    found[step][name] = row
+    write_json(RECORD, found)
+    print(json.dumps({name: row}), file=sys.stderr, flush=True)
+
+
+def drive(name: str, episodes: int) -> Row:
+    """The core of a policy in the closed loop; why not, where it is refused."""
+    artifact = load(file_of(name))
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            export_verilog(name, None, _LARGEST, Path(folder), 200)
+        except (ConfigError, RuleError) as error:
+            return {"refused": str(error)}
+        seeds = range(EVALUATION, EVALUATION + episodes)
+        with driver(Path(folder), name) as core:
+            play = partial(run_policy, name, None, core.chip, seeds)
+            found = core.beside_emulated(play(backend=core.backend), play)
+        image = core_image(program_for(artifact, None)[1], artifact.codec)
+        formula = clocks_of(image, artifact, Path(folder) / PROGRAM)
+    clocks = np.array(core.states.clocks).reshape(-1, formula["timesteps"]).sum(axis=1)
+    states = found.states
+    return {
+        "episodes": episodes,
+        "control_steps": len(clocks),
+        "numbers": states["numbers"],
+        "differing": states["differing"],
+        "unequal_returns": sum(a != b for a, b in zip(found.returns, found.emulated, strict=True)),
+        "clocks": {"mean": float(clocks.mean()), "most": int(clocks.max())},
+        "period": period_of(artifact),
+        **formula,
+    }
+
+
+def period_of(artifact: Artifact) -> float:
+    """Time of a control step [s]."""
+    world: Any = make_env(named_env(artifact), {}).unwrapped
+    period: float = world.CONTROL_DT
+    return period
+
+
+def clocks_of(image: CoreImage, artifact: Artifact, program: Path) -> Row:
+    """Clocks of a timestep as a sum, fitted to an episode, and what enters it.
+
+    coefficients: of 1, of input events and of spikes; a synapse takes one clock.
+    residual: largest difference of a timestep from the sum [clocks].
+    """
+    seen, _ = episode_of(artifact, None, 1000, named_env(artifact))
+    if artifact.codec is None:
+        raise TypeError("a policy has a codec")
+    rows, clocks = [], []
+    lengths = row_lengths(image)
+    raster = artifact.codec.encode_episode(seen)
+    kept = artifact.convention.state == "kept"
+    with image_process(program, image) as process:
+        for inference in raster:
+            if not kept:
+                process.reset()
+            for row in inference:
+                axons = np.flatnonzero(row)
+                found = process.step(axons.tolist())
+                fired = np.flatnonzero(found.spikes)
+                synapses = lengths[axons].sum() + lengths[image.axons + fired].sum()
+                rows.append((1, len(axons), len(fired)))
+                clocks.append(found.clocks - synapses)
+    terms, wanted = np.array(rows, float), np.array(clocks, float)
+    fitted, *_ = np.linalg.lstsq(terms, wanted, rcond=None)
+    events = raster.reshape(len(raster), -1).sum(axis=1)
+    return {
+        "timesteps": artifact.codec.timesteps,
+        "coefficients": [round(float(each), 2) for each in fitted],
+        "residual": float(np.abs(terms @ fitted - wanted).max()),
+        "events": float(events.mean()),
+        "events_most": int(events.max()),
+        "words": artifact.codec.timesteps * image.words,
+    }
+
+
+def row_lengths(image: CoreImage) -> NDArray[np.int64]:
+    """Synapses of each row as stored, fillers among them: of the input's axons, of the neurons."""
+    last = image.rows.bits - 1
+    ends = np.flatnonzero([word >> last & 1 for word in image.rows.words])
+    firsts = np.array([first for first, _ in image.rows.starts])
+    return np.asarray(ends[np.searchsorted(ends, firsts)] - firsts + 1)
+
+
+def build(name: str, board_name: str, seeds: int) -> Row:
+    """Cells, memories and frequencies of a policy on a board, as predicted and as built.
+
+    predicted, built: as in costs.json; the second is missing where it does not fit, or no tool is
+        there.
+    """
+    use = use_of_board(file_of(name), None, board_name)
+    if not use.fits:
+        return {"predicted": use.record}
+    family = board(board_name).device.family
+    needed = ("yosys", f"nextpnr-{family}", "icepack" if family == "ice40" else "ecppack")
+    if missing := missing_tools(*needed):
+        say(f"{name} on {board_name} is not built: {', '.join(missing)} is not installed")
+        return {"predicted": use.record}
+    with tempfile.TemporaryDirectory() as text:
+        folder = Path(text)
+        export_verilog(name, None, board_name, folder, 2)
+        for seed in range(1, seeds + 1):
+            for stale in ("policy.asc", "policy.config"):  # of the seed before
+                (folder / stale).unlink(missing_ok=True)
+            words = ["make", "-s", "-C", text, *make_variables(), f"SEED={seed}", "bit"]
+            done = subprocess.run(words, capture_output=True, text=True, check=False)
+            if done.returncode:
+                raise ConfigError(f"{name} on {board_name} cannot be built: {done.stderr[-300:]}")
+        return read_json(folder / "costs.json")
+
+
+def put(text: str, place: str, table: str) -> str:
+    """The page with a table between the marks of its place."""
+    start, end = f"<!-- {place} -->\n", f"<!-- end of {place} -->\n"
+    head, rest = text.split(start)
+    _, tail = rest.split(end)
+    return f"{head}{start}{table}\n{end}{tail}"
+
+
+def tables(found: Mapping[str, Mapping[str, Row]]) -> dict[str, str]:
+    """The tables of the page, by place."""
+    driven = {name: row for name, row in found["drive"].items() if "refused" not in row}
+    return {
+        "drive": _table(_DRIVE, driven),
+        "build": _build_table(found["build"]),
+        "latency": _table(_LATENCY, driven),
+    }
+
+
+Columns = Mapping[str, Callable[[Row], str]]
+
+
+def _clocks(row: Row) -> str:
+    constant, event, spike = row["coefficients"]
+    return f"{constant:g} + {event:g} events + {spike:g} spikes + synapses"
+
+
+_DRIVE: Columns = {
+    "episodes": lambda row: str(row["episodes"]),
+    "control steps": lambda row: f"{row['control_steps']:,}",
+    "numbers compared": lambda row: f"{row['numbers']:,}",
+    "differ": lambda row: str(row["differing"]),
+    "returns that differ": lambda row: str(row["unequal_returns"]),
+}
+
+
+def _microseconds(clocks: float) -> str:
+    return f"{clocks / 12:,.0f}"
+
+
+def _on_the_line(row: Row) -> str:
+    """Time of both frames at 1 Mbaud, with the mean events, and with the most [ms]."""
+    each = [
+        2 * _FRAME + 2 * (events + row["timesteps"]) + 4 * row["words"]
+        for events in (row["events"], row["events_most"])
+    ]
+    return " (".join(f"{_BITS * count / 1e3:.2f}" for count in each) + ")"
+
+
+_LATENCY: Columns = {
+    "clocks of a timestep": _clocks,
+    "clocks of a control step, mean (most)": lambda row: (
+        f"{row['clocks']['mean']:,.0f} ({row['clocks']['most']:,})"
+    ),
+    "at 12 MHz [µs]": lambda row: (
+        " (".join(_microseconds(row["clocks"][which]) for which in ("mean", "most")) + ")"
+    ),
+    "UART besides, mean (most) [ms]": _on_the_line,
+    "control rate [Hz]": lambda row: f"{1 / row['period']:.0f}",
+    "clock that it needs [kHz]": lambda row: f"{row['clocks']['most'] / row['period'] / 1e3:,.0f}",
+}
+
+
+def _table(columns: Columns, rows: Mapping[str, Row]) -> str:
+    cells = [[name, *(of(row) for of in columns.values())] for name, row in rows.items()]
+    return markdown_text([["policy", *columns], *cells])
+
+
+_BUILD = (
+    "policy",
+    "board",
+    "cells",
+    "predicted",
+    "block RAMs",
+    "large RAMs",
+    "MHz, of three seeds",
+)
+
+
+def _build_table(rows: Mapping[str, Row]) -> str:
+    """What each policy takes on each board; in bold what is too little."""
+    lines = []
+    for name, row in rows.items():
+        policy, board_name = name.split()
+        device, built = board(board_name).device, row.get("built", [])
+        taken = {**row["predicted"], **(built[0] if built else {})}
+        speeds = [each["mhz"] for each in built]
+        lines.append(
+            (
+                policy,
+                board_name,
+                _share(taken["cells"], device.cells) if built else ABSENT,
+                f"{row['predicted']['cells']:,}",
+                _share(taken["block_rams"], device.block_rams),
+                _share(taken["large_rams"], device.large_rams) if device.large_rams else ABSENT,
+                f"{min(speeds):.1f} to {max(speeds):.1f}" if built else ABSENT,
+            )
+        )
+    return markdown_text([_BUILD, *lines])
+
+
+def _share(taken: int, there: int) -> str:
+    text = f"{taken:,} of {there:,}"
+    return f"**{text}**" if taken > there else text

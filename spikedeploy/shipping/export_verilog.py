@@ -1,0 +1,191 @@
+"""A policy as Verilog for a board: what is written, what it takes, and what is refused before."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spikedeploy import zoo
+from spikedeploy.errors import ConfigError
+from spikedeploy.exporters.c.packaging import MAKEFILE
+from spikedeploy.exporters.verilog.board_files import board_files
+from spikedeploy.exporters.verilog.boards import Board, board
+from spikedeploy.exporters.verilog.image import CoreImage, core_image
+from spikedeploy.exporters.verilog.model import CoreModel
+from spikedeploy.exporters.verilog.resources import predict
+from spikedeploy.exporters.verilog.to_verilog import core_files
+from spikedeploy.outputs import check_output_folder
+from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.compiler.compile import compile_program, own_clock
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.shipping.export_c import WrittenFolder
+from spikedeploy.shipping.sources import chip_of, episode_of, nir_file, world_of
+from spikedeploy.shipping.verilog_folder import (
+    RECORD,
+    VerilogFolder,
+    check_unchanged,
+    is_export,
+    sums_of,
+    write_folder,
+)
+
+DEFAULT_BOARD = "icebreaker"
+# control steps of which the clocks are counted, by the model in Python
+_COUNTED = 50
+
+
+@dataclass(frozen=True)
+class Design:
+    """A policy on a core, on a board; nothing is written yet.
+
+    chip: whose integers the core computes.
+    """
+
+    artifact: Artifact
+    codec: Codec
+    chip: str
+    program: Program
+    image: CoreImage
+    board: Board
+
+
+def design(
+    file: Path,
+    chip_name: str | None,
+    board_name: str | None,
+    **reading: Any,  # noqa: ANN401
+) -> Design:
+    """The design of a policy's file; ConfigError for what a core does not compute.
+
+    reading: options of `artifact.load`.
+    """
+    on = board(board_name or DEFAULT_BOARD)
+    artifact = load(file, **reading)
+    if artifact.codec is None:
+        raise ConfigError(
+            f"{file} has no codec (observation to spikes), so that no host could ask the core for "
+            "actions. Give it one with `spikedeploy run --from`; docs/own-network.md has it."
+        )
+    name, program = program_for(artifact, chip_name)
+    image = core_image(program, artifact.codec)
+    return Design(artifact, artifact.codec, name, program, image, on)
+
+
+def export_verilog(
+    policy: str,
+    chip_name: str | None,
+    board_name: str | None,
+    folder: Path | None,
+    observations: int = 1000,
+    force: bool = False,
+) -> WrittenFolder:
+    """Write a spiking policy as Verilog: a core, a top module, memories, a Makefile, a host.
+
+    policy: .nir file, shipped policy, run folder, its name under runs/, or "last".
+    chip_name: whose integers the core computes; None is that of its training, or the default.
+    board_name: that the top module is for; None is DEFAULT_BOARD.
+    folder: to write to.
+    observations: of an episode, of which the test benches have the first control steps.
+    force: whether files are replaced that no export wrote, or that were changed since.
+
+    Raises ConfigError for a program that the core does not compute, RuleError where it is larger
+    than the board, both before a file is written.
+    """
+    if folder is None:
+        raise ConfigError("--to verilog writes a folder: name it, as in -o build/walker")
+    file = nir_file(policy, "verilog")
+    made = design(file, chip_name, board_name)
+    image, on, inputs = made.image, made.board, (file, policy)
+    predict(image, on).check()
+    check_output_folder("-o", folder, (RECORD, MAKEFILE), inputs, force, is_export)
+    check_unchanged("-o", folder, force)
+    shipped = zoo.name_in_reports(str(file))
+    origin = f"{shipped}, sha256 {zoo.sha256(file)[:16]}, on {made.chip}"
+    where = world_of(policy, made.artifact)
+    seen, source = episode_of(made.artifact, made.program.chip, observations, where)
+    raster = made.codec.encode_episode(seen)
+    texts = {
+        **core_files(image, origin),
+        **board_files(image, made.codec, on, origin, seen),
+    }
+    check_output_folder("-o", folder, texts, inputs, force, is_export)
+    names = (shipped, zoo.sha256(file), made.chip, on.name)
+    write_folder(texts, VerilogFolder(folder, *names, sums_of(texts)))
+    clocks = _clocks(image, raster[:_COUNTED], made.artifact.convention.state == "reset")
+    use = use_of(made)
+    events = raster.reshape(len(raster), -1).sum(axis=1)
+    lines = (
+        *use.lines,
+        f"{'input events':<26} {events.mean():>7,.1f}, at most {events.max():,}",
+        f"{'clocks':<26} {clocks.mean():>7,.0f}, at most {clocks.max():,} in {len(clocks)} control "
+        f"steps: {1e6 * clocks.max() / on.clock_hz:,.0f} µs at {on.clock_hz / 1e6:g} MHz, and the "
+        "UART",
+        f"of a control step, means of {source}",
+        *made.program.remarks,
+        f"wrote {folder}: {len(texts) + 1} files for {on.title}",
+        f"build it: make -C {folder} lint sim netlist bit bitcheck",
+        f"let it drive: spikedeploy run {policy} --via {folder}",
+    )
+    counted = {"mean": float(clocks.mean()), "most": int(clocks.max()), "of": len(clocks)}
+    facts = {"chip": made.chip, "board": on.name, "use": use.record, "clocks": counted}
+    facts |= {"recorded": source, "remarks": list(made.program.remarks)}
+    return WrittenFolder(folder, (*texts, RECORD), facts, lines)
+
+
+def program_for(artifact: Artifact, chip_name: str | None) -> tuple[str, Program]:
+    """The name of the chip, and the program, of a policy on a core.
+
+    A core updates a layer when it is told to, so that a gated network runs gated, and the name says
+    so where the chip advances its layers otherwise.
+    """
+    name = chip_of(artifact) if chip_name is None else chip_name
+    on, clock = chip(name), own_clock(artifact.convention)
+    if on.clock is None and clock not in on.clocks:
+        name += f"{',' if ':' in name else ':'}clock={clock}"
+    return name, compile_program(artifact, chip(name))
+
+
+def _clocks(image: CoreImage, raster: np.ndarray[Any, Any], resets: bool) -> np.ndarray[Any, Any]:
+    """Clocks (S,) of control steps with the input spikes (S, T, M)."""
+    model, found = CoreModel(image), []
+    for inference in raster:
+        if resets:
+            model.reset()
+        steps = (model.step(np.flatnonzero(row).tolist()) for row in inference)
+        found.append(sum(step.clocks for step in steps))
+    return np.array(found)
+
+
+@dataclass(frozen=True)
+class UseOfBoard:
+    """A policy's use of a board's FPGA, predicted before synthesis.
+
+    fits: whether there is enough of everything.
+    lines: for a terminal; record: as data.
+    """
+
+    fits: bool
+    lines: tuple[str, ...]
+    record: dict[str, Any]
+
+
+def use_of_board(
+    file: Path,
+    chip_name: str | None,
+    board_name: str,
+    **reading: Any,  # noqa: ANN401
+) -> UseOfBoard:
+    """The use that a policy's file would make of a board, whether it fits or not."""
+    return use_of(design(file, chip_name, board_name, **reading))
+
+
+def use_of(made: Design) -> UseOfBoard:
+    """The use of a design."""
+    use, on = predict(made.image, made.board), made.board
+    verdict = "fits on" if use.fits else "does not fit on"
+    head = f"{verdict} {on.title} ({on.device.title}), as predicted before synthesis"
+    record = {"board": on.name, "chip": made.chip, **use.record()}
+    return UseOfBoard(use.fits, (head, *use.lines()), record)

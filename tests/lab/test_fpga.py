@@ -1,0 +1,39 @@
+"""The tables of docs/fpga.md are made of its record, and a clock is accounted for."""
+
+import numpy as np
+
+from lab import fpga
+from spikedeploy import zoo
+from spikedeploy.exporters.verilog.image import core_image
+from spikedeploy.exporters.verilog.model import CoreModel
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.shipping.export_verilog import program_for
+from tests.paths import ROOT
+
+
+def test_the_page_has_the_tables_of_its_record():
+    text = (ROOT / "docs/fpga.md").read_text("utf-8")
+    made = text
+    for place, table in fpga.tables(fpga.recorded()).items():
+        made = fpga.put(made, place, table)
+    assert made == text
+
+
+def test_nothing_that_is_recorded_differs():
+    rows = [row for row in fpga.recorded()["drive"].values() if "refused" not in row]
+    assert rows
+    assert not any(row["differing"] or row["unequal_returns"] for row in rows)
+    assert max(row["residual"] for row in rows) < 1e-6  # the sum of clocks is exact
+
+
+def test_a_synapse_of_a_row_takes_a_clock():
+    artifact = load(zoo.path("kart-steer/sparse"))
+    image = core_image(program_for(artifact, None)[1], artifact.codec)
+    lengths, model = fpga.row_lengths(image), CoreModel(image)
+    assert len(lengths) == image.axons + image.neurons
+    silent = model.step([]).clocks
+    for axon in range(image.axons):
+        model.reset()
+        found = model.step([axon])
+        fired = image.axons + np.flatnonzero(found.spikes)
+        assert (found.clocks - silent - lengths[axon] - lengths[fired].sum()) >= 0
