@@ -74,6 +74,12 @@ def _check_wires(program: Program) -> None:
             "rule output: the output receives the input itself, which is no layer "
             "of the core. Put a layer between them."
         )
+    for layer in program.spiking:
+        if (least := int(layer.threshold.min(initial=0))) < 0:
+            raise RuleError(
+                f"rule threshold: layer {layer.name!r}: a threshold of {least}; those of the core "
+                "are 0 or more. Train with thresholds above 0."
+            )
     seen = {program.input}
     for layer, lags in zip(program.layers, program.lags, strict=True):
         for synapses, lag in zip(layer.synapses, lags, strict=True):

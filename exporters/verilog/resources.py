@@ -28,12 +28,11 @@ _FACTORS: Mapping[str, Mapping[str, float]] = {
         "edges": 1.090,
     },
     "ecp5": {
-        "all": 732.7,
-        "states": 4.883,
-        "spikes": -102.0,
-        "logic": 0.032,
-        "small": 1.17,
-        "multiplexers": 1.4,
+        "all": 544.9,
+        "states": 7.340,
+        "spikes": -92.7,
+        "small": 6.381,
+        "multiplexers": 1.393,
     },
 }
 # words x bits of a block RAM

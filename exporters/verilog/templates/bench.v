@@ -3,6 +3,8 @@
 // membrane and spike. +stall=SEED lets tokens and the reader of words wait at random; +restart=CLOCK
 // resets the core once more in that clock, and begins anew.
 //
+// -DNETLIST: the core has been synthesised.
+//
 //   with Icarus:    iverilog -DPOLICY_PROBE -o bench bench.v policy_core.v && vvp bench
 //   with Verilator: verilator --binary -DPOLICY_PROBE bench.v policy_core.v && obj_dir/Vbench
 `timescale 1ns / 1ps
@@ -46,10 +48,14 @@ module bench #(
   wire all_seen = word == WORDS;
 `endif
 
+`ifdef NETLIST
+  policy_core core (  // its parameters are decided
+`else
   policy_core #(
       .STATE_IN_SPRAM(STATE_IN_SPRAM),
       .USE_DSP(USE_DSP)
   ) core (
+`endif
       .clk(clk),
       .rst(rst),
       .s_axis_tdata(tokens[token]),

@@ -16,10 +16,10 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
-from spikedeploy.runtime.convention import CLOCKS
+from spikedeploy.runtime.convention import CLOCKS, Convention
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from tests.exporters.test_c_networks import delayed
-from tests.programs import random_programs
+from tests.programs import random_convolutions, random_neurons, random_programs
 from tests.rtl_builds import EDGES, differing, edges, recorded
 
 ZOO = Path(__file__).parents[3] / "spikedeploy" / "zoo"
@@ -52,6 +52,15 @@ def test_random_networks_equal_the_emulator(program, reset, timesteps):
 def test_delays_loops_and_refractory_periods_equal_the_emulator(seed):
     program = replace(delayed(seed), clock="pipelined")
     assert differing(*recorded(program, timesteps=7, seed=seed)) == 0
+
+
+@pytest.mark.parametrize("seed", [0, 6, 13])
+def test_convolutions_equal_the_emulator_synapse_by_synapse(seed):
+    rng, convention = np.random.default_rng(seed), Convention(1e-3, state="kept")
+    program = random_convolutions(rng, random_neurons, chip("loihi1"), convention, loop=True)
+    image, found = recorded(program, timesteps=3, seed=seed)
+    assert found.spikes.any()
+    assert differing(image, found) == 0
 
 
 @pytest.mark.parametrize("reset", ["zero", "subtract"])
@@ -161,6 +170,13 @@ def test_membranes_that_are_wider_than_a_word_are_refused():
     program = replace(delayed(5), chip=wide)
     last = replace(program.layers[-1], spiking=False)
     assert "36-clip" not in refused("word", replace(program, layers=(*program.layers[:-1], last)))
+
+
+def test_a_threshold_below_0_is_refused():
+    program = delayed(1)
+    assert "-64" in refused(
+        "threshold", only(program, threshold=program.layers[0].threshold * 0 - 64)
+    )
 
 
 def test_a_range_without_0_is_refused():

@@ -13,6 +13,7 @@ from spikedeploy.exporters.verilog.image import core_image
 from spikedeploy.exporters.verilog.model import CoreModel
 from spikedeploy.exporters.verilog.simulation import RtlProcess, build_simulation
 from spikedeploy.exporters.verilog.to_verilog import CORE
+from spikedeploy.exporters.verilog.tools import cell_models
 from spikedeploy.make_env import make_env
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
@@ -22,6 +23,7 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.shipping.sources import world_of
+from tests.c_builds import run
 from tests.exporters.test_c_networks import delayed
 from tests.exporters.verilog.test_core_model import ZOO, shipped
 from tests.networks import cuba, ends, graph
@@ -144,6 +146,27 @@ def test_the_bench_fails_where_a_number_differs(tmp_path):
     found.membrane[-1, -1] += 1
     written(image, found, tmp_path)
     assert "FAIL: 1 numbers differ" in benched(tmp_path)[0]
+
+
+@needs_icarus
+@needs_yosys
+@pytest.mark.fpga
+@pytest.mark.parametrize(("dsp", "spram"), [(0, 0), (0, 1), (1, 1)])
+def test_the_netlist_of_an_ice40_equals_in_icarus(tmp_path, dsp, spram):
+    artifact, program = shipped("kart-steer/sparse")
+    image, found = recorded(program, 1, 6, rate=0.05, codec=artifact.codec)
+    written(image, found, tmp_path)
+    netlist = f"read_verilog {CORE}; chparam -set USE_DSP {dsp} -set STATE_IN_SPRAM {spram}"
+    netlist += f" policy_core; synth_ice40 -spram {'-dsp' * dsp} -top policy_core"
+    models = cell_models("ice40")
+    assert models is not None
+    run("yosys", "-q", "-p", f"{netlist}; write_verilog -noattr netlist.v", folder=tmp_path)
+    text = (tmp_path / "netlist.v").read_text()
+    assert ("SB_SPRAM256KA " in text, "SB_MAC16 " in text) == (spram, dsp)
+    options = ("-DNETLIST", "-DNO_ICE40_DEFAULT_ASSIGNMENTS", "-g2012")
+    run("iverilog", *options, "-o", "bench", BENCH, "netlist.v", str(models), folder=tmp_path)
+    for stall in (0, 5):
+        assert "PASS" in run("vvp", "-N", "bench", f"+stall={stall}", folder=tmp_path)
 
 
 @needs_verilator

@@ -65,6 +65,29 @@ def test_predictions_are_within_a_tenth_of_builds(name):
     assert use.fits
 
 
+# cells and block RAMs of builds on a ULX3S, yosys 0.23 and nextpnr 0.11
+BUILT_ECP5 = {
+    "hexapod/sparse": (1304, 4),
+    "hexapod/sparse-gated": (1197, 4),
+    "hexapod-command/sparse": (1402, 11),
+    "hexapod-command/sparse-gated": (1260, 11),
+    "kart-gazebo/sparse": (1295, 2),
+    "kart-gazebo/sparse-gated": (1203, 2),
+    "kart-grid/sparse": (1301, 3),
+    "kart-grid/sparse-gated": (1229, 3),
+    "kart-steer/sparse": (1266, 3),
+    "kart-steer/sparse-gated": (1200, 3),
+}
+
+
+@pytest.mark.parametrize("name", BUILT_ECP5)
+def test_predictions_for_an_ecp5_are_within_a_tenth_of_builds(name):
+    cells, blocks = BUILT_ECP5[name]
+    use = predict(image_of(load(zoo.path(name))), board("ulx3s"))
+    assert (use.block_rams, use.large_rams) == (blocks, 0)
+    assert abs(use.cells / cells - 1) < 0.1
+
+
 def test_each_shipped_sparse_policy_fits_each_board_but_the_command_ones_on_an_hx():
     names = [name for name in zoo.names() if "sparse" in name and zoo.path(name).suffix == ".nir"]
     images = {name: image_of(load(zoo.path(name))) for name in names}
