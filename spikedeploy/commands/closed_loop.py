@@ -27,6 +27,7 @@ from spikedeploy.errors import ConfigError
 
 if TYPE_CHECKING:
     from spikedeploy.comparison.comparison import Comparison
+    from spikedeploy.comparison.lineup import Entry
     from spikedeploy.realtime.paced_loop import PacedLoop
     from spikedeploy.shipping.cards import Settings
     from spikedeploy.shipping.hardware_run import Driver, HardwareRun
@@ -258,14 +259,18 @@ def compare(
     teacher: str | None = None,
     teacher_units: TeacherUnits | None = None,
     energy: list[str] | None = None,
+    via: Path | None = None,
     workers: int | None = None,
     output: Path | None = None,
     tables: TablesChoice = "one",
     force: bool = False,
     json: bool = False,
 ) -> None:
-    """Compare policies on the same seeds: returns, agreement, spikes, operations, energy."""
-    from spikedeploy.comparison.evaluation import compare_policies
+    """Compare policies on the same seeds: returns, agreement, spikes, operations, energy.
+
+    With --via: hardware in simulation drives as well, in a row of its own.
+    """
+    from spikedeploy.comparison.evaluation import compare_policies, run_policy
     from spikedeploy.comparison.lineup import line_up, remark_on_chip
     from spikedeploy.comparison.metrics import checked_metrics
     from spikedeploy.policies.scripts import teacher_candidate
@@ -286,11 +291,45 @@ def compare(
     entries = line_up(env, policies, split_names(",".join(chips)) if chips else None, taught, **on)
     for remark in filter(None, map(remark_on_chip, entries)):
         say(remark)
-    options = world.options()
+    options, drove = world.options(), None
     numbers = range(seed, seed + episodes)
+    if via and (on_chip, damaged) != (OnChip(), Damaged()):
+        raise ConfigError(f"--via {via}: leave options of the emulated chip out")
+    exported = _exported_entry(via, entries) if via else ""
     comparison = compare_policies(env, entries, numbers, workers, options, metrics)
-    document = _report(replace(comparison, tables=prices), options, output)
+    if via:
+        play = partial(
+            run_policy, exported, env, seeds=numbers, options=options, metrics=metrics, **on
+        )
+        with _hardware(via, exported) as core:
+            if core is not None:
+                played = play(chip=core.chip, backend=core.backend, name=core.name)
+                drove = core.beside_emulated(played, partial(play, chip=core.chip))
+                comparison = replace(comparison, rows=[*comparison.rows, *played.rows])
+    document = _report(replace(comparison, tables=prices), options, output, drove=drove)
     _print(document, json, print_comparison, tables, output)
+    if drove:
+        for line in () if json else drove.lines():
+            typer.echo(line)
+        raise typer.Exit(0 if drove.equal else 1)
+
+
+def _exported_entry(via: Path, entries: "Sequence[Entry]") -> str:
+    """The file among the policies that the folder of --via was exported from."""
+    from spikedeploy import zoo
+    from spikedeploy.shipping.verilog_folder import read_folder
+
+    found = read_folder(via)
+    for entry in entries:
+        if (
+            entry.candidate.format == ".nir"
+            and zoo.sha256(Path(entry.candidate.path)) == found.sha256
+        ):
+            return str(entry.candidate.path)
+    raise ConfigError(
+        f"--via {via} was exported from {found.policy}, which is none of the policies that are "
+        "compared: name it beside them"
+    )
 
 
 def demo(
