@@ -33,9 +33,9 @@ OUTPUTS = {
     ("play", "record"), ("replay", "video"),
     ("check", "output"), ("drift", "output"),
 }  # fmt: skip
-# paths that are read, edited by design, or in which a new folder is made
+# paths that are read, edited by design, or in which a new folder is made, or a build
 OTHERS = {"file", "input_", "against", "codec", "traces", "config", "runs", "source", "folder",
-          "spec", "network", "raster"}  # fmt: skip
+          "spec", "network", "raster", "via"}  # fmt: skip
 
 
 def test_every_option_that_names_a_file_to_write_is_guarded_and_has_force():
