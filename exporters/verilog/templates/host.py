@@ -217,7 +217,10 @@ class Policy:
         self.link.reset()
 
     def act(self, observation: Sequence[float]) -> Any:  # noqa: ANN401
-        """The action for an observation; LinkError where the board does not answer."""
+        """The action for an observation.
+
+        LinkError where the board does not answer, as after a restart, or not so many words.
+        """
         rows = self._encode(observation)
         if self._resets:
             self._decode.reset()

@@ -4,7 +4,9 @@
     reply     5A  sequence  n  n words of 4 bytes   CRC of 2 bytes
 
 A request that is not answered in time is repeated with its sequence number, and the board, which
-knows the number, does nothing twice. The standard library is all that is needed.
+knows the number, does nothing twice. A board that has restarted, and has forgotten its states,
+answers nothing until an empty request comes, which a Link sends where it begins. The standard
+library is all that is needed.
 """
 
 import struct
@@ -34,7 +36,7 @@ class Port(Protocol):
 
 
 class LinkError(Exception):
-    """A board that does not answer."""
+    """A board that does not answer, or not as the policy does."""
 
 
 def crc(data: Iterable[int]) -> int:
@@ -117,13 +119,20 @@ class Link:
     def infer(self, timesteps: Iterable[Sequence[int]], forget: bool = False) -> list[list[int]]:
         """The words of each timestep, of the input axons that spike in it.
 
+        LinkError where the board does not answer, or answers more or fewer words.
         forget: whether all states are forgotten before.
         """
-        tokens, found = [NEW_EPISODE] * forget, []
+        tokens, found, count = [NEW_EPISODE] * forget, [], 0
         for axons in timesteps:
             tokens += [*axons, END_OF_TIMESTEP]
+            count += 1
         for part in self._parts(tokens):
             found += self.exchange(part)
+        if len(found) != self.words * count:
+            raise LinkError(
+                f"the board has answered {len(found)} words to {count} timesteps of {self.words} "
+                "words each. Is the bitstream on it of this policy?"
+            )
         return [found[k : k + self.words] for k in range(0, len(found), self.words)]
 
     def _parts(self, tokens: Sequence[int]) -> Iterator[Sequence[int]]:
@@ -151,7 +160,7 @@ class Link:
                 return words
         raise LinkError(
             f"the board has not answered {self.tries} requests. Is the bitstream on it, and is "
-            "this its port and its baud rate?"
+            "this its port and its baud rate, or has it restarted?"
         )
 
     def _answer(self) -> list[int] | None:

@@ -6,12 +6,20 @@
 // Low bytes come first. The CRC is CRC-16/MCRF4XX (polynomial 1021 reflected, from FFFF) of all
 // bytes after the first; over a frame with its CRC it is 0.
 //
-// Nothing reaches the core before the CRC is right, so that noise on the line cannot become a
-// spike. Each good request is answered once the core has done all of its tokens. A request with
-// the sequence number of the one before it is a repetition: it is not done again, and the reply,
-// which is kept, is sent again. Whatever is not a good request is not answered; the host repeats
-// after a while. A pause within a request ends it, and so does a byte without a stop bit.
-// While the core works and while a reply is sent, the receiver is deaf.
+// Nothing reaches the core before the CRC is right; 16 bits of it pass one of 65,536 damaged
+// requests. Each good request is answered after its last token, or the last word, is taken; the
+// core may still be busy then, and its `tready` holds the next token back. A request with the
+// sequence number of the one before it is a repetition: it is not done again, and the reply, which
+// is kept, is sent again. Whatever is not a good request is not answered; the host repeats after a
+// while. A pause within a request ends it, and so does a byte without a stop bit. While the core
+// works and while a reply is sent, the receiver is deaf.
+//
+// After a reset the states of the core are gone: requests with tokens are not answered until an
+// empty one has come, which a host sends where it begins. A host that does not know of the reset
+// gets no answer, and says so, where it would get words of states that were forgotten.
+//
+// A request must not cause more words than the buffer holds, 2**ADDRESS_BITS / 4, nor more than
+// 255; nothing here checks it. link.py, and so host.py, never sends such a request.
 
 `default_nettype none
 
@@ -75,6 +83,7 @@ module link #(
   reg [4:0]  state;
   reg [7:0]  sequence_in;             // of the request that comes in
   reg [7:0]  sequence_done;           // of the last one that was done
+  reg        greeted;                 // an empty request has come since the reset
   reg [7:0]  length;                  // tokens of the request
   reg [8:0]  index;                   // of a token, or of a half of a word
   reg [8:0]  halves;                  // of words in the buffer
@@ -131,6 +140,7 @@ module link #(
     if (rst) begin
       state <= HUNT;
       sequence_done <= 8'd0;
+      greeted <= 1'b0;
       halves <= 9'd0;
     end else if (receiving && (rx_error || &pause)) begin
       state <= HUNT;
@@ -159,7 +169,8 @@ module link #(
         CHECK_HIGH: if (rx_valid) state <= DECIDE;
         DECIDE: begin
           index <= 9'd0;
-          if (crc != 0) state <= HUNT;
+          if (crc == 0 && length == 0) greeted <= 1'b1;
+          if (crc != 0 || !(greeted || length == 0)) state <= HUNT;
           else if (sequence_in == sequence_done) state <= SEND_FIRST;
           else begin
             sequence_done <= sequence_in;

@@ -123,6 +123,55 @@ def test_replies_that_are_damaged_are_asked_for_again_and_nothing_is_done_twice(
     assert link.repeated > 3
 
 
+def restart(port, program):
+    """Put a board that has just been configured behind an open port."""
+    fresh = PINS.PinsPort(program)
+    port._process, fresh._process = fresh._process, port._process
+    fresh.close()
+
+
+@needs_simulation
+@pytest.mark.parametrize("before", [0, 7, 252, 253, 254, 255])  # 253: the next number is 0
+def test_a_board_that_restarts_gives_no_words_of_forgotten_states(port, program, before):
+    link = LINK.Link(port, TOKENS, WORDS, 3)
+    for done in range(before):
+        assert link.infer([[4]]) == [[1, 4, done + 1]]
+    restart(port, program)
+    for _ in range(3):  # whatever the number of the request
+        with pytest.raises(LINK.LinkError, match=r"not answered 5 requests.*or has it restarted\?"):
+            link.infer([[4]])
+    with pytest.raises(LINK.LinkError, match="restarted"):
+        link.reset()
+    # who begins anew is answered
+    link = LINK.Link(port, TOKENS, WORDS, 3)
+    assert link.infer([[5], [6]]) == [[1, 5, 1], [1, 6, 2]]
+
+
+@needs_simulation
+@pytest.mark.parametrize("sequence", [0, 1, 200])
+def test_requests_with_tokens_are_not_answered_before_an_empty_one(port, sequence):
+    asks = LINK.request(sequence, [4, 0x8000])
+    damaged = bytearray(LINK.request(9, []))
+    damaged[-1] ^= 1  # no greeting
+    for frame in (asks, damaged, asks):
+        port.write(bytes(frame))
+        assert port.read(1) == b""
+    for number in (0, 100):
+        port.write(LINK.request(number, []))
+        assert port.read(5) == LINK.reply(number, [])
+    asks = LINK.request(sequence ^ 1, [4, 0x8000])
+    port.write(asks)
+    assert port.read(17) == LINK.reply(sequence ^ 1, [1, 4, 1])
+
+
+@needs_simulation
+def test_more_or_fewer_words_than_the_policy_has_are_an_error(port):
+    for words in (2, 4):
+        link = LINK.Link(port, TOKENS, WORDS, words)
+        with pytest.raises(LINK.LinkError, match=rf"6 words to 2 timesteps of {words} words each"):
+            link.infer([[4], []])
+
+
 @needs_simulation
 def test_a_request_that_breaks_off_ends_by_itself(port):
     link = LINK.Link(port, TOKENS, WORDS, 3)
