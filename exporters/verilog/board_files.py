@@ -3,7 +3,6 @@
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -16,12 +15,11 @@ from spikedeploy.exporters.verilog.bench import BENCH, bench_files, record
 from spikedeploy.exporters.verilog.boards import Board
 from spikedeploy.exporters.verilog.image import CoreImage
 from spikedeploy.exporters.verilog.model import STEP, CoreModel
-from spikedeploy.exporters.verilog.resources import Use, predict
+from spikedeploy.exporters.verilog.resources import Buffer, Use, predict
 from spikedeploy.exporters.verilog.tools import TOOLS
 from spikedeploy.exporters.verilog.vectors import episode_record
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.errors import RuleError
 
 MARK = "exported by spikedeploy as Verilog"
 # copied as they are
@@ -30,45 +28,10 @@ _SAME = (
     *("pins.py", "compare.py", "decompiled.py", "report.py"),
 )
 _FILLED = ("top.v", "pins_main.cpp", "Makefile", "README.md")
-# of the longest reply: its length is a byte
-_WORDS_MOST = 255
 _EPISODE_STEPS = 100
 # updates of neurons that the bench checks, about, and its timesteps
 _UPDATES = 10_000
 _LEAST_STEPS, _MOST_STEPS = 40, 300
-
-
-@dataclass(frozen=True)
-class Buffer:
-    """The buffer of link.v for a core.
-
-    words: of a timestep.
-    """
-
-    words: int
-
-    def check(self) -> None:
-        """Refuse more words than a reply has; RuleError."""
-        if self.words > _WORDS_MOST:
-            raise RuleError(
-                f"rule link: {self.words} words leave the core in a timestep; a reply has at most "
-                f"{_WORDS_MOST}. Read fewer membranes, or spikes in place of them."
-            )
-
-    @property
-    def address_bits(self) -> int:
-        """Bits of an address: half of the buffer is for words, of two numbers each."""
-        return max(8, (2 * self.words - 1).bit_length() + 1)
-
-    @property
-    def tokens_most(self) -> int:
-        """Tokens of a request."""
-        return min(_WORDS_MOST, 1 << (self.address_bits - 1))
-
-    @property
-    def words_most(self) -> int:
-        """Words of a reply."""
-        return min(_WORDS_MOST, 1 << (self.address_bits - 2))
 
 
 def board_files(

@@ -1,7 +1,9 @@
 """Resources that a core takes on a board, predicted before synthesis: cells and memories.
 
-Memories follow the rules by which Yosys maps them, and are exact. Cells are a sum of terms of the
-widths of registers; their factors are a fit to builds, which tests compare with others.
+Memories follow the rules by which Yosys 0.23 maps them: block RAMs are equal in the builds that
+tests compare, and another version may choose otherwise. Cells are a sum of terms of the widths of
+registers, whose factors are a fit to builds; in the builds that tests compare they are within a
+tenth.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -50,6 +52,43 @@ _SMALL_WORDS, _SMALL_BITS, _SMALL_COST = 16, 4, 4
 # memories that can be in it: one port is enough for them
 _MOVABLE = ("state_memory", "buffer")
 _LARGE_WORDS, _LARGE_BITS = 16384, 16  # of the single-port RAM of the UltraPlus
+# share of a board's cells above which a design may not fit: predictions can be a tenth off
+_CLOSE = 0.9
+# of the longest reply of the link: its length is a byte
+_WORDS_MOST = 255
+
+
+@dataclass(frozen=True)
+class Buffer:
+    """The buffer of link.v for a core.
+
+    words: of a timestep.
+    """
+
+    words: int
+
+    def check(self) -> None:
+        """Refuse more words than a reply has; RuleError."""
+        if self.words > _WORDS_MOST:
+            raise RuleError(
+                f"rule link: {self.words} words leave the core in a timestep; a reply has at most "
+                f"{_WORDS_MOST}. Read fewer membranes, or spikes in place of them."
+            )
+
+    @property
+    def address_bits(self) -> int:
+        """Bits of an address: half of the buffer is for words, of two numbers each."""
+        return max(8, (2 * self.words - 1).bit_length() + 1)
+
+    @property
+    def tokens_most(self) -> int:
+        """Tokens of a request."""
+        return min(_WORDS_MOST, 1 << (self.address_bits - 1))
+
+    @property
+    def words_most(self) -> int:
+        """Words of a reply."""
+        return min(_WORDS_MOST, 1 << (self.address_bits - 2))
 
 
 @dataclass(frozen=True)
@@ -110,8 +149,8 @@ class Memory:
         return -(-self.words // _LARGE_WORDS) * -(-self.bits // _LARGE_BITS)
 
 
-def memories_of(image: CoreImage, buffer_bits: int) -> tuple[Memory, ...]:
-    """The memories of the core and its link; buffer_bits: of an address of the link's buffer."""
+def memories_of(image: CoreImage) -> tuple[Memory, ...]:
+    """The memories of the core and its link."""
     contents = {
         "axon_memory": image.axon_words,
         "synapse_memory": image.rows.words,
@@ -122,7 +161,7 @@ def memories_of(image: CoreImage, buffer_bits: int) -> tuple[Memory, ...]:
         *constant,
         Memory("sum_memory", image.slots << image.neuron_bits, image.sum_bits, False),
         Memory("state_memory", 2 << image.neuron_bits, image.state_bits + image.rest_bits, False),
-        Memory("buffer", 1 << buffer_bits, 16, False),
+        Memory("buffer", 1 << Buffer(image.words).address_bits, 16, False),
     )
 
 
@@ -187,10 +226,17 @@ class Use:
         return tuple(
             f"{name:<26} {taken:>7,} of {there:,}"
             + (f" ({taken / there:.0%})" if there else "")
-            + (", too few" if taken > there else "")
+            + self._remark(name, taken, there)
             for name, taken, there in self.rows()
             if taken or there
         )
+
+    @staticmethod
+    def _remark(name: str, taken: int, there: int) -> str:
+        """What a line says of a number that is too large, or perhaps."""
+        if taken > there:
+            return ", too few"
+        return ", may not fit" if name == "cells" and taken > _CLOSE * there else ""
 
     def record(self) -> dict[str, Any]:
         """The same as data."""
@@ -203,13 +249,10 @@ class Use:
         }
 
 
-def predict(image: CoreImage, board: Board, buffer_bits: int = 8) -> Use:
-    """What a core with its link takes on a board.
-
-    buffer_bits: of an address of the link's buffer.
-    """
+def predict(image: CoreImage, board: Board) -> Use:
+    """What a core with its link takes on a board."""
     device = board.device
-    placed = {each: each.place(device) for each in memories_of(image, buffer_bits)}
+    placed = {each: each.place(device) for each in memories_of(image)}
     blocks = {m.name: place.count for m, place in placed.items() if place.kind == "blocks"}
     in_cells = {
         kind: sum(place.count for place in placed.values() if place.kind == kind)

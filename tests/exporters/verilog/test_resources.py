@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 
 from spikedeploy import zoo
-from spikedeploy.exporters.verilog.board_files import Buffer, board_files
+from spikedeploy.exporters.verilog.board_files import board_files
 from spikedeploy.exporters.verilog.boards import board
-from spikedeploy.exporters.verilog.resources import Memory, Use, predict
+from spikedeploy.exporters.verilog.image import core_image
+from spikedeploy.exporters.verilog.resources import Buffer, Memory, Use, memories_of, predict
 from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.layer import NEVER, Layer, Synapses
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
 from tests.board_designs import export, image_of, make, needs, walk
 from tests.networks import event_driven, popsan
@@ -131,6 +136,50 @@ def test_a_design_that_does_not_fit_is_refused_by_what_is_full():
         replace(use, cells=1000, block_rams=17).check()
     assert use.lines()[0].split() == ["cells", "1,300", "of", "1,280", "(102%),", "too", "few"]
     assert not use.record()["fits"]
+
+
+@pytest.mark.parametrize(
+    ("cells", "said"),
+    [(1152, "(90%)"), (1153, "(90%), may not fit"), (1280, "(100%), may not fit")],
+)
+def test_cells_above_nine_tenths_of_a_board_may_not_fit(cells, said):
+    use = Use(board("icestick"), cells=cells, block_rams=16, large_rams=0, multipliers=0)
+    assert use.fits
+    cells_line, blocks_line = use.lines()
+    assert cells_line.endswith(said)
+    assert blocks_line.endswith("16 of 16 (100%)")  # memories are no fit
+
+
+def membranes(count):
+    """A program of so many neurons whose membranes leave the core, a word each."""
+    same = {name: np.full(count, 2048) for name in ("current_decay", "membrane_decay")}
+    same |= {name: np.zeros(count, np.int64) for name in ("bias", "voltage_bias")}
+    weight = np.arange(4 * count).reshape(4, count).astype(np.int16)
+    out = Layer(
+        "out", (Synapses("input", weight, 1),), threshold=np.full(count, NEVER), scale=1.0,
+        start=0, spiking=False, **same,
+    )  # fmt: skip
+    convention = Convention(1e-3, state="kept")
+    return Program(chip("loihi1"), convention, "input", 4, (out,), "out", None, clock="pipelined")
+
+
+# words of a timestep; numbers of 16 bits in the link's buffer; its RAMs in an iCE40 and an ECP5
+@pytest.mark.parametrize(
+    ("words", "numbers", "blocks"),
+    [(64, 256, (1, 1)), (80, 512, (2, 1)), (128, 512, (2, 1)), (200, 1024, (4, 1))],
+)
+def test_a_prediction_has_the_links_buffer_as_large_as_the_words_need(words, numbers, blocks):
+    image = core_image(membranes(words))
+    assert image.words == words
+    memories = memories_of(image)
+    (buffer,) = (each for each in memories if each.name == "buffer")
+    assert (buffer.words, buffer.bits) == (numbers, 16)
+    for name, count in zip(("icebreaker", "ulx3s"), blocks, strict=True):
+        device = board(name).device
+        assert (buffer.place(device).kind, buffer.place(device).count) == ("blocks", count)
+        others = (each.place(device) for each in memories if each is not buffer)
+        beside = sum(place.count for place in others if place.kind == "blocks")
+        assert predict(image, board(name)).block_rams == beside + count
 
 
 def test_a_policy_too_large_for_the_board_is_refused_before_a_file_is_written():
