@@ -101,7 +101,7 @@ class Board:
 
     def _pcf(self) -> list[str]:
         lines = [
-            f"set_io{' -pullup yes' if name in ('flash', 'button') else ''} {port} "
+            f"set_io{' -pullup yes' if name in ('rx', 'flash', 'button') else ''} {port} "
             f"{self.pins[name]}"
             for name, port in self.ports.items()
         ]

@@ -2,18 +2,20 @@
 
 import re
 import subprocess
+from runpy import run_path
 
 import numpy as np
 import pytest
 
 from spikedeploy import zoo
 from spikedeploy.runtime.artifact.artifact import load
-from tests.board_designs import export, make, needs, needs_simulation, scripts
+from tests.board_designs import TEMPLATES, export, make, needs, needs_simulation, scripts
 from tests.networks import event_driven
 
 needs_flow = needs(
     "yosys", "nextpnr-ice40", "icepack", "iceunpack", "icebox_vlog", "verilator", "g++", "make"
 )
+summary = run_path(str(TEMPLATES / "report.py"))["summary"]
 declared = scripts().decompiled.declare_once
 
 
@@ -40,7 +42,40 @@ def test_the_folder_of_an_export_has_no_warning_and_equals_the_emulator(tmp_path
     export(event_driven(timesteps=2), "upduino", tmp_path)
     said = make(tmp_path, "lint", "sim", "pins")
     assert len(re.findall("^equal: ", said, re.MULTILINE)) == 2
-    assert "\nPASS: " in said
+    assert len(re.findall("^PASS: ", said, re.MULTILINE)) == 2
+
+
+def briefly(folder, *words):
+    """Run make in a folder, quietly."""
+    words = ["make", "-s", *words]
+    return subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+
+
+@needs("iverilog", "make")
+def test_the_bench_passes_with_and_without_stalls_and_has_to_do_both(tmp_path):
+    export(event_driven(), "icebreaker", tmp_path)
+    done = briefly(tmp_path, "icarus")
+    assert done.returncode == 0, done.stderr
+    first, passed, second, too = done.stdout.splitlines()
+    assert (first, second) == ("without stalls:", "with random stalls:")
+    assert passed.startswith("PASS: ")
+    assert too.startswith("PASS: ")
+    assert int(passed.split()[-2]) < int(too.split()[-2])  # clocks
+    bench = (tmp_path / "bench.v").read_text()
+    for fault in ("wrong == 0 && noise == 0", "wrong == 0 && noise != 0"):
+        assert "if (wrong == 0)" in bench
+        (tmp_path / "bench.v").write_text(bench.replace("if (wrong == 0)", f"if ({fault})"))
+        done = briefly(tmp_path, "icarus")
+        assert done.returncode != 0
+        assert "FAIL: " in done.stdout
+
+
+def test_the_frequency_of_a_build_is_that_of_its_slowest_clock():
+    report = {
+        "fmax": {"a": {"achieved": 30.0}, "b": {"achieved": 20.0}},
+        "utilization": {"ICESTORM_LC": {"used": 5}},
+    }
+    assert summary(report, 3) == {"seed": 3, "mhz": 20.0, "cells": 5}
 
 
 @pytest.mark.fpga

@@ -63,12 +63,17 @@ def test_constraints_name_each_port_of_the_top_module_and_no_other(name, tmp_pat
 def test_constraints_of_an_ice40():
     assert board("icebreaker").constraints.splitlines()[1:] == [
         "set_io clk 35",
-        "set_io rx 6",
+        "set_io -pullup yes rx 6",
         "set_io tx 9",
         "set_io lamp_n 37",
         "set_io -pullup yes button_n 10",
         "set_frequency clk 12",
     ]
+
+
+@pytest.mark.parametrize("name", BOARDS)
+def test_a_line_that_nobody_drives_is_at_rest(name):
+    assert re.search(r"-pullup yes rx |\"rx\" .* PULLMODE=UP;", board(name).constraints)
 
 
 def test_constraints_of_an_ecp5():
