@@ -8,7 +8,7 @@ from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
 
 # of a token; half of its numbers are for what is no spike
 _AXONS = 1 << 15
-# more than the block RAM of any FPGA with open tools holds, at 16 bits each
+# more than the block RAM of the largest ECP5 holds, at 16 bits each
 _SYNAPSES = 1 << 18
 _WORD = 32
 _DECAY_BITS = 24
@@ -95,9 +95,9 @@ def _check_wires(program: Program) -> None:
     found = sum(int(synapses.fan_out.sum()) for a in program.layers for synapses in a.synapses)
     if found > _SYNAPSES:
         raise RuleError(
-            f"rule memory: {found:,} synapses; block RAM of FPGAs with open tools "
-            f"has {_SYNAPSES:,} at most, and the core uses no memory outside the chip. Train a "
-            "sparse policy (spikedeploy distill), or a smaller one."
+            f"rule memory: {found:,} synapses; the core takes {_SYNAPSES:,} at most, more than "
+            "the block RAM of the largest ECP5 holds, and uses no memory outside the FPGA. Train "
+            "a sparse policy (spikedeploy distill), or a smaller one."
         )
 
 

@@ -1,4 +1,4 @@
-"""The tables of docs/fpga.md are made of its record, and a clock is accounted for."""
+"""The tables of docs/fpga.md are made of its record; every clock is counted, and bounded."""
 
 import numpy as np
 
@@ -37,3 +37,17 @@ def test_a_synapse_of_a_row_takes_a_clock():
         found = model.step([axon])
         fired = image.axons + np.flatnonzero(found.spikes)
         assert (found.clocks - silent - lengths[axon] - lengths[fired].sum()) >= 0
+
+
+def test_no_timestep_takes_more_clocks_than_the_bound():
+    artifact = load(zoo.path("kart-steer/sparse"))
+    image = core_image(program_for(artifact, None)[1], artifact.codec)
+    model, rng, encoder = CoreModel(image), np.random.default_rng(0), artifact.codec.encoder
+    bound = fpga.bound_of(image, artifact, model.step([]).clocks)
+    channels = np.arange(image.axons).reshape(encoder.observed, 2, encoder.most)
+    most = 0
+    for _ in range(100):  # observations that all move as far as they can, up or down
+        moved = channels[np.arange(encoder.observed), rng.integers(0, 2, encoder.observed)]
+        sent = moved.ravel() if encoder.code == "unary" else moved[:, -1]
+        most = max(most, model.step(sent.tolist()).clocks)
+    assert 0.8 * bound["bound"] < most <= bound["bound"]

@@ -92,10 +92,12 @@ STARTS = {}  # finished runs by their recipes
 
 def machine():
     """Processor and libraries, on which the last bits of floats depend."""
-    lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines() if os.path.exists(
-        "/proc/cpuinfo") else []  # fmt: skip
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return {"processor": names[0] if names else platform.processor()} | {
+    cpu = Path("/proc/cpuinfo")
+    lines = cpu.read_text("utf-8").splitlines() if cpu.exists() else []
+    told = dict(tuple(each.strip() for each in line.partition(":")[::2]) for line in lines)
+    # processors of one name have other instructions
+    names = [told[n] for n in ("model name", "cpu family", "model", "stepping") if n in told]
+    return {"processor": " ".join(names) or platform.processor()} | {
         name: version(name) for name in LIBRARIES
     }
 
