@@ -124,6 +124,28 @@ def test_an_observation_of_another_size_or_not_finite_is_refused():
         port.close()
 
 
+class Forgetful:
+    """A port to a board that answers each request, and computes nothing."""
+
+    timeout = None
+
+    def write(self, data):
+        self._reply = LINK.reply(data[1], [])
+        return len(data)
+
+    def read(self, size=1):
+        found, self._reply = self._reply, b""
+        return found
+
+
+def test_a_board_that_answers_without_words_is_an_error_and_no_action():
+    artifact = event_driven(timesteps=2)
+    image = image_of(artifact)
+    policy = policy_at(Forgetful(), artifact, image)
+    with pytest.raises(LINK.LinkError, match="answered 0 words to 2 timesteps of 1 words each"):
+        policy.act(walk(artifact.codec, 1)[0])
+
+
 def test_host_runs_alone_in_its_folder_and_names_what_differs(tmp_path):
     pytest.importorskip("serial", reason="pyserial is not installed")
     artifact = event_driven()
