@@ -30,7 +30,7 @@ _FACTORS: Mapping[str, Mapping[str, float]] = {
         "edges": 1.090,
     },
     "ecp5": {
-        "all": 544.9,
+        "all": 585.0,
         "states": 7.340,
         "spikes": -92.7,
         "small": 6.381,

@@ -1,7 +1,9 @@
 """A policy as Verilog for a board: what is written, what it takes, and what is refused before."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -22,7 +24,13 @@ from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.shipping.export_c import WrittenFolder
-from spikedeploy.shipping.sources import chip_of, episode_of, nir_file, world_of
+from spikedeploy.shipping.sources import (
+    chip_of,
+    episode_of,
+    named_env,
+    nir_file,
+    world_of,
+)
 from spikedeploy.shipping.verilog_folder import (
     RECORD,
     VerilogFolder,
@@ -67,7 +75,8 @@ def design(
     if artifact.codec is None:
         raise ConfigError(
             f"{file} has no codec (observation to spikes), so that no host could ask the core for "
-            "actions. Give it one with `spikedeploy run --from`; docs/own-network.md has it."
+            "actions. Give it one: docs/codec.md, 'A network of your own as a policy'; or with "
+            "`spikedeploy run --from TOOL --codec FILE`, where a tool wrote the network."
         )
     name, program = program_for(artifact, chip_name)
     image = core_image(program, artifact.codec)
@@ -96,6 +105,11 @@ def export_verilog(
     """
     if folder is None:
         raise ConfigError("--to verilog writes a folder: name it, as in -o build/walker")
+    if any(letter.isspace() for letter in str(folder.resolve())):
+        raise ConfigError(
+            f"-o {folder}: make and Verilator cannot build in a folder with spaces in its path. "
+            "Name another."
+        )
     file = nir_file(policy, "verilog")
     made = design(file, chip_name, board_name)
     image, on, inputs = made.image, made.board, (file, policy)
@@ -117,6 +131,7 @@ def export_verilog(
     clocks = _clocks(image, raster[:_COUNTED], made.artifact.convention.state == "reset")
     use = use_of(made)
     events = raster.reshape(len(raster), -1).sum(axis=1)
+    world = "" if named_env(made.artifact) else " --env ENV"
     lines = (
         *use.lines,
         f"{'input events':<26} {events.mean():>7,.1f}, at most {events.max():,}",
@@ -126,13 +141,21 @@ def export_verilog(
         f"of a control step, means of {source}",
         *made.program.remarks,
         f"wrote {folder}: {len(texts) + 1} files for {on.title}",
-        f"build it: make -C {folder} lint sim netlist bit bitcheck",
-        f"let it drive: spikedeploy run {policy} --via {folder}",
+        f"build it: make -C {quote(str(folder))} {' '.join(_targets(on, use.record))}",
+        f"let it drive: spikedeploy run {quote(policy)}{world} --via {quote(str(folder))}",
     )
     counted = {"mean": float(clocks.mean()), "most": int(clocks.max()), "of": len(clocks)}
     facts = {"chip": made.chip, "board": on.name, "use": use.record, "clocks": counted}
     facts |= {"recorded": source, "remarks": list(made.program.remarks)}
     return WrittenFolder(folder, (*texts, RECORD), facts, lines)
+
+
+def _targets(on: Board, use: Mapping[str, Any]) -> tuple[str, ...]:
+    """What make can build and compare for a board."""
+    if on.device.family != "ice40":
+        return "lint", "sim", "pins", "bit"
+    back = () if use["large_rams"] else ("bitcheck",)
+    return ("lint", "sim", "netlist", "bit", *back)
 
 
 def program_for(artifact: Artifact, chip_name: str | None) -> tuple[str, Program]:

@@ -94,7 +94,14 @@ class PinsProcess:
 def main(arguments: Sequence[str]) -> int:
     """Replay the vectors; 0 where all words are equal."""
     kind, program, *rest = arguments
-    steps = list(read_vectors(int(rest[0]) if rest else None))
+    try:
+        steps = list(read_vectors(int(rest[0]) if rest else None))
+    except (OSError, ValueError, RuntimeError) as error:
+        print(f"tokens.hex, words.hex or STEPS cannot be read ({error})", file=sys.stderr)
+        return 2
+    if not steps:
+        print("no timestep to compare: STEPS is 0, or tokens.hex has none", file=sys.stderr)
+        return 2
     words = len(steps[0].words)
     process = CoreProcess(program, words) if kind == "core" else PinsProcess(program)
     for number, step in enumerate(steps):

@@ -20,7 +20,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+try:
+    import numpy as np
+except ModuleNotFoundError:
+    sys.exit("host.py needs NumPy: pip install numpy")
 from link import Link, LinkError, Port
 
 HERE = Path(__file__).resolve().parent

@@ -554,7 +554,7 @@ def test_the_hosts_encoder_sends_the_spikes_of_ours(name, kit_of):
     codec = Codec(normaliser, ENCODERS[name], 5, "tanh")
     kit, _ = kit_of("speck2f", steps=2)
     record = json.loads((kit.folder / "program.json").read_text())
-    record["host"]["codec"] = to_program._plain(codec.to_record())
+    record["host"]["codec"] = to_program.plain_record(codec.to_record())
     record["input"]["width"] = codec.encoder.width
     record["control_step"] = {"timesteps": 7, "bias_axons": []}
     host = host_in(kit.folder).Codec(record)
