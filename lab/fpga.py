@@ -1,14 +1,16 @@
 r"""Policies on FPGAs: states and returns compared, clocks, cells, frequencies; docs/fpga.md.
 
     python -m lab fpga -o docs [--episodes 20] [--seeds 3] [--only hexapod/sparse]
-        [--boards icebreaker,ulx3s] [--steps drive,build]
+        [--boards icebreaker,ulx3s] [--steps drive,netlist,build]
 
 drive: the core drives episodes in simulation; every state is compared with the emulated chip, every
-return with its own. build: synthesis, then place and route with three seeds, for boards. What is
-found goes into results/fpga.json row by row, so that a run that is stopped goes on where --only and
---boards say; `-o docs` writes the tables of docs/fpga.md from all of it. Needs make and Verilator
-for the first, Yosys and nextpnr for the second ([how to](docs/fpga.md)); what no tool is there for
-is left out, and said. Exits with 1 where something differs.
+return with its own. netlist: what synthesis makes of the core for an iCE40 takes the inputs of
+three of these episodes, every word is compared. build: synthesis, then place and route with three
+seeds, for boards. What is found goes into results/fpga.json row by row, so that a run that is
+stopped goes on where --only and --boards say; `-o docs` writes the tables of docs/fpga.md from all
+of it. Needs make and Verilator for the first, Yosys for the others, nextpnr for the last
+([how to](docs/fpga.md)); what no tool is there for is left out, and said. Exits with 1 where
+something differs.
 """
 
 import argparse
@@ -28,16 +30,26 @@ from numpy.typing import NDArray
 from spikedeploy import zoo
 from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.console import say
+from spikedeploy.envs.rollout import rollout
 from spikedeploy.errors import ConfigError
+from spikedeploy.exporters.verilog.bench import record
 from spikedeploy.exporters.verilog.boards import board, board_names
 from spikedeploy.exporters.verilog.image import CoreImage, core_image
-from spikedeploy.exporters.verilog.simulation import PROGRAM, image_process
+from spikedeploy.exporters.verilog.model import FORGET, STEP
+from spikedeploy.exporters.verilog.simulation import (
+    PROGRAM,
+    RtlProcess,
+    decode_words,
+    image_process,
+)
 from spikedeploy.exporters.verilog.tools import make_variables, missing_tools
 from spikedeploy.files import read_json, write_json, write_text
 from spikedeploy.make_env import make_env
 from spikedeploy.reports.table import ABSENT, markdown_text
 from spikedeploy.runtime.artifact.artifact import Artifact, load
+from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.delta import DeltaEncoder
+from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.export_verilog import export_verilog, program_for, use_of_board
@@ -48,7 +60,8 @@ Row = dict[str, Any]
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORD = ROOT / "results/fpga.json"
-STEPS = ("drive", "build")
+STEPS = ("drive", "netlist", "build")
+_NETLIST_EPISODES = 3
 # where the core of every policy fits
 _LARGEST = "ulx3s"
 # bytes of a request, and of a reply, beside their tokens and words; bits of a byte on the line;
@@ -74,6 +87,8 @@ def main() -> int:
     names = [name for name in spiking() if options.only in ("", name)]
     for name in names if "drive" in steps else ():
         keep("drive", name, drive(name, options.episodes))
+    for name in names if "netlist" in steps else ():
+        keep("netlist", name, netlist(name))
     for name in names if "build" in steps else ():
         for each in boards:
             keep("build", f"{name} {each}", build(name, each, options.seeds))
@@ -83,7 +98,8 @@ def main() -> int:
         text = put(text, place, table)
     write_text(page, text)
     print(f"wrote {page}")
-    return int(any(row.get("differing") for row in recorded()["drive"].values()))
+    played = [*recorded()["drive"].values(), *recorded()["netlist"].values()]
+    return int(any(row.get("differing") for row in played))
 
 
 def spiking() -> list[str]:
@@ -216,6 +232,44 @@ def row_lengths(image: CoreImage) -> NDArray[np.int64]:
     return np.asarray(ends[np.searchsorted(ends, firsts)] - firsts + 1)
 
 
+def netlist(name: str, episodes: int = _NETLIST_EPISODES) -> Row:
+    """What synthesis makes of a core, on the input spikes of episodes; why not, where refused."""
+    artifact = load(file_of(name))
+    if (codec := artifact.codec) is None:
+        raise TypeError("a policy has a codec")
+    with tempfile.TemporaryDirectory() as text:
+        folder = Path(text)
+        try:
+            export_verilog(name, None, "icebreaker", folder, 2)
+        except (ConfigError, RuleError) as error:
+            return {"refused": str(error)}
+        words = ["make", "-s", "-C", text, *make_variables(), "policy_sim_netlist"]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise ConfigError(f"{name}: the netlist cannot be built: {done.stderr[-300:]}")
+        on, program = program_for(artifact, None)
+        image = core_image(program, codec)
+        rows: list[NDArray[np.uint8]] = []
+        begins: list[int] = []
+        for seed in range(EVALUATION, EVALUATION + episodes):
+            controller = SpikingController(artifact, chip(on), ledger="none")
+            walk = rollout(make_env(named_env(artifact), {}), controller, seed)
+            begins.append(sum(map(len, rows)))
+            rows.append(codec.encode_episode(walk.observation[:-1]))
+        expected = record(image, np.concatenate(rows), "numpy", begins)
+        size, differing = image.neurons, 0
+        with RtlProcess(folder / "policy_sim_netlist", image.outputs, size, probe=False) as process:
+            for tokens, wanted in zip(expected.tokens, expected.words, strict=True):
+                if tokens[0] == FORGET:
+                    process.reset()
+                found = process.step(token for token in tokens if token < STEP).values
+                ends = np.cumsum([output.words for output in image.outputs])[:-1]
+                parts = np.split(np.array(wanted, "<u4"), ends)
+                pairs = zip(image.outputs, parts, strict=True)
+                differing += any((found[o.layer] != decode_words(w, o)).any() for o, w in pairs)
+    return {"episodes": episodes, "timesteps": len(expected.words), "differing": differing}
+
+
 def build(name: str, board_name: str, seeds: int) -> Row:
     """Cells, memories and frequencies of a policy on a board, as predicted and as built.
 
@@ -260,6 +314,7 @@ def tables(found: Mapping[str, Mapping[str, Row]]) -> dict[str, str]:
     }
     return {
         "drive": _table(_DRIVE, driven),
+        "netlist": _table(_NETLIST, found["netlist"]),
         "build": _build_table(found["build"]),
         "latency": _table(_LATENCY, driven),
     }
@@ -284,6 +339,13 @@ _DRIVE: Columns = {
     "numbers compared": lambda row: f"{row['numbers']:,}",
     "differ": lambda row: str(row["differing"]),
     "returns that differ": lambda row: str(row["unequal_returns"]),
+}
+
+
+_NETLIST: Columns = {
+    "episodes": lambda row: str(row["episodes"]),
+    "timesteps": lambda row: f"{row['timesteps']:,}",
+    "timesteps with a word that differs": lambda row: str(row["differing"]),
 }
 
 
