@@ -29,7 +29,7 @@ _RUN = ("config.json", "versions.json", "metrics.csv", "checkpoints/last.json")
 _NAME = re.compile(
     rf"kart-eye-[\w-]+/({'|'.join(map(re.escape, _RUN))}"
     rf"|checkpoints/{LEVEL}[\w+]+\.(json|safetensors))"
-    r"|evaluations/([\w.+-]+/)?[\w.+-]+\.json"
+    r"|evaluations/([\w.+=-]+/)?[\w.+=-]+\.json"
 )
 # a training counts as complete by its counters, which must not come before the rest
 KEPT = Kept(RESULTS / "kart-eye" / "trainings", _NAME, 16 << 20, ("last.json",))

@@ -35,7 +35,7 @@ def test_what_was_packed_is_trained_where_it_is_unpacked(tmp_path):
     run = leave(here, "cnn-s0")
     leave(here, "cnn-s1", finished=False)
     (here / "evaluations" / "a-cell").mkdir(parents=True)
-    (here / "evaluations" / "a-cell" / "loihi1.json").write_text("{}")
+    (here / "evaluations" / "a-cell" / "speck2f-queue=on.json").write_text("{}")
     packed = pack(here, archives)
     assert [file.name for file in packed] == ["evaluations.zip", "walks.zip", "cnn-s0.zip"]
     assert [KEPT.unpack(file, there) for file in packed] == [1, 5, 5]
