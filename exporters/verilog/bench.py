@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.exporters.verilog.image import CoreImage
-from spikedeploy.exporters.verilog.model import FORGET, STEP, CoreModel
+from spikedeploy.exporters.verilog.model import FORGET, CoreModel, clocks_of, tokens_of
 from spikedeploy.exporters.verilog.text import hex_text
 from spikedeploy.exporters.verilog.vectors import words_of
 from spikedeploy.runtime.emulator.backend import BackendName
@@ -46,25 +46,21 @@ def record(
     """
     program = image.program
     machine = Machine(program, 1, "none", trace=True, backend=backend)
-    resets = program.convention.state == "reset"
-    tokens: list[list[int]] = []
+    begins = range(len(raster)) if program.convention.state == "reset" else episodes
     words: list[list[int]] = []
     found: dict[str, list[NDArray[np.int64]]] = {n: [] for n in ("current", "membrane", "spikes")}
     for s, inference in enumerate(raster):
-        new = resets or s in episodes
-        if new:
+        if s in begins:
             machine.reset()
         machine.infer(inference[None])
         seen = machine.recordings
-        for t, row in enumerate(inference):
-            tokens.append([FORGET] * (new and t == 0) + [*np.flatnonzero(row).tolist(), STEP])
         each = [words_of(seen[output.layer], output) for output in image.outputs]
         words += np.concatenate(each, axis=1).tolist()
         for name, rows in found.items():
             layers = [getattr(seen[layer.name], name)[0] for layer in program.layers]
             rows.append(np.concatenate(layers, axis=1).astype(np.int64))
     together = {name: np.concatenate(rows) for name, rows in found.items()}
-    return Recorded(tokens, words, **together)
+    return Recorded(tokens_of(raster, begins), words, **together)
 
 
 def bench_files(image: CoreImage, recorded: Recorded) -> dict[str, str]:
@@ -90,11 +86,6 @@ def bench_files(image: CoreImage, recorded: Recorded) -> dict[str, str]:
 
 def _clocks(image: CoreImage, recorded: Recorded) -> int:
     """Clocks of all timesteps without any waiting."""
-    model = CoreModel(image)
-    total = model.clear_clocks
-    for tokens in recorded.tokens:
-        if tokens[0] == FORGET:
-            model.reset()
-            total += 1 + model.clear_clocks
-        total += model.step(token for token in tokens if token < STEP).clocks
-    return total
+    clear = CoreModel(image).clear_clocks
+    resets = sum(tokens[0] == FORGET for tokens in recorded.tokens)
+    return sum(clocks_of(image, recorded.tokens)) + clear + resets * (1 + clear)

@@ -14,8 +14,9 @@ from spikedeploy.exporters.to_program import as_rows, plain_record
 from spikedeploy.exporters.verilog.bench import BENCH, bench_files, record
 from spikedeploy.exporters.verilog.boards import Board
 from spikedeploy.exporters.verilog.image import CoreImage
-from spikedeploy.exporters.verilog.model import STEP, CoreModel
+from spikedeploy.exporters.verilog.model import clocks_of
 from spikedeploy.exporters.verilog.resources import Buffer, Use, predict
+from spikedeploy.exporters.verilog.to_verilog import template
 from spikedeploy.exporters.verilog.tools import TOOLS
 from spikedeploy.exporters.verilog.vectors import episode_record
 from spikedeploy.runtime.codec.codec import Codec
@@ -62,7 +63,6 @@ def board_files(
         "constraints": board.constraints_name,
         "bitstream": "policy.bin" if family == "ice40" else "policy.bit",
         "tools": [tool for name, tool in TOOLS.items() if name != "make"],
-        "dsp": False,
         "parameters": states,
         "programmer": _PROGRAMMERS[board.program[0].split()[0]],
         "link": buffer,
@@ -74,11 +74,11 @@ def board_files(
     recorded = record(image, raster, episodes={0})
     episode = episode_record(image, codec, observation[:_EPISODE_STEPS], seed)
     return {
-        **{name: _text(name) for name in _SAME},
+        **{name: template(name) for name in _SAME},
         **{name: render(name, **values) for name in _FILLED},
         board.constraints_name: board.constraints,
         "policy.json": as_rows(host_record(image.program, codec, image, board, origin)),
-        BENCH: _text(BENCH),
+        BENCH: template(BENCH),
         **bench_files(image, recorded),
         "episode.json": as_rows(episode),
         "costs.json": json.dumps(costs_record(image, board, use, recorded.tokens), indent=2) + "\n",
@@ -98,8 +98,7 @@ def costs_record(
 
     tokens: of recorded timesteps, which are measured on the model of the core.
     """
-    core = CoreModel(image)
-    clocks = [core.step(each for each in step if each < STEP).clocks for step in tokens]
+    clocks = clocks_of(image, tokens)
     # a request and a reply have 5 bytes beside tokens and words, and a byte has 10 bits on the line
     line = [10 * (10 + 2 * len(step) + 4 * image.words) / board.baud for step in tokens]
     return {
@@ -160,14 +159,9 @@ def host_record(
     }
 
 
-def render(template: str, **values: object) -> str:
+def render(name: str, **values: object) -> str:
     """The text of a template of `templates/`, in which what is left out leaves no empty lines."""
-    return re.sub(r"\n{3,}", "\n\n", _templates().get_template(template).render(values))
-
-
-def _text(name: str) -> str:
-    """The text of a file of `templates/` that is copied as it is."""
-    return _templates().loader.get_source(_templates(), name)[0]  # type: ignore[union-attr]
+    return re.sub(r"\n{3,}", "\n\n", _templates().get_template(name).render(values))
 
 
 @cache

@@ -45,7 +45,7 @@ class Output:
 
 
 @dataclass(frozen=True)
-class Field:
+class NeuronField:
     """A number of each neuron.
 
     bits: as wide as it gets.
@@ -282,7 +282,7 @@ class CoreImage:
         return self._rules.refractory
 
     @cached_property
-    def fields(self) -> Mapping[str, Field]:
+    def fields(self) -> Mapping[str, NeuronField]:
         """Numbers of the neurons, by name, as they are stored."""
         per_layer: dict[str, list[int | None]] = {name: [] for name in _FIELDS}
         heard = {output.layer for output in self.outputs}
@@ -307,7 +307,7 @@ class CoreImage:
         }
         found, at = {}, self.layer_bits
         for name, values in per_layer.items():
-            field = self._place(Field(bits.get(name, 1), tuple(values)), at)
+            field = self._place(NeuronField(bits.get(name, 1), tuple(values)), at)
             found[name] = field
             at += field.bits * (field.at >= 0)
         return found
@@ -330,7 +330,7 @@ class CoreImage:
             "CLOSING": [int(end) for end in ends] if spiking and heard else [None] * size,
         }
 
-    def _place(self, field: Field, at: int) -> Field:
+    def _place(self, field: NeuronField, at: int) -> NeuronField:
         """The field as it is stored: of each layer, or in parameters of the neurons."""
         of_layer: list[int] = []
         known = [value for value in field.values if value is not None]
@@ -338,9 +338,9 @@ class CoreImage:
             first = self.first[layer.name]
             own = {v for v in field.values[first : first + layer.size] if v is not None}
             if len(own) > 1:
-                return Field(field.bits, field.values, at)
+                return NeuronField(field.bits, field.values, at)
             of_layer += own or {known[0] if known else 0}
-        return Field(field.bits, field.values, -1, tuple(of_layer))
+        return NeuronField(field.bits, field.values, -1, tuple(of_layer))
 
     @property
     def layer_bits(self) -> int:

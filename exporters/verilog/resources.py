@@ -113,7 +113,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Memory:
+class CoreMemory:
     """A memory of the design.
 
     name: as the Verilog calls it.
@@ -149,19 +149,21 @@ class Memory:
         return -(-self.words // _LARGE_WORDS) * -(-self.bits // _LARGE_BITS)
 
 
-def memories_of(image: CoreImage) -> tuple[Memory, ...]:
+def memories_of(image: CoreImage) -> tuple[CoreMemory, ...]:
     """The memories of the core and its link."""
     contents = {
         "axon_memory": image.axon_words,
         "synapse_memory": image.rows.words,
         "neuron_memory": image.neuron_words,
     }
-    constant = (Memory(name, len(w), _varying_bits(w), True) for name, w in contents.items())
+    constant = (CoreMemory(name, len(w), _varying_bits(w), True) for name, w in contents.items())
     return (
         *constant,
-        Memory("sum_memory", image.slots << image.neuron_bits, image.sum_bits, False),
-        Memory("state_memory", 2 << image.neuron_bits, image.state_bits + image.rest_bits, False),
-        Memory("buffer", 1 << Buffer(image.words).address_bits, 16, False),
+        CoreMemory("sum_memory", image.slots << image.neuron_bits, image.sum_bits, False),
+        CoreMemory(
+            "state_memory", 2 << image.neuron_bits, image.state_bits + image.rest_bits, False
+        ),
+        CoreMemory("buffer", 1 << Buffer(image.words).address_bits, 16, False),
     )
 
 

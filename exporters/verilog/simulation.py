@@ -1,6 +1,5 @@
 """The core in Verilator as a process: tokens in, words, clocks and states out."""
 
-import shutil
 import struct
 import subprocess
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,12 +13,9 @@ from numpy.typing import NDArray
 
 from spikedeploy.errors import ConfigError
 from spikedeploy.exporters.verilog.image import CoreImage, Output
-from spikedeploy.exporters.verilog.to_verilog import CORE, SIMULATION
+from spikedeploy.exporters.verilog.model import FORGET, STEP
 
-STEP, FORGET = 0x8000, 0x8001
 PROGRAM = "policy_sim"
-# Verilator's own files take most of the time, and nearly none of it when the program runs
-_QUICK = "OPT_GLOBAL=-O0 OPT_SLOW=-O0 OPT_FAST=-O1"
 _PROBED = np.dtype([("current", "<i8"), ("membrane", "<i8"), ("spike", "u1")])
 
 
@@ -144,25 +140,6 @@ def decode_words(words: NDArray[np.uint32], output: Output) -> NDArray[np.int64]
         return words.astype("<u4").view("<i4").astype(np.int64)
     bits = np.unpackbits(words.astype("<u4").view(np.uint8), bitorder="little")
     return bits[: output.neurons].astype(np.int64)
-
-
-def has_verilator() -> bool:
-    """True where Verilator and a compiler of C++ are installed."""
-    return shutil.which("verilator") is not None and shutil.which("g++") is not None
-
-
-def build_simulation(folder: Path, jobs: int = 1) -> Path:
-    """Compile the core of a folder, with its probe, in Verilator; its program."""
-    if not has_verilator():
-        raise ConfigError("verilator is not installed: apt install verilator g++")
-    command = ["verilator", "--cc", "--exe", "--build", "-Wall", "-O3", "-DPOLICY_PROBE"]
-    command += ["-CFLAGS", "-DPOLICY_PROBE", "-MAKEFLAGS", _QUICK, "-j", str(jobs)]
-    command += ["--top-module", "policy_core", "--Mdir", "obj_sim", "-o", f"../{PROGRAM}"]
-    command += [CORE, SIMULATION]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise ConfigError(f"verilator: {done.stderr[-2000:]}")
-    return folder / PROGRAM
 
 
 def image_process(program: Path, image: CoreImage, stall: int | None = None) -> RtlProcess:

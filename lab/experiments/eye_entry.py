@@ -202,7 +202,13 @@ class EyeEntryDesign(Design):
             students=driven,
             versions=[
                 f"- {releases()}",
-                *versions_at_start(row["versions"] for row in rows if row["versions"]),
+                *versions_at_start(
+                    {
+                        (row["network"], row["seed"]): row["versions"]
+                        for row in rows
+                        if row["versions"]
+                    }.values()
+                ),
             ],
         )
         return [page, table, shown]

@@ -13,7 +13,6 @@ bit.
 
 import re
 import shutil
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -80,11 +79,8 @@ def replay_walks(runs: Path) -> int:
 
 def main() -> int:
     """Pack, unpack, or play walks again, as the arguments say."""
-    about = str(__doc__).split("\n", 1)[0]
-    if sys.argv[1:2] == ["walks"] and sys.argv[2:3] == ["--runs"] and len(sys.argv) == 4:
-        try:
-            print(f"{replay_walks(Path(sys.argv[3]))} files of walks in {sys.argv[3]}")
-        except ConfigError as error:
-            sys.exit(f"error: {error}")
-        return 0
-    return KEPT.command(about, pack)
+
+    def walks(runs: Path) -> str:
+        return f"{replay_walks(runs)} files of walks in {runs}"
+
+    return KEPT.command(str(__doc__).split("\n", 1)[0], pack, walks=walks)

@@ -189,6 +189,17 @@ class Layer:
         """Non-zero biases: what the always-on axon costs in SOPs per timestep."""
         return int(np.count_nonzero(self.bias))
 
+    def most_arriving(self, times_max: Mapping[str, int]) -> NDArray[np.int64]:
+        """Largest magnitude (N,) of any partial sum of the weights, the bias included.
+
+        times_max: spikes of a neuron of each source in a timestep.
+        """
+        total: NDArray[np.int64] = np.abs(self.bias.astype(np.int64))
+        for synapses in self.synapses:
+            weight = np.abs(synapses.weight.astype(np.int64))
+            total = total + synapses.over_axons(weight, np.add) * times_max[synapses.source]
+        return total
+
 
 class Network(Protocol):
     """The network that layers belong to, as arithmetics see it; Program is one."""

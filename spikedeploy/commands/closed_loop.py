@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from spikedeploy.comparison.lineup import Entry
     from spikedeploy.realtime.paced_loop import PacedLoop
     from spikedeploy.shipping.cards import Settings
-    from spikedeploy.shipping.hardware_run import Driver, HardwareRun
+    from spikedeploy.shipping.hardware_run import CoreDriver, HardwareRun
     from spikedeploy.shipping.reproduce import Reproduction
 
 # of which the numbers of an evaluation depend most
@@ -165,7 +165,7 @@ def _check_via(
         )
 
 
-def _hardware(via: Path | None, policy: str) -> "AbstractContextManager[Driver | None]":
+def _hardware(via: Path | None, policy: str) -> "AbstractContextManager[CoreDriver | None]":
     """The hardware of --via; None where there is none."""
     if via is None:
         return nullcontext()
@@ -304,7 +304,12 @@ def compare(
         with _hardware(via, exported) as core:
             if core is not None:
                 played = play(chip=core.chip, backend=core.backend, name=core.name)
-                drove = core.beside_emulated(played, partial(play, chip=core.chip))
+                places = [(str(r.entry.candidate.path), r.entry.chip) for r in comparison.rows]
+                emulated: Callable[[], Comparison] = partial(play, chip=core.chip)
+                if (place := (exported, core.chip)) in places:  # those episodes were played
+                    rows = [comparison.rows[places.index(place)]]
+                    emulated = partial(replace, comparison, rows=rows)
+                drove = core.beside_emulated(played, emulated)
                 comparison = replace(comparison, rows=[*comparison.rows, *played.rows])
     document = _report(replace(comparison, tables=prices), options, output, drove=drove)
     _print(document, json, print_comparison, tables, output)

@@ -38,7 +38,7 @@ class Hardware(Protocol):
 
 
 @dataclass
-class Comparison:
+class StateComparison:
     """A comparison of hardware with the emulated chip; it grows while both run.
 
     numbers: currents, membranes and spikes compared.
@@ -97,7 +97,7 @@ class RtlBackend:
         schedule: Schedule,
         batch: int,
         hardware: Hardware,
-        comparison: Comparison,
+        comparison: StateComparison,
     ) -> None:
         if batch != 1 or schedule.mode == "step":
             raise ConfigError(

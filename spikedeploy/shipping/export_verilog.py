@@ -14,7 +14,7 @@ from spikedeploy.exporters.c.packaging import MAKEFILE
 from spikedeploy.exporters.verilog.board_files import board_files
 from spikedeploy.exporters.verilog.boards import Board, board
 from spikedeploy.exporters.verilog.image import CoreImage, core_image
-from spikedeploy.exporters.verilog.model import CoreModel
+from spikedeploy.exporters.verilog.model import clocks_of, tokens_of
 from spikedeploy.exporters.verilog.resources import predict
 from spikedeploy.exporters.verilog.to_verilog import core_files
 from spikedeploy.outputs import check_output_folder
@@ -46,7 +46,7 @@ _COUNTED = 50
 
 
 @dataclass(frozen=True)
-class Design:
+class CoreDesign:
     """A policy on a core, on a board; nothing is written yet.
 
     chip: whose integers the core computes.
@@ -65,7 +65,7 @@ def design(
     chip_name: str | None,
     board_name: str | None,
     **reading: Any,  # noqa: ANN401
-) -> Design:
+) -> CoreDesign:
     """The design of a policy's file; ConfigError for what a core does not compute.
 
     reading: options of `artifact.load`.
@@ -80,7 +80,7 @@ def design(
         )
     name, program = program_for(artifact, chip_name)
     image = core_image(program, artifact.codec)
-    return Design(artifact, artifact.codec, name, program, image, on)
+    return CoreDesign(artifact, artifact.codec, name, program, image, on)
 
 
 def export_verilog(
@@ -128,7 +128,9 @@ def export_verilog(
     check_output_folder("-o", folder, texts, inputs, force, is_export)
     names = (shipped, zoo.sha256(file), made.chip, on.name)
     write_folder(texts, VerilogFolder(folder, *names, sums_of(texts)))
-    clocks = _clocks(image, raster[:_COUNTED], made.artifact.convention.state == "reset")
+    begins = range(_COUNTED) if made.artifact.convention.state == "reset" else ()
+    timesteps = clocks_of(image, tokens_of(raster[:_COUNTED], begins))
+    clocks = np.array(timesteps).reshape(-1, raster.shape[1]).sum(axis=1)
     use = use_of(made)
     events = raster.reshape(len(raster), -1).sum(axis=1)
     world = "" if named_env(made.artifact) else " --env ENV"
@@ -171,17 +173,6 @@ def program_for(artifact: Artifact, chip_name: str | None) -> tuple[str, Program
     return name, compile_program(artifact, chip(name))
 
 
-def _clocks(image: CoreImage, raster: np.ndarray[Any, Any], resets: bool) -> np.ndarray[Any, Any]:
-    """Clocks (S,) of control steps with the input spikes (S, T, M)."""
-    model, found = CoreModel(image), []
-    for inference in raster:
-        if resets:
-            model.reset()
-        steps = (model.step(np.flatnonzero(row).tolist()) for row in inference)
-        found.append(sum(step.clocks for step in steps))
-    return np.array(found)
-
-
 @dataclass(frozen=True)
 class UseOfBoard:
     """A policy's use of a board's FPGA, predicted before synthesis.
@@ -205,7 +196,7 @@ def use_of_board(
     return use_of(design(file, chip_name, board_name, **reading))
 
 
-def use_of(made: Design) -> UseOfBoard:
+def use_of(made: CoreDesign) -> UseOfBoard:
     """The use of a design."""
     use, on = predict(made.image, made.board), made.board
     verdict = "fits on" if use.fits else "does not fit on"

@@ -16,7 +16,7 @@ from spikedeploy.shipping.verilog_folder import folder_of, open_hardware
 
 
 @dataclass(frozen=True)
-class Driver:
+class CoreDriver:
     """Hardware that is ready to drive.
 
     folder: that it was built in.
@@ -30,7 +30,7 @@ class Driver:
     name: str
     chip: str
     backend: BackendMaker
-    states: rtl_backend.Comparison
+    states: rtl_backend.StateComparison
 
     def beside_emulated(
         self, played: Comparison, emulate: Callable[[], Comparison]
@@ -42,7 +42,7 @@ class Driver:
 
 
 @contextmanager
-def driver(folder: Path, policy: str) -> Iterator[Driver]:
+def driver(folder: Path, policy: str) -> Iterator[CoreDriver]:
     """Hardware of a folder that `export --to verilog` wrote of this policy.
 
     Raises ConfigError where the folder is of another policy, is damaged, or cannot be built.
@@ -51,10 +51,10 @@ def driver(folder: Path, policy: str) -> Iterator[Driver]:
     if candidate.format != ".nir":
         raise ConfigError(f"--via {folder}: {policy} is no spiking policy in a file, so no core's")
     found = folder_of(Path(candidate.path), folder)
-    states = rtl_backend.Comparison()
+    states = rtl_backend.StateComparison()
     with open_hardware(found, Path(candidate.path)) as hardware:
         make = partial(rtl_backend.RtlBackend, hardware=hardware, comparison=states)
-        yield Driver(folder, f"{candidate.name} in RTL", found.chip, make, states)
+        yield CoreDriver(folder, f"{candidate.name} in RTL", found.chip, make, states)
 
 
 @dataclass(frozen=True)

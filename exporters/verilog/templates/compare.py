@@ -17,7 +17,7 @@ from pins import PinsPort
 
 
 @dataclass(frozen=True)
-class Timestep:
+class Vector:
     """A timestep of the emulator.
 
     new: whether an episode begins with it.
@@ -30,7 +30,7 @@ class Timestep:
     words: tuple[int, ...]
 
 
-def read_vectors(steps: int | None = None) -> Iterator[Timestep]:
+def read_vectors(steps: int | None = None) -> Iterator[Vector]:
     """The timesteps of tokens.hex and words.hex, in which the last word of each is marked."""
     words = map(_number, Path("words.hex").read_text("ascii").split())
     new, axons, count = False, [], 0
@@ -43,7 +43,7 @@ def read_vectors(steps: int | None = None) -> Iterator[Timestep]:
             leaving = []
             while not leaving or not leaving[-1] >> 32:
                 leaving.append(next(words))
-            yield Timestep(new, tuple(axons), tuple(word & 0xFFFFFFFF for word in leaving))
+            yield Vector(new, tuple(axons), tuple(word & 0xFFFFFFFF for word in leaving))
             new, axons, count = False, [], count + 1
         else:
             axons.append(token)
@@ -60,7 +60,7 @@ class CoreProcess:
         self._words, self.clocks = words, 0
         self._process = subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
-    def run(self, step: Timestep) -> tuple[int, ...]:
+    def run(self, step: Vector) -> tuple[int, ...]:
         """The words of a timestep."""
         tokens = [NEW_EPISODE] * step.new + [*step.axons, END_OF_TIMESTEP]
         into, out = self._process.stdin, self._process.stdout
@@ -86,7 +86,7 @@ class PinsProcess:
         """Clocks of the design so far, with those of the UART."""
         return self._port.clocks
 
-    def run(self, step: Timestep) -> tuple[int, ...]:
+    def run(self, step: Vector) -> tuple[int, ...]:
         """The words of a timestep."""
         return tuple(self._link.infer([step.axons], forget=step.new)[0])
 

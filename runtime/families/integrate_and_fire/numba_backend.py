@@ -79,22 +79,13 @@ def _narrowed(numbers: Integers, program: Program, rules: IntegrateAndFireRules)
     Numba adds integers in int64 whatever their types are; large layers take half the memory.
     """
     edge = np.iinfo(np.int32)
-    most = max(map(_most_arriving, program.layers)) * max(
-        program.chip.input_spikes_max, rules.spikes_max
-    )
+    times = dict.fromkeys(program.sizes, max(program.chip.input_spikes_max, rules.spikes_max))
+    most = max(int((a.most_arriving(times) + abs(a.voltage_bias)).max()) for a in program.layers)
     bounded = rules.membrane.overflow not in ("none", "wrap-once") or rules.membrane.between
     if not bounded or rules.membrane.bits > _NARROW_BITS or most > edge.max:
         return numbers
     floorless = np.maximum(numbers, edge.min)  # a floor that is none may be lower
     return floorless.astype(np.int32) if floorless.max(initial=0) <= edge.max else numbers
-
-
-def _most_arriving(layer: Layer) -> int:
-    """Largest sum of magnitudes that one spike of each source brings a neuron, biases included."""
-    total = np.abs(layer.bias.astype(np.int64)) + np.abs(layer.voltage_bias.astype(np.int64))
-    for synapses in layer.synapses:
-        total = total + synapses.over_axons(np.abs(synapses.weight.astype(np.int64)), np.add)
-    return int(total.max(initial=0))
 
 
 def _are_alike(numbers: Integers) -> bool:

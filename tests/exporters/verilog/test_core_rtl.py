@@ -11,9 +11,8 @@ from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.verilog.bench import BENCH, record
 from spikedeploy.exporters.verilog.image import core_image
 from spikedeploy.exporters.verilog.model import CoreModel
-from spikedeploy.exporters.verilog.simulation import RtlProcess, build_simulation
+from spikedeploy.exporters.verilog.simulation import RtlProcess
 from spikedeploy.exporters.verilog.to_verilog import CORE
-from spikedeploy.exporters.verilog.tools import cell_models
 from spikedeploy.make_env import make_env
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
@@ -30,6 +29,8 @@ from tests.networks import cuba, ends, graph
 from tests.rtl_builds import (
     EDGES,
     benched,
+    build_simulation,
+    cell_models,
     differing,
     edges,
     linted,

@@ -10,7 +10,7 @@ from spikedeploy import zoo
 from spikedeploy.exporters.verilog.board_files import board_files
 from spikedeploy.exporters.verilog.boards import board
 from spikedeploy.exporters.verilog.image import core_image
-from spikedeploy.exporters.verilog.resources import Buffer, Memory, Use, memories_of, predict
+from spikedeploy.exporters.verilog.resources import Buffer, CoreMemory, Use, memories_of, predict
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import NEVER, Layer, Synapses
@@ -42,7 +42,7 @@ UP5K, ECP5 = board("icebreaker").device, board("ulx3s").device
     ],
 )
 def test_memories_are_placed_as_yosys_places_them(words, bits, constant, on, place):
-    found = Memory("m", words, bits, constant).place(on)
+    found = CoreMemory("m", words, bits, constant).place(on)
     assert (found.kind, found.count) == place
 
 

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -99,12 +98,3 @@ def test_make_says_what_there_is_not_for_an_ecp5(target, said, tmp_path):
     )
     assert done.returncode != 0
     assert said in done.stderr
-
-
-def test_models_of_cells_are_found_beside_yosys(alone, monkeypatch):
-    folder = alone("yosys")
-    models = folder / "share/yosys/ice40/cells_sim.v"
-    assert tools.cell_models("ice40") is None
-    models.parent.mkdir(parents=True)
-    models.write_text("")
-    assert tools.cell_models("ice40") == Path(models)

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from spikedeploy.emulation.rtl_backend import Comparison, RtlBackend
+from spikedeploy.emulation.rtl_backend import RtlBackend, StateComparison
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.controllers import SpikingController
@@ -20,7 +20,7 @@ CHIP = replace(chip("loihi1"), clock="gated")
 def driven(artifact, on=CHIP, wrong=None):
     """A controller on hardware, one on the emulated chip, and the comparison of the first."""
     emulated = SpikingController(artifact, on)
-    comparison = Comparison()
+    comparison = StateComparison()
     hardware = EmulatedHardware(emulated.program, wrong)
     make = partial(RtlBackend, hardware=hardware, comparison=comparison)
     return SpikingController(artifact, on, backend=make), emulated, comparison
