@@ -1,7 +1,9 @@
 """Refusals: programs, codes and names that are not written in C."""
 
 import re
+from collections.abc import Iterator
 
+from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.codec.population import MAX_TABLE_TIMESTEPS, PopulationEncoder
@@ -72,16 +74,25 @@ def check_program(program: Program) -> None:
         )
     if program.damage or program.upsets is not None:
         raise ConfigError("--to c: a chip with faults is not written in C. Leave --faults out.")
+    for layer, synapses, lag in unusual_synapses(program):
+        raise ConfigError(
+            f"--to c: layer {layer.name!r}: the synapses from {synapses.source!r} have "
+            f"shift {synapses.shift}, current {synapses.current} and lag {lag}; C is "
+            "written for 0, 0 and a source that comes first."
+        )
+
+
+def unusual_synapses(program: Program) -> Iterator[tuple[Layer, Synapses, int]]:
+    """Layer, synapses and lag of those with a shift, a second current, or a source that is late.
+
+    One is late that is computed behind the layer, and whose spikes arrive without a lag.
+    """
     seen = {program.input}
     for layer, lags in zip(program.layers, program.lags, strict=True):
         for synapses, lag in zip(layer.synapses, lags, strict=True):
-            late = lag > 0 or synapses.source in seen
-            if synapses.shift or synapses.current or not late:
-                raise ConfigError(
-                    f"--to c: layer {layer.name!r}: the synapses from {synapses.source!r} have "
-                    f"shift {synapses.shift}, current {synapses.current} and lag {lag}; C is "
-                    "written for 0, 0 and a source that comes first."
-                )
+            is_late = lag <= 0 and synapses.source not in seen
+            if synapses.shift or synapses.current or is_late:
+                yield layer, synapses, lag
         seen.add(layer.name)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from spikedeploy.exporters.c.refusals import unusual_synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
@@ -80,18 +81,13 @@ def _check_wires(program: Program) -> None:
                 f"rule threshold: layer {layer.name!r}: a threshold of {least}; those of the core "
                 "are 0 or more. Train with thresholds above 0."
             )
-    seen = {program.input}
-    for layer, lags in zip(program.layers, program.lags, strict=True):
-        for synapses, lag in zip(layer.synapses, lags, strict=True):
-            ahead = lag > 0 or synapses.source in seen
-            if synapses.shift or synapses.current or not ahead:
-                raise RuleError(
-                    f"rule synapses: layer {layer.name!r}: the synapses from "
-                    f"{synapses.source!r} have shift {synapses.shift}, current "
-                    f"{synapses.current} and lag {lag}; the core has shift 0, one current, and a "
-                    "lag of 0 only behind a source that is computed before. Give the loop a delay."
-                )
-        seen.add(layer.name)
+    for layer, synapses, lag in unusual_synapses(program):
+        raise RuleError(
+            f"rule synapses: layer {layer.name!r}: the synapses from "
+            f"{synapses.source!r} have shift {synapses.shift}, current "
+            f"{synapses.current} and lag {lag}; the core has shift 0, one current, and a "
+            "lag of 0 only behind a source that is computed before. Give the loop a delay."
+        )
     found = sum(int(synapses.fan_out.sum()) for a in program.layers for synapses in a.synapses)
     if found > _SYNAPSES:
         raise RuleError(
