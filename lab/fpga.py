@@ -214,6 +214,8 @@ def bound_of(image: CoreImage, artifact: Artifact, silent: float) -> Row:
         signs = (encoder.observed, 2, encoder.most)
         reduce = np.add if encoder.code == "unary" else np.maximum
         each, count = (reduce.reduce(x.reshape(signs), axis=2).max(1) for x in (each, count))
+        sends = np.isfinite(encoder.step)  # others never do
+        each, count = each[sends], count[sends]
     spiking = np.concatenate([np.full(a.size, a.spiking) for a in image.program.layers])
     spikes = ((lengths[image.axons :] + _SPIKE) * spiking).sum()
     timesteps = artifact.codec.timesteps
