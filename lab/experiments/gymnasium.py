@@ -160,12 +160,12 @@ class GymnasiumDesign(Design):
         return [training for env in self.tasks for training in self._of_task(TASKS[env])]
 
     def _of_task(self, task: Task) -> Iterator[TaskTraining]:
-        budget = f"budget={task.budget:g}"
+        budget = (f"budget={task.budget:g}", *DESIGNS["gymnasium"]["settings"]["planned"])
         teacher = self._training(task, TEACHER, task.recipe, 0, task.settings, {})
         taught = {"teacher": teacher}
         yield teacher
         for seed in range(self.seeds):
-            settings = (budget, *task.student)
+            settings = (*budget, *task.student)
             sparse = self._training(task, SPARSE, "distill-sparse", seed, settings, taught)
             yield sparse
             start, recipe = {"start": sparse}, "distill-sparse-tuned"
@@ -173,7 +173,7 @@ class GymnasiumDesign(Design):
             if task.is_continuous and seed == 0:
                 yield self._training(task, DENSE, "distill-popsan", 0, task.dense, taught)
             walks = {**taught, "pool": sparse}
-            settings = (budget, *task.baseline)
+            settings = (*budget, *task.baseline)
             yield self._training(task, MLP, "distill-small-mlp", seed, settings, walks)
 
     def _training(

@@ -1,7 +1,7 @@
 """`train`, `distill`, `tune`, `sweep`, `runs` and `visualize`: from a recipe to run folders."""
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Sequence
 from contextlib import suppress
 from json import dumps
 from pathlib import Path
@@ -90,25 +90,43 @@ def _run_training(
     recipe: str | None,
     json: bool,
     *,
-    seed: int | None,
-    resume: str | None,
     runs: Path,
-    films: int = 0,
-    remark: Callable[[Path], str] = lambda run: "",
-    baselines: Callable[[Path], list[str]] = lambda run: [],
     **settings: Any,  # noqa: ANN401
 ) -> None:
-    """Train; print where the run is, and what to do next; stopped by a signal, exit with its code.
+    """Train as `_learn` does; print where the run is, and what to do next."""
+    run = _learn(recipe, json, runs=runs, **settings)
+    if json:
+        print_json({"run": str(run)})
+    else:
+        typer.echo(f"trained: {run}\npage: {run / 'report.html'}\nnext: {_comparison(run)}")
+
+
+def _comparison(run: Path, others: Sequence[str | Path] = (), options: Sequence[str] = ()) -> str:
+    """Return the command that compares a run with other policies."""
+    from spikedeploy.shipping.exported_run import trained_in
+
+    words = ["compare", str(trained_in(str(run))), str(run), *map(str, others), *options]
+    return f"{program_name()} {shlex.join(words)}"
+
+
+def _learn(
+    recipe: str | None,
+    json: bool,
+    *,
+    seed: int | None = None,
+    resume: str | Path | None = None,
+    runs: Path = _RUNS,
+    films: int = 0,
+    **settings: Any,  # noqa: ANN401
+) -> Path:
+    """Train, write page and card, and return the run; stopped by a signal, exit with its code.
 
     films     of a whole training
-    remark    line on a training that ended
-    baselines options of `compare`, for a training that ended
     settings  more arguments of trainers.train.train
     """
     if resume is not None and seed is not None:
         raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
     from spikedeploy.reports.runs import LivePage
-    from spikedeploy.shipping.exported_run import trained_in
     from spikedeploy.shipping.training_films import TrainingFilms
     from spikedeploy.trainers.progress import Interrupt
     from spikedeploy.trainers.train import train as learn
@@ -117,18 +135,15 @@ def _run_training(
     more |= {"watch": LivePage(), "film": TrainingFilms(films)}
     run = learn(recipe, quiet=json, interrupt=interrupt, **more)
     _show_run(run)
-    if json:
-        print_json({"run": str(run)})
     if interrupt.share is not None:
+        if json:
+            print_json({"run": str(run)})
         where = "" if runs == _RUNS else f" --runs {runs}"
         again = f"go on with `spikedeploy train --resume last{where}`"
         with suppress(OSError):  # of a terminal that was closed
             say(f"stopped at {100 * interrupt.share:.0f} %; {again}")
         raise typer.Exit(interrupt.exit_code)
-    if not json:
-        env = trained_in(str(run))
-        again = f"{program_name()} {shlex.join(['compare', str(env), str(run), *baselines(run)])}"
-        typer.echo(f"trained: {run}\n{remark(run)}page: {run / 'report.html'}\nnext: {again}")
+    return run
 
 
 def _show_run(run: Path) -> None:
@@ -217,6 +232,8 @@ def distill(
     encoder: Encoders | None = None,
     timesteps: int | None = None,
     budget: str | None = None,
+    dense: bool = False,
+    rival: bool = True,
     chip: str | None = None,
     set_: list[str] | None = None,
     seed: int | None = None,
@@ -227,25 +244,33 @@ def distill(
     """Train a spiking student that imitates a teacher. A function of yours runs as your code."""
     if resume is None and (teacher is None or env is None):
         raise typer.BadParameter("name a TEACHER and --env ENV, or a run with --resume")
-    from spikedeploy.commands.distillation import (
-        student_settings,
-        summarise_returns,
-        teacher_options,
-    )
+    from spikedeploy.commands import distillation as made
 
-    recipe, settings = student_settings(teacher, size, encoder, timesteps, budget is not None, chip)
-    _run_training(
-        recipe if resume is None else None,
-        json,
-        env=env,
-        overrides=[*settings, *(set_ or ())],
-        budget=budget,
-        seed=seed,
-        resume=resume,
-        runs=runs,
-        remark=summarise_returns,
-        baselines=teacher_options,
-    )
+    sparse = made.is_sparse(dense, chip, encoder, timesteps, budget)
+    recipe, settings = made.student_settings(teacher, size, encoder, timesteps, sparse, chip)
+    given = set_ or []
+    run = _learn(
+        recipe if resume is None else None, json, env=env, overrides=[*settings, *given],
+        budget=budget, seed=seed, resume=resume, runs=runs,
+    )  # fmt: skip
+    beside = None
+    if rival and made.has_rival(run):
+        if not json:
+            say("beside it: a small float MLP, pruned by the same rule (--no-rival leaves it out)")
+        beside = _learn(json=json, **made.rival_arguments(run, runs, given))
+    pruned = made.has_rival(run)
+    if pruned:
+        made.draw_front(run, beside)
+    if json:
+        levels = made.fronts(run, beside) if pruned else {}
+        front = {name: [vars(each) for each in of] for name, of in levels.items()}
+        print_json({"run": str(run), "rival": beside and str(beside), "front": front})
+        return
+    if pruned:
+        made.print_front(run, beside)
+    page = f"page: {run / 'report.html'}" + (f", front: {run / made.FRONT}" if pruned else "")
+    next_ = _comparison(run, [beside] if beside else [], made.teacher_options(run))
+    typer.echo(f"trained: {run}\n{made.describe(run, beside)}{page}\nnext: {next_}")
 
 
 _Objective = Literal["return", "return-at-sops", "return,sops"]

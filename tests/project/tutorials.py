@@ -31,8 +31,9 @@ _SHORT = {
         "critic_hidden=[16]", "log_every=80", "checkpoint_every=120", "validation.every=120",
     ],
     "distill-sparse": [
-        "levels=[200]", "teacher_walks=2", "noisy_walks=1", "walks=1", "dense_updates=20",
-        "dense_rounds=1", "level_updates=20", "polish=1", "polish_updates=10", "prune_every=5",
+        "patience=1", "shrink=0.1", "teacher_walks=2", "noisy_walks=1", "walks=1",
+        "dense_updates=20", "dense_rounds=1", "level_updates=20", "polish=1",
+        "polish_updates=10", "prune_every=5",
         "batch=8", "log_every=5", "checkpoint_every=20", "validation.every=10",
     ],
     "distill-sparse-tuned": [

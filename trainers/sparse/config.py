@@ -22,7 +22,14 @@ class SparseConfig(RunConfig):
         environment, which knows its simulation
     pool: run folder whose walks are taken over as well
     budget: operations of a control step at the end: SOPs of a spiking policy, effective MACs of a
-        float one
+        float one; 0 lets a search find it
+    search: whether rounds follow from validation instead of `levels`: at most `dense_rounds`, until
+        `patience` of them brought nothing, then levels of `shrink` times the operations before, to
+        the budget or as long as the policy keeps `keep`; a level that does not is trained on for
+        at most `polish` rounds
+    keep: share of the teacher's return, over that of random actions, in validation
+    patience: dense rounds that may pass without a better validation
+    shrink: operations of a level over those of the one before
     levels: operations at the end of each round of pruning, falling; those not above `budget` are
         left out, and where none are named they are 3, 2, 1.5 and 1.2 times the budget
     polish: rounds of further training at the budget, each with fresh walks
@@ -62,7 +69,11 @@ class SparseConfig(RunConfig):
     teacher: str = ""
     teacher_units: Literal["own", "scaled"] | None = None
     pool: str = ""
-    budget: Rate = 100.0
+    budget: float = Field(default=100.0, ge=0)
+    search: bool = False
+    keep: Share = 0.97
+    patience: Positive = 2
+    shrink: float = Field(default=0.7, gt=0, lt=1)
     levels: tuple[Rate, ...] = ()
     polish: Count = 2
     teacher_walks: Count = 60
@@ -117,6 +128,14 @@ class SparseConfig(RunConfig):
                 "teacher_walks and noisy_walks: both are 0, so that there is nothing to learn "
                 "from. Set one of them, or pool=RUN"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _a_budget_is_given_or_found(self) -> "SparseConfig":
+        if not (self.budget or self.search):
+            raise ValueError("budget: 0 operations. Name them, or set search=true to find them")
+        if self.search and not self.dense_rounds:
+            raise ValueError("dense_rounds: a search needs one at least")
         return self
 
     @property

@@ -7,7 +7,6 @@ their return on the chip.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -30,6 +29,13 @@ from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder, with_prefix
 from spikedeploy.trainers.runner import Learner, Runner, adam, descend, set_rate
 from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.phases import (
+    Ended,
+    most_updates,
+    planned,
+    searched,
+    target,
+)
 from spikedeploy.trainers.sparse.pool import (
     BatchController,
     Episodes,
@@ -86,78 +92,10 @@ def with_budget(config: C, text: str) -> C:
             f"recipe {config.recipe} takes them as in --budget {expected}={config.budget:g}"
         )
     found = amend(config, overrides=[f"budget={number}"])
-    ratio = found.budget / config.budget
-    levels = [level * ratio for level in config.levels]
+    if not found.budget:
+        raise ConfigError(f"--budget {text}: 0 operations; leave it out to have them found")
+    levels = [level * found.budget / config.budget for level in config.levels]
     return validate(type(found), found.model_dump() | {"levels": levels}, f"--budget {text}")
-
-
-@dataclass(frozen=True)
-class Phase:
-    """Updates between two collections of walks.
-
-    begin, end: updates
-    last: operations allowed at the end; None while dense
-    highest, lowest: learning rate at the beginning, and at the end of a half cosine
-    prune_until: share of the phase with prunings
-    """
-
-    begin: int
-    end: int
-    last: float | None
-    highest: float
-    lowest: float
-    prune_until: float
-
-    def _progress(self, update: int) -> float:
-        return (update - self.begin) / (self.end - self.begin)
-
-    def rate(self, update: int) -> float:
-        """Learning rate of an update."""
-        # lr = low + (high - low) (1 + cos(pi p)) / 2
-        cosine = 0.5 * (1 + math.cos(math.pi * self._progress(update)))
-        return self.lowest + (self.highest - self.lowest) * cosine
-
-    def prunes(self, update: int) -> bool:
-        """Return True if synapses are still taken out."""
-        return self.last is not None and self._progress(update) <= self.prune_until
-
-    def goal(self, update: int, first: float) -> float | None:
-        """Operations allowed at an update, along a quadratic ramp; None while dense.
-
-        first: operations when the phase began
-        """
-        if self.last is None:
-            return None
-        if not self.prune_until:
-            return self.last
-        left = max(0.0, 1 - self._progress(update) / self.prune_until)
-        return self.last + max(0.0, first - self.last) * left * left
-
-
-def phases(config: SparseConfig) -> list[Phase]:
-    """Return the phases of a run, in order."""
-    found: list[Phase] = []
-
-    def add(length: int, last: float | None, high: float, low: float, until: float) -> None:
-        begin = found[-1].end if found else 0
-        found.append(Phase(begin, begin + length, last, high, high * low, until))
-
-    rate = config.learning_rate
-    once = Phase(0, config.dense_updates, None, rate, 0.02 * rate, 0.0)
-    for k in range(config.dense_rounds):
-        length = math.ceil(config.dense_updates / config.dense_rounds)
-        low = 0.05 if k == config.dense_rounds - 1 else 0.3
-        high = rate
-        if config.schedule == "once":
-            high = once.rate(k * length)
-            low = once.rate(min((k + 1) * length, once.end)) / high
-        add(length, None, high, low, 0.0)
-    for level in config.rounds:
-        add(config.level_updates, level, config.level_rate, 0.1, config.prune_until)
-    for _ in range(config.polish):
-        # new events may cost a little more than before: prune what is above the budget at once
-        add(config.polish_updates, config.budget, config.polish_rate, 0.05, config.prune_until)
-    return found
 
 
 class Sparse(Runner[SparseConfig]):
@@ -166,7 +104,9 @@ class Sparse(Runner[SparseConfig]):
     updates, phase, start, collections: counters, continued by a resumed run; `start` are the
         operations when the phase began, `collections` the files of walks
     pool: all walks so far
-    teacher_return: mean return of the teacher on the validation seeds
+    teacher_return, random_return: mean return of the teacher, and of random actions, on the
+        validation seeds
+    kept: operations of the lowest level at which a search kept what it had to; else infinite
     """
 
     Config = SparseConfig
@@ -175,7 +115,9 @@ class Sparse(Runner[SparseConfig]):
         "episode_return", "eval_return", "eval_of_teacher", "eval_operations", "eval_falls",
         "eval_finish",
     )  # fmt: skip
-    COUNTERS = ("updates", "phase", "start", "collections", "teacher_return")
+    COUNTERS = (
+        "updates", "phase", "start", "collections", "teacher_return", "random_return", "kept",
+    )  # fmt: skip
     SPEED = "updates_per_s"
     VALIDATES_AT_END = RATES = False
     learner: "SparseLearner"
@@ -184,8 +126,9 @@ class Sparse(Runner[SparseConfig]):
         self._chip = chip(config.chip)  # refused before environments are made
         if config.rounding:
             check_rounding(self._chip)
-        self._phases = phases(config)
-        total = self._phases[-1].end
+        self._ended: list[Ended] = []
+        self._phases = searched(config, ()) if config.search else planned(config)
+        total = most_updates(config, ()) if config.search else self._phases[-1].end
         super().__init__(config, run, total, config.checkpoint_every, config.log_every)
         batch = EnvBatch(config.env.model_copy(update={"count": 1}), self._rng)
         self._sizes, self._discrete = batch.sizes, batch.head == "discrete"
@@ -200,7 +143,9 @@ class Sparse(Runner[SparseConfig]):
         self.updates = self.phase = self.collections = 0
         self.start = 0.0
         self._sums: list[str] = []  # checksums of the files of walks
-        self.teacher_return = self._loss = math.nan
+        self._share = -math.inf  # the best validation of the phase
+        self.kept = math.inf
+        self.teacher_return = self.random_return = self._loss = math.nan
 
     def _begin(self) -> None:
         """Let the teacher walk; fit the normaliser and the encoder to what it saw."""
@@ -209,6 +154,13 @@ class Sparse(Runner[SparseConfig]):
         taught = Stateless(self._taught)
         _, returns, _ = self._episodes.play(config.validation.seeds, taught)
         self.teacher_return = float(np.mean(returns))
+        self.random_return = self._play_at_random()
+        if config.search and self.teacher_return <= self.random_return:
+            raise ConfigError(
+                f"the teacher {config.teacher} earns {self.teacher_return:,.4g} in "
+                f"{config.env.name}, and random actions {self.random_return:,.4g}: it may act in "
+                "other units (--set teacher_units=scaled) or need its normaliser"
+            )
         if taken:
             self._keep(taken)
         if config.teacher_walks:
@@ -244,7 +196,7 @@ class Sparse(Runner[SparseConfig]):
         rounded = not isinstance(self._student, MlpStudent) and self._student.offsets
         walking = self._deployed() if rounded else self.policy
         self._collect(FloatController(walking), self._config.walks)
-        polished = self.phase + 1 >= len(self._phases) - self._config.polish
+        polished = self._phases[self.phase + 1].polish
         when = ("always",) if polished else ("always", "before-polish")
         if self._config.retune in when and isinstance(self.policy, DeltaSnnPolicy):
             step = choose_steps(self.policy, self.pool, self._binary, self._config)
@@ -318,7 +270,8 @@ class Sparse(Runner[SparseConfig]):
         controller = on_chip(self._deployed(), self._chip)
         _, returns, infos = self._episodes.play(self._config.validation.seeds, controller)
         row = mean_outcome(returns, infos)
-        share = row["eval_return"] / self.teacher_return if self.teacher_return else math.nan
+        gain = self.teacher_return - self.random_return
+        share = (row["eval_return"] - self.random_return) / gain if gain else math.nan
         return row | {
             "eval_of_teacher": share,
             "eval_operations": operations(self._student.synapses()),
@@ -330,19 +283,61 @@ class Sparse(Runner[SparseConfig]):
 
     def _validate(self) -> dict[str, float]:
         """Validate the policy where its goal is reached, and save it as best of its level."""
-        phase = self._phases[self.phase]
-        if phase.last is None or phase.prunes(self.updates):
+        phase, config = self._phases[self.phase], self._config
+        if phase.prunes(self.updates) or (phase.last is None and not config.search):
             return {}
         row = self._evaluate()
-        level = f"{LEVEL}{phase.last:g}"
-        before = -math.inf
-        if self._run.checkpoint(level).is_file():
-            before = self._run.load(level)[0]["eval_return"]
-        if row["eval_return"] >= before:
-            self._run.save(level, self._deployed(), {**self._counters(), **row})
-        if phase.last == self._config.budget and row["eval_return"] >= self.best:
+        self._share = max(self._share, row["eval_of_teacher"])
+        if phase.last is not None:
+            level = f"{LEVEL}{phase.last:g}"
+            before = -math.inf
+            if self._run.checkpoint(level).is_file():
+                before = self._run.load(level)[0]["eval_return"]
+            if row["eval_return"] >= before:
+                self._run.save(level, self._deployed(), {**self._counters(), **row})
+        if self._chooses(phase.last, row):
             self._save_best(self._deployed(), row)
+        if config.search and self.updates == phase.end:
+            self._end_phase()
         return row
+
+    def _chooses(self, goal: float | None, row: Mapping[str, float]) -> bool:
+        """Return whether a validated policy is the best so far.
+
+        It is the one that earns most at the budget; of a search for one, at the lowest level that
+        keeps what it has to, or at any while none has.
+        """
+        earns_most = row["eval_return"] >= self.best
+        if not self._config.search or self._config.budget:
+            return goal == self._config.budget and earns_most
+        if goal is None or row["eval_of_teacher"] < target(self._config, self._ended):
+            return math.isinf(self.kept) and earns_most
+        lower, self.kept = goal < self.kept, min(goal, self.kept)
+        return lower or earns_most
+
+    def _end_phase(self) -> None:
+        """Record what a phase of a search came to; plan the next one, or be finished."""
+        goal = self._phases[self.phase].last
+        self._ended.append(Ended(goal, operations(self._student.synapses()), self._share))
+        self._share = -math.inf
+        self._plan_on()
+
+    def _plan_on(self) -> None:
+        self._phases = searched(self._config, self._ended)
+        over = len(self._phases) == len(self._ended)
+        self._total = self._phases[-1].end if over else most_updates(self._config, self._ended)
+
+    def _play_at_random(self) -> float:
+        """Return the mean return of random actions on the validation seeds."""
+        rng, count = np.random.default_rng(self._config.seed), self._sizes[1]
+
+        def act(observation: NDArray[np.float64]) -> NDArray[Any]:
+            if self._discrete:
+                return rng.integers(count, size=len(observation))
+            return rng.uniform(-1.0, 1.0, (len(observation), count))
+
+        _, returns, _ = self._episodes.play(self._config.validation.seeds, Stateless(act))
+        return float(np.mean(returns))
 
     def _metrics(self) -> dict[str, float]:
         return {
@@ -354,7 +349,8 @@ class Sparse(Runner[SparseConfig]):
         }
 
     def _state(self) -> dict[str, Any]:
-        return {"pool_sha256": self._sums}
+        search = {"ended": [vars(each) for each in self._ended], "share_of_phase": self._share}
+        return {"pool_sha256": self._sums, **(search if self._config.search else {})}
 
     def _tensors(self) -> dict[str, Tensor]:
         return {"binary": torch.from_numpy(self._binary)} if hasattr(self, "_binary") else {}
@@ -365,6 +361,10 @@ class Sparse(Runner[SparseConfig]):
         if "binary" in tensors:
             self._binary = tensors["binary"].numpy()
         self._student.prepare(self.pool)
+        if self._config.search:
+            self._ended = [Ended(**each) for each in state["ended"]]
+            self._share = state["share_of_phase"]
+            self._plan_on()
 
 
 def _taught_episodes(config: SparseConfig, sizes: tuple[int, int]) -> tuple[Episodes, Teacher]:

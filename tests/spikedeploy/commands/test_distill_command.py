@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from spikedeploy.commands.distillation import student_settings, summarise_returns
+from spikedeploy.commands.distillation import describe, front, is_sparse, student_settings
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.run_folder import RunFolder
 from tests.paths import ROOT
@@ -51,13 +51,69 @@ def test_a_student_of_any_teacher_runs_on_a_chip(teacher, env, here, command):
 
 
 def test_it_says_what_teacher_and_student_earn_and_a_run_goes_on(here, command):
-    words = ["tests.own_teachers:level", "--env", LEVELS, *settings(), "--runs", "mine"]
+    words = ["tests.own_teachers:level", "--env", LEVELS, "--dense", *settings(), "--runs", "mine"]
     code, out, err = command("distill", *words)
     assert code == 0, err
     assert "validation, 1 episodes: teacher 5, student " in out
     code, out, err = command("distill", "--resume", "last", "--runs", "mine")
     assert code == 0, err
     assert len(list((here / "mine").iterdir())) == 1
+
+
+PRUNED = [
+    "teacher_walks=3", "noisy_walks=2", "walks=2", "dense_updates=60", "dense_rounds=2",
+    "patience=1", "level_updates=20", "polish=1", "polish_updates=20", "shrink=0.1", "batch=8",
+    "prune_every=5", "window=8", "burn_in=2", "validation.every=10", "validation.episodes=2",
+]  # fmt: skip
+
+
+def pruned(*changes):
+    return [word for change in (*PRUNED, *changes) for word in ("--set", change)]
+
+
+def test_a_student_is_pruned_by_default_and_a_float_rival_beside_it(here, command):
+    words = ["tests.own_teachers:reach", "--env", REACH, *pruned(), "--size", 6]
+    code, out, err = command("distill", *words)
+    assert code == 0, err
+    student, rival = sorted(here.glob("runs/*"), key=lambda path: "small-mlp" in path.name)
+    assert "float MLP" in err
+    assert f"trained: {student.relative_to(here)}\nvalidation, 2 episodes: teacher" in out
+    assert "SOPs of teacher kept" in " ".join(out.split())
+    assert "MACs of teacher kept" in " ".join(out.split())
+    line = f"compare {REACH} {student.relative_to(here)} {rival.relative_to(here)} --teacher tests."
+    assert line in out
+    assert (student / "front.png").is_file()
+    found = json.loads((rival / "config.json").read_text())
+    assert found["pool"] == str(student.relative_to(here))
+    assert (found["policy"]["kind"], found["search"]) == ("pruned-mlp", True)
+    assert found["dense_updates"] == 60
+    # going on finds both as they are
+    code, out, err = command("distill", "--resume", student, "--json")
+    assert code == 0, err
+    again = json.loads(out)
+    assert (again["run"], again["rival"]) == (str(student), str(rival.relative_to(here)))
+    assert [each["chosen"] for each in again["front"]["spiking student"]].count(True) == 1
+    assert len(list(here.glob("runs/*"))) == 2
+
+
+def test_the_rival_can_be_left_out_and_a_budget_named(here, command):
+    words = ["tests.own_teachers:reach", "--env", REACH, *pruned(), "--size", 6, "--no-rival"]
+    code, out, err = command("distill", *words, "--budget", "sops=5", "--json")
+    assert code == 0, err
+    record = json.loads(out)
+    assert record["rival"] is None
+    assert list(record["front"]) == ["spiking student"]
+    levels = front(here / record["run"])
+    assert levels[-1].operations <= 5.5
+    assert levels[-1].chosen
+
+
+def test_a_student_that_learned_too_little_is_told_what_helps(here, command):
+    words = ["tests.own_teachers:reach", "--env", REACH, *pruned("learning_rate=1e-9")]
+    code, out, err = command("distill", *words, "--size", 2, "--no-rival")
+    assert code == 0, err
+    assert "it keeps only " in out
+    assert "--set walks=4 --set dense_updates=120, or --set step=0.25 --set policy.most=6" in out
 
 
 def test_a_teacher_that_is_refused_leaves_no_run_folder(here, command):
@@ -94,24 +150,29 @@ def test_a_budget_asks_for_the_event_driven_student():
     recipe, found = student_settings("a", "16", None, 4, sparse=False, chip="odin")
     assert recipe == "for-chip"
     assert found[1:] == ["policy.hidden=[16]", "policy.timesteps=4", 'policy.chip="odin"']
-    with pytest.raises(ConfigError, match="are not pruned"):
-        student_settings("a", None, None, None, sparse=True, chip="odin")
+    assert is_sparse(False, None, None, None, None)
+    assert is_sparse(False, None, "delta", 1, "sops=20")
+    for dense, *others in ((True, None, None, None), (False, "odin", None, None)):
+        assert not is_sparse(dense, *others, None)
+        with pytest.raises(ConfigError, match="such students are not pruned"):
+            is_sparse(dense, *others, "sops=20")
+    assert not is_sparse(False, None, "rate", None, None)
+    assert not is_sparse(False, None, None, 8, None)
     _, found = student_settings("a", None, "population", 2, sparse=False)
     assert found[1:] == ["policy.coding=population", "policy.timesteps=2"]
 
 
-@pytest.mark.parametrize(
-    ("operations", "said"),
-    [([900, 84, 80], True), ([900, 130, 100], False), ([900, 84, 130], False)],
-)
-def test_a_budget_that_does_not_bind_is_said(operations, said, tmp_path, monkeypatch):
-    run = RunFolder(tmp_path)
-    monkeypatch.setattr(RunFolder, "settings", lambda self: {"budget": 120.0})
-    rows = zip(operations, ("", "", 120), strict=True)
-    lines = [f"{step},{count},{goal}" for step, (count, goal) in enumerate(rows)]
-    run.metrics.write_text("\n".join(["updates,operations,goal", *lines]) + "\n")
+@pytest.mark.parametrize(("before", "said"), [(84.0, True), (130.0, False)])
+def test_a_budget_that_does_not_bind_is_said(before, said, tmp_path, monkeypatch):
+    config = {"budget": 120.0, "search": True, "validation": {"episodes": 3}, "policy": {}}
+    ended = [{"goal": None, "operations": before, "share": 1.0}]
+    numbers = {"teacher_return": 9.0, "random_return": 1.0, "ended": ended}
+    best = {"eval_return": 9.0, "eval_of_teacher": 1.0, "eval_operations": 80.0, "updates": 3}
+    monkeypatch.setattr(RunFolder, "settings", lambda self: config)
+    monkeypatch.setattr(RunFolder, "load", lambda self, name: (numbers | best, {}))
+    monkeypatch.setattr("pathlib.Path.is_file", lambda self: True)
     line = "the budget of 120 operations did not bind: the student had 84 before pruning"
-    assert (line in summarise_returns(tmp_path)) == said
+    assert (line in describe(tmp_path, None)) == said
 
 
 @pytest.mark.parametrize(
@@ -119,8 +180,8 @@ def test_a_budget_that_does_not_bind_is_said(operations, said, tmp_path, monkeyp
     [
         (("64x64", None, None, False), r"--size 64x64: .* as in --size 64,64"),
         (("64,", None, None, False), r"--size 64,:"),
-        ((None, "delta", None, False), "--budget sops=200"),
-        (("64,64", None, None, True), "has one hidden layer, as in --size 32"),
+        ((None, "delta", None, False), "leave --dense and --for out"),
+        (("64,64", None, None, True), "has one hidden layer, as in --size 32; --dense"),
         ((None, "population", None, True), "sends events by the delta code"),
         ((None, None, 8, True), "computes one timestep in a control step"),
     ],

@@ -19,8 +19,8 @@ from spikedeploy.trainers.policies import from_config
 from spikedeploy.trainers.policies.vision import vision_artifact
 from spikedeploy.trainers.run_folder import load_policy
 from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.phases import planned
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool, Windows
-from spikedeploy.trainers.sparse.sparse import phases
 from spikedeploy.trainers.sparse.vision import VisionStudent, mirrored, rounding_of_kernels
 from spikedeploy.trainers.train import train
 from tests.trainers.test_resume import After, resumed
@@ -113,7 +113,7 @@ def test_a_guide_that_sees_something_else_is_refused(guide):
 
 def test_nothing_is_pruned_on_the_way_to_a_budget_that_is_not_reached():
     config = resolve(SparseConfig, "kart-eye-gru")
-    assert [phase.last for phase in phases(config)] == [None] * config.dense_rounds + [1e6]
+    assert [phase.last for phase in planned(config)] == [None] * config.dense_rounds + [1e6]
 
 
 def test_a_mirrored_window_is_that_of_the_other_arm():
