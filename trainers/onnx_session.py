@@ -63,6 +63,29 @@ class OnnxOperators:
             and largest <= _LARGEST_MATRIX
         )
 
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Widths of a multilayer perceptron, from its input on; empty where it is none.
+
+        It has as many matrices as products, each of which fits behind the one before, transposed
+        or not.
+        """
+        products = self.names.count("MatMul") + self.names.count("Gemm")
+        matrices = [shape for shape in self.shapes if len(shape) == 2]
+        if len(matrices) != products:  # a normaliser may be a row
+            matrices = [shape for shape in matrices if shape[0] != 1]
+        if self.nested or not products or len(matrices) != products:
+            return ()
+        for first in matrices[0]:
+            found = [first]
+            for shape in matrices:
+                if found[-1] not in shape:
+                    break
+                found.append(shape[0] if shape[1] == found[-1] else shape[1])
+            else:
+                return tuple(found)
+        return ()
+
 
 def operators(path: Path) -> OnnxOperators:
     """The operators of a file; ArtifactError where it is no protobuf."""

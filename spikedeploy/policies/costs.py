@@ -49,13 +49,17 @@ from spikedeploy.runtime.emulator.ledger import Ledger, state_count
 from spikedeploy.runtime.metrics.energy import (
     TABLES,
     EnergyEstimate,
+    addition_energy,
     delta_encoder,
     energy_estimate,
     event_counts,
     host_readout,
     latency_estimate,
+    mac_energy,
+    mac_energy_estimate,
     priced_terms,
     rate_encoder,
+    reading_energy,
     reset_energy,
     unpriced_terms,
 )
@@ -182,6 +186,39 @@ def policy_costs(
         control_steps_late=program.control_steps_late(codec.timesteps),
         messages_placed=placed,
         messages_placed_j={} if placed is None else {n: placed * j for n, j in prices.items()},
+    )
+
+
+def float_costs(
+    dense: float, effective: float | None, biases: int | None, reads: int | None, hidden: bool
+) -> Costs:
+    """Costs of a float network; None is unknown.
+
+    dense      multiply-accumulates of an inference
+    effective  those with non-zero inputs
+    biases     units with one
+    reads      observations that are read
+    hidden     whether there are activations, which nothing prices
+    """
+    prices = {
+        "bias": None if biases is None else addition_energy(biases),
+        "encoder": None if reads is None else reading_energy(reads),
+    }
+    beside = {name: joules for name, joules in prices.items() if joules is not None}
+    unknown = tuple(name for name in prices if name not in beside)
+    if hidden:
+        unknown += ("activations",)
+    tables = {name: TABLES[name] for name in FLOAT_TABLES}
+    skipping = {} if effective is None else {n: mac_energy(effective, tables[n]) for n in tables}
+    terms = {n: {"operations": mac_energy(dense, table)} | beside for n, table in tables.items()}
+    return Costs(
+        effective_acs=0.0,
+        effective_macs=effective,
+        dense=dense,
+        energy_j={name: mac_energy_estimate(dense, table) for name, table in tables.items()},
+        energy_terms_j=terms,
+        energy_unknown={n: unknown if n in tables else ("operations", *unknown) for n in TABLES},
+        energy_zero_skipping_j=skipping,
     )
 
 

@@ -11,18 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.costs import FLOAT_TABLES, UNCOUNTED, Costs
+from spikedeploy.policies.costs import UNCOUNTED, Costs, float_costs
 from spikedeploy.policies.registry import Candidate, Env, Floats, Player, env_id
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.metrics.energy import (
-    TABLES,
-    addition_energy,
-    mac_energy,
-    mac_energy_estimate,
-    reading_energy,
-)
 from spikedeploy.trainers.onnx_session import DTYPES, NEXT, States, infer, rest, session
 
 KINDS = ("ann", "control")
@@ -108,31 +101,12 @@ class OnnxController(Player):
         """
         if "macs" not in self.metadata:
             return replace(UNCOUNTED, effective_acs=0.0)
-        dense, biases, reads = float(self.metadata["macs"]), self.biases, self.reads
-        effective = self.effective_macs(played.observation[:-1])
-        prices = {
-            "bias": None if biases is None else addition_energy(biases),
-            "encoder": None if reads is None else reading_energy(reads),
-        }
-        beside = {name: joules for name, joules in prices.items() if joules is not None}
-        unknown = tuple(name for name in prices if name not in beside)
-        if len(self._presynaptic) != 1:
-            unknown += ("activations",)
-        tables = {name: TABLES[name] for name in FLOAT_TABLES}
-        skipping = (
-            {} if effective is None else {n: mac_energy(effective, tables[n]) for n in tables}
-        )
-        terms = {n: {"operations": mac_energy(dense, t)} | beside for n, t in tables.items()}
-        return Costs(
-            effective_acs=0.0,
-            effective_macs=effective,
-            dense=dense,
-            energy_j={name: mac_energy_estimate(dense, table) for name, table in tables.items()},
-            energy_terms_j=terms,
-            energy_unknown={
-                n: unknown if n in tables else ("operations", *unknown) for n in TABLES
-            },
-            energy_zero_skipping_j=skipping,
+        return float_costs(
+            float(self.metadata["macs"]),
+            self.effective_macs(played.observation[:-1]),
+            self.biases,
+            self.reads,
+            hidden=len(self._presynaptic) != 1,
         )
 
     def effective_macs(self, observations: Floats) -> float | None:

@@ -1,6 +1,7 @@
 """Policies without a file of ours: the built-in `gait`, `random`, `gap`, `pursuit`; teachers."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from spikedeploy.envs.foreign import is_target
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.costs import NOTHING, Costs
+from spikedeploy.policies.costs import NOTHING, Costs, float_costs
 from spikedeploy.policies.registry import Candidate, Env, Floats, Player, check_fit, find
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.onnx_session import has_policy_metadata, session
@@ -145,6 +146,14 @@ class TeacherController(Player):
         """Actions (S, act) or (S,) for the observations (S, obs) of an episode."""
         output = self._teacher.act_all(observations)
         return output.argmax(axis=1) if self._chooses else output
+
+    def costs(self, played: Rollout) -> Costs:
+        """Multiply-accumulates of all layers, where they are known; zeros are not looked for."""
+        widths = self._teacher.widths
+        if not widths:
+            return super().costs(played)
+        dense = sum(a * b for a, b in pairwise(widths))
+        return float_costs(dense, None, sum(widths[1:]), widths[0], hidden=len(widths) > 2)
 
 
 def teacher_candidate(reference: str, units: "Units | None" = None) -> Candidate:

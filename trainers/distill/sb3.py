@@ -101,7 +101,8 @@ def sb3_teacher(path: str, spaces: OwnSpaces) -> Teacher:
             return spaces.labels(path, np.tanh(out), len(out), "scaled")
         return spaces.labels(path, out, len(out), "own")
 
-    return Teacher(act_all, layers[0].in_features, layers[-1].out_features)
+    widths = (layers[0].in_features, *(layer.out_features for layer in layers))
+    return Teacher(act_all, widths[0], widths[-1], widths=widths)
 
 
 def _read(path: str) -> tuple[Mapping[str, Any], Mapping[str, Tensor]]:

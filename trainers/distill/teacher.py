@@ -27,12 +27,14 @@ class Teacher:
     act_all: actions (B, act) in [-1, 1] for observations (B, obs), or logits of discrete ones
     observations, actions: their numbers
     env: short name or id of its environment, empty if unknown
+    widths: of a multilayer perceptron, from observations to actions; empty if unknown
     """
 
     act_all: Callable[[FloatArray], FloatArray]
     observations: int
     actions: int
     env: str = ""
+    widths: tuple[int, ...] = ()
 
     def check_sizes(self, path: str, env: str, sizes: tuple[int, int]) -> None:
         """Refuse a teacher of other numbers of observations and actions than an environment's."""

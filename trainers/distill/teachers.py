@@ -19,7 +19,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig, ValidationConfig
 from spikedeploy.trainers.distill.sb3 import REMEDY, sb3_teacher
 from spikedeploy.trainers.distill.teacher import FloatArray, OwnSpaces, Teacher, Units
-from spikedeploy.trainers.onnx_session import has_policy_metadata, session
+from spikedeploy.trainers.onnx_session import has_policy_metadata, operators, session
 from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 
@@ -97,7 +97,9 @@ def _onnx_of_others(path: str, network: Any, spaces: OwnSpaces, units: Units) ->
     observations = int(np.prod(form))
     if observations == spaces.observations:  # else refused where sizes are compared
         act_all(np.zeros((1, observations)))
-    return Teacher(act_all, observations, spaces.actions)
+    widths = operators(Path(path)).widths
+    fits = widths[:1] == (observations,) and widths[-1:] == (spaces.actions,)
+    return Teacher(act_all, observations, spaces.actions, widths=widths if fits else ())
 
 
 def _ends(path: str, network: Any) -> tuple[Any, Any]:  # noqa: ANN401

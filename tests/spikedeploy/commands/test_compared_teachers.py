@@ -4,12 +4,14 @@ import json
 import shlex
 import shutil
 import sys
+from itertools import pairwise
 
 import pytest
 
 from spikedeploy.policies.registry import find
 from spikedeploy.policies.scripts import teacher_candidate
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.onnx_session import OnnxOperators, operators
 from tests.paths import ROOT
 
 REACH, LEVELS = "tests.own_env:Reach", "tests.own_env:Levels"
@@ -64,6 +66,37 @@ def test_an_onnx_file_of_others_acts_in_units_of_the_environment(tmp_path):
         teacher_candidate(ours, "own")
 
 
+@pytest.mark.parametrize(
+    ("name", "env", "widths"),
+    [("ppo", "CartPole-v1", (4, 8, 6, 2)), ("sac", REACH, (4, 8, 6, 2))],
+)
+def test_operations_of_a_model_of_stable_baselines_are_counted(name, env, widths, rows):
+    row = rows(env, "--teacher", SB3 / f"{name}.zip")[name]
+    assert row["macs_dense"] == sum(a * b for a, b in pairwise(widths))
+    assert row["energy_per_inference_j"]["horowitz45-int8"] == pytest.approx(1.55e-12 * row["macs_dense"])
+
+
+def test_operations_of_an_onnx_file_of_others_are_those_of_its_layers():
+    file = ROOT / "tests/golden/rsl_rl/policy.onnx"
+    assert operators(file).widths == (4, 16, 8, 2)
+
+
+@pytest.mark.parametrize(
+    ("names", "shapes", "widths"),
+    [
+        (("MatMul", "Add", "MatMul"), [(3, 5), (5,), (5, 1)], (3, 5, 1)),
+        (("Gemm", "Tanh", "Gemm"), [(5, 3), (5,), (1, 5), (1,)], (3, 5, 1)),
+        (("MatMul", "LSTM"), [(3, 5), (1, 20, 5)], (3, 5)),
+        (("MatMul",), [(3, 5), (3, 5)], ()),
+        (("Gemm", "Gemm"), [(5, 3), (4, 2)], ()),
+        (("Tanh",), [], ()),
+    ],
+)
+def test_widths_are_known_where_matrices_fit_one_behind_the_other(names, shapes, widths):
+    assert OnnxOperators(names, False, tuple(shapes)).widths == widths
+    assert OnnxOperators(names, True, tuple(shapes)).widths == ()
+
+
 @pytest.mark.parametrize("verb", ["run", "compare"])
 def test_only_the_option_has_a_function_run(verb, command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -109,7 +142,7 @@ def test_after_distill_the_next_command_has_the_teacher(command, tmp_path, monke
     ]  # fmt: skip
     settings = [word for each in quick for word in ("--set", each)]
     name = "tests.own_teachers:reach_scaled"
-    code, out, err = command("distill", name, "--env", REACH, "--size", "8", *settings)
+    code, out, err = command("distill", name, "--env", REACH, "--dense", "--size", "8", *settings)
     assert code == 0, err
     words = shlex.split(out.rpartition("next: ")[2])
     assert words[-4:] == ["--teacher", name, "--teacher-units", "scaled"]
