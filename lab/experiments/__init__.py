@@ -14,6 +14,7 @@ pareto       return against operations and energy; fronts, pareto_page
 robustness   return under disturbances and faults
 gymnasium    sparse policies on the field's own tasks
 lineup       shipped policies trained again with other seeds
+students     what the defaults of `distill` make of other people's teachers
 eye_map      where spiking costs less, by control rate and quiet; vision, eye_costs, eye_map_page
 eye_entry    kart-eye's entry test: what drives without convolutions, and what does with them
 eye_trainings  what its trainings left, as archives; the files of such in archives
@@ -45,6 +46,7 @@ EXPERIMENTS = {
     "robustness": "lab.experiments.robustness:RobustnessDesign",
     "gymnasium": "lab.experiments.gymnasium:GymnasiumDesign",
     "lineup": "lab.experiments.lineup:LineupDesign",
+    "students": "lab.experiments.students:StudentsDesign",
     "kart-eye-map": "lab.experiments.eye_map:EyeMapDesign",
     "kart-eye": "lab.experiments.eye_entry:EyeEntryDesign",
 }

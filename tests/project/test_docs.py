@@ -26,7 +26,7 @@ NOT_RUN = {
     r"replay\b": "opens a window, or films what a training left",
     r"compare hexapod": "minutes of episodes",
     r"run last\b": "needs a training",
-    r"compare (CartPole-v1|my_module:MyEnv) last\b": "needs a training",
+    r"compare \S+ last\b": "needs a training",
     r"reproduce results/": "needs results/, which no other command should be able to write",
     r".* --episodes 100\b": "minutes of episodes",
     r"sweep .* --address\b": "needs a cluster",

@@ -71,7 +71,7 @@ class SparseConfig(RunConfig):
     pool: str = ""
     budget: float = Field(default=100.0, ge=0)
     search: bool = False
-    keep: Share = 0.97
+    keep: Share = 0.98
     patience: Positive = 2
     shrink: float = Field(default=0.7, gt=0, lt=1)
     levels: tuple[Rate, ...] = ()

@@ -1,0 +1,281 @@
+"""The students experiment: what the defaults of `distill` make of other people's teachers.
+
+Stable-Baselines3 trains one teacher a task, in at most ten minutes of one core, which is kept in
+results/students. Of each seed `distill` trains a spiking student and its float rival, without any
+setting. All play the same episodes, which nothing was trained or chosen on: the student on the
+chip, the rival with weights of 8 bits.
+"""
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lab.experiments import DESIGNS, QUICK, pages
+from lab.experiments.networks import is_discrete, network, play, random_actions
+from lab.experiments.pages import ROOT, grouped, mean, number, share
+from lab.experiments.ratios import nested_ratio
+from lab.experiments.runner import Design, Part
+from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows, write_exactly
+from spikedeploy import zoo
+from spikedeploy.comparison.statistics import Estimate
+from spikedeploy.files import replacing
+from spikedeploy.reports.table import ABSENT
+from spikedeploy.seeds import EVALUATION
+from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.sparse.pool import Stateless
+
+TEACHER, RANDOM, STUDENT, RIVAL = ROLES = ("teacher", "random", "student", "float MLP")
+TASKS: Mapping[str, Record] = DESIGNS["students"]["tasks"]
+TEACHERS = ROOT / "results" / "students"
+WANTED = 0.97  # of the teacher
+_VERSION = 1  # of what a row holds; a higher one makes all rows again
+_TEXT = ("task", "role")
+_COLUMNS = ("task", "role", "seed", "episodes", "operations", "updates", "minutes", "scores")
+
+
+@dataclass(frozen=True)
+class StudentsDesign(Design):
+    """The parts: of each task a teacher, and of each seed a student and its rival.
+
+    tasks     of designs.toml
+    """
+
+    tasks: Sequence[str] = tuple(TASKS)
+
+    NAME = "students"
+    OPTIONS: ClassVar = {n: n for n in ("seeds", "runs", "episodes", "chip", "quick")} | {
+        "env": "tasks",
+        "set": "settings",
+    }
+
+    def trainings(self) -> list[TrainingJob]:
+        """Of each seed the student and the rival of every task."""
+        return [
+            each
+            for seed in range(self.seeds)
+            for task in self.tasks
+            for each in (self._student(task, seed), self._rival(task, seed))
+        ]
+
+    def _student(self, task: str, seed: int) -> TrainingJob:
+        return self._job(task, seed, "distill-sparse", {})
+
+    def _rival(self, task: str, seed: int) -> TrainingJob:
+        # as `distill` trains it
+        return self._job(task, seed, "distill-small-mlp", {"pool": self._student(task, seed)})
+
+    def _job(
+        self, task: str, seed: int, recipe: str, parents: Mapping[str, TrainingJob]
+    ) -> TrainingJob:
+        every = (
+            f'env.name="{TASKS[task]["env"]}"',
+            f'teacher="{teacher_file(task)}"',
+            *(QUICK["distill-sparse"] if self.quick else ()),
+            *self.settings,
+        )
+        role = RIVAL if parents else STUDENT
+        name = f"{task}-{role.replace(' ', '-')}-s{seed}"
+        return TrainingJob(name, recipe, seed, self.runs, every, parents, every)
+
+    def parts(self) -> list[Part]:
+        """The teachers and their episodes; each training and its episodes."""
+        teachers = [f"{task}-{TEACHER}" for task in self.tasks]
+        rows_of = [partial(self._teacher_rows, task) for task in self.tasks]
+        found = [Part(*each) for each in zip(teachers, rows_of, strict=True)]
+        for training in self.trainings():
+            task, role, seed = self._of(training)
+            after = [f"{task}-{TEACHER}", *(each.name for each in training.parents.values())]
+            rows = partial(self._rows, task, role, seed, training)
+            found.append(Part(training.name, rows, training, after=after))
+        return found
+
+    def _of(self, training: TrainingJob) -> tuple[str, str, int]:
+        role = RIVAL if training.parents else STUDENT
+        task = training.name.rpartition(f"-{role.replace(' ', '-')}-s")[0]
+        return task, role, training.seed
+
+    def _teacher_rows(self, task: str) -> list[StoredRow]:
+        made = TASKS[task]["teacher"]
+        of = {**made, "env": TASKS[task]["env"]}
+        kept = StoredRow(teacher_file(task).with_suffix(".json"), of, partial(_teach, task))
+        both = [] if kept.found is None else (TEACHER, RANDOM)
+        return [kept, *(row for role in both for row in self._rows(task, role, 0, None))]
+
+    def _rows(
+        self, task: str, role: str, seed: int, training: TrainingJob | None
+    ) -> list[StoredRow]:
+        file = Path(self.runs) / "evaluations" / f"{task}-{role.replace(' ', '-')}-s{seed}.json"
+        policy = training.checkpoint() if training else teacher_file(task)
+        of = {
+            "episodes": self.episodes,
+            "limit": self.limit,
+            "first_seed": EVALUATION,
+            "chip": self.chip,
+            "policy": zoo.sha256(policy),
+            "version": _VERSION,
+        }
+        return [StoredRow(file, of, partial(self._evaluate, task, role, seed, training))]
+
+    def _evaluate(self, task: str, role: str, seed: int, training: TrainingJob | None) -> Record:
+        env = EnvConfig(name=TASKS[task]["env"])
+        counts: Record = {}
+        if training is None:
+            act = _acting(task) if role == TEACHER else random_actions(env.name)
+            played = play(env, self.episodes, act, self.limit)
+            if role == TEACHER:
+                counts = {"operations": _macs(task)}
+        else:
+            stem = Path(self.runs) / "policies" / training.name
+            place = self.chip if role == STUDENT else "int8"
+            placed = network(training.existing_run, "best", place, stem)
+            played = play(env, self.episodes, placed.controller, self.limit)
+            found = placed.counts(played.walks)
+            counts = {
+                "operations": found["operations"],
+                "updates": found.get("neuron_updates"),
+                "minutes": _minutes(training.existing_run),
+            }
+        who = {"task": task, "role": role, "seed": seed, "episodes": self.episodes}
+        return {**who, **counts, "scores": played.returns}
+
+    def all_rows(self) -> Iterator[Record]:
+        """The results so far, without what says how teachers were trained."""
+        return (row for part in self.parts() for row in part.found if "scores" in row)
+
+    def write(self, results: Path) -> list[Path]:
+        """Write page and table of what is complete."""
+        table = results / "students.csv"
+        old = read_rows(table, _TEXT) if table.is_file() else []
+        found = {(r["task"], r["role"], r["seed"]): r for r in (*old, *self.all_rows())}
+        rows = sorted(found.values(), key=_place)
+        write_exactly(({n: row.get(n) for n in _COLUMNS} for row in rows), _COLUMNS, table)
+        rows = read_rows(table, _TEXT)
+        by = dict(grouped(rows, "task", "role"))
+        tasks = [_facts(task, by) for task in TASKS if (task, TEACHER) in by]
+        page, shown = pages.write_page(
+            results / "students.md",
+            {},
+            command=pages.command(self, sizes=("seeds", "episodes")),
+            quick=self.quick,
+            episodes=self.episodes,
+            first_seed=EVALUATION,
+            chip=self.chip,
+            tasks=tasks,
+            kept=sum(each["mark"] for each in tasks),
+            missing=[
+                training.name
+                for training in self.trainings()
+                if (*self._of(training),) not in {(r["task"], r["role"], r["seed"]) for r in rows}
+            ],
+            operations=_operations,
+            minutes=lambda of: number(of and of["minutes"]),
+            share=share,
+            facts=[f"- {pages.releases('torch', 'numpy', 'gymnasium', 'mujoco')}"],
+            **{"WANTED": WANTED},
+        )
+        return [page, table, shown]
+
+
+def teacher_file(task: str) -> Path:
+    """The model of Stable-Baselines3 that teaches, from where the command runs."""
+    file = TEACHERS / f"{task}.zip"
+    return file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
+
+
+def _teach(task: str) -> Record:
+    """Train the teacher with Stable-Baselines3, and save it without its optimisers."""
+    # nothing else here needs it
+    sb3, tools = map(import_module, ("stable_baselines3", "stable_baselines3.common.env_util"))
+    of, made = TASKS[task], TASKS[task]["teacher"]
+    env: Any = of["env"]
+    if ":" in env:
+        from spikedeploy.envs.foreign import attribute, import_target
+
+        module, _, within = env.partition(":")
+        env = attribute(env, import_target(env, module, "an environment"), within)
+    kind = getattr(sb3, made["algorithm"])
+    worlds = tools.make_vec_env(env, n_envs=made["copies"], seed=0)
+    began = time.process_time()
+    model = kind("MlpPolicy", worlds, seed=0, device="cpu", **made["settings"])
+    model.learn(made["steps"])
+    minutes = (time.process_time() - began) / 60
+    file = teacher_file(task)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(file) as part, part.open("wb") as whole:
+        model.save(whole)
+    return {"minutes": minutes}
+
+
+def _acting(task: str) -> Stateless:
+    from spikedeploy.trainers.distill.teachers import teacher
+
+    env = TASKS[task]["env"]
+    found = teacher(str(teacher_file(task)), env)
+    if is_discrete(env):
+        return Stateless(lambda seen: found.act_all(seen).argmax(-1))
+    return Stateless(found.act_all)
+
+
+def _macs(task: str) -> float:
+    from spikedeploy.trainers.distill.teachers import teacher
+
+    widths = teacher(str(teacher_file(task)), TASKS[task]["env"]).widths
+    return float(sum(a * b for a, b in pairwise(widths)))
+
+
+def _minutes(run: Path) -> float:
+    """Minutes from the beginning of a training that was not interrupted to its end."""
+    times = [(run / name).stat().st_mtime for name in ("versions.json", "checkpoints/last.json")]
+    return (times[1] - times[0]) / 60
+
+
+def _place(row: Record) -> tuple[int, int, int]:
+    return list(TASKS).index(row["task"]), ROLES.index(row["role"]), row["seed"]
+
+
+def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
+    """Facts that the page shows of a task."""
+    teacher, at_random = by[task, TEACHER][0], by[task, RANDOM][0]
+    # the share of the way from random actions to the teacher, where returns are negative
+    earned, random = (float(np.mean(each["scores"])) for each in (teacher, at_random))
+    lowest = random if earned < 0 else 0.0
+    students = by.get((task, STUDENT), [])
+    kept = _share(students, teacher, lowest)
+    return {
+        "name": task,
+        "env": TASKS[task]["env"],
+        "teacher": teacher,
+        "earned": earned,
+        "random": random,
+        "from_random": earned < 0,
+        "students": {
+            role: {
+                "trainings": len(rows),
+                "share": _share(rows, teacher, lowest),
+                "operations": [row["operations"] for row in rows],
+                "minutes": mean(rows, "minutes"),
+            }
+            for role in (STUDENT, RIVAL)
+            if (rows := by.get((task, role), []))
+        },
+        "mark": bool(kept and kept.mean >= WANTED),
+    }
+
+
+def _operations(of: Record | None) -> str:
+    """Operations of each training."""
+    return ", ".join(f"{count:,.0f}" for count in of["operations"]) if of else ABSENT
+
+
+def _share(rows: Sequence[Record], teacher: Record, lowest: float) -> Estimate | None:
+    if not rows:
+        return None
+    scores = np.array([row["scores"] for row in rows]) - lowest
+    return nested_ratio(scores, np.array(teacher["scores"]) - lowest)
