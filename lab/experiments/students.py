@@ -25,10 +25,13 @@ from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows, write_exactly
 from spikedeploy import zoo
 from spikedeploy.comparison.statistics import Estimate
+from spikedeploy.envs.foreign import attribute, import_target
 from spikedeploy.files import replacing
 from spikedeploy.reports.table import ABSENT
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.distill.teacher import Teacher
+from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.sparse.pool import Stateless
 
 TEACHER, RANDOM, STUDENT, RIVAL = ROLES = ("teacher", "random", "student", "float MLP")
@@ -76,22 +79,26 @@ class StudentsDesign(Design):
     ) -> TrainingJob:
         every = (
             f'env.name="{TASKS[task]["env"]}"',
-            f'teacher="{teacher_file(task)}"',
+            f'teacher="{self._file(task)}"',
             *(QUICK["distill-sparse"] if self.quick else ()),
             *self.settings,
         )
         role = RIVAL if parents else STUDENT
         name = f"{task}-{role.replace(' ', '-')}-s{seed}"
-        return TrainingJob(name, recipe, seed, self.runs, every, parents, every)
+        own = ("teacher_walks=0", "noisy_walks=0") if parents else ()
+        return TrainingJob(name, recipe, seed, self.runs, every, parents, (*every, *own))
 
     def parts(self) -> list[Part]:
         """The teachers and their episodes; each training and its episodes."""
-        teachers = [f"{task}-{TEACHER}" for task in self.tasks]
-        rows_of = [partial(self._teacher_rows, task) for task in self.tasks]
-        found = [Part(*each) for each in zip(teachers, rows_of, strict=True)]
+        found = []
+        for task in self.tasks:
+            name = f"{task}-{TEACHER}"
+            found.append(Part(name, partial(self._taught, task)))
+            rows = partial(self._teacher_rows, task)
+            found.append(Part(f"{task}-episodes", rows, after=[name]))
         for training in self.trainings():
             task, role, seed = self._of(training)
-            after = [f"{task}-{TEACHER}", *(each.name for each in training.parents.values())]
+            after = [f"{task}-episodes", *(each.name for each in training.parents.values())]
             rows = partial(self._rows, task, role, seed, training)
             found.append(Part(training.name, rows, training, after=after))
         return found
@@ -101,18 +108,27 @@ class StudentsDesign(Design):
         task = training.name.rpartition(f"-{role.replace(' ', '-')}-s")[0]
         return task, role, training.seed
 
+    def _taught(self, task: str) -> list[StoredRow]:
+        """How the teacher was trained, and in how many minutes."""
+        made = TASKS[task]["teacher"] | ({"steps": 300} if self.quick else {})
+        of, file = {**made, "env": TASKS[task]["env"]}, self._file(task)
+        return [StoredRow(file.with_suffix(".json"), of, partial(_teach, of, file))]
+
+    def _file(self, task: str) -> Path:
+        """The model of Stable-Baselines3 that teaches, from where the command runs."""
+        file = (Path(self.runs) / "teachers" if self.quick else TEACHERS) / f"{task}.zip"
+        return file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
+
     def _teacher_rows(self, task: str) -> list[StoredRow]:
-        made = TASKS[task]["teacher"]
-        of = {**made, "env": TASKS[task]["env"]}
-        kept = StoredRow(teacher_file(task).with_suffix(".json"), of, partial(_teach, task))
-        both = [] if kept.found is None else (TEACHER, RANDOM)
-        return [kept, *(row for role in both for row in self._rows(task, role, 0, None))]
+        if not self._file(task).is_file():
+            return [StoredRow(self._file(task).with_suffix(".none"), {}, dict)]  # not yet
+        return [row for role in (TEACHER, RANDOM) for row in self._rows(task, role, 0, None)]
 
     def _rows(
         self, task: str, role: str, seed: int, training: TrainingJob | None
     ) -> list[StoredRow]:
         file = Path(self.runs) / "evaluations" / f"{task}-{role.replace(' ', '-')}-s{seed}.json"
-        policy = training.checkpoint() if training else teacher_file(task)
+        policy = training.checkpoint() if training else self._file(task)
         of = {
             "episodes": self.episodes,
             "limit": self.limit,
@@ -127,19 +143,21 @@ class StudentsDesign(Design):
         env = EnvConfig(name=TASKS[task]["env"])
         counts: Record = {}
         if training is None:
-            act = _acting(task) if role == TEACHER else random_actions(env.name)
-            played = play(env, self.episodes, act, self.limit)
+            act = random_actions(env.name)
             if role == TEACHER:
-                counts = {"operations": _macs(task)}
+                found = teacher(str(self._file(task)), env.name)
+                act = _acting(found, is_discrete(env.name))
+                counts = {"operations": float(sum(a * b for a, b in pairwise(found.widths)))}
+            played = play(env, self.episodes, act, self.limit)
         else:
             stem = Path(self.runs) / "policies" / training.name
             place = self.chip if role == STUDENT else "int8"
             placed = network(training.existing_run, "best", place, stem)
             played = play(env, self.episodes, placed.controller, self.limit)
-            found = placed.counts(played.walks)
+            did = placed.counts(played.walks)
             counts = {
-                "operations": found["operations"],
-                "updates": found.get("neuron_updates"),
+                "operations": did["operations"],
+                "updates": did.get("neuron_updates"),
                 "minutes": _minutes(training.existing_run),
             }
         who = {"task": task, "role": role, "seed": seed, "episodes": self.episodes}
@@ -183,51 +201,29 @@ class StudentsDesign(Design):
         return [page, table, shown]
 
 
-def teacher_file(task: str) -> Path:
-    """The model of Stable-Baselines3 that teaches, from where the command runs."""
-    file = TEACHERS / f"{task}.zip"
-    return file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
-
-
-def _teach(task: str) -> Record:
-    """Train the teacher with Stable-Baselines3, and save it without its optimisers."""
+def _teach(of: Record, file: Path) -> Record:
+    """Train a teacher with Stable-Baselines3, and save it."""
     # nothing else here needs it
     sb3, tools = map(import_module, ("stable_baselines3", "stable_baselines3.common.env_util"))
-    of, made = TASKS[task], TASKS[task]["teacher"]
     env: Any = of["env"]
     if ":" in env:
-        from spikedeploy.envs.foreign import attribute, import_target
-
         module, _, within = env.partition(":")
         env = attribute(env, import_target(env, module, "an environment"), within)
-    kind = getattr(sb3, made["algorithm"])
-    worlds = tools.make_vec_env(env, n_envs=made["copies"], seed=0)
+    worlds = tools.make_vec_env(env, n_envs=of["copies"], seed=0)
     began = time.process_time()
-    model = kind("MlpPolicy", worlds, seed=0, device="cpu", **made["settings"])
-    model.learn(made["steps"])
+    kind = getattr(sb3, of["algorithm"])
+    model = kind("MlpPolicy", worlds, seed=0, device="cpu", **of["settings"])
+    model.learn(of["steps"])
     minutes = (time.process_time() - began) / 60
-    file = teacher_file(task)
     file.parent.mkdir(parents=True, exist_ok=True)
     with replacing(file) as part, part.open("wb") as whole:
         model.save(whole)
     return {"minutes": minutes}
 
 
-def _acting(task: str) -> Stateless:
-    from spikedeploy.trainers.distill.teachers import teacher
-
-    env = TASKS[task]["env"]
-    found = teacher(str(teacher_file(task)), env)
-    if is_discrete(env):
-        return Stateless(lambda seen: found.act_all(seen).argmax(-1))
-    return Stateless(found.act_all)
-
-
-def _macs(task: str) -> float:
-    from spikedeploy.trainers.distill.teachers import teacher
-
-    widths = teacher(str(teacher_file(task)), TASKS[task]["env"]).widths
-    return float(sum(a * b for a, b in pairwise(widths)))
+def _acting(found: Teacher, chooses: bool) -> Stateless:
+    """A teacher as it acts."""
+    return Stateless((lambda seen: found.act_all(seen).argmax(-1)) if chooses else found.act_all)
 
 
 def _minutes(run: Path) -> float:
@@ -242,23 +238,23 @@ def _place(row: Record) -> tuple[int, int, int]:
 
 def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
     """Facts that the page shows of a task."""
-    teacher, at_random = by[task, TEACHER][0], by[task, RANDOM][0]
+    taught, at_random = by[task, TEACHER][0], by[task, RANDOM][0]
     # the share of the way from random actions to the teacher, where returns are negative
-    earned, random = (float(np.mean(each["scores"])) for each in (teacher, at_random))
+    earned, random = (float(np.mean(each["scores"])) for each in (taught, at_random))
     lowest = random if earned < 0 else 0.0
     students = by.get((task, STUDENT), [])
-    kept = _share(students, teacher, lowest)
+    kept = _share(students, taught, lowest)
     return {
         "name": task,
         "env": TASKS[task]["env"],
-        "teacher": teacher,
+        "teacher": taught,
         "earned": earned,
         "random": random,
         "from_random": earned < 0,
         "students": {
             role: {
                 "trainings": len(rows),
-                "share": _share(rows, teacher, lowest),
+                "share": _share(rows, taught, lowest),
                 "operations": [row["operations"] for row in rows],
                 "minutes": mean(rows, "minutes"),
             }
@@ -274,8 +270,8 @@ def _operations(of: Record | None) -> str:
     return ", ".join(f"{count:,.0f}" for count in of["operations"]) if of else ABSENT
 
 
-def _share(rows: Sequence[Record], teacher: Record, lowest: float) -> Estimate | None:
+def _share(rows: Sequence[Record], taught: Record, lowest: float) -> Estimate | None:
     if not rows:
         return None
     scores = np.array([row["scores"] for row in rows]) - lowest
-    return nested_ratio(scores, np.array(teacher["scores"]) - lowest)
+    return nested_ratio(scores, np.array(taught["scores"]) - lowest)

@@ -73,7 +73,9 @@ def test_an_onnx_file_of_others_acts_in_units_of_the_environment(tmp_path):
 def test_operations_of_a_model_of_stable_baselines_are_counted(name, env, widths, rows):
     row = rows(env, "--teacher", SB3 / f"{name}.zip")[name]
     assert row["macs_dense"] == sum(a * b for a, b in pairwise(widths))
-    assert row["energy_per_inference_j"]["horowitz45-int8"] == pytest.approx(1.55e-12 * row["macs_dense"])
+    assert row["energy_per_inference_j"]["horowitz45-int8"] == pytest.approx(
+        1.55e-12 * row["macs_dense"]
+    )
 
 
 def test_operations_of_an_onnx_file_of_others_are_those_of_its_layers():
