@@ -55,7 +55,7 @@ _COSTS = {
     )},
     **{name: name for name in (
         "sparsity", "effective_acs", "effective_macs", "footprint", "footprint_packed",
-        "connection_sparsity", "saturations", "messages_placed",
+        "connection_sparsity", "synapses", "saturations", "messages_placed",
     )},
     "macs_dense": "dense",
     "macs_effective": "effective_macs",

@@ -15,6 +15,7 @@ effective_acs, effective_macs, dense
 footprint, footprint_packed
                      NeuroBench's Footprint [bytes] of the file; the weights in the chip's bits
 connection_sparsity  NeuroBench's, of the file
+synapses             products of all inputs and non-zero weights in a timestep
 energy_j, latency_s  by each energy table, with an interval; latency as if one core did
                      everything
 clock                how layers advance (runtime.convention.Clock), and whether that is assumed
@@ -91,6 +92,7 @@ class Costs:
     footprint: float | None = None
     footprint_packed: float | None = None
     connection_sparsity: float | None = None
+    synapses: float | None = None
     neuron_updates: float | None = None
     neuron_idle: float | None = None
     messages: float | None = None
@@ -182,7 +184,8 @@ def policy_costs(
         dense=float(dense_products(graph) * ledger.timesteps / ledger.inferences),
         footprint=footprint(graph),
         footprint_packed=packed_bytes(program) if chip else None,
-        connection_sparsity=connection_sparsity(graph),
+        connection_sparsity=(zeros := connection_sparsity(graph)),
+        synapses=dense_products(graph) * (1 - zeros),
         control_steps_late=program.control_steps_late(codec.timesteps),
         messages_placed=placed,
         messages_placed_j={} if placed is None else {n: placed * j for n, j in prices.items()},

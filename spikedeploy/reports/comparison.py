@@ -27,6 +27,7 @@ from spikedeploy.reports.columns import (
     short_label,
     tables,
 )
+from spikedeploy.reports.energy_verdict import energy_verdict
 from spikedeploy.reports.headline import describe_disturbances, headline, main_row, verdict
 from spikedeploy.reports.page import command_line, render
 from spikedeploy.reports.plots import energy_figure, returns_figure, save, svg
@@ -52,6 +53,7 @@ def document(comparison: Comparison) -> dict[str, Any]:
         "versions": versions(),
         "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "meaning": summary(rows),
+        "energy": energy_verdict(rows),
         "env_remark": envs.spec(comparison.env).remark,
         "conventions": _conventions(comparison),
         "remarks": _remarks(comparison, rows),
@@ -148,6 +150,7 @@ def _markdown(document: Document) -> str:
         f"    {document['command']}",
         f"Disturbed by {disturbed}." if disturbed else None,
         document["meaning"],
+        document.get("energy") or None,
         document.get("env_remark") or None,
         markdown_tables(document["rows"]).rstrip("\n"),
         *(["How the networks are stepped:", "\n".join(steps)] if steps else []),
@@ -175,7 +178,7 @@ def comparison_page(
         video=b64encode(video.read_bytes()).decode() if video else "",
         policies=policy_table(rows, document["env_id"]),
         energy_hint=energy_hint(rows),
-        remarks=[more, document.get("env_remark", "")],
+        remarks=[more, document.get("energy", ""), document.get("env_remark", "")],
         tables={title: _table(columns, rows) for title, columns in shown.items()},
         drawings=_drawings(rows, shown),
         meanings={column.title: column.meaning for column in columns},

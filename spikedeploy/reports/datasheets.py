@@ -19,6 +19,7 @@ from spikedeploy.runtime.metrics.energy import (
 )
 
 _PICO, _NANO = 1e-12, 1e-9
+_STEP, _THOUSAND = 0.02, 1_000  # a control step [s], operations
 _FACTS = ("what", "found")
 _OF_POWERS = ("source", "provenance", "watts", "share", "whole")
 _OTHER_FIELDS = ("name", "summary", "evidence", "arithmetic", "sources", "limits")  # no rows of all
@@ -127,7 +128,31 @@ def energy_overview() -> Iterator[Table]:
     """All energy tables, and where their numbers come from."""
     heads = ("table", "chips", "energies [pJ]", "energy is", "times [ns]", "time is")
     yield Table(heads, [_overview_row(table) for table in TABLES.values()], "Energy tables")
+    yield static_table()
     yield Table(("table", "source"), _energy_sources(), "Where the numbers come from")
+
+
+def static_table() -> Table:
+    """What chips take while they idle, and how many operations a second take as much.
+
+    Below that rate the chip's idling decides what it takes. The duty cycle is the share of a
+    control step in which a chip that could be switched off between two would have to be on, at a
+    thousand synaptic operations one after another.
+    """
+    heads = ("chip", "idle", "in 20 ms", "SOPs/s that take as much", "by", "duty cycle", "source")
+    rows = []
+    for name, powers in STATIC.items():
+        prices = [TABLES[table] for table in chip(name).energy_tables if table in TABLES]
+        table = next((each for each in prices if "sop" in each.joules), TABLES[COMMON_TABLE])
+        seconds = table.seconds.get("sop")
+        duty = ABSENT if seconds is None else f"{100 * _THOUSAND * seconds / _STEP:.2g} %"
+        for power in powers:
+            watts = power.watts * power.share
+            rate = f"{watts / table.joules['sop']:.2g}"
+            own = (f"{format_si(watts)}W", f"{format_si(watts * _STEP)}J", rate, table.name, duty)
+            rows.append((name, *own, power.source))
+    title = f"Static power, which no other energy has; duty cycle of {_THOUSAND:,} SOPs in 20 ms"
+    return Table(heads, rows, title)
 
 
 def _overview_row(table: EnergyTable) -> tuple[str, ...]:
@@ -167,7 +192,7 @@ def _energy_sources() -> list[tuple[str, str]]:
 
 def energy_markdown() -> str:
     """Tables and sources in Markdown, for docs/energy.md."""
-    table, _ = energy_overview()
+    table, *_ = energy_overview()
     sources = "\n".join(f"* `{name}` – {source}." for name, source in _energy_sources())
     return f"{table.markdown()}\n\n{sources}"
 

@@ -43,8 +43,7 @@ def print_comparison(document: Mapping[str, Any], everything: bool = True) -> No
     _print_head(document)
     if not everything:
         print_rows("", rows, document["env_id"])
-        if document["meaning"]:
-            print_text(document["meaning"])
+        _print_sentences(document, "meaning", "energy")
         print_text("Agreement, sizes, operations, other energies: --tables all")
         return
     for title, columns in tables(rows).items():
@@ -54,9 +53,13 @@ def print_comparison(document: Mapping[str, Any], everything: bool = True) -> No
     for policy, remarks in document["remarks"].items():
         for remark in remarks:
             print_text(f"{policy}: {remark}")
-    for sentence in (document["meaning"], document.get("env_remark", "")):
-        if sentence:
-            print_text(sentence)
+    _print_sentences(document, "meaning", "energy", "env_remark")
+
+
+def _print_sentences(document: Mapping[str, Any], *names: str) -> None:
+    for name in names:
+        if document.get(name):
+            print_text(document[name])
 
 
 def _print_head(document: Mapping[str, Any]) -> None:

@@ -1,0 +1,95 @@
+"""Whether spiking saves energy: counts of a comparison beside published borders and static power.
+
+The published borders weigh synapses: Davidson and Furber 2021 (Frontiers in Neuroscience 15:651141)
+find that a rate code costs less below 1.72 spikes a synapse and inference, Dampfhoffer et al. 2023
+(IEEE TETCI 7(3):731) below 0.15 to 1.38, for neurons without leak. Where hidden layers are narrow
+and events rare, updates of neurons decide instead, and a third rule has them: a network of M
+synapses, SOPs and updates U costs less than a float network of its shape, of whose inputs a share
+d is not 0, where
+
+    SOPs e_sop + U e_update < d M e_mac
+"""
+
+from collections.abc import Sequence
+
+from spikedeploy.comparison.summary import smallest_baseline
+from spikedeploy.reports.columns import COMMON_TABLE
+from spikedeploy.reports.headline import main_row
+from spikedeploy.reports.table import Row, format_si
+from spikedeploy.runtime.metrics.energy_tables import STATIC, TABLES
+
+DAVIDSON, DAMPFHOFFER = 1.72, (0.15, 1.38)  # spikes of a synapse in an inference
+
+
+def energy_verdict(rows: Sequence[Row]) -> str:
+    """Sentences on the row that a page is about; empty where it does not spike on a chip."""
+    row = main_row(rows)
+    if row["kind"] != "snn" or row["chip"] in (None, "float"):
+        return ""
+    return " ".join(filter(None, (_borders(row), _beside(row, rows), static_power(row))))
+
+
+def _borders(row: Row) -> str:
+    """Spikes of a synapse, beside the borders of others and the rule with updates."""
+    synapses, sops = row.get("synapses"), row["sops_per_inference"]
+    updates = row["neuron_updates_per_inference"]
+    if not synapses or sops is None or updates is None:
+        return ""
+    prices = TABLES[COMMON_TABLE].joules
+    spent = sops * prices["sop"] + updates * prices["neuron_update"]
+    share = spent / (synapses * prices["mac"])
+    density = sops / synapses
+    low, high = DAMPFHOFFER
+    if density < low:
+        place = f"below published borders of {low} to {DAVIDSON}"
+    elif density > DAVIDSON:
+        place = f"above published borders of {low} to {DAVIDSON}"
+    else:
+        place = f"within published borders, {low} to {high} and {DAVIDSON}"
+    rule = (
+        f"it costs less than a float network of its shape more than {share:.0%} of whose inputs "
+        "are not 0"
+        if share < 1
+        else f"it costs {share:.1f} times a float network of its shape that computes every product"
+    )
+    return (
+        f"A synapse of {row['policy']} receives {density:.2g} spikes a control step, {place} "
+        "(Dampfhoffer et al. 2023, Davidson and Furber 2021), which leave out updates of neurons; "
+        f"with them, by {COMMON_TABLE}, {rule}."
+    )
+
+
+def _beside(row: Row, rows: Sequence[Row]) -> str:
+    """All known terms, beside those of the smallest float policy that is as good."""
+    spent = row["energy_total_j"].get(COMMON_TABLE)
+    other = smallest_baseline(row, rows) if "returns" in row else None
+    beside = other["energy_total_j"].get(COMMON_TABLE) if other else None
+    if not spent or not other or not beside:
+        return ""
+    ratio = spent / beside
+    times = f"{ratio:.1f} times" if ratio >= 1 else f"{ratio:.0%} of"
+    return (
+        f"All its known terms are {format_si(spent)}J, {times} the {format_si(beside)}J of "
+        f"{other['policy']}."
+    )
+
+
+def static_power(row: Row) -> str:
+    """What the chip takes while it idles in a control step, over the energy of operations."""
+    name = row["chip"].partition(":")[0]
+    spent = row["energy_per_inference_j"].get(COMMON_TABLE)
+    if not row["static_energy_j"] or not spent:
+        return ""
+    first, joules = min(row["static_energy_j"].items(), key=lambda each: each[1])
+    power = next(p for p in STATIC[name] if p.name == first)
+    return (
+        f"Static power comes on top: {name} idles at "
+        f"{format_si(power.watts * power.share)}W ({power.source}), {format_si(joules)}J in a "
+        f"control step, {_magnitude(joules / spent)} its operations."
+    )
+
+
+def _magnitude(ratio: float) -> str:
+    if ratio >= 1e6:
+        return f"{ratio / 1e6:,.2g} million times"
+    return f"{ratio:,.0f} times" if ratio >= 2 else f"{ratio:.2g} times"

@@ -1,0 +1,82 @@
+"""Sentences on whether spiking saves energy, worked out by hand."""
+
+import pytest
+
+from spikedeploy.reports.datasheets import static_table
+from spikedeploy.reports.energy_verdict import energy_verdict
+
+INT8 = "horowitz45-int8"
+
+
+def row(**changes):
+    return {
+        "policy": "walker",
+        "kind": "snn",
+        "chip": "loihi1",
+        "return_mean": 5.0,
+        "sops_per_inference": 100.0,
+        "neuron_updates_per_inference": 10.0,
+        "synapses": 1_000.0,
+        "training_seeds": 1,
+        "returns": [5.0, 5.0],
+        "macs_effective": None,
+        "energy_per_inference_j": {INT8: 1e-9},
+        "energy_total_j": {INT8: 3e-9},
+        "static_energy_j": {"popsan2020": 3e-3, "frady2020": 2e-3},
+        **changes,
+    }
+
+
+def rival(**changes):
+    float_ = {"policy": "small", "kind": "mlp", "chip": None, "macs_effective": 80.0}
+    return row(**float_, energy_total_j={INT8: 1.5e-9}, static_energy_j={}, **changes)
+
+
+def test_counts_stand_beside_published_borders_and_the_rule_with_updates():
+    text = energy_verdict([row()])
+    # 100 SOPs over 1,000 synapses
+    assert "receives 0.1 spikes a control step, below published borders of 0.15 to 1.72" in text
+    # (100 x 1.35 + 10 x 26.5) / (1,000 x 1.55) = 400 / 1,550
+    assert "a float network of its shape more than 26% of whose inputs are not 0" in text
+    many = energy_verdict([row(neuron_updates_per_inference=100.0)])
+    # (135 + 2,650) / 1,550
+    assert "it costs 1.8 times a float network of its shape that computes every product" in many
+
+
+@pytest.mark.parametrize(
+    ("sops", "place"),
+    [(200.0, "within published borders, 0.15 to 1.38 and 1.72"), (2_000.0, "above published")],
+)
+def test_a_row_within_or_above_the_borders_is_said_to_be(sops, place):
+    assert place in energy_verdict([row(sops_per_inference=sops)])
+
+
+def test_all_terms_stand_beside_those_of_the_smallest_float_policy_that_is_as_good():
+    assert "All its known terms are 3.00 nJ, 2.0 times the 1.50 nJ of small." in energy_verdict(
+        [row(), rival()]
+    )
+    worse = rival(returns=[1.0, 1.0])
+    assert "known terms" not in energy_verdict([row(), worse])
+
+
+def test_static_power_is_said_with_its_magnitude():
+    text = energy_verdict([row()])
+    assert (
+        "loihi1 idles at 0.10 W (Frady et al. 2020: Pohoiki Springs), 2.00 mJ in a control" in text
+    )
+    assert text.endswith("2 million times its operations.")
+    assert "idles" not in energy_verdict([row(static_energy_j={})])
+
+
+def test_nothing_is_said_where_nothing_spikes_on_a_chip():
+    assert energy_verdict([rival()]) == ""
+    assert energy_verdict([row(chip="float")]) == ""
+
+
+def test_the_rate_at_which_operations_take_as_much_as_idling_is_shown():
+    table = static_table()
+    first = dict(zip(table.columns, table.rows[0], strict=True))
+    # 104 mW / 23.6 pJ
+    assert (first["chip"], first["SOPs/s that take as much"]) == ("loihi1", "4.4e+09")
+    # 1,000 x 3.5 ns / 20 ms
+    assert first["duty cycle"] == "0.018 %"
