@@ -87,16 +87,18 @@ class Quadrotor(gymnasium.Env):
         picture.fill((246, 246, 242))
 
         def at(point: np.ndarray) -> tuple[float, float]:
-            return 160 + 70 * point[0], 120 - 70 * point[1]
+            return 160 + 85 * point[0], 120 - 85 * point[1]
 
-        pygame.draw.circle(picture, (190, 190, 186), at(np.zeros(2)), 21, 2)
+        pygame.draw.circle(picture, (190, 190, 186), at(np.zeros(2)), 26, 2)
         along = ARM * 1.5 * np.array([np.cos(self._tilt), np.sin(self._tilt)])
         up = np.array([-np.sin(self._tilt), np.cos(self._tilt)])
         for side, thrust in zip((-1, 1), self._thrust, strict=True):
-            rotor = self._place + side * along
-            pygame.draw.line(picture, (213, 94, 0), at(rotor), at(rotor - 0.06 * thrust * up), 3)
+            rotor = self._place + side * along + 0.07 * up
+            pygame.draw.line(picture, (213, 94, 0), at(rotor), at(rotor - 0.06 * thrust * up), 4)
+            blades = at(rotor - 0.5 * along), at(rotor + 0.5 * along)
+            pygame.draw.line(picture, (110, 110, 110), *blades, 3)
         ends = at(self._place - along), at(self._place + along)
-        pygame.draw.line(picture, (40, 40, 40), *ends, 5)
+        pygame.draw.line(picture, (40, 40, 40), *ends, 8)
         return np.transpose(pygame.surfarray.array3d(picture), (1, 0, 2)).copy()
 
 

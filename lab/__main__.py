@@ -32,6 +32,7 @@ COMMANDS = {
     "firmware-integers": "lab.firmware.integers",
     "firmware-networks": "lab.firmware.networks",
     "firmware-peers": "lab.firmware.peers",
+    "film": "lab.film",
     "fpga": "lab.fpga",
     "interop": "lab.interop.page",
     "exported-networks": "lab.peers.exported_networks",
