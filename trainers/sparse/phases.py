@@ -124,9 +124,9 @@ def most_updates(config: SparseConfig, ended: Sequence[Ended]) -> int:
 
 
 def target(config: SparseConfig, ended: Sequence[Ended]) -> float:
-    """Return the share that pruning keeps: of the dense student's where that is below 1."""
+    """Return the share that pruning keeps; where the dense student has less, as much of that."""
     dense = max((each.share for each in ended if each.goal is None), default=1.0)
-    return config.keep * min(dense, 1.0)
+    return config.keep if dense >= config.keep else config.keep * dense
 
 
 def _has_dense(config: SparseConfig, ended: Sequence[Ended]) -> bool:
