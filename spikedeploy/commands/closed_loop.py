@@ -406,7 +406,9 @@ def reproduce(
     from spikedeploy.shipping import reproduce as again
     from spikedeploy.shipping.cards import read_evaluation
 
-    evaluations = [read_evaluation(name, settings) for name in names or zoo.names()]
+    evaluations = [read_evaluation(name, settings) for name in names or ()] or [
+        replace(read_evaluation(str(zoo.path(name)), settings), name=name) for name in zoo.names()
+    ]
     for evaluation in evaluations:  # before hours of others
         confirm(evaluation.env, env, evaluation.name)
         again.check_episodes(evaluation, episodes or 1)

@@ -220,6 +220,19 @@ def test_doctor_finds_versions_threads_and_policies(command, stroll):
     assert code == (0 if findings["rendering"]["ok"] else 1)
 
 
+@pytest.mark.parametrize("make", [Path.touch, Path.mkdir])
+def test_what_lies_at_the_name_of_a_shipped_policy_hides_it_from_no_list(make, command, stroll):
+    (stroll / "stroll").mkdir()
+    make(stroll / "stroll/popsan")
+    code, out, _ = command("policies", "--json")
+    assert code == 0
+    files = {row["name"]: row["file"] for row in json.loads(out)}
+    assert files["stroll/popsan"] == str(stroll / "zoo/stroll/popsan.nir")
+    assert command("policies", "stroll/popsan")[0] == 0
+    findings = {found["name"]: found for found in json.loads(command("doctor", "--json")[1])}
+    assert findings["stroll/popsan"]["detail"] == "opens, kind snn"
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
