@@ -136,6 +136,25 @@ def test_emulate_writes_every_spike_and_counts_them(command, tmp_path):
     assert found["energy_j"].keys() == {"davies2018", "sanafe", "horowitz45-int8"}
 
 
+def test_emulate_without_an_output_counts_and_writes_nothing(command, tmp_path):
+    save(popsan(), tmp_path / "p.nir")
+    np.save(tmp_path / "in.npy", (np.random.default_rng(0).random((5, 30)) < 0.3).astype(np.uint8))
+    words = ("emulate", tmp_path / "p.nir", "--input", tmp_path / "in.npy", "--chip", "loihi1")
+    before = sorted(tmp_path.iterdir())
+    code, out, _ = command(*words)
+    assert code == 0
+    assert "wrote" not in out
+    assert "sums of outputs" in out
+    found = json.loads(command(*words, "--json")[1])
+    for layer in found["layers"].values():
+        assert f"{layer['spikes']:,}" in out
+        assert f"{layer['sops']:,}" in out
+    assert sorted(tmp_path.iterdir()) == before
+    code, _, err = command("emulate", tmp_path / "p.nir", "--chip", "loihi1")
+    assert code == 2
+    assert "--input FILE" in err
+
+
 @pytest.mark.parametrize(
     ("array", "message"),
     [
