@@ -45,6 +45,14 @@ LowestMembrane = Literal["none", "zero", "threshold"]
 _TABLES = read_toml(Path(__file__).with_name("options.toml"))
 
 
+_SYNONYMS = {"chips": "chip"}  # accepted in every command, as reports have them; not in the help
+
+
+def one_word(name: str) -> str:
+    """The name of an option for one of its synonyms; any other name as it is."""
+    return _SYNONYMS.get(name, name)
+
+
 def with_groups(
     command: Callable[..., Any], call: Callable[..., object] | None = None
 ) -> Callable[..., Any]:
