@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
 import typer
 
+from spikedeploy.commands.completion import words_of
 from spikedeploy.errors import ConfigError
 from spikedeploy.files import read_toml
 
@@ -86,8 +87,9 @@ def _parameters(of: Callable[..., Any]) -> list[inspect.Parameter]:
 def _option(owner: str, own: inspect.Parameter, kind: Any) -> inspect.Parameter:  # noqa: ANN401
     table = _TABLES.get(owner, {})
     every = {key: value for key, value in table.items() if isinstance(value, str)}
-    words = {**every, **(table.get(own.name) or _TABLES["shared"][own.name])}
+    words: dict[str, Any] = {**every, **(table.get(own.name) or _TABLES["shared"][own.name])}
     default = ... if own.default is own.empty else own.default
+    words["autocompletion"] = words_of(owner, own.name)
     if words.pop("argument", False):
         info = typer.Argument(default, **words)
     else:  # of a switch that is on, typer makes --no-… too
