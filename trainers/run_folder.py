@@ -18,6 +18,7 @@ import errno
 import hashlib
 import json
 import re
+import shlex
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -183,7 +184,7 @@ class RunFolder:
         whole = next((other for other in found if other != name), None)
         return "Put the file back, or train again" + (
             f"; the checkpoint '{whole}' is a file of its own: "
-            f"`spikedeploy export {self.path} --checkpoint {whole}`."
+            f"`spikedeploy export {shlex.quote(str(self.path))} --checkpoint {whole}`."
             if whole
             else "."
         )

@@ -80,7 +80,8 @@ def _for_chip(env: str | None, chip: str | None, given: list[str]) -> list[str]:
             raise ConfigError(
                 f"no float teacher of {env} is shipped: give one with --set teacher=PATH, such as "
                 f"the run of `spikedeploy train {env} --recipe ppo-mlp`, or imitate a Python "
-                f"function of yours: `spikedeploy distill my_module:pilot --env {env} --for {chip}`"
+                f"function of yours: `spikedeploy distill my_module:pilot --env {env} --for "
+                f"{shlex.quote(chip)}`"
             )
         settings.append(f"teacher={dumps(teacher)}")
     return settings
@@ -120,7 +121,7 @@ def _run_training(
     if json:
         print_json({"run": str(run)})
     if interrupt.share is not None:
-        where = "" if runs == _RUNS else f" --runs {runs}"
+        where = "" if runs == _RUNS else f" --runs {shlex.quote(str(runs))}"
         again = f"go on with `spikedeploy train --resume last{where}`"
         with suppress(OSError):  # of a terminal that was closed
             say(f"stopped at {100 * interrupt.share:.0f} %; {again}")
@@ -204,7 +205,7 @@ def _run_seeds(
     if found.interrupted:
         for each in found.each:
             if each.run and each.stopped:
-                say(f"go on with `spikedeploy train --resume {each.run}`")
+                say(f"go on with `spikedeploy train --resume {shlex.quote(each.run)}`")
         raise typer.Exit(130)
     raise typer.Exit(1 if any(each.failed for each in found.each) else 0)
 

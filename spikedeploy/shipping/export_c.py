@@ -4,6 +4,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -114,7 +115,7 @@ def export_c(
         if without
         else f"{prefix}_act_i16: observations and actions as 16-bit integers; README.md",
         f"wrote {folder}: {', '.join(files.text)}",
-        f"compare with the interpreter: make -C {folder} test",
+        f"compare with the interpreter: make -C {quote(str(folder))} test",
     )
     facts = {"costs": asdict(costs), "recorded": source, "remarks": list(program.remarks)}
     return WrittenFolder(folder, tuple(files.text), {**facts, "int16": not without}, lines)
@@ -148,7 +149,7 @@ def _write_float(file: Path, folder: Path, observations: int, prefix: str) -> Wr
         if network.chooses
         else f"actions differ from the float network's by at most {largest:.4f}, on {source}",
         f"wrote {folder}: {', '.join(texts)}",
-        f"compare with the specification in Python: make -C {folder} test",
+        f"compare with the specification in Python: make -C {quote(str(folder))} test",
     )
     return WrittenFolder(folder, tuple(texts), facts, lines)
 
