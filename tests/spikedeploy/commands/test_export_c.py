@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from spikedeploy import files
+from spikedeploy.exporters.c.declarations import plain
 from spikedeploy.exporters.c.packaging import INT16, MARK, file_names, write_texts
 from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.runtime.artifact.artifact import load, save
@@ -83,6 +84,7 @@ def test_the_same_policy_is_written_again_and_other_files_are_not(command, file,
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "A b"), "--prefix"),
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "stdint"), "a header of C"),
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "static"), "a reserved word of C"),
+        (("policy.nir", "--to", "c", "-o", "c", "--prefix", "memcpy"), "a function of C"),
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "m"), "a library of the system"),
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "vectors"), "written beside it"),
         (("policy.nir", "--to", "c", "-o", "c", "--chip", "odin"), "rule"),
@@ -106,6 +108,17 @@ def test_no_file_of_the_build_and_no_device_of_windows_can_be_the_prefix(prefix)
     # nor in other letters, which are one file where the disk knows no case
     with pytest.raises(ConfigError, match="small letters"):
         check_prefix(prefix.upper())
+
+
+@pytest.mark.parametrize("prefix", ["exp", "expf", "tanhl", "printf", "while", "read", "math"])
+def test_no_word_of_c_can_be_the_prefix(prefix):
+    with pytest.raises(ConfigError, match=f"--prefix '{prefix}' is the name of"):
+        check_prefix(prefix)
+
+
+def test_names_of_layers_keep_their_slashes_in_comments_and_end_none():
+    assert plain("net/fc1.out") == "net/fc1.out"
+    assert plain("net*/ x /*") == "net?/?x?/?"
 
 
 def test_a_float_policy_is_written_in_8_bits_and_says_how_far_its_actions_move(
