@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,39 @@ def test_a_run_is_played_in_its_own_environment(file, monkeypatch):
     assert sources.world_of(file, artifact) == ""  # what a file names is not imported
     monkeypatch.setattr(exported_run, "trained_in", lambda policy: "own_module:Env")
     assert sources.world_of("last", artifact) == "own_module:Env"
+
+
+WORLD = """
+import gymnasium, numpy as np
+class Env(gymnasium.Env):
+    observation_space = gymnasium.spaces.Box(-9, 9, (3,))
+    action_space = gymnasium.spaces.Box(-1, 1, (2,))
+    def reset(self, *, seed=None, options=None):
+        self.left = 7
+        return np.ones(3), {}
+    def step(self, action):
+        self.left -= 1
+        return np.ones(3), 0.0, self.left == 0, False, {}
+"""
+
+
+@pytest.mark.parametrize("to", ["c", "onnx"])
+def test_the_environment_that_the_user_names_is_played_and_one_of_another_shape_refused(
+    to, command, file, tmp_path, monkeypatch
+):
+    (tmp_path / "own_module.py").write_text(WORLD)
+    monkeypatch.delitem(sys.modules, "own_module", raising=False)
+    words = ("export", file, "--to", to, "--observations", "50", "-o")
+    code, _, err = command(*words, "other", "--env", "CartPole-v1")
+    assert (code, "--env CartPole-v1: its observations have shape (4,)" in err) == (2, True)
+    assert not (tmp_path / "other").exists()
+    assert "own_module" not in sys.modules
+    code, out, err = command(*words, "c", "--env", "own_module:Env", "--json")
+    assert code == 0, err
+    assert "random walk" not in err
+    if to == "c":
+        assert json.loads(out)["recorded"].startswith("7 control steps in own_module:Env")
+    monkeypatch.delitem(sys.modules, "own_module")
 
 
 def test_the_same_policy_is_written_again_and_other_files_are_not(command, file, tmp_path):
