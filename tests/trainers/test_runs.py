@@ -157,9 +157,10 @@ def test_without_a_terminal_progress_comes_in_lines(capsys, monkeypatch):
         bar.show({"episode_return": 12.0})
         bar.at(5, 20)
         bar.at(10, 20)
+        bar.at(24, 20)  # environments that step together end beyond it
     lines = [re.sub(r"  \S+ left", "", line) for line in capsys.readouterr().err.splitlines()]
     assert lines == [
-        "run", "5 / 20  25 %  return 12", "10 / 20  50 %  return 12"
+        "run", "5 / 20  25 %  return 12", "10 / 20  50 %  return 12", "20 / 20  100 %  return 12"
     ]  # fmt: skip
 
 

@@ -1,6 +1,7 @@
 """The command line: what people see, what machines read, and how it fails."""
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -204,6 +205,23 @@ def test_visualize_draws_the_curves_of_runs(command, stroll):
     assert (curve["unit"], curve["signal"]) == ("environment steps", "validation")
     assert (curve["steps"], curve["returns"]) == ([5.0], [3.0])
     assert (stroll / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_visualize_says_in_a_sentence_that_a_run_has_no_metrics(command, stroll):
+    run = toy_stroll_env.run_folder(stroll / "runs", MlpConfig(hidden=(4,)))
+    moved = run.rename(stroll / "moved")
+    assert command("visualize", "moved", "-o", "curves.png")[0] == 0
+    (moved / "metrics.csv").unlink()
+    code, _, err = command("visualize", "moved", "-o", "curves.png")
+    assert (code, "moved/metrics.csv is missing: a run has its returns there" in err) == (2, True)
+    os.mkfifo(moved / "metrics.csv")
+    code, _, err = command("visualize", "moved", "-o", "curves.png")
+    assert (code, "moved/metrics.csv is no plain file" in err) == (2, True)
+    (moved / "config.json").unlink()
+    (moved / "metrics.csv").unlink()
+    assert command("visualize", "moved", "-o", "curves.png")[0] == 2
+    code, _, err = command("visualize", run.name, "-o", "curves.png")
+    assert (code, "is no run folder" in err) == (2, True)
 
 
 def test_train_writes_a_run_folder_and_prints_it(command, tmp_path):
