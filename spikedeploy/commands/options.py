@@ -43,6 +43,9 @@ EventStep = Literal["time", "event"]
 LowestMembrane = Literal["none", "zero", "threshold"]
 
 
+# what a command prints and writes, which has a panel of its own where it is as much as _PANEL
+_OUTPUT = ("output", "video", "energy", "tables", "markdown", "force", "json")
+_PANEL = 4
 _TABLES = read_toml(Path(__file__).with_name("options.toml"))
 
 
@@ -64,6 +67,9 @@ def with_groups(
     hints = get_type_hints(command)
     groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
     parameters = _parameters(command)
+    printed = [each.default for each in parameters if each.name in _OUTPUT]
+    for option in printed if len(printed) >= _PANEL else ():
+        option.rich_help_panel = "Output"
 
     @wraps(command)
     def run(**given: Any) -> object:  # noqa: ANN401
@@ -77,11 +83,13 @@ def with_groups(
 
 
 def _parameters(of: Callable[..., Any]) -> list[inspect.Parameter]:
-    hints, found = get_type_hints(of), list[inspect.Parameter]()
+    hints, found, grouped = get_type_hints(of), list[inspect.Parameter](), []
     for name, own in inspect.signature(of).parameters.items():
-        hint, is_group = hints[name], is_dataclass(hints[name])
-        found += _parameters(hint) if is_group else [_option(of.__name__, own, hint)]
-    return found
+        if is_dataclass(hints[name]):
+            grouped += _parameters(hints[name])
+        else:
+            found.append(_option(of.__name__, own, hints[name]))
+    return found + grouped
 
 
 def _option(owner: str, own: inspect.Parameter, kind: Any) -> inspect.Parameter:  # noqa: ANN401

@@ -1,5 +1,6 @@
 """The choices of options are those of the runtime, which `--help` may not load."""
 
+from collections import Counter
 from pathlib import Path
 from typing import get_args
 
@@ -56,3 +57,15 @@ def test_commands_that_name_a_chip_are_known():
 def test_a_report_with_the_earlier_word_is_still_read():
     earlier, today = (f"spikedeploy compare kart-grid --chip{s} loihi1" for s in ("s", ""))
     assert settings(earlier) == settings(today)
+
+
+@pytest.mark.parametrize("verb", [verb for verbs in cli.COMMANDS.values() for verb in verbs])
+def test_options_stand_in_few_panels_of_few(verb):
+    parameters = get_command(cli.app).commands[verb].params
+    options = [each for each in parameters if each.param_type_name == "option"]
+    sizes = Counter(each.rich_help_panel for each in options)
+    assert len(sizes) <= 7
+    assert max(sizes.values()) <= 13
+    if verb in ("run", "compare", "emulate", "drift"):
+        assert sizes["Output"] >= 4
+        assert sizes[None] <= 10
