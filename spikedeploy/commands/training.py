@@ -177,6 +177,7 @@ def _run_seeds(
 ) -> None:
     """Train with each seed of a text such as `0-4`; print a line each and a table."""
     from spikedeploy.campaign.training_seeds import train_seeds
+    from spikedeploy.comparison.statistics import FEWEST
     from spikedeploy.jobs.pool import cores
     from spikedeploy.reports.table import Table
     from spikedeploy.seeds import training_seeds
@@ -201,7 +202,8 @@ def _run_seeds(
         if (mean := found.estimate) is not None:
             low, high = mean.ci95
             between = f", 95% bootstrap interval {low:,.4g} to {high:,.4g}"
-            print_text(f"mean {mean.mean:,.4g}{between if len(numbers) > 1 else ''}")
+            few = f"; fewer than {FEWEST} trainings are too few for an interval"
+            print_text(f"mean {mean.mean:,.4g}{between if len(found.whole) >= FEWEST else few}")
     if found.interrupted:
         for each in found.each:
             if each.run and each.stopped:
