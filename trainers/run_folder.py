@@ -43,8 +43,8 @@ _FOLDERS = ("checkpoints", "pool", "ghosts", "films")  # of training, in a run f
 # what a kill leaves of a file of training: of `replacing`, with other endings than exports have,
 # and of safetensors, which writes to a file of its own at first
 _UNFINISHED = re.compile(
-    r"\.(.+\.(json|csv|safetensors|npz)|\d+\.gif|curve\.(png|svg)|report\.html|card\.md)\.\d+\.part"
-    r"|\.tmp\w{6}"
+    r"\.(.+\.(json|csv|safetensors|npz)|\d+\.gif|curve\.(png|svg)|report\.html|card\.md)"
+    r"\.(\w+-)?\d+\.part|\.tmp\w{6}"
 )
 
 
