@@ -18,6 +18,8 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from traceback import walk_tb
 from typing import Any, TypeAlias
 
 import gymnasium
@@ -30,6 +32,10 @@ from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.event_camera_wrapper import EventCameraWrapper, control_period
 
 FloatArray: TypeAlias = NDArray[np.float64]
+_TODAY = (
+    "gymnasium's environments return (observation, info) from reset(seed=…, options=…), and "
+    "(observation, reward, terminated, truncated, info) from step: change it to that"
+)
 _LONGEST = 100_000  # control steps of an episode: without a time limit it might never end
 
 
@@ -68,12 +74,12 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
     ) -> tuple[FloatArray, dict[str, Any]]:
         """Start an episode."""
         self._total, self._steps = 0.0, 0
-        observation, info = self.inner.reset(seed=seed, options=options)
+        observation, info = self._ask("reset", 2, seed=seed, options=options)
         return self._seen(observation), _numbers(info)
 
     def step(self, action: Any) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:  # noqa: ANN401
         """Take an action (act,) in [-1, 1], or an index from 0."""
-        found, reward, terminated, truncated, info = self.inner.step(self._to_inner(action))
+        found, reward, terminated, truncated, info = self._ask("step", 5, self._to_inner(action))
         self._total, self._steps = self._total + float(reward), self._steps + 1
         over = bool(terminated or truncated)
         if self._steps >= _LONGEST and not over:
@@ -81,7 +87,8 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
                 f"{self.name}: an episode did not end in {_LONGEST:,} steps: give it a time "
                 "limit with the option max_episode_steps=N"
             )
-        numbers = {**_numbers(info), **self._success(info, over)}
+        numbers = _numbers(info)
+        numbers |= self._success(info, numbers, over)
         return self._seen(found), float(reward), bool(terminated), bool(truncated), numbers
 
     def render(self) -> Any:  # noqa: ANN401
@@ -92,6 +99,19 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         """Close the environment."""
         self.inner.close()
 
+    def _ask(self, method: str, values: int, *given: Any, **options: Any) -> tuple[Any, ...]:  # noqa: ANN401
+        """The values of `reset` or `step`; EnvError where they are of gym's API before 0.26."""
+        try:
+            found = getattr(self.inner, method)(*given, **options)
+        except (TypeError, ValueError) as error:
+            if not _is_of_old_api(error):
+                raise
+            raise EnvError(f"{self.name}: {method}: {error}; {_TODAY}") from error
+        if isinstance(found, tuple) and len(found) == values and isinstance(found[-1], Mapping):
+            return found
+        what = f"{len(found)} values" if isinstance(found, tuple) else f"a {type(found).__name__}"
+        raise EnvError(f"{self.name}: {method} returns {what}; {_TODAY}")
+
     def _seen(self, observation: Any) -> FloatArray:  # noqa: ANN401
         vector = self._from_inner(observation)
         if vector.shape != self.observation_space.shape or not np.isfinite(vector).all():
@@ -101,16 +121,37 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
             )
         return vector
 
-    def _success(self, info: Mapping[str, Any], over: bool) -> dict[str, bool]:
-        """Success so far, by the key that was named, or else by the reward threshold."""
+    def _success(
+        self, info: Mapping[str, Any], numbers: Mapping[str, Any], over: bool
+    ) -> dict[str, bool]:
+        """Success so far, by the key that was named, the reward threshold, or `is_success`.
+
+        The last is the word of gymnasium-robotics and Stable-Baselines3, where `success` is absent.
+        """
+        if self._key is None and self._threshold is not None:
+            return {"success": self._total >= self._threshold}
         if self._key is None:
-            return {} if self._threshold is None else {"success": self._total >= self._threshold}
+            is_said = "is_success" in numbers and "success" not in numbers
+            return {"success": bool(numbers["is_success"])} if is_said else {}
         if over and self._key not in info:
             raise EnvError(
                 f"{self.name}: --success {self._key}: the info of the last step has no such key; "
                 f"it has {', '.join(map(str, info)) or 'none'}"
             )
         return {"success": bool(info.get(self._key, False))}
+
+
+def _is_of_old_api(error: TypeError | ValueError) -> bool:
+    """True where what calls the environment, and not its own code, found other values or options.
+
+    What calls it is gymnasium's wrappers, or ours.
+    """
+    *_, (frame, _) = walk_tb(error.__traceback__)
+    caller = Path(frame.f_code.co_filename)
+    wrappers = Path(gymnasium.__file__).parent
+    ours = caller.parent in (wrappers / "wrappers", Path(__file__).parent)
+    ours |= caller == wrappers / "core.py"
+    return ours and re.search("values to unpack|unexpected keyword", str(error)) is not None
 
 
 def _observation_map(

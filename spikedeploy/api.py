@@ -254,7 +254,7 @@ def compare(
     entries = line_up(env, names, tuple(chips) or None)
     comparison = compare_policies(env, entries, range(seed, seed + episodes), workers, options)
     words = ["spikedeploy", "compare", env, *names]
-    words += ["--chips", ",".join(chips)] if chips else []
+    words += ["--chip", ",".join(chips)] if chips else []
     words += ["--episodes", str(episodes), "--seed", str(seed)]
     words += [word for name, value in options.items() for word in ("--set", f"{name}={value}")]
     return ComparedPolicies({**report.document(comparison), "command": shlex.join(words)})

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from spikedeploy.commands.options import with_groups
+from spikedeploy.commands.options import one_word, with_groups
 from spikedeploy.console import discard_output, name_program, prepare_streams
 from spikedeploy.user_errors import BAD_INPUT, exit_code, one_line
 
@@ -56,7 +56,7 @@ app = typer.Typer(
     "walks. Start with: spikedeploy demo",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": ["-h", "--help"], "token_normalize_func": one_word},
 )
 
 for _panel, _verbs in COMMANDS.items():

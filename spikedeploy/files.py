@@ -1,13 +1,14 @@
 """Files that are complete or do not exist: atomic writes, JSON, locks; for every package."""
 
 import errno
+import hashlib
 import json
 import math
 import os
 import socket
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +27,14 @@ def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`, which replaces it at the end of the block.
 
     Its folder is created. A link is followed, and stays. What is no plain file is refused: a device
-    would be replaced.
+    would be replaced. Temporary files of it that killed processes of this machine left are deleted.
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
         raise FileExistsError(errno.EEXIST, "is no plain file, and is not replaced", str(path))
     target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
+    _sweep(target)
+    temporary = target.with_name(f".{target.name}.{_machine()}-{os.getpid()}.part")
     try:
         yield temporary
         flush(temporary)
@@ -40,6 +42,35 @@ def replacing(path: Path) -> Iterator[Path]:
         flush(target.parent)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _sweep(target: Path) -> None:
+    """Delete temporary files of a target whose processes on this machine have ended."""
+    prefix, suffix = f".{target.name}.{_machine()}-", ".part"
+    with suppress(OSError):  # of a folder that cannot be listed
+        for name in os.listdir(target.parent):
+            process = name.removeprefix(prefix).removesuffix(suffix)
+            is_ours = name == f"{prefix}{process}{suffix}" and process.isdecimal()
+            if is_ours and _has_ended(int(process)):
+                (target.parent / name).unlink(missing_ok=True)
+
+
+def _machine() -> str:
+    """A mark of this machine: of the processes of another nothing is known here."""
+    return hashlib.sha256(socket.gethostname().encode()).hexdigest()[:6]
+
+
+def _has_ended(process: int) -> bool:
+    """True where there is no process of this number; False on Windows, which would signal it."""
+    if sys.platform == "win32":
+        return False
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return True
+    except PermissionError:  # it is somebody else's
+        return False
+    return False
 
 
 def flush(path: Path) -> None:

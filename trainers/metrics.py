@@ -96,6 +96,9 @@ class Metrics:
 
 def read(path: Path) -> list[dict[str, float]]:
     """Return the rows of a metrics file, without empty values."""
+    if not path.is_file():
+        what = "is no plain file" if path.exists() else "is missing"
+        raise ConfigError(f"{path} {what}: a run has its returns there. Put it back from the run.")
     if (size := path.stat().st_size) > _MAX_BYTES:
         raise ConfigError(f"{path} has {size:,} bytes; at most {_MAX_BYTES:,}. Move it away.")
     try:

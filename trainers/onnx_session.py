@@ -216,6 +216,7 @@ def has_policy_metadata(network: Any) -> bool:  # noqa: ANN401
 
 
 def _opened(path: str | Path) -> Any:  # noqa: ANN401
+    onnxruntime.disable_telemetry_events()  # which its builds for Windows send
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = _ERRORS_ONLY

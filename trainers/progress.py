@@ -86,7 +86,8 @@ class ProgressBar:
         self._latest.update({key: row[key] for key in _SHOWN if key in row})
 
     def at(self, step: int, total: int) -> None:
-        """Set the bar to a step."""
+        """Set the bar to a step; the last of several at once may go beyond the total."""
+        step = min(step, total)
         count = f"{step:,} / {total:,}"
         with suppress(OSError):
             self._bar.update(self._task, completed=step, total=total, count=count)

@@ -18,6 +18,7 @@ import errno
 import hashlib
 import json
 import re
+import shlex
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -42,8 +43,8 @@ _FOLDERS = ("checkpoints", "pool", "ghosts", "films")  # of training, in a run f
 # what a kill leaves of a file of training: of `replacing`, with other endings than exports have,
 # and of safetensors, which writes to a file of its own at first
 _UNFINISHED = re.compile(
-    r"\.(.+\.(json|csv|safetensors|npz)|\d+\.gif|curve\.(png|svg)|report\.html|card\.md)\.\d+\.part"
-    r"|\.tmp\w{6}"
+    r"\.(.+\.(json|csv|safetensors|npz)|\d+\.gif|curve\.(png|svg)|report\.html|card\.md)"
+    r"\.(\w+-)?\d+\.part|\.tmp\w{6}"
 )
 
 
@@ -183,7 +184,7 @@ class RunFolder:
         whole = next((other for other in found if other != name), None)
         return "Put the file back, or train again" + (
             f"; the checkpoint '{whole}' is a file of its own: "
-            f"`spikedeploy export {self.path} --checkpoint {whole}`."
+            f"`spikedeploy export {shlex.quote(str(self.path))} --checkpoint {whole}`."
             if whole
             else "."
         )

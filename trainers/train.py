@@ -5,6 +5,7 @@ An algorithm is a subclass of `Runner`, named in `trainers.ALGORITHMS`.
 
 import json
 import re
+import shlex
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -64,7 +65,7 @@ def train(
         recipe = str(RunFolder.find(resume, runs).settings()["recipe"])
     if recipe is None:
         raise ConfigError("name a recipe to train, or a run to resume")
-    world = f". To train in it: `spikedeploy train {recipe} --recipe ppo-snn`"
+    world = f". To train in it: `spikedeploy train {shlex.quote(recipe)} --recipe ppo-snn`"
     remedy = world if ":" in recipe or re.search(r"-v\d+$", recipe) else ""
     kind = algorithm(RECIPES[require_known(recipe, RECIPES, "recipe", remedy)].algorithm)
     changes: dict[str, Any] = {"file": config_file, "overrides": [*_named(recipe, env), *overrides]}

@@ -134,6 +134,11 @@ def render(template: str, **values: object) -> str:
     return re.sub(r"\n{3,}", "\n\n", _templates().get_template(template).render(values))
 
 
+def plain(name: str) -> str:
+    """A name of a graph, such as net/fc1, as it can stand in a comment, which it cannot end."""
+    return re.sub(r"[^A-Za-z0-9_./-]", "?", name)[:60]
+
+
 @cache
 def _templates() -> Environment:
     made = Environment(
@@ -145,7 +150,7 @@ def _templates() -> Environment:
         keep_trailing_newline=True,
     )
     made.filters["c"] = literal
-    made.filters["plain"] = lambda name: re.sub(r"[^A-Za-z0-9_.-]", "?", name)[:60]
+    made.filters["plain"] = plain
     made.globals |= {
         "narrowest": narrowest,
         "narrowest_of": narrowest_of,

@@ -15,7 +15,12 @@ from spikedeploy.runtime.families.integrate_and_fire.arithmetic import Integrate
 
 _PREFIX = re.compile(r"[a-z][a-z0-9_]{0,30}")
 # what PREFIX.h, PREFIX.c and libPREFIX.so, which `make lib` writes, would stand in the place of;
-# of headers those of C99 to C23 and of POSIX, and what these include
+# of headers and functions those of C99 to C23 and of POSIX, and what these include
+_MATHEMATICS = """
+    acos acosh asin asinh atan atan2 atanh cbrt ceil copysign cos cosh erf erfc exp exp2 expm1 fabs
+    fdim floor fma fmax fmin fmod frexp hypot ilogb ldexp lgamma llrint llround log log10 log1p
+    log2 logb lrint lround modf nan nearbyint nextafter nexttoward pow remainder remquo rint round
+    scalbln scalbn sin sinh sqrt tan tanh tgamma trunc"""
 _TAKEN = {
     "a header of C or its systems": """
         assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal
@@ -29,6 +34,22 @@ _TAKEN = {
         else enum extern false for fortran goto if inline int long main nullptr register restrict
         return short signed sizeof static static_assert struct switch thread_local true typedef
         typeof typeof_unqual union unsigned void volatile while""",
+    "a function of C": f"""
+        {" ".join(name + kind for name in _MATHEMATICS.split() for kind in ("", "f", "l"))}
+        memchr memcmp memcpy memmove memset strcat strchr strcmp strcoll strcpy strcspn strdup
+        strerror strlen strncat strncmp strncpy strpbrk strrchr strspn strstr strtok strxfrm
+        abort abs aligned_alloc at_quick_exit atexit atof atoi atol atoll bsearch calloc div exit
+        free getenv labs ldiv llabs lldiv mblen qsort quick_exit rand realloc srand strtod strtof
+        strtol strtold strtoll strtoul strtoull system
+        clearerr fclose feof ferror fflush fgetc fgetpos fgets fopen fprintf fputc fputs fread
+        freopen fscanf fseek fsetpos ftell fwrite getc getchar gets perror printf putc putchar puts
+        remove rename rewind scanf setbuf setvbuf snprintf sprintf sscanf tmpfile tmpnam ungetc
+        vfprintf vprintf vscanf vsnprintf vsprintf vsscanf
+        isalnum isalpha isblank iscntrl isdigit isgraph islower isprint ispunct isspace isupper
+        isxdigit tolower toupper longjmp raise va_arg va_copy va_end va_start
+        asctime clock ctime difftime gmtime localtime mktime strftime
+        accept bind close connect fork kill listen open pause pipe read recv send sleep socket
+        stat write""",
     "a library of the system": "asan c crypt dl gcc gcc_s m resolv rt stdc ubsan util",
     "a file that is written beside it": """
         codec selftest vectors makefile gnumakefile codec_i16 host_i16 selftest_i16 vectors_i16
@@ -122,5 +143,6 @@ def check_prefix(prefix: str) -> None:
         if prefix in names.split():
             raise ConfigError(
                 f"--prefix {prefix!r} is the name of {what}; {prefix}.h, {prefix}.c and "
-                f"lib{prefix}.so would stand in its place. Choose another, such as {prefix}_policy."
+                f"lib{prefix}.so would stand in its place or be taken for it. Choose another, such "
+                f"as {prefix}_policy."
             )

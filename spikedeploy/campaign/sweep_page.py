@@ -9,7 +9,9 @@ import numpy as np
 
 from spikedeploy.campaign.sweep_grid import JobSpecification, SweepGrid
 from spikedeploy.comparison.metrics import drives
-from spikedeploy.comparison.statistics import bootstrap, paired_difference, share
+from spikedeploy.comparison.statistics import FEWEST, bootstrap, paired_difference, share
+from spikedeploy.comparison.summary import has_few_episodes
+from spikedeploy.console import print_text
 from spikedeploy.outputs import mark
 from spikedeploy.reports.columns import (
     energy_cell,
@@ -109,6 +111,8 @@ def print_sweep(sweep: Sweep) -> None:
         lines = [[name(row), *(column.cell(row) for column in measured)] for row in rows]
         heads = [" · ".join(axis.title for axis in axes), *(c.title for c in measured)]
         Table(heads, lines, sweep.grid.name, numbers=True).print()
+        if remark := _on_few_episodes(rows):
+            print_text(remark)
 
 
 def write_sweep(sweep: Sweep, folder: Path) -> list[Path]:
@@ -126,12 +130,24 @@ def _page(sweep: Sweep) -> list[str]:
     lines = [f"# Sweep {sweep.grid.name}", "", f"<!-- {mark('sweep')} -->", f"{sweep.summary}.", ""]
     if rows:
         lines += [Table.of(columns, rows).markdown(), ""]
-        lines += [*(f"* {c.title}: {c.meaning}" for c in columns if c.meaning), ""]
+        meanings = [f"{c.title}: {c.meaning}" for c in columns if c.meaning]
+        remarks = filter(None, [*meanings, _on_few_episodes(rows)])
+        lines += [*(f"* {remark}" for remark in remarks), ""]
     if sweep.failures:
         lines += ["## Failed", "", *(f"* {label}: {why}" for label, why in sweep.failures), ""]
     versions = {tuple(job.versions.items()) for job in sweep.jobs}
     said = sorted({f"{name} {version}" for each in versions for name, version in each if version})
     return [*lines, f"Computed with {', '.join(said)}; every job in [{NUMBERS}]({NUMBERS}).", ""]
+
+
+def _on_few_episodes(rows: Sequence[Record]) -> str:
+    """Why some cells have no interval; empty where all have one."""
+    if not any(map(has_few_episodes, rows)):
+        return ""
+    return (
+        f"Cells of fewer than {FEWEST} episodes have no interval: it would hold the truth too "
+        "seldom. `episodes` and `seed` of the grid set how many there are."
+    )
 
 
 def _axes(rows: Sequence[Record]) -> list[Column]:
@@ -144,21 +160,21 @@ def _axes(rows: Sequence[Record]) -> list[Column]:
 
 
 def _measured_columns(rows: Sequence[Record]) -> list[Column]:
+    bounds = "" if all(map(has_few_episodes, rows)) else ", with its 95% {}interval"
+    resampled = bounds.format("bootstrap ")
     success = (
-        Column(
-            "finished", "episodes that reach the last gate, with the 95% interval", format_success
-        )
+        Column("finished", f"episodes that reach the last gate{bounds.format('')}", format_success)
         if any(map(drives, rows))
         else Column("success", "episodes that succeed", field_cell("success_rate", ".0%"))
     )
     table = quoted_table(rows)
     columns = [
         Column("episodes", "", field_cell("episodes", ",d")),
-        Column("return", "mean of all episodes, with its 95% bootstrap interval", format_return),
+        Column("return", f"mean of all episodes{resampled}", format_return),
         Column(
             "to undisturbed",
-            "paired difference of return to the same seeds without disturbance and fault, with its "
-            "95% bootstrap interval",
+            "paired difference of return to the same seeds without disturbance and fault"
+            f"{resampled}",
             _difference_cell,
         ),
         success,

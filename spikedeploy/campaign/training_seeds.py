@@ -57,8 +57,13 @@ class SeedTrainings:
     @property
     def estimate(self) -> Estimate | None:
         """Mean of the best validation returns of whole trainings, with its bootstrap interval."""
-        best = [e.best for e in self.each if e.best is not None and not e.stopped]
+        best = self.whole
         return bootstrap(best, np.random.default_rng(0)) if best else None
+
+    @property
+    def whole(self) -> list[float]:
+        """The best validation returns of whole trainings."""
+        return [e.best for e in self.each if e.best is not None and not e.stopped]
 
     def as_json(self) -> dict[str, Any]:
         """Plain data."""

@@ -20,6 +20,7 @@ from spikedeploy.commands.options import (
     TablesChoice,
     TeacherUnits,
     World,
+    one_word,
     with_groups,
 )
 from spikedeploy.console import print_json, print_result, say
@@ -253,7 +254,7 @@ def compare(
     on_chip: OnChip,
     damaged: Damaged,
     files: list[str] | None = None,
-    chips: list[str] | None = None,
+    chip: list[str] | None = None,
     episodes: int = 20,
     seed: int = seeds.EVALUATION,
     teacher: str | None = None,
@@ -288,7 +289,7 @@ def compare(
     on = {"faults": damaged.faults(), **on_chip.arguments()}
     policies = [runnable(file) for file in files or ()]
     taught = teacher_candidate(runnable(teacher), teacher_units) if teacher else None
-    entries = line_up(env, policies, split_names(",".join(chips)) if chips else None, taught, **on)
+    entries = line_up(env, policies, split_names(",".join(chip)) if chip else None, taught, **on)
     for remark in filter(None, map(remark_on_chip, entries)):
         say(remark)
     options, drove = world.options(), None
@@ -406,7 +407,9 @@ def reproduce(
     from spikedeploy.shipping import reproduce as again
     from spikedeploy.shipping.cards import read_evaluation
 
-    evaluations = [read_evaluation(name, settings) for name in names or zoo.names()]
+    evaluations = [read_evaluation(name, settings) for name in names or ()] or [
+        replace(read_evaluation(str(zoo.path(name)), settings), name=name) for name in zoo.names()
+    ]
     for evaluation in evaluations:  # before hours of others
         confirm(evaluation.env, env, evaluation.name)
         again.check_episodes(evaluation, episodes or 1)
@@ -448,7 +451,9 @@ def settings(command: str) -> "Settings":
 def _parse(command: str, words: list[str]) -> dict[str, Any]:
     given: dict[str, Any] = {}
     app = typer.Typer(add_completion=False)
-    app.command()(with_groups(compare, call=given.update))
+    app.command(context_settings={"token_normalize_func": one_word})(
+        with_groups(compare, call=given.update)
+    )
     try:
         typer.main.get_command(app)(words, standalone_mode=False)
     except Exception as error:  # click's, of which typer has a copy of its own

@@ -52,7 +52,7 @@ def export(
     if run.endswith(zoo.SUFFIXES) and zoo.resolve(run) is None:
         raise ConfigError(f"{run}: no such file")  # as a run folder it would be missed elsewhere
     reading = {"written_by": from_, "dt": dt, "reset": reset}
-    played: dict[str, Any] = {"raster": raster, "env": env, "clock": clock}
+    played: dict[str, Any] = {"raster": raster, "clock": clock}
     if for_ or nir_compat:
         from spikedeploy.shipping.export_file import export_nir
 
@@ -65,12 +65,14 @@ def export(
         from spikedeploy.shipping.export_program import export_program
 
         program = export_program(
-            run, chip, output, observations, options=reading, force=force, **played
+            run, chip, output, observations, env=env, options=reading, force=force, **played
         )
         print_result(json, program.record(), *program.lines)
         return
     if any(value is not None for value in played.values()):
-        raise typer.BadParameter("--input, --env and --clock go with --to program")
+        raise typer.BadParameter("--input and --clock go with --to program")
+    if env is not None and to not in ("c", "verilog", "onnx"):
+        raise typer.BadParameter("--env goes with --to c, verilog, program and onnx")
     if to == "xylo":
         from spikedeploy.shipping.export_file import export_xylo
 
@@ -83,13 +85,13 @@ def export(
     if to == "c":
         from spikedeploy.shipping.export_c import export_c
 
-        code = export_c(run, chip, output, observations, prefix, force)
+        code = export_c(run, chip, output, observations, prefix, force, env)
         print_result(json, code.record(), *code.lines)
         return
     if to == "verilog":
         from spikedeploy.shipping.export_verilog import export_verilog
 
-        core = export_verilog(run, chip, board, output, observations, force)
+        core = export_verilog(run, chip, board, output, observations, force, env)
         print_result(json, core.record(), *core.lines)
         return
     if to == "card":
@@ -105,8 +107,10 @@ def export(
     from spikedeploy.shipping.export_run import export_run
 
     if to == "onnx" and is_nir_file(run):
-        written = export_onnx(run, output, observations, force)
+        written = export_onnx(run, output, observations, force, env)
     else:
+        if env is not None:
+            raise typer.BadParameter("a run is played in the environment of its training: no --env")
         written = export_run(
             run, to, output, observations, state=state, checkpoint=checkpoint, force=force
         )

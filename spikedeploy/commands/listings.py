@@ -14,6 +14,7 @@ from spikedeploy.console import print_json
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from spikedeploy.policies.registry import Candidate
     from spikedeploy.reports.table import Table
 
 
@@ -33,13 +34,13 @@ def policies(*, name: str | None = None, json: bool = False) -> None:
         _policy(name, json)
         return
     from spikedeploy import zoo
-    from spikedeploy.policies.registry import BUILT_IN, find
+    from spikedeploy.policies.registry import BUILT_IN
     from spikedeploy.reports.table import Table
 
     rows: list[dict[str, Any]] = []
     apart = [f"{zoo.FOR_CHIPS}/{file.parent.name}/{file.stem}" for file in zoo.for_chips()]
     for name in [*zoo.names(), *BUILT_IN, *apart]:
-        candidate, card = find(name), zoo.card(name)
+        candidate, card = _shipped(name), zoo.card(name)
         row = {"name": name, "kind": candidate.kind, "env": candidate.env, "file": candidate.path}
         rows.append({**row, "recipe": card.get("recipe"), "chip": candidate.chip})
         rows[-1]["return_mean"] = zoo.mean_return(card) if card.get("evaluation") else None
@@ -61,15 +62,22 @@ def policies(*, name: str | None = None, json: bool = False) -> None:
 
 def _policy(name: str, json: bool) -> None:
     from spikedeploy import zoo
-    from spikedeploy.policies.registry import find
     from spikedeploy.reports.datasheets import policy_facts
     from spikedeploy.reports.terminal import print_rows
 
-    candidate, card = find(name), zoo.card(name)
+    candidate, card = _shipped(name), zoo.card(name)
     facts = card or {"file": candidate.path, "kind": candidate.kind, "env": candidate.env}
     _show({"name": name, **facts}, [policy_facts(name, facts)], json)
     if card.get("evaluation") and not json:
         print_rows("As it was evaluated", card["evaluation"])
+
+
+def _shipped(name: str) -> "Candidate":
+    """The shipped policy of a name, whatever lies at that path here; else the one at the path."""
+    from spikedeploy import zoo
+    from spikedeploy.policies.registry import find
+
+    return find(str(zoo.path(name) or name))
 
 
 def _text(value: object) -> str:
@@ -223,9 +231,7 @@ def _draw() -> str:
 
 
 def _opened(name: str) -> str:
-    from spikedeploy.policies.registry import find
-
-    return f"opens, kind {find(name).kind}"
+    return f"opens, kind {_shipped(name).kind}"
 
 
 def _tried(name: str, attempt: Callable[[], str]) -> DoctorFinding:

@@ -55,17 +55,19 @@ def emulate(
         return
     if camera != FromCamera():
         raise typer.BadParameter("--camera, --region, --time-step and --page go with --events")
-    if input_ is None or output is None:
-        raise typer.BadParameter("give --input FILE and -o FILE, or a recording with --events FILE")
+    if input_ is None:
+        raise typer.BadParameter("give spikes with --input FILE, or a recording with --events FILE")
     artifact = load(file, **reading.arguments())
     rasters = read_inputs(input_, artifact)
     result = emulate_artifact(artifact, chip, rasters, backend, **on_chip.arguments())
     result = replace(result, tables=tables)
-    result.save(output)
+    if output:
+        result.save(output)
     if json:
         print_json(result.as_json())
-    else:
-        print_emulation(result)
+        return
+    print_emulation(result)
+    if output:
         typer.echo(f"wrote {output}")
 
 

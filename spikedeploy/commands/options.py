@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
 import typer
 
+from spikedeploy.commands.completion import words_of
 from spikedeploy.errors import ConfigError
 from spikedeploy.files import read_toml
 
@@ -42,7 +43,18 @@ EventStep = Literal["time", "event"]
 LowestMembrane = Literal["none", "zero", "threshold"]
 
 
+# what a command prints and writes, which has a panel of its own where it is as much as _PANEL
+_OUTPUT = ("output", "video", "energy", "tables", "markdown", "force", "json")
+_PANEL = 4
 _TABLES = read_toml(Path(__file__).with_name("options.toml"))
+
+
+_SYNONYMS = {"chips": "chip"}  # accepted in every command, as reports have them; not in the help
+
+
+def one_word(name: str) -> str:
+    """The name of an option for one of its synonyms; any other name as it is."""
+    return _SYNONYMS.get(name, name)
 
 
 def with_groups(
@@ -55,6 +67,9 @@ def with_groups(
     hints = get_type_hints(command)
     groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
     parameters = _parameters(command)
+    printed = [each.default for each in parameters if each.name in _OUTPUT]
+    for option in printed if len(printed) >= _PANEL else ():
+        option.rich_help_panel = "Output"
 
     @wraps(command)
     def run(**given: Any) -> object:  # noqa: ANN401
@@ -68,18 +83,21 @@ def with_groups(
 
 
 def _parameters(of: Callable[..., Any]) -> list[inspect.Parameter]:
-    hints, found = get_type_hints(of), list[inspect.Parameter]()
+    hints, found, grouped = get_type_hints(of), list[inspect.Parameter](), []
     for name, own in inspect.signature(of).parameters.items():
-        hint, is_group = hints[name], is_dataclass(hints[name])
-        found += _parameters(hint) if is_group else [_option(of.__name__, own, hint)]
-    return found
+        if is_dataclass(hints[name]):
+            grouped += _parameters(hints[name])
+        else:
+            found.append(_option(of.__name__, own, hints[name]))
+    return found + grouped
 
 
 def _option(owner: str, own: inspect.Parameter, kind: Any) -> inspect.Parameter:  # noqa: ANN401
     table = _TABLES.get(owner, {})
     every = {key: value for key, value in table.items() if isinstance(value, str)}
-    words = {**every, **(table.get(own.name) or _TABLES["shared"][own.name])}
+    words: dict[str, Any] = {**every, **(table.get(own.name) or _TABLES["shared"][own.name])}
     default = ... if own.default is own.empty else own.default
+    words["autocompletion"] = words_of(owner, own.name)
     if words.pop("argument", False):
         info = typer.Argument(default, **words)
     else:  # of a switch that is on, typer makes --no-… too

@@ -80,7 +80,8 @@ def _for_chip(env: str | None, chip: str | None, given: list[str]) -> list[str]:
             raise ConfigError(
                 f"no float teacher of {env} is shipped: give one with --set teacher=PATH, such as "
                 f"the run of `spikedeploy train {env} --recipe ppo-mlp`, or imitate a Python "
-                f"function of yours: `spikedeploy distill my_module:pilot --env {env} --for {chip}`"
+                f"function of yours: `spikedeploy distill my_module:pilot --env {env} --for "
+                f"{shlex.quote(chip)}`"
             )
         settings.append(f"teacher={dumps(teacher)}")
     return settings
@@ -138,7 +139,7 @@ def _learn(
     if interrupt.share is not None:
         if json:
             print_json({"run": str(run)})
-        where = "" if runs == _RUNS else f" --runs {runs}"
+        where = "" if runs == _RUNS else f" --runs {shlex.quote(str(runs))}"
         again = f"go on with `spikedeploy train --resume last{where}`"
         with suppress(OSError):  # of a terminal that was closed
             say(f"stopped at {100 * interrupt.share:.0f} %; {again}")
@@ -191,6 +192,7 @@ def _run_seeds(
 ) -> None:
     """Train with each seed of a text such as `0-4`; print a line each and a table."""
     from spikedeploy.campaign.training_seeds import train_seeds
+    from spikedeploy.comparison.statistics import FEWEST
     from spikedeploy.jobs.pool import cores
     from spikedeploy.reports.table import Table
     from spikedeploy.seeds import training_seeds
@@ -215,11 +217,12 @@ def _run_seeds(
         if (mean := found.estimate) is not None:
             low, high = mean.ci95
             between = f", 95% bootstrap interval {low:,.4g} to {high:,.4g}"
-            print_text(f"mean {mean.mean:,.4g}{between if len(numbers) > 1 else ''}")
+            few = f"; fewer than {FEWEST} trainings are too few for an interval"
+            print_text(f"mean {mean.mean:,.4g}{between if len(found.whole) >= FEWEST else few}")
     if found.interrupted:
         for each in found.each:
             if each.run and each.stopped:
-                say(f"go on with `spikedeploy train --resume {each.run}`")
+                say(f"go on with `spikedeploy train --resume {shlex.quote(each.run)}`")
         raise typer.Exit(130)
     raise typer.Exit(1 if any(each.failed for each in found.each) else 0)
 

@@ -1,5 +1,6 @@
 """`play`, `replay` and `draw`: the commands that open a window."""
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +112,8 @@ def draw(
         result = {"track": str(file) if app.saved else None, "draft": str(draft) if draft else None}
         print_json(result)
         return
+    named = shlex.quote(str(file))
     if app.saved:
-        typer.echo(f"wrote {file}; drive it: {program_name()} play kart-grid --track {file}")
+        typer.echo(f"wrote {file}; drive it: {program_name()} play kart-grid --track {named}")
     if draft:
-        typer.echo(name_program(f"kept {draft}; `spikedeploy draw {file}` goes on with it"))
+        typer.echo(name_program(f"kept {draft}; `spikedeploy draw {named}` goes on with it"))

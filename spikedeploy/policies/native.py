@@ -6,6 +6,7 @@ It is machine code and runs with the rights of whoever starts it, so it is loade
 
 import ctypes
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,8 @@ class NativeController(Player):
         if path.resolve() not in _permitted:
             raise ConfigError(
                 f"{path} is machine code, which would run with all your rights: if you built it "
-                f"yourself, run it with `spikedeploy run {path} --native --env ENV`"
+                f"yourself, run it with `spikedeploy run {shlex.quote(str(path))} --native "
+                "--env ENV`"
             )
         found = cls(path)
         return Candidate(

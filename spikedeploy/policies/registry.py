@@ -5,6 +5,7 @@ A new format is a class beside these, and a line in FORMATS.
 
 import difflib
 import math
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -152,7 +153,7 @@ def find(reference: str) -> Candidate:
     if path is None and is_target(reference):
         raise ConfigError(
             f"no policy at {reference!r}: a function of yours plays as a teacher, in "
-            f"`spikedeploy compare ENV --teacher {reference}`"
+            f"`spikedeploy compare ENV --teacher {shlex.quote(reference)}`"
         )
     if path is None:
         close = difflib.get_close_matches(reference, [*zoo.names(), *BUILT_IN], n=1)
@@ -161,7 +162,8 @@ def find(reference: str) -> Candidate:
             f"no policy at {reference!r}: no such file, run folder or shipped policy; {hint}"
         )
     if not path.is_dir() and path.suffix not in FORMATS:
-        teacher = f"; a teacher plays in `spikedeploy compare ENV --teacher {path}`"
+        named = shlex.quote(str(path))
+        teacher = f"; a teacher plays in `spikedeploy compare ENV --teacher {named}`"
         raise ConfigError(
             f"{path} is neither .onnx, .nir nor a run folder{teacher * (path.suffix == '.zip')}"
         )

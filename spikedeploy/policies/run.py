@@ -1,5 +1,6 @@
 """Run folders: the best checkpoint of a training run, in torch as it was trained."""
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,7 +58,7 @@ class TorchController(Player):
         if chip not in (None, FLOAT):
             raise ConfigError(
                 f"{candidate.path} is a run folder, which no chip runs; export it first: "
-                f"spikedeploy export {candidate.path} --to nir"
+                f"spikedeploy export {shlex.quote(candidate.path)} --to nir"
             )
         return cls(candidate.path, sampled)
 

@@ -202,6 +202,10 @@ def _emulation_facts(emulation: Emulation) -> dict[str, str]:
         },
         **{name: f"{value:,.4g}" for name, value in _operations(found["neurobench"]).items()},
         **{f"energy, {name}": energy for name, energy in energies.items()},
+        "sums of outputs": ", ".join(
+            f"{name} {values.sum():,.6g} in {values[0].size:,} numbers a timestep"
+            for name, values in emulation.outputs.items()
+        ),
         "host": ", ".join(f"{host[k]:,} {k}" for k in ("multiplications", "additions") if host),
         "not counted": emulation.uncounted,
     }

@@ -310,8 +310,8 @@ def _of_report(name: str, path: Path, settings_of: Callable[[str], Settings]) ->
             f"{path.parent} is a run folder, whose evaluation is not recorded: `spikedeploy "
             "publish` writes a card, which can be reproduced"
             if (path.parent / "config.json").is_file()
-            else f"{path.parent} has no {REPORT}, which `spikedeploy compare ENV -o {path.parent}` "
-            "would write"
+            else f"{path.parent} has no {REPORT}, which `spikedeploy compare ENV -o "
+            f"{shlex.quote(str(path.parent))}` would write"
         )
     content = _read(path, "rows")
     report = validate(_Report, content, path, _REMEDY)

@@ -4,6 +4,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,7 @@ def export_c(
     observations: int = 1000,
     prefix: str = "policy",
     force: bool = False,
+    env: str | None = None,
 ) -> WrittenFolder:
     """Write a policy as C: a spiking one of a chip, a float one with 8-bit weights.
 
@@ -72,6 +74,7 @@ def export_c(
         which actions are compared.
     prefix: what names in C begin with.
     force: whether files that no earlier export wrote are replaced.
+    env: in which the episode is played; None is what the policy names, of ours.
     """
     if folder is None:
         raise ConfigError("--to c writes a folder: name it, as in -o firmware")
@@ -84,7 +87,7 @@ def export_c(
         check_prefix(prefix)
         names = file_names(prefix, spiking=False)
         check_output_folder("-o", folder, names, (file, policy), force, is_export)
-        return _write_float(file, folder, observations, prefix)
+        return _write_float(file, folder, observations, prefix, env)
     file = nir_file(policy, "c")
     artifact = load(file)
     chip_name = chip_of(artifact) if chip_name is None else chip_name
@@ -98,7 +101,7 @@ def export_c(
     # software updates a layer when it is told to, whatever the chip can; its options come first
     clock, software = on.clock or own_clock(artifact.convention), replace(on, clocks=CLOCKS)
     program = compile_program(artifact, software, clock=clock)
-    seen, source = episode_of(artifact, on, observations, world_of(policy, artifact))
+    seen, source = episode_of(artifact, on, observations, world_of(policy, artifact), env)
     files = policy_in_c(program, artifact.codec, seen, f"{_origin(file)}, on {chip_name}", prefix)
     write(files.text, folder, prefix)
     costs, without = files.costs, files.without_int16
@@ -114,13 +117,15 @@ def export_c(
         if without
         else f"{prefix}_act_i16: observations and actions as 16-bit integers; README.md",
         f"wrote {folder}: {', '.join(files.text)}",
-        f"compare with the interpreter: make -C {folder} test",
+        f"compare with the interpreter: make -C {quote(str(folder))} test",
     )
     facts = {"costs": asdict(costs), "recorded": source, "remarks": list(program.remarks)}
     return WrittenFolder(folder, tuple(files.text), {**facts, "int16": not without}, lines)
 
 
-def _write_float(file: Path, folder: Path, observations: int, prefix: str) -> WrittenFolder:
+def _write_float(
+    file: Path, folder: Path, observations: int, prefix: str, env: str | None
+) -> WrittenFolder:
     """Write the C of an ONNX file, and compare its actions with the float network's."""
     controller, network = OnnxController(file), quantise(read_onnx(file))
     scales = network.observations
@@ -135,7 +140,7 @@ def _write_float(file: Path, folder: Path, observations: int, prefix: str) -> Wr
 
     named = controller.metadata.get("env", "")
     where, size = named if is_ours(named) else "", len(scales.exponent)
-    seen, source = observations_of(lambda: controller, where, size, observations, walk)
+    seen, source = observations_of(lambda: controller, where, size, observations, walk, env)
     texts = mlp_in_c(network, seen[:_INT8_STEPS], f"{_origin(file)}, in 8-bit weights", prefix)
     write(texts, folder, prefix)
     found = network.floats(network.act(scales.quantise(seen)))
@@ -148,7 +153,7 @@ def _write_float(file: Path, folder: Path, observations: int, prefix: str) -> Wr
         if network.chooses
         else f"actions differ from the float network's by at most {largest:.4f}, on {source}",
         f"wrote {folder}: {', '.join(texts)}",
-        f"compare with the specification in Python: make -C {folder} test",
+        f"compare with the specification in Python: make -C {quote(str(folder))} test",
     )
     return WrittenFolder(folder, tuple(texts), facts, lines)
 

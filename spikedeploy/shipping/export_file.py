@@ -103,7 +103,11 @@ def is_nir_file(reference: str) -> bool:
 
 
 def export_onnx(
-    policy: str, path: Path | None, observations: int = 1000, force: bool = False
+    policy: str,
+    path: Path | None,
+    observations: int = 1000,
+    force: bool = False,
+    env: str | None = None,
 ) -> "ExportedPolicy":
     """Write a policy as one step in ONNX.
 
@@ -111,6 +115,7 @@ def export_onnx(
     path          to write to
     observations  most of an episode, on which file and float twin are compared
     force         whether a file that no export wrote is replaced
+    env           of the episode; None is what the policy names, of ours
     """
     from spikedeploy.exporters.spiking_onnx import KIND, checks, spiking_to_onnx
     from spikedeploy.shipping.export_run import ExportedPolicy
@@ -122,9 +127,9 @@ def export_onnx(
         raise ConfigError(f"there is no file {policy}")
     check_output("-o", path, (file,), force, lambda found: has_text(found, KIND))
     artifact = load(file)
+    seen, _ = episode_of(artifact, None, observations, world_of(policy, artifact), env)
     path.parent.mkdir(parents=True, exist_ok=True)
     spiking_to_onnx(artifact, path)
-    seen, _ = episode_of(artifact, None, observations, world_of(policy, artifact))
     return ExportedPolicy(path, checks(artifact, path, seen), kind="snn")
 
 

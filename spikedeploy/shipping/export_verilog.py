@@ -90,6 +90,7 @@ def export_verilog(
     folder: Path | None,
     observations: int = 1000,
     force: bool = False,
+    env: str | None = None,
 ) -> WrittenFolder:
     """Write a spiking policy as Verilog: a core, a top module, memories, a Makefile, a host.
 
@@ -99,6 +100,7 @@ def export_verilog(
     folder: to write to.
     observations: of an episode, of which the test benches have the first control steps.
     force: whether files are replaced that no export wrote, or that were changed since.
+    env: in which the episode is played; None is what the policy names, of ours.
 
     Raises ConfigError for a program that the core does not compute, RuleError where it is larger
     than the board, both before a file is written.
@@ -119,7 +121,7 @@ def export_verilog(
     shipped = zoo.name_in_reports(str(file))
     origin = f"{shipped}, sha256 {zoo.sha256(file)[:16]}, on {made.chip}"
     where = world_of(policy, made.artifact)
-    seen, source = episode_of(made.artifact, made.program.chip, observations, where)
+    seen, source = episode_of(made.artifact, made.program.chip, observations, where, env)
     raster = made.codec.encode_episode(seen)
     texts = {
         **core_files(image, origin),
@@ -133,7 +135,7 @@ def export_verilog(
     clocks = np.array(timesteps).reshape(-1, raster.shape[1]).sum(axis=1)
     use = use_of(made)
     events = raster.reshape(len(raster), -1).sum(axis=1)
-    world = "" if named_env(made.artifact) else " --env ENV"
+    world = f" --env {quote(env)}" if env else "" if named_env(made.artifact) else " --env ENV"
     lines = (
         *use.lines,
         f"{'input events':<26} {events.mean():>7,.1f}, at most {events.max():,}",

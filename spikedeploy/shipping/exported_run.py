@@ -1,5 +1,7 @@
 """A run folder as a file that chips run: exported into the folder, unless that was done already."""
 
+import shlex
+
 from spikedeploy import zoo
 from spikedeploy.console import say
 from spikedeploy.outputs import no_link
@@ -27,7 +29,9 @@ def runnable(reference: str) -> str:
     checkpoint = folder.checkpoint(name)
     if not checkpoint.is_file():
         folder.check_weights(name)
-        raise ConfigError(f"{run} has no checkpoint yet: train it further, --resume {run.name}")
+        raise ConfigError(
+            f"{run} has no checkpoint yet: train it further, --resume {shlex.quote(run.name)}"
+        )
     file = run / f"{run.resolve().name}.{to}"
     if file.is_file() and file.stat().st_mtime_ns >= checkpoint.stat().st_mtime_ns:
         return str(file)
@@ -39,7 +43,8 @@ def runnable(reference: str) -> str:
         file.unlink()
         raise ConfigError(
             f"{run}: the exported file does not do what the policy does: {failed[0].name}, "
-            f"{failed[0].detail}; `spikedeploy export {run} --to {to}` shows all checks"
+            f"{failed[0].detail}; `spikedeploy export {shlex.quote(str(run))} --to {to}` shows "
+            "all checks"
         )
     say(f"exported {file}")
     return str(file)

@@ -71,6 +71,7 @@ def observations_of(
     size: int,
     count: int,
     walk: Callable[[], Observations],
+    named: str | None = None,
 ) -> tuple[Observations, str]:
     """Observations (S, obs) of an episode in an environment, and where they come from in words.
 
@@ -78,11 +79,18 @@ def observations_of(
     where: name of the environment; "" for none.
     size: numbers of an observation.
     walk: what stands for an episode that cannot be played: a random walk (count, obs).
+    named: by the user, with --env, in place of `where`; ConfigError where it does not fit.
     """
+    where = named or where
     env = make_env(where, {}) if where else None
     if env is None or env.observation_space.shape != (size,):
         if env is not None:
             env.close()
+            if named:
+                raise ConfigError(
+                    f"--env {named}: its observations have shape {env.observation_space.shape}, "
+                    f"and the policy takes {size} numbers. Name the one that it was made for."
+                )
         return walk(), f"{count} steps of a random walk"
     played = rollout(env, controller(), VALIDATION[0])
     env.close()
@@ -91,20 +99,31 @@ def observations_of(
 
 
 def episode_of(
-    artifact: Artifact, on: Chip | None, count: int, where: str
+    artifact: Artifact, on: Chip | None, count: int, where: str, named: str | None = None
 ) -> tuple[Observations, str]:
-    """Observations (S, obs) of a spiking policy on a chip, None for its float twin."""
+    """Observations (S, obs) of a spiking policy on a chip, None for its float twin.
+
+    count, where, named: as of observations_of.
+    """
     codec = artifact.codec
     if codec is None:
         raise TypeError("an artifact without a codec has no observations")
 
     def walk() -> Observations:
-        named = named_env(artifact) or "no environment"
-        say(f"{named} cannot be played here: a random walk stands for it; name the run to play it")
+        world = named_env(artifact) or "no environment"
+        say(
+            f"{world} cannot be played here: a random walk stands for it; name the run, or the "
+            "environment with --env, to play it"
+        )
         steps = np.random.default_rng(0).normal(0, 0.2, (count, len(codec.normaliser.mean)))
         drift = np.clip(np.cumsum(steps, axis=0), -3, 3)
         return np.asarray(drift * codec.normaliser.std + codec.normaliser.mean)
 
     return observations_of(
-        lambda: SpikingController(artifact, on, "none"), where, codec.encoder.observed, count, walk
+        lambda: SpikingController(artifact, on, "none"),
+        where,
+        codec.encoder.observed,
+        count,
+        walk,
+        named,
     )

@@ -1,5 +1,6 @@
 import subprocess
 import sys
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -39,6 +40,7 @@ def test_a_registered_id_is_an_environment_with_random_as_its_only_built_in():
 def test_naming_imports_nothing_and_making_imports_what_was_named():
     code = """
 import sys
+from typing import ClassVar
 from spikedeploy import envs
 envs.spec("tests.own_env:Reach"), envs.spec("HalfCheetah-v5")
 assert not {"tests.own_env", "mujoco"} & set(sys.modules)
@@ -145,6 +147,56 @@ def test_success_is_the_key_that_is_named_or_else_unknown():
     assert rollout(envs.make(REACH), Middle(), seed=1).success is None
     with pytest.raises(EnvError, match=r"--success nose.*it has error, who, terms, close"):
         rollout(envs.make(REACH, success="nose"), Middle(), seed=1)
+
+
+def test_is_success_of_other_libraries_is_success_where_that_is_absent(monkeypatch):
+    class Told(own_env.Reach):
+        said: ClassVar = {"is_success": np.float32(1.0)}
+
+        def step(self, action):
+            *found, info = super().step(action)
+            return *found, {**info, **self.said}
+
+    monkeypatch.setattr(own_env, "Told", Told, raising=False)
+    env = envs.make("tests.own_env:Told")
+    assert rollout(env, Middle(), seed=1).success is True
+    Told.said = {"is_success": np.bool_(False)}
+    assert rollout(env, Middle(), seed=1).success is False
+    Told.said = {"is_success": True, "success": False}
+    assert rollout(env, Middle(), seed=1).success is False
+    Told.said = {"is_success": "yes"}
+    assert rollout(env, Middle(), seed=1).success is None
+
+
+def _old(**methods):
+    return type("Old", (own_env.Reach,), methods)
+
+
+def _raises(self, action):
+    one, two = (1, 2, 3)  # a bug of its own
+    return one, two
+
+
+OLD = {
+    "four values": _old(step=lambda self, action: own_env.Reach.step(self, action)[:4]),
+    "no info": _old(reset=lambda self, *, seed=None, options=None: np.zeros((2, 2))),
+    "a vector of two": _old(reset=lambda self, *, seed=None, options=None: np.zeros(2)),
+    "no seed": _old(reset=lambda self: np.zeros((2, 2))),
+}
+
+
+@pytest.mark.parametrize("options", [{}, {"max_episode_steps": 5}])
+@pytest.mark.parametrize("old", OLD)
+def test_an_environment_of_the_old_api_is_refused_in_a_sentence(old, options, monkeypatch):
+    monkeypatch.setattr(own_env, "Old", OLD[old], raising=False)
+    with pytest.raises(EnvError, match=r"tests.own_env:Old: (step|reset).*change it to that"):
+        rollout(envs.make("tests.own_env:Old", **options), Middle(), seed=0)
+
+
+def test_a_bug_of_an_environment_is_no_old_api(monkeypatch):
+    monkeypatch.setattr(own_env, "Old", _old(step=_raises), raising=False)
+    with pytest.raises(ValueError, match="too many values"):
+        rollout(envs.make("tests.own_env:Old"), Middle(), seed=0)
 
 
 @pytest.mark.parametrize(

@@ -59,6 +59,14 @@ def test_the_first_call_installs_what_the_verb_needs(verb, extra, checkout):
     assert programs[-1] == ("python" if verb == "test" else "spikedeploy")
 
 
+@pytest.mark.parametrize("words", ["docs --help", "docs -h", "test --help", "test -h"])
+def test_help_of_what_the_script_does_itself_installs_and_runs_nothing(words, checkout):
+    done, programs, _ = spike(checkout, *words.split())
+    assert (done.returncode, done.stderr, programs) == (0, "", [])
+    assert done.stdout.startswith(f"Usage: {checkout}/spike {words.split()[0]}")
+    assert ("--fpga" in done.stdout) == words.startswith("test")
+
+
 def test_the_second_call_installs_nothing(checkout):
     spike(checkout, "train")
     assert spike(checkout, "train")[1] == ["spikedeploy"]

@@ -2,11 +2,12 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from spikedeploy.errors import ConfigError
-from spikedeploy.files import as_text, is_locked, locked
+from spikedeploy.files import as_text, is_locked, locked, write_text
 
 HOLD = """
 import sys, time
@@ -40,6 +41,41 @@ def test_a_lock_is_held_against_the_own_process_too(tmp_path):
     with locked(path):
         pass
     assert not path.exists()
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from spikedeploy.files import replacing
+with replacing(Path(sys.argv[1])) as part:
+    part.write_text("half")
+    if len(sys.argv) == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    print(part, flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_what_a_kill_left_of_an_output_goes_with_its_next_write_and_no_other(tmp_path):
+    output = tmp_path / "out [1].json"
+    for _ in range(2):
+        subprocess.run([sys.executable, "-c", KILLED, output], check=False)
+    (left,) = tmp_path.iterdir()  # the second has deleted what the first left
+    process = subprocess.Popen(
+        [sys.executable, "-c", KILLED, output, "waits"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    at_work = Path(process.stdout.readline().strip())
+    assert not left.exists()
+    others = [tmp_path / ".out [1].json.000000-1.part", tmp_path / f".other{left.name}"]
+    for other in others:
+        other.touch()
+    write_text(output, "whole")
+    assert output.read_text() == "whole"
+    assert sorted(tmp_path.iterdir()) == sorted([output, at_work, *others])
+    process.communicate("")
+    assert output.read_text() == "half"
+    assert not at_work.exists()
 
 
 def test_numbers_that_json_lacks_become_null():

@@ -74,9 +74,7 @@ def test_it_is_found_by_name_runs_on_its_chip_and_stands_in_no_line_up(file):
 
 def test_chips_are_separated_by_commas_or_given_again(command):
     words = ("compare", "CartPole-v1", "chips/CartPole-v1/tinyodin", "--episodes", "1", "--json")
-    code, out, err = command(
-        *words, "--workers", "1", "--chips", "tinyodin,int", "--chips", "ideal"
-    )
+    code, out, err = command(*words, "--workers", "1", "--chip", "tinyodin,int", "--chip", "ideal")
     assert code == 0, err
     chips = [row["chip"] for row in json.loads(out)["rows"] if row["kind"] == "snn"]
     assert chips == ["tinyodin", "int", "ideal"]

@@ -157,9 +157,10 @@ def test_without_a_terminal_progress_comes_in_lines(capsys, monkeypatch):
         bar.show({"episode_return": 12.0})
         bar.at(5, 20)
         bar.at(10, 20)
+        bar.at(24, 20)  # environments that step together end beyond it
     lines = [re.sub(r"  \S+ left", "", line) for line in capsys.readouterr().err.splitlines()]
     assert lines == [
-        "run", "5 / 20  25 %  return 12", "10 / 20  50 %  return 12"
+        "run", "5 / 20  25 %  return 12", "10 / 20  50 %  return 12", "20 / 20  100 %  return 12"
     ]  # fmt: skip
 
 
@@ -364,7 +365,7 @@ def test_a_row_that_a_full_disk_cut_off_after_the_checkpoint_is_dropped(run):
 def test_what_a_kill_left_of_unfinished_files_is_deleted_and_exports_stay(run):
     ours = [run / ".config.json.77.part", run / "checkpoints" / ".last.safetensors.77.part"]
     (run / "films").mkdir()
-    ours.append(run / "films" / ".80.gif.77.part")
+    ours += [run / "films" / ".80.gif.77.part", run / ".card.md.0a1b2c-77.part"]
     other = run / ".net.nir.77.part"
     for path in (*ours, other):
         path.write_bytes(b"half")

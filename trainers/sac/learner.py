@@ -2,6 +2,7 @@
 
 import copy
 import math
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -189,7 +190,8 @@ class ReplayBuffer:
         except (SafetensorError, OSError, KeyError, ValueError) as error:
             raise ConfigError(
                 f"{path} is damaged: {error}. The run cannot go on without it: put it back, or "
-                f"train again; its policies are whole: `spikedeploy export {path.parent}`."
+                f"train again; its policies are whole: `spikedeploy export "
+                f"{shlex.quote(str(path.parent))}`."
             ) from error
         capacity = len(self.rows)
         held = held[-capacity:]

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from dataclasses import replace
 
 import pytest
 
+from spikedeploy.campaign import sweep_page
 from spikedeploy.campaign.sweep import (
     SweepFolder,
     SweepJob,
@@ -19,7 +21,7 @@ from spikedeploy.campaign.sweep import (
     run_sweep,
 )
 from spikedeploy.campaign.sweep_grid import expand, read_grid
-from spikedeploy.campaign.sweep_page import JobRow, cells
+from spikedeploy.campaign.sweep_page import JobRow, cells, print_sweep
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.jobs.pool import ProcessBackend, SerialBackend
@@ -217,6 +219,20 @@ def test_the_command_runs_shows_and_goes_on(spec, serial, command):
     code, _, err = command("sweep", spec, "-o", serial, "--address", "auto")
     assert code == 2
     assert "--backend ray" in err
+
+
+def test_cells_of_few_episodes_claim_no_interval_and_say_why(grid, serial, capsys):
+    sweep = load_sweep(grid, serial)
+    print_sweep(sweep)
+    out, page = " ".join(capsys.readouterr().out.split()), (serial / "sweep.md").read_text()
+    for text in (out, page):
+        assert "Cells of fewer than 5 episodes have no interval" in text
+    assert "95%" not in page
+    assert not re.search(r"\d \[", page)
+    many = [{**row, "episodes": 5} for row in cells(sweep.found)]
+    meanings = {each.title: each.meaning for each in sweep_page._measured_columns(many)}
+    assert meanings["return"] == "mean of all episodes, with its 95% bootstrap interval"
+    assert sweep_page._on_few_episodes(many) == ""
 
 
 def test_the_back_ends_of_the_command_are_those_that_exist():

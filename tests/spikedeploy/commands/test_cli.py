@@ -1,6 +1,7 @@
 """The command line: what people see, what machines read, and how it fails."""
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -136,6 +137,25 @@ def test_emulate_writes_every_spike_and_counts_them(command, tmp_path):
     assert found["energy_j"].keys() == {"davies2018", "sanafe", "horowitz45-int8"}
 
 
+def test_emulate_without_an_output_counts_and_writes_nothing(command, tmp_path):
+    save(popsan(), tmp_path / "p.nir")
+    np.save(tmp_path / "in.npy", (np.random.default_rng(0).random((5, 30)) < 0.3).astype(np.uint8))
+    words = ("emulate", tmp_path / "p.nir", "--input", tmp_path / "in.npy", "--chip", "loihi1")
+    before = sorted(tmp_path.iterdir())
+    code, out, _ = command(*words)
+    assert code == 0
+    assert "wrote" not in out
+    assert "sums of outputs" in out
+    found = json.loads(command(*words, "--json")[1])
+    for layer in found["layers"].values():
+        assert f"{layer['spikes']:,}" in out
+        assert f"{layer['sops']:,}" in out
+    assert sorted(tmp_path.iterdir()) == before
+    code, _, err = command("emulate", tmp_path / "p.nir", "--chip", "loihi1")
+    assert code == 2
+    assert "--input FILE" in err
+
+
 @pytest.mark.parametrize(
     ("array", "message"),
     [
@@ -187,6 +207,23 @@ def test_visualize_draws_the_curves_of_runs(command, stroll):
     assert (stroll / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_visualize_says_in_a_sentence_that_a_run_has_no_metrics(command, stroll):
+    run = toy_stroll_env.run_folder(stroll / "runs", MlpConfig(hidden=(4,)))
+    moved = run.rename(stroll / "moved")
+    assert command("visualize", "moved", "-o", "curves.png")[0] == 0
+    (moved / "metrics.csv").unlink()
+    code, _, err = command("visualize", "moved", "-o", "curves.png")
+    assert (code, "moved/metrics.csv is missing: a run has its returns there" in err) == (2, True)
+    os.mkfifo(moved / "metrics.csv")
+    code, _, err = command("visualize", "moved", "-o", "curves.png")
+    assert (code, "moved/metrics.csv is no plain file" in err) == (2, True)
+    (moved / "config.json").unlink()
+    (moved / "metrics.csv").unlink()
+    assert command("visualize", "moved", "-o", "curves.png")[0] == 2
+    code, _, err = command("visualize", run.name, "-o", "curves.png")
+    assert (code, "is no run folder" in err) == (2, True)
+
+
 def test_train_writes_a_run_folder_and_prints_it(command, tmp_path):
     words = ("train", "smoke", "--set", "steps=120", "--set", "validation.every=120")
     code, out, _ = command(*words, "--seed", 2, "--runs", tmp_path / "runs", "--json")
@@ -218,6 +255,19 @@ def test_doctor_finds_versions_threads_and_policies(command, stroll):
     assert findings["stroll/popsan"]["ok"]
     assert "cores" in findings["threads"]["detail"]
     assert code == (0 if findings["rendering"]["ok"] else 1)
+
+
+@pytest.mark.parametrize("make", [Path.touch, Path.mkdir])
+def test_what_lies_at_the_name_of_a_shipped_policy_hides_it_from_no_list(make, command, stroll):
+    (stroll / "stroll").mkdir()
+    make(stroll / "stroll/popsan")
+    code, out, _ = command("policies", "--json")
+    assert code == 0
+    files = {row["name"]: row["file"] for row in json.loads(out)}
+    assert files["stroll/popsan"] == str(stroll / "zoo/stroll/popsan.nir")
+    assert command("policies", "stroll/popsan")[0] == 0
+    findings = {found["name"]: found for found in json.loads(command("doctor", "--json")[1])}
+    assert findings["stroll/popsan"]["detail"] == "opens, kind snn"
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,13 @@
 import errno
 import json
 import os
+import sys
 from pathlib import Path
 
 import pytest
 
 from spikedeploy import files
+from spikedeploy.exporters.c.declarations import plain
 from spikedeploy.exporters.c.packaging import INT16, MARK, file_names, write_texts
 from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.runtime.artifact.artifact import load, save
@@ -54,6 +56,39 @@ def test_a_run_is_played_in_its_own_environment(file, monkeypatch):
     assert sources.world_of("last", artifact) == "own_module:Env"
 
 
+WORLD = """
+import gymnasium, numpy as np
+class Env(gymnasium.Env):
+    observation_space = gymnasium.spaces.Box(-9, 9, (3,))
+    action_space = gymnasium.spaces.Box(-1, 1, (2,))
+    def reset(self, *, seed=None, options=None):
+        self.left = 7
+        return np.ones(3), {}
+    def step(self, action):
+        self.left -= 1
+        return np.ones(3), 0.0, self.left == 0, False, {}
+"""
+
+
+@pytest.mark.parametrize("to", ["c", "onnx"])
+def test_the_environment_that_the_user_names_is_played_and_one_of_another_shape_refused(
+    to, command, file, tmp_path, monkeypatch
+):
+    (tmp_path / "own_module.py").write_text(WORLD)
+    monkeypatch.delitem(sys.modules, "own_module", raising=False)
+    words = ("export", file, "--to", to, "--observations", "50", "-o")
+    code, _, err = command(*words, "other", "--env", "CartPole-v1")
+    assert (code, "--env CartPole-v1: its observations have shape (4,)" in err) == (2, True)
+    assert not (tmp_path / "other").exists()
+    assert "own_module" not in sys.modules
+    code, out, err = command(*words, "c", "--env", "own_module:Env", "--json")
+    assert code == 0, err
+    assert "random walk" not in err
+    if to == "c":
+        assert json.loads(out)["recorded"].startswith("7 control steps in own_module:Env")
+    monkeypatch.delitem(sys.modules, "own_module")
+
+
 def test_the_same_policy_is_written_again_and_other_files_are_not(command, file, tmp_path):
     words = ("export", file, *CHIP, "-o", "c", "--observations", "5")
     assert command(*words)[0] == 0
@@ -83,6 +118,7 @@ def test_the_same_policy_is_written_again_and_other_files_are_not(command, file,
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "A b"), "--prefix"),
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "stdint"), "a header of C"),
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "static"), "a reserved word of C"),
+        (("policy.nir", "--to", "c", "-o", "c", "--prefix", "memcpy"), "a function of C"),
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "m"), "a library of the system"),
         (("policy.nir", "--to", "c", "-o", "c", "--prefix", "vectors"), "written beside it"),
         (("policy.nir", "--to", "c", "-o", "c", "--chip", "odin"), "rule"),
@@ -106,6 +142,17 @@ def test_no_file_of_the_build_and_no_device_of_windows_can_be_the_prefix(prefix)
     # nor in other letters, which are one file where the disk knows no case
     with pytest.raises(ConfigError, match="small letters"):
         check_prefix(prefix.upper())
+
+
+@pytest.mark.parametrize("prefix", ["exp", "expf", "tanhl", "printf", "while", "read", "math"])
+def test_no_word_of_c_can_be_the_prefix(prefix):
+    with pytest.raises(ConfigError, match=f"--prefix '{prefix}' is the name of"):
+        check_prefix(prefix)
+
+
+def test_names_of_layers_keep_their_slashes_in_comments_and_end_none():
+    assert plain("net/fc1.out") == "net/fc1.out"
+    assert plain("net*/ x /*") == "net?/?x?/?"
 
 
 def test_a_float_policy_is_written_in_8_bits_and_says_how_far_its_actions_move(

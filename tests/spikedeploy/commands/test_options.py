@@ -1,10 +1,15 @@
 """The choices of options are those of the runtime, which `--help` may not load."""
 
+from collections import Counter
+from pathlib import Path
 from typing import get_args
 
 import pytest
+from typer.main import get_command
 
+from spikedeploy import cli
 from spikedeploy.commands import options
+from spikedeploy.commands.closed_loop import settings
 from spikedeploy.runtime import convention
 from spikedeploy.runtime.chips import quantisation, registers
 from spikedeploy.runtime.emulator import backend
@@ -26,3 +31,41 @@ from spikedeploy.runtime.emulator import backend
 )
 def test_an_option_offers_what_the_runtime_knows(choices, original):
     assert get_args(choices) == get_args(original)
+
+
+VERBS = [
+    verb
+    for verb in (verb for verbs in cli.COMMANDS.values() for verb in verbs)
+    if any("--chip" in each.opts for each in get_command(cli.app).commands[verb].params)
+]
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_chips_is_the_same_word_as_chip_and_help_has_one(verb, command):
+    words = (verb, *[Path(__file__)] * 3, "--chips")
+    assert "No such option" not in command(*words, "--json", "nothing")[2]
+    _, out, _ = command(verb, "--help")
+    assert "--chip " in out
+    assert "--chips" not in out
+
+
+def test_commands_that_name_a_chip_are_known():
+    assert {"run", "compare", "serve", "emulate", "check", "drift", "verify"} <= set(VERBS)
+    assert {"export", "tune", "replay"} <= set(VERBS)
+
+
+def test_a_report_with_the_earlier_word_is_still_read():
+    earlier, today = (f"spikedeploy compare kart-grid --chip{s} loihi1" for s in ("s", ""))
+    assert settings(earlier) == settings(today)
+
+
+@pytest.mark.parametrize("verb", [verb for verbs in cli.COMMANDS.values() for verb in verbs])
+def test_options_stand_in_few_panels_of_few(verb):
+    parameters = get_command(cli.app).commands[verb].params
+    options = [each for each in parameters if each.param_type_name == "option"]
+    sizes = Counter(each.rich_help_panel for each in options)
+    assert len(sizes) <= 7
+    assert max(sizes.values()) <= 13
+    if verb in ("run", "compare", "emulate", "drift"):
+        assert sizes["Output"] >= 4
+        assert sizes[None] <= 10

@@ -56,7 +56,7 @@ def test_the_page_of_a_run_replays_the_spikes_of_the_core(command, tmp_path):
 
 def test_a_comparison_has_a_row_of_the_core_beside_the_emulated_chip(command, tmp_path):
     folder = exported(tmp_path / "core")
-    words = ("compare", "kart-steer", POLICY, "--chips", CHIP, "--via", folder, "--episodes", 2)
+    words = ("compare", "kart-steer", POLICY, "--chip", CHIP, "--via", folder, "--episodes", 2)
     code, out, err = command(*words, "-o", tmp_path / "page", "--json")
     assert code == 0, err
     found = json.loads(out)

@@ -54,6 +54,24 @@ def test_hints_name_the_command_as_the_user_calls_it(name, said, command, tmp_pa
     assert f"`{said} train RECIPE` makes one" in out
 
 
+@pytest.mark.parametrize(
+    ("words", "file", "printed"),
+    [
+        (["run", "a b/p.so"], "p.so", "spikedeploy run 'a b/p.so' --native --env ENV"),
+        (["run", "a b/p.zip"], "p.zip", "spikedeploy compare ENV --teacher 'a b/p.zip'"),
+        (["reproduce", "a b"], "", "spikedeploy compare ENV -o 'a b'"),
+        (["export", "stroll/popsan", "--to", "c", "-o", "a b/c"], "", "make -C 'a b/c' test"),
+        (["train", "a b-v1"], "", "spikedeploy train 'a b-v1' --recipe ppo-snn"),
+    ],
+)
+def test_printed_commands_quote_what_has_spaces(words, file, printed, command, stroll):
+    (stroll / "a b").mkdir()
+    if file:
+        (stroll / "a b" / file).touch()
+    _, out, err = command(*words)
+    assert printed in out + err
+
+
 @pytest.mark.parametrize("verb", [verb for verbs in cli.COMMANDS.values() for verb in verbs])
 def test_brackets_are_text_in_help(verb, command):
     options = typer.main.get_command(cli.app).commands[verb].params

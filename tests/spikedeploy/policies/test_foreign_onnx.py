@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
@@ -54,6 +55,19 @@ def huge(path):
     nodes = [made, total, helper.make_node("MatMul", ["x", "w"], ["p"])]
     nodes.append(helper.make_node("Add", ["p", "top"], ["y"]))
     return model(path, nodes, constants={"n": np.array([1 << 28])})
+
+
+def test_telemetry_is_off_before_a_file_is_opened(tmp_path, monkeypatch):
+    order = []
+    opened = onnxruntime.InferenceSession
+    monkeypatch.setattr(onnxruntime, "disable_telemetry_events", lambda: order.append("off"))
+    monkeypatch.setattr(
+        onnxruntime,
+        "InferenceSession",
+        lambda *given: order.append("opened") or opened(*given),
+    )
+    session(model(tmp_path / "a.onnx"))
+    assert order == ["off", "opened"]
 
 
 REFUSED = {

@@ -459,7 +459,8 @@ REFUSED = {
     "no folder": ((), "--to program writes a folder"),
     "no codec": (("examples/net.nir",), "has no codec, so no episode can be played"),
     "a reset": (("hexapod/sparse-gated", "--chip", "speck2f"), "rule primitive"),
-    "options of another format": (("--to", "c", "--env", "x"), "go with --to program"),
+    "options of another format": (("--to", "c", "--clock", "free"), "go with --to program"),
+    "a world of another format": (("--to", "nir", "--env", "x"), "--env goes with --to c"),
     "a clock that holds layers": (("--clock", "gated"), "clock 'gated' updates each layer once"),
     "delays that a tool has not": (
         ("hexapod/sparse-gated", "--chip", "loihi1-nengo"),
