@@ -27,7 +27,13 @@ from spikedeploy.reports.columns import (
     short_label,
     tables,
 )
-from spikedeploy.reports.headline import describe_disturbances, headline, main_row, verdict
+from spikedeploy.reports.headline import (
+    describe_disturbances,
+    headline,
+    main_row,
+    sentences_of,
+    verdict,
+)
 from spikedeploy.reports.page import command_line, render
 from spikedeploy.reports.plots import energy_figure, returns_figure, save, svg
 from spikedeploy.reports.table import Column, Row, Table, escape_markdown
@@ -175,7 +181,7 @@ def comparison_page(
         video=b64encode(video.read_bytes()).decode() if video else "",
         policies=policy_table(rows, document["env_id"]),
         energy_hint=energy_hint(rows),
-        remarks=[more, document.get("env_remark", "")],
+        remarks=[*sentences_of(more), *sentences_of(document.get("env_remark", ""))],
         tables={title: _table(columns, rows) for title, columns in shown.items()},
         drawings=_drawings(rows, shown),
         meanings={column.title: column.meaning for column in columns},

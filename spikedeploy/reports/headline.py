@@ -72,10 +72,15 @@ def headline(rows: Sequence[Row], env: str = "") -> list[HeadlineNumber]:
 
 def verdict(document: Mapping[str, Any]) -> tuple[str, str]:
     """The sentence of a comparison about the row that its page is about, and the others."""
-    row, sentences = main_row(document["rows"]), _SENTENCE.split(document["meaning"])
+    row, sentences = main_row(document["rows"]), sentences_of(document["meaning"])
     about = f"{row['policy']} on {row['chip']} "
     first = next((each for each in sentences if each.startswith(about)), sentences[0])
     return first, " ".join(each for each in sentences if each != first)
+
+
+def sentences_of(text: str) -> list[str]:
+    """The sentences of a text."""
+    return _SENTENCE.split(text)
 
 
 def describe_disturbances(document: Mapping[str, Any]) -> str:
