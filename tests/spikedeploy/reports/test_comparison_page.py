@@ -54,8 +54,8 @@ def test_three_numbers_lead_with_what_they_are_beside():
     )
     assert (operations.number, energy.number) == ("48 SOPs", "0.75 nJ")
     assert operations.beside == (
-        "mlp-8: 700 MACs, 14 times as many",
-        "sac: 300,000 MACs, 6,211 times as many",
+        "mlp-8: 700 dense MACs, 14 times as many",
+        "sac: 300,000 dense MACs, 6,211 times as many",
     )
     assert energy.beside == (
         "by horowitz45-int8, which prices float networks too",
@@ -69,7 +69,7 @@ def test_numbers_say_what_they_leave_out():
     sparse = row("popsan", "snn", "loihi1", 2910, sops=48.3, **CHIP, **tables)
     sac = row("sac", "ann", macs=300_000, joules=480e-9, macs_effective=116_811)
     _, operations, energy = headline([sac, sparse])
-    assert "sac: 116,811 effective MACs of 300,000, 2,418 times as many" in operations.beside
+    assert "sac: 116,811 MACs of 300,000 dense, 2,418 times as many" in operations.beside
     assert energy.number == "0.75 nJ"
     assert energy.beside[-1] == "by loihi1's own tables: 33.00 nJ (davies2018)"
 
