@@ -1,7 +1,8 @@
 """Recorded episodes for pages: what robot, network and chip did in each control step.
 
 An episode is played once more and becomes JSON that scripts in reports/assets draw: arrays packed
-as text, the shapes and poses of a scene, curves of the step infos, spikes, membranes and costs.
+as text, the shapes and poses of a scene or else a film of the environment's pictures, curves of
+the step infos, spikes, membranes and costs.
 """
 
 import json
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from spikedeploy.comparison.comparison import Comparison
 from spikedeploy.comparison.lineup import Entry
+from spikedeploy.console import say
 from spikedeploy.envs.eye.course import floor_plan
 from spikedeploy.envs.eye.env import KartEyeEnv
 from spikedeploy.envs.kart.track import RADIUS
@@ -27,6 +29,7 @@ from spikedeploy.policies.registry import Candidate, Player, check_fit, open_pol
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger, Rows
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.metrics.energy import energy, energy_table
+from spikedeploy.video import shrink, webp
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +38,9 @@ _PERIOD = 1 / 30  # [s] of a control step where an environment does not say
 _MOST_BYTES = 2_600_000  # of all episodes: a page of 3 MB opens at once and can be sent
 _MOST_BITS = 4_000_000  # of a raster: larger ones are left out, by name
 _MOST_MEMBRANES = 300_000  # numbers of a layer's membranes, likewise
+_MOST_PICTURES = 150  # of a film
+_MOST_FILM = 700_000  # [bytes] of it: two episodes of a page have one each
+_WIDTH = 320  # [px] of its pictures
 
 
 # the episodes of a comparison
@@ -53,7 +59,7 @@ def of_comparison(
     entries = [*reversed(row.entry.references), row.entry]
     first, worst = comparison.seeds[0], comparison.seeds[int(np.argmin(row.returns))]
     seeds = {first: "first episode"} | ({worst: "worst episode"} if worst != first else {})
-    env = make_env(comparison.env, dict(options))
+    env = _env_to_show(comparison.env, options)
     episodes = [_episode(env, entries, seed, title, table) for seed, title in seeds.items()]
     env.close()
     while len(episodes) > 1 and len(json.dumps(episodes)) > _MOST_BYTES:
@@ -68,7 +74,10 @@ def _episode(
     title: str,
     table: str,
 ) -> dict[str, Any]:
-    played = [record(env, e.candidate, e.chip, e.label, seed, table) for e in entries]
+    played = [
+        record(env, e.candidate, e.chip, e.label, seed, table, filmed=e is entries[-1])
+        for e in entries
+    ]
     last = played[-1]
     twin, distance = next((each for each in played[:-1] if each.network is not None), None), None
     if twin is not None:
@@ -135,7 +144,7 @@ class RecordedEpisode:
     label    of the policy, as in tables
     kind     of the candidate
     played   observations, actions, rewards
-    shapes   of the scene; None where the environment shows nothing that can be drawn
+    shapes   of the scene, or a film; None where the environment shows nothing
     poses    (F, N, 7) or (F, 1, 3), see Scene, every `every` control steps
     period   of a control step [s]; None where it is not known
     network  of a policy that spikes
@@ -158,38 +167,64 @@ def record(
     label: str,
     seed: int,
     table: str,
+    filmed: bool = False,
 ) -> RecordedEpisode:
     """Play an episode in an environment.
 
-    chip   or "float"; None for what does not spike
-    table  of the energy
+    chip    or "float"; None for what does not spike
+    table   of the energy
+    filmed  take pictures of an environment that no scene is known of
     """
     player = open_with_traces(candidate, chip, env, "each")
     network = player if isinstance(player, NirController) else None
     period = getattr(env.unwrapped, "CONTROL_DT", None)
     every = max(1, round(1 / (_FPS * (period or _PERIOD))))
     episode, scene = EpisodeRecorder(env, seed), scene_of(env)
+    film = _Film(env, every) if filmed and scene is None else None
     player.reset(seed)
     shapes = scene.shapes() if scene else None
     poses = [scene.pose()] if scene else []
     inferences = []
+    if film:
+        film.add(0)
     while not episode.over:
         episode.step(player.act(episode.observation))
         if network:
             inferences.append(last_inference(network))
         if scene and (episode.steps % every == 0 or episode.over):
             poses.append(scene.pose())
+        if film:
+            film.add(episode.steps)
     ledger = ledger_of(network) if network else None
     return RecordedEpisode(
         label,
         candidate.kind,
         episode.rollout(),
-        shapes,
+        film.shapes() if film else shapes,
         np.stack(poses) if poses else np.zeros((0, 0, 0)),
         every,
         period,
         stack_inferences(inferences, ledger, table) if network else None,
     )
+
+
+def _env_to_show(name: str, options: Mapping[str, Any]) -> Any:  # noqa: ANN401
+    """The environment; one that renders where it can and no scene of it is known."""
+    env: Any = make_env(name, dict(options))
+    if scene_of(env) is not None or "rgb_array" not in env.metadata.get("render_modes", ()):
+        return env
+    try:
+        shown = make_env(name, {**options, "render_mode": "rgb_array"})
+    except Exception as error:  # other people's code: the page lacks a film, and nothing else
+        _say_no_film(error)
+        return env
+    env.close()
+    return shown
+
+
+def _say_no_film(error: Exception) -> None:
+    said = " ".join(f"{type(error).__name__}: {error}".split())
+    say(f"the page has no film of the environment ({said})")
 
 
 def open_with_traces(
@@ -456,6 +491,49 @@ class _Kart:
     def pose(self) -> Floats:
         """(1, 3) x [px], y [px] and heading [rad]."""
         return np.array([self._env.pose])
+
+
+class _Film:
+    """Pictures of an environment while an episode is played, `every` control steps."""
+
+    def __init__(self, env: Any, every: int) -> None:  # noqa: ANN401
+        self._env, self._every = env, every
+        self._pictures: list[bytes] = []
+
+    def add(self, step: int) -> None:
+        """Take a picture, if one is due; of a long episode every other one is dropped again."""
+        if step % self._every or (step and not self._pictures):
+            return
+        try:
+            frame = self._env.render()
+            if not _is_picture(frame):
+                return
+            self._pictures.append(webp(shrink(frame, _WIDTH)))
+        except NotImplementedError:  # of gymnasium, where the environment defines no render
+            return
+        except Exception as error:  # other people's code
+            _say_no_film(error)
+            self._pictures = []
+            return
+        while len(self._pictures) > 1 and self._is_large():
+            self._pictures, self._every = self._pictures[::2], 2 * self._every
+
+    def _is_large(self) -> bool:
+        return len(self._pictures) > _MOST_PICTURES or sum(map(len, self._pictures)) > _MOST_FILM
+
+    def shapes(self) -> dict[str, Any] | None:
+        """The pictures as text; None without any."""
+        if not self._pictures:
+            return None
+        pictures = [b64encode(each).decode() for each in self._pictures]
+        return {"kind": "film", "every": self._every, "pictures": pictures}
+
+
+def _is_picture(frame: object) -> bool:
+    """True of an array (H, W, 3) of uint8."""
+    if not isinstance(frame, np.ndarray) or frame.dtype != np.uint8:
+        return False
+    return frame.ndim == 3 and frame.shape[2] == 3
 
 
 _ZOOM = 30.0  # of corridors on the page [px / m]

@@ -1,9 +1,10 @@
-"""Frames in, one file out, written atomically: H.264 in MP4 through PyAV, or GIF."""
+"""Frames in, one file out, written atomically: H.264 in MP4 through PyAV, GIF, or one as WebP."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -100,6 +101,25 @@ def gif(path: Path, frames: Iterable[Frame], period: float, remark: str = "") ->
             comment=remark,
         )
     return path.stat().st_size
+
+
+def shrink(frame: Frame, width: int) -> Frame:
+    """A copy of the frame, at most so wide."""
+    from PIL import Image
+
+    image = Image.fromarray(frame)
+    image.thumbnail((width, frame.shape[0]))
+    small: Frame = np.array(image)
+    return small
+
+
+def webp(frame: Frame) -> bytes:
+    """The frame as a picture, compressed with losses that one hardly sees."""
+    from PIL import Image
+
+    memory = BytesIO()
+    Image.fromarray(frame).save(memory, format="WEBP", quality=70)
+    return memory.getvalue()
 
 
 def add_caption(frame: Frame, text: str) -> Frame:

@@ -301,6 +301,7 @@ def _at(point: FloatArray) -> str:
 FOLDER = Path(__file__).parent / "tracks"
 _LARGEST = 5 << 20  # [bytes]
 _MOST_WALLS = 20_000  # segments; and gates
+_FARTHEST = 1e9  # [px] of a coordinate: squares of larger ones overflow
 _FIELDS = ("name", "walls", "gates", "start")
 _START = ("position", "spread", "heading")
 
@@ -406,8 +407,11 @@ def _numbers(value: object, shape: Sequence[int | None], where: str) -> FloatArr
     fits = len(array.shape) == len(shape) and all(
         wanted in (None, size) for wanted, size in zip(shape, array.shape, strict=True)
     )
-    if not fits or not np.isfinite(array).all():
-        raise EnvError(f"{where}: must be {wanted}, all finite; found {str(value)[:60]}")
+    if not fits or not (np.abs(array) <= _FARTHEST).all():
+        raise EnvError(
+            f"{where}: must be {wanted}, all finite and within ±{_FARTHEST:g}; found "
+            f"{str(value)[:60]}"
+        )
     return array
 
 

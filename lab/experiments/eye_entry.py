@@ -43,6 +43,7 @@ _ROWS: Mapping[str, Mapping[str, Any]] = DESIGNS["kart-eye"]["networks"]
 _WALKS: Mapping[str, Any] = DESIGNS["kart-eye"]["walks"]
 _TABLE = "kart-eye.csv"
 _VERSION = 1  # of what a row holds; a higher one makes all rows again
+_FORM = {"network": str}  # of a row
 _TEXT = ("network", "level", "way", "quick", "versions")
 _KEY = ("network", "seed", "level", "way")
 _COLUMNS = (
@@ -119,7 +120,8 @@ class EyeEntryDesign(Design):
         folder = Path(self.runs) / "evaluations"
         if training is None:
             make = partial(self._evaluate, None, "", "")
-            return [StoredRow(folder / f"{TEACHER}.json", {**made, "policy": TEACHER}, make)]
+            of = {**made, "policy": TEACHER}
+            return [StoredRow(folder / f"{TEACHER}.json", of, make, form=_FORM)]
         run = RunFolder(training.existing_run)
         ways = _ROWS[training.name.rpartition("-s")[0]].get("ways", [""])
         rows = []
@@ -129,7 +131,7 @@ class EyeEntryDesign(Design):
                 name = "-".join(filter(None, (training.name, level, way.replace(":", "-"))))
                 make = partial(self._evaluate, training, level, way)
                 of = {**made, "policy": policy, "way": way}
-                rows.append(StoredRow(folder / f"{name}.json", of, make))
+                rows.append(StoredRow(folder / f"{name}.json", of, make, form=_FORM))
         return rows
 
     def _evaluate(self, training: TrainingJob | None, level: str, way: str) -> Record:

@@ -184,6 +184,7 @@ class EyeMapDesign(Design):
                 folder / f"{way.replace(' ', '-').replace(':', '-')}.json",
                 {**made, "way": way},
                 partial(self._evaluate, checkpoint, options, way),
+                form={"policy": str, "way": str},
             )
             for way in checkpoint.ways
         ]

@@ -233,6 +233,7 @@ class GymnasiumDesign(Design):
                     "version": _VERSION,
                 },
                 partial(self._evaluate, training, place),
+                form=dict.fromkeys(("env", "role", "place"), str),
             )
             for place in self.places(training.role)
         ]

@@ -157,7 +157,8 @@ class KartTraining(TrainingJob):
         made = {"env_steps": steps, "episodes": self.episodes, "chip": self.chip}
         trial = {"recipe": self.recipe, "seed": self.seed}
         file = (self.run or Path()) / "evaluation.json"
-        return [StoredRow(file, made, self._evaluate, {"trial": trial}, "")]
+        form = {"parameters": int, "rows": [{}]}
+        return [StoredRow(file, made, self._evaluate, {"trial": trial}, "", form)]
 
     @property
     def evaluation(self) -> Record | None:
@@ -238,7 +239,8 @@ class Script:
     def stored(self) -> list[StoredRow]:
         """The evaluation."""
         file = Path(self.folder) / f"{self.name}.json"
-        return [StoredRow(file, {"episodes": self.episodes}, self._evaluate, under="")]
+        made = {"episodes": self.episodes}
+        return [StoredRow(file, made, self._evaluate, under="", form={"rows": [{}]})]
 
     @property
     def evaluation(self) -> Record | None:
@@ -271,7 +273,8 @@ def _track_row(file: Path, driver: KartTraining | Script, starts: int, more: Rec
         return [int(i["finish"]) for i in play(config, starts, driver.driver(options)).infos]
 
     made = {"tracks": list(TRACKS), "starts": starts, "first_seed": EVALUATION, **more}
-    return StoredRow(file, made, lambda: {track: finished(track) for track in TRACKS})
+    form = {track: [int] for track in TRACKS}
+    return StoredRow(file, made, lambda: {track: finished(track) for track in TRACKS}, form=form)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from lab.experiments.networks import evaluate
 from lab.experiments.pages import grouped, mean, percent, releases, versions_at_start, versions_text
 from lab.experiments.ratios import nested_ratio
 from lab.experiments.runner import Design, Part, command_line
-from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows
+from lab.experiments.training import NUMBER, Record, StoredRow, TrainingJob, read_rows
 from spikedeploy import zoo
 from spikedeploy.comparison.statistics import stratified_bootstrap
 from spikedeploy.files import read_json
@@ -43,6 +43,12 @@ _COLUMNS = (
     "falls", "cot", "speed_rmse", "turn_rmse", "sops_per_inference", "macs_dense",
     "macs_effective", "quick", "versions", "returns", "successes",
 )  # fmt: skip
+_FORM = {
+    **dict.fromkeys(("env", "policy", "kind"), str),
+    "episodes": int,
+    "returns": [NUMBER],
+    "successes": [int],
+}
 _TEXT = ("env", "policy", "shipped", "kind", "chip", "quick", "versions")
 
 
@@ -163,7 +169,7 @@ class LineupDesign(Design):
         weights = member.training.checkpoint() if member.training else member.shipped
         made = {"policy": zoo.sha256(weights), "episodes": self.episodes, "chip": self.chip}
         file = Path(self.runs) / "evaluations" / f"{member.name}.json"
-        return [StoredRow(file, made, partial(self._evaluate, member))]
+        return [StoredRow(file, made, partial(self._evaluate, member), form=_FORM)]
 
     def _evaluate(self, member: Member) -> Record:
         file = str(member.shipped)

@@ -54,6 +54,7 @@ _GRADED_CHIP = "loihi2"  # graded spikes run on it and on ideal
 _BITS = (6, 5, 4, 3, 2)
 _FULL = 8  # [bits] of the weights of every level
 _VERSION = 1  # of what a row holds; a higher one makes all rows again
+_FORM = {"env": str, "student": str, "place": str, "episodes": int}  # of a row
 
 _TUNED, _BOTH = "tuned.", "env."  # settings of trainings with reward, and of all
 
@@ -237,7 +238,7 @@ class ParetoDesign(Design):
         }
         name = f"{level}@{place}.json".replace(":", "-")
         file = Path(self.runs) / "evaluations" / training.name / name
-        return StoredRow(file, made, partial(self._evaluate, training, made))
+        return StoredRow(file, made, partial(self._evaluate, training, made), form=_FORM)
 
     def reference_rows(self) -> list[StoredRow]:
         """The rows of teacher and reference, on the seeds of every level."""
@@ -245,7 +246,7 @@ class ParetoDesign(Design):
         return [
             StoredRow(
                 folder / f"{self.env}-{name}.json", {name: policy} | sizes,
-                partial(self._evaluate_reference, name, policy),
+                partial(self._evaluate_reference, name, policy), form=_FORM,
             )
             for name, policy in self.references.items()
         ]  # fmt: skip

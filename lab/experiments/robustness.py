@@ -21,7 +21,7 @@ from lab.experiments.networks import BatchOnChip
 from lab.experiments.pages import grouped
 from lab.experiments.ratios import grouped_ratio
 from lab.experiments.runner import Design, Part
-from lab.experiments.training import Record, StoredRow, read_rows
+from lab.experiments.training import NUMBER, Record, StoredRow, read_rows
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.envs.disturbances import Kind, kinds_of
@@ -53,6 +53,12 @@ ENVS = ("hexapod", "hexapod-command", "kart-grid", "kart-gazebo", "kart-steer")
 _OF_NUMBERS = ("noise", "bias")
 UNDISTURBED, DISTURBANCE, FAULT = "undisturbed", "disturbance", "fault"
 _VERSION = 1  # of what a row holds; a higher one makes all rows again
+_FORM = {  # of a row
+    **dict.fromkeys(("env", "policy", "kind", "part", "name"), str),
+    "episodes": int,
+    "groups": [int],
+    "returns": [NUMBER],
+}
 _QUICK_PARTS = 8  # of a job
 # float controls beside the float ANN, as far as they are shipped, from the strongest on
 _SMALL = ("mlp-32", "pruned", "small", "linear")
@@ -244,7 +250,7 @@ class RobustnessDesign(Design):
         folder = Path(self.runs) / condition.text.replace(":", "-")
         name = f"{tested.candidate.name}{f'@{tested.chip}' if tested.chip else ''}.json"
         evaluate = partial(self._evaluate, condition, tested, episodes)
-        return StoredRow(folder / name.replace(":", "-"), made, evaluate)
+        return StoredRow(folder / name.replace(":", "-"), made, evaluate, form=_FORM)
 
     def _episodes(self, *disturb: str) -> Episodes:
         """Copies of the environment, which all rows share that it disturbs alike."""

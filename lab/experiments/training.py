@@ -22,6 +22,8 @@ from spikedeploy.trainers.train import algorithm
 Record = dict[str, Any]
 _COMPUTED = ("device", "precision")  # settings that change numbers in their last places
 _WITH_PARENT = {"pool": ("teacher_walks=0", "noisy_walks=0")}  # settings that come with a parent
+NUMBER = (int, float)  # a form of StoredRow, as are types
+_NAMES = {NUMBER: "a number", int: "an integer", str: "a text"}
 _RESULTS = ("evaluation.json", "tracks.json", "policy.*")  # of a training that ended
 
 
@@ -187,6 +189,7 @@ class StoredRow:
     make   makes it
     about  what stands beside `of` in the file, and must be the same
     under  the field of the file that it is; the fields of the file themselves where it is empty
+    form   of it: a type, [form] of each in a list, or {name: form} of an object's fields
     """
 
     file: Path
@@ -194,6 +197,7 @@ class StoredRow:
     make: Callable[[], Any]
     about: Record = field(default_factory=dict)
     under: str = "row"
+    form: Any = field(default_factory=dict)
 
     @property
     def found(self) -> Any:  # noqa: ANN401 - JSON, or None
@@ -201,7 +205,10 @@ class StoredRow:
         made = read_json(self.file) if self.file.is_file() else {}
         if not all(made.get(name) == value for name, value in self._head.items()):
             return None
-        return made.get(self.under) if self.under else made
+        found = made.get(self.under) if self.under else made
+        if found is None or (fault := _fault(found, self.form, self.under or "it")) is None:
+            return found
+        raise ConfigError(f"{self.file} is damaged: {fault}. Put it back, or move it away")
 
     @property
     def _head(self) -> Record:
@@ -215,6 +222,21 @@ class StoredRow:
         """Make the result if it is missing."""
         if self.found is None:
             self.write(self.make())
+
+
+def _fault(found: object, form: Any, name: str) -> str | None:  # noqa: ANN401
+    """What is wrong with JSON of such a form; None where nothing is."""
+    is_object, is_list = isinstance(form, Mapping), isinstance(form, list)
+    wanted = Mapping if is_object else list if is_list else form
+    if not isinstance(found, wanted):
+        what = "an object" if is_object else "a list" if is_list else _NAMES[form]
+        return f"{name} must be {what}, found {json.dumps(found)[:40]}"
+    parts: Iterable[tuple[object, Any, str]] = ()
+    if isinstance(found, list) and is_list:
+        parts = ((each, form[0], f"{name}[{k}]") for k, each in enumerate(found))
+    elif isinstance(found, Mapping):
+        parts = ((found.get(key), each, f"{name}.{key}") for key, each in form.items())
+    return next((fault for part in parts if (fault := _fault(*part))), None)
 
 
 def results(rows: Iterable[StoredRow]) -> Iterator[Any]:

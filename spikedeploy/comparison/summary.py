@@ -86,9 +86,20 @@ def smallest_baseline(row: Row, rows: Sequence[Row]) -> Row | None:
 
 
 def macs(row: Row) -> float:
-    """MACs of an inference with an input that is not 0, all where those are not known."""
-    names = ("macs_effective", "effective_macs", "macs_dense")
-    return next((row[name] for name in names if row.get(name) is not None), math.inf)
+    """MACs of an inference: the effective ones, whose input is not 0; dense where not known."""
+    effective, dense = effective_macs(row), row.get("macs_dense")
+    return next((float(each) for each in (effective, dense) if each is not None), math.inf)
+
+
+def effective_macs(row: Row) -> float | None:
+    """NeuroBench's Effective_MACs of an inference; None where they are not known."""
+    names = ("macs_effective", "effective_macs")
+    return next((row[name] for name in names if row.get(name) is not None), None)
+
+
+def describe_macs(row: Row) -> str:
+    """`13,289 MACs`, or `20,864 dense MACs` where how many inputs are 0 is not known."""
+    return f"{macs(row):,.0f} {'dense ' if effective_macs(row) is None else ''}MACs"
 
 
 def _trained(rows: Sequence[Row]) -> list[Row]:
@@ -112,8 +123,8 @@ def _smallest(row: Row, rows: Sequence[Row], words: _Words) -> Iterator[str]:
     networks, count = _trained(equal), len(_trained([r for r in rows if r["kind"] != "snn"]))
     if networks:
         baseline = min(networks, key=macs)
-        cost = f"{macs(baseline):,.0f} MACs"
-        cost = cost if math.isfinite(macs(baseline)) else "MACs that were not counted"
+        is_counted = math.isfinite(macs(baseline))
+        cost = describe_macs(baseline) if is_counted else "MACs that were not counted"
         more = round(row.get("effective_macs") or 0)
         yield (
             f"The smallest float policy not shown to {words.less} is {baseline['policy']}: {cost} "

@@ -201,7 +201,7 @@ def open_draft(path: Path, copy: str | None = None) -> TrackDraft:
         return _of_track(track, track.name)
     try:
         return _from_tree(tree)
-    except (TypeError, KeyError, ValueError, AttributeError) as error:
+    except (TypeError, KeyError, ValueError, AttributeError, OverflowError) as error:
         raise ConfigError(
             f"{here}: not a draft that `draw` left ({error}); repair or remove it"
         ) from error

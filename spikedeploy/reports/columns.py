@@ -305,7 +305,11 @@ def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
         earned,
         Column("of ANN", "return / that of the float ANN", field_cell("ratio_to_float_ann", ".1%")),
         success,
-        Column("operations", "a control step, of synapses", format_operations),
+        Column(
+            "operations",
+            "a control step, of synapses; dense MACs: zeros are not skipped",
+            format_operations,
+        ),
         Column("energy", f"a control step, by table {table}", energy_cell(table)),
     ]
     return [Column("policy", "policy · chip", short_label(rows, env)), *_drop_empty(columns, rows)]
@@ -358,8 +362,8 @@ def describe_run(document: Mapping[str, Any]) -> str:
 
 
 def format_operations(row: Row) -> str:
-    """Synaptic operations, or the multiply-accumulates of a float network: `748,544 SOPs`."""
+    """Synaptic operations, or all multiply-accumulates of a float network: `748,544 SOPs`."""
     if row.get("sops_per_inference") is not None:
         return f"{row['sops_per_inference']:,.0f} SOPs"
     macs = row.get("macs_dense")
-    return f"{macs:,.0f} MACs" if macs else ABSENT
+    return f"{macs:,.0f} dense MACs" if macs else ABSENT

@@ -28,7 +28,13 @@ from spikedeploy.reports.columns import (
     tables,
 )
 from spikedeploy.reports.energy_verdict import energy_verdict
-from spikedeploy.reports.headline import describe_disturbances, headline, main_row, verdict
+from spikedeploy.reports.headline import (
+    describe_disturbances,
+    headline,
+    main_row,
+    sentences_of,
+    verdict,
+)
 from spikedeploy.reports.page import command_line, render
 from spikedeploy.reports.plots import energy_figure, returns_figure, save, svg
 from spikedeploy.reports.table import Column, Row, Table, escape_markdown
@@ -178,7 +184,11 @@ def comparison_page(
         video=b64encode(video.read_bytes()).decode() if video else "",
         policies=policy_table(rows, document["env_id"]),
         energy_hint=energy_hint(rows),
-        remarks=[more, document.get("energy", ""), document.get("env_remark", "")],
+        remarks=[
+            *sentences_of(more),
+            *sentences_of(document.get("energy", "")),
+            *sentences_of(document.get("env_remark", "")),
+        ],
         tables={title: _table(columns, rows) for title, columns in shown.items()},
         drawings=_drawings(rows, shown),
         meanings={column.title: column.meaning for column in columns},

@@ -5,7 +5,13 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from spikedeploy.comparison.summary import describe_episodes, macs, smallest_baseline
+from spikedeploy.comparison.summary import (
+    describe_episodes,
+    describe_macs,
+    effective_macs,
+    macs,
+    smallest_baseline,
+)
 from spikedeploy.reports.columns import (
     energy_cell,
     format_difference,
@@ -72,10 +78,15 @@ def headline(rows: Sequence[Row], env: str = "") -> list[HeadlineNumber]:
 
 def verdict(document: Mapping[str, Any]) -> tuple[str, str]:
     """The sentence of a comparison about the row that its page is about, and the others."""
-    row, sentences = main_row(document["rows"]), _SENTENCE.split(document["meaning"])
+    row, sentences = main_row(document["rows"]), sentences_of(document["meaning"])
     about = f"{row['policy']} on {row['chip']} "
     first = next((each for each in sentences if each.startswith(about)), sentences[0])
     return first, " ".join(each for each in sentences if each != first)
+
+
+def sentences_of(text: str) -> list[str]:
+    """The sentences of a text."""
+    return _SENTENCE.split(text)
 
 
 def describe_disturbances(document: Mapping[str, Any]) -> str:
@@ -100,7 +111,7 @@ def _operations_number(row: Row, baselines: Iterable[Row], name: str) -> Headlin
     count = _operations(row)
     if count <= 0:
         return None
-    unit = "SOPs" if row.get("sops_per_inference") is not None else "MACs"
+    unit = "SOPs" if row.get("sops_per_inference") is not None else "dense MACs"
     beside = [
         f"{each['policy']}: {_macs(each)}, {_times(macs(each) / count)} as many"
         for each in baselines
@@ -140,9 +151,10 @@ def _other_energies(row: Row) -> list[str]:
 
 
 def _macs(row: Row) -> str:
-    """`20,864 MACs`, or `13,289 effective MACs of 20,864`, whose input is not 0."""
-    count, dense = f"{macs(row):,.0f}", f"{row.get('macs_dense') or 0:,.0f}"
-    return f"{count} MACs" if count == dense else f"{count} effective MACs of {dense}"
+    """`20,864 MACs`, or `13,289 MACs of 20,864 dense`: those whose input is not 0, of all."""
+    effective, dense = effective_macs(row), row.get("macs_dense")
+    has_zeros = effective is not None and dense and round(effective) != round(dense)
+    return f"{describe_macs(row)} of {dense:,.0f} dense" if has_zeros else describe_macs(row)
 
 
 def _times(ratio: float) -> str:

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # what replays recorded episodes
-REPLAY_ASSETS = ("unpack.js", "bodies.js", "track.js", "maps.js", "strips.js", "instrument.js")
+REPLAY_ASSETS = ("unpack.js", "bodies.js", "track.js", "maps.js", "film.js", "strips.js",
+                 "instrument.js")  # fmt: skip
 FILES = ("report.html", "report.json")
 _COMMENT = re.compile(r"<!--.*?-->\n?")
 _PICTURE = re.compile(r'<p><img src="(?P<source>[^"]*)" alt="(?P<alt>[^"]*)" /></p>')
@@ -60,7 +61,7 @@ def _environment() -> "Environment":
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.globals.update(asset=asset, replay_assets=REPLAY_ASSETS, lead="", reload=0)
+    made.globals.update(asset=asset, replay_assets=REPLAY_ASSETS, lead="", reload=0, poster=0)
     made.policies["json.dumps_kwargs"] = {"allow_nan": False}
     return made
 

@@ -4,7 +4,8 @@ import csv
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +17,7 @@ from spikedeploy.console import console
 from spikedeploy.files import replacing
 
 if TYPE_CHECKING:
+    import rich.console
     import rich.table
     from rich.text import Text
 
@@ -25,6 +27,8 @@ ABSENT = "–"
 _COLOURS = {"✓": "green", "✗": "red"}  # on the terminal
 _LONGEST_NAME = 26  # letters of a row's name that a narrow table does not break
 _LONGEST_CELL = 44  # letters that a page does not break
+_ANY = 1_000_000  # columns: wider than any table
+_LONGEST_NUMBER = 30  # letters that a terminal does not break: a number with its interval
 _NUMBER = re.compile(r"[-−+±≥≤<>≈*\[( ]*\d")
 _PREFIXES = {1: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n"}
 
@@ -87,36 +91,89 @@ class Table:
         return cls(tuple(forms), rows, title, numbers)
 
     def print(self, width: int | None = None) -> None:
-        """Write the table on stdout.
+        """Write the table on stdout; one too wide for it in blocks of columns, none of them cut.
 
         width  most columns of the terminal that it takes; None for all
         """
         screen = console()
-        screen.print(self._rich(width), width=width and min(width, screen.width))
-        if width:  # the edge that wide ones end with
-            screen.print()
+        wide = min(width or screen.width, screen.width)
+        for block in self._blocks(width, wide, screen):
+            screen.print(block, width=wide)
+            if width:  # the edge that wide ones end with
+                screen.print()
 
-    def _rich(self, width: int | None) -> "rich.table.Table":
+    def _blocks(
+        self, width: int | None, wide: int, screen: "rich.console.Console"
+    ) -> "Iterator[rich.table.Table]":
+        """The table; or as many columns at a time as fit, the names of rows before them."""
+
+        def fits(table: "rich.table.Table") -> bool:
+            return screen.measure(table, options=screen.options.update(width=_ANY)).maximum <= wide
+
+        whole = self._rich(width)
+        if not self.numbers or fits(whole) or (width and self._is_whole(whole, wide, screen)):
+            yield whole
+            return
+        name, *others = range(len(self.columns))
+        title, block = self.title, [name]
+        for place in others:
+            if len(block) > 1 and not fits(self._rich(width, [*block, place], title, wide)):
+                yield self._rich(width, block, title, wide)
+                title, block = "", [name]
+            block.append(place)
+        yield self._rich(width, block, title, wide)
+
+    def _is_whole(
+        self, table: "rich.table.Table", wide: int, screen: "rich.console.Console"
+    ) -> bool:
+        """True if cells after the first break between words alone where the table is so wide."""
+        lines = screen.render_lines(table, screen.options.update(width=wide))
+        shown = Counter(word for line in lines for each in line for word in each.text.split())
+        asked = Counter(word for row in self.rows for cell in row[1:] for word in cell.split())
+        return asked <= shown
+
+    def _width(self, place: int, wide: int) -> int:
+        """The width of a column: heads break between words, and of cells only names and texts."""
+        from rich.cells import cell_len
+
+        cells = [row[place] for row in self.rows]
+        widest = max(map(cell_len, cells), default=0)
+        if place == 0:
+            return max(min(widest, max(_LONGEST_NAME, wide // 3)), cell_len(self.columns[0]))
+        words = [word for text in (self.columns[place], *cells) for word in text.split()]
+        return max([min(widest, _LONGEST_NUMBER), *map(cell_len, words)])
+
+    def _rich(
+        self,
+        width: int | None,
+        block: Sequence[int] | None = None,
+        title: str | None = None,
+        wide: int = 0,
+    ) -> "rich.table.Table":
+        """The table, or a block of its columns in a terminal so wide, each with its own width."""
         from rich import box
         from rich.table import Table
         from rich.text import Text
 
         table = Table(
-            title=Text(self.title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
-            pad_edge=False, show_edge=not width, padding=(0, 1, 0, 0) if width else (0, 1),
+            title=Text(self.title if title is None else title), title_justify="left",
+            title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False,
+            show_edge=not width, padding=(0, 1, 0, 0) if width else (0, 1),
         )  # fmt: skip
         # names of rows stay whole, unless they are long and the table narrow: then numbers do
         longest = max((len(row[0]) for row in self.rows), default=0)
         unbroken_names = not width or longest <= _LONGEST_NAME
-        for place, head in enumerate(self.columns):
+        for place in range(len(self.columns)) if block is None else block:
             table.add_column(
-                Text(head),
+                Text(self.columns[place]),
                 justify="right" if self.numbers and place else "left",
-                no_wrap=self.numbers and bool(place) != unbroken_names,
-                overflow="fold" if width else "ellipsis",
+                no_wrap=block is None and self.numbers and bool(place) != unbroken_names,
+                overflow="fold",
+                width=None if block is None else self._width(place, wide),
             )
         for row in self.rows:
-            table.add_row(*map(_literal, row))
+            cells = row if block is None else [row[place] for place in block]
+            table.add_row(*map(_literal, cells))
         return table
 
     def markdown(self) -> str:

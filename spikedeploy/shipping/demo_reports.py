@@ -25,11 +25,13 @@ _INDEX = "index.html"
 # task -> episodes of each policy; a walk takes some seconds, a lap a tenth of that
 _TASKS = {"hexapod-command": 2, "kart-steer": 5}
 _TITLE = "Spiking policies on an emulated chip"
-_LEAD = (
-    "The robot below is driven by spiking neurons in the integers of a neuromorphic chip. The "
-    "ghosts beside it are the same network in floating point and a float network. No chip took "
-    "part: its arithmetic was emulated on this machine, and its operations were counted."
+_LEAD = "The robot is driven by spiking neurons in the integers of a neuromorphic chip."
+_NOTES = (
+    "The ghosts beside it are the same network in floating point and a float network.",
+    "No chip took part: its arithmetic was emulated on this machine, and its operations were "
+    "counted.",
 )
+_POSTER = 0.25  # of an episode: the robots move, and apart; the page opens there
 _Episodes = Sequence[Mapping[str, Any]]
 
 
@@ -45,13 +47,14 @@ def write_demo(
     """
     _check(folder, force)
     documents: list[dict[str, Any]] = []
-    shown: _Episodes = ()
+    shown: list[dict[str, Any]] = []
     for env, episodes in _TASKS.items():
         if not zoo.policies(env):
             say(f"{env}: no policies are shipped yet")
             continue
         document, recorded = _compared(env, episodes, folder / env)
-        shown = shown or recorded[:1]
+        first, *_ = report.name_players(recorded, document)
+        shown.append({**first, "title": document["env"]})
         documents.append(document)
         if not quiet:
             show = print_comparison if everything else print_headline
@@ -83,12 +86,14 @@ def _compared(env: str, episodes: int, folder: Path) -> tuple[dict[str, Any], _E
 
 
 def _index(documents: Sequence[Mapping[str, Any]], episodes: _Episodes) -> str:
-    """A page that replays an episode of the first task, and leads to the pages of all."""
+    """A page that replays an episode of each task, and leads to the pages of all."""
     return render(
         "demo",
         title=_TITLE,
         lead=_LEAD,
-        episodes=report.name_players(episodes, documents[0]),
+        notes=_NOTES,
+        episodes=episodes,
+        poster=_POSTER,
         tasks=[_task(document) for document in documents],
     )
 

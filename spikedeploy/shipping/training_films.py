@@ -18,7 +18,7 @@ from spikedeploy.policies import run_record
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.user_errors import one_line
-from spikedeploy.video import Frame, Pace, add_caption, gif
+from spikedeploy.video import Frame, Pace, add_caption, gif, shrink
 
 # torch is imported where a film is made: the card looks for films without
 
@@ -121,22 +121,12 @@ def _episode(run: Path) -> tuple[list[Frame], float]:
 
         def take(episode: EpisodeRecorder) -> None:
             if episode.steps % (_EVERY * pace.every) == 0:
-                frames.append(_small(world.render()))
+                frames.append(shrink(world.render(), _WIDTH))
 
         rollout(cut, player, VALIDATION[0], take)
     finally:
         world.close()
     return frames, _EVERY / pace.fps
-
-
-def _small(frame: Frame) -> Frame:
-    """A copy of the frame, at most _WIDTH wide."""
-    from PIL import Image
-
-    image = Image.fromarray(frame)
-    image.thumbnail((_WIDTH, frame.shape[0]))
-    small: Frame = np.array(image)
-    return small
 
 
 def _to_tensorboard(film: Path, step: int, shape: tuple[int, ...]) -> None:

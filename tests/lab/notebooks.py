@@ -12,12 +12,25 @@ from tests.project.tutorials import FOLDER, NOTEBOOKS, commands, parts
 
 FILES = {name: ROOT / f"examples/notebooks/{name}.ipynb" for name in NOTEBOOKS}
 _ALSO = re.compile(r"Also as a notebook:\s+\[.+?\]\(.+?\)\.")
-_TOP = """# paths begin at the top of the checkout
+_TOP = """# needs spikedeploy in this kernel, and its checkout, where the files are and paths begin:
+# it is found above or in this folder; where the notebook was copied elsewhere, name it
+CHECKOUT = ""
+
 import os
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
-here = Path.cwd()
-os.chdir(next(top for top in (here, *here.parents) if (top / "examples/net.nir").exists()))
+here = Path(CHECKOUT).expanduser().resolve() if CHECKOUT else Path.cwd()
+places = (here, *here.parents, *here.glob("*/"))
+top = next((each for each in places if (each / "examples/net.nir").exists()), None)
+if top is None or find_spec("spikedeploy") is None:
+    raise FileNotFoundError(
+        "this notebook needs a checkout of spikedeploy, and the package in this kernel: in the "
+        "checkout, pip install -e '.[train]'; then write its path into CHECKOUT"
+    )
+os.chdir(top)
+os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 """
 
 

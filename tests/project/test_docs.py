@@ -130,3 +130,11 @@ def test_the_tests_that_a_page_names_exist():
     for page in PAGES:
         for path, name in re.findall(r"(tests/[\w/]+\.py)::(test_\w+)", page.read_text("utf-8")):
             assert f"def {name}(" in (ROOT / path).read_text("utf-8"), (page.name, path, name)
+
+
+def test_every_page_of_results_is_in_the_navigation():
+    """docs/site/navigation.py makes it from the links of docs/README.md."""
+    linked = re.findall(
+        r"\]\(\.\./(results/[^)#]+\.md)\)", (ROOT / "docs/README.md").read_text("utf-8")
+    )
+    assert {name(page) for page in ROOT.glob("results/*.md")} - {*linked} == set()

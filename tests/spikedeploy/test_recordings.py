@@ -3,9 +3,11 @@
 import json
 import zlib
 from base64 import b64decode
+from io import BytesIO
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from spikedeploy import envs, recordings
 from spikedeploy.comparison.evaluation import compare_policies
@@ -70,6 +72,58 @@ def test_a_page_has_the_first_and_the_worst_episode_while_it_is_small(entries, m
     network = only["players"][-1]["network"]
     assert network["layers"] == []
     assert network["left_out"][0].startswith("input: ")
+
+
+def film_of(monkeypatch, tmp_path, **changes):
+    """The scene of the toy walker, which draws itself ever lighter, and its pictures as arrays."""
+    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
+    for name, value in changes.items():
+        monkeypatch.setattr(toy_stroll_env.StrollEnv, name, value)
+    compared = compare_policies("stroll", line_up("stroll", ("gait",), ()), [10_000], processes=1)
+    (episode,) = of_comparison(compared, 0, {}, TABLE)
+    found = [Image.open(BytesIO(b64decode(each))) for each in episode["scene"]["pictures"]]
+    return episode["scene"], [np.asarray(each.convert("RGB")) for each in found]
+
+
+def test_an_environment_without_a_scene_is_filmed_in_the_episode_that_is_replayed(
+    monkeypatch, tmp_path
+):
+    scene, pictures = film_of(monkeypatch, tmp_path)
+    assert (scene["kind"], scene["every"]) == ("film", 2)  # 25 a second
+    shades = [picture.mean() for picture in pictures]
+    assert shades == pytest.approx([10 * step for step in range(0, 21, 2)], abs=3)
+
+
+def test_films_are_small(monkeypatch, tmp_path):
+    rng = np.random.default_rng(0)
+    noise = {"render": lambda env: rng.integers(0, 256, (300, 900, 3), np.uint8), "max_steps": 700}
+    scene, pictures = film_of(monkeypatch, tmp_path, **noise)
+    assert pictures[0].shape == (107, 320, 3)
+    assert sum(map(len, scene["pictures"])) < 4 / 3 * 700_000 + 4 * len(pictures)
+    assert scene["every"] > 2
+    plain = {"render": lambda env: np.zeros((48, 64, 3), np.uint8)}
+    scene, pictures = film_of(monkeypatch, tmp_path / "plain", **plain)
+    assert (scene["every"], len(pictures)) == (8, 88)
+
+
+@pytest.mark.parametrize(
+    ("error", "said"), [(NotImplementedError(), ""), (ImportError("no screen"), "no screen")]
+)
+def test_an_environment_that_cannot_draw_itself_is_shown_without_a_film(
+    entries, monkeypatch, capsys, error, said
+):
+    def render(env):
+        raise error
+
+    monkeypatch.setattr(toy_stroll_env.StrollEnv, "render", render)
+    compared = compare_policies("stroll", entries, [10_000], processes=1)
+    capsys.readouterr()
+    (episode,) = of_comparison(compared, 0, {}, TABLE)
+    assert episode["scene"] is None
+    assert episode["players"][-1]["steps"] == 20
+    err = capsys.readouterr().err
+    assert err.count("the page has no film") == len(said[:1])
+    assert said in err
 
 
 def episode_of(rasters):

@@ -6,6 +6,8 @@ import json
 import os
 import re
 import signal
+import sys
+from types import ModuleType
 
 import pytest
 import safetensors.torch
@@ -216,6 +218,33 @@ def test_people_and_tensorboard_see_success_and_spike_rate(
     ((step, scalars),) = points
     assert (step, len(scalars)) == (5, 2)
     assert read(journal.metrics.path) == [{"step": 5.0}]
+
+
+def test_tensorboard_gets_the_columns_of_a_row_at_its_step(tmp_path, monkeypatch):
+    points, folders = [], []
+
+    class Writer:
+        def __init__(self, folder, purge_step=None):
+            folders.append((folder, purge_step))
+
+        def add_scalar(self, name, value, step):
+            points.append((name, value, step))
+
+        def close(self):
+            pass
+
+    board = ModuleType("torch.utils.tensorboard")
+    board.SummaryWriter = Writer
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", board)
+    monkeypatch.setattr("spikedeploy.trainers.progress.find_spec", lambda name: True)
+    run = RunFolder.create(tmp_path, resolve(SacConfig, "smoke"))
+    with ProgressBar("", quiet=True) as bar:
+        journal = Journal(run, ("step", "eval_finish"), bar)
+        journal.add({"step": 5, "eval_finish": 0.5, "of_no_column": 1.0})
+        journal.rewind(5)
+        journal.close()
+    assert points == [("step", 5, 5), ("eval_finish", 0.5, 5), ("eval_success", 0.5, 5)]
+    assert folders == [(str(run.path), None), (str(run.path), 6)]
 
 
 def test_a_training_that_is_refused_leaves_no_run_folder(tmp_path, world):

@@ -54,6 +54,7 @@ class BodiesView {
   draw(context, width, height, step, paint) {
     const { episode } = this;
     const main = bodiesAt(episode.players.at(-1), step);
+    this.own = shares(paint.players.at(-1));
     this._aim(main[0].position, width, height);
     context.fillStyle = paint.sky;
     context.fillRect(0, 0, width, height);
@@ -173,8 +174,8 @@ class BodiesView {
       depth: (a.depth + b.depth) / 2 - radius, ghost, ends, radius,
       draw: (context) => {
         context.globalAlpha = ghost ? 0.28 : 1;
-        stroke(context, 0, 1, ghost || shade(geom.colour, 0.72));
-        if (!ghost) stroke(context, 0.1, 0.55, shade(geom.colour, 1.05));
+        stroke(context, 0, 1, ghost || shade(this._colour(geom), 0.72));
+        if (!ghost) stroke(context, 0.1, 0.55, shade(this._colour(geom), 1.05));
       },
     });
   }
@@ -191,7 +192,7 @@ class BodiesView {
         const corners = [[1, 1], [1, -1], [-1, -1], [-1, 1]].map(([p, q]) =>
           this._see([0, 1, 2].map((n) => centre[n] + p * u[n] + q * v[n])));
         if (corners.some((corner) => corner.depth < 0.1)) continue;
-        const colour = ghost || shade(geom.colour, 0.62 + 0.5 * Math.max(0, dot(normal, LIGHT)));
+        const colour = ghost || shade(this._colour(geom), 0.62 + 0.5 * Math.max(0, dot(normal, LIGHT)));
         things.push({
           depth: this._see(centre).depth, ghost, ends: [centre], radius: Math.min(...geom.size),
           draw: (context) => {
@@ -208,6 +209,12 @@ class BodiesView {
       }
   }
 
+  // that of the policy in the list, where the model has any colour: darker where the model is darker
+  _colour({ colour }) {
+    const most = Math.max(...colour);
+    return most - Math.min(...colour) < 0.1 ? colour : this.own.map((share) => share * (0.6 + 0.4 * most));
+  }
+
   _shadow(context, thing, paint) {
     const on = thing.ends.map((end) => {
       const height = this._height(end[0], end[1]), above = Math.max(0, end[2] - height);
@@ -221,6 +228,11 @@ class BodiesView {
     context.lineTo((on[1] || on[0]).x + 0.01, (on[1] || on[0]).y);
     context.stroke();
   }
+}
+
+// red, green and blue of #rrggbb
+function shares(hex) {
+  return [1, 3, 5].map((k) => parseInt(hex.slice(k, k + 2), 16) / 255);
 }
 
 function shade(colour, light) {

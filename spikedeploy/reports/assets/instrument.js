@@ -8,12 +8,15 @@ class Instrument {
   constructor(episodes) {
     this.episodes = episodes;
     this.speed = 1; this.span = Infinity; this.playing = false;
+    this.poster = Number($("instrument").dataset.poster) || 0;  // share of an episode at which it opens
     this._wire();
   }
 
   async open(number) {
     this.number = number;
     this._take(await unpackEpisode(this.episodes[number]));
+    this.step = this.poster * (this.episode.steps - 1);
+    this.posed = this.poster > 0;
     this._jumps();
     this.paint();
     document.documentElement.dataset.ready = String(number);
@@ -23,10 +26,11 @@ class Instrument {
     this.episode = episode;
     this.period = this.episode.period || UNKNOWN;
     const kind = this.episode.scene && this.episode.scene.kind;
-    this.view = kind === "bodies" ? new BodiesView(this.episode) : kind === "track" ? new TrackView(this.episode)
-      : kind === "maps" ? new MapsView(this.episode) : null;
+    const View = { bodies: BodiesView, track: TrackView, maps: MapsView, film: FilmView }[kind];
+    this.view = View ? new View(this.episode) : null;
     this.word = kind === "maps" ? "span" : "control step";
     $("stage").hidden = !this.view;
+    this._invite();
     this.step = 0;
     $("time").max = this.episode.steps - 1;
     this._list();
@@ -61,6 +65,7 @@ class Instrument {
   }
 
   seek(step) {
+    this.posed = false;
     this.step = Math.min(this.episode.steps - 1, Math.max(0, step));
     const [from] = this._window();
     if (this.span !== Infinity && from !== this.from) this.drawStrips();
@@ -69,9 +74,10 @@ class Instrument {
   }
 
   toggle(on = !this.playing) {
-    if (on && this.step >= this.episode.steps - 1) this.step = 0;
+    if (on && (this.posed || this.step >= this.episode.steps - 1)) this.step = 0;
     this.playing = on;
     $("play").textContent = on ? "Pause" : "Play";
+    this._invite();
     if (!on) return;
     let before = performance.now();
     const frame = (now) => {
@@ -81,6 +87,11 @@ class Instrument {
       if (this.step >= this.episode.steps - 1) this.toggle(false); else requestAnimationFrame(frame);
     };
     requestAnimationFrame(frame);
+  }
+
+  // the large button in the picture of what does not move
+  _invite() {
+    if ($("start")) $("start").hidden = this.playing || !this.view;
   }
 
   drawScene() {
@@ -127,8 +138,9 @@ class Instrument {
     this.strips = stripsOf(this.episode, this.period).map((strip) => {
       const row = document.createElement("div");
       row.className = "strip";
-      row.innerHTML = '<div class="name"><span></span><output></output></div><div class="plot"><canvas></canvas><i></i></div>';
+      row.innerHTML = '<div class="name"><span></span><small></small><output></output></div><div class="plot"><canvas></canvas><i></i></div>';
       row.querySelector("span").textContent = strip.title;
+      row.querySelector("small").textContent = strip.range || "";
       const sheet = row.querySelector("canvas"), plot = row.querySelector(".plot");
       plot.style.height = `${strip.height}px`;
       sheet.setAttribute("role", "img");
@@ -166,7 +178,7 @@ class Instrument {
   }
 
   _wire() {
-    $("play").onclick = () => this.toggle();
+    $("play").onclick = $("start").onclick = () => this.toggle();
     $("time").oninput = (event) => { this.toggle(false); this.seek(Number(event.target.value)); };
     $("speed").onchange = (event) => { this.speed = Number(event.target.value); };
     $("episodes").hidden = this.episodes.length < 2 && this.episodes.some(({ seed }) => seed === null);
@@ -237,8 +249,16 @@ function canvas(sheet) {
 
 const found = $("episodes-data");
 if (found) {
-  // report.html#episode=1&step=420 opens there
-  const [number, step] = ["episode", "step"].map((name) => Number(new URLSearchParams(location.hash.slice(1)).get(name)) || 0);
   const episodes = JSON.parse(found.textContent), instrument = new Instrument(episodes);
-  instrument.open(Math.min(number, episodes.length - 1)).then(() => instrument.seek(step));
+  // report.html#episode=1&step=420 opens there
+  const follow = async () => {
+    const asked = new URLSearchParams(location.hash.slice(1)), number = Number(asked.get("episode")) || 0;
+    instrument.toggle(false);
+    await instrument.open(Math.min(number, episodes.length - 1));
+    if (asked.has("step")) instrument.seek(Number(asked.get("step")) || 0);
+  };
+  addEventListener("hashchange", () => {
+    if (location.hash.startsWith("#episode=")) follow().then(() => $("instrument").scrollIntoView());
+  });
+  follow();
 }

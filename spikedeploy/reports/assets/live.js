@@ -202,6 +202,7 @@ class Live extends Instrument {
     stripsOf(this.episode, this.period).forEach((strip, k) => {
       this.strips[k].strip = strip;
       this.strips[k].row.querySelector("span").textContent = strip.title;
+      this.strips[k].row.querySelector("small").textContent = strip.range || "";
     });
     this._who();
   }

@@ -32,10 +32,15 @@ class LinesStrip {
   constructor(title, lines, unit) {
     Object.assign(this, { title, lines, unit, height: 64 });
     const values = lines.flatMap(({ at, rows }) => [...Array(rows).keys()].map(at)).sort((a, b) => a - b);
-    // a few outliers must not flatten the rest: they are drawn at the edge, which says how far they go
+    // a few outliers must not flatten the rest: they are drawn at the edge, and the caption says how far they go
     const share = (q) => values[Math.min(values.length - 1, Math.floor(q * values.length))];
     [this.low, this.high] = [share(0.002), share(0.998)];
     [this.least, this.most] = [values[0], values.at(-1)];
+    this.range = `${short(this.low)} to ${short(this.high)}`;
+    if (this.least < this.low || this.most > this.high) {
+      const all = `${short(this.least)} to ${short(this.most)}`;
+      if (all !== this.range) this.range += `, a few beyond: ${all}`;
+    }
     if (this.high - this.low < 1e-12) [this.low, this.high] = [Math.min(0, this.low), Math.max(1, this.high)];
   }
 
@@ -62,23 +67,7 @@ class LinesStrip {
       }
       context.stroke();
     });
-    context.font = "10px system-ui, sans-serif";
-    const high = edge(this.high, this.most > this.high, "up to", this.most);
-    const low = edge(this.low, this.least < this.low, "down to", this.least);
-    for (const [text, place] of [[high, 9], [low, height - 2]]) {
-      context.fillStyle = paint.card;
-      context.globalAlpha = 0.75;
-      context.fillRect(0, place - 9, context.measureText(text).width + 4, 11);
-      context.globalAlpha = 1;
-      context.fillStyle = paint.soft;
-      context.fillText(text, 2, place);
-    }
   }
-}
-
-// the end of an axis, and of the values where they go beyond it
-function edge(value, cut, word, end) {
-  return cut && short(end) !== short(value) ? `${short(value)}, cut: ${word} ${short(end)}` : short(value);
 }
 
 class RasterStrip {

@@ -69,6 +69,7 @@ async function unpackEpisode(episode) {
   const scene = episode.scene;
   const heights = scene && scene.ground && (await numbers(scene.ground.heights));
   for (const map of (scene && scene.maps) || []) map.spikes = map.spikes.data ? await spikes(map.spikes) : map.spikes;
-  return { ...episode, players, heights, distance: await numbers(episode.distance),
+  const film = scene && scene.pictures && (await Promise.all(scene.pictures.map(pictureOf)));
+  return { ...episode, players, heights, film, distance: await numbers(episode.distance),
            steps: Math.max(...players.map((player) => player.steps)) };
 }

@@ -115,6 +115,8 @@ def test_an_unknown_name_is_answered_with_a_suggestion():
         (changed(walls=[[[0, 0], [1]]]), "wall 1: must be numbers of shape ('n', 2)"),
         (changed(walls=[[[0, 0], [1, "x"]]]), "wall 1: must be numbers"),
         (changed(walls=[[[0, 0], [1, float("nan")]]]), "wall 1: must be numbers"),
+        (changed(walls=[[[0, 0], [1e300, -1e300]]]), "all finite and within ±1e+09"),
+        (changed(walls=[[[0, 0], [1, 10**400]]]), "wall 1: must be numbers"),
         (changed(walls=[*LANE["walls"], [[1, 2], [1, 2]]]), "wall 2: points 1 and 2 are the same"),
         (changed(gates=[[[1, 2], [3, 4], [5, 6]]]), "gate 1 has 3 points; a gate has two"),
         (begun(spread=-1), "spread -1.0 and sway 0.0 must not be negative"),

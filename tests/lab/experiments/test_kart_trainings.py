@@ -9,7 +9,7 @@ from zipfile import BadZipFile, ZipFile
 import pytest
 
 from lab.experiments import kart_trainings as trainings
-from lab.experiments.kart import WORLDS, KartDesign
+from lab.experiments.kart import TRACKS, WORLDS, KartDesign
 from lab.experiments.kart_trainings import pack, unpack
 from lab.experiments.runner import Part
 from spikedeploy.files import write_text
@@ -82,6 +82,40 @@ def test_damaged_records_of_a_training_are_named(name, content, tmp_path):
     (trial.run / name).write_bytes(content)
     with pytest.raises(ConfigError, match=rf"{name} is damaged.*: put it back, or move it away"):
         _ = trial.evaluation
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"rows": 3}, r"it\.rows must be a list, found 3\."),
+        ({"rows": [{}, "x"]}, r'it\.rows\[1\] must be an object, found "x"\.'),
+        ({"parameters": None}, r"it\.parameters must be an integer, found null\."),
+    ],
+)
+def test_an_evaluation_of_another_form_is_named(changes, said, tmp_path):
+    trial = trial_of(tmp_path)
+    leave(trial)
+    file = trial.run / "evaluation.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), **changes}))
+    with pytest.raises(ConfigError, match=rf"evaluation\.json is damaged: {said} Put it back"):
+        _ = trial.evaluation
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ([], r"row must be an object, found \[\]"),
+        ({}, r"row\.[\w-]+ must be a list, found null"),
+        ({track: [0, "1"] for track in TRACKS}, r'row\.[\w-]+\[1\] must be an integer, found "1"'),
+    ],
+)
+def test_tracks_of_another_form_are_named(row, said, tmp_path):
+    trial = trial_of(tmp_path)
+    leave(trial)
+    (stored,) = trial.tracks(3)
+    stored.write(row)
+    with pytest.raises(ConfigError, match=rf"tracks\.json is damaged: {said}\. Put it back"):
+        _ = stored.found
 
 
 def test_a_training_that_ended_is_not_deleted_where_its_counters_are_gone(tmp_path):

@@ -26,6 +26,7 @@ from lab.experiments.pareto import FLOAT, LAST, SPIKING, ParetoDesign
 from lab.experiments.pareto_page import sentences
 from lab.experiments.runner import run_experiment
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.policies import PrunedMlpPolicy
 from spikedeploy.trainers.sparse.pool import Walk
 from tests.paths import ROOT
@@ -146,6 +147,20 @@ def test_a_row_that_is_missing_is_made_again_and_no_other(design, results, ran):
     assert lost.is_file()
     assert kept.stat().st_mtime_ns == age
     assert contents(results) == before
+
+
+@pytest.mark.parametrize(
+    ("row", "said"), [("x", 'row must be an object, found "x"'), ({}, r"row\.env must be a text")]
+)
+def test_an_evaluation_of_another_form_is_named(row, said, design, results):
+    file = Path(design.runs) / "evaluations" / "kart-grid-small-mlp-s0" / "ops-60@int8.json"
+    kept = file.read_bytes()
+    file.write_text(json.dumps({**json.loads(kept), "row": row}))
+    try:
+        with pytest.raises(ConfigError, match=rf"ops-60@int8\.json is damaged: {said}"):
+            list(design.all_rows())
+    finally:
+        file.write_bytes(kept)
 
 
 def test_the_command_leaves_the_published_page_alone_where_sizes_are_quick(

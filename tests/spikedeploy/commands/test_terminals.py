@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from collections import Counter
 
 import pytest
 import typer
@@ -41,6 +42,28 @@ def test_brackets_are_text_in_tables(capsys):
     out = capsys.readouterr().out
     for text in ("[bold]out", "time [s]", "[red]", 'pip install ".[x]"', "[/]"):
         assert text in out
+
+
+NUMBERS = ("3,413 [3,405, 3,420]", "100.0%", "6,014,208", "≥ 51.61 nJ", "-203.2 [-253.3, -161.5]")
+TEXT = "2.08 mJ (frady2020), 2.71 mJ (popsan2020), activations and the encoder"
+
+
+@pytest.mark.parametrize("columns", [40, 60, 80, 120, 200])
+@pytest.mark.parametrize("most", [None, 80])
+@pytest.mark.parametrize(
+    "name", ["sac", "sparse-gated · loihi1", "ppo-snn-Ant-v5-s0-20261126-080737"]
+)
+def test_no_number_is_cut_where_the_terminal_is_narrow(columns, most, name, capsys, monkeypatch):
+    monkeypatch.setattr(console, "_PIPE_WIDTH", columns)
+    heads = ("policy", "return", "of ANN", "horowitz45-int8", "first difference", "gain", "static")
+    Table(heads, [(name, *NUMBERS, TEXT)] * 2, "What it earns", numbers=True).print(most)
+    lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    assert max(map(len, lines)) <= min(columns, most or columns)
+    out = "\n".join(lines)
+    assert out.count("What it earns") == 1
+    assert Counter(2 * " ".join([*NUMBERS, TEXT, ""]).split()) <= Counter(out.split())
+    if most is None and columns >= 60:  # with their intervals
+        assert [each for each in NUMBERS if out.count(each) < 2] == []
 
 
 @pytest.mark.parametrize(

@@ -121,6 +121,9 @@ def test_a_draft_loses_nothing(draft, tmp_path):
     assert as_text(open_draft(tmp_path / "a.json")) == as_text(draft)
 
 
+HUGE = as_text(TrackDraft("a", (((0.0, 0.0), (7.0, 7.0)), ()))).replace("7", "7" * 400)
+
+
 @pytest.mark.parametrize(
     ("name", "opened", "text", "line"),
     [
@@ -129,6 +132,7 @@ def test_a_draft_loses_nothing(draft, tmp_path):
         ("a.json", "a.json", "nonsense", "not a JSON file"),
         ("a.json", "a.json", "{}", "'name' is missing"),
         ("a.draft.json", "a.json", '{"walls": [[[1]]]}', r"not a draft that `draw` left"),
+        ("a.draft.json", "a.json", HUGE, r"not a draft that `draw` left"),
     ],
 )
 def test_files_that_cannot_be_drawn_in_are_named(name, opened, text, line, tmp_path):

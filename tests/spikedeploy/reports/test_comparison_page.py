@@ -12,6 +12,7 @@ from spikedeploy.reports.headline import headline, main_row
 from spikedeploy.reports.page import asset
 from spikedeploy.reports.plots import energy_figure, returns_figure
 from tests import toy_stroll_env
+from tests.pages import now, ready
 
 
 def row(policy, kind, chip=None, earned=3000.0, sops=None, macs=None, joules=None, **changes):
@@ -53,8 +54,8 @@ def test_three_numbers_lead_with_what_they_are_beside():
     )
     assert (operations.number, energy.number) == ("48 SOPs", "0.75 nJ")
     assert operations.beside == (
-        "mlp-8: 700 MACs, 14 times as many",
-        "sac: 300,000 MACs, 6,211 times as many",
+        "mlp-8: 700 dense MACs, 14 times as many",
+        "sac: 300,000 dense MACs, 6,211 times as many",
     )
     assert energy.beside == (
         "by horowitz45-int8, which prices float networks too",
@@ -68,7 +69,7 @@ def test_numbers_say_what_they_leave_out():
     sparse = row("popsan", "snn", "loihi1", 2910, sops=48.3, **CHIP, **tables)
     sac = row("sac", "ann", macs=300_000, joules=480e-9, macs_effective=116_811)
     _, operations, energy = headline([sac, sparse])
-    assert "sac: 116,811 effective MACs of 300,000, 2,418 times as many" in operations.beside
+    assert "sac: 116,811 MACs of 300,000 dense, 2,418 times as many" in operations.beside
     assert energy.number == "0.75 nJ"
     assert energy.beside[-1] == "by loihi1's own tables: 33.00 nJ (davies2018)"
 
@@ -104,15 +105,12 @@ def test_png_plots_have_the_colours_of_the_page_by_day():
         assert list(dict.fromkeys(found)) == [by_day[name] for name in kinds]
 
 
-def ready(browser, episode="0"):
-    from selenium.webdriver.support.ui import WebDriverWait
-
-    script = "return document.documentElement.dataset.ready"
-    WebDriverWait(browser, 20).until(lambda found: found.execute_script(script) == episode)
-
-
-def now(browser):
-    return browser.find_element("id", "now").text
+def shade(browser):
+    """How light the middle of the picture is."""
+    return browser.execute_script(
+        "const s = document.getElementById('stage');"
+        "return s.getContext('2d').getImageData(s.width / 2, s.height / 2, 1, 1).data[0]"
+    )
 
 
 def test_one_cursor_moves_through_the_page(browser, page):
@@ -123,10 +121,13 @@ def test_one_cursor_moves_through_the_page(browser, page):
     assert names[0].startswith("input spikes")
     assert {"2 actions", "synaptic operations", "reward"} <= set(names)
     body = browser.find_element("tag name", "body")
+    before = shade(browser)
     body.send_keys("\ue014" * 3)  # arrow right
     assert now(browser) == "0.06 s, control step 3 of 20"
     body.send_keys("\ue010")  # end
     assert now(browser).endswith("step 19 of 20")
+    assert before == pytest.approx(0, abs=5)
+    assert shade(browser) == pytest.approx(10 * 20, abs=5)  # the film's last picture
     cursors = browser.execute_script(
         "return [...document.querySelectorAll('.strip i')].map((each) => each.style.left)"
     )

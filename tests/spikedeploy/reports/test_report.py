@@ -7,9 +7,9 @@ import pytest
 
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
-from spikedeploy.comparison.summary import summary
+from spikedeploy.comparison.summary import describe_macs, summary
 from spikedeploy.reports import comparison as report
-from spikedeploy.reports.columns import short_columns, tables
+from spikedeploy.reports.columns import format_operations, short_columns, tables
 from spikedeploy.reports.table import Table, price_cell
 from tests import toy_stroll_env
 
@@ -87,7 +87,7 @@ SENTENCES = {
         row("popsan", "snn", "loihi1", **ALONE, episodes=4)],
     "The gait alone earns 50.0% of the float ANN's return, the best control (linear) 60.0%. ": [
         row("sac", "ann"), row("gait", "gait", ratio=0.5), row("linear", "control", ratio=0.6)],
-    "The smallest float policy not shown to earn less is linear: 1,386 MACs a control step, "
+    "The smallest float policy not shown to earn less is linear: 1,386 dense MACs a control step, "
     "to 48 synaptic operations and 18 MACs of popsan. Neuron updates": [
         row("sac", "ann", effective_macs=80_000.0), row("popsan", "snn", "loihi1", 0.985),
         row("gait", "gait", ratio=0.5),
@@ -110,6 +110,13 @@ SENTENCES = {
     "Intervals cover 5 episodes of one training each; other trainings differ: "
     "results/pareto.md.": [row("sac", "ann"), row("linear", "control", ratio=0.6)],
 }  # fmt: skip
+
+
+def test_macs_are_effective_and_all_of_them_are_dense():
+    counts = {"macs_dense": 310_784.0, "effective_macs": 116_811.0, "sops_per_inference": None}
+    both = row("sac", "ann", **counts)
+    assert (format_operations(both), describe_macs(both)) == ("310,784 dense MACs", "116,811 MACs")
+    assert describe_macs({**both, "effective_macs": None}) == "310,784 dense MACs"
 
 
 @pytest.mark.parametrize("sentence", SENTENCES)
