@@ -8,6 +8,7 @@ chip, the rival with weights of 8 bits.
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
@@ -212,7 +213,8 @@ def _teach(of: Record, file: Path) -> Record:
     worlds = tools.make_vec_env(env, n_envs=of["copies"], seed=0)
     began = time.process_time()
     kind = getattr(sb3, of["algorithm"])
-    model = kind("MlpPolicy", worlds, seed=0, device="cpu", **of["settings"])
+    settings = deepcopy(of["settings"])  # Stable-Baselines3 writes into it
+    model = kind("MlpPolicy", worlds, seed=0, device="cpu", **settings)
     model.learn(of["steps"])
     minutes = (time.process_time() - began) / 60
     file.parent.mkdir(parents=True, exist_ok=True)

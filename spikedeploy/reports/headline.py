@@ -22,7 +22,7 @@ from spikedeploy.reports.columns import (
 )
 from spikedeploy.reports.table import ABSENT, Row
 
-_SENTENCE = re.compile(r"(?<=\.) (?=\w)")  # between two sentences
+_SENTENCE = re.compile(r"(?<=\.)(?<! al\.) (?=\w)")  # between two sentences
 _AS_GOOD = 0.95  # of the float ANN's return, or of the best chip's: those that operations decide
 
 

@@ -4,6 +4,7 @@ import pytest
 
 from spikedeploy.reports.datasheets import static_table
 from spikedeploy.reports.energy_verdict import energy_verdict
+from spikedeploy.reports.headline import sentences_of
 
 INT8 = "horowitz45-int8"
 
@@ -80,3 +81,10 @@ def test_the_rate_at_which_operations_take_as_much_as_idling_is_shown():
     assert (first["chip"], first["SOPs/s that take as much"]) == ("loihi1", "4.4e+09")
     # 1,000 x 3.5 ns / 20 ms
     assert first["duty cycle"] == "0.018 %"
+
+
+def test_sentences_are_told_apart_and_names_of_papers_are_not():
+    assert sentences_of("It is (Davies et al. 2018). So it is.") == [
+        "It is (Davies et al. 2018).",
+        "So it is.",
+    ]
