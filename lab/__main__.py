@@ -33,6 +33,7 @@ COMMANDS = {
     "firmware-networks": "lab.firmware.networks",
     "firmware-peers": "lab.firmware.peers",
     "fpga": "lab.fpga",
+    "leaderboard": "lab.leaderboard",
     "interop": "lab.interop.page",
     "exported-networks": "lab.peers.exported_networks",
     "kits": "lab.peers.kits",

@@ -124,7 +124,7 @@ class NeuroBench(_Fields):
 class Evidence(_Fields):
     """Where the numbers of a row can be made again from."""
 
-    command: Text = Field(description="that made the report")
+    command: Text = Field(description="command that gives these numbers")
     reproduce: Text = Field(description="command that plays it again and compares every number")
     first_seed: Whole = Field(description="seed of the first evaluation episode")
     sha256: dict[str, Sha256] = Field(description="policy file -> hash")
@@ -213,13 +213,14 @@ def row_of_report(
     report  folder or file of it, for the command that plays it again
     policy  spiking policy, by default the one that the report is about
     chip    on which, where it is there on several
-    rival   float policy beside it, by default the smallest one that is not shown to be worse
+    rival   float policy beside it, by default the smallest one that is not shown to be worse, and
+            where all are, the best
     """
     rows: Sequence[Data] = document["rows"]
     remedy = "; `spikedeploy compare` of this version writes all that is needed"
     validate(list[_ReportRow], rows, f"rows of {report}", remedy)
     spiking = _chosen(rows, policy, chip)
-    beside = _named(rows, rival) if rival else smallest_baseline(spiking, rows)
+    beside = _named(rows, rival) if rival else _smallest(rows, spiking)
     files = {each["file"] for each in (spiking, beside, ann_row(rows)) if each}
     evidence = {
         "command": document["command"],
@@ -281,6 +282,12 @@ def _chosen(rows: Sequence[Data], policy: str | None, chip: str | None) -> Data:
             f"the table is of; it has {there or 'none that spikes'}"
         )
     return found[0] if policy else main_row([*found, *(r for r in rows if r["kind"] != "snn")])
+
+
+def _smallest(rows: Sequence[Data], spiking: Data) -> Data | None:
+    trained = [row for row in rows if row["kind"] != "snn" and row["training_seeds"]]
+    best = max(trained, key=lambda row: float(row["return_mean"]), default=None)
+    return smallest_baseline(spiking, rows) or best
 
 
 def _named(rows: Sequence[Data], name: str) -> Data:
@@ -382,6 +389,8 @@ def faults(row: LeaderboardRow) -> Iterator[str]:
     yield from _of_neurobench(row)
     if row.evidence is None and row.read is None:
         yield "evidence is null and read too: a row is of a report, or of a publication"
+    if row.evidence and row.rival is None:
+        yield "rival is null: compare the policy with a float one, on the same seeds"
     for file, digest in (row.evidence.sha256 if row.evidence else {}).items():
         place = zoo.resolve(file)
         if place and place.is_file() and (found := zoo.sha256(place)) != digest:
