@@ -6,6 +6,7 @@ experiments  trainings and evaluations whose tables stand in results/
 bench        speed of this code, beside other libraries
 firmware     instructions and bytes of exported C, counted in an emulated microcontroller
 fpga         policies as circuits: states compared, clocks, cells and frequencies on boards
+leaderboard  rows of the public table from results/, and its page
 peers        golden traces and exports recorded with the tools that they come from
 interop      our networks opened by other tools, every spike compared
 kill         trainings that are killed and resumed, compared with unbroken ones

@@ -34,6 +34,7 @@ COMMANDS = {
     "firmware-peers": "lab.firmware.peers",
     "film": "lab.film",
     "fpga": "lab.fpga",
+    "leaderboard": "lab.leaderboard",
     "interop": "lab.interop.page",
     "exported-networks": "lab.peers.exported_networks",
     "kits": "lab.peers.kits",

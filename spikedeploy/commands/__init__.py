@@ -10,6 +10,7 @@ open_loop    emulate, drift, check, verify: networks without an environment
 training     train, distill, tune, sweep, runs, visualize
 distillation recipe and settings that `distill` means, and what came of it
 exporting    export, publish
+submitting   submit: rows of the public table
 windows      play, replay, draw
 listings     policies, chips, energy, envs, recipes, doctor
 """

@@ -133,6 +133,20 @@ def paired_difference(
     return bootstrap(left - right, rng)
 
 
+def paired_ratio(values: ArrayLike, reference: ArrayLike, rng: np.random.Generator) -> Estimate:
+    """The mean of `values` over that of `reference`, (n,) of the same episodes, drawn as pairs.
+
+    The `mean` of the estimate is that ratio; the reference's mean is above 0.
+    """
+    left, right = np.asarray(values, np.float64), np.asarray(reference, np.float64)
+    if left.shape != right.shape:
+        raise ValueError(f"pairs need equal shapes, found {left.shape} and {right.shape}")
+    picks = rng.integers(left.size, size=(_RESAMPLES, left.size))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = left[picks].mean(axis=1) / right[picks].mean(axis=1)
+    return Estimate(float(left.mean() / right.mean()), _interval(ratios))
+
+
 def _draws(
     trainings: int, episodes: int, rng: np.random.Generator
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:

@@ -305,16 +305,7 @@ def _of_card(name: str, path: Path) -> RecordedEvaluation:
 
 def _of_report(name: str, path: Path, settings_of: Callable[[str], Settings]) -> RecordedEvaluation:
     """The rows of a report."""
-    if not path.is_file():
-        raise ConfigError(
-            f"{path.parent} is a run folder, whose evaluation is not recorded: `spikedeploy "
-            "publish` writes a card, which can be reproduced"
-            if (path.parent / "config.json").is_file()
-            else f"{path.parent} has no {REPORT}, which `spikedeploy compare ENV -o "
-            f"{shlex.quote(str(path.parent))}` would write"
-        )
-    content = _read(path, "rows")
-    report = validate(_Report, content, path, _REMEDY)
+    content, report = read_report(path)
     envs.spec(report.env)  # refuses an unknown one
     for file, sha256 in report.sha256.items():  # which names no built-in and no run folder
         _check_file(name, zoo.resolve(file) or Path(file), sha256)
@@ -332,6 +323,20 @@ def _of_report(name: str, path: Path, settings_of: Callable[[str], Settings]) ->
         versions=report.versions,
         not_recorded=[_NO_HASH.format(", ".join(missing))] if missing else [],
     )
+
+
+def read_report(path: Path) -> tuple[dict[str, Any], _Report]:
+    """A report.json as data, and the fields of it that were checked."""
+    if not path.is_file():
+        raise ConfigError(
+            f"{path.parent} is a run folder, whose evaluation is not recorded: `spikedeploy "
+            "publish` writes a card, which can be reproduced"
+            if (path.parent / "config.json").is_file()
+            else f"{path.parent} has no {REPORT}, which `spikedeploy compare ENV -o "
+            f"{shlex.quote(str(path.parent))}` would write"
+        )
+    content = _read(path, "rows")
+    return content, validate(_Report, content, path, _REMEDY)
 
 
 def _read(path: Path, rows: str) -> dict[str, Any]:
