@@ -26,6 +26,7 @@ from spikedeploy.envs import spec
 from spikedeploy.errors import ConfigError
 from spikedeploy.files import write_text
 from spikedeploy.reports.table import escape_markdown, format_si, markdown_text
+from spikedeploy.runtime.metrics.energy_tables import TABLES
 from spikedeploy.shipping import leaderboard
 from spikedeploy.shipping.leaderboard import Energy, LeaderboardRow, Policy
 
@@ -228,7 +229,7 @@ def _energies(policy: Policy, field: str) -> str:
 
 
 def _is_shown(energy: Energy) -> bool:
-    return energy.prices in _SHOWN or energy.prices not in leaderboard.TABLES
+    return energy.prices in _SHOWN or energy.prices not in TABLES
 
 
 def _trainings(row: LeaderboardRow) -> str:
