@@ -89,19 +89,17 @@ def has_rival(run: Path) -> bool:
     return bool(settings["recipe"] == SPARSE and settings["search"])
 
 
-def rival_arguments(run: Path, runs: Path, given: Sequence[str]) -> dict[str, Any]:
+def rival_arguments(run: Path, given: Sequence[str]) -> dict[str, Any]:
     """Return the arguments of `train` for the rival of a student: a new one, or to be resumed.
 
     given: overrides of the student, of which those of its network are not the rival's
 
-    It begins with all walks of the student, and has the same rounds, levels and budget.
+    It begins with all walks of the student, and has the same rounds, levels and budget. Its run is
+    in the student's, which stays the last one.
     """
-    settings = RunFolder(run).settings()
-    for path in runs_in(runs):
-        other = RunFolder(path).settings()
-        of = other.get("pool")
-        if other["recipe"] == RIVAL and of and Path(of).resolve() == run.resolve():
-            return {"recipe": None, "resume": path, "runs": runs}
+    settings, runs = RunFolder(run).settings(), run / "rival"
+    if found := runs_in(runs):
+        return {"recipe": None, "resume": found[0], "runs": runs}
     kept = [text for text in given if not text.replace(" ", "").startswith(("policy.", "pool="))]
     same = ("teacher", "teacher_units", "budget")
     overrides = [f"{name}={json.dumps(settings[name])}" for name in same if settings[name]]

@@ -260,7 +260,7 @@ def distill(
     if rival and made.has_rival(run):
         if not json:
             say("beside it: a small float MLP, pruned by the same rule (--no-rival leaves it out)")
-        beside = _learn(json=json, **made.rival_arguments(run, runs, given))
+        beside = _learn(json=json, **made.rival_arguments(run, given))
     pruned = made.has_rival(run)
     if pruned:
         made.draw_front(run, beside)
