@@ -5,6 +5,7 @@ Not installed. Run from a checkout by `python -m lab NAME …` or `./spike lab N
 experiments  trainings and evaluations whose tables stand in results/
 bench        speed of this code, beside other libraries
 firmware     instructions and bytes of exported C, counted in an emulated microcontroller
+film         README's moving picture: robots above the spikes that drive them
 fpga         policies as circuits: states compared, clocks, cells and frequencies on boards
 leaderboard  rows of the public table from results/, and its page
 peers        golden traces and exports recorded with the tools that they come from

@@ -1,7 +1,9 @@
 """Sparse policies: a teacher imitated through whole walks by students that are pruned in rounds.
 
 pool.py     whole walks: collected, on disk, their events, and windows of them
-student.py  settings; loss of a student, its synapses ranked, rounded and run as the chip runs them
-sparse.py   the algorithm: budget, phases, walks, pruning, validation on the chip
+config.py   settings
+phases.py   phases of a training: planned for a budget, or found one after another
+student.py  loss of a student, its synapses ranked, rounded and run as the chip runs them
+sparse.py   the algorithm: budget, walks, pruning, validation on the chip
 ppo.py      reward after imitation: PPO on windows of whole walks
 """
