@@ -13,6 +13,7 @@ import typer
 from lab.experiments import EXPERIMENTS
 from spikedeploy import cli, envs
 from spikedeploy.commands.closed_loop import settings
+from spikedeploy.commands.options import one_word
 from spikedeploy.runtime.chips.chip import split_names
 from spikedeploy.shipping.cards import read_evaluation
 from tests.paths import ROOT
@@ -60,7 +61,8 @@ def parsed(words):
     """The parameters of a command of ours, whose options exist and whose choices are valid."""
     verb = typer.main.get_command(cli.app).commands[words[0]]
     needs_files = words[0] == "visualize"  # of run folders, which are not in the repository
-    with verb.make_context(words[0], words[1:], resilient_parsing=needs_files) as context:
+    made = {"resilient_parsing": needs_files, "token_normalize_func": one_word}
+    with verb.make_context(words[0], words[1:], **made) as context:
         if needs_files:
             verb.make_parser(context).parse_args(words[1:])
         return context.params
