@@ -74,7 +74,7 @@ def test_a_command_is_understood_today(line):
     given = parsed(words)
     if words[0] == "compare":
         envs.spec(given["env"])
-        split_names(",".join(given["chips"] or ()))
+        split_names(",".join(given["chip"] or ()))
         settings(line)
 
 
