@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 import gymnasium
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from spikedeploy import envs
 from spikedeploy.comparison.evaluation import compare_policies
@@ -36,6 +35,7 @@ from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.policies import Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.policy import PrunedWeight
 from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse import pool
 from spikedeploy.trainers.sparse.pool import BatchController, Episodes, Stateless, Walk
 from spikedeploy.trainers.sparse.student import FloatController
 
@@ -200,15 +200,10 @@ def is_discrete(env: str, options: Mapping[str, Any] | None = None) -> bool:
 def random_actions(env: str, seed: int = 0) -> Stateless:
     """Actions drawn at random, the lower bound of a return."""
     world: Any = envs.make(env)
-    space, rng = world.action_space, np.random.default_rng(seed)
+    space, chooses = world.action_space, is_discrete(env)
     world.close()
-
-    def act(observation: NDArray[np.float64]) -> NDArray[Any]:
-        if isinstance(space, gymnasium.spaces.Discrete):
-            return rng.integers(int(space.n), size=len(observation))
-        return rng.uniform(-1.0, 1.0, (len(observation), *space.shape))
-
-    return Stateless(act)
+    count = int(space.n) if chooses else space.shape[0]
+    return pool.random_actions(count, chooses, np.random.default_rng(seed))
 
 
 @dataclass(frozen=True)

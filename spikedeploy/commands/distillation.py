@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import differences
 from spikedeploy.trainers.run_folder import RunFolder, runs_in
+from spikedeploy.trainers.sparse.config import SparseConfig
 
 _CODINGS = {"population": "population", "rate": "regular"}
 SPARSE, RIVAL = "distill-sparse", "distill-small-mlp"  # recipes
 _ENOUGH = 0.90  # of the teacher; below it a student is said to have learned too little
-_UNITS = {"delta-snn": "SOPs", "pruned-mlp": "MACs"}
+STUDENT, FLOAT = "spiking student", "float MLP"
+_UNITS = {STUDENT: "SOPs", FLOAT: "MACs"}
 FRONT = "front.png"  # in the run folder of the student
 
 
@@ -83,32 +86,28 @@ def _hidden(size: str, sparse: bool) -> str:
     return str(numbers[0] if sparse else numbers)
 
 
-def has_rival(run: Path) -> bool:
-    """Return whether a small float MLP is to be trained beside a run."""
+def is_searched(run: Path) -> bool:
+    """Return whether a run is of a sparse student that was pruned as far as validation allowed."""
     settings = RunFolder(run).settings()
-    return bool(settings["recipe"] == SPARSE and settings["search"])
+    return bool(settings["recipe"] == SPARSE and settings.get("search"))
 
 
-def rival_arguments(run: Path, given: Sequence[str]) -> dict[str, Any]:
-    """Return the arguments of `train` for the rival of a student: a new one, or to be resumed.
+def rival_arguments(run: Path) -> dict[str, Any]:
+    """Return the arguments of `train` for the float MLP beside a student: new, or to be resumed.
 
-    given: overrides of the student, of which those of its network are not the rival's
-
-    It begins with all walks of the student, and has the same rounds, levels and budget. Its run is
-    in the student's, which stays the last one.
+    It begins with all walks of the student, and has its settings but for those of the network. Its
+    run is in the student's, which stays the last one.
     """
-    settings, runs = RunFolder(run).settings(), run / "rival"
+    runs = run / "rival"
     if found := runs_in(runs):
         return {"recipe": None, "resume": found[0], "runs": runs}
-    kept = [text for text in given if not text.replace(" ", "").startswith(("policy.", "pool="))]
-    same = ("teacher", "teacher_units", "budget")
-    overrides = [f"{name}={json.dumps(settings[name])}" for name in same if settings[name]]
-    options = settings["env"]["options"]
-    overrides += [f"env.options.{name}={json.dumps(value)}" for name, value in options.items()]
+    config = RunFolder(run).config(SparseConfig)
+    own = ("policy.", "pool=", "env.name=", "recipe=", "seed=", "teacher_walks=", "noisy_walks=")
+    overrides = [text for text in differences(config) if not text.startswith(own)]
     overrides += [f"pool={json.dumps(str(run))}", "teacher_walks=0", "noisy_walks=0"]
     return {
-        "recipe": RIVAL, "env": settings["env"]["name"], "seed": settings["seed"], "runs": runs,
-        "overrides": [*kept, *overrides],
+        "recipe": RIVAL, "env": config.env.name, "seed": config.seed, "runs": runs,
+        "overrides": overrides,
     }  # fmt: skip
 
 
@@ -144,88 +143,84 @@ def front(run: Path) -> list[Level]:
     for level in folder.levels.values():
         state = folder.load(level)[0]
         chosen = bool(best) and state["updates"] == best["updates"]
-        found.append(Level(state["eval_operations"], state["eval_of_teacher"], chosen))
+        found.append(Level(state["eval_operations"], state["eval_share"], chosen))
     if best and not any(each.chosen for each in found):  # what was never pruned
-        found.append(Level(best["eval_operations"], best["eval_of_teacher"], True))
+        found.append(Level(best["eval_operations"], best["eval_share"], True))
     return sorted(found, key=lambda each: -each.operations)
 
 
-def fronts(run: Path, rival: Path | None) -> Mapping[str, list[Level]]:
+def fronts(run: Path, rival: Path | None) -> dict[str, list[Level]]:
     """Return the levels of a student, and of its rival, by what they are called."""
-    named = {"spiking student": run, **({"float MLP": rival} if rival else {})}
-    return {name: front(path) for name, path in named.items()}
+    return {STUDENT: front(run), **({FLOAT: front(rival)} if rival else {})}
 
 
-def draw_front(run: Path, rival: Path | None) -> Path:
-    """Draw operations against the share of the teacher's return; return the PNG."""
+def draw_fronts(found: Mapping[str, Sequence[Level]], keep: float, path: Path) -> Path:
+    """Draw operations against the share of the teacher's return; return the PNG.
+
+    keep: share that pruning had to keep
+    """
     from spikedeploy.reports.plots import BLUE, LEGEND_ABOVE, VERMILION, framed_figure, save
 
     figure, axes = framed_figure(3.6)
-    for (name, levels), colour in zip(fronts(run, rival).items(), (VERMILION, BLUE), strict=False):
+    for (name, levels), colour in zip(found.items(), (VERMILION, BLUE), strict=False):
         shares = [100 * each.share for each in levels]
         axes.plot([e.operations for e in levels], shares, "o-", color=colour, ms=4, label=name)
         for each in filter(lambda e: e.chosen, levels):
             axes.plot(each.operations, 100 * each.share, "o", ms=11, mfc="none", mec=colour)
-    config = RunFolder(run).settings()
-    axes.axhline(100 * config["keep"], color="0.6", lw=1, ls=":")
+    axes.axhline(100 * keep, color="0.6", lw=1, ls=":")
     axes.set_xscale("log")
     axes.set_xlabel("operations of a control step: SOPs of the student, MACs of the float MLP")
     axes.set_ylabel("of the teacher, validation [%]")
-    low = min(100 * each.share for of in fronts(run, rival).values() for each in of)
+    low = min(100 * each.share for levels in found.values() for each in levels)
     axes.set_ylim(max(low - 3, -5), None)
     axes.legend(**LEGEND_ABOVE, ncols=2)
-    return save(figure, run / FRONT)
+    return save(figure, path)
 
 
-def describe(run: Path, rival: Path | None) -> str:
-    """Return lines on what student and rival keep of the teacher, in validation, and at what cost.
+def print_fronts(found: Mapping[str, Sequence[Level]]) -> None:
+    """Print the levels of student and rival, a table each."""
+    from spikedeploy.reports.table import Table
+
+    for name, levels in found.items():
+        rows = [
+            (f"{e.operations:,.0f}", f"{e.share:.1%}", "this" if e.chosen else "") for e in levels
+        ]
+        Table((_UNITS[name], "of teacher", "kept"), rows, f"{name}, validation").print()
+
+
+def describe(run: Path, found: Mapping[str, Sequence[Level]]) -> str:
+    """Return lines on what a student and its rival keep of the teacher, and at what cost.
+
+    found: their levels; none where nothing was pruned
 
     One says so where the student has learned too little, or a budget had nothing pruned.
     """
     folder = RunFolder(run)
-    settings = folder.settings()
     if not folder.checkpoint("best").is_file():
         return ""
-    last, best = folder.load("last")[0], folder.load("best")[0]
-    teacher, student = last.get("teacher_return"), best["eval_return"]
-    episodes = settings["validation"]["episodes"]
-    text = f"validation, {episodes} episodes: teacher {teacher:,.4g}, student {student:,.4g}\n"
-    if not settings.get("search"):
-        return text
-    text = f"{text[:-1]}, random actions {last['random_return']:,.4g}\n"
-    chosen = {name: [e for e in of if e.chosen] for name, of in fronts(run, rival).items()}
-    for (name, levels), unit in zip(chosen.items(), ("SOPs", "MACs"), strict=False):
-        for each in levels:
-            text += f"{name}: {each.share:.1%} of the teacher with {each.operations:,.0f} {unit}\n"
-    share = best["eval_of_teacher"]
-    if share < _ENOUGH:
-        c = settings
-        text += (
-            f"it keeps only {share:.1%}: let it walk and learn for longer, or send finer events: "
-            f"--set walks={2 * c['walks']} --set dense_updates={2 * c['dense_updates']}, or "
-            f"--set step={c['step'] / 2:g} --set policy.most={2 * c['policy']['most']}\n"
+    c, last, best = folder.settings(), folder.load("last")[0], folder.load("best")[0]
+    returns = {"teacher": last.get("teacher_return"), "student": best["eval_return"]}
+    if found:
+        returns["random actions"] = last["random_return"]
+    numbers = ", ".join(f"{name} {each:,.4g}" for name, each in returns.items())
+    lines = [f"validation, {c['validation']['episodes']} episodes: {numbers}"]
+    lines += [
+        f"{name}: {e.share:.1%} of the teacher with {e.operations:,.0f} {_UNITS[name]}"
+        for name, levels in found.items()
+        for e in levels
+        if e.chosen
+    ]
+    if found and best["eval_share"] < _ENOUGH:
+        lines.append(
+            f"it keeps only {best['eval_share']:.1%}: let it walk and learn for longer, or send "
+            f"finer events: --set walks={2 * c['walks']} --set "
+            f"dense_updates={2 * c['dense_updates']}, or --set step={c['step'] / 2:g} --set "
+            f"policy.most={2 * c['policy']['most']}"
         )
-    if settings["budget"] and (before := _before_pruning(folder)) <= settings["budget"]:
-        text += (
-            f"the budget of {settings['budget']:,.4g} operations did not bind: the student had "
-            f"{before:,.4g} before pruning\n"
+    ended = [each["operations"] for each in last.get("ended", ()) if each["goal"] is None]
+    if found and c["budget"] and ended[-1] <= c["budget"]:
+        lines.append(
+            f"the budget of {c['budget']:,.4g} operations did not bind: the student had "
+            f"{ended[-1]:,.4g} before pruning"
         )
-    return text
-
-
-def _before_pruning(run: RunFolder) -> float:
-    """Return the operations of a control step of the student that was not pruned yet."""
-    ended = run.load("last")[0]["ended"]
-    return float(next(each["operations"] for each in reversed(ended) if each["goal"] is None))
-
-
-def print_front(run: Path, rival: Path | None) -> None:
-    """Print the levels of student and rival, side by side a table each."""
-    from spikedeploy.reports.table import Table
-
-    for name, levels in fronts(run, rival).items():
-        unit = _UNITS["delta-snn" if name == "spiking student" else "pruned-mlp"]
-        rows = [
-            (f"{e.operations:,.0f}", f"{e.share:.1%}", "this" if e.chosen else "") for e in levels
-        ]
-        Table((unit, "of teacher", "kept"), rows, f"{name}, validation").print()
+    return "".join(f"{line}\n" for line in lines)

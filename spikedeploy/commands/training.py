@@ -118,11 +118,14 @@ def _learn(
     resume: str | Path | None = None,
     runs: Path = _RUNS,
     films: int = 0,
+    verb: str = "train",
+    again: Path | None = None,
     **settings: Any,  # noqa: ANN401
 ) -> Path:
     """Train, write page and card, and return the run; stopped by a signal, exit with its code.
 
     films     of a whole training
+    verb      the command that goes on, of the run `again`, by default the last one
     settings  more arguments of trainers.train.train
     """
     if resume is not None and seed is not None:
@@ -139,10 +142,10 @@ def _learn(
     if interrupt.share is not None:
         if json:
             print_json({"run": str(run)})
-        where = "" if runs == _RUNS else f" --runs {shlex.quote(str(runs))}"
-        again = f"go on with `spikedeploy train --resume last{where}`"
+        where = ["--runs", str(runs)] if again is None and runs != _RUNS else []
+        words = shlex.join([verb, "--resume", str(again or "last"), *where])
         with suppress(OSError):  # of a terminal that was closed
-            say(f"stopped at {100 * interrupt.share:.0f} %; {again}")
+            say(f"stopped at {100 * interrupt.share:.0f} %; go on with `spikedeploy {words}`")
         raise typer.Exit(interrupt.exit_code)
     return run
 
@@ -248,32 +251,28 @@ def distill(
     if resume is None and (teacher is None or env is None):
         raise typer.BadParameter("name a TEACHER and --env ENV, or a run with --resume")
     from spikedeploy.commands import distillation as made
+    from spikedeploy.trainers.run_folder import RunFolder
 
     sparse = made.is_sparse(dense, chip, encoder, timesteps, budget)
     recipe, settings = made.student_settings(teacher, size, encoder, timesteps, sparse, chip)
-    given = set_ or []
     run = _learn(
-        recipe if resume is None else None, json, env=env, overrides=[*settings, *given],
-        budget=budget, seed=seed, resume=resume, runs=runs,
+        recipe if resume is None else None, json, env=env, overrides=[*settings, *(set_ or ())],
+        budget=budget, seed=seed, resume=resume, runs=runs, verb="distill",
     )  # fmt: skip
-    beside = None
-    if rival and made.has_rival(run):
-        if not json:
+    beside, levels, page = None, {}, f"page: {run / 'report.html'}"
+    if made.is_searched(run):
+        if rival:
             say("beside it: a small float MLP, pruned by the same rule (--no-rival leaves it out)")
-        beside = _learn(json=json, **made.rival_arguments(run, given))
-    pruned = made.has_rival(run)
-    if pruned:
-        made.draw_front(run, beside)
+            beside = _learn(json=json, again=run, verb="distill", **made.rival_arguments(run))
+        levels, page = made.fronts(run, beside), f"{page}, front: {run / made.FRONT}"
+        made.draw_fronts(levels, RunFolder(run).settings()["keep"], run / made.FRONT)
     if json:
-        levels = made.fronts(run, beside) if pruned else {}
         front = {name: [vars(each) for each in of] for name, of in levels.items()}
         print_json({"run": str(run), "rival": beside and str(beside), "front": front})
         return
-    if pruned:
-        made.print_front(run, beside)
-    page = f"page: {run / 'report.html'}" + (f", front: {run / made.FRONT}" if pruned else "")
+    made.print_fronts(levels)
     next_ = _comparison(run, [beside] if beside else [], made.teacher_options(run))
-    typer.echo(f"trained: {run}\n{made.describe(run, beside)}{page}\nnext: {next_}")
+    typer.echo(f"trained: {run}\n{made.describe(run, levels)}{page}\nnext: {next_}")
 
 
 _Objective = Literal["return", "return-at-sops", "return,sops"]

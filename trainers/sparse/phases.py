@@ -111,8 +111,8 @@ def searched(config: SparseConfig, ended: Sequence[Ended]) -> list[Phase]:
     return plan.found
 
 
-def most_updates(config: SparseConfig, ended: Sequence[Ended]) -> int:
-    """Return the updates that a search takes, at most or about."""
+def expected_updates(config: SparseConfig, ended: Sequence[Ended]) -> int:
+    """Return the updates that a search takes, about: no level is trained on."""
     done = searched(config, ended)
     dense = [each for each in ended if each.goal is None]
     rounds = len(dense) if _has_dense(config, ended) else config.dense_rounds

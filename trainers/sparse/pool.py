@@ -76,6 +76,17 @@ class Stateless:
         """Do nothing."""
 
 
+def random_actions(count: int, discrete: bool, rng: np.random.Generator) -> Stateless:
+    """Return actions (B, act) drawn from [-1, 1], or choices (B,) of so many."""
+
+    def act(observation: FloatArray) -> NDArray[Any]:
+        if discrete:
+            return rng.integers(count, size=len(observation))
+        return rng.uniform(-1.0, 1.0, (len(observation), count))
+
+    return Stateless(act)
+
+
 class Episodes:
     """Copies of an environment, for whole episodes of at most `limit` control steps.
 

@@ -29,13 +29,7 @@ from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder, with_prefix
 from spikedeploy.trainers.runner import Learner, Runner, adam, descend, set_rate
 from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.phases import (
-    Ended,
-    most_updates,
-    planned,
-    searched,
-    target,
-)
+from spikedeploy.trainers.sparse.phases import Ended, expected_updates, planned, searched, target
 from spikedeploy.trainers.sparse.pool import (
     BatchController,
     Episodes,
@@ -46,6 +40,7 @@ from spikedeploy.trainers.sparse.pool import (
     mean_outcome,
     own_walks,
     pool_file,
+    random_actions,
     save_walks,
 )
 from spikedeploy.trainers.sparse.student import (
@@ -106,14 +101,14 @@ class Sparse(Runner[SparseConfig]):
     pool: all walks so far
     teacher_return, random_return: mean return of the teacher, and of random actions, on the
         validation seeds
-    kept: operations of the lowest level at which a search kept what it had to; else infinite
+    kept: operations of the lowest level at which a search kept what it had to; 0 before one
     """
 
     Config = SparseConfig
     COLUMNS: ClassVar[tuple[str, ...]] = (
         "updates", "phase", "walks", "loss", "operations", "goal", "neurons", "updates_per_s",
-        "episode_return", "eval_return", "eval_of_teacher", "eval_operations", "eval_falls",
-        "eval_finish",
+        "episode_return", "eval_return", "eval_of_teacher", "eval_share", "eval_operations",
+        "eval_falls", "eval_finish",
     )  # fmt: skip
     COUNTERS = (
         "updates", "phase", "start", "collections", "teacher_return", "random_return", "kept",
@@ -128,7 +123,7 @@ class Sparse(Runner[SparseConfig]):
             check_rounding(self._chip)
         self._ended: list[Ended] = []
         self._phases = searched(config, ()) if config.search else planned(config)
-        total = most_updates(config, ()) if config.search else self._phases[-1].end
+        total = expected_updates(config, ()) if config.search else self._phases[-1].end
         super().__init__(config, run, total, config.checkpoint_every, config.log_every)
         batch = EnvBatch(config.env.model_copy(update={"count": 1}), self._rng)
         self._sizes, self._discrete = batch.sizes, batch.head == "discrete"
@@ -143,8 +138,8 @@ class Sparse(Runner[SparseConfig]):
         self.updates = self.phase = self.collections = 0
         self.start = 0.0
         self._sums: list[str] = []  # checksums of the files of walks
-        self._share = -math.inf  # the best validation of the phase
-        self.kept = math.inf
+        self._shares: list[float] = []  # of the validations of the phase
+        self.kept = 0.0
         self.teacher_return = self.random_return = self._loss = math.nan
 
     def _begin(self) -> None:
@@ -154,7 +149,11 @@ class Sparse(Runner[SparseConfig]):
         taught = Stateless(self._taught)
         _, returns, _ = self._episodes.play(config.validation.seeds, taught)
         self.teacher_return = float(np.mean(returns))
-        self.random_return = self._play_at_random()
+        at_random = random_actions(
+            self._sizes[1], self._discrete, np.random.default_rng(config.seed)
+        )
+        _, returns, _ = self._episodes.play(config.validation.seeds, at_random)
+        self.random_return = float(np.mean(returns))
         if config.search and self.teacher_return <= self.random_return:
             raise ConfigError(
                 f"the teacher {config.teacher} earns {self.teacher_return:,.4g} in "
@@ -270,10 +269,10 @@ class Sparse(Runner[SparseConfig]):
         controller = on_chip(self._deployed(), self._chip)
         _, returns, infos = self._episodes.play(self._config.validation.seeds, controller)
         row = mean_outcome(returns, infos)
-        gain = self.teacher_return - self.random_return
-        share = (row["eval_return"] - self.random_return) / gain if gain else math.nan
+        earned, teacher, none = row["eval_return"], self.teacher_return, self.random_return
         return row | {
-            "eval_of_teacher": share,
+            "eval_of_teacher": earned / teacher if teacher else math.nan,
+            "eval_share": (earned - none) / (teacher - none) if teacher != none else math.nan,
             "eval_operations": operations(self._student.synapses()),
         }
 
@@ -287,7 +286,7 @@ class Sparse(Runner[SparseConfig]):
         if phase.prunes(self.updates) or (phase.last is None and not config.search):
             return {}
         row = self._evaluate()
-        self._share = max(self._share, row["eval_of_teacher"])
+        self._shares.append(row["eval_share"])
         if phase.last is not None:
             level = f"{LEVEL}{phase.last:g}"
             before = -math.inf
@@ -295,49 +294,35 @@ class Sparse(Runner[SparseConfig]):
                 before = self._run.load(level)[0]["eval_return"]
             if row["eval_return"] >= before:
                 self._run.save(level, self._deployed(), {**self._counters(), **row})
-        if self._chooses(phase.last, row):
+        keeps = bool(phase.last) and row["eval_share"] >= target(config, self._ended)
+        if self._is_best(phase.last, keeps, row["eval_return"]):
+            self.kept = phase.last if keeps and phase.last else self.kept
             self._save_best(self._deployed(), row)
         if config.search and self.updates == phase.end:
-            self._end_phase()
+            count = operations(self._student.synapses())
+            self._ended.append(Ended(phase.last, count, max(self._shares)))
+            self._shares = []
+            self._plan_on()
         return row
 
-    def _chooses(self, goal: float | None, row: Mapping[str, float]) -> bool:
+    def _is_best(self, goal: float | None, keeps: bool, earned: float) -> bool:
         """Return whether a validated policy is the best so far.
 
         It is the one that earns most at the budget; of a search for one, at the lowest level that
         keeps what it has to, or at any while none has.
         """
-        earns_most = row["eval_return"] >= self.best
+        earns_most = earned >= self.best
         if not self._config.search or self._config.budget:
             return goal == self._config.budget and earns_most
-        if goal is None or row["eval_of_teacher"] < target(self._config, self._ended):
-            return math.isinf(self.kept) and earns_most
-        lower, self.kept = goal < self.kept, min(goal, self.kept)
-        return lower or earns_most
-
-    def _end_phase(self) -> None:
-        """Record what a phase of a search came to; plan the next one, or be finished."""
-        goal = self._phases[self.phase].last
-        self._ended.append(Ended(goal, operations(self._student.synapses()), self._share))
-        self._share = -math.inf
-        self._plan_on()
+        if not self.kept or goal is None or not keeps:
+            return keeps or (earns_most and not self.kept)
+        return goal < self.kept or earns_most
 
     def _plan_on(self) -> None:
+        """Plan the phase behind those of a search that ended, or be finished."""
         self._phases = searched(self._config, self._ended)
         over = len(self._phases) == len(self._ended)
-        self._total = self._phases[-1].end if over else most_updates(self._config, self._ended)
-
-    def _play_at_random(self) -> float:
-        """Return the mean return of random actions on the validation seeds."""
-        rng, count = np.random.default_rng(self._config.seed), self._sizes[1]
-
-        def act(observation: NDArray[np.float64]) -> NDArray[Any]:
-            if self._discrete:
-                return rng.integers(count, size=len(observation))
-            return rng.uniform(-1.0, 1.0, (len(observation), count))
-
-        _, returns, _ = self._episodes.play(self._config.validation.seeds, Stateless(act))
-        return float(np.mean(returns))
+        self._total = self._phases[-1].end if over else expected_updates(self._config, self._ended)
 
     def _metrics(self) -> dict[str, float]:
         return {
@@ -349,7 +334,7 @@ class Sparse(Runner[SparseConfig]):
         }
 
     def _state(self) -> dict[str, Any]:
-        search = {"ended": [vars(each) for each in self._ended], "share_of_phase": self._share}
+        search = {"ended": [vars(each) for each in self._ended], "shares": self._shares}
         return {"pool_sha256": self._sums, **(search if self._config.search else {})}
 
     def _tensors(self) -> dict[str, Tensor]:
@@ -363,7 +348,7 @@ class Sparse(Runner[SparseConfig]):
         self._student.prepare(self.pool)
         if self._config.search:
             self._ended = [Ended(**each) for each in state["ended"]]
-            self._share = state["share_of_phase"]
+            self._shares = state["shares"]
             self._plan_on()
 
 

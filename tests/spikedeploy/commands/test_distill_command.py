@@ -4,7 +4,14 @@ import json
 
 import pytest
 
-from spikedeploy.commands.distillation import describe, front, is_sparse, student_settings
+from spikedeploy.commands.distillation import (
+    STUDENT,
+    Level,
+    describe,
+    front,
+    is_sparse,
+    student_settings,
+)
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.run_folder import RunFolder
 from tests.paths import ROOT
@@ -165,15 +172,15 @@ def test_a_budget_asks_for_the_event_driven_student():
 
 @pytest.mark.parametrize(("before", "said"), [(84.0, True), (130.0, False)])
 def test_a_budget_that_does_not_bind_is_said(before, said, tmp_path, monkeypatch):
-    config = {"budget": 120.0, "search": True, "validation": {"episodes": 3}, "policy": {}}
+    config = {"budget": 120.0, "search": True, "validation": {"episodes": 3}}
     ended = [{"goal": None, "operations": before, "share": 1.0}]
     numbers = {"teacher_return": 9.0, "random_return": 1.0, "ended": ended}
-    best = {"eval_return": 9.0, "eval_of_teacher": 1.0, "eval_operations": 80.0, "updates": 3}
+    best = {"eval_return": 9.0, "eval_share": 1.0, "eval_operations": 80.0, "updates": 3}
     monkeypatch.setattr(RunFolder, "settings", lambda self: config)
     monkeypatch.setattr(RunFolder, "load", lambda self, name: (numbers | best, {}))
     monkeypatch.setattr("pathlib.Path.is_file", lambda self: True)
     line = "the budget of 120 operations did not bind: the student had 84 before pruning"
-    assert (line in describe(tmp_path, None)) == said
+    assert (line in describe(tmp_path, {STUDENT: [Level(80.0, 1.0, True)]})) == said
 
 
 @pytest.mark.parametrize(
