@@ -36,7 +36,7 @@ _BYTES = 2_000_000  # most of the file
 
 
 @dataclass(frozen=True)
-class Moment:
+class FilmedStep:
     """A frame (H, W, 3) of a robot, and what its chip did until then.
 
     spikes  (S, N) input events and hidden spikes, in the control steps so far
@@ -50,8 +50,8 @@ class Moment:
     sops: float
 
 
-def play(policy: str, env: str) -> Iterator[tuple[Moment, float]]:
-    """Moments of an episode at the frame rate of the film, and the time of a control step [s]."""
+def play(policy: str, env: str) -> Iterator[tuple[FilmedStep, float]]:
+    """Steps of an episode at the frame rate of the film, and the time of a control step [s]."""
     world: Any = make_env(env, {}, render_mode="rgb_array")
     player = open_with_traces(find(policy), CHIP, world, "each")
     assert isinstance(player, NirController)
@@ -69,13 +69,13 @@ def play(policy: str, env: str) -> Iterator[tuple[Moment, float]]:
         if step % every == 0:
             ledger = ledger_of(player)
             sops = ledger.per_inference("sop") if ledger else 0.0
-            yield Moment(np.asarray(world.render()), np.array(past), len(inputs), sops), period
+            yield FilmedStep(np.asarray(world.render()), np.array(past), len(inputs), sops), period
         if terminated or truncated:
             break
     world.close()
 
 
-def draw(moment: Moment, period: float, title: str) -> Image.Image:
+def draw(moment: FilmedStep, period: float, title: str) -> Image.Image:
     """The frame over the spikes of the last seconds, with a line of text between."""
     picture = Image.fromarray(moment.frame)
     scale = max(_WIDTH / picture.width, _HEIGHT / picture.height)
@@ -126,5 +126,5 @@ def main() -> int:
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs/screenshots/robots.webp")
     given = parser.parse_args()
     size = write(given.shown, given.output)
-    print(f"{given.output}: {size:,} bytes")
-    return 0 if size < _BYTES else 1
+    print(f"{given.output}: {size:,} bytes{', too many' if size > _BYTES else ''}")
+    return int(size > _BYTES)

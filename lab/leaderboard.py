@@ -28,7 +28,7 @@ from spikedeploy.files import write_text
 from spikedeploy.reports.table import escape_markdown, format_si, markdown_text
 from spikedeploy.runtime.metrics.energy_tables import TABLES
 from spikedeploy.shipping import leaderboard
-from spikedeploy.shipping.leaderboard import Energy, LeaderboardRow, Policy
+from spikedeploy.shipping.leaderboard import Energy, LeaderboardRow, PolicyEntry
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "results"
@@ -176,7 +176,7 @@ def _table(rows: Sequence[LeaderboardRow]) -> str:
     return markdown_text([list(_COLUMNS), *([cell(r) for cell in _COLUMNS.values()] for r in rows)])
 
 
-def _share(policy: Policy, reference: str | None) -> str:
+def _share(policy: PolicyEntry, reference: str | None) -> str:
     if policy.share is None:
         earned = policy.return_mean
         return UNKNOWN if earned is None else f"{earned:,.0f}"
@@ -195,7 +195,7 @@ def _earned(row: LeaderboardRow) -> str:
     return _share(row.spiking, row.reference)
 
 
-def _operations(policy: Policy) -> str:
+def _operations(policy: PolicyEntry) -> str:
     """Every count that is known, with its name."""
     counts = {
         "SOPs": policy.sops,
@@ -217,7 +217,7 @@ def _number(value: float | None, form: str) -> str:
     return UNKNOWN if value is None else format(value, form)
 
 
-def _energies(policy: Policy, field: str) -> str:
+def _energies(policy: PolicyEntry, field: str) -> str:
     """Each energy that is known, with its prices; static power with its measurement."""
     known: dict[str, str] = {}
     for energy in policy.energy:

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 from lab.experiments import DESIGNS
 from lab.experiments.networks import is_discrete, random_actions
 from lab.experiments.pages import ROOT, render, share
-from lab.experiments.ratios import nested_ratio
 from lab.experiments.training import Record, read_rows, write_exactly
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.statistics import stratified_bootstrap
+from spikedeploy.comparison.statistics import nested_ratio, stratified_bootstrap
 from spikedeploy.files import as_text, replacing, write_text
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips import CHIPS as EVERY_CHIP

@@ -18,12 +18,11 @@ import numpy as np
 
 from lab.experiments import DESIGNS
 from lab.experiments.pages import render
-from lab.experiments.ratios import nested_ratio
 from lab.experiments.training import Record, read_rows, write_exactly
 from spikedeploy.comparison.comparison import Row
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.comparison.statistics import stratified_bootstrap
+from spikedeploy.comparison.statistics import nested_ratio, stratified_bootstrap
 from spikedeploy.files import write_text
 from spikedeploy.policies import costs
 from spikedeploy.policies.registry import find

@@ -21,12 +21,11 @@ import numpy as np
 from lab.experiments import DESIGNS, QUICK, pages
 from lab.experiments.eye_map import NOT_PRUNED
 from lab.experiments.pages import grouped, mean, releases, versions_at_start, versions_text
-from lab.experiments.ratios import nested_ratio
 from lab.experiments.runner import Design, Part, command_line
 from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows, write_exactly
 from lab.experiments.vision import FIRST_SEED, drive, make_controller
 from spikedeploy import zoo
-from spikedeploy.comparison.statistics import Estimate, share, stratified_bootstrap
+from spikedeploy.comparison.statistics import Estimate, nested_ratio, share, stratified_bootstrap
 from spikedeploy.files import read_json
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig

@@ -11,9 +11,13 @@ import numpy as np
 from lab.experiments.costs import INT8, TERMS, energies, is_spiking, terms, total
 from lab.experiments.pages import grouped, mean
 from lab.experiments.pareto import FLOAT, LABELS, LEVELS, REWARD, SPIKING, STUDENTS
-from lab.experiments.ratios import nested_ratio
 from lab.experiments.training import Record, read_rows
-from spikedeploy.comparison.statistics import Estimate, ReturnEstimates, stratified_bootstrap
+from spikedeploy.comparison.statistics import (
+    Estimate,
+    ReturnEstimates,
+    nested_ratio,
+    stratified_bootstrap,
+)
 from spikedeploy.reports.table import write_rows
 
 _FIRST = (

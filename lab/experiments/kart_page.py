@@ -37,10 +37,10 @@ from lab.experiments.kart import (
     write_csv,
 )
 from lab.experiments.pages import grouped, versions_at_start, versions_text
-from lab.experiments.ratios import nested_ratio, ratio_of
+from lab.experiments.ratios import ratio_of
 from lab.experiments.runner import command_line
 from lab.experiments.training import Record
-from spikedeploy.comparison.statistics import Estimate
+from spikedeploy.comparison.statistics import Estimate, nested_ratio
 from spikedeploy.comparison.statistics import share as wilson
 from spikedeploy.files import read_json
 from spikedeploy.policies.registry import FLOAT

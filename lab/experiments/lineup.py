@@ -21,11 +21,10 @@ from lab.experiments import QUICK, pages
 from lab.experiments.fronts import read_table as read_pareto
 from lab.experiments.networks import evaluate
 from lab.experiments.pages import grouped, mean, percent, releases, versions_at_start, versions_text
-from lab.experiments.ratios import nested_ratio
 from lab.experiments.runner import Design, Part, command_line
 from lab.experiments.training import NUMBER, Record, StoredRow, TrainingJob, read_rows
 from spikedeploy import zoo
-from spikedeploy.comparison.statistics import stratified_bootstrap
+from spikedeploy.comparison.statistics import nested_ratio, stratified_bootstrap
 from spikedeploy.files import read_json
 from spikedeploy.reports.table import write_rows
 from spikedeploy.runtime.errors import ConfigError

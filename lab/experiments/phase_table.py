@@ -24,9 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lab.experiments.costs import INT8, TABLES
-from lab.experiments.ratios import nested_ratio
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.statistics import stratified_bootstrap
+from spikedeploy.comparison.statistics import nested_ratio, stratified_bootstrap
 from spikedeploy.envs.hexapod.env import BODY, layout
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.files import write_text

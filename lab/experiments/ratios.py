@@ -1,4 +1,4 @@
-"""Ratios of means and medians, with bootstrap intervals over trainings, episodes or groups."""
+"""Ratios of means and medians, with bootstrap intervals over values or groups of episodes."""
 
 import math
 from collections.abc import Callable
@@ -10,7 +10,6 @@ from spikedeploy.comparison.statistics import (
     _RESAMPLES,
     _TOGETHER,
     Estimate,
-    _draws,
     _interval,
 )
 
@@ -30,29 +29,6 @@ def ratio_of(
     )
     usable = bottoms > 0
     return Estimate(float(middle(left) / middle(right)), _interval(tops[usable] / bottoms[usable]))
-
-
-def nested_ratio(values: ArrayLike, reference: ArrayLike, together: bool = False) -> Estimate:
-    """Mean of values (S, n) of S trainings in n episodes / mean of a reference in the same.
-
-    reference  (n,), or (R, n) of R trainings
-    together   whether these are the same trainings, which are drawn together
-
-    A resample draws trainings of both, then episodes, the same for all of them; the `mean` of the
-    estimate is the ratio of the sample itself. NaN where the reference is 0.
-    """
-    rng = np.random.default_rng(0)
-    each = np.asarray(values, np.float64)
-    beside = np.atleast_2d(np.asarray(reference, np.float64))
-    if not beside.any():
-        return Estimate(math.nan, (math.nan, math.nan))
-    trainings, episodes = each.shape
-    ratios = []
-    for drawn, picks in _draws(trainings, episodes, rng):
-        of = drawn if together else rng.integers(len(beside), size=(len(drawn), len(beside), 1))
-        with np.errstate(divide="ignore", invalid="ignore"):  # rare successes, none drawn
-            ratios.append(each[drawn, picks].mean((1, 2)) / beside[of, picks].mean((1, 2)))
-    return Estimate(float(each.mean() / beside.mean()), _interval(np.concatenate(ratios)))
 
 
 def grouped_ratio(values: ArrayLike, reference: ArrayLike, groups: ArrayLike) -> Estimate:

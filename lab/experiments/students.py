@@ -21,11 +21,10 @@ import numpy as np
 from lab.experiments import DESIGNS, QUICK, pages
 from lab.experiments.networks import is_discrete, network, play, random_actions
 from lab.experiments.pages import ROOT, grouped, mean, number, share
-from lab.experiments.ratios import nested_ratio
 from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows, write_exactly
 from spikedeploy import zoo
-from spikedeploy.comparison.statistics import Estimate
+from spikedeploy.comparison.statistics import Estimate, nested_ratio
 from spikedeploy.envs.foreign import attribute, import_target
 from spikedeploy.files import replacing
 from spikedeploy.reports.table import ABSENT

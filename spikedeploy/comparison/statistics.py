@@ -6,6 +6,7 @@ risk. Two policies on the same seeds share terrain and pushes, so their *paired*
 far smaller variance than the difference of their means.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
@@ -133,18 +134,27 @@ def paired_difference(
     return bootstrap(left - right, rng)
 
 
-def paired_ratio(values: ArrayLike, reference: ArrayLike, rng: np.random.Generator) -> Estimate:
-    """The mean of `values` over that of `reference`, (n,) of the same episodes, drawn as pairs.
+def nested_ratio(values: ArrayLike, reference: ArrayLike, together: bool = False) -> Estimate:
+    """Mean of values (S, n) of S trainings in n episodes / mean of a reference in the same.
 
-    The `mean` of the estimate is that ratio; the reference's mean is above 0.
+    reference  (n,), or (R, n) of R trainings
+    together   whether these are the same trainings, which are drawn together
+
+    A resample draws trainings of both, then episodes, the same for all of them; the `mean` of the
+    estimate is the ratio of the sample itself. NaN where the reference is 0.
     """
-    left, right = np.asarray(values, np.float64), np.asarray(reference, np.float64)
-    if left.shape != right.shape:
-        raise ValueError(f"pairs need equal shapes, found {left.shape} and {right.shape}")
-    picks = rng.integers(left.size, size=(_RESAMPLES, left.size))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = left[picks].mean(axis=1) / right[picks].mean(axis=1)
-    return Estimate(float(left.mean() / right.mean()), _interval(ratios))
+    rng = np.random.default_rng(0)
+    each = np.asarray(values, np.float64)
+    beside = np.atleast_2d(np.asarray(reference, np.float64))
+    if not beside.any():
+        return Estimate(math.nan, (math.nan, math.nan))
+    trainings, episodes = each.shape
+    ratios = []
+    for drawn, picks in _draws(trainings, episodes, rng):
+        of = drawn if together else rng.integers(len(beside), size=(len(drawn), len(beside), 1))
+        with np.errstate(divide="ignore", invalid="ignore"):  # rare successes, none drawn
+            ratios.append(each[drawn, picks].mean((1, 2)) / beside[of, picks].mean((1, 2)))
+    return Estimate(float(each.mean() / beside.mean()), _interval(np.concatenate(ratios)))
 
 
 def _draws(

@@ -18,6 +18,7 @@ from spikedeploy.reports.headline import main_row
 from spikedeploy.reports.table import Row, format_si
 from spikedeploy.runtime.metrics.energy_tables import STATIC, TABLES
 
+_IN_MEMORY = "horowitz45-int8-acc32"
 DAVIDSON, DAMPFHOFFER = 1.72, (0.15, 1.38)  # spikes of a synapse in an inference
 
 
@@ -35,9 +36,7 @@ def _borders(row: Row) -> str:
     updates = row["neuron_updates_per_inference"]
     if not synapses or sops is None or updates is None:
         return ""
-    prices = TABLES[COMMON_TABLE].joules
-    spent = sops * prices["sop"] + updates * prices["neuron_update"]
-    share = spent / (synapses * prices["mac"])
+    registers, memory = (_share_of_dense(row, name) for name in (COMMON_TABLE, _IN_MEMORY))
     density = sops / synapses
     low, high = DAMPFHOFFER
     if density < low:
@@ -46,17 +45,21 @@ def _borders(row: Row) -> str:
         place = f"above published borders of {low} to {DAVIDSON}"
     else:
         place = f"within published borders, {low} to {high} and {DAVIDSON}"
-    rule = (
-        f"it costs less than a float network of its shape more than {share:.0%} of whose inputs "
-        "are not 0"
-        if share < 1
-        else f"it costs {share:.1f} times a float network of its shape that computes every product"
-    )
     return (
         f"A synapse of {row['policy']} receives {density:.2g} spikes a control step, {place} "
-        "(Dampfhoffer et al. 2023, Davidson and Furber 2021), which leave out updates of neurons; "
-        f"with them, by {COMMON_TABLE}, {rule}."
+        "(Dampfhoffer et al. 2023, Davidson and Furber 2021), which leave out updates of neurons. "
+        f"With them it takes {registers:.0%} of the energy of a dense float network of its shape "
+        f"by {COMMON_TABLE}, which has sums in registers, and {memory:.0%} with sums in memory "
+        f"({_IN_MEMORY}): it saves where more of that network's inputs are not 0."
     )
+
+
+def _share_of_dense(row: Row, table: str) -> float:
+    """Energy of synapses and updates over that of all multiply-accumulates of the same shape."""
+    prices = TABLES[table].joules
+    updates = row["neuron_updates_per_inference"] * prices["neuron_update"]
+    spent = row["sops_per_inference"] * prices["sop"] + updates
+    return float(spent / (row["synapses"] * prices["mac"]))
 
 
 def _beside(row: Row, rows: Sequence[Row]) -> str:

@@ -9,12 +9,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.comparison import static
-from spikedeploy.comparison.statistics import paired_ratio
+from spikedeploy.comparison.statistics import nested_ratio
 from spikedeploy.comparison.summary import smallest_baseline
 from spikedeploy.errors import ConfigError, SpikedeployError
 from spikedeploy.files import read_json, write_json
@@ -40,11 +39,11 @@ Text = Annotated[str, Field(max_length=2000)]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 
-class _Fields(BaseModel):
+class _Entry(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
-class Energy(_Fields):
+class Energy(_Entry):
     """Energy of a control step by one price table, or as it was measured."""
 
     prices: Name = Field(description="price table of `spikedeploy energy`, or how it was measured")
@@ -57,7 +56,7 @@ class Energy(_Fields):
     unpriced: list[str] = Field([], description="terms that happen and have no price")
 
 
-class Policy(_Fields):
+class PolicyEntry(_Entry):
     """One policy: what it earns, and what a control step of it takes."""
 
     name: Name = Field(description="as its authors call it")
@@ -76,7 +75,7 @@ class Policy(_Fields):
     energy: list[Energy] = Field([], description="one for each price table")
 
 
-class OverTrainings(_Fields):
+class OverTrainings(_Entry):
     """The same recipe, trained several times."""
 
     training_seeds: Some = Field(description="trainings")
@@ -87,7 +86,7 @@ class OverTrainings(_Fields):
     source: Name = Field(description="file and row")
 
 
-class SynapticOperations(_Fields):
+class SynapticOperations(_Entry):
     """NeuroBench's SynapticOperations, of an inference."""
 
     effective_macs: Count | None = Field(None, alias="Effective_MACs", description="as above")
@@ -95,7 +94,7 @@ class SynapticOperations(_Fields):
     dense: Count | None = Field(None, alias="Dense", description="zeros included")
 
 
-class RewardScore(_Fields):
+class RewardScore(_Entry):
     """NeuroBench's RewardScore (branch 2025_GC)."""
 
     avg: FiniteFloat = Field(description="mean return")
@@ -105,7 +104,7 @@ class RewardScore(_Fields):
     )
 
 
-class NeuroBench(_Fields):
+class NeuroBenchEntry(_Entry):
     """The same numbers by NeuroBench's names (docs/metrics.md has the formulas)."""
 
     footprint: Count | None = Field(None, alias="Footprint", description="memory [bytes]")
@@ -121,7 +120,7 @@ class NeuroBench(_Fields):
     reward_score: RewardScore | None = Field(None, alias="RewardScore", description="of returns")
 
 
-class Evidence(_Fields):
+class Evidence(_Entry):
     """Where the numbers of a row can be made again from."""
 
     command: Text = Field(description="command that gives these numbers")
@@ -132,7 +131,7 @@ class Evidence(_Fields):
     created: str | None = Field(None, description="when")
 
 
-class LeaderboardRow(_Fields):
+class LeaderboardRow(_Entry):
     """A row of the table, a file of results/leaderboard/."""
 
     format: Literal[1] = Field(description="of this schema")
@@ -140,10 +139,10 @@ class LeaderboardRow(_Fields):
     chip: Name | None = Field(None, description="chip, emulated if the row has evidence")
     reference: Name | None = Field(None, description="float policy whose return is 100 %")
     episodes: Some | None = Field(None, description="evaluation episodes")
-    spiking: Policy = Field(description="the spiking policy")
-    rival: Policy | None = Field(None, description="the float policy beside it")
+    spiking: PolicyEntry = Field(description="the spiking policy")
+    rival: PolicyEntry | None = Field(None, description="the float policy beside it")
     over_trainings: OverTrainings | None = Field(None, description="the recipe, trained again")
-    neurobench: NeuroBench | None = Field(None, description="of the spiking policy")
+    neurobench: NeuroBenchEntry | None = Field(None, description="of the spiking policy")
     source: Name = Field(description="paper and table, or whose row it is")
     link: Name | None = Field(None, description="URL, arXiv number or DOI")
     read: Literal["paper", "abstract", "notes"] | None = Field(
@@ -153,7 +152,7 @@ class LeaderboardRow(_Fields):
     note: Text = Field("", description="what a reader has to know besides")
 
 
-class _ReportRow(BaseModel):
+class _ComparedRow(BaseModel):
     """What a row is made of, in a row of a report."""
 
     policy: str
@@ -218,7 +217,7 @@ def row_of_report(
     """
     rows: Sequence[Data] = document["rows"]
     remedy = "; `spikedeploy compare` of this version writes all that is needed"
-    validate(list[_ReportRow], rows, f"rows of {report}", remedy)
+    validate(list[_ComparedRow], rows, f"rows of {report}", remedy)
     spiking = _chosen(rows, policy, chip)
     beside = _named(rows, rival) if rival else _smallest(rows, spiking)
     files = {each["file"] for each in (spiking, beside, ann_row(rows)) if each}
@@ -333,8 +332,7 @@ def _share(row: Data, reference: Data | None) -> dict[str, Any]:
     """The share of the reference's return in the same episodes; of one above 0 alone."""
     if reference is None or reference["return_mean"] <= 0:
         return {"share": None, "share_ci95": None}
-    rng = np.random.default_rng(0)
-    found = paired_ratio(row["returns"], reference["returns"], rng)
+    found = nested_ratio([row["returns"]], reference["returns"])
     return {"share": found.mean, "share_ci95": list(found.ci95)}
 
 
@@ -421,7 +419,7 @@ def differences(row: LeaderboardRow, document: Data, report: str) -> Iterator[st
             yield f"{path}: {then.get(path)} in the row, {now.get(path)} from the report"
 
 
-def _of_policy(whose: str, policy: Policy) -> Iterator[str]:
+def _of_policy(whose: str, policy: PolicyEntry) -> Iterator[str]:
     yield from _outside(f"{whose}.return_mean", policy.return_mean, policy.return_ci95)
     yield from _outside(f"{whose}.share", policy.share, policy.share_ci95)
     for name in ("effective_macs", "effective_acs"):
@@ -436,7 +434,9 @@ def _outside(name: str, value: float | None, interval: Sequence[float] | None) -
         yield f"{name} is {value:g}, outside of its interval {interval[0]:g} to {interval[1]:g}"
 
 
-def _of_energy(name: str, energy: Energy, policy: Policy, row: LeaderboardRow) -> Iterator[str]:
+def _of_energy(
+    name: str, energy: Energy, policy: PolicyEntry, row: LeaderboardRow
+) -> Iterator[str]:
     dynamic, total = energy.dynamic_j, energy.with_static_j
     if energy.terms_j and not _same(sum(energy.terms_j.values()), dynamic):
         yield f"{name}: its terms add up to {sum(energy.terms_j.values()):g} J, not to {dynamic} J"
@@ -451,7 +451,7 @@ def _of_energy(name: str, energy: Energy, policy: Policy, row: LeaderboardRow) -
             yield f"{name}: with {energy.static_power} it is {expected:g} J, not {total} J"
 
 
-def _of_prices(name: str, energy: Energy, policy: Policy) -> Iterator[str]:
+def _of_prices(name: str, energy: Energy, policy: PolicyEntry) -> Iterator[str]:
     """Operations and updates by the prices that the table has today."""
     table = TABLES[energy.prices]
     if policy.sops is None or {"graded_sop", "one_state_update"} & set(table.joules):

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from lab.experiments.ratios import grouped_ratio, nested_ratio, ratio_of
+from lab.experiments.ratios import grouped_ratio, ratio_of
+from spikedeploy.comparison.statistics import nested_ratio
 
 REFERENCE = np.random.default_rng(0).uniform(1, 9, size=20)
 

@@ -38,10 +38,14 @@ def test_counts_stand_beside_published_borders_and_the_rule_with_updates():
     # 100 SOPs over 1,000 synapses
     assert "receives 0.1 spikes a control step, below published borders of 0.15 to 1.72" in text
     # (100 x 1.35 + 10 x 26.5) / (1,000 x 1.55) = 400 / 1,550
-    assert "a float network of its shape more than 26% of whose inputs are not 0" in text
+    assert (
+        "takes 26% of the energy of a dense float network of its shape by horowitz45-int8" in text
+    )
+    # (100 x 12.6 + 10 x 26.4) / (1,000 x 4.05) = 1,524 / 4,050
+    assert "and 38% with sums in memory (horowitz45-int8-acc32)" in text
     many = energy_verdict([row(neuron_updates_per_inference=100.0)])
     # (135 + 2,650) / 1,550
-    assert "it costs 1.8 times a float network of its shape that computes every product" in many
+    assert "takes 180% of the energy of a dense float network" in many
 
 
 @pytest.mark.parametrize(
