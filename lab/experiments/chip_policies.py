@@ -20,11 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lab.experiments import DESIGNS
-from lab.experiments.networks import is_discrete, random_actions
+from lab.experiments.networks import (
+    float_actions,
+    is_discrete,
+    random_actions,
+    share_of_teacher,
+)
 from lab.experiments.pages import ROOT, render, share
 from lab.experiments.training import Record, read_rows, write_exactly
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.statistics import nested_ratio, stratified_bootstrap
+from spikedeploy.comparison.statistics import stratified_bootstrap
 from spikedeploy.files import as_text, replacing, write_text
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips import CHIPS as EVERY_CHIP
@@ -137,8 +142,7 @@ def _of_float(task: str) -> Act:
     """The teacher of a task as it acts."""
     from spikedeploy.trainers.distill.teachers import teacher
 
-    found = teacher(str(zoo.teacher(task)), task)
-    return (lambda seen: found.act_all(seen).argmax(-1)) if is_discrete(task) else found.act_all
+    return float_actions(teacher(str(zoo.teacher(task)), task), is_discrete(task)).act_batch
 
 
 def _row(task: str, name: str, seeds: Sequence[int]) -> Record:
@@ -221,10 +225,8 @@ def _share(rows: Table, task: str, name: str) -> str:
     """The share of the teacher's return; where that is negative, from random actions on."""
     if (task, name) not in rows:
         return "not trained"
-    teacher = np.array(rows[task, "teacher"]["scores"])
-    lowest = float(np.mean(rows[task, "random"]["scores"])) if teacher.mean() < 0 else 0.0
-    scores = np.array(rows[task, name]["scores"])[None] - lowest
-    found = nested_ratio(scores, teacher - lowest)
+    teacher, at_random = (rows[task, each]["scores"] for each in ("teacher", "random"))
+    found = share_of_teacher([rows[task, name]["scores"]], teacher, float(np.mean(at_random)))
     return f"{share(found)} {found.mark(WANTED)}"
 
 

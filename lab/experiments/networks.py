@@ -12,10 +12,12 @@ from typing import Any, TypeVar
 import gymnasium
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 
 from spikedeploy import envs
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import make_entries
+from spikedeploy.comparison.statistics import Estimate, nested_ratio
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.exporters.to_onnx import to_onnx
 from spikedeploy.policies import run_record
@@ -32,6 +34,7 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.export_run import kind_of
 from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.distill.teacher import Teacher
 from spikedeploy.trainers.policies import Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.policy import PrunedWeight
 from spikedeploy.trainers.run_folder import RunFolder
@@ -204,6 +207,23 @@ def random_actions(env: str, seed: int = 0) -> Stateless:
     world.close()
     count = int(space.n) if chooses else space.shape[0]
     return pool.random_actions(count, chooses, np.random.default_rng(seed))
+
+
+def float_actions(teacher: Teacher, chooses: bool) -> Stateless:
+    """What a teacher does: its actions, or the choice of its largest logit."""
+    if chooses:
+        return Stateless(lambda seen: teacher.act_all(seen).argmax(-1))
+    return Stateless(teacher.act_all)
+
+
+def share_of_teacher(scores: ArrayLike, teacher: ArrayLike, at_random: float) -> Estimate:
+    """Returns (S, n) of S trainings over the teacher's (n,) in the same episodes.
+
+    Where the teacher's mean is negative, of the way from the mean of random actions to it.
+    """
+    taught = np.asarray(teacher, np.float64)
+    lowest = at_random if taught.mean() < 0 else 0.0
+    return nested_ratio(np.asarray(scores, np.float64) - lowest, taught - lowest)
 
 
 @dataclass(frozen=True)

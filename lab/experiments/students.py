@@ -19,22 +19,29 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lab.experiments import DESIGNS, QUICK, pages
-from lab.experiments.networks import is_discrete, network, play, random_actions
+from lab.experiments.gymnasium import TaskTraining
+from lab.experiments.networks import (
+    float_actions,
+    is_discrete,
+    network,
+    play,
+    random_actions,
+    share_of_teacher,
+)
 from lab.experiments.pages import ROOT, grouped, mean, number, share
 from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows, write_exactly
 from spikedeploy import zoo
-from spikedeploy.comparison.statistics import Estimate, nested_ratio
+from spikedeploy.commands.distillation import FLOAT, RIVAL, SPARSE, STUDENT
 from spikedeploy.envs.foreign import attribute, import_target
 from spikedeploy.files import replacing
 from spikedeploy.reports.table import ABSENT
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
-from spikedeploy.trainers.distill.teacher import Teacher
 from spikedeploy.trainers.distill.teachers import teacher
-from spikedeploy.trainers.sparse.pool import Stateless
 
-TEACHER, RANDOM, STUDENT, RIVAL = ROLES = ("teacher", "random", "student", "float MLP")
+TEACHER, RANDOM = "teacher", "random"
+ROLES = (TEACHER, RANDOM, STUDENT, FLOAT)
 TASKS: Mapping[str, Record] = DESIGNS["students"]["tasks"]
 TEACHERS = ROOT / "results" / "students"
 WANTED = 0.97  # of the teacher
@@ -58,7 +65,7 @@ class StudentsDesign(Design):
         "set": "settings",
     }
 
-    def trainings(self) -> list[TrainingJob]:
+    def trainings(self) -> list[TaskTraining]:
         """Of each seed the student and the rival of every task."""
         return [
             each
@@ -67,26 +74,26 @@ class StudentsDesign(Design):
             for each in (self._student(task, seed), self._rival(task, seed))
         ]
 
-    def _student(self, task: str, seed: int) -> TrainingJob:
-        return self._job(task, seed, "distill-sparse", {})
+    def _student(self, task: str, seed: int) -> TaskTraining:
+        return self._job(task, STUDENT, seed, SPARSE, {})
 
-    def _rival(self, task: str, seed: int) -> TrainingJob:
+    def _rival(self, task: str, seed: int) -> TaskTraining:
         # as `distill` trains it
-        return self._job(task, seed, "distill-small-mlp", {"pool": self._student(task, seed)})
+        return self._job(task, FLOAT, seed, RIVAL, {"pool": self._student(task, seed)})
 
     def _job(
-        self, task: str, seed: int, recipe: str, parents: Mapping[str, TrainingJob]
-    ) -> TrainingJob:
+        self, task: str, role: str, seed: int, recipe: str, parents: Mapping[str, TrainingJob]
+    ) -> TaskTraining:
         every = (
             f'env.name="{TASKS[task]["env"]}"',
             f'teacher="{self._file(task)}"',
             *(QUICK["distill-sparse"] if self.quick else ()),
             *self.settings,
         )
-        role = RIVAL if parents else STUDENT
         name = f"{task}-{role.replace(' ', '-')}-s{seed}"
         own = ("teacher_walks=0", "noisy_walks=0") if parents else ()
-        return TrainingJob(name, recipe, seed, self.runs, every, parents, (*every, *own))
+        telling = (*every, *own)
+        return TaskTraining(name, recipe, seed, self.runs, every, parents, telling, task, role)
 
     def parts(self) -> list[Part]:
         """The teachers and their episodes; each training and its episodes."""
@@ -97,16 +104,11 @@ class StudentsDesign(Design):
             rows = partial(self._teacher_rows, task)
             found.append(Part(f"{task}-episodes", rows, after=[name]))
         for training in self.trainings():
-            task, role, seed = self._of(training)
-            after = [f"{task}-episodes", *(each.name for each in training.parents.values())]
-            rows = partial(self._rows, task, role, seed, training)
+            parents = [each.name for each in training.parents.values()]
+            after = [f"{training.env}-episodes", *parents]
+            rows = partial(self._rows, training.env, training.role, training.seed, training)
             found.append(Part(training.name, rows, training, after=after))
         return found
-
-    def _of(self, training: TrainingJob) -> tuple[str, str, int]:
-        role = RIVAL if training.parents else STUDENT
-        task = training.name.rpartition(f"-{role.replace(' ', '-')}-s")[0]
-        return task, role, training.seed
 
     def _taught(self, task: str) -> list[StoredRow]:
         """How the teacher was trained, and in how many minutes."""
@@ -120,8 +122,6 @@ class StudentsDesign(Design):
         return file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
 
     def _teacher_rows(self, task: str) -> list[StoredRow]:
-        if not self._file(task).is_file():
-            return [StoredRow(self._file(task).with_suffix(".none"), {}, dict)]  # not yet
         return [row for role in (TEACHER, RANDOM) for row in self._rows(task, role, 0, None)]
 
     def _rows(
@@ -134,7 +134,7 @@ class StudentsDesign(Design):
             "limit": self.limit,
             "first_seed": EVALUATION,
             "chip": self.chip,
-            "policy": zoo.sha256(policy),
+            "policy": zoo.sha256(policy) if policy.is_file() else "",  # a teacher yet to be trained
             "version": _VERSION,
         }
         return [StoredRow(file, of, partial(self._evaluate, task, role, seed, training))]
@@ -146,7 +146,7 @@ class StudentsDesign(Design):
             act = random_actions(env.name)
             if role == TEACHER:
                 found = teacher(str(self._file(task)), env.name)
-                act = _acting(found, is_discrete(env.name))
+                act = float_actions(found, is_discrete(env.name))
                 counts = {"operations": float(sum(a * b for a, b in pairwise(found.widths)))}
             played = play(env, self.episodes, act, self.limit)
         else:
@@ -190,7 +190,8 @@ class StudentsDesign(Design):
             missing=[
                 training.name
                 for training in self.trainings()
-                if (*self._of(training),) not in {(r["task"], r["role"], r["seed"]) for r in rows}
+                if (training.env, training.role, training.seed)
+                not in {(r["task"], r["role"], r["seed"]) for r in rows}
             ],
             operations=_operations,
             minutes=lambda of: number(of and of["minutes"]),
@@ -222,11 +223,6 @@ def _teach(of: Record, file: Path) -> Record:
     return {"minutes": minutes}
 
 
-def _acting(found: Teacher, chooses: bool) -> Stateless:
-    """A teacher as it acts."""
-    return Stateless((lambda seen: found.act_all(seen).argmax(-1)) if chooses else found.act_all)
-
-
 def _minutes(run: Path) -> float:
     """Minutes from the beginning of a training that was not interrupted to its end."""
     times = [(run / name).stat().st_mtime for name in ("versions.json", "checkpoints/last.json")]
@@ -242,9 +238,11 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
     taught, at_random = by[task, TEACHER][0], by[task, RANDOM][0]
     # the share of the way from random actions to the teacher, where returns are negative
     earned, random = (float(np.mean(each["scores"])) for each in (taught, at_random))
-    lowest = random if earned < 0 else 0.0
-    students = by.get((task, STUDENT), [])
-    kept = _share(students, taught, lowest)
+    shares = {
+        role: share_of_teacher([row["scores"] for row in rows], taught["scores"], random)
+        for role in (STUDENT, FLOAT)
+        if (rows := by.get((task, role), []))
+    }
     return {
         "name": task,
         "env": TASKS[task]["env"],
@@ -255,24 +253,17 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
         "students": {
             role: {
                 "trainings": len(rows),
-                "share": _share(rows, taught, lowest),
+                "share": shares[role],
                 "operations": [row["operations"] for row in rows],
                 "minutes": mean(rows, "minutes"),
             }
-            for role in (STUDENT, RIVAL)
-            if (rows := by.get((task, role), []))
+            for role in shares
+            for rows in [by[task, role]]
         },
-        "mark": bool(kept and kept.mean >= WANTED),
+        "mark": STUDENT in shares and shares[STUDENT].mean >= WANTED,
     }
 
 
 def _operations(of: Record | None) -> str:
     """Operations of each training."""
     return ", ".join(f"{count:,.0f}" for count in of["operations"]) if of else ABSENT
-
-
-def _share(rows: Sequence[Record], taught: Record, lowest: float) -> Estimate | None:
-    if not rows:
-        return None
-    scores = np.array([row["scores"] for row in rows]) - lowest
-    return nested_ratio(scores, np.array(taught["scores"]) - lowest)

@@ -30,12 +30,17 @@ def results(tmp_path_factory, ran):
         outcome = run_experiment(design, (), 1, folder / "results")
         assert (outcome.done, outcome.of, outcome.failed) == (4, 4, {})
         yield folder / "results"
-    assert ran[-4:] == ["reach-teacher", "reach-episodes", "reach-student-s0", "reach-float-MLP-s0"]
+    assert ran[-4:] == [
+        "reach-teacher",
+        "reach-episodes",
+        "reach-spiking-student-s0",
+        "reach-float-MLP-s0",
+    ]
 
 
 def test_each_part_has_its_row(results):
     rows = read_rows(results / "students.csv", ("task", "role"))
-    assert [row["role"] for row in rows] == ["teacher", "random", "student", "float MLP"]
+    assert [row["role"] for row in rows] == ["teacher", "random", "spiking student", "float MLP"]
     teacher, at_random, student, rival = rows
     assert teacher["operations"] == 4 * 8 + 8 * 6 + 6 * 2
     assert at_random["operations"] is None
@@ -55,15 +60,16 @@ def test_returns_below_zero_are_measured_from_random_actions_on():
         return {"role": role, "scores": list(scores), "operations": 5.0, "minutes": 1.0}
 
     by = {("a", role): [row(role, *of)] for role, of in (
-        ("teacher", (-10.0, -10.0)), ("random", (-110.0, -110.0)), ("student", (-12.0, -14.0)),
+        ("teacher", (-10.0, -10.0)), ("random", (-110.0, -110.0)),
+        ("spiking student", (-12.0, -14.0)),
     )}  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(students, "TASKS", {"a": REACH})
         found = _facts("a", by)
-        assert found["students"]["student"]["share"].mean == pytest.approx(0.97)
+        assert found["students"]["spiking student"]["share"].mean == pytest.approx(0.97)
         assert found["mark"]
         by["a", "teacher"] = [row("teacher", 10.0, 10.0)]
-        by["a", "student"] = [row("student", 9.0, 9.0)]
+        by["a", "spiking student"] = [row("spiking student", 9.0, 9.0)]
         found = _facts("a", by)
-        assert found["students"]["student"]["share"].mean == pytest.approx(0.9)
+        assert found["students"]["spiking student"]["share"].mean == pytest.approx(0.9)
         assert not found["mark"]

@@ -1,0 +1,33 @@
+"""README's moving picture in its smallest size."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lab import film
+
+
+@pytest.fixture
+def short(monkeypatch):
+    monkeypatch.setattr(film, "_SECONDS", 0.3)
+
+
+def test_policies_stand_side_by_side_frame_by_frame(short, tmp_path):
+    path = tmp_path / "film.webp"
+    size = film.write(["kart-steer/sparse@kart-steer"] * 2, path)
+    assert size == path.stat().st_size
+    with Image.open(path) as found:
+        assert found.n_frames > 1
+        assert found.width == 2 * film._WIDTH + 6
+
+
+def test_spikes_pass_to_the_left_and_have_the_colour_of_their_kind():
+    spikes = np.zeros((4, 3), bool)
+    spikes[-1] = [True, False, True]  # an event and a hidden spike, just now
+    step = film.FilmedStep(np.zeros((90, 120, 3), np.uint8), spikes, 2, 7.0)
+    drawn = np.asarray(film.draw(step, 0.1, "robot"))[film._HEIGHT + 22 :, -8:]
+    colours = {tuple(each) for each in drawn.reshape(-1, 3).tolist()}
+    assert {film._EVENTS, film._HIDDEN} <= colours
+    older = film.FilmedStep(step.frame, np.vstack([spikes, np.zeros((10, 3), bool)]), 2, 7.0)
+    drawn = np.asarray(film.draw(older, 0.1, "robot"))[film._HEIGHT + 22 :, -8:]
+    assert film._EVENTS not in {tuple(each) for each in drawn.reshape(-1, 3).tolist()}
