@@ -5,8 +5,9 @@ import io
 import os
 import shlex
 import sys
+import textwrap
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -81,6 +82,21 @@ def say(line: str) -> None:
 def print_text(text: str) -> None:
     """Write text on stdout as it is, wrapped between words."""
     console().print(text, markup=False)
+
+
+def print_list(items: Iterable[str]) -> None:
+    """Write items on stdout, each behind a dash, wrapped between words."""
+    for item in items:
+        print(
+            textwrap.fill(
+                item,
+                console().width,
+                initial_indent="- ",
+                subsequent_indent="  ",
+                break_on_hyphens=False,
+                break_long_words=False,
+            )
+        )
 
 
 def console(stderr: bool = False) -> "Console":

@@ -215,7 +215,7 @@ class Int16Codec:
         return squash(score, self.fraction)
 
     def floats(self, action: Integers) -> NDArray[np.float64]:
-        """Actions (..., act) as the environment takes them; an index stays one."""
+        """Actions (..., act) in [-1, 1]; an index stays one."""
         return action.astype(np.float64) if self.chooses else action / 2.0**15
 
 

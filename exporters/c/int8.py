@@ -152,7 +152,7 @@ class Int8Mlp:
         return squash(acc, last.fraction)
 
     def floats(self, action: Integers) -> NDArray[np.float64]:
-        """Actions (..., act) as the environment takes them; an index stays one."""
+        """Actions (..., act) in [-1, 1]; an index stays one."""
         return action.astype(np.float64) if self.chooses else action / 2.0**15
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from spikedeploy.console import print_text
+from spikedeploy.console import print_list, print_text
 from spikedeploy.emulation.open_loop import Emulation
 from spikedeploy.emulation.verification import Verification
 from spikedeploy.exporters.check import ParityCheck
@@ -15,7 +15,7 @@ from spikedeploy.reports.columns import (
     short_columns,
     tables,
 )
-from spikedeploy.reports.headline import describe_disturbances, headline, verdict
+from spikedeploy.reports.headline import describe_disturbances, headline, sentences_of, verdict
 from spikedeploy.reports.table import ABSENT, Row, Table, format_bounds, format_si
 
 
@@ -59,7 +59,7 @@ def print_comparison(document: Mapping[str, Any], everything: bool = True) -> No
 def _print_sentences(document: Mapping[str, Any], *names: str) -> None:
     for name in names:
         if document.get(name):
-            print_text(document[name])
+            print_list(sentences_of(document[name]))
 
 
 def _print_head(document: Mapping[str, Any]) -> None:

@@ -47,7 +47,8 @@ void {{ prefix }}_reset(void);
 void {{ prefix }}_seed(uint64_t seed);
 
 {% endif %}
-/* One control step: {{ PREFIX }}_OK, or {{ PREFIX }}_NOT_FINITE, which leaves all as it was. */
+/* One control step: {{ PREFIX }}_OK, or {{ PREFIX }}_NOT_FINITE, which leaves all as it was.{% if not choices %} Numbers of an
+ * action are in [-1, 1]: low + (x + 1) / 2 (high - low) of the environment's action space.{% endif %} */
 int {{ prefix }}_step(const double observation[{{ PREFIX }}_OBSERVATIONS],
                 {{ prefix }}_action_t action[{{ PREFIX }}_ACTIONS]);
 

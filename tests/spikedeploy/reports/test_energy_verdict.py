@@ -46,6 +46,8 @@ def test_counts_stand_beside_published_borders_and_the_rule_with_updates():
     many = energy_verdict([row(neuron_updates_per_inference=100.0)])
     # (135 + 2,650) / 1,550
     assert "takes 180% of the energy of a dense float network" in many
+    # each can be read alone, as the terminal lists them
+    assert not any(each.startswith(("With them", "It ")) for each in sentences_of(text))
 
 
 @pytest.mark.parametrize(

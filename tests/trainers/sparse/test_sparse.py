@@ -283,6 +283,16 @@ def test_a_search_keeps_the_policy_of_the_lowest_level_that_keeps_its_share(stro
     assert best["eval_operations"] <= 1.1 * last["kept"]
 
 
+def test_a_run_of_an_earlier_version_is_not_resumed(stroll, tmp_path, monkeypatch):
+    config = settings(teacher=stroll)
+    before = [name for name in Sparse.COUNTERS if name not in ("random_return", "kept")]
+    with monkeypatch.context() as patch:
+        patch.setattr(Sparse, "COUNTERS", tuple(before))
+        run, rows = learned(config, tmp_path, until=7)
+    with pytest.raises(ConfigError, match=r"earlier version.* no random_return, kept: train it"):
+        learned(config, tmp_path, run=run, rows=rows)
+
+
 def test_a_search_refuses_a_teacher_that_earns_no_more_than_random_actions(
     stroll, tmp_path, monkeypatch
 ):
