@@ -48,10 +48,10 @@ def _borders(row: Row) -> str:
     return (
         f"A synapse of {row['policy']} receives {density:.2g} spikes a control step, {place} "
         "(Dampfhoffer et al. 2023, Davidson and Furber 2021), which leave out updates of neurons. "
-        f"With updates, {row['policy']} takes {registers:.0%} of the energy of a dense float network "
-        f"of its shape by {COMMON_TABLE}, which has sums in registers, and {memory:.0%} with sums "
-        f"in memory ({_IN_MEMORY}). A float network that skips inputs of 0 takes less where fewer "
-        "of its inputs than that are not 0."
+        f"With updates, {row['policy']} takes {registers:.0%} of the energy of a dense float "
+        f"network of its shape by {COMMON_TABLE}, which has sums in registers, and {memory:.0%} "
+        f"with sums in memory ({_IN_MEMORY}). A float network that skips inputs of 0 takes less "
+        "where fewer of its inputs than that are not 0."
     )
 
 
