@@ -182,7 +182,6 @@ def record(
     episode, scene = EpisodeRecorder(env, seed), scene_of(env)
     film = _Film(env, every) if filmed and scene is None else None
     player.reset(seed)
-    shapes = scene.shapes() if scene else None
     poses = [scene.pose()] if scene else []
     inferences = []
     if film:
@@ -200,7 +199,7 @@ def record(
         label,
         candidate.kind,
         episode.rollout(),
-        film.shapes() if film else shapes,
+        film.shapes() if film else scene.shapes() if scene else None,
         np.stack(poses) if poses else np.zeros((0, 0, 0)),
         every,
         period,
@@ -411,7 +410,7 @@ def scene_of(env: Any) -> Scene | None:  # noqa: ANN401
     inner = getattr(inner, "inner", inner).unwrapped
     body = getattr(inner, "robot", inner)  # of our hexapods; gymnasium's hold both themselves
     if hasattr(body, "model") and hasattr(getattr(body, "data", None), "xquat"):
-        return _Bodies(body.model, body.data)
+        return _Bodies(body.model, body.data, inner if hasattr(inner, "tiles") else None)
     if hasattr(inner, "track") and hasattr(inner, "pose"):
         return _Kart(inner)
     if isinstance(inner, KartEyeEnv):
@@ -420,10 +419,13 @@ def scene_of(env: Any) -> Scene | None:  # noqa: ANN401
 
 
 class _Bodies:
-    """The bodies of a MuJoCo model and the geoms fixed to them."""
+    """The bodies of a MuJoCo model and the geoms fixed to them.
 
-    def __init__(self, model: Any, data: Any) -> None:  # noqa: ANN401
-        self._model, self._data = model, data
+    tiled  an environment with tiles
+    """
+
+    def __init__(self, model: Any, data: Any, tiled: Any = None) -> None:  # noqa: ANN401
+        self._model, self._data, self._tiled = model, data, tiled
 
     def shapes(self) -> dict[str, Any]:
         """Geoms in the frames of their bodies, and the heights of the ground."""
@@ -446,7 +448,14 @@ class _Bodies:
                 if kinds[g] not in _GROUND and model.geom_bodyid[g] > 0
             ],
             "ground": self._ground(next((g for g in shown if kinds[g] in _GROUND), None)),
+            **({"tiles": self._tiles()} if self._tiled else {}),
         }
+
+    def _tiles(self) -> dict[str, Any]:
+        """Forbidden tiles, and the missteps so far: control step, x, y."""
+        tiles = self._tiled.tiles
+        missed = [[step, *_round(np.array(where))] for step, *where in self._tiled.missed]
+        return {"size": tiles.size, "centres": _round(tiles.centres), "missed": missed}
 
     def pose(self) -> Floats:
         """(N, 7) of the bodies besides the world."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 import warnings
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -16,11 +17,45 @@ from spikedeploy.envs.hexapod.robot import Robot
 _WIDTH, _HEIGHT = 640, 480  # [pixels]
 
 
-class Camera:
-    """Off-screen frames of a robot, from the camera of its model that follows it."""
+class Mark(NamedTuple):
+    """A flat square on the ground.
 
-    def __init__(self, subject: Robot, width: int = _WIDTH, height: int = _HEIGHT) -> None:
-        self._model, self._data = subject.model, subject.data
+    centre  [m] (x, y)
+    half    [m] half of its side
+    height  [m] of its upper face
+    rgba    colour
+    """
+
+    centre: tuple[float, float]
+    half: float
+    height: float
+    rgba: tuple[float, float, float, float]
+
+
+Marks = Callable[[], Iterable[Mark]]
+_MOST_MARKS = 600
+
+
+def _add(marks: Iterable[Mark], scene: Any) -> None:  # noqa: ANN401
+    """Draw squares into a scene of MuJoCo, as many as it holds."""
+    upright = np.eye(3).ravel()
+    for mark, geom in zip(marks, scene.geoms[scene.ngeom : scene.maxgeom], strict=False):
+        size = np.array([mark.half, mark.half, 5e-4])
+        place = np.array([*mark.centre, mark.height - size[2]])
+        mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_BOX, size, place, upright, mark.rgba)
+        scene.ngeom += 1
+
+
+class Camera:
+    """Off-screen frames of a robot, from the camera of its model that follows it.
+
+    marks  what lies on the ground now
+    """
+
+    def __init__(
+        self, subject: Robot, marks: Marks = tuple, width: int = _WIDTH, height: int = _HEIGHT
+    ) -> None:
+        self._model, self._data, self._marks = subject.model, subject.data, marks
         try:
             self._gl = mujoco.GLContext(width, height)
             self._gl.make_current()
@@ -30,7 +65,7 @@ class Camera:
                 f"no OpenGL to draw with ({error}); on Debian: apt-get install libegl1 libgl1"
             ) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
-        self._scene = mujoco.MjvScene(self._model, maxgeom=200)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=200 + _MOST_MARKS)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = 1
         self._view = mujoco.MjvCamera()
         self._view.type = mujoco.mjtCamera.mjCAMERA_FIXED
@@ -50,6 +85,7 @@ class Camera:
         mujoco.mjv_updateScene(
             self._model, self._data, self._option, None, self._view, everything, self._scene
         )
+        _add(self._marks(), self._scene)
         mujoco.mjr_render(self._frame, self._scene, self._context)
         pixels = np.empty((self._frame.height, self._frame.width, 3), np.uint8)
         mujoco.mjr_readPixels(pixels, None, self._frame, self._context)
@@ -77,7 +113,7 @@ def _check_display() -> None:
 class CameraWindow:
     """MuJoCo's viewer, slowed to real time."""
 
-    def __init__(self, subject: Robot, period: float) -> None:
+    def __init__(self, subject: Robot, period: float, marks: Marks = tuple) -> None:
         import mujoco.viewer as viewer  # needs a display, so only when a window is wanted
 
         _check_display()
@@ -89,7 +125,7 @@ class CameraWindow:
         view.type = mujoco.mjtCamera.mjCAMERA_TRACKING
         view.trackbodyid = subject.model.body("torso").id
         view.distance, view.azimuth, view.elevation = 1.0, 55.0, -25.0
-        self._period = period
+        self._period, self._marks = period, marks
         self._due = time.monotonic()
 
     def update_ground(self) -> None:
@@ -100,6 +136,8 @@ class CameraWindow:
         """Show the current state, after waiting for its time."""
         self._due = max(self._due + self._period, time.monotonic() - self._period)
         time.sleep(max(0.0, self._due - time.monotonic()))
+        self._viewer.user_scn.ngeom = 0
+        _add(self._marks(), self._viewer.user_scn)
         self._viewer.sync()
 
     def close(self) -> None:

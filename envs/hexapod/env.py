@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.errors import EnvError, all_finite
-from spikedeploy.envs.hexapod.camera import Camera, CameraWindow
+from spikedeploy.envs.hexapod.camera import Camera, CameraWindow, Mark
 from spikedeploy.envs.hexapod.robot import GRAVITY, STANCE, Field, Gait, Motion, Robot, Terrain
 
 Range = float | tuple[float, float]
@@ -139,16 +139,19 @@ _SPEED_KERNEL = 0.12  # [m/s]
 _TURN_KERNEL = 0.3  # [rad/s]
 
 
-def course_terms(speed: float, heading: float, lateral: float) -> dict[str, float]:
+def course_terms(
+    speed: float, heading: float, lateral: float, target: float = _TARGET_SPEED
+) -> dict[str, float]:
     """Terms for walking straight: alive, speed, heading, lateral.
 
     speed    [m/s] smoothed, along the course
     heading  [rad] from the course
     lateral  [m] off the course
+    target   [m/s] the speed that is asked for
     """
     return {
         "alive": 1.0,
-        "speed": 3.0 * max(-1.0, 1.0 - abs(speed - _TARGET_SPEED) / _TARGET_SPEED),
+        "speed": 3.0 * max(-1.0, 1.0 - abs(speed - target) / target),
         "heading": -0.5 * min(abs(heading), 1.0),
         "lateral": -0.5 * min(abs(lateral), 1.0),
     }
@@ -177,13 +180,14 @@ def kernel(error: float, width: float) -> float:
 
 
 def regularisers(
-    motion: Motion, height: float, crouch: float, change: FloatArray
+    motion: Motion, height: float, crouch: float, change: FloatArray, jerk: float
 ) -> dict[str, float]:
     """Terms that both tasks share: posture, smoothness and power.
 
     height  [m] of the torso above the mean ground
     crouch  [m] height below which crouching is penalised
     change  (18,) change of the action since the last control step
+    jerk    weight of its square
 
     Power is sampled at the end of the control step, as by a current sensor at 50 Hz.
     """
@@ -191,7 +195,7 @@ def regularisers(
     wx, wy, _ = motion.angular_velocity
     return {
         "tilt": -2.0 * (gx * gx + gy * gy),
-        "jerk": -0.02 * float(change @ change),
+        "jerk": -jerk * float(change @ change),
         "power": -0.025 * motion.power,
         "bounce": -0.5 * min(abs(motion.velocity[2]), 1.0),
         "slip": -0.5 * motion.slip,
@@ -255,6 +259,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
     LOWEST_HEIGHT: ClassVar[float] = 0.04  # [m] below which the robot has fallen
     CROUCH_HEIGHT: ClassVar[float] = 0.09  # [m] below which crouching is penalised
     AUTHORITY: ClassVar[FloatArray] = np.full(18, 0.5)
+    JERK: ClassVar[float] = 0.02  # weight of squared changes of the action
 
     def __init__(
         self,
@@ -300,6 +305,11 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
     def robot(self) -> Robot:
         """The robot, with MuJoCo's model and state."""
         return self._robot
+
+    @property
+    def scaling(self) -> tuple[FloatArray, FloatArray]:
+        """Centre (obs,) and spread (obs,) by which observations are scaled."""
+        return self._centre, self._spread
 
     @property
     def support_force(self) -> float:
@@ -353,7 +363,8 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         self._energy += motion.mean_power * CONTROL_DT
         self._track(motion)
         terms = self._task_terms(motion)
-        terms |= regularisers(motion, height, self.CROUCH_HEIGHT, action - self._action)
+        change = action - self._action
+        terms |= regularisers(motion, height, self.CROUCH_HEIGHT, change, self.JERK)
         reward = sum(terms.values())
         self._return += reward
         self._action = action
@@ -372,7 +383,10 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
             raise EnvError("made without render_mode; choose rgb_array or human")
         if self._camera is None:
             human = self.render_mode == "human"
-            self._camera = CameraWindow(self._robot, CONTROL_DT) if human else Camera(self._robot)
+            if human:
+                self._camera = CameraWindow(self._robot, CONTROL_DT, self._marks)
+            else:
+                self._camera = Camera(self._robot, self._marks)
         return self._camera.picture()
 
     def close(self) -> None:
@@ -393,9 +407,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         push = self._pushes.at(self._step, self.np_random)
         if push is not None:
             self._robot.push(*push)
-        # filtered = 0.6 (gait + authority x action) + 0.4 filtered
-        command = self._gait.command() + self.AUTHORITY * action
-        self._filtered = _FILTER * command + (1.0 - _FILTER) * self._filtered
+        self._filtered = self._servo_command(action)
         self._robot.drive(self._filtered)
         self._gait.advance(CONTROL_DT)
         return self._robot.sense()
@@ -418,6 +430,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
                 self._filtered,
                 motion.contact,
                 (*phase, *course, np.add.reduce(motion.load)),
+                *self._further(motion),
             )
         )
         values -= self._centre
@@ -443,7 +456,22 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
             "success": not fall and self._succeeds(),
         }
 
-    # The parts that depend on the task; HexapodCommandEnv overrides them.
+    # The parts that depend on the task; other environments override them.
+
+    def _servo_command(self, action: FloatArray) -> FloatArray:
+        """Command (18,) to the servos [action unit]."""
+        # filtered = 0.6 (gait + authority x action) + 0.4 filtered
+        command = self._gait.command() + self.AUTHORITY * action
+        filtered: FloatArray = _FILTER * command + (1.0 - _FILTER) * self._filtered
+        return filtered
+
+    def _marks(self) -> Iterable[Mark]:
+        """What is drawn on the ground."""
+        return ()
+
+    def _further(self, motion: Motion) -> tuple[FloatArray, ...]:
+        """The task's own sensors, behind the numbers of the robot."""
+        return ()
 
     def _begin(self) -> None:
         """Draw the task's variables at reset."""

@@ -22,7 +22,7 @@ LEGS = ("RF", "RM", "RR", "LF", "LM", "LR")
 # cosine, so that one sign per leg is the whole coupling. In LEGS the tripods alternate.
 
 
-_FREQUENCY = 1.25  # [Hz]
+FREQUENCY = 1.25  # [Hz]
 _YAW = 0.35  # [action unit] amplitude of the coxa
 _LIFT = 0.45  # [action unit] amplitude of the femur during swing
 _EXTEND = 0.20  # [action unit] amplitude of the tibia during swing
@@ -42,7 +42,7 @@ class Gait:
 
     def advance(self, dt: float) -> None:
         """Advance the phase by dt [s]."""
-        self.phase = (self.phase + math.tau * _FREQUENCY * dt) % math.tau
+        self.phase = (self.phase + math.tau * FREQUENCY * dt) % math.tau
 
     def command(self) -> NDArray[np.float64]:
         """Command (18,) at the current phase, leg by leg coxa, femur, tibia [action unit]."""
@@ -166,7 +166,7 @@ GRAVITY = 9.81  # [m/s^2]
 SUBSTEPS = 5  # of 4 ms each
 STANCE = np.tile([0.0, 0.35, -1.45], 6)  # (18,) [rad] nominal pose
 _STANDING = 0.108  # [m] height of the torso's centre above flat ground in the nominal pose
-_ACTION_UNIT = 0.6  # [rad]
+ACTION_UNIT = 0.6  # [rad]
 _TOUCH = 0.5  # [N] load above which a foot is in contact
 
 FloatArray = NDArray[np.float64]
@@ -233,6 +233,11 @@ class Robot:
         self._powers = [0.0] * SUBSTEPS
         self._down = 0.0, -1.0  # x and z of the direction of gravity in the world
 
+    @property
+    def feet(self) -> FloatArray:
+        """Centres (6, 3) [m] of the feet in the world."""
+        return np.asarray(self.data.geom_xpos[self._feet])
+
     def rebuild(
         self, mass: float, payload: float, friction: float, servo_gain: float, slope: float = 0.0
     ) -> None:
@@ -270,7 +275,7 @@ class Robot:
 
     def drive(self, command: FloatArray) -> None:
         """Hold the servos at stance + 0.6 rad x command (18,) for one control step."""
-        np.add(command * _ACTION_UNIT, STANCE, out=self.data.ctrl)
+        np.add(command * ACTION_UNIT, STANCE, out=self.data.ctrl)
         self.data.xfrc_applied[self._torso, 2] = self.support_force * 0.6 * self.mass * GRAVITY
         for powers in self._joint_powers:
             mujoco.mj_step(self.model, self.data)

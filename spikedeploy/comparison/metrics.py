@@ -67,6 +67,8 @@ WALKING = (
             "RMSE of the forward speed to the command [m/s]", ".3f"),
     _Metric("turn_rmse", "turn_error", "root mean square", "turn err.",
             "RMSE of the turn rate to the command [rad/s]", ".3f"),
+    _Metric("missteps", "misstep_share", "last", "missteps",
+            "share of touchdowns on forbidden tiles", ".1%"),
     _Metric("falls", "fall", "ever", "falls", "episodes with a fall", ".0%"),
 )  # fmt: skip
 DRIVING = (

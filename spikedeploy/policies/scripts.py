@@ -1,9 +1,9 @@
-"""Policies without a file of ours: the built-in `gait`, `random`, `gap`, `pursuit`; teachers."""
+"""Policies without a file of ours: the built-in scripts, such as `gait` and `gap`; teachers."""
 
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium
 import numpy as np
@@ -18,6 +18,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.onnx_session import has_policy_metadata, session
 
 if TYPE_CHECKING:
+    from spikedeploy.envs.hexapod.tiles import HexapodTilesEnv
     from spikedeploy.trainers.distill.teacher import Teacher, Units
 
 _STREAM = 1  # so that draws differ from those of an environment with the same seed
@@ -113,6 +114,29 @@ class PursuitController(Player):
     def costs(self, played: Rollout) -> Costs:
         """Nothing is observed, so nothing that counts is computed."""
         return NOTHING
+
+
+class FootholdController(Player):
+    """A script that chooses footholds between forbidden tiles, on the observations of a policy."""
+
+    def __init__(self, env: "HexapodTilesEnv") -> None:
+        from spikedeploy.envs.hexapod.footholds import FootholdScript
+
+        self._script = FootholdScript(env)
+
+    @classmethod
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
+        """The script of an environment that scans each foothold."""
+        if getattr(env.unwrapped, "view", None) != "around":
+            raise ConfigError(
+                "the script footholds is for hexapod-tiles, and sees its view around: leave the "
+                "option view out"
+            )
+        return cls(cast("HexapodTilesEnv", env.unwrapped))
+
+    def act(self, observation: Floats) -> Floats:
+        """The action (act,)."""
+        return self._script.act(observation)
 
 
 class TeacherController(Player):

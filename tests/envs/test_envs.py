@@ -13,7 +13,7 @@ from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
 from tests.paths import ROOT
 
-WALKERS = ("hexapod", "hexapod-command")
+WALKERS = ("hexapod", "hexapod-command", "hexapod-tiles")
 KARTS = ("kart-grid", "kart-gazebo", "kart-steer")
 everyone = pytest.mark.parametrize("name", envs.ENVS)
 walkers = pytest.mark.parametrize("name", WALKERS)
@@ -100,8 +100,8 @@ def test_vector_environments_agree_with_a_single_one(name):
     observations, _ = vector.reset(seed=[5, 6])
     np.testing.assert_array_equal(observations[1], observation)
     for _ in range(20):
-        observation, reward, *_ = single.step(action_of(name, 0.3))
-        observations, rewards, *_ = vector.step(np.stack([action_of(name, 0.3)] * 2))
+        observation, reward, *_ = single.step(action_of(name, 0.05))
+        observations, rewards, *_ = vector.step(np.stack([action_of(name, 0.05)] * 2))
     np.testing.assert_array_equal(observations[1], observation)
     assert rewards[1] == reward
     vector.close()

@@ -85,10 +85,10 @@ def test_a_waiting_kart_sends_a_hundredth_of_the_events():
 
 
 def test_a_kart_waits_at_gates_for_the_share_of_time_that_was_asked_for_and_is_quiet():
-    batch = EyeBatch(8, quiet=0.5, forks=2, camera={"shot_noise_hz": 0.0})
-    batch.reset(range(8))
+    batch = EyeBatch(4, quiet=0.5, forks=2, camera={"shot_noise_hz": 0.0})
+    batch.reset(range(4))
     waits = quiet = lasted = 0
-    over = np.zeros(8, np.bool_)
+    over = np.zeros(4, np.bool_)
     for _ in range(1100):
         seen, _, terminated, _, info = batch.step(nearest_action(batch.teacher()))
         still = info["waiting"] & ~over

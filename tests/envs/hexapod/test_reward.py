@@ -61,7 +61,7 @@ def test_every_regulariser_by_hand():
         power=8.0,
         mean_power=99.0,
     )
-    terms = regularisers(moving, 0.07, 0.09, np.full(18, 0.5))
+    terms = regularisers(moving, 0.07, 0.09, np.full(18, 0.5), 0.02)
     assert terms == pytest.approx(
         {
             "tilt": -2.0 * 0.05,
