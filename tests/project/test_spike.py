@@ -67,6 +67,13 @@ def test_help_of_what_the_script_does_itself_installs_and_runs_nothing(words, ch
     assert ("--fpga" in done.stdout) == words.startswith("test")
 
 
+@pytest.mark.parametrize("words", [["lab"], ["lab", "--help"]])
+def test_help_of_the_lab_needs_no_package(words):
+    done = subprocess.run([ROOT / "spike", *words], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("usage: python -m lab NAME")
+    assert done.stderr == ""
+
+
 def test_the_second_call_installs_nothing(checkout):
     spike(checkout, "train")
     assert spike(checkout, "train")[1] == ["spikedeploy"]
@@ -125,7 +132,7 @@ def test_where_a_tested_version_is_missing_others_are_installed_and_that_is_said
     done, programs, lines = spike(checkout, "train")
     assert done.returncode == 0
     assert programs == ["pip", "pip", "spikedeploy"]
-    assert lines[1].endswith(f"install --disable-pip-version-check -e {checkout}[train]")
+    assert lines[1].endswith(f"install --no-compile --disable-pip-version-check -e {checkout}[train]")
     assert "not all tested versions" in done.stderr
     assert "doctor" in done.stderr
     assert "no matching distribution" in (checkout / ".venv/install.log").read_text()
