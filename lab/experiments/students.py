@@ -6,6 +6,7 @@ setting. All play the same episodes, which nothing was trained or chosen on: the
 chip, the rival with weights of 8 bits.
 """
 
+import csv
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
@@ -39,9 +40,12 @@ from spikedeploy.reports.table import ABSENT
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.distill.teachers import teacher
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse.pool import BatchController, LateActions
 
 TEACHER, RANDOM = "teacher", "random"
-ROLES = (TEACHER, RANDOM, STUDENT, FLOAT)
+LATE = {f"teacher, {steps} late": steps for steps in (1, 2)}  # control steps, as on the chip
+ROLES = (TEACHER, *LATE, RANDOM, STUDENT, FLOAT)
 TASKS: Mapping[str, Record] = DESIGNS["students"]["tasks"]
 TEACHERS = ROOT / "results" / "students"
 WANTED = 0.97  # of the teacher
@@ -122,12 +126,14 @@ class StudentsDesign(Design):
         return file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
 
     def _teacher_rows(self, task: str) -> list[StoredRow]:
-        return [row for role in (TEACHER, RANDOM) for row in self._rows(task, role, 0, None)]
+        roles = (TEACHER, *LATE, RANDOM)
+        return [row for role in roles for row in self._rows(task, role, 0, None)]
 
     def _rows(
         self, task: str, role: str, seed: int, training: TrainingJob | None
     ) -> list[StoredRow]:
-        file = Path(self.runs) / "evaluations" / f"{task}-{role.replace(' ', '-')}-s{seed}.json"
+        words = role.replace(",", "").replace(" ", "-")
+        file = Path(self.runs) / "evaluations" / f"{task}-{words}-s{seed}.json"
         policy = training.checkpoint() if training else self._file(task)
         of = {
             "episodes": self.episodes,
@@ -143,10 +149,11 @@ class StudentsDesign(Design):
         env = EnvConfig(name=TASKS[task]["env"])
         counts: Record = {}
         if training is None:
-            act = random_actions(env.name)
-            if role == TEACHER:
+            act: BatchController = random_actions(env.name)
+            if role != RANDOM:
                 found = teacher(str(self._file(task)), env.name)
                 act = float_actions(found, is_discrete(env.name))
+                act = LateActions(act, LATE[role]) if role in LATE else act
                 counts = {"operations": float(sum(a * b for a, b in pairwise(found.widths)))}
             played = play(env, self.episodes, act, self.limit)
         else:
@@ -158,7 +165,7 @@ class StudentsDesign(Design):
             counts = {
                 "operations": did["operations"],
                 "updates": did.get("neuron_updates"),
-                "minutes": _minutes(training.existing_run),
+                "minutes": _minutes(RunFolder(training.existing_run)),
             }
         who = {"task": task, "role": role, "seed": seed, "episodes": self.episodes}
         return {**who, **counts, "scores": played.returns}
@@ -196,6 +203,7 @@ class StudentsDesign(Design):
             operations=_operations,
             minutes=lambda of: number(of and of["minutes"]),
             share=share,
+            late=lambda shares: ", ".join(ABSENT if s is None else f"{s:.0%}" for s in shares),
             facts=[f"- {pages.releases('torch', 'numpy', 'gymnasium', 'mujoco')}"],
             **{"WANTED": WANTED},
         )
@@ -223,10 +231,11 @@ def _teach(of: Record, file: Path) -> Record:
     return {"minutes": minutes}
 
 
-def _minutes(run: Path) -> float:
-    """Minutes from the beginning of a training that was not interrupted to its end."""
-    times = [(run / name).stat().st_mtime for name in ("versions.json", "checkpoints/last.json")]
-    return (times[1] - times[0]) / 60
+def _minutes(run: RunFolder) -> float:
+    """Minutes of updates, walks and validations, those of an interrupted training too."""
+    with (run.path / "metrics.csv").open(encoding="utf-8") as file:
+        rows = [(int(r["updates"]), float(r["updates_per_s"])) for r in csv.DictReader(file)]
+    return sum((n - m) / rate for (m, _), (n, rate) in pairwise([(0, 1.0), *rows])) / 60
 
 
 def _place(row: Record) -> tuple[int, int, int]:
@@ -240,7 +249,7 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
     earned, random = (float(np.mean(each["scores"])) for each in (taught, at_random))
     shares = {
         role: share_of_teacher([row["scores"] for row in rows], taught["scores"], random)
-        for role in (STUDENT, FLOAT)
+        for role in (*LATE, STUDENT, FLOAT)
         if (rows := by.get((task, role), []))
     }
     return {
@@ -257,9 +266,11 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
                 "operations": [row["operations"] for row in rows],
                 "minutes": mean(rows, "minutes"),
             }
-            for role in shares
+            for role in (STUDENT, FLOAT)
+            if role in shares
             for rows in [by[task, role]]
         },
+        "late": [shares[role].mean if role in shares else None for role in LATE],
         "mark": STUDENT in shares and shares[STUDENT].mean >= WANTED,
     }
 

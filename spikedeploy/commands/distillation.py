@@ -217,6 +217,7 @@ def describe(run: Path, found: Mapping[str, Sequence[Level]]) -> str:
             f"dense_updates={2 * c['dense_updates']}, or --set step={c['step'] / 2:g} --set "
             f"policy.most={2 * c['policy']['most']}"
         )
+        lines += _loss_by_the_clock(folder, last)
     ended = [each["operations"] for each in last.get("ended", ()) if each["goal"] is None]
     if found and c["budget"] and ended[-1] <= c["budget"]:
         lines.append(
@@ -224,3 +225,23 @@ def describe(run: Path, found: Mapping[str, Sequence[Level]]) -> str:
             f"{ended[-1]:,.4g} before pruning"
         )
     return "".join(f"{line}\n" for line in lines)
+
+
+def _loss_by_the_clock(folder: RunFolder, last: Mapping[str, Any]) -> list[str]:
+    """Return a line on what acting later costs the teacher itself, where that is much."""
+    config = folder.config(SparseConfig)
+    if getattr(config.policy, "clock", "gated") != "pipelined":
+        return []
+    # imports torch
+    from spikedeploy.trainers.sparse.sparse import late_teacher_return
+
+    none, span = last["random_return"], last["teacher_return"] - last["random_return"]
+    shares = [(late_teacher_return(config, steps) - none) / span for steps in (1, 2)]
+    if shares[0] >= _ENOUGH:
+        return []
+    return [
+        "on this chip an observation acts 1 to 2 control steps later: with its actions 1 step late "
+        f"the teacher itself keeps {shares[0]:.1%}, 2 steps late {shares[1]:.1%}. Shorter control "
+        "steps help; a student for hardware that updates layer after layer has --set "
+        "policy.clock=gated"
+    ]

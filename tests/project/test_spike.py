@@ -132,7 +132,9 @@ def test_where_a_tested_version_is_missing_others_are_installed_and_that_is_said
     done, programs, lines = spike(checkout, "train")
     assert done.returncode == 0
     assert programs == ["pip", "pip", "spikedeploy"]
-    assert lines[1].endswith(f"install --no-compile --disable-pip-version-check -e {checkout}[train]")
+    assert lines[1].endswith(
+        f"install --no-compile --disable-pip-version-check -e {checkout}[train]"
+    )
     assert "not all tested versions" in done.stderr
     assert "doctor" in done.stderr
     assert "no matching distribution" in (checkout / ".venv/install.log").read_text()

@@ -1,5 +1,6 @@
 """Whole walks: collected from environments, on disk, their events, and windows of them."""
 
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,6 +75,25 @@ class Stateless:
 
     def reset(self, robots: int) -> None:
         """Do nothing."""
+
+
+class LateActions:
+    """Actions of a controller, so many control steps late; before the first they are 0."""
+
+    def __init__(self, controller: BatchController, steps: int) -> None:
+        self._controller, self._steps = controller, steps
+
+    def reset(self, robots: int) -> None:
+        """Start an episode of each."""
+        self._controller.reset(robots)
+        self._decided: deque[NDArray[Any]] = deque()
+
+    def act_batch(self, observation: FloatArray) -> NDArray[Any]:
+        """Return actions (B, act), or (B,) if discrete."""
+        decided = self._controller.act_batch(observation)
+        self._decided.append(decided)
+        ready = len(self._decided) > self._steps
+        return self._decided.popleft() if ready else np.zeros_like(decided)
 
 
 def random_actions(count: int, discrete: bool, rng: np.random.Generator) -> Stateless:

@@ -40,8 +40,13 @@ def results(tmp_path_factory, ran):
 
 def test_each_part_has_its_row(results):
     rows = read_rows(results / "students.csv", ("task", "role"))
-    assert [row["role"] for row in rows] == ["teacher", "random", "spiking student", "float MLP"]
-    teacher, at_random, student, rival = rows
+    assert [row["role"] for row in rows] == [
+        "teacher", "teacher, 1 late", "teacher, 2 late", "random", "spiking student", "float MLP",
+    ]  # fmt: skip
+    teacher, late, _, at_random, student, rival = rows
+    assert late["operations"] == teacher["operations"]
+    assert late["scores"] != teacher["scores"]
+    assert student["minutes"] > 0
     assert teacher["operations"] == 4 * 8 + 8 * 6 + 6 * 2
     assert at_random["operations"] is None
     assert student["updates"] > 0

@@ -9,6 +9,7 @@ from spikedeploy.commands.distillation import (
     Level,
     describe,
     front,
+    fronts,
     is_sparse,
     student_settings,
 )
@@ -116,12 +117,26 @@ def test_the_rival_can_be_left_out_and_a_budget_named(here, command):
     assert levels[-1].chosen
 
 
-def test_a_student_that_learned_too_little_is_told_what_helps(here, command):
+def test_a_student_that_learned_too_little_is_told_what_helps(here, command, monkeypatch):
     words = ["tests.own_teachers:reach", "--env", REACH, *pruned("learning_rate=1e-9")]
     code, out, err = command("distill", *words, "--size", 2, "--no-rival")
     assert code == 0, err
     assert "it keeps only " in out
-    assert "--set walks=4 --set dense_updates=120, or --set step=0.25 --set policy.most=6" in out
+    helps = "--set walks=4 --set dense_updates=120, or --set step=0.25 --set policy.most=6"
+    assert helps in out
+    # and that the teacher itself fails by acting as late as the chip does, where it does
+    run = next(here.glob("runs/*"))
+    last = RunFolder(run).load("last")[0]
+    kept = {1: 0.5, 2: 0.25}
+    span = last["teacher_return"] - last["random_return"]
+    monkeypatch.setattr(
+        "spikedeploy.trainers.sparse.sparse.late_teacher_return",
+        lambda config, steps: last["random_return"] + kept[steps] * span,
+    )
+    said = describe(run, fronts(run, None))
+    assert "with its actions 1 step late the teacher itself keeps 50.0%, 2 steps late 25.0%" in said
+    kept[1] = 0.95
+    assert "late" not in describe(run, fronts(run, None))
 
 
 def test_a_teacher_that_is_refused_leaves_no_run_folder(here, command):

@@ -7,6 +7,7 @@ from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.sparse.pool import (
     Episodes,
+    LateActions,
     Stateless,
     Walk,
     WalkPool,
@@ -187,3 +188,11 @@ def test_a_policy_walks_on_the_chip_as_in_float_or_nearly(target):
     tolerance = 1e-5 if target == "ideal" else 0.2
     for one, other in zip(by_torch, by_chip, strict=True):
         np.testing.assert_allclose(one.observation, other.observation, atol=tolerance)
+
+
+def test_late_actions_are_those_of_so_many_control_steps_before():
+    late = LateActions(Stateless(lambda seen: 10 * seen), 2)
+    for _ in range(2):  # an episode begins with nothing decided
+        late.reset(1)
+        acted = [late.act_batch(np.array([[step]])).item() for step in (1.0, 2.0, 3.0, 4.0)]
+        assert acted == [0.0, 0.0, 10.0, 20.0]
