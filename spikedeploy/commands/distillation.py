@@ -242,6 +242,6 @@ def _loss_by_the_clock(folder: RunFolder, last: Mapping[str, Any]) -> list[str]:
     return [
         "on this chip an observation acts 1 to 2 control steps later: with its actions 1 step late "
         f"the teacher itself keeps {shares[0]:.1%}, 2 steps late {shares[1]:.1%}. Shorter control "
-        "steps help; a student for hardware that updates layer after layer has --set "
+        "steps may help; a student for hardware that updates layer after layer has --set "
         "policy.clock=gated"
     ]
