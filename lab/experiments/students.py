@@ -1,8 +1,8 @@
 """The students experiment: what the defaults of `distill` make of other people's teachers.
 
 Stable-Baselines3 trains one teacher a task, in three to twelve minutes of one core, which is kept
-in results/students. Of each seed `distill` trains a spiking student and its float rival, without any
-setting. All play the same episodes, which nothing was trained or chosen on: the student on the
+in results/students. Of each seed `distill` trains a spiking student and its float rival, without
+any setting. All play the same episodes, which nothing was trained or chosen on: the student on the
 chip, the rival with weights of 8 bits.
 """
 
