@@ -121,8 +121,7 @@ class _ImplementationPair:
 def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[ParityCheck]:
     """Return the checks of the file on observations (n, obs).
 
-    Those of a policy with states are one episode, in their order: with one timestep per control
-    step it is one long inference.
+    Those of a policy with states are one episode, in their order: one long inference.
     """
     if not isinstance(policy, SpikingPolicy | _Kept):
         raise ConfigError(f"{path}: a policy of kind {policy.kind!r} has no spikes to compare")
@@ -137,7 +136,7 @@ def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -
     compared = _COMPARED_ON_A_CHIP if is_chip else _COMPARED
     pairs = [_ImplementationPair() for _ in compared]
     for batch in [observations] if is_episode else batches(observations):
-        raster = codec.encode_episode(batch).swapaxes(0, 1) if is_episode else codec.encode(batch)
+        raster = _one_run(codec, batch) if is_episode else codec.encode(batch)
         by_torch: Any = _by_steps if is_episode else _by_torch
         seen = torch.from_numpy(batch)
         found = {
@@ -176,6 +175,7 @@ def _by_steps(policy: _Kept, observations: Tensor) -> _PolicyOutput:
     state = policy.rest(1)
     rows = [policy.advance(observation[None], state) for observation in observations]
     mean, events, hidden = (torch.cat(column) for column in zip(*rows, strict=True))
+    events, hidden = events.flatten(0, 1), hidden.flatten(0, 1)
     live = live_neurons(policy)
     spikes: Spikes = {"input": event_channels(policy, events.numpy())[None]}
     if bool(live.any()):
@@ -223,6 +223,11 @@ def _numbers(tensor: torch.Tensor) -> NDArray[np.float64]:
     return tensor.double().numpy()
 
 
+def _one_run(codec: Codec, observations: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Return the input spikes (1, S T, M) of an episode, whose states are kept to its end."""
+    return codec.encode_episode(observations).reshape(1, -1, codec.encoder.width)
+
+
 def _by_numpy(graph: FloatGraph, raster: NDArray[np.uint8]) -> tuple[Spikes, Numbers]:
     graph.reset()
     values = graph.run(raster)
@@ -240,9 +245,9 @@ def _by_machine(program: Program, raster: NDArray[np.uint8]) -> tuple[Spikes, Nu
 
 
 def _decode(codec: Codec, spikes: Spikes, numbers: Numbers, is_episode: bool) -> _PolicyOutput:
-    """Return spikes and decoded actions; of an episode, each of its timesteps is one."""
+    """Return spikes and decoded actions; those of an episode, of all its control steps."""
     if is_episode:
-        numbers = numbers.swapaxes(0, 1)
+        numbers = numbers.reshape(-1, codec.timesteps, numbers.shape[-1])
     if not codec.chooses:
         return _PolicyOutput(spikes, codec.decode(numbers), None)
     return _PolicyOutput(spikes, codec.scores(numbers).astype(np.float64), codec.decode(numbers))

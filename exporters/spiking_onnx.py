@@ -27,7 +27,7 @@ from spikedeploy.files import replacing
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Layer
-from spikedeploy.runtime.codec.codec import Codec, Normaliser
+from spikedeploy.runtime.codec.codec import Codec, Normaliser, Score
 from spikedeploy.runtime.codec.delta import LARGEST, PARTS, DeltaEncoder
 from spikedeploy.runtime.codec.population import PopulationEncoder
 from spikedeploy.runtime.codec.rate import LEVELS, RateEncoder
@@ -329,7 +329,7 @@ def _model(artifact: Artifact, name: str) -> onnx.ModelProto:
             "in ONNX. Train neurons that spike."
         )
     spikes, states = add_encoder(graph, codec)
-    states |= _Network(graph, plan).run(spikes)
+    states |= _Network(graph, plan).run(spikes, codec.score)
     head = "discrete" if codec.chooses else "continuous"
     squash = "Tanh" if codec.squash == "tanh" else "Identity"
     graph.node(squash, ["score"], OUTPUTS[head])
@@ -365,7 +365,7 @@ class _Network:
         self._bias = self._readout_constants()
         self._begin()
 
-    def run(self, spikes: list[str]) -> dict[str, tuple[str, int]]:
+    def run(self, spikes: list[str], score: Score) -> dict[str, tuple[str, int]]:
         """Add all timesteps, up to "score"; return the states after the last that are kept."""
         total = ""
         for t, arriving in enumerate(spikes):
@@ -374,8 +374,11 @@ class _Network:
                 self._rows[layer.name].append(self._add_layer(layer, lags, t))
             output = self._add_output(t)
             total = self._graph.node("Add", [total, output], f"host:{t}.total") if t else output
-        count = self._graph.constant("timesteps", float(len(spikes)))
-        self._graph.node("Div", [total, count], "score")
+        if score == "last":
+            self._graph.node("Identity", [output], "score")
+        else:
+            count = self._graph.constant("timesteps", float(len(spikes)))
+            self._graph.node("Div", [total, count], "score")
         return {**self._states, **self._under_way(len(spikes))} if self._kept else {}
 
     def _constants(self, layer: Layer) -> None:

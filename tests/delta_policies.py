@@ -68,15 +68,16 @@ def walk(steps=60, obs=5, seed=0):
 
 @torch.no_grad()
 def followed(policy, observation):
-    """Means (S, act), events (S, obs) and hidden spikes (S, H) of `advance` from rest."""
+    """Means (S, act), events (S T, obs) and hidden spikes (S T, H) of `advance` from rest."""
     state = policy.rest(1)
     seen = torch.from_numpy(observation).to(policy.action_bias.dtype)
     rows = [policy.advance(row[None], state) for row in seen]
-    return [torch.cat(column).numpy() for column in zip(*rows, strict=True)]
+    mean, *sent = (torch.cat(column) for column in zip(*rows, strict=True))
+    return [mean.numpy(), *(each.flatten(0, 1).numpy() for each in sent)]
 
 
 def arriving(policy, events):
-    """What arrives (S, obs) in each control step of events (S, obs), and what currents hold."""
+    """What arrives (S, obs) in each timestep of events (S, obs), and what currents hold."""
     moved = torch.from_numpy(events) * policy.step
     if policy.delay:
         moved = torch.cat([torch.zeros_like(moved[:1]), moved[:-1]])

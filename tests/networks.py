@@ -1,5 +1,6 @@
 """Small networks that several tests build; `popsan` has the layout that the exporter writes."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import nir
@@ -107,6 +108,11 @@ def event_driven(obs=3, act=2, hidden=8, code="unary", timesteps=1, seed=0, dt=1
     network = chain(*nodes, width=encoder.width, act=act)
     convention = Convention(dt).with_options({"state": "kept"})
     return Artifact(network, Codec(normaliser, encoder, timesteps), convention, ORIGIN)
+
+
+def with_last(artifact, timesteps=3):
+    """The policy with several timesteps in a control step, and its action that of the last."""
+    return replace(artifact, codec=replace(artifact.codec, timesteps=timesteps, score="last"))
 
 
 def unit_lif(*shape, tau=4e-3, gain=4.0):

@@ -134,8 +134,10 @@ class DeltaSnnConfig(_Section):
     hidden: neurons; 0 leaves a delta-coded linear policy
     skip: whether events also reach the readout directly
     integrated: whether they do so through readouts of their own that hardly decay
-    most, code: events of an observation in a control step, and on which channels; see
+    most, code: events of an observation in a timestep, and on which channels; see
         runtime.codec.delta
+    timesteps: of a control step. A pipelined chip acts on what it sees now from 3 on, with 1 it
+        acts on what it saw one to two control steps before
     clock: "pipelined", as on chips whose cores all advance in each timestep, or "gated", for
         software and hardware that can update one layer after the other (runtime.convention.Clock)
     """
@@ -145,6 +147,7 @@ class DeltaSnnConfig(_Section):
     skip: bool = True
     integrated: bool = False
     most: Events = 3
+    timesteps: Positive = 1
     code: Literal["unary", "one-hot"] = "one-hot"
     clock: Literal["gated", "pipelined"] = "pipelined"
     surrogate_width: Rate = 2.0

@@ -109,7 +109,7 @@ _GAIN_ERROR = 0.25  # [1/256 steps] that rounding of a gain may move an observat
 
 @dataclass(frozen=True, eq=False)
 class Int16Delta:
-    """The delta code of int16 observations o; per observation that some synapse reads (K,).
+    """The delta code of int16 observations o in a timestep; per observation that is read (K,).
 
         X = clip((gain o + offset) >> shift, -x_max, x_max)         in 1/256 steps
         e = X - 256 q,  n = sign(e) min((|e| + 128) >> 8, most) where |e| > threshold, else 0
@@ -179,7 +179,7 @@ class Int16Codec:
     bias: (scores,) in 2**-fraction.
     terms: what layers add to it.
     fraction: bits of a score behind the point.
-    squash: as the codec has it.
+    squash, timesteps: as the codec has them; scores are those of the last timestep.
     """
 
     observations: Int16Observations
@@ -188,6 +188,7 @@ class Int16Codec:
     terms: tuple[Int16Term, ...]
     fraction: int
     squash: str
+    timesteps: int
 
     @property
     def chooses(self) -> bool:
@@ -243,6 +244,12 @@ class Int16Player:
 
     def act(self, o: Integers) -> Integers:
         """The action (act,) of int16 observations (obs,)."""
+        for _ in range(self.codec.timesteps):
+            score = self._score(o)
+        return self.codec.act(score)
+
+    def _score(self, o: Integers) -> Integers:
+        """The scores after a timestep."""
         delta, score = self.codec.delta, self.codec.bias.copy()
         events = delta.events(o, self._level)
         self._level += events
@@ -254,7 +261,7 @@ class Int16Player:
             late[1:] = late[:-1].copy()
             late[0] = (recorded.membrane if term.tap.silent else recorded.spikes)[0, 0]
             score += (late[-1] >> term.drop) @ term.weight
-        return self.codec.act(score)
+        return score
 
 
 def int16_codec(plan: Plan) -> Int16Codec | str:
@@ -262,8 +269,10 @@ def int16_codec(plan: Plan) -> Int16Codec | str:
     codec = plan.codec
     if codec is None or not isinstance(codec.encoder, DeltaEncoder):
         return "it is written for delta codes"
-    if codec.timesteps != 1 or plan.program.convention.state != "kept":
-        return "it is written for inferences of one timestep that keep their states"
+    if plan.program.convention.state != "kept":
+        return "it is written for policies that keep their states"
+    if codec.timesteps > 1 and codec.score != "last":
+        return "it is written for actions of the last timestep, not of the mean of several"
     if plan.kind != "int32_t":
         return "the states of the network need more than 32 bits"
     if any(tap.times_max > 1 for tap in plan.taps if not tap.silent):
@@ -344,6 +353,7 @@ def _fix_scores(
         # bits that are dropped are half a unit in the mean
         total += fixed.sum(axis=0) // 2 if drop else 0
         terms.append(Int16Term(tap, drop, fixed))
+    fixed_bias, timesteps = total.astype(np.int64), codec.timesteps
     return Int16Codec(
-        observations, delta, total.astype(np.int64), tuple(terms), fraction, codec.squash
+        observations, delta, fixed_bias, tuple(terms), fraction, codec.squash, timesteps
     )

@@ -220,7 +220,8 @@ class Codec:
                 part = read if tap["weight"] is None else read @ np.array(tap["weight"])
                 output[tap["first"] : tap["first"] + len(part)] += part
             outputs.append(output)
-        scores = np.add.reduce(outputs) / len(outputs)
+        last = self.codec.get("score", "mean") == "last"
+        scores = outputs[-1] if last else np.add.reduce(outputs) / len(outputs)
         if self.codec["squash"] == "argmax":
             return np.int64(scores.argmax())
         return np.tanh(scores) if self.codec["squash"] == "tanh" else scores

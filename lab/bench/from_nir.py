@@ -129,7 +129,7 @@ def _untrained(artifact: Artifact, codec: Codec, encoder: DeltaEncoder) -> Delta
         decays = discretise("lif1", neurons, artifact.convention).current_decay
         if decays is None:
             raise AttributeError("lif1 has no current")
-    settings["integrated"] = "integral" in nodes
+    settings |= {"integrated": "integral" in nodes, "timesteps": codec.timesteps}
     settings["current_decay"] = round(float(decays[0]), _DIGITS)
     return DeltaSnnPolicy(encoder.observed, actions, **settings)
 

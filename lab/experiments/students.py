@@ -41,11 +41,10 @@ from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.sparse.pool import BatchController, LateActions
+from spikedeploy.trainers.sparse.pool import BatchController
 
 TEACHER, RANDOM = "teacher", "random"
-LATE = {f"teacher, {steps} late": steps for steps in (1, 2)}  # control steps, as on the chip
-ROLES = (TEACHER, *LATE, RANDOM, STUDENT, FLOAT)
+ROLES = (TEACHER, RANDOM, STUDENT, FLOAT)
 TASKS: Mapping[str, Record] = DESIGNS["students"]["tasks"]
 TEACHERS = ROOT / "results" / "students"
 WANTED = 0.97  # of the teacher
@@ -126,14 +125,13 @@ class StudentsDesign(Design):
         return file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
 
     def _teacher_rows(self, task: str) -> list[StoredRow]:
-        roles = (TEACHER, *LATE, RANDOM)
+        roles = (TEACHER, RANDOM)
         return [row for role in roles for row in self._rows(task, role, 0, None)]
 
     def _rows(
         self, task: str, role: str, seed: int, training: TrainingJob | None
     ) -> list[StoredRow]:
-        words = role.replace(",", "").replace(" ", "-")
-        file = Path(self.runs) / "evaluations" / f"{task}-{words}-s{seed}.json"
+        file = Path(self.runs) / "evaluations" / f"{task}-{role.replace(' ', '-')}-s{seed}.json"
         policy = training.checkpoint() if training else self._file(task)
         of = {
             "episodes": self.episodes,
@@ -153,7 +151,6 @@ class StudentsDesign(Design):
             if role != RANDOM:
                 found = teacher(str(self._file(task)), env.name)
                 act = float_actions(found, is_discrete(env.name))
-                act = LateActions(act, LATE[role]) if role in LATE else act
                 counts = {"operations": float(sum(a * b for a, b in pairwise(found.widths)))}
             played = play(env, self.episodes, act, self.limit)
         else:
@@ -200,10 +197,9 @@ class StudentsDesign(Design):
                 if (training.env, training.role, training.seed)
                 not in {(r["task"], r["role"], r["seed"]) for r in rows}
             ],
-            operations=_operations,
+            each=_each,
             minutes=lambda of: number(of and of["minutes"]),
             share=share,
-            late=lambda shares: ", ".join(ABSENT if s is None else f"{s:.0%}" for s in shares),
             facts=[f"- {pages.releases('torch', 'numpy', 'gymnasium', 'mujoco')}"],
             **{"WANTED": WANTED},
         )
@@ -249,7 +245,7 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
     earned, random = (float(np.mean(each["scores"])) for each in (taught, at_random))
     shares = {
         role: share_of_teacher([row["scores"] for row in rows], taught["scores"], random)
-        for role in (*LATE, STUDENT, FLOAT)
+        for role in (STUDENT, FLOAT)
         if (rows := by.get((task, role), []))
     }
     return {
@@ -264,17 +260,17 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
                 "trainings": len(rows),
                 "share": shares[role],
                 "operations": [row["operations"] for row in rows],
+                "updates": [row["updates"] for row in rows],
                 "minutes": mean(rows, "minutes"),
             }
             for role in (STUDENT, FLOAT)
             if role in shares
             for rows in [by[task, role]]
         },
-        "late": [shares[role].mean if role in shares else None for role in LATE],
         "mark": STUDENT in shares and shares[STUDENT].mean >= WANTED,
     }
 
 
-def _operations(of: Record | None) -> str:
-    """Operations of each training."""
-    return ", ".join(f"{count:,.0f}" for count in of["operations"]) if of else ABSENT
+def _each(of: Record | None, what: str) -> str:
+    """A count of each training."""
+    return ", ".join(f"{count:,.0f}" for count in of[what]) if of else ABSENT

@@ -3,7 +3,7 @@
 It holds the normaliser and the squashing too, so that a `.nir` file is all that a robot needs.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -16,7 +16,7 @@ from spikedeploy.runtime.codec.events import EventEncoder
 from spikedeploy.runtime.codec.population import PopulationEncoder
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.errors import ObservationError
-from spikedeploy.runtime.metadata import Stored
+from spikedeploy.runtime.metadata import OPTIONAL, Stored
 
 __all__ = [
     "ENCODERS",
@@ -31,6 +31,7 @@ __all__ = [
 ]
 
 Squash = Literal["tanh", "none", "argmax"]
+Score = Literal["mean", "last"]
 
 _MOST_TIMESTEPS = 2**16  # of an inference: a spike train is held whole
 
@@ -76,8 +77,9 @@ class Codec(Stored):
     normaliser: of the observation.
     encoder: of the normalised observation; one of ENCODERS.
     timesteps: T, network updates per inference.
-    squash: from the mean of the readout over the timesteps to the action: "tanh", "none", or
-        "argmax", the index of the largest, the lowest of equals.
+    squash: from scores to the action: "tanh", "none", or "argmax", the index of the largest, the
+        lowest of equals.
+    score: what of the readout over the timesteps is the score: its "mean", or its "last" value.
     """
 
     label: ClassVar[str] = "codec"
@@ -86,6 +88,7 @@ class Codec(Stored):
     encoder: Encoder
     timesteps: int
     squash: Squash = "tanh"
+    score: Score = field(default="mean", metadata=OPTIONAL)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -131,12 +134,14 @@ class Codec(Stored):
         return np.tanh(scores) if self.squash == "tanh" else scores
 
     def scores(self, output: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Mean (B, act) over the timesteps of the readout's output (B, T, act)."""
+        """Scores (B, act) of the readout's output (B, T, act)."""
         if output.ndim != 3 or output.shape[1] != self.timesteps:
             raise ObservationError(
                 f"decode: the output has shape {output.shape}; the codec needs "
                 f"(B, {self.timesteps}, act), one row per timestep of an inference."
             )
+        if self.score == "last":
+            return output[:, -1]
         # score = 1/T sum_t output[t]
         mean: NDArray[np.floating] = np.add.reduce(output, axis=1) / self.timesteps
         return mean

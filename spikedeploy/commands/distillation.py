@@ -35,6 +35,7 @@ def student_settings(
     chip: in whose integers it is trained; None in float
     """
     settings = [] if teacher is None else [f"teacher={json.dumps(teacher)}"]
+    steps = [] if timesteps is None else [f"policy.timesteps={timesteps}"]
     if size is not None:
         settings.append(f"policy.hidden={_hidden(size, sparse)}")
     if sparse:
@@ -43,33 +44,25 @@ def student_settings(
                 f"--encoder {encoder}: a student with --budget sends events by the delta code; "
                 "leave one of the two out"
             )
-        if timesteps not in (None, 1):
-            raise ConfigError(
-                f"--timesteps {timesteps}: a student with --budget computes one timestep in a "
-                "control step and keeps its states; leave one of the two out"
-            )
-        return SPARSE, settings
+        return SPARSE, [*settings, *steps]
     if encoder == "delta":
         raise ConfigError("--encoder delta is of sparse students: leave --dense and --for out")
     if encoder is not None:
         settings.append(f"policy.coding={_CODINGS[encoder]}")
-    if timesteps is not None:
-        settings.append(f"policy.timesteps={timesteps}")
+    settings += steps
     if chip is not None:
         return "for-chip", [*settings, f"policy.chip={json.dumps(chip)}"]
     return "distill-snn", settings
 
 
-def is_sparse(
-    dense: bool, chip: str | None, encoder: str | None, timesteps: int | None, budget: str | None
-) -> bool:
+def is_sparse(dense: bool, chip: str | None, encoder: str | None, budget: str | None) -> bool:
     """Return whether a student sends events and is pruned: unless options say otherwise."""
     if budget is not None:
         if dense or chip is not None:
             other = "--dense" if dense else "--for"
             raise ConfigError(f"{other} and --budget: such students are not pruned")
         return True
-    return not dense and chip is None and encoder in (None, "delta") and timesteps in (None, 1)
+    return not dense and chip is None and encoder in (None, "delta")
 
 
 def _hidden(size: str, sparse: bool) -> str:
@@ -217,7 +210,6 @@ def describe(run: Path, found: Mapping[str, Sequence[Level]]) -> str:
             f"dense_updates={2 * c['dense_updates']}, or --set step={c['step'] / 2:g} --set "
             f"policy.most={2 * c['policy']['most']}"
         )
-        lines += _loss_by_the_clock(folder, last)
     ended = [each["operations"] for each in last.get("ended", ()) if each["goal"] is None]
     if found and c["budget"] and ended[-1] <= c["budget"]:
         lines.append(
@@ -225,23 +217,3 @@ def describe(run: Path, found: Mapping[str, Sequence[Level]]) -> str:
             f"{ended[-1]:,.4g} before pruning"
         )
     return "".join(f"{line}\n" for line in lines)
-
-
-def _loss_by_the_clock(folder: RunFolder, last: Mapping[str, Any]) -> list[str]:
-    """Return a line on what acting later costs the teacher itself, where that is much."""
-    config = folder.config(SparseConfig)
-    if getattr(config.policy, "clock", "gated") != "pipelined":
-        return []
-    # imports torch
-    from spikedeploy.trainers.sparse.sparse import late_teacher_return
-
-    none, span = last["random_return"], last["teacher_return"] - last["random_return"]
-    shares = [(late_teacher_return(config, steps) - none) / span for steps in (1, 2)]
-    if shares[0] >= _ENOUGH:
-        return []
-    return [
-        "on this chip an observation acts 1 to 2 control steps later: with its actions 1 step late "
-        f"the teacher itself keeps {shares[0]:.1%}, 2 steps late {shares[1]:.1%}. Shorter control "
-        "steps may help; a student for hardware that updates layer after layer has --set "
-        "policy.clock=gated"
-    ]

@@ -253,7 +253,7 @@ def distill(
     from spikedeploy.commands import distillation as made
     from spikedeploy.trainers.run_folder import RunFolder
 
-    sparse = made.is_sparse(dense, chip, encoder, timesteps, budget)
+    sparse = made.is_sparse(dense, chip, encoder, budget)
     recipe, settings = made.student_settings(teacher, size, encoder, timesteps, sparse, chip)
     run = _learn(
         recipe if resume is None else None, json, env=env, overrides=[*settings, *(set_ or ())],

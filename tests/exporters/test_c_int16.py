@@ -22,7 +22,7 @@ from spikedeploy.runtime.codec.codec import Normaliser
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from tests.c_builds import COMPILERS, STRICT, called, library, needs_c, program_of, run, written
 from tests.exporters.test_c_policies import onto_readouts, stepped, walk
-from tests.networks import event_driven, popsan
+from tests.networks import event_driven, popsan, with_last
 
 SPARSE = [name for name in zoo.names() if name.endswith("/sparse")]
 DENSE = ["hexapod/mlp-8", "hexapod/linear", "kart-grid/linear", "kart-grid/small"]
@@ -78,6 +78,9 @@ SPIKING = {
     **{name: lambda name=name: load(zoo.path(name)) for name in SPARSE},
     **{kind: lambda kind=kind: onto_readouts(kind) for kind in READOUTS},
     "unary events and spikes": event_driven,
+    "three timesteps": lambda: with_last(onto_readouts("same")),
+    "three timesteps, late": lambda: with_last(onto_readouts("second", delay=1)),
+    "three timesteps, spikes": lambda: with_last(event_driven()),
 }
 
 
@@ -142,7 +145,7 @@ def test_a_range_that_no_power_of_two_brings_into_16_bits_is_refused(std):
 
 @pytest.mark.parametrize(
     ("artifact", "why"),
-    [(popsan(), "delta codes"), (event_driven(timesteps=3), "one timestep")],
+    [(popsan(), "delta codes"), (event_driven(timesteps=3), "last timestep")],
 )
 def test_policies_without_a_16_bit_interface_say_why(tmp_path, artifact, why):
     files = written(artifact, tmp_path, walk(artifact.codec, 12))

@@ -31,7 +31,7 @@ from tests.c_builds import (
     run,
     written,
 )
-from tests.networks import event_driven, popsan, spiking_mlp
+from tests.networks import event_driven, popsan, spiking_mlp, with_last
 
 ZOO = [name for name in zoo.names() if zoo.path(name).suffix == ".nir"]
 
@@ -84,6 +84,9 @@ POLICIES = {
     "delta": lambda: event_driven(),
     "one-hot delta of several timesteps": lambda: event_driven(code="one-hot", timesteps=3),
     "delta onto readouts": lambda: onto_readouts("same"),
+    "delta onto readouts, the last": lambda: with_last(onto_readouts("same")),
+    "delta onto two readouts, the last": lambda: with_last(onto_readouts("second", delay=1)),
+    "delta onto spikes, the last": lambda: with_last(event_driven(), 2),
     "delta onto two layers": lambda: onto_readouts("two layers"),
     "delta onto two readouts": lambda: onto_readouts("second"),
     "delta onto readouts, delays": lambda: onto_readouts("same", delay=1),

@@ -15,6 +15,9 @@ ORIGIN = Provenance("spikedeploy/Hexapod-v0", "hexapod-sparse")
 SHAPES = [
     {},
     {"code": "unary"},
+    {"timesteps": 4, "most": 2},
+    {"timesteps": 2, "clock": "gated", "integrated": True},
+    {"timesteps": 3, "hidden": 0},
     {"hidden": 0},
     {"skip": False},
     {"head": "discrete", "act": 4},
@@ -34,7 +37,7 @@ def failed(checks):
 @pytest.mark.parametrize(
     ("make", "shape"),
     [(delta_policy, shape) for shape in SHAPES]
-    + [(delta_mlp, shape) for shape in SHAPES if "current_decay" not in shape],
+    + [(delta_mlp, shape) for shape in SHAPES if not {"current_decay", "timesteps"} & set(shape)],
 )
 def test_torch_numpy_and_ideal_agree_over_an_episode(make, shape, tmp_path):
     policy = make(**shape)
@@ -42,8 +45,9 @@ def test_torch_numpy_and_ideal_agree_over_an_episode(make, shape, tmp_path):
     assert not failed(checks)
     live = int(live_neurons(policy).sum())
     assert live > 4 or not policy.hidden
-    # 200 timesteps of 30 channels and the neurons
-    assert checks[0].detail == f"{200 * (30 + live):,} compared, all equal"
+    # 200 control steps of the channels and the neurons
+    rows, channels = 200 * policy.timesteps, 2 * policy.most * 5
+    assert checks[0].detail == f"{rows * (channels + live):,} compared, all equal"
 
 
 def test_a_changed_decay_is_found_in_the_actions_and_a_changed_step_in_the_spikes(tmp_path):

@@ -59,6 +59,7 @@ POLICIES = {
     "rate": networks.spiking_mlp(),
     "unary": networks.event_driven(code="unary", timesteps=3),
     "one-hot": networks.event_driven(code="one-hot"),
+    "last": networks.with_last(networks.event_driven()),
 }
 
 

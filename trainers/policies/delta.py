@@ -11,13 +11,18 @@ observation is and not only how it moved lately:
 
     y     = gamma y + Wo s ;  z = a z + Ws (step n) ;  action = tanh(y + z + c)
 
-One timestep per control step; currents, membranes and readouts live on from one to the next.
+Currents, membranes and readouts live on from one control step to the next. A control step has T
+timesteps; in each the encoder sends what is still missing, up to its most events, and the action is
+that of the last.
 
 The equations are those of a gated clock. Pipelined, as on a chip whose cores all advance in each
-timestep, everything takes one timestep to arrive: events reach currents and readouts one control
-step late, and hidden spikes the readout one later still (runtime.convention.Clock):
+timestep, everything takes one timestep to arrive: events reach currents and readouts one timestep
+late, and hidden spikes the readout one later still (runtime.convention.Clock):
 
     I[t] = a I[t-1] + W (step n[t-1]) ;  y[t] = gamma y[t-1] + Wo s[t-1] + Ws (step n[t-1])
+
+With T = 1 an action is that of what was seen one to two control steps before; from T = 3 on of what
+is seen now.
 """
 
 from copy import deepcopy
@@ -64,7 +69,7 @@ class DeltaState:
     membrane: (B, H)
     readout: (B, act)
     integral: (B, act) of an integrated skip
-    moved: (B, obs) step times events that arrive in the next control step, where pipelined
+    moved: (B, obs) step times events that arrive in the next timestep, where pipelined
     spikes: (B, H) likewise of the hidden neurons
     """
 
@@ -86,13 +91,13 @@ class DeltaSnnPolicy(Policy):
     integrated: whether they do so through readouts that hardly decay
     most, code, events_above: of the encoder, see runtime.codec.delta.DeltaEncoder
     clock: "pipelined", or "gated" for software and hardware that can update layer after layer
+    timesteps: T of a control step
     step: (obs,) distance that one event stands for [normalised observation]
     threshold: (H,) membrane above which a neuron spikes: 1, or the chip's nearest to it
     into, out, past: synapses onto the hidden neurons, from them, and past them
     """
 
     kind = "delta-snn"
-    timesteps = 1
     step: Tensor
     threshold: Tensor
 
@@ -112,9 +117,10 @@ class DeltaSnnPolicy(Policy):
         head: Head = "continuous",
         integrated: bool = False,
         clock: Literal["gated", "pipelined"] = "pipelined",
+        timesteps: int = 1,
     ) -> None:
         super().__init__()
-        self.clock = clock
+        self.clock, self.timesteps = clock, timesteps
         self.observations, self.actions, self.hidden = observations, actions, hidden
         self.integrated = integrated and skip and hidden > 0
         self.skip, self.most, self.code = skip or not hidden, most, code
@@ -164,7 +170,7 @@ class DeltaSnnPolicy(Policy):
 
     @property
     def delay(self) -> int:
-        """Control steps from an event, or a hidden spike, to where it acts."""
+        """Timesteps from an event, or a hidden spike, to where it acts."""
         return int(self.clock == "pipelined")
 
     def rest(self, robots: int) -> DeltaState:
@@ -175,10 +181,16 @@ class DeltaSnnPolicy(Policy):
         return DeltaState(seen, hidden, hidden, actions, actions, seen, hidden)
 
     def advance(self, observation: Tensor, state: DeltaState) -> tuple[Tensor, Tensor, Tensor]:
-        """Take one control step: return mean (B, act), events (B, obs) and hidden spikes (B, H).
+        """Take one control step: return mean (B, act), events (B, T, obs), spikes (B, T, H).
 
         `state` is moved on.
         """
+        sent = [self._tick(observation, state) for _ in range(self.timesteps)]
+        events, spikes = (torch.stack(each, 1) for each in zip(*sent, strict=True))
+        return state.readout + state.integral + self.action_bias, events, spikes
+
+    def _tick(self, observation: Tensor, state: DeltaState) -> tuple[Tensor, Tensor]:
+        """Take one timestep: return events (B, obs) and hidden spikes (B, H)."""
         events = self.events(observation, state.level)
         state.level = state.level + events
         moved = self._late("moved", events * self.step, state)
@@ -193,10 +205,10 @@ class DeltaSnnPolicy(Policy):
         else:
             drive = drive + past
         state.readout = self.gamma * state.readout + drive
-        return state.readout + state.integral + self.action_bias, events, spikes
+        return events, spikes
 
     def _late(self, kind: Literal["moved", "spikes"], sent: Tensor, state: DeltaState) -> Tensor:
-        """Return what arrives in a control step that sends so much: pipelined, what came before."""
+        """Return what arrives in a timestep that sends so much: pipelined, what came before."""
         if not self.delay:
             return sent
         arriving: Tensor = getattr(state, kind)
@@ -208,14 +220,15 @@ class DeltaSnnPolicy(Policy):
     ) -> tuple[Tensor, Tensor]:
         """Return means (B, L, act) and spikes (B, L, H) of windows of walks, from rest.
 
-        seen: (B, L, obs) what the currents hold of the observation: the decayed sum of `moved`
-        moved: (B, L, obs) step times the events that arrive, `delay` after they were sent
+        seen: (B, L T, obs) what the currents hold of the observation: the decayed sum of `moved`
+        moved: (B, L T, obs) step times the events that arrive, `delay` after they were sent
         weights: as `weights` returned them
         burn_in: control steps without gradient at the beginning, which bring the states up
         begins: (B,) whether an episode begins behind the burn-in: then states are at rest there
         """
+        burn_in *= self.timesteps
         if not self.hidden:  # the readouts hold what currents would hold
-            mean = seen @ weights.past.T + self.action_bias
+            mean = self._last(seen) @ weights.past.T + self.action_bias
             return mean, mean.new_zeros(*mean.shape[:2], 0)
         hidden, actions = (seen.new_zeros(len(seen), n) for n in (self.hidden, self.actions))
         runs_on = 1 - begins[:, None].to(seen.dtype)
@@ -225,8 +238,13 @@ class DeltaSnnPolicy(Policy):
             states = tuple(state * runs_on for state in states)
         _, *after = self._window(seen[:, burn_in:], moved[:, burn_in:], weights, states)
         mean, spikes = (torch.cat(parts, 1) for parts in zip(before, after, strict=True))
-        # the integrals hold what currents would hold
-        return mean + seen @ weights.past.T if self.integrated else mean, spikes
+        if self.integrated:  # the integrals hold what currents would hold
+            mean = mean + seen @ weights.past.T
+        return self._last(mean), spikes.unflatten(1, (-1, self.timesteps)).sum(2)
+
+    def _last(self, rows: Tensor) -> Tensor:
+        """Return the rows (B, L, n) of the last timesteps of control steps, of all (B, L T, n)."""
+        return rows[:, self.timesteps - 1 :: self.timesteps]
 
     def _window(
         self, seen: Tensor, moved: Tensor, weights: "DeltaWeights", states: tuple[Tensor, ...]
@@ -260,7 +278,7 @@ class DeltaSnnPolicy(Policy):
     def latent(self, observation: Tensor) -> Latent:
         """Return the output of the first control step of an episode."""
         mean, _, spikes = self.advance(observation, self.rest(len(observation)))
-        return Latent(mean, spikes, (spikes.mean(),))
+        return Latent(mean, spikes.sum(1), (spikes.mean(),))
 
     def spec(self) -> dict[str, Any]:
         """Return the arguments from which `build` makes an equal policy, for JSON."""
@@ -299,7 +317,7 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         e     = a / threshold - q ;  k = sign(e) floor(|e| + 1/2) where |e| >= 1 ;  q = q + k
         y     = y + Wo (threshold k) + Ws (step n)      an MLP of rounded numbers
 
-    What is sent are changes alone, so that numbers which stay cost nothing (O'Connor and Welling
+    Of one timestep a control step. What is sent are changes alone, so that numbers which stay cost nothing (O'Connor and Welling
     2017; runtime.graph.neurons). It is a baseline for the spiking policies: the same code, and a
     float network's activations. In its DeltaState `current` is sigma, and `membrane` q. Nothing
     decays.
@@ -343,11 +361,8 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         """Decay factor of each readout (act,): 1."""
         return torch.ones_like(self.action_bias)
 
-    def advance(self, observation: Tensor, state: DeltaState) -> tuple[Tensor, Tensor, Tensor]:
-        """Take one control step: return mean (B, act), events (B, obs) and graded spikes (B, H).
-
-        `state` is moved on.
-        """
+    def _tick(self, observation: Tensor, state: DeltaState) -> tuple[Tensor, Tensor]:
+        """Take one timestep: return events (B, obs) and graded spikes (B, H)."""
         events = self.events(observation, state.level)
         state.level = state.level + events
         moved = self._late("moved", events * self.step, state)
@@ -358,7 +373,7 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         state.readout = state.readout + (delivered * self.threshold) @ self.out().T
         if self.skip:
             state.readout = state.readout + moved @ self.past().T
-        return state.readout + self.action_bias, events, graded
+        return events, graded
 
     def _graded(self, activation: Tensor, sent: Tensor) -> Tensor:
         """Return the graded spikes (B, H) of activations when so much was sent [thresholds]."""
@@ -408,6 +423,7 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
     def latent(self, observation: Tensor) -> Latent:
         """Return the output of the first control step of an episode."""
         mean, _, graded = self.advance(observation, self.rest(len(observation)))
+        graded = graded.sum(1)
         return Latent(mean, graded * self.threshold, ((graded != 0).to(mean.dtype).mean(),))
 
     def spec(self) -> dict[str, Any]:
@@ -447,6 +463,7 @@ def delta_codec(policy: DeltaSnnPolicy) -> Codec:
         delta_encoder(policy),
         policy.timesteps,
         "argmax" if policy.head == "discrete" else "tanh",
+        "last" if policy.timesteps > 1 else "mean",
     )
 
 
@@ -473,7 +490,7 @@ def channel_weights(policy: DeltaSnnPolicy, weight: Array) -> Array:
 
 
 def event_channels(policy: DeltaSnnPolicy, events: Array) -> NDArray[np.uint8]:
-    """Return input spikes (S, M) of signed events (S, obs), those that some synapse reads."""
+    """Return input spikes (S, M) of signed events (S, obs), where some synapse reads them."""
     k = np.arange(1, policy.most + 1)
     sign = np.array([[1], [-1]])
     signed = np.where(_used_observations(policy).numpy(), events, 0)[:, :, None, None] * sign

@@ -1,6 +1,5 @@
 """Whole walks: collected from environments, on disk, their events, and windows of them."""
 
-from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,25 +74,6 @@ class Stateless:
 
     def reset(self, robots: int) -> None:
         """Do nothing."""
-
-
-class LateActions:
-    """Actions of a controller, so many control steps late; before the first they are 0."""
-
-    def __init__(self, controller: BatchController, steps: int) -> None:
-        self._controller, self._steps = controller, steps
-
-    def reset(self, robots: int) -> None:
-        """Start an episode of each."""
-        self._controller.reset(robots)
-        self._decided: deque[NDArray[Any]] = deque()
-
-    def act_batch(self, observation: FloatArray) -> NDArray[Any]:
-        """Return actions (B, act), or (B,) if discrete."""
-        decided = self._controller.act_batch(observation)
-        self._decided.append(decided)
-        ready = len(self._decided) > self._steps
-        return self._decided.popleft() if ready else np.zeros_like(decided)
 
 
 def random_actions(count: int, discrete: bool, rng: np.random.Generator) -> Stateless:
@@ -189,10 +169,10 @@ def mean_outcome(returns: Sequence[float], infos: Sequence[dict[str, Any]]) -> d
 
 @dataclass(frozen=True)
 class Windows:
-    """Parts of walks, W of them with L control steps each.
+    """Parts of walks, W of them with L control steps of T timesteps each.
 
-    seen: (W, L, obs) what synapses with a decaying current hold of the observation
-    moved: (W, L, obs) the encoder's step times its signed events, as they arrive
+    seen: (W, L T, obs) what synapses with a decaying current hold of the observation
+    moved: (W, L T, obs) the encoder's step times its signed events, as they arrive
     label: (W, L, act)
     begins: (W,) whether the episode begins after the burn-in
     """
@@ -235,31 +215,35 @@ class WalkPool:
         encoder: DeltaEncoder,
         decay: float,
         delay: int = 0,
+        timesteps: int = 1,
     ) -> None:
         """Compute the events of all walks.
 
         normalised: (S, obs) observations of each walk
         decay: factor by which currents keep, in a control step, what events brought
-        delay: control steps from an event to its arrival
+        delay: timesteps from an event to its arrival
+        timesteps: of a control step
         """
         rows = [np.asarray(each) for each in normalised]
         self._take_labels()
-        shape = self._length.max(), len(rows), encoder.observed
+        shape = self._length.max() * timesteps, len(rows), encoder.observed
         moved, seen = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         step = np.where(np.isfinite(encoder.step), encoder.step, 0.0)
         held, before, levels = np.zeros(shape[1:]), np.zeros(shape[1:]), encoder.start(0)
         spikes, moves = np.zeros(encoder.observed), np.zeros(encoder.observed)
-        for t in range(len(moved)):
+        for t in range(self._length.max()):
             now = np.stack([each[min(t, len(each) - 1)] for each in rows])
-            events = encoder.events(now, 1, levels)[:, 0]
-            moved[t] = step * events
-            held = decay * held + moved[t]
-            seen[t] = held
+            events = encoder.events(now, timesteps, levels)
+            for at, sent in enumerate(events.swapaxes(0, 1), t * timesteps):
+                moved[at] = step * sent
+                held = decay * held + moved[at]
+                seen[at] = held
             sizes = np.abs(events[t < self._length])
-            spikes += sizes.sum(0) if encoder.code == "unary" else (sizes > 0).sum(0)
+            spikes += (sizes if encoder.code == "unary" else sizes > 0).sum((0, 1))
             moves += np.abs(now - before)[t < self._length].sum(0) if t else 0.0
             before = now
         self._moved, self._seen = (_arriving(each, delay) for each in (moved, seen))
+        self._timesteps = timesteps
         self.event_rate = torch.from_numpy(spikes / self.steps).float()
         self.mean_move = moves / self.steps
 
@@ -274,7 +258,7 @@ class WalkPool:
         self._seen = torch.zeros(shape, dtype=first.dtype)
         for k, walk in enumerate(self.walks):
             self._seen[k, : len(walk.label)] = torch.from_numpy(walk.observation)
-        self._moved = self._seen[..., :0]
+        self._moved, self._timesteps = self._seen[..., :0], 1
 
     def _take_labels(self, others: Sequence[Single] = ()) -> None:
         """Take over lengths (W,) and labels (W, S, act), the last of each walk repeated."""
@@ -310,14 +294,20 @@ class WalkPool:
     def windows(self, which: NDArray[np.int64], start: NDArray[np.int64], window: int) -> Windows:
         """Return windows of walks `which` (W,) from steps `start` (W,), -burn_in or from 0 on."""
         steps = start[:, None] + np.arange(window)
+        rows = (steps[:, :, None] * self._timesteps + np.arange(self._timesteps)).reshape(
+            len(steps), -1
+        )
         # before the beginning nothing has happened; behind the end the last state stays
-        before = torch.from_numpy(steps < 0)[:, :, None]
-        at = torch.from_numpy(np.clip(steps, 0, self._moved.shape[1] - 1))
-        row = torch.from_numpy(which)[:, None]
+        before = torch.from_numpy(rows < 0)[:, :, None]
+        walk = torch.from_numpy(which)[:, None]
+        at, labelled = (
+            torch.from_numpy(np.clip(each, 0, array.shape[1] - 1))
+            for each, array in ((rows, self._moved), (steps, self._label))
+        )
         return Windows(
-            self._seen[row, at].masked_fill_(before, 0.0),
-            self._moved[row, at].masked_fill_(before, 0.0),
-            self._label[row, at],
+            self._seen[walk, at].masked_fill_(before, 0.0),
+            self._moved[walk, at].masked_fill_(before, 0.0),
+            self._label[walk, labelled],
             torch.from_numpy(start < 0),
         )
 

@@ -33,7 +33,6 @@ from spikedeploy.trainers.sparse.phases import Ended, expected_updates, planned,
 from spikedeploy.trainers.sparse.pool import (
     BatchController,
     Episodes,
-    LateActions,
     Stateless,
     Walk,
     WalkPool,
@@ -366,20 +365,6 @@ def _taught_episodes(config: SparseConfig, sizes: tuple[int, int]) -> tuple[Epis
         )
     eyes = EyeEpisodes(config.env, _ENV_COPIES, limit)
     return eyes, Teacher(eyes.label, *sizes, config.env.name)
-
-
-def late_teacher_return(config: SparseConfig, steps: int) -> float:
-    """Return what the teacher earns on the validation seeds, its actions so many steps late."""
-    batch = EnvBatch(config.env.model_copy(update={"count": 1}), np.random.default_rng(0))
-    episodes, own = _taught_episodes(config, batch.sizes)
-    actions, chooses = batch.sizes[1], batch.head == "discrete"
-
-    def act(observation: NDArray[np.float64]) -> NDArray[Any]:
-        label = own.act_all(observation)
-        return label[:, :actions].argmax(-1) if chooses else label
-
-    _, returns, _ = episodes.play(config.validation.seeds, LateActions(Stateless(act), steps))
-    return float(np.mean(returns))
 
 
 def _walks_of(config: SparseConfig, sizes: tuple[int, int]) -> list[Walk]:

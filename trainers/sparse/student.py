@@ -88,7 +88,9 @@ class DeltaStudent:
         normaliser = delta_codec(precise).normaliser
         rows = (normaliser(walk.observation.astype(np.float64)) for walk in pool.walks)
         policy = self.policy
-        pool.encode(rows, delta_encoder(precise), policy.current_decay, policy.delay)
+        pool.encode(
+            rows, delta_encoder(precise), policy.current_decay, policy.delay, policy.timesteps
+        )
         self._event_rate = pool.event_rate
 
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:

@@ -61,13 +61,18 @@ int {{ prefix }}_step(const double observation[{{ PREFIX }}_OBSERVATIONS],
 {{ late }}
 {% endif %}
     encode_begin(observation);
+{% if codec.score == "mean" %}
     decode_begin();
+{% endif %}
     for (timestep = 0u; timestep < {{ PREFIX }}_TIMESTEPS; timestep++) {
         uint8_t *times;
         {{ id_t }} *id = {{ prefix }}_net_begin(&times);
         const uint32_t count = encode(timestep, id);
         (void)times;
         {{ prefix }}_net_step(count);
+{% if codec.score == "last" %}
+        decode_begin();
+{% endif %}
         decode_add();
 #ifdef {{ PREFIX }}_PROBE
         {{ prefix }}_probe(timestep, id, count);

@@ -3,6 +3,7 @@
 {% from "encode_i16.c" import encoder_functions with context %}
 {% set decoder, encoder = decoder_function(), encoder_functions() %}
 {% set squash = squash_function(code.squash, code.fraction) %}
+{% set late = decoder_reset() | trim("\n") %}
 /* {{ mark }}
  * {{ origin }}
  *
@@ -28,15 +29,31 @@ void {{ prefix }}_reset_i16(void)
         level[k] = 0;
         centre[k] = centre_at_rest[k];
     }
-{{ decoder_reset() | trim("\n") }}
+{{ late }}
 }
 
 void {{ prefix }}_act_i16(const int16_t observation[{{ PREFIX }}_OBSERVATIONS],
                     int16_t action[{{ PREFIX }}_ACTIONS])
 {
+{% if codec.timesteps == 1 %}
     uint8_t *times;
     {{ id_t }} *id = {{ prefix }}_net_begin(&times);
     (void)times;
     {{ prefix }}_net_step(encode(observation, id));
     decode(action);
+{% else %}
+    uint32_t timestep;
+    for (timestep = 0u; timestep < {{ PREFIX }}_TIMESTEPS; timestep++) {
+        uint8_t *times;
+        {{ id_t }} *id = {{ prefix }}_net_begin(&times);
+        (void)times;
+        {{ prefix }}_net_step(encode(observation, id));
+{% if late %}
+        decode(action);
+    }
+{% else %}
+    }
+    decode(action);
+{% endif %}
+{% endif %}
 }

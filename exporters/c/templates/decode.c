@@ -1,4 +1,5 @@
-{% set timesteps, scores = codec.timesteps, plan.bias | length %}
+{# timesteps of which the scores are a mean #}
+{% set timesteps, scores = 1 if codec.score == "last" else codec.timesteps, plan.bias | length %}
 {% macro total_kind(tap) -%}
 {% set counted = narrowest(0, timesteps * tap.times_max) %}
 {% if tap.silent -%}
@@ -36,7 +37,7 @@ static void decode_begin(void)
 {% endfor %}
 }
 
-/* What leaves the chip in a timestep is added up. */
+/* What leaves the chip in a timestep is added up{{ ", of the last one alone" if codec.score == "last" }}. */
 static void decode_add(void)
 {
     {{ prefix }}_layer_t view;

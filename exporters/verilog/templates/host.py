@@ -183,7 +183,10 @@ class Decoder:
             else:
                 total = output[..., term["first"] : term["first"] + term["size"]]
                 total += rows if term["weight"] is None else rows @ term["weight"]
-        scores = np.add.reduce(output.swapaxes(0, 1), axis=1) / len(words)
+        if self._codec.get("score", "mean") == "last":
+            scores = output[-1]
+        else:
+            scores = np.add.reduce(output.swapaxes(0, 1), axis=1) / len(words)
         if self._codec["squash"] == "argmax":
             return np.int64(scores.argmax(axis=1)[0])
         return (np.tanh(scores) if self._codec["squash"] == "tanh" else scores)[0]

@@ -22,7 +22,7 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from tests import readouts
 from tests.board_designs import export, host_module, image_of, scripts, walk
 from tests.emulated_board import EmulatedBoard, FilePort
-from tests.networks import event_driven, popsan
+from tests.networks import event_driven, popsan, with_last
 
 HOST, LINK = host_module(), scripts().link
 
@@ -63,6 +63,7 @@ POLICIES = {
     "spread": lambda: event_coded("spread", 4),
     "unary": event_driven,
     "one-hot, three timesteps": lambda: event_driven(code="one-hot", timesteps=3),
+    "the last of three": lambda: with_last(onto_readouts("second", delay=1)),
     "membranes": lambda: onto_readouts("same"),
     "two readouts": lambda: onto_readouts("second"),
     "readouts, late": lambda: onto_readouts("second", delay=1),

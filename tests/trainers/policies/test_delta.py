@@ -27,24 +27,28 @@ SHAPES = [
     {"integrated": True},
     {"clock": "gated"},
     {"clock": "gated", "integrated": True},
+    {"timesteps": 3},
+    {"timesteps": 2, "hidden": 0},
+    {"timesteps": 4, "integrated": True},
 ]
 
 
 @pytest.mark.parametrize("make", [delta_policy, delta_mlp])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_window_from_the_beginning_equals_single_steps(make, shape):
-    if make is delta_mlp and "integrated" in shape:
-        pytest.skip("delta networks have no readouts that decay")
+    if make is delta_mlp and {"integrated", "timesteps"} & set(shape):
+        pytest.skip("delta networks have no readouts that decay, and one timestep a control step")
     policy, burn_in = make(**shape).double(), 4
     mean, events, spikes = followed(policy, walk())
     moved, seen = arriving(policy, events)
     # the burn-in of a window that starts the episode holds nothing
-    before = torch.zeros(1, burn_in, policy.observations, dtype=torch.float64)
+    before = torch.zeros(1, burn_in * policy.timesteps, policy.observations, dtype=torch.float64)
     moved, seen = (torch.cat([before, each[None]], 1) for each in (moved, seen))
     begins = torch.tensor([True])
     found, raster = policy.unrolled(seen, moved, policy.weights(), burn_in, begins)
     np.testing.assert_allclose(found[0, burn_in:].numpy(), mean, atol=1e-12)
-    np.testing.assert_array_equal(raster[0, burn_in:].numpy(), np.abs(spikes) > 0)
+    sent = (np.abs(spikes) > 0).reshape(len(mean), policy.timesteps, -1).sum(1)
+    np.testing.assert_array_equal(raster[0, burn_in:].numpy(), sent)
     assert not policy.hidden or np.abs(spikes).max() > (make is delta_mlp)
 
 
@@ -96,6 +100,12 @@ def test_pipelined_events_act_one_control_step_late_and_hidden_spikes_two():
     assert spikes[:, 0].tolist() == [0, 1, 1, 1]
     # y[1] = 8 past ; y[2] = 4 + 4 of the first hidden spike ; y[3] = 4 + 4
     np.testing.assert_allclose(mean[:, 0], [0, 8, 8, 8])
+    # with three timesteps the action of control step 0 has it all: 4 of the spike, 8 / 2 of the skip
+    whole = build({**policy.spec(), "timesteps": 3}).double()
+    whole.load_state_dict(policy.state_dict())
+    mean, events, spikes = followed(whole, np.array([[1.0]]))
+    assert (events[:, 0].tolist(), spikes[:, 0].tolist()) == ([1, 0, 0], [0, 1, 1])
+    np.testing.assert_allclose(mean[:, 0], [8])
     gated = build({**policy.spec(), "clock": "gated"}).double()
     gated.load_state_dict(policy.state_dict())
     mean, _, spikes = followed(gated, np.array([[1.0], [1.0]]))

@@ -7,7 +7,6 @@ from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.sparse.pool import (
     Episodes,
-    LateActions,
     Stateless,
     Walk,
     WalkPool,
@@ -75,6 +74,22 @@ def test_windows_hold_what_an_encoder_sends_from_the_walks_beginning(pool):
             )
             assert not got[k].numpy()[~inside].any()
     assert checked > 200
+
+
+def test_windows_hold_every_timestep_of_their_control_steps():
+    pool, timesteps = WalkPool([numbered(12, 0)]), 3
+    seen = pool.walks[0].observation.astype(float)
+    pool.encode([seen], ENCODER, DECAY, 1, timesteps)
+    levels = ENCODER.start(0)
+    events = np.concatenate([ENCODER.events(row[None], timesteps, levels)[0] for row in seen])
+    assert np.count_nonzero(events[1::3])
+    arriving = np.concatenate([np.zeros((1, 3)), events[:-1] * [0.3, 0.5, 0.0]])
+    found = pool.windows(np.zeros(2, int), np.array([-2, 5]), 6)
+    assert not found.moved[0, :6].any()
+    np.testing.assert_allclose(found.moved[0, 6:], arriving[:12], atol=1e-6)
+    np.testing.assert_allclose(found.moved[1], arriving[15:33], atol=1e-6)
+    assert found.label[1, :, 0].tolist() == [5, 6, 7, 8, 9, 10]
+    assert pool.event_rate[0] * 12 == np.abs(events[:, 0]).sum()  # unary: spikes are events
 
 
 def test_a_window_that_begins_before_its_walk_starts_with_the_episode(pool):
@@ -188,11 +203,3 @@ def test_a_policy_walks_on_the_chip_as_in_float_or_nearly(target):
     tolerance = 1e-5 if target == "ideal" else 0.2
     for one, other in zip(by_torch, by_chip, strict=True):
         np.testing.assert_allclose(one.observation, other.observation, atol=tolerance)
-
-
-def test_late_actions_are_those_of_so_many_control_steps_before():
-    late = LateActions(Stateless(lambda seen: 10 * seen), 2)
-    for _ in range(2):  # an episode begins with nothing decided
-        late.reset(1)
-        acted = [late.act_batch(np.array([[step]])).item() for step in (1.0, 2.0, 3.0, 4.0)]
-        assert acted == [0.0, 0.0, 10.0, 20.0]

@@ -15,7 +15,7 @@ from spikedeploy.trainers.sac.learner import SacConfig
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.phases import Ended, target
 from spikedeploy.trainers.sparse.pool import Episodes, Stateless, Walk, load_walks, save_walks
-from spikedeploy.trainers.sparse.sparse import Sparse, late_teacher_return, with_budget
+from spikedeploy.trainers.sparse.sparse import Sparse, with_budget
 from spikedeploy.trainers.train import train
 from tests import toy_race_env, toy_stroll_env
 from tests.trainers.sparse.toy import settings
@@ -281,13 +281,6 @@ def test_a_search_keeps_the_policy_of_the_lowest_level_that_keeps_its_share(stro
     assert last["kept"] == min(e.goal for e in ended if e.goal and e.share >= wanted)
     assert best["eval_share"] >= wanted
     assert best["eval_operations"] <= 1.1 * last["kept"]
-
-
-def test_a_teacher_that_acts_late_is_the_teacher_where_it_is_not_late(stroll, tmp_path):
-    config = settings(teacher=stroll)
-    run, _ = learned(config, tmp_path, until=1)
-    assert late_teacher_return(config, 0) == run.load("last")[0]["teacher_return"]
-    assert late_teacher_return(config, 3) != late_teacher_return(config, 0)
 
 
 def test_a_run_of_an_earlier_version_is_not_resumed(stroll, tmp_path, monkeypatch):
