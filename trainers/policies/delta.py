@@ -317,10 +317,10 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         e     = a / threshold - q ;  k = sign(e) floor(|e| + 1/2) where |e| >= 1 ;  q = q + k
         y     = y + Wo (threshold k) + Ws (step n)      an MLP of rounded numbers
 
-    Of one timestep a control step. What is sent are changes alone, so that numbers which stay cost nothing (O'Connor and Welling
+    What is sent are changes alone, so that numbers which stay cost nothing (O'Connor and Welling
     2017; runtime.graph.neurons). It is a baseline for the spiking policies: the same code, and a
     float network's activations. In its DeltaState `current` is sigma, and `membrane` q. Nothing
-    decays.
+    decays. A control step has one timestep.
 
     hidden, skip, most, code, events_above: as in DeltaSnnPolicy
     share: thresholds are to be so many standard deviations of their neuron's activation

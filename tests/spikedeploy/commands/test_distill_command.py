@@ -9,7 +9,6 @@ from spikedeploy.commands.distillation import (
     Level,
     describe,
     front,
-    fronts,
     is_sparse,
     student_settings,
 )

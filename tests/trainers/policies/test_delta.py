@@ -100,7 +100,7 @@ def test_pipelined_events_act_one_control_step_late_and_hidden_spikes_two():
     assert spikes[:, 0].tolist() == [0, 1, 1, 1]
     # y[1] = 8 past ; y[2] = 4 + 4 of the first hidden spike ; y[3] = 4 + 4
     np.testing.assert_allclose(mean[:, 0], [0, 8, 8, 8])
-    # with three timesteps the action of control step 0 has it all: 4 of the spike, 8 / 2 of the skip
+    # three timesteps: the action of control step 0 has 4 of the spike and 8 / 2 of the skip
     whole = build({**policy.spec(), "timesteps": 3}).double()
     whole.load_state_dict(policy.state_dict())
     mean, events, spikes = followed(whole, np.array([[1.0]]))
