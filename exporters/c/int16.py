@@ -250,7 +250,7 @@ class Int16Player:
 
     def _score(self, o: Integers) -> Integers:
         """The scores after a timestep."""
-        delta, score = self.codec.delta, self.codec.bias.copy()
+        delta, score = self.codec.delta, np.array(self.codec.bias)
         events = delta.events(o, self._level)
         self._level += events
         self._machine.infer(delta.raster(events)[None, None])

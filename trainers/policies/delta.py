@@ -240,7 +240,8 @@ class DeltaSnnPolicy(Policy):
         mean, spikes = (torch.cat(parts, 1) for parts in zip(before, after, strict=True))
         if self.integrated:  # the integrals hold what currents would hold
             mean = mean + seen @ weights.past.T
-        return self._last(mean), spikes.unflatten(1, (-1, self.timesteps)).sum(2)
+        steps = spikes.reshape(len(spikes), -1, self.timesteps, self.hidden)
+        return self._last(mean), steps.sum(2)
 
     def _last(self, rows: Tensor) -> Tensor:
         """Return the rows (B, L, n) of the last timesteps of control steps, of all (B, L T, n)."""
