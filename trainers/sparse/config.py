@@ -25,8 +25,8 @@ class SparseConfig(RunConfig):
         float one; 0 lets a search find it
     search: whether rounds follow from validation instead of `levels`: at most `dense_rounds`, until
         `patience` of them brought nothing, then levels of `shrink` times the operations before, to
-        the budget or as long as the policy keeps `keep`; a level that does not is trained on for
-        at most `polish` rounds
+        the budget, or until two in a row do not keep `keep`; a level that does not is trained on
+        for at most `polish` rounds
     keep: share of the teacher's return, over that of random actions, in validation
     patience: dense rounds that may pass without a better validation
     shrink: operations of a level over those of the one before

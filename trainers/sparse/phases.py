@@ -1,9 +1,9 @@
 """Phases of a sparse training: planned for a budget, or found one after another.
 
 A search trains in dense rounds until validation stops to improve, then prunes to a fixed share of
-the operations before, level by level, as long as the policy keeps what was asked for of the
-teacher's return. Shares are of what the teacher earns more than random actions do, since returns
-may be negative.
+the operations before, level by level, until two levels in a row keep less than what was asked for
+of the teacher's return: one may by chance. Shares are of what the teacher earns more than random
+actions do, since returns may be negative.
 """
 
 import math
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from spikedeploy.trainers.sparse.config import SparseConfig
 
 _BETTER = 0.01  # share of the teacher's return by which a round is better than those before
+_MISSES = 2  # levels one after the other that keep too little: the search is over
 _FEWEST = 3.0  # operations below which a search prunes no further
 _EXPECTED = 3_000.0  # operations of a dense student, while they are not known
 
@@ -124,9 +125,8 @@ def expected_updates(config: SparseConfig, ended: Sequence[Ended]) -> int:
 
 
 def target(config: SparseConfig, ended: Sequence[Ended]) -> float:
-    """Return the share that pruning keeps; where the dense student has less, as much of that."""
-    dense = max((each.share for each in ended if each.goal is None), default=1.0)
-    return config.keep if dense >= config.keep else config.keep * dense
+    """Return the share that pruning keeps: all of it, where the dense student has less."""
+    return min(config.keep, max((each.share for each in ended if each.goal is None), default=1.0))
 
 
 def _has_dense(config: SparseConfig, ended: Sequence[Ended]) -> bool:
@@ -148,9 +148,23 @@ def _goal(config: SparseConfig, ended: Sequence[Ended]) -> float | None:
             over = last.goal == config.budget and tried > config.polish
             return None if over else config.budget
         return max(config.budget, config.shrink * lower)
-    if last.goal is None or last.share >= target(config, ended):
-        return config.shrink * lower if config.shrink * lower >= _FEWEST else None
-    return last.goal if tried <= config.polish else None
+    wanted = target(config, ended)
+    if last.goal is not None and last.share < wanted:
+        if tried <= config.polish:
+            return last.goal
+        if _missed(ended, wanted) == _MISSES:
+            return None
+    return config.shrink * lower if config.shrink * lower >= _FEWEST else None
+
+
+def _missed(ended: Sequence[Ended], wanted: float) -> int:
+    """Return how many of the latest levels kept too little, each for as often as it was tried."""
+    best: dict[float, float] = {}
+    for each in ended:
+        if each.goal is not None:
+            best[each.goal] = max(each.share, best.get(each.goal, each.share))
+    kept = [share >= wanted for share in reversed(best.values())]
+    return kept.index(True) if True in kept else len(kept)
 
 
 class _Plan:
