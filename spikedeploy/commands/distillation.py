@@ -8,7 +8,7 @@ from typing import Any
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import differences
-from spikedeploy.trainers.run_folder import RunFolder, runs_in
+from spikedeploy.trainers.run_folder import LEVEL, RunFolder, runs_in
 from spikedeploy.trainers.sparse.config import SparseConfig
 
 _CODINGS = {"population": "population", "rate": "regular"}
@@ -132,11 +132,19 @@ def front(run: Path) -> list[Level]:
     """Return the levels of a run that was pruned, the most operations first."""
     folder = RunFolder(run)
     best = folder.load("best")[0] if folder.checkpoint("best").is_file() else {}
+    shares: dict[str, float] = {}  # of levels that ended, in the episodes that decided
+    for each in folder.load("last")[0].get("ended", ()):
+        level = f"{LEVEL}{each['goal'] or 0:g}"
+        shares[level] = max(each["share"], shares.get(level, each["share"]))
     found = []
     for level in folder.levels.values():
         state = folder.load(level)[0]
-        chosen = bool(best) and state["updates"] == best["updates"]
-        found.append(Level(state["eval_operations"], state["eval_share"], chosen))
+        if best.get("kept"):
+            chosen = level == f"{LEVEL}{best['kept']:g}"
+        else:
+            chosen = bool(best) and state["updates"] == best["updates"]
+        share = shares.get(level, state["eval_share"])
+        found.append(Level(state["eval_operations"], share, chosen))
     if best and not any(each.chosen for each in found):  # what was never pruned
         found.append(Level(best["eval_operations"], best["eval_share"], True))
     return sorted(found, key=lambda each: -each.operations)
@@ -193,10 +201,14 @@ def describe(run: Path, found: Mapping[str, Sequence[Level]]) -> str:
         return ""
     c, last, best = folder.settings(), folder.load("last")[0], folder.load("best")[0]
     returns = {"teacher": last.get("teacher_return"), "student": best["eval_return"]}
+    episodes = c["validation"]["episodes"]
     if found:
         returns["random actions"] = last["random_return"]
+    if best.get("kept"):
+        episodes = c["confirm"]
+        returns["teacher"], returns["random actions"] = last["confirming"]
     numbers = ", ".join(f"{name} {each:,.4g}" for name, each in returns.items())
-    lines = [f"validation, {c['validation']['episodes']} episodes: {numbers}"]
+    lines = [f"validation, {episodes} episodes: {numbers}"]
     lines += [
         f"{name}: {e.share:.1%} of the teacher with {e.operations:,.0f} {_UNITS[name]}"
         for name, levels in found.items()

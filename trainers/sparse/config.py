@@ -28,6 +28,8 @@ class SparseConfig(RunConfig):
         the budget, or until two in a row do not keep `keep`; a level that does not is trained on
         for at most `polish` rounds
     keep: share of the teacher's return, over that of random actions, in validation
+    confirm: further episodes, of the seeds behind those of validation, that decide whether a level
+        keeps it: those of validation have chosen its checkpoint
     patience: dense rounds that may pass without a better validation
     shrink: operations of a level over those of the one before
     levels: operations at the end of each round of pruning, falling; those not above `budget` are
@@ -72,6 +74,7 @@ class SparseConfig(RunConfig):
     budget: float = Field(default=100.0, ge=0)
     search: bool = False
     keep: Share = 0.98
+    confirm: Positive = 30
     patience: Positive = 2
     shrink: float = Field(default=0.7, gt=0, lt=1)
     levels: tuple[Rate, ...] = ()
@@ -137,6 +140,12 @@ class SparseConfig(RunConfig):
         if self.search and not self.dense_rounds:
             raise ValueError("dense_rounds: a search needs one at least")
         return self
+
+    @property
+    def confirming(self) -> list[int]:
+        """Seeds of the episodes that confirm a level."""
+        first = self.validation.first_seed + self.validation.episodes
+        return list(range(first, first + self.confirm))
 
     @property
     def rounds(self) -> tuple[float, ...]:

@@ -29,7 +29,14 @@ from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder, with_prefix
 from spikedeploy.trainers.runner import Learner, Runner, adam, descend, set_rate
 from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.phases import Ended, expected_updates, planned, searched, target
+from spikedeploy.trainers.sparse.phases import (
+    Ended,
+    Phase,
+    expected_updates,
+    planned,
+    searched,
+    target,
+)
 from spikedeploy.trainers.sparse.pool import (
     BatchController,
     Episodes,
@@ -141,25 +148,22 @@ class Sparse(Runner[SparseConfig]):
         self._shares: list[float] = []  # of the validations of the phase
         self.kept = 0.0
         self.teacher_return = self.random_return = self._loss = math.nan
+        self._confirming = math.nan, math.nan  # the same two, on the seeds that confirm
 
     def _begin(self) -> None:
         """Let the teacher walk; fit the normaliser and the encoder to what it saw."""
         config = self._config
         taken = _walks_of(config, self._widths) if config.pool else []  # refused before walks
         taught = Stateless(self._taught)
-        _, returns, _ = self._episodes.play(config.validation.seeds, taught)
-        self.teacher_return = float(np.mean(returns))
-        at_random = random_actions(
-            self._sizes[1], self._discrete, np.random.default_rng(config.seed)
-        )
-        _, returns, _ = self._episodes.play(config.validation.seeds, at_random)
-        self.random_return = float(np.mean(returns))
+        self.teacher_return, self.random_return = self._references(config.validation.seeds)
         if config.search and self.teacher_return <= self.random_return:
             raise ConfigError(
                 f"the teacher {config.teacher} earns {self.teacher_return:,.4g} in "
                 f"{config.env.name}, and random actions {self.random_return:,.4g}: it may act in "
                 "other units (--set teacher_units=scaled) or need its normaliser"
             )
+        if config.search:
+            self._confirming = self._references(config.confirming)
         if taken:
             self._keep(taken)
         if config.teacher_walks:
@@ -173,6 +177,14 @@ class Sparse(Runner[SparseConfig]):
         self._fit()
         self._student.prepare(self.pool)
         self._set_thresholds()
+
+    def _references(self, seeds: list[int]) -> tuple[float, float]:
+        """Return the mean returns of the teacher, and of random actions, on these seeds."""
+        rng = np.random.default_rng(self._config.seed)
+        at_random = random_actions(self._sizes[1], self._discrete, rng)
+        both = (Stateless(self._taught), at_random)
+        teacher, none = (float(np.mean(self._episodes.play(seeds, each)[1])) for each in both)
+        return teacher, none
 
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
         if self.updates == self._phases[self.phase].end:
@@ -265,11 +277,12 @@ class Sparse(Runner[SparseConfig]):
     def _deployed(self) -> Policy:
         return round_for_chip(self.policy, self._chip, self._config.rounding)
 
-    def _evaluate(self) -> dict[str, float]:
-        controller = on_chip(self._deployed(), self._chip)
-        _, returns, infos = self._episodes.play(self._config.validation.seeds, controller)
+    def _measure(
+        self, policy: Policy, seeds: list[int], references: tuple[float, float]
+    ) -> dict[str, float]:
+        _, returns, infos = self._episodes.play(seeds, on_chip(policy, self._chip))
         row = mean_outcome(returns, infos)
-        earned, teacher, none = row["eval_return"], self.teacher_return, self.random_return
+        earned, (teacher, none) = row["eval_return"], references
         return row | {
             "eval_of_teacher": earned / teacher if teacher else math.nan,
             "eval_share": (earned - none) / (teacher - none) if teacher != none else math.nan,
@@ -285,7 +298,8 @@ class Sparse(Runner[SparseConfig]):
         phase, config = self._phases[self.phase], self._config
         if phase.prunes(self.updates) or (phase.last is None and not config.search):
             return {}
-        row = self._evaluate()
+        policy, references = self._deployed(), (self.teacher_return, self.random_return)
+        row = self._measure(policy, config.validation.seeds, references)
         self._shares.append(row["eval_share"])
         if phase.last is not None:
             level = f"{LEVEL}{phase.last:g}"
@@ -293,30 +307,29 @@ class Sparse(Runner[SparseConfig]):
             if self._run.checkpoint(level).is_file():
                 before = self._run.load(level)[0]["eval_return"]
             if row["eval_return"] >= before:
-                self._run.save(level, self._deployed(), {**self._counters(), **row})
-        keeps = bool(phase.last) and row["eval_share"] >= target(config, self._ended)
-        if self._is_best(phase.last, keeps, row["eval_return"]):
-            self.kept = phase.last if keeps and phase.last else self.kept
-            self._save_best(self._deployed(), row)
+                self._run.save(level, policy, {**self._counters(), **row})
+        # at the budget; of a search for one, while nothing is pruned
+        if phase.last == (config.budget or None) and row["eval_return"] >= self.best:
+            self._save_best(policy, row)
         if config.search and self.updates == phase.end:
-            count = operations(self._student.synapses())
-            self._ended.append(Ended(phase.last, count, max(self._shares)))
-            self._shares = []
-            self._plan_on()
+            self._end_phase(phase)
         return row
 
-    def _is_best(self, goal: float | None, keeps: bool, earned: float) -> bool:
-        """Return whether a validated policy is the best so far.
-
-        It is the one that earns most at the budget; of a search for one, at the lowest level that
-        keeps what it has to, or at any while none has.
-        """
-        earns_most = earned >= self.best
-        if not self._config.search or self._config.budget:
-            return goal == self._config.budget and earns_most
-        if not self.kept or goal is None or not keeps:
-            return keeps or (earns_most and not self.kept)
-        return goal < self.kept or earns_most
+    def _end_phase(self, phase: Phase) -> None:
+        """Decide whether the level of a search keeps what it has to, and plan on."""
+        share, count = max(self._shares), operations(self._student.synapses())
+        wanted = target(self._config, self._ended)
+        if phase.last is not None and not self._config.budget and share >= wanted:
+            level = f"{LEVEL}{phase.last:g}"
+            policy, before = self._run.policy(level), self._run.load(level)[0]
+            row = self._measure(policy, self._config.confirming, self._confirming)
+            share = row["eval_share"]
+            if share >= wanted:
+                self.kept = phase.last
+                self._save_best(policy, {**row, "eval_operations": before["eval_operations"]})
+        self._ended.append(Ended(phase.last, count, share))
+        self._shares = []
+        self._plan_on()
 
     def _plan_on(self) -> None:
         """Plan the phase behind those of a search that ended, or be finished."""
@@ -334,7 +347,11 @@ class Sparse(Runner[SparseConfig]):
         }
 
     def _state(self) -> dict[str, Any]:
-        search = {"ended": [vars(each) for each in self._ended], "shares": self._shares}
+        search = {
+            "ended": [vars(each) for each in self._ended],
+            "shares": self._shares,
+            "confirming": self._confirming,
+        }
         return {"pool_sha256": self._sums, **(search if self._config.search else {})}
 
     def _tensors(self) -> dict[str, Tensor]:
@@ -348,7 +365,7 @@ class Sparse(Runner[SparseConfig]):
         self._student.prepare(self.pool)
         if self._config.search:
             self._ended = [Ended(**each) for each in state["ended"]]
-            self._shares = state["shares"]
+            self._shares, self._confirming = state["shares"], tuple(state["confirming"])
             self._plan_on()
 
 

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from spikedeploy.exporters.to_onnx import to_onnx
+from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import resolve
@@ -16,6 +17,7 @@ from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.phases import Ended, target
 from spikedeploy.trainers.sparse.pool import Episodes, Stateless, Walk, load_walks, save_walks
 from spikedeploy.trainers.sparse.sparse import Sparse, with_budget
+from spikedeploy.trainers.sparse.student import on_chip
 from spikedeploy.trainers.train import train
 from tests import toy_race_env, toy_stroll_env
 from tests.trainers.sparse.toy import settings
@@ -281,6 +283,27 @@ def test_a_search_keeps_the_policy_of_the_lowest_level_that_keeps_its_share(stro
     assert last["kept"] == min(e.goal for e in ended if e.goal and e.share >= wanted)
     assert best["eval_share"] >= wanted
     assert best["eval_operations"] <= 1.1 * last["kept"]
+    # what decides are episodes on which no checkpoint was chosen
+    assert not set(config.confirming) & set(config.validation.seeds)
+    policy = on_chip(run.policy("best"), chip(config.chip))
+    _, returns, _ = Episodes(config.env, 3, None).play(config.confirming, policy)
+    teacher, none = last["confirming"]
+    assert best["eval_return"] == np.mean(returns)
+    assert best["eval_share"] == (best["eval_return"] - none) / (teacher - none)
+
+
+def test_a_level_that_was_kept_by_chance_is_not_kept(stroll, few, tmp_path, monkeypatch):
+    config, evaluate = settings(teacher=stroll, keep=0.9, **SEARCH), Sparse._measure
+
+    def unlucky(self, policy, seeds, references):
+        row = evaluate(self, policy, seeds, references)
+        return {**row, "eval_share": 0.1} if seeds == config.confirming else row
+
+    monkeypatch.setattr(Sparse, "_measure", unlucky)
+    run, _ = learned(config, tmp_path, until=1_000)
+    assert run.load("last")[0]["kept"] == 0
+    best = [each for each in run.load("last")[0]["ended"] if each["goal"] is None]
+    assert run.load("best")[0]["eval_share"] == max(each["share"] for each in best)
 
 
 def test_a_run_of_an_earlier_version_is_not_resumed(stroll, tmp_path, monkeypatch):
