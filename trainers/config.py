@@ -29,6 +29,8 @@ Rate = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 # of an observation in a control step; as runtime.codec.delta has it, not imported for a number
 Events = Annotated[int, Field(ge=1, le=256)]
+# of a control step; training holds the states of each at once
+Timesteps = Annotated[int, Field(gt=0, le=1_024)]
 
 
 class _Section(BaseModel):
@@ -74,7 +76,7 @@ class PopsanConfig(_Section):
     kind: Literal["popsan"] = "popsan"
     hidden: tuple[Width, ...] = (512, 512)
     populations: Positive = 10
-    timesteps: Positive = 5
+    timesteps: Timesteps = 5
     alpha: Share = 0.9
     beta: Share = 0.8
     threshold: Rate = 0.5
@@ -95,7 +97,7 @@ class SpikingMlpConfig(_Section):
     coding: Literal["regular", "bernoulli", "population"] = "regular"
     populations: Positive = 4
     reach: Rate = 1.0
-    timesteps: Positive = 16
+    timesteps: Timesteps = 16
     beta: Share = 0.9
     threshold: Rate = 0.7
     surrogate: Literal["fast-sigmoid", "atan", "rectangular"] = "fast-sigmoid"
@@ -120,7 +122,7 @@ class ChipSnnConfig(_Section):
     coding: Literal["regular", "population"] = "population"
     populations: Positive | None = None
     reach: Rate = 2.0
-    timesteps: Positive = 8
+    timesteps: Timesteps = 8
     alpha: Share | None = None
     beta: Share | None = None
     limit: Rate | None = None
@@ -147,7 +149,7 @@ class DeltaSnnConfig(_Section):
     skip: bool = True
     integrated: bool = False
     most: Events = 3
-    timesteps: Positive = 1
+    timesteps: Timesteps = 1
     code: Literal["unary", "one-hot"] = "one-hot"
     clock: Literal["gated", "pipelined"] = "pipelined"
     surrogate_width: Rate = 2.0

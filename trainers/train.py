@@ -77,7 +77,9 @@ def train(
                 raise ConfigError(f"{run.path} is a run of '{before['recipe']}', not of '{recipe}'")
             if env not in (None, there := before["env"]["name"]):
                 raise ConfigError(f"{run.path} was trained in {there}, not in {env}: name the run")
-            config = _budgeted(amend(run.config(kind.Config), **changes), budget)
+            former = run.config(kind.Config)
+            config = _budgeted(amend(former, **changes), budget)
+            _check_network(run.path, former, config)
             run.sweep()
             _check_left(run, kind, config)
             with _written(run, config):
@@ -142,6 +144,14 @@ def _removed_if_refused(run: RunFolder) -> Iterator[None]:
         if not learned and not (run.metrics.is_file() and metrics.read(run.metrics)):
             shutil.rmtree(run.path)
         raise
+
+
+def _check_network(path: Path, former: RunConfig, config: RunConfig) -> None:
+    """Refuse a run to be resumed with another network than it was begun with."""
+    before, now = former.model_dump()["policy"], config.model_dump()["policy"]
+    if changed := [name for name in now if before.get(name) != now[name]]:
+        some = ", ".join(f"policy.{name} is {before.get(name)}" for name in changed)
+        raise ConfigError(f"a resumed run keeps its network, and in {path} {some}")
 
 
 @contextmanager

@@ -250,6 +250,10 @@ def distill(
     """Train a spiking student that imitates a teacher. A function of yours runs as your code."""
     if resume is None and (teacher is None or env is None):
         raise typer.BadParameter("name a TEACHER and --env ENV, or a run with --resume")
+    own = {"--size": size, "--encoder": encoder, "--timesteps": timesteps, "--for": chip}
+    named = [name for name, value in {**own, "--dense": dense or None}.items() if value is not None]
+    if resume is not None and named:
+        raise typer.BadParameter(f"a resumed run keeps its network: leave {', '.join(named)} out")
     from spikedeploy.commands import distillation as made
     from spikedeploy.trainers.run_folder import RunFolder
 

@@ -248,7 +248,8 @@ def read_codec(path: Path) -> Codec:
     try:
         return Codec.from_record(Record(arrays, str(path)))
     except ArtifactError as error:
-        raise ArtifactError(f"--codec {error}; docs/own-network.md has a whole one") from error
+        found = str(error).removesuffix(". Export the policy again.")  # written by hand
+        raise ArtifactError(f"--codec {found}; docs/own-network.md has a whole one") from error
 
 
 def _with_arrays(value: Any) -> Any:  # noqa: ANN401

@@ -82,6 +82,7 @@ POLICIES = {
     "rate": lambda: with_rate("regular"),
     "random rate": lambda: with_rate("bernoulli"),
     "delta": lambda: event_driven(),
+    "delta of one observation": lambda: event_driven(obs=2),
     "one-hot delta of several timesteps": lambda: event_driven(code="one-hot", timesteps=3),
     "delta onto readouts": lambda: onto_readouts("same"),
     "delta onto readouts, the last": lambda: with_last(onto_readouts("same")),

@@ -268,6 +268,11 @@ def test_a_resumed_run_that_is_refused_keeps_its_configuration(tmp_path, world):
     assert (run / "config.json").read_bytes() == before
 
 
+def test_a_resumed_run_keeps_its_network(interrupted):
+    with pytest.raises(ConfigError, match=r"keeps its network, .* policy.hidden is \("):
+        train("smoke", resume=interrupted, overrides=["policy.hidden=[7]"], quiet=True)
+
+
 @pytest.fixture
 def interrupted(tmp_path, world):
     """A run that was stopped after 170 of 400 steps; it has rows up to step 160."""

@@ -4,6 +4,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import (
     Batch,
     Count,
@@ -139,6 +140,16 @@ class SparseConfig(RunConfig):
             raise ValueError("budget: 0 operations. Name them, or set search=true to find them")
         if self.search and not self.dense_rounds:
             raise ValueError("dense_rounds: a search needs one at least")
+        return self
+
+    @model_validator(mode="after")
+    def _confirming_episodes_are_of_validation(self) -> "SparseConfig":
+        first = self.validation.first_seed + self.validation.episodes
+        if self.search and first + self.confirm > EVALUATION:
+            raise ValueError(
+                f"confirm: {self.confirm:,} episodes behind those of validation reach the seeds of "
+                f"evaluation; at most {EVALUATION - first:,} do not"
+            )
         return self
 
     @property

@@ -44,6 +44,9 @@ static int32_t fixed(double x, int32_t scale)
 /* X as NumPy computes it. */
 static int32_t exact(uint32_t k, double observed)
 {
+{% if "[k]" not in normalised ~ step %}
+    (void)k;
+{% endif %}
 {% print normalised %}
     x /= {{ step }};
     x *= 256.0;

@@ -147,6 +147,10 @@ def test_what_is_missing_is_asked_for(here, command):
     code, _, err = command("distill", "--resume", "last", "--seed", 3)
     assert code == 2
     assert "keeps its seed" in err
+    code, _, err = command("distill", "--resume", "last", "--timesteps", 2, "--dense")
+    assert code == 2
+    said = " ".join(err.replace("│", " ").split())
+    assert "keeps its network: leave --timesteps, --dense out" in said
 
 
 def test_a_budget_asks_for_the_event_driven_student():

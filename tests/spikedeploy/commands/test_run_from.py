@@ -59,7 +59,10 @@ def test_a_network_of_another_tool_drives_and_spikes_as_its_author_meant(
         (("--reset", "zero"), "--reset goes with --from"),
         (("--from", "snntorch", "--codec", "snntorch_leaky.nir"), "no JSON that can be read"),
         (("--from", "snntorch", "--codec", "list.json"), "holds no codec"),
-        (("--from", "snntorch", "--codec", "short.json"), "short.json.normaliser is missing"),
+        (
+            ("--from", "snntorch", "--codec", "short.json"),
+            "the file is incomplete; docs/own-network",
+        ),
     ],
 )
 def test_what_is_missing_is_asked_for(words, said, here, command):
