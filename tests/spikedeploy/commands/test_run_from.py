@@ -61,7 +61,7 @@ def test_a_network_of_another_tool_drives_and_spikes_as_its_author_meant(
         (("--from", "snntorch", "--codec", "list.json"), "holds no codec"),
         (
             ("--from", "snntorch", "--codec", "short.json"),
-            "the file is incomplete; docs/own-network",
+            "incomplete; docs/own-network",
         ),
     ],
 )
