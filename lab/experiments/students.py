@@ -191,6 +191,7 @@ class StudentsDesign(Design):
             chip=self.chip,
             tasks=tasks,
             kept=sum(each["mark"] for each in tasks),
+            fewer=sum(each["fewer"] for each in tasks),
             missing=[
                 training.name
                 for training in self.trainings()
@@ -248,6 +249,7 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
         for role in (STUDENT, FLOAT)
         if (rows := by.get((task, role), []))
     }
+    medians = {role: np.median([row["operations"] for row in by[task, role]]) for role in shares}
     return {
         "name": task,
         "env": TASKS[task]["env"],
@@ -268,6 +270,7 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
             for rows in [by[task, role]]
         },
         "mark": STUDENT in shares and shares[STUDENT].mean >= WANTED,
+        "fewer": len(medians) == 2 and medians[STUDENT] < medians[FLOAT],
     }
 
 
