@@ -191,7 +191,7 @@ class StudentsDesign(Design):
             chip=self.chip,
             tasks=tasks,
             kept=sum(each["mark"] for each in tasks),
-            fewer=sum(each["fewer"] for each in tasks),
+            fewer=np.sum([each["fewer"] for each in tasks], axis=0),
             missing=[
                 training.name
                 for training in self.trainings()
@@ -249,7 +249,7 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
         for role in (STUDENT, FLOAT)
         if (rows := by.get((task, role), []))
     }
-    medians = {role: np.median([row["operations"] for row in by[task, role]]) for role in shares}
+    of = {role: [row["operations"] for row in by[task, role]] for role in shares}
     return {
         "name": task,
         "env": TASKS[task]["env"],
@@ -261,7 +261,7 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
             role: {
                 "trainings": len(rows),
                 "share": shares[role],
-                "operations": [row["operations"] for row in rows],
+                "operations": of[role],
                 "updates": [row["updates"] for row in rows],
                 "minutes": mean(rows, "minutes"),
             }
@@ -270,7 +270,10 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
             for rows in [by[task, role]]
         },
         "mark": STUDENT in shares and shares[STUDENT].mean >= WANTED,
-        "fewer": len(medians) == 2 and medians[STUDENT] < medians[FLOAT],
+        "fewer": [
+            len(shares) == 2 and typical(of[STUDENT]) < typical(of[FLOAT])
+            for typical in (np.median, np.min)
+        ],
     }
 
 
