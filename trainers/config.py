@@ -17,6 +17,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.schema import validate
 from spikedeploy.trainers.recipes import RECIPES, merge
 
+EVALUATION_SEEDS = 10_000  # and above: no training and no choice of checkpoints uses them
 _MAX_STEPS = 10**12  # steps; a number beyond it is a mistake, and none that arrays can hold
 Positive = Annotated[int, Field(gt=0, le=_MAX_STEPS)]
 Count = Annotated[int, Field(ge=0, le=_MAX_STEPS)]

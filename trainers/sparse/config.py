@@ -4,8 +4,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import (
+    EVALUATION_SEEDS,
     Batch,
     Count,
     Positive,
@@ -145,10 +145,10 @@ class SparseConfig(RunConfig):
     @model_validator(mode="after")
     def _confirming_episodes_are_of_validation(self) -> "SparseConfig":
         first = self.validation.first_seed + self.validation.episodes
-        if self.search and first + self.confirm > EVALUATION:
+        if self.search and first + self.confirm > EVALUATION_SEEDS:
             raise ValueError(
                 f"confirm: {self.confirm:,} episodes behind those of validation reach the seeds of "
-                f"evaluation; at most {EVALUATION - first:,} do not"
+                f"evaluation; at most {EVALUATION_SEEDS - first:,} do not"
             )
         return self
 
