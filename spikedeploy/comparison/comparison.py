@@ -239,6 +239,7 @@ class Comparison:
             "clock": found.clock,
             **self._late(found.control_steps_late),
             **{name: getattr(found, field) for name, field in _COSTS.items()},
+            **({"operations": dict(found.operations)} if found.operations else {}),
             "energy_per_inference_j": {name: each.value for name, each in energy.items()},
             "energy_interval_j": {name: [each.low, each.high] for name, each in energy.items()},
             "latency_per_inference_s": {name: each.value for name, each in latency.items()},

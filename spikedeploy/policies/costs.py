@@ -27,6 +27,7 @@ energy_unknown       by each table, terms that happen and that nothing prices
 energy_zero_skipping_j
                      of a float network that skips inputs of 0: effective_macs alone
 messages_placed      messages on the cores that `check` gives to each layer
+operations           of a script, by name (policies.counting); nothing prices them
 
 Terms of the host are those that it adds to a spiking policy: encoder, readout and resets. A term is
 unknown where nothing prices it: Gaussians of a population encoder, random bytes of a rate encoder,
@@ -98,6 +99,7 @@ class Costs:
     messages: float | None = None
     messages_placed: float | None = None
     saturations: int | None = None
+    operations: Mapping[str, float] = field(default_factory=dict)
     clock: str | None = None
     control_steps_late: tuple[int, int] | None = None
     energy_j: Mapping[str, EnergyEstimate] = field(default_factory=dict)

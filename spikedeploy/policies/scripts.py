@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from spikedeploy.envs.foreign import is_target
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.costs import NOTHING, Costs, float_costs
+from spikedeploy.policies.costs import NOTHING, UNCOUNTED, Costs, float_costs
+from spikedeploy.policies.counting import count_operations
 from spikedeploy.policies.registry import Candidate, Env, Floats, Player, check_fit, find
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.onnx_session import has_policy_metadata, session
@@ -126,17 +127,24 @@ class FootholdController(Player):
 
     @classmethod
     def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
-        """The script of an environment that scans each foothold."""
-        if getattr(env.unwrapped, "view", None) != "around":
-            raise ConfigError(
-                "the script footholds is for hexapod-tiles, and sees its view around: leave the "
-                "option view out"
-            )
+        """The script of an environment that scans the ground."""
+        if not hasattr(env.unwrapped, "view"):
+            raise ConfigError("the script footholds is for hexapod-tiles")
         return cls(cast("HexapodTilesEnv", env.unwrapped))
+
+    def reset(self, seed: int) -> None:
+        """Forget the last episode."""
+        self._script.reset()
 
     def act(self, observation: Floats) -> Floats:
         """The action (act,)."""
         return self._script.act(observation)
+
+    def costs(self, played: Rollout) -> Costs:
+        """Means of counted operations."""
+        self._script.reset()
+        counted = count_operations(self._script.act, played.observation[:-1])
+        return replace(UNCOUNTED, operations=counted)
 
 
 class TeacherController(Player):

@@ -86,6 +86,12 @@ def _right(row: Row) -> str:
     return f"{row['forks'] / taken:.1%}" if taken else ABSENT
 
 
+def _counted(row: Row) -> str:
+    """Operations of a script by name, the most first."""
+    found = sorted(row.get("operations", {}).items(), key=lambda each: -each[1])
+    return ", ".join(f"{count:,.0f} {name}" for name, count in found) or ABSENT
+
+
 def _score(row: Row) -> str:
     value = row["normalised_score"]
     return ABSENT if value is None else f"{100 * value:.0f}"
@@ -255,6 +261,7 @@ _CELLS: dict[str, Cell] = {
     "iqm": _estimate("return_iqm", "return_iqm_ci95"),
     "risk": _estimate("risk", "risk_ci95"),
     "right": _right,
+    "counted": _counted,
     "score": _score,
     "success": format_success,
     "difference": format_difference,
@@ -362,8 +369,13 @@ def describe_run(document: Mapping[str, Any]) -> str:
 
 
 def format_operations(row: Row) -> str:
-    """Synaptic operations, or all multiply-accumulates of a float network: `748,544 SOPs`."""
+    """Synaptic operations, all multiply-accumulates of a float network, or a script's operations.
+
+    Such as `748,544 SOPs`.
+    """
     if row.get("sops_per_inference") is not None:
         return f"{row['sops_per_inference']:,.0f} SOPs"
+    if counted := row.get("operations"):  # of a script
+        return f"{sum(counted.values()):,.0f} operations"
     macs = row.get("macs_dense")
     return f"{macs:,.0f} dense MACs" if macs else ABSENT

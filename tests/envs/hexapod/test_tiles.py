@@ -6,10 +6,11 @@ import pytest
 
 from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
-from spikedeploy.envs.hexapod.footholds import FootholdScript
+from spikedeploy.envs.hexapod.footholds import FootholdScript, TileMap
 from spikedeploy.envs.hexapod.legs import feet, joints
 from spikedeploy.envs.hexapod.robot import LEGS, STANCE, Field
 from spikedeploy.envs.hexapod.tiles import AIRTIME, SCANS, HexapodTilesEnv, Tiles
+from spikedeploy.envs.rollout import rollout
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.recordings import record
 from spikedeploy.runtime.errors import ConfigError
@@ -138,13 +139,44 @@ def test_the_script_succeeds_and_standing_does_not(env):
     assert not info["success"]
 
 
-def test_the_script_is_a_policy_of_the_view_around(env):
+def test_the_script_is_a_policy_of_both_views(env):
     player = open_policy(find("footholds"), None, envs.make("hexapod-tiles"))
     observation, _ = env.reset(seed=1)
     np.testing.assert_array_equal(player.act(observation), FootholdScript(env).act(observation))
-    for elsewhere in (envs.make("hexapod-tiles", view="ahead"), envs.make("hexapod")):
-        with pytest.raises(ConfigError, match="for hexapod-tiles, and sees its view around"):
-            open_policy(find("footholds"), None, elsewhere)
+    assert open_policy(find("footholds"), None, envs.make("hexapod-tiles", view="ahead"))
+    with pytest.raises(ConfigError, match="footholds is for hexapod-tiles"):
+        open_policy(find("footholds"), None, envs.make("hexapod"))
+
+
+def test_looking_ahead_the_script_steps_by_its_map():
+    """With pushes; what lies about the feet was seen before, and has to be remembered."""
+    ahead = HexapodTilesEnv(view="ahead")
+    script = FootholdScript(ahead)
+    observation, _ = ahead.reset(seed=5_001)
+    for _ in range(400):
+        observation, *_, info = ahead.step(script.act(observation))
+    assert info["touchdowns"] > 40
+    assert info["misstep_share"] < 0.08  # blind it is about 0.28
+
+
+def test_a_map_takes_the_majority_of_its_points():
+    found, points = TileMap(), np.array([[0.51, 0.1], [0.53, 0.1]])
+    assert found.at(points).tolist() == [0.0, 0.0]
+    found.add(points, np.array([1.0, 0.0]))
+    assert found.at(points + 0.005).tolist() == [1.0, 0.0]
+    for _ in range(2):
+        found.add(points, np.array([0.0, 1.0]))
+    assert found.at(points).tolist() == [0.0, 1.0]
+
+
+def test_operations_of_the_script_are_counted_and_shown(env):
+    player = open_policy(find("footholds"), None, envs.make("hexapod-tiles"))
+    played = rollout(envs.make("hexapod-tiles", max_steps=30), player, seed=1)
+    found = player.costs(played).operations
+    # three legs swing: 35 points are compared for each, and six legs have inverse kinematics
+    assert found["comparisons"] >= 3 * 34
+    assert (found["arccos"], found["hypot"]) == (12, 12)
+    assert 1_000 < found["multiplications"] < 1_500 < found["additions"] < 2_000
 
 
 def test_pages_show_tiles_and_missteps():
