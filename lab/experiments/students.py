@@ -1,9 +1,9 @@
-"""The students experiment: what the defaults of `distill` make of other people's teachers.
+"""The students experiment: what the defaults of `distill` make of teachers of Stable-Baselines3.
 
-Stable-Baselines3 trains one teacher a task, in three to twelve minutes of one core, which is kept
-in results/students. Of each seed `distill` trains a spiking student and its float rival, without
-any setting. All play the same episodes, which nothing was trained or chosen on: the student on the
-chip, the rival with weights of 8 bits.
+They are trained here, one a task, in three to twelve minutes of one core, and kept in
+results/students. Of each seed `distill` trains a spiking student and its float rival, without any
+setting; a linear policy is trained and pruned likewise. All play the same episodes: the student on
+the chip, float policies with weights of 8 bits.
 """
 
 import csv
@@ -27,24 +27,26 @@ from lab.experiments.networks import (
     network,
     play,
     random_actions,
-    share_of_teacher,
 )
 from lab.experiments.pages import ROOT, grouped, mean, number, share
 from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows, write_exactly
-from spikedeploy import zoo
+from spikedeploy import envs, zoo
 from spikedeploy.commands.distillation import FLOAT, RIVAL, SPARSE, STUDENT
+from spikedeploy.comparison.statistics import nested_ratio
 from spikedeploy.envs.foreign import attribute, import_target
 from spikedeploy.files import replacing
 from spikedeploy.reports.table import ABSENT
+from spikedeploy.runtime.metrics.energy import TABLES
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.sparse.pool import BatchController
+from spikedeploy.trainers.sparse.pool import BatchController, Stateless
 
-TEACHER, RANDOM = "teacher", "random"
-ROLES = (TEACHER, RANDOM, STUDENT, FLOAT)
+TEACHER, RANDOM, IDLE, LINEAR = "teacher", "random", "no action", "float linear"
+ROLES = (TEACHER, RANDOM, IDLE, STUDENT, FLOAT, LINEAR)
+PRICES = "horowitz45-int8"  # energy table
 TASKS: Mapping[str, Record] = DESIGNS["students"]["tasks"]
 TEACHERS = ROOT / "results" / "students"
 WANTED = 0.97  # of the teacher
@@ -55,7 +57,7 @@ _COLUMNS = ("task", "role", "seed", "episodes", "operations", "updates", "minute
 
 @dataclass(frozen=True)
 class StudentsDesign(Design):
-    """The parts: of each task a teacher, and of each seed a student and its rival.
+    """The parts: of each task a teacher, and of each seed a student and its rivals.
 
     tasks     of designs.toml
     """
@@ -69,12 +71,16 @@ class StudentsDesign(Design):
     }
 
     def trainings(self) -> list[TaskTraining]:
-        """Of each seed the student and the rival of every task."""
+        """Of each seed the student, its rival and a linear policy of every task."""
         return [
             each
             for seed in range(self.seeds)
             for task in self.tasks
-            for each in (self._student(task, seed), self._rival(task, seed))
+            for each in (
+                self._student(task, seed),
+                self._rival(task, seed),
+                self._job(task, LINEAR, seed, "distill-small-linear", {}),
+            )
         ]
 
     def _student(self, task: str, seed: int) -> TaskTraining:
@@ -125,7 +131,7 @@ class StudentsDesign(Design):
         return file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
 
     def _teacher_rows(self, task: str) -> list[StoredRow]:
-        roles = (TEACHER, RANDOM)
+        roles = (TEACHER, RANDOM, IDLE)
         return [row for role in roles for row in self._rows(task, role, 0, None)]
 
     def _rows(
@@ -148,7 +154,9 @@ class StudentsDesign(Design):
         counts: Record = {}
         if training is None:
             act: BatchController = random_actions(env.name)
-            if role != RANDOM:
+            if role == IDLE:
+                act = _idle(env.name)
+            elif role == TEACHER:
                 found = teacher(str(self._file(task)), env.name)
                 act = float_actions(found, is_discrete(env.name))
                 counts = {"operations": float(sum(a * b for a, b in pairwise(found.widths)))}
@@ -190,8 +198,10 @@ class StudentsDesign(Design):
             first_seed=EVALUATION,
             chip=self.chip,
             tasks=tasks,
-            kept=sum(each["mark"] for each in tasks),
-            fewer=np.sum([each["fewer"] for each in tasks], axis=0),
+            trained=sum(STUDENT in each["policies"] for each in tasks),
+            count={n: sum(each[n] for each in tasks) for n in ("kept", "surely", "fewer")},
+            energies=[each["energy"] for each in tasks if each["energy"]],
+            roles={"student": STUDENT, "mlp": FLOAT, "linear": LINEAR},
             missing=[
                 training.name
                 for training in self.trainings()
@@ -200,11 +210,20 @@ class StudentsDesign(Design):
             ],
             each=_each,
             minutes=lambda of: number(of and of["minutes"]),
+            number=number,
             share=share,
             facts=[f"- {pages.releases('torch', 'numpy', 'gymnasium', 'mujoco')}"],
-            **{"WANTED": WANTED},
+            **{"WANTED": WANTED, "PRICES": PRICES},
         )
         return [page, table, shown]
+
+
+def _idle(env: str) -> Stateless:
+    """Actions of 0, the middle of their range."""
+    world: Any = envs.make(env)
+    actions = world.action_space.shape[0]
+    world.close()
+    return Stateless(lambda seen: np.zeros((len(seen), actions)))
 
 
 def _teach(of: Record, file: Path) -> Record:
@@ -241,39 +260,53 @@ def _place(row: Record) -> tuple[int, int, int]:
 
 def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
     """Facts that the page shows of a task."""
-    taught, at_random = by[task, TEACHER][0], by[task, RANDOM][0]
-    # the share of the way from random actions to the teacher, where returns are negative
-    earned, random = (float(np.mean(each["scores"])) for each in (taught, at_random))
+    taught = by[task, TEACHER][0]["scores"]
+    earned, random = float(np.mean(taught)), float(np.mean(by[task, RANDOM][0]["scores"]))
+    idle = float(np.mean(by[task, IDLE][0]["scores"])) if (task, IDLE) in by else None
+    roles = {role: by[task, role] for role in (STUDENT, FLOAT, LINEAR) if (task, role) in by}
+    # of the way from what random actions earn to what the teacher does, as `distill` prunes by
     shares = {
-        role: share_of_teacher([row["scores"] for row in rows], taught["scores"], random)
-        for role in (STUDENT, FLOAT)
-        if (rows := by.get((task, role), []))
+        role: nested_ratio(
+            np.asarray([row["scores"] for row in rows]) - random, np.asarray(taught) - random
+        )
+        for role, rows in roles.items()
     }
-    of = {role: [row["operations"] for row in by[task, role]] for role in shares}
+    enough = [role for role in (FLOAT, LINEAR) if role in shares and shares[role].mean >= WANTED]
+    median = {r: float(np.median([e["operations"] for e in rows])) for r, rows in roles.items()}
+    cheapest = min((median[role] for role in enough), default=None)
+    students = roles.get(STUDENT, [])
+    from_idle = None
+    if students and idle is not None and idle > random:
+        returns = [row["scores"] for row in students]
+        from_idle = float((np.mean(returns) - idle) / (earned - idle))
+    prices = TABLES[PRICES].joules
+    spent = [
+        r["operations"] * prices["sop"] + r["updates"] * prices["neuron_update"] for r in students
+    ]
     return {
         "name": task,
         "env": TASKS[task]["env"],
-        "teacher": taught,
+        "teacher": by[task, TEACHER][0],
         "earned": earned,
         "random": random,
-        "from_random": earned < 0,
-        "students": {
+        "idle": idle,
+        "from_idle": from_idle,
+        "policies": {
             role: {
                 "trainings": len(rows),
                 "share": shares[role],
-                "operations": of[role],
+                "operations": [row["operations"] for row in rows],
                 "updates": [row["updates"] for row in rows],
                 "minutes": mean(rows, "minutes"),
             }
-            for role in (STUDENT, FLOAT)
-            if role in shares
-            for rows in [by[task, role]]
+            for role, rows in roles.items()
         },
-        "mark": STUDENT in shares and shares[STUDENT].mean >= WANTED,
-        "fewer": [
-            len(shares) == 2 and typical(of[STUDENT]) < typical(of[FLOAT])
-            for typical in (np.median, np.min)
-        ],
+        "energy": float(np.median(spent)) / (cheapest * prices["mac"])
+        if spent and cheapest
+        else None,
+        "kept": STUDENT in shares and shares[STUDENT].mean >= WANTED,
+        "surely": STUDENT in shares and shares[STUDENT].ci95[0] >= WANTED,
+        "fewer": bool(students) and cheapest is not None and median[STUDENT] < cheapest,
     }
 
 
