@@ -7,14 +7,16 @@ the chip, float policies with weights of 8 bits.
 """
 
 import csv
+import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
+from statistics import median
 from typing import Any, ClassVar
 
 import numpy as np
@@ -46,10 +48,11 @@ from spikedeploy.trainers.sparse.pool import BatchController, Stateless
 
 TEACHER, RANDOM, IDLE, LINEAR = "teacher", "random", "no action", "float linear"
 ROLES = (TEACHER, RANDOM, IDLE, STUDENT, FLOAT, LINEAR)
-PRICES = "horowitz45-int8"  # energy table
+PRICES = ("horowitz45-int8", "horowitz45-int8-acc16")  # sums in registers, in memory
 TASKS: Mapping[str, Record] = DESIGNS["students"]["tasks"]
 TEACHERS = ROOT / "results" / "students"
 WANTED = 0.97  # of the teacher
+_TYPICAL: Sequence[Callable[[Sequence[float]], float]] = (median, min)  # of trainings
 _VERSION = 1  # of what a row holds; a higher one makes all rows again
 _TEXT = ("task", "role")
 _COLUMNS = ("task", "role", "seed", "episodes", "operations", "updates", "minutes", "scores")
@@ -199,7 +202,8 @@ class StudentsDesign(Design):
             chip=self.chip,
             tasks=tasks,
             trained=sum(STUDENT in each["policies"] for each in tasks),
-            count={n: sum(each[n] for each in tasks) for n in ("kept", "surely", "fewer")},
+            count={name: sum(each[name] for each in tasks) for name in ("kept", "surely")},
+            fewer=np.sum([each["fewer"] for each in tasks], axis=0),
             energies=[each["energy"] for each in tasks if each["energy"]],
             roles={"student": STUDENT, "mlp": FLOAT, "linear": LINEAR},
             missing=[
@@ -264,25 +268,26 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
     earned, random = float(np.mean(taught)), float(np.mean(by[task, RANDOM][0]["scores"]))
     idle = float(np.mean(by[task, IDLE][0]["scores"])) if (task, IDLE) in by else None
     roles = {role: by[task, role] for role in (STUDENT, FLOAT, LINEAR) if (task, role) in by}
-    # of the way from what random actions earn to what the teacher does, as `distill` prunes by
+    # of the way from what no policy earns to what the teacher does
+    zero = max(random, -np.inf if idle is None else idle)
     shares = {
         role: nested_ratio(
-            np.asarray([row["scores"] for row in rows]) - random, np.asarray(taught) - random
+            np.asarray([row["scores"] for row in rows]) - zero, np.asarray(taught) - zero
         )
         for role, rows in roles.items()
     }
     enough = [role for role in (FLOAT, LINEAR) if role in shares and shares[role].mean >= WANTED]
-    median = {r: float(np.median([e["operations"] for e in rows])) for r, rows in roles.items()}
-    cheapest = min((median[role] for role in enough), default=None)
-    students = roles.get(STUDENT, [])
-    from_idle = None
-    if students and idle is not None and idle > random:
-        returns = [row["scores"] for row in students]
-        from_idle = float((np.mean(returns) - idle) / (earned - idle))
-    prices = TABLES[PRICES].joules
-    spent = [
-        r["operations"] * prices["sop"] + r["updates"] * prices["neuron_update"] for r in students
+    counts = {role: [row["operations"] for row in rows] for role, rows in roles.items()}
+    cheapest = [
+        min((typical(counts[role]) for role in enough), default=math.inf) for typical in _TYPICAL
     ]
+    students = roles.get(STUDENT, [])
+    energy = []
+    for price in (TABLES[name].joules for name in PRICES if students and enough):
+        spent = [
+            r["operations"] * price["sop"] + r["updates"] * price["neuron_update"] for r in students
+        ]
+        energy.append(float(np.median(spent) / (cheapest[0] * price["mac"])))
     return {
         "name": task,
         "env": TASKS[task]["env"],
@@ -290,23 +295,23 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
         "earned": earned,
         "random": random,
         "idle": idle,
-        "from_idle": from_idle,
         "policies": {
             role: {
                 "trainings": len(rows),
                 "share": shares[role],
-                "operations": [row["operations"] for row in rows],
+                "operations": counts[role],
                 "updates": [row["updates"] for row in rows],
                 "minutes": mean(rows, "minutes"),
             }
             for role, rows in roles.items()
         },
-        "energy": float(np.median(spent)) / (cheapest * prices["mac"])
-        if spent and cheapest
-        else None,
+        "energy": energy,
         "kept": STUDENT in shares and shares[STUDENT].mean >= WANTED,
         "surely": STUDENT in shares and shares[STUDENT].ci95[0] >= WANTED,
-        "fewer": bool(students) and cheapest is not None and median[STUDENT] < cheapest,
+        "fewer": [
+            bool(students) and typical(counts[STUDENT]) < least
+            for typical, least in zip(_TYPICAL, cheapest, strict=True)
+        ],
     }
 
 
