@@ -202,14 +202,14 @@ def _pruned_layers(graph: OnnxGraph, policy: PrunedMlpPolicy, seen: str) -> None
     hidden = seen
     pairs = zip(policy.layers, policy.biases, strict=True)
     for number, (matrix, bias) in enumerate(pairs, start=1):
-        graph.presynaptic(hidden, matrix.weight.shape[1])
-        weight = graph.constant(f"weight{number}", _array(matrix()))
+        graph.presynaptic(hidden, matrix.fan_out.numel())
+        weight = graph.constant(f"weight{number}", _array(matrix.whole()))
         offset = graph.constant(f"bias{number}", _array(bias))
         hidden = graph.node("Gemm", [hidden, weight, offset], f"affine{number}", transB=1)
         if number < len(policy.layers):
             hidden = graph.node("Relu", [hidden], f"hidden{number}")
     if policy.skip:
-        past = graph.constant("skip_weight", _array(policy.past().T))
+        past = graph.constant("skip_weight", _array(policy.past.whole().T))
         hidden = graph.node("Add", [hidden, graph.node("MatMul", [seen, past], "skip")], "sum")
     squash = "Identity" if policy.head == "discrete" else "Tanh"
     graph.node(squash, [hidden], OUTPUTS[policy.head])

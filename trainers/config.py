@@ -134,8 +134,11 @@ class ChipSnnConfig(_Section):
 class DeltaSnnConfig(_Section):
     """Signed events into a small layer of LIF neurons, and past it into leaky readouts.
 
-    hidden: neurons; 0 leaves a delta-coded linear policy
+    hidden: neurons, of each copy; 0 leaves a delta-coded linear policy
     skip: whether events also reach the readout directly
+    copies: "legs" for one network that every leg of a hexapod-tiles has a copy of
+    deep: neurons of `hidden` that read spikes of the others instead of events
+    recurrent: whether these also read each other's
     integrated: whether they do so through readouts of their own that hardly decay
     most, code: events of an observation in a timestep, and on which channels; see
         runtime.codec.delta
@@ -148,6 +151,9 @@ class DeltaSnnConfig(_Section):
     kind: Literal["delta-snn"] = "delta-snn"
     hidden: Count = 8
     skip: bool = True
+    copies: Literal["", "legs"] = ""
+    deep: Count = 0
+    recurrent: bool = False
     integrated: bool = False
     most: Events = 3
     timesteps: Timesteps = 1
@@ -155,11 +161,20 @@ class DeltaSnnConfig(_Section):
     clock: Literal["gated", "pipelined"] = "pipelined"
     surrogate_width: Rate = 2.0
 
+    @model_validator(mode="after")
+    def _deep_neurons_read_others(self) -> "DeltaSnnConfig":
+        if self.deep and self.deep >= self.hidden:
+            raise ValueError(
+                f"deep: {self.deep} of {self.hidden} hidden neurons leave none that reads events. "
+                "Make hidden larger"
+            )
+        return self
+
 
 class DeltaMlpConfig(_Section):
     """Signed events into a layer of sigma-delta ReLU neurons, and past it into the readout.
 
-    hidden, skip, most, code, clock: as in DeltaSnnConfig
+    hidden, skip, copies, most, code, clock: as in DeltaSnnConfig
     threshold: of a neuron, below which a change of its activation is not sent [standard deviations
         of the activation]
     """
@@ -167,6 +182,7 @@ class DeltaMlpConfig(_Section):
     kind: Literal["delta-mlp"] = "delta-mlp"
     hidden: Positive = 16
     skip: bool = True
+    copies: Literal["", "legs"] = ""
     most: Events = 3
     code: Literal["unary", "one-hot"] = "one-hot"
     clock: Literal["gated", "pipelined"] = "pipelined"
@@ -174,11 +190,31 @@ class DeltaMlpConfig(_Section):
 
 
 class PrunedMlpConfig(_Section):
-    """A small float network with a skip connection, pruned as the spiking ones are."""
+    """A small float network with a skip connection, pruned as the spiking ones are.
+
+    hidden: widths of its layers, of each copy
+    copies: as in DeltaSnnConfig
+    """
 
     kind: Literal["pruned-mlp"] = "pruned-mlp"
     hidden: tuple[Width, ...] = (16,)
     skip: bool = True
+    copies: Literal["", "legs"] = ""
+
+
+class PrunedGruConfig(_Section):
+    """Layers as those of PrunedMlpConfig, and a memory behind them.
+
+    hidden: widths of the layers, of each copy
+    gru: units of the memory, of each copy
+    copies: as in DeltaSnnConfig
+    """
+
+    kind: Literal["pruned-gru"] = "pruned-gru"
+    hidden: tuple[Width, ...] = Field(default=(64,), min_length=1)
+    gru: Positive = 64
+    skip: bool = True
+    copies: Literal["", "legs"] = ""
 
 
 Triple = tuple[Width, Width, Width]
@@ -269,6 +305,7 @@ PolicyConfig = Annotated[
     | DeltaSnnConfig
     | DeltaMlpConfig
     | PrunedMlpConfig
+    | PrunedGruConfig
     | VisionConfig
     | VisionSnnConfig,
     Field(discriminator="kind"),

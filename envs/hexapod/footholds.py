@@ -11,6 +11,7 @@ lie by odometry.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +79,10 @@ class FootholdScript:
 
     def act(self, observation: FloatArray) -> FloatArray:
         """The action (18,)."""
+        return self.act_over(observation, self._scan(observation))
+
+    def act_over(self, observation: FloatArray, scan: FloatArray) -> FloatArray:
+        """The action (18,) where points (6, 35) about the footholds are forbidden."""
         sine, cosine = (self._measured(observation, "phase")[k : k + 1] for k in (0, 1))
         heading, lateral = (self._measured(observation, name) for name in ("heading", "lateral"))
         turn = np.clip(-_HEADING * heading - _LATERAL * lateral, -_TURN, _TURN)
@@ -87,7 +92,6 @@ class FootholdScript:
         place = now - CONTROL_DT * _passing(now, turn)
         height = STANDING[:, 2] + np.zeros_like(done)
         legs = np.flatnonzero(done < 1.0)
-        scan = self._scan(observation, heading, lateral)
         place[legs] = self._step(legs, scan[legs], now[legs], done[legs], turn)
         height[legs] += _lifted(done[legs] + CONTROL_DT / _SWING)
         wanted = joints(np.concatenate([place, height[:, None]], 1)) - STANCE
@@ -95,13 +99,12 @@ class FootholdScript:
         action: FloatArray = np.minimum(np.maximum(moved, -1.0), 1.0)
         return action
 
-    def _scan(
-        self, observation: FloatArray, heading: FloatArray, lateral: FloatArray
-    ) -> FloatArray:
+    def _scan(self, observation: FloatArray) -> FloatArray:
         """The scan (6, 35) of the footholds, 1 where a point is forbidden; ahead from the map."""
         seen = observation[self._slices["scan"]]  # 0 and 1, as they are observed
         if not self._ahead:
             return seen.reshape(6, -1)
+        heading, lateral = (self._measured(observation, name) for name in ("heading", "lateral"))
         cosine, sine = np.cos(heading), np.sin(heading)
         moving = self._measured(observation, "velocity")
         velocity = cosine * moving[:1] - sine * moving[1:2]  # along the course
@@ -148,6 +151,18 @@ class FootholdScript:
         arriving = np.maximum((_ARRIVED - done) * _SWING, CONTROL_DT)[:, None] + _LAG
         reached: FloatArray = chosen - arriving * passing
         return reached
+
+
+class KnowingScripts:
+    """The script in several environments at once, which is shown the ground of each as it is."""
+
+    def __init__(self, worlds: Sequence[HexapodTilesEnv]) -> None:
+        self._worlds, self._script = worlds, FootholdScript(worlds[0])
+
+    def act_all(self, observation: FloatArray) -> FloatArray:
+        """Actions (B, 18) for the observations (B, obs) of the first B environments, of now."""
+        pairs = zip(self._worlds, observation, strict=False)
+        return np.stack([self._script.act_over(x, w.scan_footholds()) for w, x in pairs])
 
 
 def _lifted(done: FloatArray) -> FloatArray:

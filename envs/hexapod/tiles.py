@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Literal, get_args
@@ -42,6 +42,7 @@ GRID = 7, 5  # points of the scan of a foothold, along and across
 _OVER_FEET = np.stack(
     np.meshgrid(_STEP * np.arange(-2, 5), _STEP * np.arange(-2, 3), indexing="ij"), -1
 ).reshape(-1, 2)  # (35, 2)
+_ACROSS = 23  # points of a strip, from its right to its left
 _STRIP = np.stack(
     np.meshgrid(0.30 + _STEP * np.arange(6), _STEP * np.arange(-11, 12), indexing="ij"), -1
 ).reshape(-1, 2)  # (138, 2)
@@ -51,10 +52,54 @@ SCANS: dict[View, FloatArray] = {
     "around": (NEUTRAL[:, None] + _OVER_FEET).reshape(-1, 2),
     "ahead": _STRIP,
 }
+_LEFT = np.array([False, False, False, True, True, True])  # legs, RF to LR
+_SECOND = np.array([False, True, False, True, False, True])  # those of the second tripod
+_LANE = 2  # points of a strip to either side of a leg's foothold that it reads
 _SEEN = 1.5  # [m] from the robot, within which tiles are drawn
 _MARKED = 40  # missteps that are drawn
 _FORBIDDEN, _MISSTEP = (0.62, 0.16, 0.12, 1.0), (1.0, 0.85, 0.1, 1.0)  # colours
 _NOISE: dict[View, float] = {"around": 0.0, "ahead": 0.02}
+
+
+def leg_inputs(
+    observation: Mapping[str, slice],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return which numbers of an observation each leg reads (6, F), and their signs (6, F).
+
+    Left legs read what a mirror shows, and legs of the second tripod half a period later: one
+    network serves all. A leg reads the pose of the body, its own joints, and its own part of the
+    scan: the points about its foothold, or of the strip ahead those that come to lie there.
+
+    observation: slices of HexapodTilesEnv.OBSERVATION
+    """
+
+    def of(name: str, *places: int) -> NDArray[np.int64]:
+        return np.array([observation[name].start + place for place in places])
+
+    body = [  # and the signs of what a mirror shows
+        (of("gravity", 0), 1), (of("gravity", 1), -1), (of("heading", 0), -1),
+        (of("velocity", 0), 1), (of("velocity", 1), -1), (of("angular_velocity", 2), -1),
+        (of("lateral", 0), -1),
+    ]  # fmt: skip
+    scan = np.arange(observation["scan"].start, observation["scan"].stop)
+    inputs, signs = [], []
+    for leg in range(6):
+        own = [of(name, 3 * leg, 3 * leg + 1, 3 * leg + 2) for name in ("joints", "previous")]
+        points = _lane(scan, leg)
+        seen = [*own, of("contact", leg), points[:, ::-1].ravel() if _LEFT[leg] else points.ravel()]
+        inputs.append(np.concatenate([of("phase", 0, 1), *(each for each, _ in body), *seen]))
+        tripod, mirror = 1 - 2 * int(_SECOND[leg]), [m if _LEFT[leg] else 1 for _, m in body]
+        signs.append([tripod, tripod, *mirror] + [1] * sum(map(len, (n.ravel() for n in seen))))
+    return np.stack(inputs), np.array(signs)
+
+
+def _lane(scan: NDArray[np.int64], leg: int) -> NDArray[np.int64]:
+    """Return the points (along, across) of a scan that a leg reads."""
+    if len(scan) == len(SCANS["around"]):
+        points: NDArray[np.int64] = scan.reshape(6, *GRID)[leg]
+        return points
+    across = np.abs(_STRIP[:, 1].reshape(-1, _ACROSS)[0] - NEUTRAL[leg, 1]).argmin()
+    return scan.reshape(-1, _ACROSS)[:, across - _LANE : across + _LANE + 1]
 
 
 @dataclass(frozen=True)
@@ -157,6 +202,10 @@ class HexapodTilesEnv(HexapodEnv):
         """The missteps so far: control step, and where [m] (x, y)."""
         return self._missed
 
+    def scan_footholds(self) -> FloatArray:
+        """Return 1 where a point about a leg's foothold is forbidden (6, 35), as the ground is."""
+        return self._scan("around").reshape(6, -1)
+
     def _begin(self) -> None:
         self._tiles = Tiles.draw(self.FIELD, self._tile, self._share, self.np_random)
         self._airtime = np.zeros(6, np.int64)
@@ -189,12 +238,19 @@ class HexapodTilesEnv(HexapodEnv):
         return len(self._missed) / max(self._touchdowns, 1)
 
     def _further(self, motion: Motion) -> tuple[FloatArray, ...]:
-        cosine, sine = math.cos(motion.heading), math.sin(motion.heading)
-        turned = SCANS[self.view] @ np.array([[cosine, sine], [-sine, cosine]])
-        seen = self._tiles.at(turned + motion.position[:2])
+        self._pose = motion.heading, motion.position[:2]
+        seen = self._scan(self.view)
         if self._noise:
-            seen = seen ^ (self.np_random.random(len(seen)) < self._noise)
-        return (seen.astype(np.float64),)
+            wrong = self.np_random.random(len(seen)) < self._noise
+            seen = np.where(wrong, 1.0 - seen, seen)
+        return (seen,)
+
+    def _scan(self, view: View) -> FloatArray:
+        """Return 1 where a point of a scan is forbidden (n,), 0 elsewhere, without noise."""
+        heading, place = self._pose
+        cosine, sine = math.cos(heading), math.sin(heading)
+        turned = SCANS[view] @ np.array([[cosine, sine], [-sine, cosine]])
+        return self._tiles.at(turned + place).astype(np.float64)
 
     def _marks(self) -> Iterator[Mark]:
         """Forbidden tiles about the robot, and missteps."""

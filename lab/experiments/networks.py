@@ -35,7 +35,7 @@ from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.export_run import kind_of
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.distill.teacher import Teacher
-from spikedeploy.trainers.policies import Policy, PrunedMlpPolicy
+from spikedeploy.trainers.policies import Policy, PrunedGruPolicy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.policy import PrunedWeight
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse import pool
@@ -78,7 +78,31 @@ def network(run: Path, level: str, place: str, stem: Path) -> PlacedNetwork:
     if isinstance(policy, PrunedMlpPolicy):
         rounded = in_bits(policy, int(place.removeprefix("int"))) if place != "float32" else policy
         return _pruned(rounded, origin, stem.with_name(f"{stem.name}-{place}.onnx"))
+    if isinstance(policy, PrunedGruPolicy):
+        return _with_memory(in_bits(policy, int(place.removeprefix("int"))))
     raise TypeError(f"{type(policy).__name__} is no policy that is pruned")
+
+
+def _with_memory(policy: PrunedGruPolicy) -> PlacedNetwork:
+    @torch.no_grad()
+    def counts(walks: Sequence[Walk]) -> Counts:
+        macs, steps = 0.0, 0
+        for walk in walks:
+            seen = torch.from_numpy(walk.observation)[None]
+            inputs = policy.unrolled(seen.float(), *policy.rest(1)).inputs
+            pairs = zip(inputs, policy.groups, strict=True)
+            macs += sum(float(((x != 0).float() @ m.fan_out).sum()) for x, m in pairs)
+            steps += len(walk.observation)
+        first = policy.groups[0].fan_out
+        read = first + policy.past.fan_out if policy.skip else first
+        return {
+            "operations": macs / steps,
+            "observations": float(torch.count_nonzero(read)),
+            # a bias of each unit, and six of one of the memory
+            "constants": float(sum(policy.hidden) + 6 * policy.gru + policy.actions),
+        }
+
+    return PlacedNetwork(FloatController(policy), counts)
 
 
 def _on_chip(policy: Policy, origin: Provenance, path: Path, place: str) -> PlacedNetwork:

@@ -8,6 +8,8 @@ mlp.py         float multilayer perceptron or linear map, its inputs; a pruned o
 spiking.py     several timesteps an inference: encoders, PopSAN, spiking MLP
 chip_snn.py    the same in the integers of a chip, from code to output neurons
 vision.py      counts of an event camera: convolutions with a GRU, or spiking ones
+copies.py      networks that serve several parts of a body with the same weights
+gru.py         a pruned float policy with a memory
 delta.py       one timestep a control step: delta code, LIF or sigma-delta neurons, NIR graphs
 neurons.py     LIF and CuBa-LIF layers with surrogate gradients, compiled, and firing rates
 """
@@ -15,10 +17,15 @@ neurons.py     LIF and CuBa-LIF layers with surrogate gradients, compiled, and f
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
+import numpy as np
+
+from spikedeploy.envs.hexapod.tiles import leg_inputs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import PolicyConfig, require_known
 from spikedeploy.trainers.policies.chip_snn import ChipSnnPolicy
+from spikedeploy.trainers.policies.copies import Copies
 from spikedeploy.trainers.policies.delta import DeltaMlpPolicy, DeltaSnnPolicy
+from spikedeploy.trainers.policies.gru import PrunedGruPolicy
 from spikedeploy.trainers.policies.mlp import Features, MlpPolicy, PrunedMlpPolicy, features
 from spikedeploy.trainers.policies.policy import Head, Latent, Policy
 from spikedeploy.trainers.policies.spiking import PopsanPolicy, SpikingMlpPolicy
@@ -38,6 +45,7 @@ __all__ = [
     "MlpPolicy",
     "Policy",
     "PopsanPolicy",
+    "PrunedGruPolicy",
     "PrunedMlpPolicy",
     "SpikingMlpPolicy",
     "SpikingVisionPolicy",
@@ -51,6 +59,7 @@ _POLICIES: dict[str, Callable[..., Policy]] = {
     "delta-snn": DeltaSnnPolicy,
     "delta-mlp": DeltaMlpPolicy,
     "pruned-mlp": PrunedMlpPolicy,
+    "pruned-gru": PrunedGruPolicy,
     "mlp": MlpPolicy,
     "popsan": PopsanPolicy,
     "spiking-mlp": SpikingMlpPolicy,
@@ -59,8 +68,9 @@ _POLICIES: dict[str, Callable[..., Policy]] = {
     "vision-snn": SpikingVisionPolicy,
 }
 
+_WIDTHS = ("hidden", "gru", "deep")  # settings that are of each copy
 # those whose states live on through an episode: `rest` and `advance`
-StatefulPolicy: TypeAlias = DeltaSnnPolicy | VisionPolicy
+StatefulPolicy: TypeAlias = DeltaSnnPolicy | PrunedGruPolicy | VisionPolicy
 
 
 def build(spec: Mapping[str, Any]) -> Policy:
@@ -71,6 +81,8 @@ def build(spec: Mapping[str, Any]) -> Policy:
         settings["features"] = Features(
             observations=settings["observations"], **settings["features"]
         )
+    if settings.get("copies"):
+        settings["copies"] = Copies(**settings["copies"])
     return policy(**settings)
 
 
@@ -86,6 +98,8 @@ def from_config(
     spec = {**config.model_dump(), "observations": observations, "actions": actions, "clip": clip}
     if "features" in spec:
         spec["features"] = features(spec["features"], observations, columns).spec()
+    if spec.pop("copies", ""):
+        spec |= _of_legs(spec, columns or {})
     if head == "discrete":
         if config.kind == "popsan":
             raise ConfigError(
@@ -94,3 +108,13 @@ def from_config(
             )
         spec["head"] = head
     return build(spec)
+
+
+def _of_legs(spec: Mapping[str, Any], columns: Mapping[str, slice]) -> dict[str, Any]:
+    """Return copies for legs, and the widths of all of them together, for a spec."""
+    if not {"scan", "previous"} <= set(columns):
+        raise ConfigError("copies: legs are those of hexapod-tiles, which scans their footholds")
+    inputs, signs = leg_inputs(columns)
+    copies = Copies(inputs.tolist(), signs.tolist(), np.arange(18).reshape(6, 3).tolist())
+    whole = {n: np.multiply(spec[n], copies.count).tolist() for n in _WIDTHS if n in spec}
+    return {"copies": copies.spec(), **whole}

@@ -11,6 +11,11 @@ observation is and not only how it moved lately:
 
     y     = gamma y + Wo s ;  z = a z + Ws (step n) ;  action = tanh(y + z + c)
 
+Of the hidden neurons some may be deep: they read no events, but what the others, and each other if
+they are recurrent, sent in the timestep before, with currents that do not last:
+
+    I     = R s[t-1]
+
 Currents, membranes and readouts live on from one control step to the next. A control step has T
 timesteps; in each the encoder sends what is still missing, up to its most events, and the action is
 that of the last.
@@ -41,12 +46,12 @@ from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.graph.neurons import SigmaDelta
 from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.policies.copies import Copies, weights_between
 from spikedeploy.trainers.policies.neurons import spike, surrogate
 from spikedeploy.trainers.policies.policy import (
     Head,
     Latent,
     Policy,
-    PrunedWeight,
     TorchNormaliser,
     to_array,
 )
@@ -70,7 +75,7 @@ class DeltaState:
     readout: (B, act)
     integral: (B, act) of an integrated skip
     moved: (B, obs) step times events that arrive in the next timestep, where pipelined
-    spikes: (B, H) likewise of the hidden neurons
+    spikes: (B, H) of the hidden neurons in the last timestep
     """
 
     level: Tensor
@@ -85,16 +90,20 @@ class DeltaState:
 class DeltaSnnPolicy(Policy):
     """Signed events into a small layer of LIF neurons and, past it, into the readout.
 
-    hidden: neurons H of the layer; 0 leaves the readout alone: a delta-coded linear policy, whose
-        readout decays as slowly as the currents do
+    hidden: neurons H of the layer, of all copies together; 0 leaves the readout alone: a
+        delta-coded linear policy, whose readout decays as slowly as the currents do
     skip: whether events also reach the readout directly
     integrated: whether they do so through readouts that hardly decay
     most, code, events_above: of the encoder, see runtime.codec.delta.DeltaEncoder
     clock: "pipelined", or "gated" for software and hardware that can update layer after layer
     timesteps: T of a control step
+    copies: of a network that serves several parts of a body; None for one network
+    deep: hidden neurons, the last ones of each copy, that read the others instead of events
+    recurrent: whether they also read each other
     step: (obs,) distance that one event stands for [normalised observation]
     threshold: (H,) membrane above which a neuron spikes: 1, or the chip's nearest to it
     into, out, past: synapses onto the hidden neurons, from them, and past them
+    back: synapses from hidden neurons onto deep ones; its other masks are 0
     """
 
     kind = "delta-snn"
@@ -118,9 +127,13 @@ class DeltaSnnPolicy(Policy):
         integrated: bool = False,
         clock: Literal["gated", "pipelined"] = "pipelined",
         timesteps: int = 1,
+        copies: Copies | None = None,
+        deep: int = 0,
+        recurrent: bool = False,
     ) -> None:
         super().__init__()
-        self.clock, self.timesteps = clock, timesteps
+        self.clock, self.timesteps, self.copies = clock, timesteps, copies
+        self.deep, self.recurrent = deep, recurrent
         self.observations, self.actions, self.hidden = observations, actions, hidden
         self.integrated = integrated and skip and hidden > 0
         self.skip, self.most, self.code = skip or not hidden, most, code
@@ -130,17 +143,41 @@ class DeltaSnnPolicy(Policy):
         self.normalizer = TorchNormaliser(observations, clip)
         self.register_buffer("step", torch.full((observations,), step))
         self.register_buffer("threshold", torch.full((hidden,), _THRESHOLD))
-        spread = 0.6 * (2 / observations) ** 0.5
-        self.into = PrunedWeight(torch.randn(hidden, observations) * spread)
+        self.into = weights_between(
+            copies, (observations, hidden), lambda n, m: torch.randn(n, m) * (0.6 * (2 / m) ** 0.5),
+            reads=True,
+        )  # fmt: skip
         self.bias = nn.Parameter(torch.full((hidden,), 0.2))
-        self.out = PrunedWeight(torch.randn(actions, hidden) * 0.75 / max(hidden, 1) ** 0.5)
-        past = torch.zeros(actions, observations if self.skip else 0)
-        self.past = PrunedWeight(past)
+        self.out = weights_between(
+            copies, (hidden, actions), lambda n, m: torch.randn(n, m) * 0.75 / max(m, 1) ** 0.5,
+            acts=True,
+        )  # fmt: skip
+        self.back = weights_between(copies, (hidden if deep else 0,) * 2, _back)
+        self._connect(deep // (copies.count if copies else 1))
+        read = observations if self.skip else 0
+        self.past = weights_between(copies, (read, actions), torch.zeros, reads=True, acts=True)
         self.action_bias = nn.Parameter(torch.zeros(actions))
         beta, gamma = torch.logit(torch.tensor(_BETA)), torch.logit(torch.tensor(_GAMMA))
         self._beta = nn.Parameter(beta.repeat(hidden))
         self._gamma = nn.Parameter(gamma.repeat(actions))
         self._gradient = surrogate("atan", surrogate_width)
+
+    def _connect(self, deep: int) -> None:
+        """Take out the synapses that the last `deep` neurons of a copy do not have."""
+        if not deep:
+            return
+        self.into.mask[-deep:] = 0.0
+        self.back.mask[:-deep] = 0.0
+        if not self.recurrent:
+            self.back.mask[:, -deep:] = 0.0
+
+    @property
+    def deep_neurons(self) -> Tensor:
+        """Which hidden neurons (H,) are deep."""
+        copies = self.copies.count if self.copies else 1
+        places = torch.arange(self.hidden).view(copies, -1) if self.hidden else torch.zeros(1, 0)
+        width, deep = places.shape[1], self.deep // copies
+        return (torch.arange(self.hidden) % max(width, 1)) >= width - deep
 
     @property
     def beta(self) -> Tensor:
@@ -193,13 +230,17 @@ class DeltaSnnPolicy(Policy):
         """Take one timestep: return events (B, obs) and hidden spikes (B, H)."""
         events = self.events(observation, state.level)
         state.level = state.level + events
-        moved = self._late("moved", events * self.step, state)
-        state.current = self.current_decay * state.current + moved @ self.into().T
+        moved = self._late(events * self.step, state)
+        kept, before = self.current_decay * state.current, state.spikes
+        if self.deep:
+            kept = torch.where(self.deep_neurons, self.back.drive(before, self.back()), kept)
+        state.current = kept + self.into.drive(moved, self.into())
         membrane = self.beta * state.membrane + state.current + self.bias
         spikes = (membrane > self.threshold).to(membrane.dtype)
         state.membrane = membrane * (1 - spikes)
-        drive: Tensor = self._late("spikes", spikes, state) @ self.out().T
-        past = moved @ self.past().T if self.skip else 0.0
+        state.spikes = spikes
+        drive = self.out.drive(before if self.delay else spikes, self.out())
+        past = self.past.drive(moved, self.past()) if self.skip else 0.0
         if self.integrated:
             state.integral = self.current_decay * state.integral + past
         else:
@@ -207,12 +248,11 @@ class DeltaSnnPolicy(Policy):
         state.readout = self.gamma * state.readout + drive
         return events, spikes
 
-    def _late(self, kind: Literal["moved", "spikes"], sent: Tensor, state: DeltaState) -> Tensor:
+    def _late(self, sent: Tensor, state: DeltaState) -> Tensor:
         """Return what arrives in a timestep that sends so much: pipelined, what came before."""
         if not self.delay:
             return sent
-        arriving: Tensor = getattr(state, kind)
-        setattr(state, kind, sent)
+        arriving, state.moved = state.moved, sent
         return arriving
 
     def unrolled(
@@ -228,7 +268,7 @@ class DeltaSnnPolicy(Policy):
         """
         burn_in *= self.timesteps
         if not self.hidden:  # the readouts hold what currents would hold
-            mean = self._last(seen) @ weights.past.T + self.action_bias
+            mean = self.past.drive(self._last(seen), weights.past) + self.action_bias
             return mean, mean.new_zeros(*mean.shape[:2], 0)
         hidden, actions = (seen.new_zeros(len(seen), n) for n in (self.hidden, self.actions))
         runs_on = 1 - begins[:, None].to(seen.dtype)
@@ -239,7 +279,7 @@ class DeltaSnnPolicy(Policy):
         _, *after = self._window(seen[:, burn_in:], moved[:, burn_in:], weights, states)
         mean, spikes = (torch.cat(parts, 1) for parts in zip(before, after, strict=True))
         if self.integrated:  # the integrals hold what currents would hold
-            mean = mean + seen @ weights.past.T
+            mean = mean + self.past.drive(seen, weights.past)
         steps = spikes.reshape(len(spikes), -1, self.timesteps, self.hidden)
         return self._last(mean), steps.sum(2)
 
@@ -256,16 +296,19 @@ class DeltaSnnPolicy(Policy):
         """
         membrane, readout, emitted = states
         raster, means = [emitted], [readout]
-        for drive in (seen @ weights.into.T + weights.bias).unbind(1):
+        deep = self.deep_neurons if self.deep else None
+        for drive in (self.into.drive(seen, weights.into) + weights.bias).unbind(1):
+            if deep is not None:
+                drive = drive + self.back.drive(raster[-1], weights.back)
             membrane = weights.beta * membrane + drive
             spikes = spike(membrane - weights.threshold, self._gradient)
             # no gradient through the reset
             membrane = membrane * (1 - spikes.detach())
             raster.append(spikes)
         spiked = torch.stack(raster, 1)
-        onto = (spiked[:, :-1] if self.delay else spiked[:, 1:]) @ weights.out.T
+        onto = self.out.drive(spiked[:, :-1] if self.delay else spiked[:, 1:], weights.out)
         if self.skip and not self.integrated:
-            onto = onto + moved @ weights.past.T
+            onto = onto + self.past.drive(moved, weights.past)
         for drive in onto.unbind(1):
             readout = weights.gamma * readout + drive
             means.append(readout + self.action_bias)
@@ -273,7 +316,7 @@ class DeltaSnnPolicy(Policy):
 
     def weights(self) -> "DeltaWeights":
         """Return what `unrolled` computes with, masks and decay factors applied."""
-        matrices = self.into(), self.out(), self.past()
+        matrices = self.into(), self.out(), self.past(), self.back()
         return DeltaWeights(*matrices, self.beta, self.gamma, self.bias, self.threshold)
 
     def latent(self, observation: Tensor) -> Latent:
@@ -292,9 +335,10 @@ class DeltaSnnPolicy(Policy):
 class DeltaWeights:
     """Weights, decay factors, biases and thresholds of a DeltaSnnPolicy, masks applied.
 
-    into: (H, obs)
-    out: (act, H)
-    past: (act, obs)
+    into: (H, obs), or the block that copies share
+    out: (act, H), likewise
+    past: (act, obs), likewise
+    back: (H, H), likewise; empty without deep neurons
     beta: (H,)
     gamma: (act,)
     bias: (H,)
@@ -304,10 +348,17 @@ class DeltaWeights:
     into: Tensor
     out: Tensor
     past: Tensor
+    back: Tensor
     beta: Tensor
     gamma: Tensor
     bias: Tensor
     threshold: Tensor
+
+
+def _back(n: int, m: int) -> Tensor:
+    """Return initial weights (n, m) of deep neurons, which hear an eighth of the others spike."""
+    weight: Tensor = torch.randn(n, m) * (8 / max(m, 1)) ** 0.5 * 0.6
+    return weight
 
 
 class DeltaMlpPolicy(DeltaSnnPolicy):
@@ -323,7 +374,7 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
     float network's activations. In its DeltaState `current` is sigma, and `membrane` q. Nothing
     decays. A control step has one timestep.
 
-    hidden, skip, most, code, events_above: as in DeltaSnnPolicy
+    hidden, skip, most, code, events_above, copies: as in DeltaSnnPolicy
     share: thresholds are to be so many standard deviations of their neuron's activation
     threshold: (H,) distance that a graded spike of 1 stands for
     """
@@ -343,10 +394,11 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         clip: float = 4.0,
         head: Head = "continuous",
         clock: Literal["gated", "pipelined"] = "pipelined",
+        copies: Copies | None = None,
     ) -> None:
         super().__init__(
             observations, actions, hidden, skip, most, code, events_above,
-            current_decay=1.0, clip=clip, head=head, clock=clock,
+            current_decay=1.0, clip=clip, head=head, clock=clock, copies=copies,
         )  # fmt: skip
         del self._beta, self._gamma
         self.share = threshold
@@ -366,14 +418,14 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         """Take one timestep: return events (B, obs) and graded spikes (B, H)."""
         events = self.events(observation, state.level)
         state.level = state.level + events
-        moved = self._late("moved", events * self.step, state)
-        state.current = state.current + moved @ self.into().T
+        moved, before = self._late(events * self.step, state), state.spikes
+        state.current = state.current + self.into.drive(moved, self.into())
         graded = self._graded(torch.relu(state.current + self.bias), state.membrane)
         state.membrane = state.membrane + graded
-        delivered = self._late("spikes", graded, state)
-        state.readout = state.readout + (delivered * self.threshold) @ self.out().T
+        state.spikes, delivered = graded, before if self.delay else graded
+        state.readout = state.readout + self.out.drive(delivered * self.threshold, self.out())
         if self.skip:
-            state.readout = state.readout + moved @ self.past().T
+            state.readout = state.readout + self.past.drive(moved, self.past())
         return events, graded
 
     def _graded(self, activation: Tensor, sent: Tensor) -> Tensor:
@@ -392,10 +444,12 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         the number of messages that would be sent without a dead zone. Arguments as in
         DeltaSnnPolicy; before a window as much was sent as its first activation is, rounded.
         """
-        mean = seen @ weights.past.T if self.skip else seen.new_zeros(*seen.shape[:2], self.actions)
+        mean = seen.new_zeros(*seen.shape[:2], self.actions)
+        if self.skip:
+            mean = self.past.drive(seen, weights.past)
         if not self.hidden:
             return mean + self.action_bias, seen.new_zeros(*seen.shape[:2], 0)
-        activation = torch.relu(seen @ weights.into.T + weights.bias)
+        activation = torch.relu(self.into.drive(seen, weights.into) + weights.bias)
         level, sent = self._sent(activation.detach(), burn_in, begins)
         held = level * self.threshold + (activation - activation.detach())
         if self.delay:  # the readout holds what had been sent a control step before
@@ -404,7 +458,7 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
             held = torch.cat([held[:, :1], held[:, :-1]], 1).masked_fill(rests, 0.0)
         change = torch.diff(activation, dim=1, prepend=activation[:, :1]).abs() / self.threshold
         messages = sent + (change - change.detach())
-        return mean + held @ weights.out.T + self.action_bias, messages
+        return mean + self.out.drive(held, weights.out) + self.action_bias, messages
 
     @torch.no_grad()
     def _sent(self, activation: Tensor, burn_in: int, begins: Tensor) -> tuple[Tensor, Tensor]:
@@ -477,8 +531,12 @@ def delta_encoder(policy: DeltaSnnPolicy) -> DeltaEncoder:
 def live_neurons(policy: DeltaSnnPolicy) -> Tensor:
     """Return which hidden neurons (H,) have synapses on both sides: others change no action."""
     # a neuron without input may still spike by its bias, as a clock of its own
-    active = policy.into.mask.any(1) | (policy.bias.detach() > 0)
-    return active & policy.out.mask.any(0)
+    active = policy.into.whole_mask.any(1) | (policy.bias.detach() > 0)
+    heard = policy.out.whole_mask.any(0)
+    if policy.deep:
+        active |= policy.back.whole_mask.any(1)
+        heard |= policy.back.whole_mask.any(0)
+    return active & heard
 
 
 def channel_weights(policy: DeltaSnnPolicy, weight: Array) -> Array:
@@ -501,8 +559,8 @@ def event_channels(policy: DeltaSnnPolicy, events: Array) -> NDArray[np.uint8]:
 
 def _used_observations(policy: DeltaSnnPolicy) -> Tensor:
     """Return which observations (obs,) some synapse reads."""
-    used = policy.into.mask[live_neurons(policy)].any(0)
-    return used | policy.past.mask.any(0) if policy.skip else used
+    used = policy.into.whole_mask[live_neurons(policy)].any(0)
+    return used | policy.past.whole_mask.any(0) if policy.skip else used
 
 
 def _graph(policy: DeltaSnnPolicy, dt: float) -> nir.NIRGraph:
@@ -511,14 +569,18 @@ def _graph(policy: DeltaSnnPolicy, dt: float) -> nir.NIRGraph:
     edges: list[tuple[str, str]] = []
     live = live_neurons(policy)
     if bool(live.any()):
-        into = channel_weights(policy, to_array(policy.into()[live]))
+        into = channel_weights(policy, to_array(policy.into.whole()[live]))
         name = hidden_node(policy)
         nodes["fc1"] = nir.Linear(into)
         nodes[name] = _neurons(policy, live, dt)
-        nodes["fc2"] = nir.Linear(to_array((policy.out() * _spike_size(policy))[:, live]))
+        nodes["fc2"] = nir.Linear(to_array((policy.out.whole() * _spike_size(policy))[:, live]))
         edges += [("input", "fc1"), ("fc1", name), (name, "fc2"), ("fc2", "readout")]
+        if policy.deep:
+            nodes["back"] = nir.Linear(to_array(policy.back.whole()[live][:, live]))
+            edges += [(name, "back"), ("back", name)]
     integral = np.full(policy.actions, policy.current_decay)
-    past = policy.past() if policy.skip else policy.step.new_zeros(policy.actions, len(policy.step))
+    zeros = policy.step.new_zeros(policy.actions, len(policy.step))
+    past = policy.past.whole() if policy.skip else zeros
     if not edges or bool(past.any()):  # the input is read, if only with weights of 0
         nodes["skip"] = nir.Linear(channel_weights(policy, to_array(past)))
         edges.append(("input", "skip"))
@@ -553,7 +615,8 @@ def _neurons(policy: DeltaSnnPolicy, live: Tensor, dt: float) -> nir.CubaLIF | n
         return nir.I(np.full(int(live.sum()), 1 / dt))
     beta, bias = to_array(policy.beta[live]), to_array(policy.bias[live])
     # tau = dt / (1 - decay) ; gains of 1 ; V = beta V + I + (1 - beta) v_leak
-    tau_mem, tau_syn = dt / (1 - beta), np.full(beta.size, dt / (1 - policy.current_decay))
+    deep = policy.deep_neurons[live].numpy()
+    tau_mem, tau_syn = dt / (1 - beta), dt / (1 - np.where(deep, 0.0, policy.current_decay))
     return nir.CubaLIF(
         tau_syn=tau_syn,
         tau_mem=tau_mem,

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import require_known
+from spikedeploy.trainers.policies.copies import Copies, he_normal, weights_between
 from spikedeploy.trainers.policies.policy import (
     Head,
     Latent,
@@ -63,10 +64,6 @@ class MlpPolicy(Policy):
         for layer in self.layers[:-1]:
             hidden = torch.relu(layer(hidden))
         return Latent(full_precision(self.layers[-1], hidden), hidden)
-
-    def spec(self) -> dict[str, Any]:
-        """Return the arguments from which `build` makes an equal policy, for JSON."""
-        return {**super().spec(), "features": self.features.spec()}
 
 
 class Features(nn.Module):
@@ -153,8 +150,9 @@ def features(name: str, observations: int, columns: Mapping[str, slice] | None =
 class PrunedMlpPolicy(Policy):
     """A float network with ReLU, a linear path past it, and masks on all weights.
 
-    hidden: widths of the hidden layers; none make it a linear policy
+    hidden: widths of the hidden layers, of all copies together; none make it a linear policy
     skip: whether the observation also reaches the output directly
+    copies: of a network that serves several parts of a body; None for one network
     layers, biases: weights of each hidden layer, then of the output; and their biases
     past: weights of the skip connection
     """
@@ -169,18 +167,21 @@ class PrunedMlpPolicy(Policy):
         skip: bool = True,
         clip: float = 4.0,
         head: Head = "continuous",
+        copies: Copies | None = None,
     ) -> None:
         super().__init__()
         self.observations, self.actions, self.hidden = observations, actions, tuple(hidden)
-        self.skip, self.head = skip and bool(hidden), head
+        self.skip, self.head, self.copies = skip and bool(hidden), head, copies
         self.normalizer = TorchNormaliser(observations, clip)
         widths = list(pairwise((observations, *hidden, actions)))
-        # (He et al. 2015)
+        last = len(widths) - 1
         self.matrices = nn.ModuleList(
-            PrunedWeight(torch.randn(n, m) * (2 / m) ** 0.5) for m, n in widths
+            weights_between(copies, pair, he_normal, reads=k == 0, acts=k == last)
+            for k, pair in enumerate(widths)
         )
         self.biases = nn.ParameterList(torch.zeros(n) for _, n in widths)
-        self.past = PrunedWeight(torch.zeros(actions, observations if self.skip else 0))
+        read = observations if self.skip else 0
+        self.past = weights_between(copies, (read, actions), torch.zeros, reads=True, acts=True)
         self.latent_size = widths[-1][0]
 
     @property
@@ -194,10 +195,10 @@ class PrunedMlpPolicy(Policy):
         inputs = [seen]
         *hidden, last = zip(self.layers, self.biases, strict=True)
         for matrix, bias in hidden:
-            inputs.append(torch.relu(inputs[-1] @ matrix().T + bias))
-        mean = inputs[-1] @ last[0]().T + last[1]
+            inputs.append(torch.relu(matrix.drive(inputs[-1], matrix()) + bias))
+        mean = last[0].drive(inputs[-1], last[0]()) + last[1]
         if self.skip:
-            mean = mean + seen @ self.past().T
+            mean = mean + self.past.drive(seen, self.past())
         return mean, inputs
 
     def latent(self, observation: Tensor) -> Latent:

@@ -58,8 +58,12 @@ class Policy(nn.Module):
     def spec(self) -> dict[str, Any]:
         """Return the arguments from which `build` makes an equal policy, for JSON."""
         found = {name: getattr(self, name) for name in signature(type(self)).parameters}
-        lists = {name: list(value) for name, value in found.items() if isinstance(value, tuple)}
-        return {"kind": self.kind, **found, **lists}
+        for name, value in found.items():
+            if isinstance(value, tuple):
+                found[name] = list(value)
+            elif hasattr(value, "spec"):
+                found[name] = value.spec()
+        return {"kind": self.kind, **found}
 
     def forward(self, observation: Tensor) -> Tensor:
         """Return the deterministic action: (B, act), or (B,) int64 of a discrete head."""
@@ -208,13 +212,27 @@ class PrunedWeight(nn.Module):
         return self.weight * self.mask
 
     def drive(self, inputs: Tensor, weight: Tensor) -> Tensor:
-        """Return what inputs (n, M) bring to each neuron (n, N) through weights of this shape."""
+        """Return what inputs (..., M) bring to each neuron (..., N) through such weights."""
         return inputs @ weight.T
+
+    def whole(self) -> Tensor:
+        """Return the weights of all pairs of neurons (N, M)."""
+        weight: Tensor = self()
+        return weight
+
+    @property
+    def whole_mask(self) -> Tensor:
+        """(N, M) 1 where a neuron has a synapse from another that is left."""
+        return self.mask
+
+    def block(self, matrix: Tensor) -> Tensor:
+        """Return a matrix (N, M) in the shape of the weights."""
+        return matrix
 
     @property
     def fan_out(self) -> Tensor:
         """Synapses (M,) that are left of each presynaptic neuron."""
-        return self.mask.sum(0)
+        return self.whole_mask.sum(0)
 
     def uses(self, rate: Tensor) -> Tensor:
         """Return operations of each weight, of its shape, where inputs take `rate` (M,) each."""

@@ -22,6 +22,11 @@ from spikedeploy.trainers.run_folder import file_sha256, write_errors
 Single = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
 Label = Callable[[FloatArray], FloatArray]
+# entries of the last info, and the columns of their means
+_OUTCOMES = {
+    "fall": "eval_falls", "finish": "eval_finish", "misstep_share": "eval_missteps",
+    "success": "eval_success",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -103,6 +108,11 @@ class Episodes:
         every = range(self._count)
         self._envs: list[Any] = [envs.make(config.name, **config.options) for _ in every]
 
+    @property
+    def worlds(self) -> list[Any]:
+        """The environments behind their wrappers."""
+        return [env.unwrapped for env in self._envs]
+
     def play(
         self, seeds: Sequence[int], controller: BatchController, label: Label | None = None
     ) -> tuple[list[Walk], list[float], list[dict[str, Any]]]:
@@ -158,7 +168,7 @@ class Episodes:
 def mean_outcome(returns: Sequence[float], infos: Sequence[dict[str, Any]]) -> dict[str, float]:
     """Return the metrics of validation episodes, from their returns and last infos."""
     row = {"eval_return": float(np.mean(returns))}
-    for key, column in (("fall", "eval_falls"), ("finish", "eval_finish")):
+    for key, column in _OUTCOMES.items():
         if key in infos[0]:
             row[column] = float(np.mean([info[key] for info in infos]))
     return row

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from spikedeploy import envs
+from spikedeploy.envs.hexapod.footholds import KnowingScripts
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.schema import validate
@@ -68,6 +69,7 @@ from spikedeploy.trainers.sparse.student import (
 from spikedeploy.trainers.sparse.vision import EyeEpisodes, VisionStudent
 
 _ENV_COPIES = 50  # copies of the environment
+_PRIVILEGED = ("kart-eye", "hexapod-tiles")  # taught by what the simulation knows
 _DENSE_BUDGET = 4_000.0  # operations for which the penalty is scaled while nothing is pruned
 
 
@@ -115,7 +117,7 @@ class Sparse(Runner[SparseConfig]):
     COLUMNS: ClassVar[tuple[str, ...]] = (
         "updates", "phase", "walks", "loss", "operations", "goal", "neurons", "updates_per_s",
         "episode_return", "eval_return", "eval_of_teacher", "eval_share", "eval_operations",
-        "eval_falls", "eval_finish",
+        "eval_falls", "eval_finish", "eval_missteps", "eval_success",
     )  # fmt: skip
     COUNTERS = (
         "updates", "phase", "start", "collections", "teacher_return", "random_return", "kept",
@@ -211,7 +213,7 @@ class Sparse(Runner[SparseConfig]):
         when = ("always",) if polished else ("always", "before-polish")
         if self._config.retune in when and isinstance(self.policy, DeltaSnnPolicy):
             step = choose_steps(self.policy, self.pool, self._binary, self._config)
-            self.policy.step.copy_(torch.from_numpy(step))
+            self.policy.step.copy_(self._alike(torch.from_numpy(step)))
         self._set_thresholds()
         self._student.prepare(self.pool)
         self.phase += 1
@@ -269,8 +271,16 @@ class Sparse(Runner[SparseConfig]):
             low, high = seen[:, self._binary].min(0), seen[:, self._binary].max(0)
             normaliser.mean[self._binary] = torch.from_numpy(low).float()
             normaliser.std[self._binary] = torch.from_numpy(high - low).float()
+        normaliser.mean.copy_(self._alike(normaliser.mean, signed=True))
+        normaliser.std.copy_(self._alike(normaliser.std))
+        if isinstance(self.policy, DeltaSnnPolicy):
             self.policy.step.fill_(self._config.step)
             self.policy.step[self._binary] = 1.0
+
+    def _alike(self, values: Tensor, signed: bool = False) -> Tensor:
+        """Return values (obs,), the same where copies of a network read the same."""
+        copies = getattr(self.policy, "copies", None)
+        return copies.means(values, signed) if copies else values
 
     # validation and checkpoints
 
@@ -371,8 +381,8 @@ class Sparse(Runner[SparseConfig]):
 
 def _taught_episodes(config: SparseConfig, sizes: tuple[int, int]) -> tuple[Episodes, Teacher]:
     """Return copies of the environment, and what is imitated in them."""
-    limit = config.validation.limit
-    if envs.spec(config.env.name).short != "kart-eye":
+    limit, short = config.validation.limit, envs.spec(config.env.name).short
+    if short not in _PRIVILEGED:
         own = teacher(config.teacher, config.env.name, config.env.options, config.teacher_units)
         return Episodes(config.env, _ENV_COPIES, limit), own
     if config.teacher != "privileged":
@@ -380,8 +390,12 @@ def _taught_episodes(config: SparseConfig, sizes: tuple[int, int]) -> tuple[Epis
             f"teacher {config.teacher!r}: {config.env.name} is taught by what the simulation "
             "knows. Set teacher=privileged"
         )
-    eyes = EyeEpisodes(config.env, _ENV_COPIES, limit)
-    return eyes, Teacher(eyes.label, *sizes, config.env.name)
+    if short == "kart-eye":
+        eyes = EyeEpisodes(config.env, _ENV_COPIES, limit)
+        return eyes, Teacher(eyes.label, *sizes, config.env.name)
+    episodes = Episodes(config.env, _ENV_COPIES, limit)
+    script = KnowingScripts(episodes.worlds)
+    return episodes, Teacher(script.act_all, *sizes, config.env.name)
 
 
 def _walks_of(config: SparseConfig, sizes: tuple[int, int]) -> list[Walk]:

@@ -28,6 +28,7 @@ from spikedeploy.trainers.policies import (
     DeltaMlpPolicy,
     DeltaSnnPolicy,
     Policy,
+    PrunedGruPolicy,
     PrunedMlpPolicy,
     SpikingVisionPolicy,
     StatefulPolicy,
@@ -40,6 +41,7 @@ from spikedeploy.trainers.policies.delta import (
     delta_encoder,
     live_neurons,
 )
+from spikedeploy.trainers.policies.gru import Remembered
 from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup
 from spikedeploy.trainers.policies.vision import vision_artifact
 from spikedeploy.trainers.run_folder import with_prefix
@@ -51,6 +53,7 @@ FloatArray = NDArray[np.float64]
 _SMOOTHING = 0.02  # weight of the newest batch in mean rates of hidden neurons
 _TINY = 1e-12
 _WEAK = 0.1  # of what the others bring for the same operations: neurons below are removed
+GROUPS = ("into", "out", "past", "back")  # synapses of a DeltaSnnPolicy
 _STEP = "weights"  # the kind of rounding, as an arithmetic's `ablation_steps` name it
 _WINDOWS = 256  # on which sensitivities are measured
 _PROJECTIONS = 8
@@ -105,7 +108,13 @@ class DeltaStudent:
         rate = spikes[:, c.burn_in :].mean((0, 1))
         self.hidden_rate = torch.lerp(self.hidden_rate, rate.detach(), _SMOOTHING)
         excess = (rate.sum() / max(len(rate), 1) - c.rate_target).relu()
-        return error, (rate * self.policy.out.fan_out).sum() + c.rate_cost * excess
+        return error, (rate * self._fan_out).sum() + c.rate_cost * excess
+
+    @property
+    def _fan_out(self) -> Tensor:
+        """Synapses (H,) that a spike of each hidden neuron passes."""
+        policy = self.policy
+        return policy.out.fan_out + policy.back.fan_out if policy.deep else policy.out.fan_out
 
     def replay(self, windows: Windows, burn_in: int) -> tuple[Tensor, list[Tensor]]:
         """Return means (B, L, act) and hidden spikes (B, L, H) of windows."""
@@ -131,7 +140,7 @@ class DeltaStudent:
 
     def hidden_operations(self, activities: list[Tensor]) -> Tensor:
         """Return the hidden neurons' operations for spikes (n, H), with a gradient."""
-        return (activities[0].mean(0) * self.policy.out.fan_out).sum()
+        return (activities[0].mean(0) * self._fan_out).sum()
 
     def adopt_rates(self, activities: list[Tensor]) -> None:
         """Take over how often hidden neurons spike, from spikes (n, H)."""
@@ -144,15 +153,20 @@ class DeltaStudent:
 
     def synapses(self) -> list[SynapseGroup]:
         """Return all synapses."""
-        found = [group for pair in self.hidden_layers() for group in pair]
-        past = SynapseGroup(self.policy.past, self._event_rate)
-        return [*found, past] if self.policy.skip else found
+        policy = self.policy
+        found = list(self._around_hidden()) if policy.hidden else []
+        if policy.deep:
+            found.append(SynapseGroup(policy.back, self.hidden_rate))
+        past = SynapseGroup(policy.past, self._event_rate)
+        return [*found, past] if policy.skip else found
 
     def hidden_layers(self) -> list[tuple[SynapseGroup, SynapseGroup]]:
-        """Return the synapses onto and from the neurons of the layer, if there is one."""
+        """Return the synapses onto and from the neurons of the layer, if it is one."""
+        return [self._around_hidden()] if self.policy.hidden and not self.policy.deep else []
+
+    def _around_hidden(self) -> tuple[SynapseGroup, SynapseGroup]:
         into = SynapseGroup(self.policy.into, self._event_rate)
-        out = SynapseGroup(self.policy.out, self.hidden_rate)
-        return [(into, out)] if self.policy.hidden else []
+        return into, SynapseGroup(self.policy.out, self.hidden_rate)
 
     def tensors(self) -> dict[str, Tensor]:
         """Return rates and offsets of rounding, by name."""
@@ -248,6 +262,71 @@ class MlpStudent:
         self._rates = [named[f"rate{number}"] for number in range(len(self._rates))]
 
 
+class GruStudent(MlpStudent):
+    """A PrunedGruPolicy, which learns from windows of walks.
+
+    policy: what is trained
+    """
+
+    policy: PrunedGruPolicy  # type: ignore[assignment]
+
+    def __init__(self, policy: PrunedGruPolicy, config: SparseConfig) -> None:
+        self.policy, self._config = policy, config
+        self._rates = [torch.full((each.fan_out.numel(),), 0.5) for each in policy.groups]
+        self.readout = frozenset({"out.weight", "past.weight", "action_bias"})
+
+    def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+        """Return the error of windows, and the operations of a control step, with a gradient."""
+        c = self._config
+        batch = pool.sample(
+            rng, c.batch, c.window, c.burn_in, c.first_windows, c.crash_windows, c.crash_steps
+        )
+        _, done = self._unrolled(batch, c.burn_in)
+        active = [(each != 0).float().mean((0, 1)) for each in done.inputs]
+        pairs = zip(self._rates, active, strict=True)
+        self._rates = [torch.lerp(before, rate, _SMOOTHING) for before, rate in pairs]
+        label = batch.label[:, c.burn_in :]
+        error = imitation(done.mean, label, self.policy, c.sharpness).mean()
+        return error, self.hidden_operations([each.flatten(0, 1) for each in done.inputs])
+
+    def adopt_rates(self, activities: list[Tensor]) -> None:
+        """Take over how often inputs are not 0, from activations (n, M) behind the first group."""
+        self._rates[1:] = [(each != 0).float().mean(0) for each in activities]
+
+    def replay(self, windows: Windows, burn_in: int) -> tuple[Tensor, list[Tensor]]:
+        """Return means (B, L, act) and inputs (B, L, M) of groups behind the first."""
+        first, then = self._unrolled(windows, burn_in)
+        _, *inputs = (torch.cat(both, 1) for both in zip(first.inputs, then.inputs, strict=True))
+        return torch.cat([first.mean, then.mean], 1), inputs
+
+    def _unrolled(self, windows: Windows, burn_in: int) -> tuple[Remembered, Remembered]:
+        """Return what the burn-in gives, which brings the memory up, and what comes behind it."""
+        seen, runs_on = windows.seen, 1 - windows.begins[:, None].to(windows.seen.dtype)
+        with torch.no_grad():
+            first = self.policy.unrolled(seen[:, :burn_in], *self.policy.rest(len(seen)))
+        return first, self.policy.unrolled(seen[:, burn_in:], first.memory * runs_on)
+
+    def hidden_operations(self, activities: list[Tensor]) -> Tensor:
+        """Return the mean of the layers' activations times fan-outs, from those of all groups."""
+        layers = range(1, 1 + len(self.policy.hidden))
+        costs = [(activities[k].mean(0) * self.policy.groups[k].fan_out).sum() for k in layers]
+        return sum(costs, start=torch.zeros(()))
+
+    @property
+    def neurons(self) -> int:
+        """Hidden neurons and units of the memory that are left."""
+        return sum(int((matrix.fan_out > 0).sum()) for matrix in self.policy.groups[1:-1])
+
+    def synapses(self) -> list[SynapseGroup]:
+        """Return all synapses."""
+        pairs = zip(self.policy.groups, self._rates, strict=True)
+        return [SynapseGroup(matrix, rate) for matrix, rate in pairs]
+
+    def hidden_layers(self) -> list[tuple[SynapseGroup, SynapseGroup]]:
+        """Return none: gates have three rows a unit, which are not removed one by one."""
+        return []
+
+
 Student = DeltaStudent | MlpStudent | VisionStudent
 
 
@@ -262,6 +341,8 @@ def student(policy: Policy, config: SparseConfig) -> Student:
         return DeltaStudent(policy, config)
     if isinstance(policy, PrunedMlpPolicy):
         return MlpStudent(policy, config)
+    if isinstance(policy, PrunedGruPolicy):
+        return GruStudent(policy, config)
     if isinstance(policy, VisionPolicy):
         return VisionStudent(policy, config)
     raise ConfigError(
@@ -338,7 +419,8 @@ def remove_neuron(
     """
     idle = ~out.matrix.mask.any(0)
     into.matrix.mask[idle] = 0.0
-    cost = into.matrix.mask @ into.rate + out.rate * out.matrix.fan_out + neuron_cost
+    both = (into.uses * into.matrix.mask).sum(1) + (out.uses * out.matrix.mask).sum(0)
+    cost = both + neuron_cost
     gain = _saliency(into, squares).sum(1) + _saliency(out, squares).sum(0)
     live = ~idle
     if not neuron_cost or int(live.sum()) < 2:
@@ -376,12 +458,16 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
     exact = compile_program(artifact, chip("ideal"), limits=False)
     rounded = compile_program(artifact, target, limits=False)
     offsets = {name: torch.zeros_like(t) for name, t in vars(policy.weights()).items()}
+    groups = {name: getattr(policy, name) for name in GROUPS}
+    offsets |= {name: torch.zeros_like(each.whole_mask) for name, each in groups.items()}
     live = torch.nonzero(live_neurons(policy)).ravel()
     graded = isinstance(policy, DeltaMlpPolicy)
     for before, after in zip(exact.layers, rounded.layers, strict=True):
         units = target.arithmetic.partly_rounded(before, after, _STEP)
         for old, new in zip(before.synapses, units.synapses, strict=True):
-            name = "into" if before.spiking else "past" if old.source == exact.input else "out"
+            heard = old.source != exact.input
+            both = ("into", "back") if before.spiking else ("past", "out")
+            name = both[heard]
             error = new.weight * after.scale - old.weight
             if old.source == exact.input:
                 # that of the channel of one event
@@ -389,8 +475,8 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
                 error = first / policy.step.double().numpy()[:, None]
             elif graded:  # by what a spike counts
                 error = error / policy.threshold[live].double().numpy()[:, None]
-            rows = live if name == "into" else torch.arange(policy.actions)
-            columns = live if name == "out" else torch.arange(policy.observations)
+            rows = live if before.spiking else torch.arange(policy.actions)
+            columns = live if heard else torch.arange(policy.observations)
             offsets[name][rows[:, None], columns[None]] = torch.from_numpy(error.T).float()
         if graded:
             continue
@@ -404,8 +490,7 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
             offsets["bias"][live] = torch.from_numpy(bias).float()
             offsets["threshold"][live] = torch.from_numpy(threshold).float()
     # what pruning took out stays out
-    masks = {name: getattr(policy, name).mask for name in ("into", "out", "past")}
-    matrices = {name: offsets[name] * mask for name, mask in masks.items()}
+    matrices = {name: each.block(offsets[name]) * each.mask for name, each in groups.items()}
     return matrices if graded else offsets | matrices
 
 
@@ -413,7 +498,7 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
 def with_offsets(policy: DeltaSnnPolicy, offsets: Mapping[str, Tensor]) -> DeltaSnnPolicy:
     """Return a copy that computes with the numbers of the chip: those of the policy and these."""
     copy = deepcopy(policy)
-    for name in ("into", "out", "past"):
+    for name in GROUPS:
         if name in offsets:
             getattr(copy, name).weight += offsets[name]
     if "beta" in offsets:
@@ -434,7 +519,8 @@ def round_for_chip(policy: Policy, target: Chip, rounding: bool) -> Policy:
     if not rounding or not isinstance(policy, DeltaSnnPolicy):
         return policy
     copy = with_offsets(policy, rounding_offsets(policy, target))
-    for matrix in (copy.into, copy.out, copy.past):
+    for name in GROUPS:
+        matrix = getattr(copy, name)
         matrix.mask *= matrix.weight != 0
     return copy
 
@@ -507,7 +593,7 @@ def choose_thresholds(policy: DeltaMlpPolicy, pool: WalkPool, config: SparseConf
     """
     batch = pool.sample(np.random.default_rng(0), _WINDOWS, config.window, config.burn_in)
     seen = batch.seen[:, config.burn_in :]
-    spread = torch.relu(seen @ policy.into().T + policy.bias).std((0, 1))
+    spread = torch.relu(policy.into.drive(seen, policy.into()) + policy.bias).std((0, 1))
     return torch.where(spread > _MIN_SPREAD, policy.share * spread, policy.threshold)
 
 

@@ -65,7 +65,9 @@ POLICIES = [
     {"kind": "delta-snn", "hidden": 0},
     {"kind": "pruned-mlp", "hidden": [6, 4]},
     {"kind": "pruned-mlp", "hidden": []},
+    {"kind": "pruned-gru", "hidden": [5], "gru": 3},
     {"kind": "delta-mlp", "hidden": 5},
+    {"kind": "delta-snn", "hidden": 5, "deep": 2, "recurrent": True},
 ]
 
 

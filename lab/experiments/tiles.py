@@ -1,0 +1,321 @@
+"""The entry test of hexapod-tiles, and its front: what places feet, and for how many operations.
+
+Policies of the whole body, and networks that all legs share, float and spiking, are trained by one
+recipe from the same walks of a script that is shown the ground as it is. Each training is evaluated
+in fields that no training saw, at each level of its pruning: float networks with weights of 8 bits,
+spiking ones on the emulated chip. Scripts walk beside them.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lab.experiments import DESIGNS, QUICK, pages
+from lab.experiments.networks import network, play
+from lab.experiments.pages import grouped, mean
+from lab.experiments.runner import Design, Part
+from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows, write_exactly
+from spikedeploy import make, zoo
+from spikedeploy.comparison.statistics import Estimate, nested_ratio, stratified_bootstrap
+from spikedeploy.envs.hexapod.footholds import FootholdScript
+from spikedeploy.policies.counting import count_operations
+from spikedeploy.runtime.metrics.energy import TABLES
+from spikedeploy.seeds import EVALUATION
+from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.policies.policy import PrunedWeight
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.sparse.pool import Walk
+
+SCRIPT, GAIT = "script", "gait"
+SCRIPTS = {SCRIPT: "looks", GAIT: "does not look"}
+VIEWS = ("around", "ahead")
+PRICES = ("horowitz45-int8", "horowitz45-int8-acc16")  # sums in registers, in memory
+FEW, FEW_SUCCEED, MANY_SUCCEED = 5_000, 0.2, 0.9  # operations; shares that the test asks for
+BLIND = 0.5  # noise of a scan that says nothing
+_ROWS: Mapping[str, Mapping[str, Any]] = DESIGNS["hexapod-tiles"]["networks"]
+_WALKS: Mapping[str, Any] = DESIGNS["hexapod-tiles"]["walks"]
+_TABLE = "hexapod-tiles.csv"
+_VERSION = 1  # of what a row holds; a higher one makes all rows again
+_TEXT = ("network", "view", "level", "quick")
+_KEY = ("network", "view", "seed", "level")
+_COLUMNS = (
+    *_KEY, "episodes", "weights", "operations", "neuron_updates", "events", "quick", "success",
+    "missteps", "distance", "fall",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TilesDesign(Design):
+    """The parts: the scripts, and for each view the walks and each network's trainings by seed."""
+
+    seeds: int = 5
+
+    NAME = "hexapod-tiles"
+    OPTIONS: ClassVar = {n: n for n in ("seeds", "runs", "episodes", "chip", "quick")} | {
+        "set": "settings"
+    }
+    QUICK: ClassVar = {"seeds": 1, "episodes": 2, "limit": 60}
+
+    def trainings(self) -> list[TrainingJob]:
+        """The walks of each view, and of a seed the trainings of each network."""
+        each = [
+            self._training(name, view, seed)
+            for seed in range(self.seeds)
+            for name, of in _ROWS.items()
+            for view in of.get("views", VIEWS)
+        ]
+        return [*(self._walks(view) for view in VIEWS), *each]
+
+    def _walks(self, view: str) -> TrainingJob:
+        """A training of one update, in whose folder are the script's walks."""
+        every = (
+            f'env.options.view="{view}"', *_WALKS["settings"],
+            *(QUICK["hexapod-tiles-walks"] if self.quick else ()),
+        )  # fmt: skip
+        name = f"walks-{view}"
+        return TrainingJob(name, _WALKS["recipe"], 0, self.runs, every, telling=every)
+
+    def _training(self, name: str, view: str, seed: int) -> TrainingJob:
+        of = _ROWS[name]
+        every = (
+            f'env.options.view="{view}"', *of["settings"],
+            *(QUICK["hexapod-tiles"] if self.quick else ()), *self.settings,
+        )  # fmt: skip
+        blind = any("noise" in setting for setting in every)  # the walks show the ground
+        parents = {} if blind else {"pool": self._walks(view)}
+        job = TrainingJob(f"{name}-{view}-s{seed}", of["recipe"], seed, self.runs, every, parents)
+        # the walks are a run of one of the recipes too, and differ in their rounds
+        return replace(job, telling=(*every, f"dense_rounds={job.planned().dense_rounds}"))
+
+    def parts(self) -> list[Part]:
+        """The scripts' episodes; the walks; each training and its episodes."""
+        found = [
+            Part(f"{name}-{view}", partial(self._script_rows, name, view))
+            for view in VIEWS
+            for name in SCRIPTS
+        ]
+        for job in self.trainings():
+            if job.name.startswith("walks"):
+                found.append(Part.to_train(job))
+            else:
+                after = [parent.name for parent in job.parents.values()]
+                found.append(Part(job.name, partial(self._rows, job), job, after=after))
+        return found
+
+    # rows
+
+    @property
+    def _made(self) -> Record:
+        return {
+            "episodes": self.episodes, "first_seed": EVALUATION, "limit": self.limit,
+            "version": _VERSION,
+        }  # fmt: skip
+
+    def _script_rows(self, name: str, view: str) -> list[StoredRow]:
+        file = Path(self.runs) / "evaluations" / f"{name}-{view}.json"
+        return [StoredRow(file, self._made, partial(self._walk_by_script, name, view))]
+
+    def _walk_by_script(self, name: str, view: str) -> Record:
+        scripts = Scripts(view, looks=name == SCRIPT)
+        played = play(_env(view), self.episodes, scripts, self.limit)
+        facts = {"operations": scripts.count(played.walks)}
+        return self._row(name, view, None, None, facts, played.infos)
+
+    def _rows(self, training: TrainingJob) -> list[StoredRow]:
+        """The rows of a training that ended, one of each level."""
+        run = RunFolder(training.existing_run)
+        rows = []
+        for level in reversed(run.levels.values()):
+            of = {**self._made, "chip": self.chip, "policy": zoo.sha256(run.checkpoint(level))}
+            file = Path(self.runs) / "evaluations" / f"{training.name}-{level}.json"
+            rows.append(StoredRow(file, of, partial(self._evaluate, training, level)))
+        return rows
+
+    def _evaluate(self, training: TrainingJob, level: str) -> Record:
+        name, view, _ = training.name.rsplit("-", 2)
+        run = RunFolder(training.existing_run)
+        policy = run.policy(level)
+        place = self.chip if policy.kind.endswith("snn") else "int8"
+        stem = Path(self.runs) / "policies" / f"{training.name}-{level}"
+        placed = network(run.path, level, place, stem)
+        played = play(training.config.env, self.episodes, placed.controller, self.limit)
+        matrices = [each for each in policy.modules() if isinstance(each, PrunedWeight)]
+        weights = sum(int(each.mask.sum()) for each in matrices)
+        facts = {"weights": weights, **placed.counts(played.walks)}
+        return self._row(name, view, training.seed, level, facts, played.infos)
+
+    def _row(
+        self, name: str, view: str, seed: int | None, level: str | None,
+        facts: Mapping[str, Any], infos: Sequence[Mapping[str, Any]],
+    ) -> Record:  # fmt: skip
+        counted = ("weights", "operations", "neuron_updates", "events")
+        return {
+            "network": name,
+            "view": view,
+            "seed": seed,
+            "level": level,
+            "episodes": len(infos),
+            **{column: facts.get(column) for column in counted},
+            "quick": "yes" if self.quick else "",
+            "success": [int(info["success"]) for info in infos],
+            "missteps": [float(info["misstep_share"]) for info in infos],
+            "distance": [float(info["distance"]) for info in infos],
+            "fall": [int(info["fall"]) for info in infos],
+        }
+
+    def write(self, results: Path) -> list[Path]:
+        """Write page and table of what is complete; rows of the table without a run stay."""
+        table = results / _TABLE
+        old = read_rows(table, _TEXT) if table.is_file() else []
+        found = {tuple(row.get(n) or 0 for n in _KEY): row for row in (*old, *self.all_rows())}
+        order = [*SCRIPTS, *_ROWS]
+        rows = sorted(
+            found.values(),
+            key=lambda r: (VIEWS.index(r["view"]), order.index(r["network"]), r["seed"] or 0),
+        )
+        write_exactly(({n: row.get(n) for n in _COLUMNS} for row in rows), _COLUMNS, table)
+        rows = read_rows(table, _TEXT)  # as they stand there, so that the page can be made again
+        there = {(row["network"], row["view"], row["seed"]) for row in rows}
+        lack = [
+            job.name for job in self.trainings()
+            if not job.name.startswith("walks")
+            and (*job.name.rsplit("-", 2)[:2], job.seed) not in there
+        ]  # fmt: skip
+        every = [policy_facts(of) for _, of in grouped(rows, "network", "view", "level")]
+        page, shown = pages.write_page(
+            results / "hexapod-tiles.md",
+            {},
+            command=pages.command(self, sizes=("seeds", "episodes")),
+            quick=self.quick,
+            episodes=self.episodes,
+            first_seed=EVALUATION,
+            chip=self.chip,
+            missing=lack,
+            views={v: [f for f in every if f["view"] == v and not f["pruned"]] for v in VIEWS},
+            front=[f for f in every if f["pruned"] or f["has_levels"]],
+            verdicts="\n".join(f"- {line}" for line in verdicts(every)),
+            facts=[f"- {pages.releases('torch', 'numpy', 'mujoco')}"],
+            PRICES=PRICES,
+        )
+        return [page, table, shown]
+
+
+def _env(view: str) -> EnvConfig:
+    return EnvConfig(name="hexapod-tiles", options={"view": view})
+
+
+class Scripts:
+    """The script footholds for a batch of robots, or the same gait that does not look."""
+
+    def __init__(self, view: str, looks: bool) -> None:
+        self._env = make("hexapod-tiles", view=view).unwrapped
+        self._looks = looks
+
+    def reset(self, robots: int) -> None:
+        """Start an episode of each."""
+        self._each = [FootholdScript(self._env) for _ in range(robots)]  # type: ignore[arg-type]
+
+    def act_batch(self, observation: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        """Actions (B, 18) for observations (B, obs)."""
+        pairs = zip(self._each, observation, strict=True)
+        return np.stack([self._act(script, seen) for script, seen in pairs])
+
+    def _act(self, script: FootholdScript, seen: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        if self._looks:
+            return script.act(seen)
+        return script.act_over(seen, np.zeros((6, 35)))
+
+    def count(self, walks: Sequence[Walk]) -> float:
+        """Operations of a control step, all kinds together, in the first of these walks."""
+        script = FootholdScript(self._env)  # type: ignore[arg-type]
+        seen = walks[0].observation.astype(np.float64)
+        return float(sum(count_operations(partial(self._act, script), seen).values()))
+
+
+# the page
+
+
+def policy_facts(rows: Sequence[Record]) -> Record:
+    """Facts that the page shows of a policy at a level, in all its trainings."""
+    first = rows[0]
+    of = _ROWS.get(first["network"], {})
+    spiking = first["neuron_updates"] is not None
+    energy = []
+    for price in (TABLES[name].joules for name in PRICES):
+        if first["network"] in SCRIPTS:
+            continue
+        each = price["sop" if spiking else "mac"]
+        spent = [r["operations"] * each for r in rows]
+        if spiking:
+            spent = [
+                e + r["neuron_updates"] * price["neuron_update"]
+                for e, r in zip(spent, rows, strict=True)
+            ]
+        energy.append(float(np.mean(spent)) * 1e9)
+    return {
+        "name": first["network"],
+        "view": first["view"],
+        "level": first["level"],
+        "kind": of.get("kind", SCRIPTS.get(first["network"], "")),
+        "pruned": first["level"] is not None and first["level"] != NOT_PRUNED,
+        "has_levels": of.get("levels", False),
+        "trainings": 0 if first["network"] in SCRIPTS else len(rows),
+        "success": episode_mean(rows, "success"),
+        "missteps": episode_mean(rows, "missteps"),
+        "distance": float(np.mean([row["distance"] for row in rows])),
+        "fall": float(np.mean([row["fall"] for row in rows])),
+        "weights": mean(rows, "weights"),
+        "operations": mean(rows, "operations"),
+        "unit": "" if first["network"] in SCRIPTS else "SOPs" if spiking else "MACs",
+        "updates": mean(rows, "neuron_updates"),
+        "energy": energy,
+        "rows": rows,
+    }
+
+
+NOT_PRUNED = "ops-1e+06"  # the level of a policy before pruning
+
+
+def episode_mean(rows: Sequence[Record], field: str) -> Estimate:
+    """Mean of a field of episodes, over trainings and episodes."""
+    values = [row[field] for row in rows]
+    return stratified_bootstrap(values, np.random.default_rng(0)).mean
+
+
+def verdicts(every: Sequence[Record]) -> Iterator[str]:
+    """Whether the test is passed, in sentences; none on what is not there."""
+    seen = [f for f in every if f["view"] == "around" and f["kind"] != "blind"]
+    small = [
+        f for f in seen
+        if f["trainings"] and f["unit"] == "MACs" and f["operations"] < FEW
+    ]  # fmt: skip
+    if small:
+        best = max(small, key=lambda f: f["success"].mean)
+        above = [f["name"] for f in small if f["success"].mean > FEW_SUCCEED]
+        yield (
+            f"Float policies below {FEW:,} MACs succeed in at most {FEW_SUCCEED:.0%}: "
+            f"{'no, ' + ', '.join(above) if above else 'yes'}; the most has {best['name']} with "
+            f"{pages.percent(best['success'], 1)}."
+        )
+    large = [f for f in seen if f["unit"] == "MACs" and f["trainings"] and not f["pruned"]]
+    if large:
+        best = max(large, key=lambda f: f["success"].mean)
+        does = best["success"].mean >= MANY_SUCCEED
+        yield (
+            f"A float network succeeds in {MANY_SUCCEED:.0%}: {'yes' if does else 'no'}; "
+            f"{best['name']} with {pages.percent(best['success'], 1)} and "
+            f"{pages.percent(best['missteps'], 1)} missteps."
+        )
+        for spiking in (f for f in seen if f["unit"] == "SOPs"):
+            ratio = nested_ratio(
+                [row["success"] for row in spiking["rows"]],
+                [row["success"] for row in best["rows"]],
+            )
+            yield (
+                f"{spiking['name']} at {spiking['operations']:,.0f} SOPs has "
+                f"{pages.percent(ratio, 1)} of the successes of {best['name']}."
+            )

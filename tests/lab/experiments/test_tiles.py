@@ -1,0 +1,126 @@
+"""The entry test of hexapod-tiles in its smallest size, and what its page concludes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lab.experiments import tiles
+from lab.experiments.runner import run_experiment
+from lab.experiments.tiles import NOT_PRUNED, Scripts, TilesDesign, policy_facts, verdicts
+from lab.experiments.training import read_rows
+from spikedeploy import make
+from spikedeploy.trainers.config import resolve
+from spikedeploy.trainers.sparse.config import SparseConfig
+
+FEW = ("legs-0", "legs-gru", "blind-legs-64-64", "legs-snn")
+SIZE = ("budget", "levels", "batch", "window", "burn_in", "step", "penalty")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_networks():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tiles, "_ROWS", {name: tiles._ROWS[name] for name in FEW})
+        patch.setattr(tiles, "VIEWS", ("around",))
+        yield
+
+
+@pytest.fixture(scope="module")
+def design(tmp_path_factory):
+    runs = str(tmp_path_factory.mktemp("tiles") / "runs")
+    small = ("policy.hidden=4", "policy.deep=2")
+    with pytest.MonkeyPatch.context() as patch:
+        rows = {**tiles._ROWS["legs-snn"], "settings": small}
+        patch.setattr(tiles, "_ROWS", {**tiles._ROWS, "legs-snn": rows})
+        patch.setattr("spikedeploy.trainers.sparse.sparse._ENV_COPIES", 2)
+        yield TilesDesign(1, runs, episodes=2, quick=True, limit=60)
+
+
+@pytest.fixture(scope="module")
+def results(design, ran):
+    folder = Path(design.runs).parent / "results"
+    outcome = run_experiment(design, (), 1, folder)
+    assert (outcome.done, outcome.of, outcome.failed) == (7, 7, {})
+    assert ran[-1] == "legs-snn-around-s0"
+    return folder
+
+
+def table(results):
+    return read_rows(results / "hexapod-tiles.csv", tiles._TEXT)
+
+
+def test_each_row_holds_its_episodes_and_counts_what_it_did(results):
+    found = {(r["network"], r["level"]): r for r in table(results)}
+    assert all(len(row["success"]) == len(row["missteps"]) == 2 for row in found.values())
+    script, gait = found["script", None], found["gait", None]
+    assert script["operations"] > gait["operations"] > 1_000
+    # 51 inputs of three actions, in six copies; an input that is 0 takes nothing
+    linear = found["legs-0", NOT_PRUNED]
+    assert linear["weights"] <= 51 * 3
+    assert 100 < linear["operations"] < 6 * linear["weights"]
+    assert found["legs-gru", NOT_PRUNED]["operations"] > 10 * linear["operations"]
+    # the readouts of the second layer begin a timestep later
+    updates = 4 * (6 * 4 + 2 * 18)
+    assert found["legs-snn", NOT_PRUNED]["neuron_updates"] == pytest.approx(updates, rel=0.02)
+
+
+def test_what_is_done_is_not_done_again_and_rows_of_elsewhere_stay(design, results, ran):
+    before, count = (results / "hexapod-tiles.csv").read_bytes(), len(ran)
+    run_experiment(design, (), 1, results)
+    assert len(ran) == count
+    replace(design, runs=str(results / "none")).write(results)
+    assert (results / "hexapod-tiles.csv").read_bytes() == before
+    page = (results / "hexapod-tiles.md").read_text()
+    assert "## around" in page
+    assert "Not trained" not in page
+
+
+def test_all_networks_learn_from_as_many_walks_for_as_many_updates():
+    def effort(row):
+        made = resolve(SparseConfig, row["recipe"], overrides=row["settings"], seed=0)
+        return made.model_dump(exclude={"policy", "recipe", "env", *SIZE})
+
+    whole = tiles.DESIGNS["hexapod-tiles"]["networks"]
+    first, *others = (effort(row) for row in whole.values())
+    first.pop("penalty_floor")
+    assert len(others) == 13
+    for each in others:
+        each.pop("penalty_floor")
+        assert each == first
+
+
+def test_the_gait_is_the_script_that_does_not_look():
+    env = make("hexapod-tiles")
+    seen, _ = env.reset(seed=3)
+    scan = env.unwrapped.OBSERVATION["scan"]
+    free = seen.copy()
+    free[scan] = 0.0
+    looks, blind = Scripts("around", looks=True), Scripts("around", looks=False)
+    for scripts in (looks, blind):
+        scripts.reset(2)
+    assert np.array_equal(blind.act_batch(np.stack([seen, free])), looks.act_batch([free, free]))
+
+
+def row(network, success, operations=4_000.0, updates=None, level=NOT_PRUNED):
+    return {
+        "network": network, "view": "around", "seed": 0, "level": level, "weights": 10,
+        "operations": operations, "neuron_updates": updates, "success": success,
+        "missteps": [0.01] * len(success), "distance": [3.0] * len(success),
+        "fall": [0] * len(success),
+    }  # fmt: skip
+
+
+def test_verdicts_say_who_succeeds_and_for_how_many_operations():
+    every = [
+        policy_facts([row("legs-0", [0, 0, 0, 1])]),
+        policy_facts([row("legs-gru", [1, 1, 1, 1], operations=20_000.0)]),
+        policy_facts([row("legs-snn", [1, 1, 1, 0], operations=2_000.0, updates=900.0)]),
+    ]
+    small, large, spiking = verdicts(every)
+    assert "at most 20%: no, legs-0" in small
+    assert "in 90%: yes; legs-gru with 100.0%" in large
+    assert spiking.startswith("legs-snn at 2,000 SOPs has 75.0%")
+    energy = every[2]["energy"]
+    assert len(energy) == 2
+    assert energy[0] < energy[1]

@@ -1,0 +1,193 @@
+"""Copies of a network for the parts of a body: shared weights, whole matrices, the same numbers."""
+
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from spikedeploy import make
+from spikedeploy.envs.hexapod.tiles import SCANS, leg_inputs
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import DeltaSnnConfig
+from spikedeploy.trainers.policies import (
+    DeltaMlpPolicy,
+    DeltaSnnPolicy,
+    PrunedGruPolicy,
+    PrunedMlpPolicy,
+    build,
+    from_config,
+)
+from spikedeploy.trainers.policies.copies import Copies, weights_between
+from spikedeploy.trainers.policies.delta import delta_artifact
+from spikedeploy.trainers.policies.policy import SynapseGroup
+from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.pool import Walk, WalkPool
+from spikedeploy.trainers.sparse.student import DeltaStudent, prune, round_for_chip
+
+# two arms with two observations and an action each, and one that both read, mirrored
+ARMS = Copies(inputs=[[0, 1, 4], [2, 3, 4]], signs=[[1, 1, 1], [1, 1, -1]], outputs=[[0], [1]])
+
+
+def test_a_mirrored_observation_gives_the_other_arm_the_action() -> None:
+    torch.manual_seed(0)
+    policy = PrunedMlpPolicy(5, 2, (8, 6), copies=ARMS)
+    torch.nn.init.normal_(policy.past.weight)
+    seen = torch.randn(7, 5)
+    mirrored = seen[:, [2, 3, 0, 1, 4]] * torch.tensor([1, 1, 1, 1, -1])
+    assert torch.allclose(policy.scores(seen), policy.scores(mirrored).flip(1), atol=1e-6)
+
+
+@pytest.mark.parametrize(("reads", "acts"), [(True, False), (False, False), (False, True)])
+def test_blocks_drive_what_the_whole_matrix_does(reads: bool, acts: bool) -> None:
+    widths = 5 if reads else 6, 2 if acts else 8
+    shared = weights_between(ARMS, widths, lambda n, m: torch.randn(n, m), reads, acts)
+    shared.mask[0, 1] = 0.0
+    inputs = torch.randn(3, 4, widths[0])
+    whole = shared.whole()
+    assert whole.shape == (widths[1], widths[0])
+    assert torch.allclose(shared.drive(inputs, shared()), inputs @ whole.T, atol=1e-6)
+    assert torch.equal(shared.whole_mask, (whole != 0).float())
+    assert torch.equal(shared.block(whole), shared())
+    assert shared.drive(inputs[:, :0], shared()).shape == (3, 0, widths[1])
+
+
+def test_a_shared_weight_counts_its_operations_in_every_copy() -> None:
+    shared = weights_between(ARMS, (5, 8), lambda n, m: torch.ones(n, m), reads=True)
+    rate = torch.tensor([1.0, 2.0, 3.0, 4.0, 0.5])
+    group = SynapseGroup(shared, rate)
+    # four neurons of each arm; the fifth observation goes to all eight
+    assert float(group.operations) == 4 * 10 + 8 * 0.5
+    assert group.uses[0].tolist() == [4.0, 6.0, 1.0]
+    assert float((group.uses * shared.mask).sum()) == float(group.operations)
+
+
+def test_pruning_takes_a_synapse_out_of_every_copy() -> None:
+    torch.manual_seed(0)
+    policy = PrunedMlpPolicy(5, 2, (), copies=ARMS)
+    (matrix,) = policy.layers
+    squares = {matrix: torch.ones_like(matrix.weight)}
+    assert prune([SynapseGroup(matrix, torch.ones(5))], squares, 4.0) == 1
+    assert int((matrix.whole() != 0).sum()) == 4
+
+
+@pytest.mark.parametrize("kind", [DeltaSnnPolicy, DeltaMlpPolicy, PrunedMlpPolicy, PrunedGruPolicy])
+def test_a_policy_is_built_again_from_its_spec(kind: type) -> None:
+    torch.manual_seed(0)
+    hidden = {"hidden": 8} if kind in (DeltaSnnPolicy, DeltaMlpPolicy) else {"hidden": (8,)}
+    more = {"gru": 6} if kind is PrunedGruPolicy else {}
+    policy = kind(5, 2, copies=ARMS, **hidden, **more)
+    again = build(policy.spec())
+    again.load_state_dict(policy.state_dict())
+    seen = torch.randn(3, 5)
+    assert torch.equal(again.scores(seen), policy.scores(seen))
+
+
+DEEP = [{}, {"deep": 4}, {"deep": 4, "recurrent": True}]
+
+
+def spiking(**options: Any) -> DeltaSnnPolicy:
+    """A policy of two arms whose neurons all spike now and then."""
+    torch.manual_seed(1)
+    policy = DeltaSnnPolicy(
+        5, 2, 12, step=0.25, timesteps=4, integrated=True, copies=ARMS, **options
+    )
+    torch.nn.init.normal_(policy.past.weight, std=0.3)
+    torch.nn.init.constant_(policy.bias, 0.42)
+    return policy
+
+
+def walk(steps: int) -> NDArray[np.float64]:
+    """Observations (S, 5) that drift."""
+    return np.cumsum(0.1 * np.random.default_rng(0).standard_normal((steps, 5)), axis=0)
+
+
+@pytest.mark.parametrize("options", DEEP)
+@pytest.mark.parametrize("clock", ["pipelined", "gated"])
+def test_a_window_gives_what_its_control_steps_give_one_by_one(
+    options: dict[str, Any], clock: str
+) -> None:
+    policy = spiking(clock=clock, **options)
+    pool = WalkPool([Walk(walk(12).astype(np.float32), np.zeros((12, 2), np.float32))])
+    config = SparseConfig.model_validate(
+        {"algorithm": "sparse", "recipe": "", "env": {"name": "hexapod-tiles"}, "seed": 0,
+         "policy": {"kind": "delta-snn"}}
+    )  # fmt: skip
+    found = DeltaStudent(policy, config)
+    found.prepare(pool)
+    windows = pool.windows(np.array([0]), np.array([-2]), 14)  # two steps before it begins
+    means, (spikes,) = found.replay(windows, 2)
+    state = policy.rest(1)
+    with torch.no_grad():
+        for t, seen in enumerate(walk(12)):
+            mean, _, sent = policy.advance(torch.from_numpy(seen[None]).float(), state)
+            assert torch.allclose(mean, means[:, 2 + t], atol=1e-4)
+            assert torch.equal(sent.sum(1), spikes[:, 2 + t])
+    assert int(spikes.detach().sum((0, 1)).count_nonzero()) == policy.hidden
+
+
+@pytest.mark.parametrize("options", DEEP)
+def test_deep_neurons_read_no_events_and_each_other_where_they_are_recurrent(
+    options: dict[str, Any],
+) -> None:
+    policy = spiking(**options)
+    deep = policy.deep_neurons
+    assert int(deep.sum()) == options.get("deep", 0)
+    if options:
+        assert deep.view(2, 6).tolist() == 2 * [4 * [False] + 2 * [True]]
+        assert not policy.into.whole_mask[deep].any()
+        back = policy.back.whole_mask
+        assert not back[~deep].any()
+        assert bool(back[deep][:, ~deep].any(1).all())
+        assert bool(back[deep][:, deep].any()) == options.get("recurrent", False)
+        assert not back[:6, 6:].any()
+        assert not back[6:, :6].any()
+
+
+@pytest.mark.parametrize("options", DEEP)
+def test_a_file_computes_what_training_does_with_the_numbers_of_the_chip(
+    options: dict[str, Any],
+) -> None:
+    deployed = round_for_chip(spiking(**options), chip("loihi1"), rounding=True)
+    assert isinstance(deployed, DeltaSnnPolicy)
+    assert deployed.copies == ARMS
+    twin, precise = SpikingController(delta_artifact(deployed)), deepcopy(deployed).double()
+    state = precise.rest(1)
+    with torch.no_grad():
+        for seen in walk(40):
+            mean, *_ = precise.advance(torch.from_numpy(seen[None]), state)
+            assert np.allclose(torch.tanh(mean).numpy()[0], twin.act(seen), atol=1e-9)
+
+
+def test_a_memory_is_the_same_step_by_step_as_in_a_window() -> None:
+    torch.manual_seed(0)
+    policy = PrunedGruPolicy(5, 2, (8,), gru=6, copies=ARMS)
+    seen = torch.randn(3, 9, 5)
+    whole = policy.unrolled(seen, *policy.rest(3))
+    state = policy.rest(3)
+    steps = [policy.advance(row, state)[0] for row in seen.unbind(1)]
+    assert torch.allclose(torch.stack(steps, 1), whole.mean, atol=1e-6)
+    assert torch.allclose(state[0], whole.memory, atol=1e-6)
+
+
+@pytest.mark.parametrize(("view", "points"), [("around", 35), ("ahead", 30)])
+def test_legs_read_their_own_part_of_the_scan_and_left_ones_its_mirror(
+    view: str, points: int
+) -> None:
+    columns = make("hexapod-tiles", view=view).unwrapped.OBSERVATION
+    inputs, signs = leg_inputs(columns)
+    assert inputs.shape == signs.shape == (6, 16 + points)
+    scan = SCANS[view][inputs[:, 16:] - columns["scan"].start]
+    assert np.allclose(scan[3:, :, 0], scan[:3, :, 0])
+    assert np.allclose(scan[3:, :, 1], -scan[:3, :, 1])
+    assert (signs[[0, 2, 4], :2] == 1).all()
+    assert (signs[[1, 3, 5], :2] == -1).all()
+
+
+def test_legs_are_refused_where_no_foothold_is_scanned() -> None:
+    with pytest.raises(ConfigError, match="legs are those of hexapod-tiles"):
+        from_config(DeltaSnnConfig(copies="legs"), 77, 18, columns={"phase": slice(0, 2)})
