@@ -45,10 +45,11 @@ from spikedeploy.trainers.policies import (
     FloatVisionPolicy,
     Policy,
     PopsanPolicy,
+    PrunedGruPolicy,
     SpikingMlpPolicy,
     SpikingVisionPolicy,
 )
-from spikedeploy.trainers.policies.delta import event_channels, hidden_node, live_neurons
+from spikedeploy.trainers.policies.delta import event_channels, live_layers
 from spikedeploy.trainers.policies.spiking import TorchRateEncoder
 
 _Kept = DeltaSnnPolicy | SpikingVisionPolicy  # policies that keep their states
@@ -176,10 +177,9 @@ def _by_steps(policy: _Kept, observations: Tensor) -> _PolicyOutput:
     rows = [policy.advance(observation[None], state) for observation in observations]
     mean, events, hidden = (torch.cat(column) for column in zip(*rows, strict=True))
     events, hidden = events.flatten(0, 1), hidden.flatten(0, 1)
-    live = live_neurons(policy)
     spikes: Spikes = {"input": event_channels(policy, events.numpy())[None]}
-    if bool(live.any()):
-        spikes[hidden_node(policy)] = hidden[:, live].numpy().astype(np.int64)[None]
+    for node, live in live_layers(policy).items():
+        spikes[node] = hidden[:, live].numpy().astype(np.int64)[None]
     if policy.head == "continuous":
         return _PolicyOutput(spikes, _numbers(torch.tanh(mean)), None)
     return _PolicyOutput(spikes, _numbers(mean), mean.argmax(-1).numpy())
@@ -268,7 +268,7 @@ def _onnx_checks(
         return spiking_onnx.checks(artifact(policy, Provenance("")), path, observations)
     single = deepcopy(policy).float()
     network = session(path)
-    if isinstance(single, FloatVisionPolicy):
+    if isinstance(single, FloatVisionPolicy | PrunedGruPolicy):
         return [_stepped_check(network, single, observations)]
     together, alone = LargestDifference(), LargestDifference()
     for batch in batches(observations):
@@ -285,7 +285,7 @@ def _onnx_checks(
 @torch.no_grad()
 def _stepped_check(
     network: Any,  # noqa: ANN401
-    policy: FloatVisionPolicy,
+    policy: FloatVisionPolicy | PrunedGruPolicy,
     observations: NDArray[np.float64],
 ) -> ParityCheck:
     """Return the check of a policy with states on observations (S, obs), in their order."""

@@ -11,6 +11,8 @@ out, as spiking_onnx names them: leaky traces of what it sees, and the memory of
     counts (B, C·Y·X) -> normalise, clip -> sum pool, traces -> Conv, Relu ... -> Gemm, Relu ...
                       -> GRU -> Gemm -> logits
 
+So has a pruned policy with a memory.
+
 The first output is the action, or for discrete actions the logits: the largest is taken, while
 training sampled from their softmax. The other outputs are the inputs of the weight matrices, in
 order, from which effective operations are counted; ONNX Runtime computes them only on request.
@@ -18,7 +20,7 @@ States go out last.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,12 +34,18 @@ from spikedeploy.files import replacing
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.onnx_session import NEXT
-from spikedeploy.trainers.policies import FloatVisionPolicy, MlpPolicy, Policy, PrunedMlpPolicy
+from spikedeploy.trainers.policies import (
+    FloatVisionPolicy,
+    MlpPolicy,
+    Policy,
+    PrunedGruPolicy,
+    PrunedMlpPolicy,
+)
 from spikedeploy.trainers.policies.mlp import Features
 from spikedeploy.trainers.policies.policy import PrunedKernel
 
 _KINDS = ("ann", "control")
-_Float = MlpPolicy | PrunedMlpPolicy | FloatVisionPolicy
+_Float = MlpPolicy | PrunedMlpPolicy | PrunedGruPolicy | FloatVisionPolicy
 
 
 def to_onnx(policy: Policy, origin: Provenance, path: str | Path, kind: str = "ann") -> Path:
@@ -60,14 +68,17 @@ def _macs(policy: _Float) -> int:
     return sum(int(counts.sum()) for counts in _fan_outs(policy))
 
 
-def _fan_outs(policy: PrunedMlpPolicy | FloatVisionPolicy) -> list[Tensor]:
+def _fan_outs(policy: PrunedMlpPolicy | PrunedGruPolicy | FloatVisionPolicy) -> list[Tensor]:
     """Weights that are left of each input (M,) of each matrix; the skip's with the first.
 
     Those of a kernel at all positions at which they meet the input.
     """
     if isinstance(policy, FloatVisionPolicy):
         return [policy.matrix(name).fan_out for name in policy.synapses]
-    first, *others = (matrix.fan_out for matrix in policy.layers)
+    if isinstance(policy, PrunedGruPolicy):
+        first, *others = (matrix.fan_out for matrix in policy.groups[: len(policy.hidden) + 3])
+    else:
+        first, *others = (matrix.fan_out for matrix in policy.layers)
     return [first + policy.past.fan_out if policy.skip else first, *others]
 
 
@@ -81,6 +92,9 @@ def _model(policy: _Float, origin: Provenance, name: str, kind: str) -> onnx.Mod
         if isinstance(policy, FloatVisionPolicy):
             _vision_layers(graph, policy, seen)
             more = {"biases": str(_biases(policy))}
+        elif isinstance(policy, PrunedGruPolicy):
+            _memory_layers(graph, policy, seen)
+            more = {"biases": str(sum(policy.hidden) + 6 * policy.gru + policy.actions)}
         else:
             _pruned_layers(graph, policy, seen)
         counts = [[int(n) for n in each] for each in _fan_outs(policy)]
@@ -208,11 +222,38 @@ def _pruned_layers(graph: OnnxGraph, policy: PrunedMlpPolicy, seen: str) -> None
         hidden = graph.node("Gemm", [hidden, weight, offset], f"affine{number}", transB=1)
         if number < len(policy.layers):
             hidden = graph.node("Relu", [hidden], f"hidden{number}")
+    _act(graph, policy, hidden, seen)
+
+
+def _act(
+    graph: OnnxGraph, policy: PrunedMlpPolicy | PrunedGruPolicy, hidden: str, seen: str
+) -> None:
+    """Add the path past the layers, and the output."""
     if policy.skip:
         past = graph.constant("skip_weight", _array(policy.past.whole().T))
         hidden = graph.node("Add", [hidden, graph.node("MatMul", [seen, past], "skip")], "sum")
     squash = "Identity" if policy.head == "discrete" else "Tanh"
     graph.node(squash, [hidden], OUTPUTS[policy.head])
+
+
+def _memory_layers(graph: OnnxGraph, policy: PrunedGruPolicy, seen: str) -> None:
+    """Add the network with a memory, up to its output."""
+    hidden = seen
+    for number, (matrix, bias) in enumerate(zip(policy.groups, policy.biases, strict=False), 1):
+        graph.presynaptic(hidden, matrix.fan_out.numel())
+        weight = graph.constant(f"weight{number}", _array(matrix.whole()))
+        offset = graph.constant(f"bias{number}", _array(bias))
+        sums = graph.node("Gemm", [hidden, weight, offset], f"affine{number}", transB=1)
+        hidden = graph.node("Relu", [sums], f"hidden{number}")
+    copies = policy.copies.count if policy.copies else 1
+    weights = {"gru": policy.gates(), "back": policy.back()}
+    biases = {"gru": policy.gate_bias, "back": policy.back_bias}
+    hidden = _gru(graph, hidden, (policy.hidden[-1], policy.gru), weights, biases, copies)
+    graph.presynaptic(hidden, policy.gru)
+    weight = graph.constant("out.weight", _array(policy.out.whole()))
+    bias = graph.constant("out.bias", _array(policy.action_bias))
+    sums = graph.node("Gemm", [hidden, weight, bias], "out.sums", transB=1)
+    _act(graph, policy, sums, seen)
 
 
 def _biases(policy: FloatVisionPolicy) -> int:
@@ -230,7 +271,8 @@ def _vision_layers(graph: OnnxGraph, policy: FloatVisionPolicy, seen: str) -> No
     hidden = _with_traces(graph, policy, _grid(graph, policy, seen))
     for name in policy.synapses:
         if name == "gru":
-            hidden = _gru(graph, policy, hidden)
+            widths = policy.inputs("gru"), policy.gru
+            hidden = _gru(graph, hidden, widths, policy.weights(), dict(policy.biases.items()))
         if name in ("gru", "back"):
             continue
         matrix = policy.matrix(name)
@@ -286,28 +328,34 @@ def _with_traces(graph: OnnxGraph, policy: FloatVisionPolicy, grid: str) -> str:
     return graph.node("Concat", [grid, scaled], "traces.beside", axis=1)
 
 
-def _gru(graph: OnnxGraph, policy: FloatVisionPolicy, hidden: str) -> str:
-    """Add a control step of the GRU, whose memory is a state; return its name."""
-    memory = graph.state("memory", policy.gru)
+def _gru(
+    graph: OnnxGraph, hidden: str, widths: tuple[int, int], weights: Mapping[str, Tensor],
+    biases: Mapping[str, Tensor], copies: int = 1,
+) -> str:  # fmt: skip
+    """Add a control step of the GRU, whose memory is a state; return its name.
+
+    widths: numbers that it reads, and its units, of all copies together
+    weights, biases: from the layer, "gru", and from the memory, "back", of a copy
+    """
+    memory = graph.state("memory", widths[1])
     past = graph.node("Identity", [memory], "back.inputs")
-    weights, both = policy.weights(), []
-    for name, value in (("gru", hidden), ("back", past)):
-        graph.presynaptic(value, policy.inputs(name))
+    both, rows = [], []
+    for name, value, width in zip(("gru", "back"), (hidden, past), widths, strict=True):
+        graph.presynaptic(value, width)
         both.append(graph.constant(f"{name}.weight", _gates(weights[name])[None]))
-    biases = [_gates(policy.biases[name]) for name in ("gru", "back")]
-    bias = graph.constant("gru.bias", np.concatenate(biases)[None])
-    first = graph.constant("first", [0])
-    rows = [
-        graph.node("Unsqueeze", [value, first], f"{name}.row")
-        for name, value in (("gru", hidden), ("back", past))
-    ]
+        # a row of each copy of each robot
+        shape = graph.constant(f"{name}.shape", [1, -1, width // copies])
+        rows.append(graph.node("Reshape", [value, shape], f"{name}.row"))
+    bias = graph.constant(
+        "gru.bias", np.concatenate([_gates(biases[name]) for name in ("gru", "back")])[None]
+    )
     # torch's n = tanh(Wn x + b + r (Un h + c)) is ONNX's with linear_before_reset
     done = graph.node(
         "GRU", [rows[0], *both, bias, "", rows[1]], "gru.rows",
-        hidden_size=policy.gru, linear_before_reset=1,
+        hidden_size=widths[1] // copies, linear_before_reset=1,
     )  # fmt: skip
-    now = _reshaped(graph, done, [policy.gru], "gru.memory")
-    graph.next_state(f"{NEXT}{memory}", now, policy.gru)
+    now = _reshaped(graph, done, [widths[1]], "gru.memory")
+    graph.next_state(f"{NEXT}{memory}", now, widths[1])
     return now
 
 

@@ -168,6 +168,8 @@ class DeltaSnnConfig(_Section):
                 f"deep: {self.deep} of {self.hidden} hidden neurons leave none that reads events. "
                 "Make hidden larger"
             )
+        if self.deep and self.clock != "pipelined":
+            raise ValueError("deep: these neurons are for the clock pipelined")
         return self
 
 

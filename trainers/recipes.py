@@ -40,7 +40,8 @@ def merge(settings: Mapping[str, Any], *changes: Mapping[str, Any]) -> Settings:
 def budget(recipe: Recipe) -> str:
     """Operations of a control step that a recipe ends with: `50 SOPs`; empty where it has none."""
     count = recipe.settings.get("budget")
-    unit = "MACs" if recipe.settings.get("policy", {}).get("kind") == "pruned-mlp" else "SOPs"
+    kind = recipe.settings.get("policy", {}).get("kind", "")
+    unit = "MACs" if kind.startswith("pruned") else "SOPs"
     return "" if count is None else f"{count:,g} {unit}"
 
 

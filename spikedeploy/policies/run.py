@@ -38,10 +38,8 @@ class TorchController(Player):
     @classmethod
     def describe(cls, path: Path) -> Candidate:
         """The candidate in a run folder."""
-        from spikedeploy.trainers.policies import PrunedMlpPolicy
-
         policy = policy_of(path)
-        network = "control" if isinstance(policy, PrunedMlpPolicy) else "ann"
+        network = "control" if policy.kind.startswith("pruned") else "ann"
         return Candidate(
             path=str(path),
             name=path.resolve().name,

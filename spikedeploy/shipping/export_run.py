@@ -101,7 +101,7 @@ def kind_of(policy: "Policy", control: bool = False) -> str:
     """The kind for comparisons; a float network that is pruned or sees less is a control."""
     if policy.kind in SPIKING:
         return "snn"
-    if policy.kind == "pruned-mlp":
+    if policy.kind.startswith("pruned"):
         return "control"
     spec = policy.spec()
     sees_all = spec.get("features", {"name": "all"})["name"] == "all"

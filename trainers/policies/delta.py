@@ -44,6 +44,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.codec.codec import Codec, Normaliser
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.neurons import SigmaDelta
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies.copies import Copies, weights_between
@@ -62,6 +63,8 @@ Array = NDArray[np.float64]
 CURRENT_DECAY = 4095 / 4096
 _THRESHOLD = 1.0
 _BETA, _GAMMA = 0.6, 0.5  # initial decay factors of membranes and readouts
+_DEEP_BETA, _DEEP_GAMMA = 0.7, 0.75  # of deep neurons, and of readouts where there are some
+DEEP_NODE = "lif2"
 DT = 1e-3  # [s] one timestep; policies have no unit of time, and chips run near this value
 
 
@@ -99,7 +102,7 @@ class DeltaSnnPolicy(Policy):
     timesteps: T of a control step
     copies: of a network that serves several parts of a body; None for one network
     deep: hidden neurons, the last ones of each copy, that read the others instead of events
-    recurrent: whether they also read each other
+    recurrent: whether they also read each other; both only where the clock is pipelined
     step: (obs,) distance that one event stands for [normalised observation]
     threshold: (H,) membrane above which a neuron spikes: 1, or the chip's nearest to it
     into, out, past: synapses onto the hidden neurons, from them, and past them
@@ -134,6 +137,10 @@ class DeltaSnnPolicy(Policy):
         super().__init__()
         self.clock, self.timesteps, self.copies = clock, timesteps, copies
         self.deep, self.recurrent = deep, recurrent
+        if deep and clock != "pipelined":
+            raise ConfigError(
+                "deep neurons hear others a timestep late: set policy.clock=pipelined"
+            )
         self.observations, self.actions, self.hidden = observations, actions, hidden
         self.integrated = integrated and skip and hidden > 0
         self.skip, self.most, self.code = skip or not hidden, most, code
@@ -157,9 +164,9 @@ class DeltaSnnPolicy(Policy):
         read = observations if self.skip else 0
         self.past = weights_between(copies, (read, actions), torch.zeros, reads=True, acts=True)
         self.action_bias = nn.Parameter(torch.zeros(actions))
-        beta, gamma = torch.logit(torch.tensor(_BETA)), torch.logit(torch.tensor(_GAMMA))
-        self._beta = nn.Parameter(beta.repeat(hidden))
-        self._gamma = nn.Parameter(gamma.repeat(actions))
+        beta = torch.where(self.deep_neurons, _DEEP_BETA, _BETA)
+        self._beta = nn.Parameter(torch.logit(beta))
+        self._gamma = nn.Parameter(torch.full((actions,), _DEEP_GAMMA if deep else _GAMMA).logit())
         self._gradient = surrogate("atan", surrogate_width)
 
     def _connect(self, deep: int) -> None:
@@ -493,6 +500,7 @@ def delta_artifact(
 
         input (M) -> fc1 -> lif1 -> fc2 -> readout -> action -> output (act)
         input (M) ------> skip ----------> readout, or integral -> action
+                         lif1 -> deep -> lif2 -> fc3 -> readout, and lif2 -> back -> lif2
 
     `lif1` is a CubaLIF whose synaptic current hardly decays, `readout` and `integral` are LI, all
     with gains of 1; `action` adds the constant c to each readout. Channels of the encoder carry
@@ -503,8 +511,9 @@ def delta_artifact(
     """
     precise = deepcopy(policy).double()
     convention = Convention(dt=dt, source="as trained", state="kept", clock=policy.clock)
-    graph, graded, live = _graph(precise, dt), {}, live_neurons(precise)
+    graph, graded = _graph(precise, dt), {}
     if "sd1" in graph.nodes:
+        live = live_layers(precise)["sd1"]
         numbers = _spike_size(precise)[live], precise.bias[live]
         graded["sd1"] = SigmaDelta(*map(to_array, numbers))
     return Artifact(graph, delta_codec(precise), convention, origin, graded)
@@ -539,6 +548,13 @@ def live_neurons(policy: DeltaSnnPolicy) -> Tensor:
     return active & heard
 
 
+def live_layers(policy: DeltaSnnPolicy) -> dict[str, Tensor]:
+    """Return the indices of live hidden neurons by the node in which they are; no empty ones."""
+    live, deep = live_neurons(policy), policy.deep_neurons
+    layers = {hidden_node(policy): live & ~deep, DEEP_NODE: live & deep}
+    return {name: torch.nonzero(which).ravel() for name, which in layers.items() if which.any()}
+
+
 def channel_weights(policy: DeltaSnnPolicy, weight: Array) -> Array:
     """Return weights (N, M) of the encoder's channels, from those of the observation (N, obs)."""
     k = np.arange(1, policy.most + 1)
@@ -567,29 +583,35 @@ def _graph(policy: DeltaSnnPolicy, dt: float) -> nir.NIRGraph:
     width = 2 * policy.most * policy.observations
     nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([width])})}
     edges: list[tuple[str, str]] = []
-    live = live_neurons(policy)
-    if bool(live.any()):
-        into = channel_weights(policy, to_array(policy.into.whole()[live]))
-        name = hidden_node(policy)
-        nodes["fc1"] = nir.Linear(into)
-        nodes[name] = _neurons(policy, live, dt)
-        nodes["fc2"] = nir.Linear(to_array((policy.out.whole() * _spike_size(policy))[:, live]))
-        edges += [("input", "fc1"), ("fc1", name), (name, "fc2"), ("fc2", "readout")]
-        if policy.deep:
-            nodes["back"] = nir.Linear(to_array(policy.back.whole()[live][:, live]))
-            edges += [(name, "back"), ("back", name)]
+    layers, name = live_layers(policy), hidden_node(policy)
+    for number, (node, live) in enumerate(layers.items(), 2):
+        nodes[node] = _neurons(policy, live, dt)
+        out = to_array((policy.out.whole() * _spike_size(policy))[:, live])
+        nodes[f"fc{number}"] = nir.Linear(out)
+        edges += [(node, f"fc{number}"), (f"fc{number}", "readout")]
+    if name in layers:
+        nodes["fc1"] = nir.Linear(
+            channel_weights(policy, to_array(policy.into.whole()[layers[name]]))
+        )
+        edges += [("input", "fc1"), ("fc1", name)]
+    if DEEP_NODE in layers:
+        deep = policy.back.whole()[layers[DEEP_NODE]]
+        for source, node in ((name, "deep"), (DEEP_NODE, "back")):
+            if source in layers and bool(deep[:, layers[source]].any()):
+                nodes[node] = nir.Linear(to_array(deep[:, layers[source]]))
+                edges += [(source, node), (node, DEEP_NODE)]
     integral = np.full(policy.actions, policy.current_decay)
     zeros = policy.step.new_zeros(policy.actions, len(policy.step))
     past = policy.past.whole() if policy.skip else zeros
     if not edges or bool(past.any()):  # the input is read, if only with weights of 0
         nodes["skip"] = nir.Linear(channel_weights(policy, to_array(past)))
         edges.append(("input", "skip"))
-        if policy.integrated and "lif1" in nodes:
+        if policy.integrated and layers:
             nodes["integral"] = _readout(policy, integral, dt)
             edges += [("skip", "integral"), ("integral", "action")]
         else:
             edges.append(("skip", "readout"))
-    alone = policy.integrated and "lif1" not in nodes  # the readout is then the integral
+    alone = policy.integrated and not layers  # the readout is then the integral
     nodes["readout"] = _readout(policy, integral if alone else to_array(policy.gamma), dt)
     nodes["action"] = nir.Affine(np.eye(policy.actions), to_array(policy.action_bias))
     nodes["output"] = nir.Output({"output": np.array([policy.actions])})
@@ -612,7 +634,7 @@ def _spike_size(policy: DeltaSnnPolicy) -> Tensor:
 def _neurons(policy: DeltaSnnPolicy, live: Tensor, dt: float) -> nir.CubaLIF | nir.I:
     """Return the hidden neurons; the bias of LIF neurons is their resting membrane."""
     if isinstance(policy, DeltaMlpPolicy):
-        return nir.I(np.full(int(live.sum()), 1 / dt))
+        return nir.I(np.full(len(live), 1 / dt))
     beta, bias = to_array(policy.beta[live]), to_array(policy.bias[live])
     # tau = dt / (1 - decay) ; gains of 1 ; V = beta V + I + (1 - beta) v_leak
     deep = policy.deep_neurons[live].numpy()

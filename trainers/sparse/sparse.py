@@ -74,7 +74,7 @@ _DENSE_BUDGET = 4_000.0  # operations for which the penalty is scaled while noth
 
 
 # what the operations of each kind of policy are called
-_UNITS = {"delta-snn": "sops", "pruned-mlp": "macs", "vision": "macs"}
+_UNITS = {"delta-snn": "sops", "pruned-mlp": "macs", "pruned-gru": "macs", "vision": "macs"}
 
 
 def with_budget(config: C, text: str) -> C:

@@ -39,6 +39,7 @@ from spikedeploy.trainers.policies.delta import (
     delta_artifact,
     delta_codec,
     delta_encoder,
+    live_layers,
     live_neurons,
 )
 from spikedeploy.trainers.policies.gru import Remembered
@@ -460,23 +461,23 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
     offsets = {name: torch.zeros_like(t) for name, t in vars(policy.weights()).items()}
     groups = {name: getattr(policy, name) for name in GROUPS}
     offsets |= {name: torch.zeros_like(each.whole_mask) for name, each in groups.items()}
-    live = torch.nonzero(live_neurons(policy)).ravel()
+    layers = live_layers(policy)
     graded = isinstance(policy, DeltaMlpPolicy)
     for before, after in zip(exact.layers, rounded.layers, strict=True):
         units = target.arithmetic.partly_rounded(before, after, _STEP)
         for old, new in zip(before.synapses, units.synapses, strict=True):
             heard = old.source != exact.input
-            both = ("into", "back") if before.spiking else ("past", "out")
+            both = ("into", "back") if before.name in layers else ("past", "out")
             name = both[heard]
+            rows = layers.get(before.name, torch.arange(policy.actions))
+            columns = layers[old.source] if heard else torch.arange(policy.observations)
             error = new.weight * after.scale - old.weight
             if old.source == exact.input:
                 # that of the channel of one event
                 first = error.reshape(policy.observations, 2 * policy.most, -1)[:, 0]
                 error = first / policy.step.double().numpy()[:, None]
             elif graded:  # by what a spike counts
-                error = error / policy.threshold[live].double().numpy()[:, None]
-            rows = live if before.spiking else torch.arange(policy.actions)
-            columns = live if heard else torch.arange(policy.observations)
+                error = error / policy.threshold[columns].double().numpy()[:, None]
             offsets[name][rows[:, None], columns[None]] = torch.from_numpy(error.T).float()
         if graded:
             continue
@@ -484,6 +485,7 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
         if before.name == "readout" and policy.hidden:
             offsets["gamma"] = decay - policy.gamma
         if before.spiking:
+            live = layers[before.name]
             bias = after.voltage_bias * after.scale - before.voltage_bias
             threshold = after.threshold * after.scale - before.threshold
             offsets["beta"][live] = decay - policy.beta[live]

@@ -107,11 +107,8 @@ def walk(steps: int) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("options", DEEP)
-@pytest.mark.parametrize("clock", ["pipelined", "gated"])
-def test_a_window_gives_what_its_control_steps_give_one_by_one(
-    options: dict[str, Any], clock: str
-) -> None:
-    policy = spiking(clock=clock, **options)
+def test_a_window_gives_what_its_control_steps_give_one_by_one(options: dict[str, Any]) -> None:
+    policy = spiking(**options)
     pool = WalkPool([Walk(walk(12).astype(np.float32), np.zeros((12, 2), np.float32))])
     config = SparseConfig.model_validate(
         {"algorithm": "sparse", "recipe": "", "env": {"name": "hexapod-tiles"}, "seed": 0,
