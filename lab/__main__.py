@@ -18,6 +18,7 @@ COMMANDS = {
     "energy-ratio": "lab.experiments.energy_ratio",
     "eye-events": "lab.experiments.eye_events",
     "eye-trainings": "lab.experiments.eye_trainings",
+    "tiles-trainings": "lab.experiments.tiles_trainings",
     "kart-trainings": "lab.experiments.kart_trainings",
     "phase-table": "lab.experiments.phase_table",
     "convolutions": "lab.bench.convolutions",

@@ -19,6 +19,7 @@ eye_map      where spiking costs less, by control rate and quiet; vision, eye_co
 eye_entry    kart-eye's entry test: what drives without convolutions, and what does with them
 tiles        hexapod-tiles' entry test: what places feet, and for how many operations
 eye_trainings  what its trainings left, as archives; the files of such in archives
+tiles_trainings  what those of hexapod-tiles left
 
 Other tables of results/ have a script each:
 

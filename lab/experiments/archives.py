@@ -13,7 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile, ZipInfo
 
+from lab.experiments.training import TrainingJob
 from spikedeploy.files import replacing
+from spikedeploy.trainers.run_folder import LEVEL
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"
 Pack = Callable[[Path, Path], Iterable[Path]]
@@ -94,6 +96,33 @@ class Kept:
             raise ValueError(f"{options.archives} has no archives")
         count = sum(self.unpack(each, options.runs) for each in found)
         return f"{count} files written into {options.runs}"
+
+
+_RUN = ("config.json", "versions.json", "metrics.csv", "checkpoints/last.json")
+
+
+def kept_levels(experiment: str) -> Kept:
+    """What is kept of trainings with levels of pruning, in results/<experiment>/trainings."""
+    name = re.compile(
+        rf"{experiment}-[\w-]+/({'|'.join(map(re.escape, _RUN))}"
+        rf"|checkpoints/{LEVEL}[\w+]+\.(json|safetensors))"
+        r"|evaluations/([\w.+=-]+/)?[\w.+=-]+\.json"
+    )
+    # a training counts as complete by its counters, which must not come before the rest
+    return Kept(RESULTS / experiment / "trainings", name, 16 << 20, ("last.json",))
+
+
+def files_left(runs: Path, trainings: Iterable[TrainingJob]) -> dict[str, list[Path]]:
+    """The evaluations, and of each training that ended what says how, and its levels' policies."""
+    files = {"evaluations": [*(runs / "evaluations").rglob("*.json")]}
+    for training in trainings:
+        if training.is_trained:
+            run = training.existing_run
+            files[training.name] = [
+                *(run / name for name in _RUN if (run / name).is_file()),
+                *run.glob(f"checkpoints/{LEVEL}*"),
+            ]
+    return files
 
 
 def _check_kept(archive: Path, names: set[str]) -> None:

@@ -11,27 +11,18 @@ that all trainings begin with: `walks` plays them again, and takes them if they 
 bit.
 """
 
-import re
 import shutil
-from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from lab.experiments.archives import RESULTS, Kept
+from lab.experiments.archives import files_left, kept_levels
 from lab.experiments.eye_entry import EyeEntryDesign
-from lab.experiments.training import TrainingJob, counters
+from lab.experiments.training import counters
 from spikedeploy.files import replacing
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.run_folder import LEVEL, file_sha256
+from spikedeploy.trainers.run_folder import file_sha256
 
-_RUN = ("config.json", "versions.json", "metrics.csv", "checkpoints/last.json")
-_NAME = re.compile(
-    rf"kart-eye-[\w-]+/({'|'.join(map(re.escape, _RUN))}"
-    rf"|checkpoints/{LEVEL}[\w+]+\.(json|safetensors))"
-    r"|evaluations/([\w.+=-]+/)?[\w.+=-]+\.json"
-)
-# a training counts as complete by its counters, which must not come before the rest
-KEPT = Kept(RESULTS / "kart-eye" / "trainings", _NAME, 16 << 20, ("last.json",))
+KEPT = kept_levels("kart-eye")
 
 
 def pack(runs: Path, archives: Path) -> list[Path]:
@@ -39,17 +30,8 @@ def pack(runs: Path, archives: Path) -> list[Path]:
 
     Raises ValueError where an archive holds files that `runs` lacks; then none is written.
     """
-    files = {"evaluations": [*(runs / "evaluations").rglob("*.json")]}
-    for training in EyeEntryDesign(runs=str(runs)).trainings():
-        if training.is_trained:
-            files[training.name] = list(_files(training))
-    return KEPT.write(runs, archives, files)
-
-
-def _files(training: TrainingJob) -> Iterable[Path]:
-    run = training.existing_run
-    yield from (run / name for name in _RUN if (run / name).is_file())
-    yield from run.glob(f"checkpoints/{LEVEL}*")
+    trainings = EyeEntryDesign(runs=str(runs)).trainings()
+    return KEPT.write(runs, archives, files_left(runs, trainings))
 
 
 def replay_walks(runs: Path) -> int:
