@@ -63,7 +63,7 @@ Array = NDArray[np.float64]
 CURRENT_DECAY = 4095 / 4096
 _THRESHOLD = 1.0
 _BETA, _GAMMA = 0.6, 0.5  # initial decay factors of membranes and readouts
-_DEEP_BETA, _DEEP_GAMMA = 0.7, 0.75  # of deep neurons, and of readouts where there are some
+_DEEP_BETA, _DEEP_GAMMA = 0.7, 0.9  # of deep neurons, and of readouts where there are some
 DEEP_NODE = "lif2"
 DT = 1e-3  # [s] one timestep; policies have no unit of time, and chips run near this value
 
@@ -166,7 +166,10 @@ class DeltaSnnPolicy(Policy):
         self.action_bias = nn.Parameter(torch.zeros(actions))
         beta = torch.where(self.deep_neurons, _DEEP_BETA, _BETA)
         self._beta = nn.Parameter(torch.logit(beta))
-        self._gamma = nn.Parameter(torch.full((actions,), _DEEP_GAMMA if deep else _GAMMA).logit())
+        gamma = _DEEP_GAMMA if deep else _GAMMA
+        self._gamma = nn.Parameter(torch.full((actions,), gamma).logit())
+        # readouts that last for longer sum up more spikes
+        self.out.weight.data *= (1 - gamma) / (1 - _GAMMA)
         self._gradient = surrogate("atan", surrogate_width)
 
     def _connect(self, deep: int) -> None:
