@@ -53,6 +53,7 @@ from spikedeploy.trainers.policies.policy import (
     Head,
     Latent,
     Policy,
+    PrunedWeight,
     TorchNormaliser,
     to_array,
 )
@@ -159,8 +160,9 @@ class DeltaSnnPolicy(Policy):
             copies, (hidden, actions), lambda n, m: torch.randn(n, m) * 0.75 / max(m, 1) ** 0.5,
             acts=True,
         )  # fmt: skip
-        self.back = weights_between(copies, (hidden if deep else 0,) * 2, _back)
-        self._connect(deep // (copies.count if copies else 1))
+        if deep:
+            self.back = weights_between(copies, (hidden, hidden), _back)
+            self._connect(deep // (copies.count if copies else 1))
         read = observations if self.skip else 0
         self.past = weights_between(copies, (read, actions), torch.zeros, reads=True, acts=True)
         self.action_bias = nn.Parameter(torch.zeros(actions))
@@ -174,12 +176,16 @@ class DeltaSnnPolicy(Policy):
 
     def _connect(self, deep: int) -> None:
         """Take out the synapses that the last `deep` neurons of a copy do not have."""
-        if not deep:
-            return
         self.into.mask[-deep:] = 0.0
         self.back.mask[:-deep] = 0.0
         if not self.recurrent:
             self.back.mask[:, -deep:] = 0.0
+
+    @property
+    def groups(self) -> dict[str, PrunedWeight]:
+        """All synapses, by the name of their field in DeltaWeights."""
+        found = {"into": self.into, "out": self.out, "past": self.past}
+        return {**found, "back": self.back} if self.deep else found
 
     @property
     def deep_neurons(self) -> Tensor:
@@ -306,9 +312,8 @@ class DeltaSnnPolicy(Policy):
         """
         membrane, readout, emitted = states
         raster, means = [emitted], [readout]
-        deep = self.deep_neurons if self.deep else None
         for drive in (self.into.drive(seen, weights.into) + weights.bias).unbind(1):
-            if deep is not None:
+            if weights.back is not None:
                 drive = drive + self.back.drive(raster[-1], weights.back)
             membrane = weights.beta * membrane + drive
             spikes = spike(membrane - weights.threshold, self._gradient)
@@ -326,8 +331,10 @@ class DeltaSnnPolicy(Policy):
 
     def weights(self) -> "DeltaWeights":
         """Return what `unrolled` computes with, masks and decay factors applied."""
-        matrices = self.into(), self.out(), self.past(), self.back()
-        return DeltaWeights(*matrices, self.beta, self.gamma, self.bias, self.threshold)
+        matrices = {name: matrix() for name, matrix in self.groups.items()}
+        return DeltaWeights(
+            **matrices, beta=self.beta, gamma=self.gamma, bias=self.bias, threshold=self.threshold
+        )
 
     def latent(self, observation: Tensor) -> Latent:
         """Return the output of the first control step of an episode."""
@@ -348,21 +355,21 @@ class DeltaWeights:
     into: (H, obs), or the block that copies share
     out: (act, H), likewise
     past: (act, obs), likewise
-    back: (H, H), likewise; empty without deep neurons
     beta: (H,)
     gamma: (act,)
     bias: (H,)
     threshold: (H,)
+    back: (H, H), or the block that copies share; None without deep neurons
     """
 
     into: Tensor
     out: Tensor
     past: Tensor
-    back: Tensor
     beta: Tensor
     gamma: Tensor
     bias: Tensor
     threshold: Tensor
+    back: Tensor | None = None
 
 
 def _back(n: int, m: int) -> Tensor:

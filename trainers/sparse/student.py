@@ -54,7 +54,6 @@ FloatArray = NDArray[np.float64]
 _SMOOTHING = 0.02  # weight of the newest batch in mean rates of hidden neurons
 _TINY = 1e-12
 _WEAK = 0.1  # of what the others bring for the same operations: neurons below are removed
-GROUPS = ("into", "out", "past", "back")  # synapses of a DeltaSnnPolicy
 _STEP = "weights"  # the kind of rounding, as an arithmetic's `ablation_steps` name it
 _WINDOWS = 256  # on which sensitivities are measured
 _PROJECTIONS = 8
@@ -458,8 +457,8 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
     artifact = delta_artifact(policy)
     exact = compile_program(artifact, chip("ideal"), limits=False)
     rounded = compile_program(artifact, target, limits=False)
-    offsets = {name: torch.zeros_like(t) for name, t in vars(policy.weights()).items()}
-    groups = {name: getattr(policy, name) for name in GROUPS}
+    weights, groups = vars(policy.weights()).items(), policy.groups
+    offsets = {name: torch.zeros_like(each) for name, each in weights if each is not None}
     offsets |= {name: torch.zeros_like(each.whole_mask) for name, each in groups.items()}
     layers = live_layers(policy)
     graded = isinstance(policy, DeltaMlpPolicy)
@@ -500,9 +499,9 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
 def with_offsets(policy: DeltaSnnPolicy, offsets: Mapping[str, Tensor]) -> DeltaSnnPolicy:
     """Return a copy that computes with the numbers of the chip: those of the policy and these."""
     copy = deepcopy(policy)
-    for name in GROUPS:
+    for name, matrix in copy.groups.items():
         if name in offsets:
-            getattr(copy, name).weight += offsets[name]
+            matrix.weight.add_(offsets[name])
     if "beta" in offsets:
         copy.set_decays(copy.beta + offsets["beta"], copy.gamma + offsets["gamma"])
         copy.bias.add_(offsets["bias"])
@@ -521,8 +520,7 @@ def round_for_chip(policy: Policy, target: Chip, rounding: bool) -> Policy:
     if not rounding or not isinstance(policy, DeltaSnnPolicy):
         return policy
     copy = with_offsets(policy, rounding_offsets(policy, target))
-    for name in GROUPS:
-        matrix = getattr(copy, name)
+    for matrix in copy.groups.values():
         matrix.mask *= matrix.weight != 0
     return copy
 

@@ -134,6 +134,7 @@ def test_deep_neurons_read_no_events_and_each_other_where_they_are_recurrent(
     policy = spiking(**options)
     deep = policy.deep_neurons
     assert int(deep.sum()) == options.get("deep", 0)
+    assert ("back.weight" in policy.state_dict()) == bool(options)  # as earlier versions wrote it
     if options:
         assert deep.view(2, 6).tolist() == 2 * [4 * [False] + 2 * [True]]
         assert not policy.into.whole_mask[deep].any()
