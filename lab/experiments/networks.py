@@ -76,11 +76,15 @@ def network(run: Path, level: str, place: str, stem: Path) -> PlacedNetwork:
     if policy.kind in SPIKING:
         return _on_chip(policy, origin, stem.with_name(f"{stem.name}.nir"), place)
     if isinstance(policy, PrunedMlpPolicy):
-        rounded = in_bits(policy, int(place.removeprefix("int"))) if place != "float32" else policy
-        return _pruned(rounded, origin, stem.with_name(f"{stem.name}-{place}.onnx"))
+        return _pruned(_rounded(policy, place), origin, stem.with_name(f"{stem.name}-{place}.onnx"))
     if isinstance(policy, PrunedGruPolicy):
-        return _with_memory(in_bits(policy, int(place.removeprefix("int"))))
+        return _with_memory(_rounded(policy, place))
     raise TypeError(f"{type(policy).__name__} is no policy that is pruned")
+
+
+def _rounded(policy: P, place: str) -> P:
+    """The policy with weights of as many bits as its place has."""
+    return policy if place == "float32" else in_bits(policy, int(place.removeprefix("int")))
 
 
 def _with_memory(policy: PrunedGruPolicy) -> PlacedNetwork:

@@ -2,8 +2,8 @@
 
 Policies of the whole body, and networks that all legs share, float and spiking, are trained by one
 recipe from the same walks of a script that is shown the ground as it is. Each training is evaluated
-in fields that no training saw, at each level of its pruning: float networks with weights of 8 bits,
-spiking ones on the emulated chip. Scripts walk beside them.
+in fields that no training saw, at each level of its pruning: float networks in float32 and with
+weights of 8 bits, spiking ones on the emulated chip. Scripts walk beside them.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,6 +23,7 @@ from spikedeploy import make, zoo
 from spikedeploy.comparison.statistics import Estimate, nested_ratio, stratified_bootstrap
 from spikedeploy.envs.hexapod.footholds import FootholdScript
 from spikedeploy.policies.counting import count_operations
+from spikedeploy.policies.run_record import SPIKING
 from spikedeploy.runtime.metrics.energy import TABLES
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
@@ -40,8 +41,9 @@ _ROWS: Mapping[str, Mapping[str, Any]] = DESIGNS["hexapod-tiles"]["networks"]
 _WALKS: Mapping[str, Any] = DESIGNS["hexapod-tiles"]["walks"]
 _TABLE = "hexapod-tiles.csv"
 _VERSION = 1  # of what a row holds; a higher one makes all rows again
-_TEXT = ("network", "view", "level", "quick")
-_KEY = ("network", "view", "seed", "level")
+_TEXT = ("network", "view", "level", "place", "quick")
+_KEY = ("network", "view", "seed", "level", "place")
+_FLOAT = ("float32", "int8")  # places of float networks
 _COLUMNS = (
     *_KEY, "episodes", "weights", "operations", "neuron_updates", "events", "quick", "success",
     "missteps", "distance", "fall",
@@ -124,41 +126,41 @@ class TilesDesign(Design):
         played = play(_env(view), self.episodes, scripts, self.limit)
         # the gait is the same script on a scan that is free; what it needs was not counted
         facts = {"operations": scripts.count(played.walks)} if name == SCRIPT else {}
-        return self._row(name, view, None, None, facts, played.infos)
+        return self._row((name, view, None, None, None), facts, played.infos)
 
     def _rows(self, training: TrainingJob) -> list[StoredRow]:
         """The rows of a training that ended, one of each level."""
         run = RunFolder(training.existing_run)
         rows = []
         for level in reversed(run.levels.values()):
-            of = {**self._made, "chip": self.chip, "policy": zoo.sha256(run.checkpoint(level))}
-            file = Path(self.runs) / "evaluations" / f"{training.name}-{level}.json"
-            rows.append(StoredRow(file, of, partial(self._evaluate, training, level)))
+            of = {**self._made, "policy": zoo.sha256(run.checkpoint(level))}
+            for place in [self.chip] if run.policy(level).kind in SPIKING else _FLOAT:
+                file = Path(self.runs) / "evaluations" / f"{training.name}-{level}-{place}.json"
+                make = partial(self._evaluate, training, level, place)
+                rows.append(StoredRow(file, of, make))
         return rows
 
-    def _evaluate(self, training: TrainingJob, level: str) -> Record:
+    def _evaluate(self, training: TrainingJob, level: str, place: str) -> Record:
         name, view, _ = training.name.rsplit("-", 2)
         run = RunFolder(training.existing_run)
         policy = run.policy(level)
-        place = self.chip if policy.kind.endswith("snn") else "int8"
         stem = Path(self.runs) / "policies" / f"{training.name}-{level}"
         placed = network(run.path, level, place, stem)
         played = play(training.config.env, self.episodes, placed.controller, self.limit)
         matrices = [each for each in policy.modules() if isinstance(each, PrunedWeight)]
         weights = sum(int(each.mask.sum()) for each in matrices)
         facts = {"weights": weights, **placed.counts(played.walks)}
-        return self._row(name, view, training.seed, level, facts, played.infos)
+        return self._row((name, view, training.seed, level, place), facts, played.infos)
 
     def _row(
-        self, name: str, view: str, seed: int | None, level: str | None,
-        facts: Mapping[str, Any], infos: Sequence[Mapping[str, Any]],
-    ) -> Record:  # fmt: skip
+        self,
+        key: tuple[str, str, int | None, str | None, str | None],
+        facts: Mapping[str, Any],
+        infos: Sequence[Mapping[str, Any]],
+    ) -> Record:
         counted = ("weights", "operations", "neuron_updates", "events")
         return {
-            "network": name,
-            "view": view,
-            "seed": seed,
-            "level": level,
+            **dict(zip(_KEY, key, strict=True)),
             "episodes": len(infos),
             **{column: facts.get(column) for column in counted},
             "quick": "yes" if self.quick else "",
@@ -186,7 +188,8 @@ class TilesDesign(Design):
             if not is_walks(job)
             and (*job.name.rsplit("-", 2)[:2], job.seed) not in there
         ]  # fmt: skip
-        every = [policy_facts(of) for _, of in grouped(rows, "network", "view", "level")]
+        every = [policy_facts(of) for _, of in grouped(rows, "network", "view", "level", "place")]
+        whole = [f for f in every if not f["pruned"] and f["place"] != "int8"]
         page, shown = pages.write_page(
             results / "hexapod-tiles.md",
             {},
@@ -196,7 +199,7 @@ class TilesDesign(Design):
             first_seed=EVALUATION,
             chip=self.chip,
             missing=lack,
-            views={v: [f for f in every if f["view"] == v and not f["pruned"]] for v in VIEWS},
+            views={v: [f for f in whole if f["view"] == v] for v in VIEWS},
             front=[f for f in every if f["pruned"] or f["has_levels"]],
             verdicts="\n".join(f"- {line}" for line in verdicts(every)),
             facts=[f"- {pages.releases('torch', 'numpy', 'mujoco')}"],
@@ -266,6 +269,7 @@ def policy_facts(rows: Sequence[Record]) -> Record:
         "name": first["network"],
         "view": first["view"],
         "level": first["level"],
+        "place": first["place"],
         "kind": of.get("kind", SCRIPTS.get(first["network"], "")),
         "pruned": first["level"] is not None and first["level"] != NOT_PRUNED,
         "has_levels": of.get("levels", False),
@@ -294,7 +298,10 @@ def episode_mean(rows: Sequence[Record], field: str) -> Estimate:
 
 def verdicts(every: Sequence[Record]) -> Iterator[str]:
     """Whether the test is passed, in sentences; none on what is not there."""
-    seen = [f for f in every if f["view"] == "around" and f["kind"] != "blind"]
+    seen = [
+        f for f in every
+        if f["view"] == "around" and f["kind"] != "blind" and f["place"] != "int8"
+    ]  # fmt: skip
     small = [
         f for f in seen
         if f["trainings"] and f["unit"] == "MACs" and f["operations"] < FEW

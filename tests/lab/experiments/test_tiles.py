@@ -52,7 +52,9 @@ def table(results):
 
 
 def test_each_row_holds_its_episodes_and_counts_what_it_did(results):
-    found = {(r["network"], r["level"]): r for r in table(results)}
+    rows = [r for r in table(results) if r["place"] != "int8"]
+    found = {(r["network"], r["level"]): r for r in rows}
+    assert {r["network"] for r in table(results) if r["place"] == "int8"} == {*FEW} - {"legs-snn"}
     assert all(len(row["success"]) == len(row["missteps"]) == 2 for row in found.values())
     assert found["script", None]["operations"] > 1_000
     assert found["gait", None]["operations"] is None
@@ -106,6 +108,7 @@ def test_the_gait_is_the_script_that_does_not_look():
 def row(network, success, operations=4_000.0, updates=None, level=NOT_PRUNED):
     return {
         "network": network, "view": "around", "seed": 0, "level": level, "weights": 10,
+        "place": "float32" if updates is None else "loihi1",
         "operations": operations, "neuron_updates": updates, "success": success,
         "missteps": [0.01] * len(success), "distance": [3.0] * len(success),
         "fall": [0] * len(success),
