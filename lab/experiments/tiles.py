@@ -6,6 +6,7 @@ in fields that no training saw, at each level of its pruning: float networks in 
 weights of 8 bits, spiking ones on the emulated chip. Scripts walk beside them.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -183,11 +184,11 @@ class TilesDesign(Design):
         write_exactly(({n: row.get(n) for n in _COLUMNS} for row in rows), _COLUMNS, table)
         rows = read_rows(table, _TEXT)  # as they stand there, so that the page can be made again
         there = {(row["network"], row["view"], row["seed"]) for row in rows}
-        lack = [
-            job.name for job in self.trainings()
+        lack = Counter(
+            job.name.rpartition("-s")[0] for job in self.trainings()
             if not is_walks(job)
             and (*job.name.rsplit("-", 2)[:2], job.seed) not in there
-        ]  # fmt: skip
+        )  # fmt: skip
         every = [policy_facts(of) for _, of in grouped(rows, "network", "view", "level", "place")]
         whole = [f for f in every if not f["pruned"] and f["place"] != "int8"]
         page, shown = pages.write_page(
@@ -198,7 +199,7 @@ class TilesDesign(Design):
             episodes=self.episodes,
             first_seed=EVALUATION,
             chip=self.chip,
-            missing=lack,
+            missing=[f"{name} ({count})" for name, count in lack.items()],
             views={v: [f for f in whole if f["view"] == v] for v in VIEWS},
             front=[f for f in every if f["pruned"] or f["has_levels"]],
             verdicts="\n".join(f"- {line}" for line in verdicts(every)),
