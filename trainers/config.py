@@ -137,7 +137,7 @@ class DeltaSnnConfig(_Section):
     hidden: neurons, of each copy; 0 leaves a delta-coded linear policy
     skip: whether events also reach the readout directly
     copies: "legs" for one network that every leg of a hexapod-tiles has a copy of
-    deep: neurons of `hidden` that read spikes of the others instead of events
+    deep: further neurons, which read spikes of the hidden ones instead of events
     recurrent: whether these also read each other's
     integrated: whether they do so through readouts of their own that hardly decay
     most, code: events of an observation in a timestep, and on which channels; see
@@ -162,12 +162,7 @@ class DeltaSnnConfig(_Section):
     surrogate_width: Rate = 2.0
 
     @model_validator(mode="after")
-    def _deep_neurons_read_others(self) -> "DeltaSnnConfig":
-        if self.deep and self.deep >= self.hidden:
-            raise ValueError(
-                f"deep: {self.deep} of {self.hidden} hidden neurons leave none that reads events. "
-                "Make hidden larger"
-            )
+    def _deep_neurons_are_pipelined(self) -> "DeltaSnnConfig":
         if self.deep and self.clock != "pipelined":
             raise ValueError("deep: these neurons are for the clock pipelined")
         return self

@@ -98,6 +98,8 @@ def from_config(
     spec = {**config.model_dump(), "observations": observations, "actions": actions, "clip": clip}
     if "features" in spec:
         spec["features"] = features(spec["features"], observations, columns).spec()
+    if deep := spec.get("deep"):
+        spec["hidden"] += deep  # of both layers
     if spec.pop("copies", ""):
         spec |= _of_legs(spec, columns or {})
     if head == "discrete":

@@ -64,7 +64,7 @@ def test_each_row_holds_its_episodes_and_counts_what_it_did(results):
     assert 100 < linear["operations"] < 6 * linear["weights"]
     assert found["legs-gru", NOT_PRUNED]["operations"] > 10 * linear["operations"]
     # the readouts of the second layer begin a timestep later
-    updates = 4 * (6 * 4 + 2 * 18)
+    updates = 4 * (6 * (4 + 2) + 2 * 18)
     assert found["legs-snn", NOT_PRUNED]["neuron_updates"] == pytest.approx(updates, rel=0.02)
 
 
