@@ -11,7 +11,7 @@ out, as spiking_onnx names them: leaky traces of what it sees, and the memory of
     counts (B, C·Y·X) -> normalise, clip -> sum pool, traces -> Conv, Relu ... -> Gemm, Relu ...
                       -> GRU -> Gemm -> logits
 
-So has a pruned policy with a memory.
+A pruned policy with a memory has the last line, and a path past it, as all that are pruned.
 
 The first output is the action, or for discrete actions the logits: the largest is taken, while
 training sampled from their softmax. The other outputs are the inputs of the weight matrices, in
@@ -20,7 +20,7 @@ States go out last.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +42,7 @@ from spikedeploy.trainers.policies import (
     PrunedMlpPolicy,
 )
 from spikedeploy.trainers.policies.mlp import Features
-from spikedeploy.trainers.policies.policy import PrunedKernel
+from spikedeploy.trainers.policies.policy import PrunedKernel, PrunedWeight
 
 _KINDS = ("ann", "control")
 _Float = MlpPolicy | PrunedMlpPolicy | PrunedGruPolicy | FloatVisionPolicy
@@ -213,16 +213,25 @@ def _layers(graph: OnnxGraph, policy: MlpPolicy, hidden: str) -> None:
 
 def _pruned_layers(graph: OnnxGraph, policy: PrunedMlpPolicy, seen: str) -> None:
     """Add the network with its skip connection, up to its output."""
-    hidden = seen
-    pairs = zip(policy.layers, policy.biases, strict=True)
-    for number, (matrix, bias) in enumerate(pairs, start=1):
-        graph.presynaptic(hidden, matrix.fan_out.numel())
-        weight = graph.constant(f"weight{number}", _array(matrix.whole()))
-        offset = graph.constant(f"bias{number}", _array(bias))
-        hidden = graph.node("Gemm", [hidden, weight, offset], f"affine{number}", transB=1)
-        if number < len(policy.layers):
-            hidden = graph.node("Relu", [hidden], f"hidden{number}")
-    _act(graph, policy, hidden, seen)
+    *layers, last = zip(policy.layers, policy.biases, strict=True)
+    hidden = _rectified(graph, layers, seen)
+    _act(graph, policy, _affine(graph, hidden, *last, len(layers) + 1), seen)
+
+
+def _rectified(graph: OnnxGraph, layers: Iterable[tuple[PrunedWeight, Tensor]], hidden: str) -> str:
+    """Add ReLU layers, weights and biases of each; return the name of the last."""
+    for number, layer in enumerate(layers, start=1):
+        sums = _affine(graph, hidden, *layer, number)
+        hidden = graph.node("Relu", [sums], f"hidden{number}")
+    return hidden
+
+
+def _affine(graph: OnnxGraph, hidden: str, matrix: PrunedWeight, bias: Tensor, number: int) -> str:
+    """Add weights and biases of a layer; return the name of its sums."""
+    graph.presynaptic(hidden, matrix.fan_out.numel())
+    weight = graph.constant(f"weight{number}", _array(matrix.whole()))
+    offset = graph.constant(f"bias{number}", _array(bias))
+    return graph.node("Gemm", [hidden, weight, offset], f"affine{number}", transB=1)
 
 
 def _act(
@@ -238,21 +247,13 @@ def _act(
 
 def _memory_layers(graph: OnnxGraph, policy: PrunedGruPolicy, seen: str) -> None:
     """Add the network with a memory, up to its output."""
-    hidden = seen
-    for number, (matrix, bias) in enumerate(zip(policy.groups, policy.biases, strict=False), 1):
-        graph.presynaptic(hidden, matrix.fan_out.numel())
-        weight = graph.constant(f"weight{number}", _array(matrix.whole()))
-        offset = graph.constant(f"bias{number}", _array(bias))
-        sums = graph.node("Gemm", [hidden, weight, offset], f"affine{number}", transB=1)
-        hidden = graph.node("Relu", [sums], f"hidden{number}")
+    layers = list(zip(policy.groups, policy.biases, strict=False))  # groups go on behind them
+    hidden = _rectified(graph, layers, seen)
     copies = policy.copies.count if policy.copies else 1
     weights = {"gru": policy.gates(), "back": policy.back()}
     biases = {"gru": policy.gate_bias, "back": policy.back_bias}
     hidden = _gru(graph, hidden, (policy.hidden[-1], policy.gru), weights, biases, copies)
-    graph.presynaptic(hidden, policy.gru)
-    weight = graph.constant("out.weight", _array(policy.out.whole()))
-    bias = graph.constant("out.bias", _array(policy.action_bias))
-    sums = graph.node("Gemm", [hidden, weight, bias], "out.sums", transB=1)
+    sums = _affine(graph, hidden, policy.out, policy.action_bias, len(layers) + 1)
     _act(graph, policy, sums, seen)
 
 

@@ -162,9 +162,13 @@ class DeltaSnnConfig(_Section):
     surrogate_width: Rate = 2.0
 
     @model_validator(mode="after")
-    def _deep_neurons_are_pipelined(self) -> "DeltaSnnConfig":
+    def _deep_neurons_read_hidden_ones(self) -> "DeltaSnnConfig":
+        if self.deep and not self.hidden:
+            raise ValueError("deep: without hidden neurons they have none to read. Set hidden")
+        if self.recurrent and not self.deep:
+            raise ValueError("recurrent: only deep neurons read each other. Set deep")
         if self.deep and self.clock != "pipelined":
-            raise ValueError("deep: these neurons are for the clock pipelined")
+            raise ValueError("deep: these neurons read others a timestep late. Set clock=pipelined")
         return self
 
 

@@ -79,9 +79,9 @@ class FootholdScript:
 
     def act(self, observation: FloatArray) -> FloatArray:
         """The action (18,)."""
-        return self.act_over(observation, self._scan(observation))
+        return self.act_with_scan(observation, self._scan(observation))
 
-    def act_over(self, observation: FloatArray, scan: FloatArray) -> FloatArray:
+    def act_with_scan(self, observation: FloatArray, scan: FloatArray) -> FloatArray:
         """The action (18,) where points (6, 35) about the footholds are forbidden."""
         sine, cosine = (self._measured(observation, "phase")[k : k + 1] for k in (0, 1))
         heading, lateral = (self._measured(observation, name) for name in ("heading", "lateral"))
@@ -153,7 +153,7 @@ class FootholdScript:
         return reached
 
 
-class KnowingScripts:
+class PrivilegedScript:
     """The script in several environments at once, which is shown the ground of each as it is."""
 
     def __init__(self, worlds: Sequence[HexapodTilesEnv]) -> None:
@@ -162,7 +162,7 @@ class KnowingScripts:
     def act_all(self, observation: FloatArray) -> FloatArray:
         """Actions (B, 18) for the observations (B, obs) of the first B environments, of now."""
         pairs = zip(self._worlds, observation, strict=False)
-        return np.stack([self._script.act_over(x, w.scan_footholds()) for w, x in pairs])
+        return np.stack([self._script.act_with_scan(x, w.scan_footholds()) for w, x in pairs])
 
 
 def _lifted(done: FloatArray) -> FloatArray:

@@ -15,17 +15,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lab.experiments import DESIGNS, QUICK, pages
+from lab.experiments import DESIGNS, QUICK, costs, pages
+from lab.experiments.eye_entry import episode_share
+from lab.experiments.eye_map import NOT_PRUNED
 from lab.experiments.networks import network, play
 from lab.experiments.pages import grouped, mean
 from lab.experiments.runner import Design, Part
+from lab.experiments.students import PRICES
 from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows, write_exactly
 from spikedeploy import make, zoo
 from spikedeploy.comparison.statistics import Estimate, nested_ratio, stratified_bootstrap
 from spikedeploy.envs.hexapod.footholds import FootholdScript
 from spikedeploy.policies.counting import count_operations
 from spikedeploy.policies.run_record import SPIKING
-from spikedeploy.runtime.metrics.energy import TABLES
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.policies.policy import PrunedWeight
@@ -35,19 +37,20 @@ from spikedeploy.trainers.sparse.pool import Walk
 SCRIPT, GAIT = "script", "gait"
 SCRIPTS = {SCRIPT: "looks", GAIT: "does not look"}
 VIEWS = ("around", "ahead")
-PRICES = ("horowitz45-int8", "horowitz45-int8-acc16")  # sums in registers, in memory
 FEW, FEW_SUCCEED, MANY_SUCCEED = 5_000, 0.2, 0.9  # operations; shares that the test asks for
-BLIND = 0.5  # noise of a scan that says nothing
 _ROWS: Mapping[str, Mapping[str, Any]] = DESIGNS["hexapod-tiles"]["networks"]
 _WALKS: Mapping[str, Any] = DESIGNS["hexapod-tiles"]["walks"]
 _TABLE = "hexapod-tiles.csv"
-_VERSION = 1  # of what a row holds; a higher one makes all rows again
+_VERSION = 2  # of what a row holds; a higher one makes all rows again
 _TEXT = ("network", "view", "level", "place", "quick")
 _KEY = ("network", "view", "seed", "level", "place")
 _FLOAT = ("float32", "int8")  # places of float networks
+_COUNTS = (
+    "weights", "operations", "neuron_updates", "bias_operations", "readout_updates", "neuron_idle",
+    "messages", "spikes_out", "events", "observations", "constants",
+)  # fmt: skip
 _COLUMNS = (
-    *_KEY, "episodes", "weights", "operations", "neuron_updates", "events", "quick", "success",
-    "missteps", "distance", "fall",
+    *_KEY, "episodes", *_COUNTS, "quick", "success", "missteps", "distance", "fall",
 )  # fmt: skip
 
 
@@ -135,7 +138,8 @@ class TilesDesign(Design):
         rows = []
         for level in reversed(run.levels.values()):
             of = {**self._made, "policy": zoo.sha256(run.checkpoint(level))}
-            for place in [self.chip] if run.policy(level).kind in SPIKING else _FLOAT:
+            spikes = training.config.policy.kind in SPIKING
+            for place in [self.chip] if spikes else _FLOAT:
                 file = Path(self.runs) / "evaluations" / f"{training.name}-{level}-{place}.json"
                 make = partial(self._evaluate, training, level, place)
                 rows.append(StoredRow(file, of, make))
@@ -159,11 +163,10 @@ class TilesDesign(Design):
         facts: Mapping[str, Any],
         infos: Sequence[Mapping[str, Any]],
     ) -> Record:
-        counted = ("weights", "operations", "neuron_updates", "events")
         return {
             **dict(zip(_KEY, key, strict=True)),
             "episodes": len(infos),
-            **{column: facts.get(column) for column in counted},
+            **{name: facts.get(name) for name in _COUNTS},
             "quick": "yes" if self.quick else "",
             "success": [int(info["success"]) for info in infos],
             "missteps": [float(info["misstep_share"]) for info in infos],
@@ -237,7 +240,7 @@ class Scripts:
     def _act(self, script: FootholdScript, seen: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         if self._looks:
             return script.act(seen)
-        return script.act_over(seen, np.zeros((6, 35)))
+        return script.act_with_scan(seen, np.zeros((6, 35)))
 
     def count(self, walks: Sequence[Walk]) -> float:
         """Operations of a control step, all kinds together, in the first of these walks."""
@@ -253,19 +256,8 @@ def policy_facts(rows: Sequence[Record]) -> Record:
     """Facts that the page shows of a policy at a level, in all its trainings."""
     first = rows[0]
     of = _ROWS.get(first["network"], {})
-    spiking = first["neuron_updates"] is not None
-    energy = []
-    for price in (TABLES[name].joules for name in PRICES):
-        if first["network"] in SCRIPTS:
-            continue
-        each = price["sop" if spiking else "mac"]
-        spent = [r["operations"] * each for r in rows]
-        if spiking:
-            spent = [
-                e + r["neuron_updates"] * price["neuron_update"]
-                for e, r in zip(spent, rows, strict=True)
-            ]
-        energy.append(float(np.mean(spent)) * 1e9)
+    is_script = first["network"] in SCRIPTS
+    unit = "SOPs" if costs.is_spiking(first) else "MACs"
     return {
         "name": first["network"],
         "view": first["view"],
@@ -274,21 +266,24 @@ def policy_facts(rows: Sequence[Record]) -> Record:
         "kind": of.get("kind", SCRIPTS.get(first["network"], "")),
         "pruned": first["level"] is not None and first["level"] != NOT_PRUNED,
         "has_levels": of.get("levels", False),
-        "trainings": 0 if first["network"] in SCRIPTS else len(rows),
-        "success": episode_mean(rows, "success"),
+        "trainings": 0 if is_script else len(rows),
+        "success": episode_share(rows, "success"),
         "missteps": episode_mean(rows, "missteps"),
         "distance": float(np.mean([row["distance"] for row in rows])),
         "fall": float(np.mean([row["fall"] for row in rows])),
         "weights": mean(rows, "weights"),
         "operations": mean(rows, "operations"),
-        "unit": "" if first["network"] in SCRIPTS else "SOPs" if spiking else "MACs",
+        "unit": "" if is_script else unit,
         "updates": mean(rows, "neuron_updates"),
-        "energy": energy,
+        "energy": [] if is_script else [mean_energy(rows, table) for table in PRICES],
         "rows": rows,
     }
 
 
-NOT_PRUNED = "ops-1e+06"  # the level of a policy before pruning
+def mean_energy(rows: Sequence[Record], table: str) -> list[float]:
+    """Energies [nJ] of a control step: of operations and neuron updates, and of all terms."""
+    totals = ("updates", "all")
+    return [1e9 * float(np.mean([costs.total(r, table, of) for r in rows])) for of in totals]
 
 
 def episode_mean(rows: Sequence[Record], field: str) -> Estimate:
@@ -309,11 +304,11 @@ def verdicts(every: Sequence[Record]) -> Iterator[str]:
     ]  # fmt: skip
     if small:
         best = max(small, key=lambda f: f["success"].mean)
-        above = [f["name"] for f in small if f["success"].mean > FEW_SUCCEED]
+        above = [_with_operations(f) for f in small if f["success"].mean > FEW_SUCCEED]
         yield (
             f"Float policies below {FEW:,} MACs succeed in at most {FEW_SUCCEED:.0%}: "
-            f"{'no, ' + ', '.join(above) if above else 'yes'}; the most has {best['name']} with "
-            f"{pages.percent(best['success'], 1)}."
+            f"{'no, ' + ', '.join(above) if above else 'those that are here do'}; the most has "
+            f"{_with_operations(best)} with {pages.percent(best['success'], 1)}."
         )
     large = [f for f in seen if f["unit"] == "MACs" and f["trainings"] and not f["pruned"]]
     if large:
@@ -330,6 +325,10 @@ def verdicts(every: Sequence[Record]) -> Iterator[str]:
                 [row["success"] for row in best["rows"]],
             )
             yield (
-                f"{spiking['name']} at {spiking['operations']:,.0f} SOPs has "
-                f"{pages.percent(ratio, 1)} of the successes of {best['name']}."
+                f"{_with_operations(spiking)} has {pages.percent(ratio, 1)} of the successes of "
+                f"{best['name']}."
             )
+
+
+def _with_operations(facts: Record) -> str:
+    return f"{facts['name']} at {facts['operations']:,.0f} {facts['unit']}"

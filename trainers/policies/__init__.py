@@ -19,7 +19,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from spikedeploy.envs.hexapod.tiles import leg_inputs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import PolicyConfig, require_known
 from spikedeploy.trainers.policies.chip_snn import ChipSnnPolicy
@@ -116,6 +115,8 @@ def _of_legs(spec: Mapping[str, Any], columns: Mapping[str, slice]) -> dict[str,
     """Return copies for legs, and the widths of all of them together, for a spec."""
     if not {"scan", "previous"} <= set(columns):
         raise ConfigError("copies: legs are those of hexapod-tiles, which scans their footholds")
+    from spikedeploy.envs.hexapod.tiles import leg_inputs  # loads MuJoCo
+
     inputs, signs = leg_inputs(columns)
     copies = Copies(inputs.tolist(), signs.tolist(), np.arange(18).reshape(6, 3).tolist())
     whole = {n: np.multiply(spec[n], copies.count).tolist() for n in _WIDTHS if n in spec}

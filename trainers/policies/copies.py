@@ -10,7 +10,7 @@ factors and thresholds belong to neurons and are not shared: parts need not be m
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
@@ -35,8 +35,7 @@ class Copies:
 
     def spec(self) -> dict[str, Any]:
         """Return the arguments that rebuild these copies, for JSON."""
-        return {name: [list(row) for row in each] for name, each in vars(self).items()
-                if name in ("inputs", "signs", "outputs")}  # fmt: skip
+        return asdict(self)
 
     @property
     def count(self) -> int:
@@ -44,12 +43,14 @@ class Copies:
         return len(self.inputs)
 
     @cached_property
-    def _columns(self) -> Tensor:
+    def columns(self) -> Tensor:
+        """`inputs` as a tensor (K, F)."""
         return torch.tensor(self.inputs)
 
     @cached_property
-    def _signs(self) -> Tensor:
-        return torch.tensor(self.signs)
+    def factors(self) -> Tensor:
+        """`signs` as a tensor (K, F) of floats."""
+        return torch.tensor(self.signs, dtype=torch.float32)
 
     def neurons(self, width: int) -> Tensor:
         """Return indices (K, n) of a layer of so many neurons, of which each copy has a part."""
@@ -60,10 +61,9 @@ class Copies:
 
         signed: whether the value of an opposite is the opposite value
         """
-        signs = self._signs.to(values.dtype) if signed else torch.ones_like(self._signs)
-        mean = (values[self._columns] * signs).mean(0)
+        factors = (self.factors if signed else torch.ones_like(self.factors)).to(values.dtype)
         found = values.clone()
-        found[self._columns] = (mean * signs).to(values.dtype)
+        found[self.columns] = (values[self.columns] * factors).mean(0) * factors
         return found
 
 
@@ -71,36 +71,37 @@ class SharedWeight(PrunedWeight):
     """Weights (n, m) of a block, shared by K blocks of a matrix (N, M).
 
     rows, columns: (K, n) and (K, m) places of each block; a neuron is in one block
-    signs: (K, m) of its columns, None where all are 1
+    factors: (K, m) of its columns, 1 or -1; None where all are 1
     """
 
     def __init__(
         self, weight: Tensor, shape: tuple[int, int], rows: Tensor, columns: Tensor,
-        signs: Tensor | None = None,
+        factors: Tensor | None = None,
     ) -> None:  # fmt: skip
         super().__init__(weight)
-        self._shape, self._rows, self._columns = shape, rows, columns
-        self._signs = torch.ones_like(columns) if signs is None else signs
+        self._shape, self._columns = shape, columns
+        self._factors = torch.ones(columns.shape) if factors is None else factors
         self._places = rows[:, :, None], columns[:, None, :]
+        # most layers have their blocks one behind the other
+        self._gathers = not _in_order(columns, shape[1])
+        self._sorting = None if _in_order(rows, shape[0]) else rows.flatten().argsort()
 
     def drive(self, inputs: Tensor, weight: Tensor) -> Tensor:
         """Return what inputs (..., M) bring to each neuron (..., N) through such weights."""
-        if not _in_order(self._columns, self._shape[1]):
-            inputs = inputs[..., self._columns.flatten()] * self._signs.flatten()
+        if self._gathers:
+            inputs = inputs[..., self._columns.flatten()] * self._factors.flatten()
         read = inputs.reshape(-1, weight.shape[1])
-        brought = (read @ weight.T).view(*inputs.shape[:-1], self._rows.numel())
-        if _in_order(self._rows, self._shape[0]):
-            return brought
-        return brought[..., self._rows.flatten().argsort()]
+        brought = (read @ weight.T).view(*inputs.shape[:-1], self._shape[0])
+        return brought if self._sorting is None else brought[..., self._sorting]
 
     def whole(self) -> Tensor:
         """Return the matrix (N, M), zero where no block is or a synapse was taken out."""
-        return self._spread(self() * self._signs[:, None, :])
+        return self._spread(self() * self._factors[:, None, :])
 
     @property
     def whole_mask(self) -> Tensor:
         """(N, M) 1 where a synapse is left."""
-        return self._spread(self.mask.expand(len(self._rows), *self.mask.shape))
+        return self._spread(self.mask.expand(len(self._columns), *self.mask.shape))
 
     def _spread(self, blocks: Tensor) -> Tensor:
         """Return blocks (K, n, m) in their places (N, M), zeros elsewhere."""
@@ -108,7 +109,7 @@ class SharedWeight(PrunedWeight):
 
     def block(self, matrix: Tensor) -> Tensor:
         """Return the block (n, m) of which a matrix (N, M) consists; zeros are no part of it."""
-        blocks = matrix[self._places] * self._signs[:, None, :]
+        blocks = matrix[self._places] * self._factors[:, None, :]
         largest = blocks.abs().argmax(0, keepdim=True)
         return blocks.gather(0, largest)[0]
 
@@ -138,10 +139,10 @@ def weights_between(
     if copies is None or not before:
         return PrunedWeight(draw(after, before))
     rows = torch.tensor(copies.outputs) if acts else copies.neurons(after)
-    columns = torch.tensor(copies.inputs) if reads else copies.neurons(before)
-    signs = torch.tensor(copies.signs) if reads else None
+    columns = copies.columns if reads else copies.neurons(before)
     weight = draw(rows.shape[1], columns.shape[1])
-    return SharedWeight(weight, (after, before), rows, columns, signs)
+    factors = copies.factors if reads else None
+    return SharedWeight(weight, (after, before), rows, columns, factors)
 
 
 def _in_order(places: Tensor, count: int) -> bool:

@@ -104,6 +104,7 @@ class DeltaSnnPolicy(Policy):
     copies: of a network that serves several parts of a body; None for one network
     deep: hidden neurons, the last ones of each copy, that read the others instead of events
     recurrent: whether they also read each other; both only where the clock is pipelined
+    deep_neurons: (H,) which hidden neurons are deep
     step: (obs,) distance that one event stands for [normalised observation]
     threshold: (H,) membrane above which a neuron spikes: 1, or the chip's nearest to it
     into, out, past: synapses onto the hidden neurons, from them, and past them
@@ -138,9 +139,12 @@ class DeltaSnnPolicy(Policy):
         super().__init__()
         self.clock, self.timesteps, self.copies = clock, timesteps, copies
         self.deep, self.recurrent = deep, recurrent
+        parts = copies.count if copies else 1
+        width = max(hidden // parts, 1)
+        self.deep_neurons = torch.arange(hidden) % width >= width - deep // parts
         if deep and clock != "pipelined":
             raise ConfigError(
-                "deep neurons hear others a timestep late: set policy.clock=pipelined"
+                "deep neurons read others a timestep late: set policy.clock=pipelined"
             )
         self.observations, self.actions, self.hidden = observations, actions, hidden
         self.integrated = integrated and skip and hidden > 0
@@ -162,7 +166,7 @@ class DeltaSnnPolicy(Policy):
         )  # fmt: skip
         if deep:
             self.back = weights_between(copies, (hidden, hidden), _back)
-            self._connect(deep // (copies.count if copies else 1))
+            self._connect(deep // parts)
         read = observations if self.skip else 0
         self.past = weights_between(copies, (read, actions), torch.zeros, reads=True, acts=True)
         self.action_bias = nn.Parameter(torch.zeros(actions))
@@ -186,14 +190,6 @@ class DeltaSnnPolicy(Policy):
         """All synapses, by the name of their field in DeltaWeights."""
         found = {"into": self.into, "out": self.out, "past": self.past}
         return {**found, "back": self.back} if self.deep else found
-
-    @property
-    def deep_neurons(self) -> Tensor:
-        """Which hidden neurons (H,) are deep."""
-        copies = self.copies.count if self.copies else 1
-        places = torch.arange(self.hidden).view(copies, -1) if self.hidden else torch.zeros(1, 0)
-        width, deep = places.shape[1], self.deep // copies
-        return (torch.arange(self.hidden) % max(width, 1)) >= width - deep
 
     @property
     def beta(self) -> Tensor:
@@ -373,7 +369,7 @@ class DeltaWeights:
 
 
 def _back(n: int, m: int) -> Tensor:
-    """Return initial weights (n, m) of deep neurons, which hear an eighth of the others spike."""
+    """Return initial weights (n, m) of deep neurons, as if an eighth of the others spiked."""
     weight: Tensor = torch.randn(n, m) * (8 / max(m, 1)) ** 0.5 * 0.6
     return weight
 
@@ -551,11 +547,11 @@ def live_neurons(policy: DeltaSnnPolicy) -> Tensor:
     """Return which hidden neurons (H,) have synapses on both sides: others change no action."""
     # a neuron without input may still spike by its bias, as a clock of its own
     active = policy.into.whole_mask.any(1) | (policy.bias.detach() > 0)
-    heard = policy.out.whole_mask.any(0)
+    read = policy.out.whole_mask.any(0)
     if policy.deep:
         active |= policy.back.whole_mask.any(1)
-        heard |= policy.back.whole_mask.any(0)
-    return active & heard
+        read |= policy.back.whole_mask.any(0)
+    return active & read
 
 
 def live_layers(policy: DeltaSnnPolicy) -> dict[str, Tensor]:
@@ -605,11 +601,17 @@ def _graph(policy: DeltaSnnPolicy, dt: float) -> nir.NIRGraph:
         )
         edges += [("input", "fc1"), ("fc1", name)]
     if DEEP_NODE in layers:
-        deep = policy.back.whole()[layers[DEEP_NODE]]
-        for source, node in ((name, "deep"), (DEEP_NODE, "back")):
-            if source in layers and bool(deep[:, layers[source]].any()):
-                nodes[node] = nir.Linear(to_array(deep[:, layers[source]]))
-                edges += [(source, node), (node, DEEP_NODE)]
+        onto = policy.back.whole()[layers[DEEP_NODE]]
+        # neurons that lost all their synapses may still spike by their bias
+        source, weight = "input", onto.new_zeros(len(onto), width)
+        if name in layers:
+            source, weight = name, onto[:, layers[name]]
+        nodes["deep"] = nir.Linear(to_array(weight))
+        edges += [(source, "deep"), ("deep", DEEP_NODE)]
+        back = onto[:, layers[DEEP_NODE]]
+        if bool(back.any()):
+            nodes["back"] = nir.Linear(to_array(back))
+            edges += [(DEEP_NODE, "back"), ("back", DEEP_NODE)]
     integral = np.full(policy.actions, policy.current_decay)
     zeros = policy.step.new_zeros(policy.actions, len(policy.step))
     past = policy.past.whole() if policy.skip else zeros

@@ -45,6 +45,7 @@ from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import Earned, Episodes, WalkPool, Windows, mean_outcome
 from spikedeploy.trainers.sparse.student import (
     FloatController,
+    GruStudent,
     imitation,
     on_chip,
     operations,
@@ -422,7 +423,7 @@ class SparsePpoLearner(Learner):
     def __init__(self, config: SparsePpoConfig, source: SparseConfig, policy: Policy) -> None:
         self._config, self._source, self.policy = config, source, policy
         found = student(policy, source)
-        if isinstance(found, VisionStudent):
+        if isinstance(found, VisionStudent | GruStudent):
             raise ConfigError(f"a policy of kind {policy.kind!r} learns by imitation alone")
         self.student = found
         self.head: NoisyActions | CategoricalHead = (

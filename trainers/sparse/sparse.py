@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from spikedeploy import envs
-from spikedeploy.envs.hexapod.footholds import KnowingScripts
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.schema import validate
@@ -69,7 +68,7 @@ from spikedeploy.trainers.sparse.student import (
 from spikedeploy.trainers.sparse.vision import EyeEpisodes, VisionStudent
 
 _ENV_COPIES = 50  # copies of the environment
-_PRIVILEGED = ("kart-eye", "hexapod-tiles")  # taught by what the simulation knows
+_PRIVILEGED = "privileged"  # the teacher that knows the simulation
 _DENSE_BUDGET = 4_000.0  # operations for which the penalty is scaled while nothing is pruned
 
 
@@ -271,11 +270,10 @@ class Sparse(Runner[SparseConfig]):
             low, high = seen[:, self._binary].min(0), seen[:, self._binary].max(0)
             normaliser.mean[self._binary] = torch.from_numpy(low).float()
             normaliser.std[self._binary] = torch.from_numpy(high - low).float()
-        normaliser.mean.copy_(self._alike(normaliser.mean, signed=True))
-        normaliser.std.copy_(self._alike(normaliser.std))
-        if isinstance(self.policy, DeltaSnnPolicy):
             self.policy.step.fill_(self._config.step)
             self.policy.step[self._binary] = 1.0
+        normaliser.mean.copy_(self._alike(normaliser.mean, signed=True))
+        normaliser.std.copy_(self._alike(normaliser.std))
 
     def _alike(self, values: Tensor, signed: bool = False) -> Tensor:
         """Return values (obs,), the same where copies of a network read the same."""
@@ -382,20 +380,22 @@ class Sparse(Runner[SparseConfig]):
 def _taught_episodes(config: SparseConfig, sizes: tuple[int, int]) -> tuple[Episodes, Teacher]:
     """Return copies of the environment, and what is imitated in them."""
     limit, short = config.validation.limit, envs.spec(config.env.name).short
-    if short not in _PRIVILEGED:
-        own = teacher(config.teacher, config.env.name, config.env.options, config.teacher_units)
-        return Episodes(config.env, _ENV_COPIES, limit), own
-    if config.teacher != "privileged":
-        raise ConfigError(
-            f"teacher {config.teacher!r}: {config.env.name} is taught by what the simulation "
-            "knows. Set teacher=privileged"
-        )
     if short == "kart-eye":
+        if config.teacher != _PRIVILEGED:
+            raise ConfigError(
+                f"teacher {config.teacher!r}: {config.env.name} is taught by what the simulation "
+                "knows. Set teacher=privileged"
+            )
         eyes = EyeEpisodes(config.env, _ENV_COPIES, limit)
         return eyes, Teacher(eyes.label, *sizes, config.env.name)
-    episodes = Episodes(config.env, _ENV_COPIES, limit)
-    script = KnowingScripts(episodes.worlds)
-    return episodes, Teacher(script.act_all, *sizes, config.env.name)
+    if (short, config.teacher) == ("hexapod-tiles", _PRIVILEGED):
+        from spikedeploy.envs.hexapod.footholds import PrivilegedScript  # loads MuJoCo
+
+        episodes = Episodes(config.env, _ENV_COPIES, limit)
+        script = PrivilegedScript(episodes.worlds)
+        return episodes, Teacher(script.act_all, *sizes, config.env.name)
+    own = teacher(config.teacher, config.env.name, config.env.options, config.teacher_units)
+    return Episodes(config.env, _ENV_COPIES, limit), own
 
 
 def _walks_of(config: SparseConfig, sizes: tuple[int, int]) -> list[Walk]:

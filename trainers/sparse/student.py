@@ -42,7 +42,6 @@ from spikedeploy.trainers.policies.delta import (
     live_layers,
     live_neurons,
 )
-from spikedeploy.trainers.policies.gru import Remembered
 from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup
 from spikedeploy.trainers.policies.vision import vision_artifact
 from spikedeploy.trainers.run_folder import with_prefix
@@ -263,7 +262,7 @@ class MlpStudent:
 
 
 class GruStudent(MlpStudent):
-    """A PrunedGruPolicy, which learns from windows of walks.
+    """A PrunedGruPolicy, which learns from windows of walks, by imitation alone.
 
     policy: what is trained
     """
@@ -273,49 +272,33 @@ class GruStudent(MlpStudent):
     def __init__(self, policy: PrunedGruPolicy, config: SparseConfig) -> None:
         self.policy, self._config = policy, config
         self._rates = [torch.full((each.fan_out.numel(),), 0.5) for each in policy.groups]
-        self.readout = frozenset({"out.weight", "past.weight", "action_bias"})
 
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-        """Return the error of windows, and the operations of a control step, with a gradient."""
-        c = self._config
+        """Return the error of windows, and the ReLU layers' operations in a control step."""
+        c, policy = self._config, self.policy
         batch = pool.sample(
             rng, c.batch, c.window, c.burn_in, c.first_windows, c.crash_windows, c.crash_steps
         )
-        _, done = self._unrolled(batch, c.burn_in)
+        runs_on = 1 - batch.begins[:, None].to(batch.seen.dtype)
+        with torch.no_grad():  # what comes before brings the memory up
+            before = policy.unrolled(batch.seen[:, : c.burn_in], *policy.rest(len(batch.seen)))
+        done = policy.unrolled(batch.seen[:, c.burn_in :], before.memory * runs_on)
         active = [(each != 0).float().mean((0, 1)) for each in done.inputs]
         pairs = zip(self._rates, active, strict=True)
-        self._rates = [torch.lerp(before, rate, _SMOOTHING) for before, rate in pairs]
+        self._rates = [torch.lerp(earlier, rate, _SMOOTHING) for earlier, rate in pairs]
         label = batch.label[:, c.burn_in :]
-        error = imitation(done.mean, label, self.policy, c.sharpness).mean()
-        return error, self.hidden_operations([each.flatten(0, 1) for each in done.inputs])
-
-    def adopt_rates(self, activities: list[Tensor]) -> None:
-        """Take over how often inputs are not 0, from activations (n, M) behind the first group."""
-        self._rates[1:] = [(each != 0).float().mean(0) for each in activities]
-
-    def replay(self, windows: Windows, burn_in: int) -> tuple[Tensor, list[Tensor]]:
-        """Return means (B, L, act) and inputs (B, L, M) of groups behind the first."""
-        first, then = self._unrolled(windows, burn_in)
-        _, *inputs = (torch.cat(both, 1) for both in zip(first.inputs, then.inputs, strict=True))
-        return torch.cat([first.mean, then.mean], 1), inputs
-
-    def _unrolled(self, windows: Windows, burn_in: int) -> tuple[Remembered, Remembered]:
-        """Return what the burn-in gives, which brings the memory up, and what comes behind it."""
-        seen, runs_on = windows.seen, 1 - windows.begins[:, None].to(windows.seen.dtype)
-        with torch.no_grad():
-            first = self.policy.unrolled(seen[:, :burn_in], *self.policy.rest(len(seen)))
-        return first, self.policy.unrolled(seen[:, burn_in:], first.memory * runs_on)
-
-    def hidden_operations(self, activities: list[Tensor]) -> Tensor:
-        """Return the mean of the layers' activations times fan-outs, from those of all groups."""
-        layers = range(1, 1 + len(self.policy.hidden))
-        costs = [(activities[k].mean(0) * self.policy.groups[k].fan_out).sum() for k in layers]
-        return sum(costs, start=torch.zeros(()))
+        error = imitation(done.mean, label, policy, c.sharpness).mean()
+        layers = range(1, 1 + len(policy.hidden))
+        costs = [(done.inputs[k].mean((0, 1)) * policy.groups[k].fan_out).sum() for k in layers]
+        return error, sum(costs, start=torch.zeros(()))
 
     @property
     def neurons(self) -> int:
-        """Hidden neurons and units of the memory that are left."""
-        return sum(int((matrix.fan_out > 0).sum()) for matrix in self.policy.groups[1:-1])
+        """Units of the ReLU layers and of the memory that are left."""
+        policy = self.policy
+        layers = [each.fan_out for each in policy.groups[1 : 1 + len(policy.hidden)]]
+        memory = policy.back.fan_out + policy.out.fan_out
+        return sum(int((fan_out > 0).sum()) for fan_out in (*layers, memory))
 
     def synapses(self) -> list[SynapseGroup]:
         """Return all synapses."""
@@ -347,7 +330,7 @@ def student(policy: Policy, config: SparseConfig) -> Student:
         return VisionStudent(policy, config)
     raise ConfigError(
         f"a policy of kind {policy.kind!r} cannot be pruned: choose policy.kind delta-snn, "
-        "pruned-mlp, vision or vision-snn"
+        "pruned-mlp, pruned-gru, vision or vision-snn"
     )
 
 
@@ -465,11 +448,11 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
     for before, after in zip(exact.layers, rounded.layers, strict=True):
         units = target.arithmetic.partly_rounded(before, after, _STEP)
         for old, new in zip(before.synapses, units.synapses, strict=True):
-            heard = old.source != exact.input
-            both = ("into", "back") if before.name in layers else ("past", "out")
-            name = both[heard]
+            # from events, and from neurons
+            names = ("into", "back") if before.name in layers else ("past", "out")
+            name = names[old.source in layers]
             rows = layers.get(before.name, torch.arange(policy.actions))
-            columns = layers[old.source] if heard else torch.arange(policy.observations)
+            columns = layers.get(old.source, torch.arange(policy.observations))
             error = new.weight * after.scale - old.weight
             if old.source == exact.input:
                 # that of the channel of one event

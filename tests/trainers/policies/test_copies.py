@@ -161,6 +161,28 @@ def test_a_file_computes_what_training_does_with_the_numbers_of_the_chip(
             assert np.allclose(torch.tanh(mean).numpy()[0], twin.act(seen), atol=1e-9)
 
 
+@pytest.mark.parametrize("options", DEEP[1:])
+@pytest.mark.parametrize("lost", ["back", "into", "both"])
+def test_deep_neurons_that_lost_their_synapses_go_on_by_their_bias(
+    options: dict[str, Any], lost: str
+) -> None:
+    policy = spiking(**options)
+    with torch.no_grad():
+        if lost != "into":
+            policy.back.mask.zero_()
+        if lost != "back":
+            policy.into.mask.zero_()
+            policy.bias[~policy.deep_neurons] = -1.0
+    precise = deepcopy(round_for_chip(policy, chip("loihi1"), rounding=True)).double()
+    assert isinstance(precise, DeltaSnnPolicy)
+    twin, state = SpikingController(delta_artifact(precise)), precise.rest(1)
+    with torch.no_grad():
+        for seen in walk(20):
+            mean, _, sent = precise.advance(torch.from_numpy(seen[None]), state)
+            assert np.allclose(torch.tanh(mean).numpy()[0], twin.act(seen), atol=1e-9)
+    assert bool(sent[..., precise.deep_neurons].any())
+
+
 def test_a_memory_is_the_same_step_by_step_as_in_a_window() -> None:
     torch.manual_seed(0)
     policy = PrunedGruPolicy(5, 2, (8,), gru=6, copies=ARMS)
@@ -184,6 +206,27 @@ def test_legs_read_their_own_part_of_the_scan_and_left_ones_its_mirror(
     assert np.allclose(scan[3:, :, 1], -scan[:3, :, 1])
     assert (signs[[0, 2, 4], :2] == 1).all()
     assert (signs[[1, 3, 5], :2] == -1).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"deep": 4, "hidden": 0}, "none to read"),
+        ({"recurrent": True}, "only deep neurons"),
+        ({"deep": 4, "clock": "gated"}, "clock=pipelined"),
+    ],
+)
+def test_deep_neurons_that_read_nothing_are_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        DeltaSnnConfig.model_validate(settings)
+
+
+def test_hidden_neurons_are_those_of_a_copy_and_deep_ones_come_behind_them() -> None:
+    columns = make("hexapod-tiles").unwrapped.OBSERVATION
+    config = DeltaSnnConfig(copies="legs", hidden=8, deep=4)
+    policy = from_config(config, 287, 18, columns=columns)
+    assert isinstance(policy, DeltaSnnPolicy)
+    assert (policy.hidden, policy.deep) == (6 * 12, 6 * 4)
 
 
 def test_legs_are_refused_where_no_foothold_is_scanned() -> None:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from spikedeploy.envs.errors import EnvError
 from spikedeploy.exporters.to_onnx import to_onnx
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
@@ -325,3 +326,36 @@ def test_a_search_refuses_a_teacher_that_earns_no_more_than_random_actions(
     monkeypatch.setattr("spikedeploy.trainers.sparse.sparse.random_actions", lambda *_: perfect)
     with pytest.raises(ConfigError, match=r"earns .*, and random actions .* other units"):
         learned(settings(teacher=stroll, **SEARCH), tmp_path, until=1)
+
+
+def tiles(teacher, view="around"):
+    env = {"name": "hexapod-tiles", "options": {"view": view}}
+    return settings(teacher=teacher, env=env, policy={"kind": "pruned-mlp", "hidden": [4]})
+
+
+@pytest.mark.parametrize("view", ["around", "ahead"])
+def test_the_script_that_is_shown_the_ground_teaches_whatever_is_observed(view, tmp_path):
+    config = tiles("privileged", view)
+    run = Sparse(config, RunFolder.create(tmp_path, config))
+    world = run._episodes.worlds[0]
+    seen, _ = world.reset(seed=7)
+    free = run._teacher.act(seen)
+    near = world.scan_footholds()
+    columns = world.OBSERVATION["scan"]
+    assert near.any()  # tiles about the feet are forbidden
+    if view == "around":
+        shown = seen.copy()
+        shown[columns] = near.ravel()
+        assert np.array_equal(run._teacher.act(shown), free)
+    hidden = seen.copy()
+    hidden[columns] = 0.0
+    assert np.array_equal(run._teacher.act(hidden), free)
+
+
+def test_any_policy_may_teach_on_tiles_but_nobody_is_privileged_elsewhere(stroll, tmp_path):
+    config = tiles("tests.job_functions:stand")
+    with pytest.raises(EnvError, match="has no 'stand'"):  # it was looked for
+        Sparse(config, RunFolder.create(tmp_path, config))
+    config = settings(teacher="privileged")
+    with pytest.raises(ConfigError, match="privileged"):
+        Sparse(config, RunFolder.create(tmp_path, config))

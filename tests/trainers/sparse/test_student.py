@@ -7,6 +7,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.policies import PrunedGruPolicy
 from spikedeploy.trainers.policies.delta import delta_artifact, live_neurons
 from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool
@@ -379,3 +380,15 @@ def test_offsets_bring_torch_to_the_weights_of_the_chip():
     found = ((policy.out() + offsets["out"]) * policy.threshold)[:, live].numpy()
     np.testing.assert_allclose(found, held.T, atol=1e-6)
     assert not offsets["out"][policy.out.mask == 0].any()
+
+
+def test_a_memory_counts_each_unit_that_is_left_once():
+    policy = PrunedGruPolicy(5, 2, (4, 3), gru=6)
+    config = settings(policy={"kind": "pruned-gru"})
+    found = student(policy, config)
+    assert found.neurons == 4 + 3 + 6
+    policy.gates.mask[:, 0] = 0.0  # nothing reads the first unit of the second layer
+    policy.out.mask[:, 1] = 0.0  # the memory itself still reads its second unit
+    assert found.neurons == 4 + 2 + 6
+    policy.back.mask[:, 1] = 0.0
+    assert found.neurons == 4 + 2 + 5
