@@ -10,6 +10,7 @@ the table.
 """
 
 import csv
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -35,7 +36,6 @@ from spikedeploy.trainers.sparse.pool import BatchController, Stateless
 from spikedeploy.trainers.sparse.student import FloatController
 from spikedeploy.trainers.sparse.vision import EyeEpisodes
 
-_BESIDE = "cnn"  # the network whose finishes are 100 %
 TEACHER = "teacher"  # drives by what the simulation knows, and is no training
 MOST_OF_GRIDS, LEAST_RIGHT, LEAST_FINISHED = 0.75, 0.95, 0.90  # what the test asks for
 _ROWS: Mapping[str, Mapping[str, Any]] = DESIGNS["kart-eye"]["networks"]
@@ -84,13 +84,19 @@ class EyeEntryDesign(Design):
     def _training(self, network: str, seed: int) -> TrainingJob:
         of = _ROWS[network]
         every = (*of["settings"], *(QUICK["kart-eye"] if self.quick else ()), *self.settings)
-        parents = {"pool": self._walks}
+        parents = {} if "own walks" in of else {"pool": self._walks}
         if "guide" in of:
             parents["guide"] = self._training(of["guide"], seed)
         name = f"{network}-s{seed}"
         job = TrainingJob(name, of["recipe"], seed, self.runs, every, parents)
-        # the walks are a run of one of the recipes too, and differ in their rounds
-        return replace(job, telling=(*every, f"dense_rounds={job.planned().dense_rounds}"))
+        # other trainings of the recipe, and the walks, differ in one of these
+        others = [row for row in (*_ROWS.values(), _WALKS) if row["recipe"] == of["recipe"]]
+        names = {setting.split("=")[0] for row in others for setting in row["settings"]}
+        names -= {"teacher_walks", "noisy_walks"}  # which come with the walks of others
+        made = job.planned().model_dump(mode="json")
+        values = {name: _setting(made, name) for name in sorted(names | {"dense_rounds"})}
+        own = [f"{name}={json.dumps(value)}" for name, value in values.items() if value is not None]
+        return replace(job, telling=(*every, *own))
 
     def check(self, results: Path) -> None:
         """Refuse unknown settings, and a table that the rows cannot stand in."""
@@ -140,7 +146,11 @@ class EyeEntryDesign(Design):
         episodes = EyeEpisodes(env, self.episodes, self.limit)
         controller: BatchController = Stateless(lambda seen: taught_actions(episodes, seen))
         if training is not None:
-            run, taught = RunFolder(training.existing_run), self._walks.config
+            run = RunFolder(training.existing_run)
+            learned_from = [
+                config,
+                *(self._walks.config for name in training.parents if name == "pool"),
+            ]
             policy = run.policy(level)
             controller = FloatController(policy)
             progress = run.load(level)[0]
@@ -151,8 +161,7 @@ class EyeEntryDesign(Design):
                 "way": way,
                 "weights": sum(each.numel() for each in policy.parameters()),
                 "updates": progress["updates"],
-                "walks": taught.teacher_walks
-                + taught.noisy_walks
+                "walks": sum(each.teacher_walks + each.noisy_walks for each in learned_from)
                 + config.walks * progress["phase"],
                 "versions": versions_text(read_json(training.existing_run / "versions.json")),
             }
@@ -221,6 +230,14 @@ class EyeEntryDesign(Design):
         return f"**Not trained or evaluated yet: {', '.join(lack)}.**" if lack else ""
 
 
+def _setting(made: Record, name: str) -> Any:  # noqa: ANN401 - JSON
+    """A setting of a configuration; None where it has none of this name."""
+    found: Any = made
+    for each in name.split("."):
+        found = found.get(each)
+    return found
+
+
 def taught_actions(episodes: EyeEpisodes, seen: Any) -> Any:  # noqa: ANN401 - arrays
     """Actions (B,) of the privileged teacher: those of the largest label."""
     return episodes.label(seen)[:, :-SIGNS].argmax(1)
@@ -279,9 +296,10 @@ def student_facts(
     """Facts that the page shows of a network, its level and its way, in all its trainings."""
     network, level, way = of
     seeds = {row["seed"] for row in rows}
+    guide = _ROWS[network].get("guide", network)
     beside = [
         row["finish"] for row in all_rows
-        if (row["network"], row["level"], row["way"]) == (_BESIDE, NOT_PRUNED, None)
+        if (row["network"], row["level"], row["way"]) == (guide, NOT_PRUNED, None)
         and row["seed"] in seeds
     ]  # fmt: skip
     operations = "macs" if rows[0]["macs"] else "sop"
@@ -292,7 +310,7 @@ def student_facts(
         "operations": mean(rows, operations),
         "kind": {"macs": "MACs", "sop": "SOPs"}[operations],
         "updates": mean(rows, "neuron_update"),
-        "of_cnn": nested_ratio([row["finish"] for row in rows], beside) if beside else None,
+        "of_guide": nested_ratio([row["finish"] for row in rows], beside) if beside else None,
     }
 
 
@@ -324,7 +342,7 @@ def verdicts(rows: Mapping[str, Sequence[Record]]) -> Iterator[str]:
             f" {pages.percent(found[best], 1)}."
         )
     for name, of in rows.items():
-        sees = name != TEACHER and _ROWS[name]["recipe"] == _ROWS[_BESIDE]["recipe"]
+        sees = name != TEACHER and _ROWS[name]["recipe"] == "kart-eye-cnn"
         right = right_share(of) if sees else None
         if right is None:
             continue

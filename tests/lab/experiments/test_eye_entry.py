@@ -13,6 +13,7 @@ from lab.experiments.eye_map import NOT_PRUNED
 from lab.experiments.runner import run_experiment
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
+from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.config import SparseConfig
 
 THREE = ("linear-traces-8x16", "cnn", "snn")
@@ -70,9 +71,29 @@ def test_all_networks_train_equally_hard():
 
     whole = eye_entry.DESIGNS["kart-eye"]["networks"]
     unlike = {"budget", "levels", "chip", "rounding"}  # behind the level that is not pruned
-    first, *others = (effort(row) for row in whole.values())
+    first, *others = (effort(row) for row in whole.values() if "own walks" not in row)
     assert len(others) == 9
     assert all(each[n] == first[n] for each in others for n in first.keys() - unlike)
+    faster = [effort(row) for name, row in whole.items() if name.endswith("-240")]
+    assert len(faster) == 2
+    assert all(each[n] == faster[0][n] for each in faster for n in first.keys() - unlike)
+    updates = ("dense_rounds", "dense_updates", "level_updates")
+    assert all(faster[0][name] == first[name] for name in updates)
+
+
+def test_the_runs_of_one_network_are_not_those_of_another(tmp_path, monkeypatch):
+    networks = eye_entry.DESIGNS["kart-eye"]["networks"]
+    monkeypatch.setattr(eye_entry, "_ROWS", networks)
+    for name in ("cnn", "cnn-240"):
+        run = RunFolder(tmp_path / f"kart-eye-cnn-s0-{name}")
+        run.path.mkdir()
+        made = networks[name]["settings"]
+        run.write_config(resolve(SparseConfig, "kart-eye-cnn", overrides=made, seed=0))
+    found = {t.name: t.run for t in EyeEntryDesign(runs=str(tmp_path)).trainings()}
+    assert {name: run.name for name, run in found.items() if run} == {
+        "cnn-s0": "kart-eye-cnn-s0-cnn",
+        "cnn-240-s0": "kart-eye-cnn-s0-cnn-240",
+    }
 
 
 def test_spiking_policies_drive_on_their_chips_at_each_level_of_pruning(results):
