@@ -74,7 +74,7 @@ class Accounting:
     table       prices of the float networks, and without `chip_table` of the chip
     chip_table  prices of the chip, so scaled that a synaptic operation costs as much as in `table`
     updates     "all" neurons of the ledger in each control step; "touched", those that a spike
-                reaches, with a lazy leak; "operation": each adds, compares and may spike
+                reaches, with a lazy leak
     source      what the charge for updates is known from
     """
 
@@ -106,10 +106,6 @@ ACCOUNTINGS = {
         "8-bit integers, sums of 16 bits in memory", "int", ACC16, "all", "derived",
     ),
     "speck": Accounting("Speck in timesteps", "speck2f", ACC16, "all", "derived"),
-    "speck-events": Accounting(
-        "Speck, event by event", "speck2f:queue=on", ACC16, "operation",
-        "derived: a sum that is read and written is the membrane",
-    ),
 }  # fmt: skip
 
 
@@ -132,8 +128,6 @@ def _chip(row: Record, accounting: Accounting) -> tuple[float, ...]:
     histogram = row["events"] * EVENT + row["cells"] * CELL
     if accounting.updates == "touched":
         updates = row["touched"] * (table.joules["neuron_update"] + LAZY_LEAK)
-    if accounting.updates == "operation":
-        updates, histogram = row["sop"] * ADDITION, 0.0
     constants = each["bias"] + addition_energy(row["constants"])
     return operations, updates, each["messages"] + each["spikes"], histogram, constants, 0.0
 

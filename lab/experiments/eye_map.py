@@ -1,10 +1,11 @@
 """The map of kart-eye: control rates and shares of quiet at which spiking costs less.
 
 Policies are run folders of kart-eye, of `spikedeploy train kart-eye-…`: those that the experiment
-`kart-eye` has trained, or those that are named. Each drives in every cell of the map, a control
-rate and a share of quiet: the training at the rate of the cell, else the one of its recipe and seed
-at the highest rate below, transferred (`vision`). A cell of a policy is a part of the experiment,
-and a row for each way of a float network to save operations, or for each chip, a file of its own.
+`kart-eye` has trained, or those that are named, at the levels that they are pruned to. Each drives
+in every cell of the map, a control rate and a share of quiet, whose rate is that of its training,
+or a higher one to which it is transferred (`vision`). A cell of a policy is a part of the
+experiment, and a row for each way of a float network to save operations, or for each chip, a file
+of its own.
 Counts are kept and not energies, so that the page can be written again with other prices.
 """
 
@@ -45,12 +46,14 @@ COLUMNS = (
 class Checkpoint:
     """A policy: a checkpoint of a run.
 
-    run     its folder
-    level   name of the checkpoint
+    run      its folder
+    level    name of the checkpoint
+    is_last  whether it is pruned most
     """
 
     run: RunFolder
     level: str
+    is_last: bool
 
     @cached_property
     def settings(self) -> Record:
@@ -59,10 +62,11 @@ class Checkpoint:
 
     @property
     def name(self) -> str:
-        """`kart-eye-cnn`, `kart-eye-cnn gru=32`, of a level of pruning `kart-eye-cnn ops-30000`."""
+        """`kart-eye-cnn`, `kart-eye-cnn gru=32`, `kart-eye-cnn ops-30000 at 240 Hz`."""
         own = [text.split(".", 1)[1] for text in self._differences if text.startswith("policy.")]
         level = [] if self.level in ("best", NOT_PRUNED) else [self.level]
-        return " ".join([str(self.settings["recipe"]), *own, *level]).replace('"', "")
+        rate = [] if self.rate == EyeOptions.rate else [trained_at(self.rate)]
+        return " ".join([str(self.settings["recipe"]), *own, *level, *rate]).replace('"', "")
 
     @property
     def _differences(self) -> list[str]:
@@ -99,7 +103,7 @@ class Checkpoint:
         """Ways of a float network to save operations, or chips."""
         if isinstance(self.policy, SpikingVisionPolicy):
             return list(MAP["chips"][self.policy.neuron])
-        return list(MAP["ways"])
+        return list(MAP["ways"] if self.is_last else MAP["ways"][:1])
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ class EyeMapDesign(Design):
     policies  run folders; all of the recipes of designs.toml in `runs` where none is named
     """
 
-    episodes: int = 48
+    episodes: int = 32
     policies: Sequence[str] = ()
 
     NAME = "kart-eye-map"
@@ -141,8 +145,10 @@ class EyeMapDesign(Design):
                 continue
             if run.settings()["env"]["name"] != ENV:
                 raise ConfigError(f"{path} is no training of {ENV}; leave it out")
-            names = list(run.levels.values()) or ["best"]
-            found += [Checkpoint(run, name) for name in names if run.checkpoint(name).is_file()]
+            levels = list(run.levels.values())  # fewest operations first
+            names = [each for each in levels if each != NOT_PRUNED] or levels[:1] or ["best"]
+            there = [name for name in names if run.checkpoint(name).is_file()]
+            found += [Checkpoint(run, name, name == names[0]) for name in there]
         return found
 
     def check(self, results: Path) -> None:
@@ -155,19 +161,12 @@ class EyeMapDesign(Design):
 
     def parts(self) -> list[Part]:
         """Each policy in each cell of the map."""
-        checkpoints = self.checkpoints()
         found = []
-        for checkpoint in checkpoints:
-            alike = [
-                s.rate
-                for s in checkpoints
-                if (s.name, s.seed) == (checkpoint.name, checkpoint.seed)
-            ]
+        for checkpoint in self.checkpoints():
             for rate, quiet in self.cells:
-                # the nearest training from below is transferred
-                if checkpoint.rate == max((each for each in alike if each <= rate), default=None):
+                if rate >= checkpoint.rate:
                     words = f"{checkpoint.name}-s{checkpoint.seed}-{rate}-q{quiet:g}"
-                    name = re.sub("[^a-z0-9.]+", "-", words)
+                    name = re.sub("[^a-z0-9.]+", "-", words.lower())
                     found.append(Part(name, partial(self._rows, checkpoint, rate, quiet, name)))
         return found
 
@@ -243,6 +242,11 @@ class EyeMapDesign(Design):
         table = write_rows(told, COLUMNS, results / "kart-eye-map.csv")
         missing = sum(not part.is_done for part in self.parts())
         return [*write(rows, results, missing, self.limit, self.deviations()), table]
+
+
+def trained_at(rate: int) -> str:
+    """What the name of a policy ends with that was trained at another rate than the lowest."""
+    return f"at {rate} Hz"
 
 
 def read_table(path: Path) -> list[Record]:

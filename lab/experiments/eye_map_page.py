@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lab.experiments import eye_costs, pages
 from lab.experiments.eye_costs import ACCOUNTINGS, Accounting, border, latency, power, predict
+from lab.experiments.eye_map import trained_at
 from lab.experiments.pages import grouped
 from lab.experiments.runner import command_line
 from lab.experiments.training import Record
@@ -37,6 +38,12 @@ class Group:
     def key(self) -> tuple[str, str]:
         """Policy and way, or chip."""
         return self.rows[0]["policy"], self.rows[0]["way"]
+
+    @property
+    def counted(self) -> tuple[str, str]:
+        """The key of what the rule starts from: of a policy trained at a higher rate its like."""
+        policy, way = self.key
+        return policy.removesuffix(" " + trained_at(self.rows[0]["trained_rate"])), way
 
     @property
     def name(self) -> str:
@@ -193,7 +200,7 @@ def _predicted(
     references: "References", group: Group, accounting: Accounting, rate: float, events: float
 ) -> float:
     """Power [W] of a group at another rate, by the rule."""
-    moving, resting = references[group.key]
+    moving, resting = references[group.counted]
     # events that a float group sees are those of a control step of its training, at least
     span = float(max(1 / rate, group.rows[0]["span"]))
     return moving.predicted(resting, accounting, rate, events, span)
@@ -230,7 +237,7 @@ def _cell(
     rate: int, quiet: float, groups: Sequence[Group], accounting: Accounting,
     references: "References",
 ) -> Cell | None:  # fmt: skip
-    known = [group for group in groups if group.key in references]
+    known = [group for group in groups if group.counted in references]
     rivals = [group for group in known if not group.rows[0]["spiking"]]
     spiking = [group for group in known if group.key[1] == accounting.place]
     if not rivals or not spiking:
@@ -350,6 +357,7 @@ def errors(found: Map) -> list[float]:
         for cell in cells
         if cell.is_driven
         for group in (cell.spiking, *cell.others)
+        if group.key in found.references
     )
 
 

@@ -18,8 +18,8 @@ from lab.experiments.eye_costs import (
     predict,
     terms,
 )
-from lab.experiments.eye_map import MAP, EyeMapDesign
-from lab.experiments.eye_map_page import EQUAL, maps
+from lab.experiments.eye_map import MAP, NOT_PRUNED, EyeMapDesign, trained_at
+from lab.experiments.eye_map_page import EQUAL, errors, maps
 from lab.experiments.runner import run_experiment
 from lab.experiments.vision import drive, wait_longer
 from spikedeploy.runtime.errors import ConfigError
@@ -67,7 +67,7 @@ def results(design, ran):
 
 def test_every_policy_is_driven_in_every_cell_by_every_way_or_chip(design, results):
     rows = list(design.all_rows())
-    assert len(rows) == 4 * (len(MAP["ways"]) + 2 + 2)
+    assert len(rows) == 4 * (len(MAP["ways"]) + 2 + 1)
     assert {(row["rate"], row["quiet"]) for row in rows} == set(design.cells)
     assert all(row["trained_rate"] == 60 for row in rows)
 
@@ -98,6 +98,21 @@ def test_the_page_compares_each_chip_with_the_best_float_network(design, results
             assert cell.ratio_to_later == pytest.approx(mine / cheapest)
 
 
+def test_the_rule_starts_for_a_faster_policy_from_its_like(design):
+    rows = list(design.all_rows())
+    faster = [
+        {**row, "policy": f"{row['policy']} {trained_at(960)}", "trained_rate": 960, "macs": 1.0}
+        for row in rows
+        if row["rate"] == 960
+    ]
+    (each, *_), (with_faster, *_) = maps(rows), maps([*rows, *faster])
+    cell, other = each.cells[-1][0], with_faster.cells[-1][0]
+    assert len(other.others) == 2 * len(cell.others)
+    assert len(errors(with_faster)) == len(errors(each))
+    assert other.rival.key[0] == "kart-eye-cnn at 960 Hz"
+    assert other.predicted == pytest.approx(cell.predicted, rel=0.01)  # other mean events
+
+
 def test_what_is_there_is_not_made_again(design, results, ran):
     before = len(ran)
     outcome = run_experiment(design, (), 1, results)
@@ -105,17 +120,31 @@ def test_what_is_there_is_not_made_again(design, results, ran):
     assert outcome.done == outcome.of
 
 
-def test_a_training_at_the_rate_of_a_cell_is_taken_before_a_transferred_one(tmp_path):
+def test_trainings_drive_at_their_rate_and_at_higher_ones(tmp_path):
     untrained_run(tmp_path, "kart-eye-cnn", forks=1)
     untrained_run(tmp_path, "kart-eye-cnn", forks=1, rate=240)
     made = EyeMapDesign(runs=str(tmp_path))
-    slower = {}
-    for part in made.parts():
-        for row in part.rows():
-            checkpoint = row.make.args[0]
-            slower[row.of["options"]["rate"]] = row.of["options"]["rate"] // checkpoint.rate
-    assert slower == {60: 1, 240: 1, 960: 4}
-    assert len(made.parts()) == 7
+    driven = {
+        (checkpoint.name, row.of["options"]["rate"], row.of["options"]["rate"] // checkpoint.rate)
+        for part in made.parts()
+        for row in part.rows()
+        for checkpoint in row.make.args[:1]
+    }
+    assert driven == {
+        ("kart-eye-cnn", 60, 1),
+        ("kart-eye-cnn", 240, 4),
+        ("kart-eye-cnn", 960, 16),
+        ("kart-eye-cnn at 240 Hz", 240, 1),
+        ("kart-eye-cnn at 240 Hz", 960, 4),
+    }
+
+
+def test_pruned_policies_are_driven_and_those_pruned_most_in_all_ways(tmp_path):
+    run = untrained_run(tmp_path, "kart-eye-cnn", forks=1)
+    for level in ("ops-40000", "ops-60000", NOT_PRUNED):
+        run.save(level, POLICIES["kart-eye-cnn"](), {})
+    ways = {each.level: each.ways for each in EyeMapDesign(runs=str(tmp_path)).checkpoints()}
+    assert ways == {"ops-40000": MAP["ways"], "ops-60000": ["zero-skipping"]}
 
 
 def test_a_map_without_policies_is_refused(tmp_path):
@@ -191,13 +220,11 @@ def test_a_float_network_costs_what_its_terms_say():
         assert found[name] == pytest.approx(100e-12 * pico), name
 
 
-def test_a_chip_pays_for_all_neurons_for_those_that_are_touched_or_for_operations():
+def test_a_chip_pays_for_all_neurons_or_for_those_that_are_touched():
     row = counted(spiking=True, sop=100, neuron_update=40, touched=10, events=9, cells=5)
     found = {name: terms(row, each) for name, each in ACCOUNTINGS.items()}
     assert found["int"]["updates"] == pytest.approx(100e-12 * 40 * 26.5)
     assert found["int-touched"]["updates"] == pytest.approx(100e-12 * 10 * (26.5 + 7.5 + 3.1))
-    assert found["speck-events"]["updates"] == pytest.approx(100e-12 * 100 * 0.1)
-    assert found["speck-events"]["histogram"] == 0
     # silicon's update over its synaptic operation
     ratio = (51.2 + 21.6) / 35.5
     assert found["loihi1"]["updates"] == pytest.approx(100e-12 * 40 * 1.35 * ratio)
