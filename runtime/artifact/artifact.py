@@ -95,7 +95,7 @@ class Artifact:
 
     @property
     def trained_for(self) -> str:
-        """The chip in whose integers the policy was trained; empty where it was for none."""
+        """The chip alone on which the policy computes as it was trained to; empty where none is."""
         return self.provenance.chip if self.provenance else ""
 
     def with_convention(self, convention: Convention) -> "Artifact":

@@ -101,7 +101,7 @@ def clock_on(convention: Convention, chip: Chip) -> Clock:
 
 def _check_neurons(artifact: Artifact, chip: Chip) -> None:
     convention = artifact.convention
-    there = f"The policy was trained in the integers of {artifact.trained_for}: run it there."
+    there = f"The policy was trained for {artifact.trained_for}: run it there."
     if convention.reset not in chip.resets:
         late = convention.reset not in ("zero", "subtract")
         how = " (snnTorch: reset_mechanism, and reset_delay=False)" if late else ""

@@ -201,7 +201,7 @@ def _reset(design: PlacedNetwork) -> Iterator[RuleResult]:
         else:
             remedy = _reset_remedy(reset, type(node).__name__, resets)
             if trained_for := design.artifact.trained_for:
-                remedy = f"Run it on {trained_for}, in whose integers it was trained."
+                remedy = f"Run it on {trained_for}, for which it was trained."
             yield _choose(name, f"reset {reset!r}", [f"reset {r!r}" for r in resets], remedy)
 
 

@@ -60,8 +60,10 @@ def summary(rows: Sequence[Row]) -> str:
     for row in on_chip:
         sentences.append(told(row))
         if not _twin(row):
-            integers = f"the integers of {row['trained_for']}"
-            sentences.append(f"{row['policy']} was trained in {integers}, and has no float twin.")
+            sentences.append(
+                f"{row['policy']} was trained for {row['trained_for']}, and no float twin stands "
+                "beside it."
+            )
         sentences.extend(() if has_few_episodes(row) else _smallest(row, rows, words))
     if any(map(has_few_episodes, on_chip)):
         sentences.append(f"Fewer than {FEWEST} episodes do not show which policies {words.less}.")
@@ -75,7 +77,7 @@ def summary(rows: Sequence[Row]) -> str:
 
 
 def _twin(row: Row) -> bool:
-    """Return True if a policy has a float twin: all but those trained in integers of a chip."""
+    """Return True if a policy has a float twin: all but those trained for a chip alone."""
     return not row.get("trained_for")
 
 

@@ -76,7 +76,9 @@ def origin(run: Path, checkpoint: str | None = None) -> Provenance:
     config, name = settings(run), deployed_checkpoint(run, checkpoint)
     with checked_record(run / "config.json"):
         recipe, seed = str(config["recipe"]), int(config["seed"])
-        chip = str(config["policy"].get("chip", ""))
+        policy = config["policy"]
+        # integrate-and-fire neurons that send several spikes are Speck's, and of no other chip
+        chip = config["chip"] if policy.get("neuron") == "if" else policy.get("chip", "")
     return Provenance(
         env=env_of(run) or "",
         recipe=recipe,
@@ -85,7 +87,7 @@ def origin(run: Path, checkpoint: str | None = None) -> Provenance:
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         version=own(),
         checkpoint="" if name == deployed_checkpoint(run) else name,
-        chip=chip,
+        chip=str(chip),
     )
 
 

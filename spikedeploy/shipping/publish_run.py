@@ -25,8 +25,8 @@ from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.ppo import find_start
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
-# the setting of an algorithm that names another run
-_NEEDED = {"sparse": "pool", "sparse-ppo": "start"}
+# the settings of an algorithm that name other runs
+_NEEDED = {"sparse": ("pool", "guide"), "sparse-ppo": ("start",)}
 
 
 def publish_run(
@@ -106,14 +106,17 @@ def describe(
 
 
 def _before(source: Path) -> Iterator[dict[str, Any]]:
-    """The runs that a run needs, the first one first: for its walks, or as its start."""
-    settings = run_record.settings(source)
-    setting = _NEEDED.get(settings["algorithm"])
-    if setting is None or not settings[setting]:
-        return
-    run = find_start(settings[setting], source.parent).path
-    yield from _before(run)
-    yield training_of(run, settings.get("start_checkpoint")) | {"run": run.name, "gives": setting}
+    """The runs that a run needs, the first one first: for its walks, as its guide or its start."""
+    settings, told = run_record.settings(source), set()
+    for setting in _NEEDED.get(settings["algorithm"], ()):
+        if not settings.get(setting):  # runs of before lack some
+            continue
+        run = find_start(settings[setting], source.parent).path
+        own = training_of(run, settings.get("start_checkpoint"))
+        for each in (*_before(run), own | {"run": run.name, "gives": setting}):
+            if each["run"] not in told:
+                yield each
+            told.add(each["run"])
 
 
 def _export(source: Path, path: Path, control: bool, checkpoint: str | None) -> ExportedPolicy:

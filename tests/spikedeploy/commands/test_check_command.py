@@ -101,11 +101,11 @@ def test_a_policy_of_another_chip_is_sent_there_and_not_given_another_reset(comm
     words = ("chips/CartPole-v1/xylo-a2", "--chip", "loihi1")
     code, out, _ = command("check", *words)
     assert code == 1
-    assert "Run it on xylo-a2, in whose integers it was trained." in out
+    assert "Run it on xylo-a2, for which it was trained." in out
     assert "--reset" not in out
     code, _, err = command("run", *words)
     assert code == 1
-    assert "trained in the integers of xylo-a2: run it there." in err
+    assert "trained for xylo-a2: run it there." in err
     assert "--reset" not in err
 
 

@@ -104,7 +104,7 @@ SENTENCES = {
     "The script mine:pilot earns more than popsan.": [
         row("sac", "ann", ratio=0.9), row("mine:pilot", "ann", ratio=3.0, training_seeds=None),
         row("popsan", "snn", "loihi1")],
-    "mine was trained in the integers of odin, and has no float twin.": [
+    "mine was trained for odin, and no float twin stands beside it.": [
         row("sac", "ann"),
         row("mine", "snn", "odin", reference="sac", trained_for="odin", **ALONE)],
     "Intervals cover 5 episodes of one training each; other trainings differ: "
