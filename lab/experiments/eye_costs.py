@@ -5,12 +5,14 @@ at 45 nm. Static power is no part of either.
 
 operations   synaptic operations; or multiplications of weights, by the cheapest of three circuits:
              inputs that are not 0; in the first layer those that changed, onto sums that are kept;
-             all inputs of convolutions, by an array that reads each of them for 16 channels
+             all inputs of convolutions, by an array that reads each of them for 16 channels and
+             moves a sum in 16 multiplications
 updates      neurons that a chip updates, and those that it looks at; units of a GRU
 traffic      messages and spikes, where a table prices them; activations that are written and read
 histogram    events that are added up until the control step ends, and the cells that hold some
 constants    biases, and what the host adds
-comparisons  units of a delta network, which are compared with what they sent, and their kept sums
+comparisons  units of a delta network some of whose inputs changed: their kept sums, and what they
+             send compared with what they sent
 
 The rule, `predict`, takes the counts of a policy at one control rate, moving and mostly at rest,
 and the events a second of another cell of the map. Events come at the rate of motion for the share
@@ -26,17 +28,17 @@ of time that this takes, and not at all else; what is counted at rest follows fr
     a delta network: behind the first layer a random walk, whose changes since the last control step
         grow with the root of its time
     a spiking one: operations a second as at rest, and the others as cells with events a second;
-        updates f N, or f occupied(a / f, N) where a chip updates those alone at which some of a
+        updates f N, or f occupied(a / f, N) where those alone are updated at which some of a
         operations a second arrive
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from lab.experiments.costs import ACC16, INT8
 from lab.experiments.training import Record
-from lab.experiments.vision import WAYS, Execution
+from lab.experiments.vision import WAYS
 from spikedeploy.runtime.metrics.energy import (
     ACCESS,
     ADDITION,
@@ -45,7 +47,12 @@ from spikedeploy.runtime.metrics.energy import (
     delta_encoder,
     reading_energy,
 )
-from spikedeploy.runtime.metrics.energy_tables import MULTIPLICATION, TABLES, sram
+from spikedeploy.runtime.metrics.energy_tables import (
+    MULTIPLICATION,
+    TABLES,
+    EnergyTable,
+    sram,
+)
 
 TERMS = ("operations", "updates", "traffic", "histogram", "constants", "comparisons")
 
@@ -57,55 +64,69 @@ CELL = 2 * ACCESS + 2 * _BYTE
 # a unit of a GRU: three functions from tables of 16 bits, three products, five additions, and the
 # state of 16 bits read and written
 GATES = 3 * ACCESS + 3 * MULTIPLICATION + 5 * ADDITION + 2 * ACCESS
-# a multiplication of 8 bits in an array whose weights and sums are in registers, and whose inputs
-# are read once for 16 of its columns, as each of 16 x 16 units takes part in each cycle
-IN_ARRAY = TABLES[INT8].joules["mac"] - _BYTE + _BYTE / 16
-# the leak of a neuron that was not updated for a while, assumed, as no chip that is emulated has
-# it: the timestep of its last update read and written, beta^n from a table of 16 bits, a product
-LAZY_LEAK = 3 * ACCESS + MULTIPLICATION
+# a multiplication of 8 bits in an array whose weights are in registers, whose inputs are read once
+# for 16 of its columns, as each of 16 x 16 units takes part in each cycle, and whose sums (16 bits)
+# are read and written once for 16 of its rows
+IN_ARRAY = TABLES[INT8].joules["mac"] - _BYTE + _BYTE / 16 + 2 * ACCESS / 16
+
+# neurons with states of 16 bits, as a GRU's are here: current and membrane, or a membrane alone
+_STATES_OF_16_BITS = {
+    "neuron_update": 2 * MULTIPLICATION + 3 * ADDITION + 4 * ACCESS,
+    "one_state_update": MULTIPLICATION + 2 * ADDITION + 2 * ACCESS,
+}
+# integrate and fire: nothing leaks; a membrane is compared with its threshold and its floor
+_INTEGRATE_AND_FIRE = dict.fromkeys(_STATES_OF_16_BITS, 2 * ADDITION + 2 * ACCESS)
 
 
 @dataclass(frozen=True)
 class Accounting:
-    """What a chip is charged for.
+    """What a spiking network is charged for.
 
-    title       for people
-    place       the chip whose counts it takes
-    table       prices of the float networks, and without `chip_table` of the chip
-    chip_table  prices of the chip, so scaled that a synaptic operation costs as much as in `table`
-    updates     "all" neurons of the ledger in each control step; "touched", those that a spike
-                reaches, with a lazy leak
-    source      what the charge for updates is known from
+    title    for people
+    place    the chip whose counts it takes
+    table    prices of operations, of float networks as well
+    prices   those of the chip's events [J] that differ from them
+    touched  whether those neurons alone are updated at which a spike arrives
+    source   what the charge for updates is known from
     """
 
     title: str
     place: str
     table: str
-    updates: str
+    prices: Mapping[str, float]
     source: str
-    chip_table: str = ""
+    touched: bool = False
 
     @property
-    def scale(self) -> float:
-        """Factor of the prices of the chip's own table."""
-        if not self.chip_table:
-            return 1.0
-        return TABLES[self.table].joules["sop"] / TABLES[self.chip_table].joules["sop"]
+    def on_chip(self) -> EnergyTable:
+        """The table of the chip's events."""
+        table = TABLES[self.table]
+        return replace(table, joules={**table.joules, **self.prices})
+
+
+def _ratios(table: str) -> dict[str, float]:
+    """Prices of a chip's own table over that of its synaptic operation, as 8-bit integers have."""
+    own = TABLES[table].joules
+    return {name: j * TABLES[INT8].joules["sop"] / own["sop"] for name, j in own.items()}
 
 
 ACCOUNTINGS = {
     "loihi1": Accounting(
-        "Loihi, all neurons", "loihi1", INT8, "all",
-        "sanafe, every price over that of a synaptic operation", "sanafe",
+        "Loihi's ratios of prices", "loihi1", INT8, _ratios("sanafe"),
+        "sanafe, every price over that of a synaptic operation",
     ),
-    "int": Accounting("8-bit integers, all neurons", "int", INT8, "all", "derived"),
-    "int-touched": Accounting(
-        "8-bit integers, touched neurons", "int", INT8, "touched", "assumed: no emulated chip"
+    "int": Accounting(
+        "8-bit integers, sums in registers", "int", INT8, _STATES_OF_16_BITS, "derived",
     ),
-    "int-memory": Accounting(
-        "8-bit integers, sums of 16 bits in memory", "int", ACC16, "all", "derived",
+    "int-memory": Accounting("8-bit integers, sums in memory", "int", ACC16, {}, "derived"),
+    "speck": Accounting(
+        "integrate and fire, all neurons", "speck2f", ACC16, _INTEGRATE_AND_FIRE, "derived",
     ),
-    "speck": Accounting("Speck in timesteps", "speck2f", ACC16, "all", "derived"),
+    "speck-touched": Accounting(
+        "integrate and fire, touched neurons", "speck2f", ACC16, _INTEGRATE_AND_FIRE,
+        "derived: where nothing leaks and nothing drives a neuron, others stay as they are",
+        touched=True,
+    ),
 }  # fmt: skip
 
 
@@ -121,29 +142,30 @@ def power(row: Record, accounting: Accounting) -> float:
 
 
 def _chip(row: Record, accounting: Accounting) -> tuple[float, ...]:
-    table = TABLES[accounting.chip_table or accounting.table]
-    each = {name: j * accounting.scale for name, j in chip_terms(row, table).items()}
-    updates, operations = each["updates"] + each["idle"], each["operations"]
-    # what is sent to a chip in timesteps is counted until the control step ends
+    each = chip_terms(row, accounting.on_chip)
+    updates = each["updates"] + each["idle"]
+    if accounting.touched:
+        updates = row["touched"] * accounting.on_chip.joules["one_state_update"]
+    # events are counted until the control step ends
     histogram = row["events"] * EVENT + row["cells"] * CELL
-    if accounting.updates == "touched":
-        updates = row["touched"] * (table.joules["neuron_update"] + LAZY_LEAK)
     constants = each["bias"] + addition_energy(row["constants"])
-    return operations, updates, each["messages"] + each["spikes"], histogram, constants, 0.0
+    sent = each["messages"] + each["spikes"]
+    return each["operations"], updates, sent, histogram, constants, 0.0
 
 
 def _float(row: Record, table: str) -> tuple[float, ...]:
-    # where sums are in memory a multiplication reads its input, which is in its price
-    moved = row["sent"] * (_BYTE if table == ACC16 else 2 * _BYTE)
+    # a multiplication that is scattered into sums in memory costs what one by a graded spike does
+    each = TABLES[table].joules["graded_sop" if table == ACC16 else "mac"]
     compared = row["compared"]
-    kept = compared and row["units"] * 2 * ACCESS
     return (
-        _multiplications(row, TABLES[table].joules["mac"]),
+        _multiplications(row, each),
         row["gates"] * GATES,
-        moved,
+        row["sent"] * 2 * _BYTE,
         row["events"] * EVENT + row["cells"] * CELL,
         addition_energy(row["units"]),
-        delta_encoder(compared, row["sent"] if compared else 0) - reading_energy(compared) + kept,
+        delta_encoder(compared, row["sent"] if compared else 0)
+        - reading_energy(compared)
+        + compared * 2 * ACCESS,
     )
 
 
@@ -158,16 +180,14 @@ def _multiplications(row: Record, each: float) -> float:
     return found
 
 
-def latency(row: Record) -> tuple[float, float]:
-    """Mean and longest time [s] from an event to an action that follows from it, computing apart.
+def latency(row: Record) -> float:
+    """Mean time [s] from an event in motion to an action that follows from it, computing apart.
 
-    The event waits until the control step ends, or until as many have come as trigger a network,
-    and for the control steps in which layers hand it on.
+    The event waits until its control step ends, for further ones until a float network runs, or for
+    those in which layers of spiking ones hand it on.
     """
-    way = Execution() if row["spiking"] else WAYS[row["way"]]
-    waits = max(way.every, way.trigger / max(row["events"], 1e-9)) / row["rate"]
-    first, last = (steps / row["rate"] for steps in row["late"])
-    return first + waits / 2, last + waits
+    later = row["late"][0] if row["spiking"] else row["wait"]
+    return float((later + 0.5) / row["rate"])
 
 
 def computing_time(row: Record, table: str = "sanafe") -> float:
@@ -216,7 +236,7 @@ def predict(row: Record, rest: Record, rate: float, events: float, span: float) 
 
 _COUNTED = (
     "events", "cells", "macs", "first_macs", "changed_macs", "conv_macs", "sent", "sop",
-    "graded_sop", "spike_out", "spike_in",
+    "graded_sop", "spike_out", "spike_in", "compared",
 )  # fmt: skip
 
 
@@ -256,10 +276,14 @@ def _float_at(row: Record, still: Record, rate: float, span: float, moving: floa
     each = {name: row[name] / row["runs"] for name in _PER_RUN}
     places = places_of(row["events"] * row["rate"] * usual, each["cells"])
     now = occupied(events * seen, places)
-    behind, sent = each["macs"] - each["first_macs"], each["sent"]
+    behind, sent, compared = each["macs"] - each["first_macs"], each["sent"], each["compared"]
     convolved = each["conv_macs"] - each["first_macs"]
     if not moving:
-        behind, sent = still["macs"] - still["first_macs"], still["sent"]
+        behind, sent, compared = (
+            still["macs"] - still["first_macs"],
+            still["sent"],
+            still["compared"],
+        )
         convolved = still["conv_macs"] - still["first_macs"]
     if way.every > 1:
         runs, seen = rate / way.every, max(span, way.every / rate)
@@ -267,7 +291,8 @@ def _float_at(row: Record, still: Record, rate: float, span: float, moving: floa
     if way.delta is not None:
         share = min(1.0, math.sqrt(row["rate"] / rate))
         behind, sent, convolved = behind * share, sent * share, convolved * share
-    first = each["first_macs"] / each["cells"] * now
+        compared *= share
+    first = _quotient(each["first_macs"], each["cells"]) * now
     changed = each["changed_macs"] * _quotient(
         occupied(2 * events / runs, places) if runs else 0.0,
         occupied(2 * row["events"] / row["runs"], places),
@@ -278,6 +303,7 @@ def _float_at(row: Record, still: Record, rate: float, span: float, moving: floa
         "macs": first + behind,
         "conv_macs": first + convolved,
         "sent": sent,
+        "compared": compared,
         "cells": now,
     }
     found = {name: count * runs / rate for name, count in found.items()}

@@ -36,7 +36,8 @@ TEXTS = ("policy", "way")
 COLUMNS = (
     "policy", "seed", "spiking", "way", "rate", "quiet", "driven_quiet", "trained_rate", "span",
     "episodes", "steps", "finished", "right", "crashed", "late", "events", "cells", "macs",
-    "first_macs", "sent", "compared", "units", "gates", "runs", "sop", "graded_sop", "bias_sop",
+    "first_macs", "changed_macs", "conv_macs", "dense_macs", "sent", "compared", "units",
+    "first_units", "gates", "runs", "wait", "sop", "graded_sop", "bias_sop",
     "neuron_update", "one_state_update", "neuron_idle", "touched", "spike_in", "spike_out",
     "message", "saturation", "lost_spike", "constants", "neurons",
 )  # fmt: skip

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lab.experiments import eye_costs, pages
 from lab.experiments.eye_costs import ACCOUNTINGS, Accounting, border, latency, power, predict
-from lab.experiments.eye_map import trained_at
+from lab.experiments.eye_map import MAP, trained_at
 from lab.experiments.pages import grouped
 from lab.experiments.runner import command_line
 from lab.experiments.training import Record
@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-EQUAL = 0.02  # share of finished episodes by which policies of equal success differ at most
+EQUAL = (
+    0.02  # share of episodes that one of equal success finishes less than the reference, at most
+)
 _FINE = 48  # points of the predicted border on an axis
 
 
@@ -59,13 +61,29 @@ class Group:
         """Mean of a field over the trainings."""
         return float(np.mean([row[field] for row in self.rows]))
 
-    def acts_as_soon_as(self, other: "Group") -> bool:
-        """Return whether an action follows an event no later than the other's, or a control step.
+    @property
+    def latency(self) -> float:
+        """Mean time [s] from an event to an action that follows from it, computing apart."""
+        return float(np.mean([latency(row) for row in self.rows]))
 
-        A mean over the events of the cell, computing apart.
+    def acts_as_soon_as(self, other: "Group") -> bool:
+        """Return whether its actions follow events no later than the other's, or a control step."""
+        return bool(self.latency <= max(other.latency, 1 / self.rows[0]["rate"]))
+
+    def finishes_more_than(self, other: "Group") -> Estimate | None:
+        """Finishes less those of another group [1], in the same episodes of the same seeds.
+
+        None where they have no seed in common.
         """
-        mine, theirs = (float(np.mean([latency(r)[0] for r in g.rows])) for g in (self, other))
-        return bool(mine <= max(theirs, 1 / self.rows[0]["rate"]))
+        theirs = {row["seed"]: row["finishes"] for row in other.rows}
+        pairs = [(r["finishes"], theirs[r["seed"]]) for r in self.rows if r["seed"] in theirs]
+        rows = [np.subtract(*pair).tolist() for pair in pairs]
+        return stratified_bootstrap(rows, np.random.default_rng(0)).mean if rows else None
+
+    def equals(self, reference: "Group") -> bool:
+        """Return whether it finishes as many episodes as a reference, but for EQUAL."""
+        difference = self.finishes_more_than(reference)
+        return difference is not None and difference.mean >= -EQUAL
 
     def power(self, accounting: Accounting) -> float:
         """Mean power [W]."""
@@ -89,10 +107,10 @@ class Cell:
     """A cell of the map by an accounting: the cheapest of equal success of either kind.
 
     events     of the camera a second
-    spiking    the cheapest group that finishes as often as the best float one, but for EQUAL; where
-               none does the one that finishes most
+    spiking    the cheapest group that equals the reference; where none does the one that finishes
+               most
     is_equal   whether it does
-    others     float groups that finish as often as `spiking`, but for EQUAL
+    others     float groups that equal the reference
     predicted  power of spiking over float [1], by the rule
     """
 
@@ -112,8 +130,9 @@ class Cell:
 
     @cached_property
     def rivals(self) -> Sequence[Group]:
-        """Those of the others that act no later, on average."""
-        return [group for group in self.others if group.acts_as_soon_as(self.spiking)]
+        """Those of the others that act no later, on average; the soonest where all do."""
+        soon = [group for group in self.others if group.acts_as_soon_as(self.spiking)]
+        return soon or [min(self.others, key=lambda group: group.latency)]
 
     @cached_property
     def rival(self) -> Group:
@@ -128,18 +147,17 @@ class Cell:
     @property
     def ratio_to_later(self) -> float:
         """The same where float networks may also act later."""
-        least = min(group.power(self.accounting) for group in self.others)
-        return self.spiking.power(self.accounting) / least
+        return self.spiking.power(self.accounting) / self.later_rival.power(self.accounting)
 
     @property
-    def difference(self) -> Estimate:
+    def later_rival(self) -> Group:
+        """The cheapest of the others, whenever it acts."""
+        return min(self.others, key=lambda group: group.power(self.accounting))
+
+    @property
+    def difference(self) -> Estimate | None:
         """Finishes of spiking less those of the rival [1], in the same episodes."""
-        theirs = {row["seed"]: row["finishes"] for row in self.rival.rows}
-        pairs = [
-            (r["finishes"], theirs[r["seed"]]) for r in self.spiking.rows if r["seed"] in theirs
-        ]
-        rows = [np.subtract(*pair).tolist() for pair in pairs]
-        return stratified_bootstrap(rows, np.random.default_rng(0)).mean
+        return self.spiking.finishes_more_than(self.rival)
 
     @property
     def microwatts(self) -> tuple[float, float]:
@@ -166,18 +184,24 @@ class Map:
         found = [cell.is_equal for row in self.cells if (cell := row[column]) is not None]
         return f"{sum(found)} of {len(found)}"
 
-    def borders(self, column: int) -> tuple[float, float]:
-        """Control rates [Hz] from which spiking costs less: as counted, and by the rule."""
+    def borders(self, column: int) -> tuple[float, ...]:
+        """Control rates [Hz] from which spiking costs less, of cells of equal success.
+
+        As counted, where float networks may act later, and by the rule; nan where none is equal.
+        """
         some = [(r, row[column]) for r, row in zip(self.rates, self.cells, strict=True)]
-        there = [(rate, cell) for rate, cell in some if cell is not None]
-        rates = [rate for rate, _ in there]
-        return (
-            border(rates, [cell.ratio for _, cell in there]),
-            border(rates, [cell.predicted for _, cell in there]),
-        )
+        there = [(rate, cell) for rate, cell in some if cell is not None and cell.is_equal]
+        if not there:
+            return (math.nan,) * 3
+        rates, cells = zip(*there, strict=True)
+        ratios = [(c.ratio, c.ratio_to_later, c.predicted) for c in cells]
+        return tuple(border(rates, each) for each in zip(*ratios, strict=True))
 
     def fine(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Rates (n,), shares of motion (n,), and logarithms of predicted ratios (n, n) there."""
+        """Rates (n,), shares of motion (n,), and logarithms of predicted ratios (n, n) there.
+
+        nan where no spiking policy of the nearest cell has equal success.
+        """
         found = [cell for row in self.cells for cell in row if cell is not None]
         rates = np.geomspace(self.rates[0], self.rates[-1], _FINE)
         moving = np.geomspace(1 - self.quiet[-1], 1 - self.quiet[0], _FINE)
@@ -185,6 +209,9 @@ class Map:
         for i, rate in enumerate(rates):
             for k, share in enumerate(moving):
                 near = min(found, key=lambda c: _distance(c, rate, share))
+                if not near.is_equal:
+                    ratios[k, i] = math.nan
+                    continue
                 column = [c for c in found if c.rate == near.rate]
                 events = np.interp(1 - share, [c.quiet for c in column], [c.events for c in column])
                 groups = (near.spiking, *near.rivals)
@@ -242,20 +269,28 @@ def _cell(
     spiking = [group for group in known if group.key[1] == accounting.place]
     if not rivals or not spiking:
         return None
-    enough = max(group.finished for group in rivals) - EQUAL
-    equal = [group for group in spiking if group.finished >= enough]
+    reference = _reference(rivals)
+    equal = [group for group in spiking if group.equals(reference)]
     mine = (
         min(equal, key=lambda group: group.power(accounting))
         if equal
         else max(spiking, key=lambda group: group.finished)
     )
-    rivals = [group for group in rivals if group.finished >= mine.finished - EQUAL]
+    rivals = [group for group in rivals if group.equals(reference)]
     events = float(np.mean([group.mean("events") * rate for group in (mine, *rivals)]))
     cell = Cell(rate, quiet, events, rivals, mine, bool(equal), accounting, 0.0)
     expected, *others = (
         _predicted(references, g, accounting, rate, events) for g in (mine, *cell.rivals)
     )
     return replace(cell, predicted=expected / min(others))
+
+
+def _reference(floats: Sequence[Group]) -> Group:
+    """The float network whose finishes others must equal; without it the one that finishes most."""
+    way = MAP["ways"][0]
+    named = [group for group in floats if group.key == (MAP["reference"], way)]
+    usual = [group for group in floats if group.key[1] == way] or floats
+    return named[0] if named else max(usual, key=lambda group: group.finished)
 
 
 # the picture
@@ -265,8 +300,11 @@ _INSIDE = "#111111"  # of what stands in a cell, which is light by day and by ni
 _MOST = 3.0  # powers of 2 that colours tell apart
 
 
-def figure(found: Sequence[Map]) -> "Figure":
-    """A panel for each accounting: control rate across, quiet upwards."""
+def figure(found: Sequence[Map], later: bool = False) -> "Figure":
+    """A panel for each accounting: control rate across, quiet upwards.
+
+    later: whether float networks may act later than spiking ones
+    """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -276,15 +314,21 @@ def figure(found: Sequence[Map]) -> "Figure":
     made = Figure(figsize=(5.2 * columns, 4.4 * lines + 1), layout="constrained")
     grid = made.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for axes, each in zip(grid.flat, found, strict=False):
-        _panel(axes, each)
+        _panel(axes, each, later)
     for axes in grid.flat[len(found) :]:
         axes.set_axis_off()
+    predicted = Line2D([], [], color=_INSIDE, linewidth=2.5, linestyle="--", label="by the rule")
     handles = [
         Line2D([], [], color=_INSIDE, linewidth=3, label="border, as counted"),
-        Line2D([], [], color=_INSIDE, linewidth=2.5, linestyle="--", label="border, by the rule"),
+        *([] if later else [predicted]),
         Patch(facecolor="#9CC4E0", label="spiking costs less"),
         Patch(facecolor="#F2B48A", label="float costs less"),
-        Patch(facecolor="#FFFFFF", edgecolor="#777777", hatch="///", label="spiking finishes less"),
+        Patch(
+            facecolor="#FFFFFF",
+            edgecolor="#777777",
+            hatch="///",
+            label="no spiking policy finishes as many",
+        ),
     ]
     made.legend(handles=handles, loc="outside upper center", ncols=5, frameon=False, fontsize=_TEXT)
     made.supxlabel("control rate [Hz]", fontsize=_TEXT)
@@ -292,7 +336,7 @@ def figure(found: Sequence[Map]) -> "Figure":
     return made
 
 
-def _panel(axes: "Axes", drawn: Map) -> None:
+def _panel(axes: "Axes", drawn: Map, later: bool) -> None:
     from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.patches import Rectangle
     from matplotlib.ticker import FixedLocator, NullLocator
@@ -300,25 +344,30 @@ def _panel(axes: "Axes", drawn: Map) -> None:
     colours = LinearSegmentedColormap.from_list("sides", ["#5B9BC8", "#F7F7F5", "#E58A4E"])
     x, y = np.log(drawn.rates), -np.log(1 - np.array(drawn.quiet))
     left, low = _edges(x), _edges(y)
+    counted = np.full((len(y), len(x)), np.nan)
     for i, row in enumerate(drawn.cells):
         for k, cell in enumerate(row):
             if cell is None:
                 continue
             place = (left[i], low[k]), left[i + 1] - left[i], low[k + 1] - low[k]
-            shade = colours(0.5 + math.log2(cell.ratio) / (2 * _MOST))
+            ratio = cell.ratio_to_later if later else cell.ratio
+            shade = colours(0.5 + math.log2(ratio) / (2 * _MOST))
             hatch = None if cell.is_equal else "///"
             axes.add_patch(
                 Rectangle(*place, facecolor=shade, edgecolor="#FFFFFF", hatch=hatch, linewidth=1)
             )
             axes.text(
-                x[i], y[k], f"{cell.ratio:.2g}", ha="center", va="center", color=_INSIDE,
-                fontsize=_TEXT,
-            )  # fmt: skip
-    rates, moving, ratios = drawn.fine()
-    fine = np.log(rates), -np.log(moving), ratios
-    counted = np.array([[math.log(c.ratio) if c else np.nan for c in r] for r in drawn.cells]).T
-    for (across, up, values), style, width in ((((x, y, counted)), "-", 3), (fine, "--", 2.5)):
-        if min(values.shape) > 1 and np.nanmin(values) < 0 < np.nanmax(values):
+                x[i], y[k], f"{ratio:.2g}", ha="center", va="center", color=_INSIDE, fontsize=_TEXT
+            )
+            if cell.is_equal:
+                counted[k, i] = math.log(ratio)
+    drawn_lines = [((x, y, counted), "-", 3.0)]
+    if not later:
+        rates, moving, ratios = drawn.fine()
+        drawn_lines.append(((np.log(rates), -np.log(moving), ratios), "--", 2.5))
+    for (across, up, values), style, width in drawn_lines:
+        known = values[np.isfinite(values)]
+        if min(values.shape) > 1 and len(known) and known.min() < 0 < known.max():
             axes.contour(
                 across, up, values, [0.0], colors=_INSIDE, linestyles=style, linewidths=width
             )
@@ -362,7 +411,9 @@ def errors(found: Map) -> list[float]:
 
 
 def rate_text(rate: float) -> str:
-    """A border: `310 Hz`, `everywhere` or `never`."""
+    """A border: `310 Hz`, `everywhere`, `never`, or `–` where nothing can be said."""
+    if math.isnan(rate):
+        return "–"
     return "everywhere" if rate == 0 else "never" if math.isinf(rate) else f"{rate:,.0f} Hz"
 
 
@@ -378,7 +429,8 @@ def write(
     deviations  sorted; operations of driven cells over those that were derived
     """
     found = maps(rows)
-    drawn = {"kart-eye-map.png": figure(found)} if found else {}
+    names = {"kart-eye-map.png": False, "kart-eye-map-later.png": True}
+    drawn = {name: figure(found, later) for name, later in names.items()} if found else {}
     notes = [f"{missing} parts are missing."] if missing else []
     page, shown = pages.write_page(
         results / "kart-eye-map.md",
@@ -394,6 +446,7 @@ def write(
         deviations=deviations,
         rate_text=rate_text,
         EQUAL=EQUAL,
+        MAP=MAP,
         costs=eye_costs,
     )
     return [page, shown, *(save(each, results / name) for name, each in drawn.items())]

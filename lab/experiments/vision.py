@@ -2,8 +2,9 @@
 
 A float network skips multiplications by zero, and saves more in one of the WAYS: as a delta network
 it sends only what has changed by more than a threshold since it was sent (Neil et al. 2017,
-arXiv 1612.05571), and triggered by events it runs only where so many came since it last ran, or in
-every so many control steps, and holds its action and memory else.
+arXiv 1612.05571), with a threshold of 0 exactly what it would else compute; and triggered by events
+it runs only where so many came since it last ran, or in every so many control steps, and holds its
+action and memory else.
 
 At a control rate that is k times as high as in training, a float network sees the events of the
 last k control steps, as many as in training, or all since it last ran where that is longer ago; its
@@ -49,7 +50,7 @@ Counts = NDArray[np.uint8]
 Totals = dict[str, NDArray[np.float64]]
 _COUNTS_OF_FLOATS = (
     "macs", "first_macs", "changed_macs", "conv_macs", "dense_macs", "cells", "sent", "compared",
-    "units", "first_units", "gates", "runs", "events",
+    "units", "first_units", "gates", "runs", "events", "waits",
 )  # fmt: skip
 BITS = 8  # of the weights of float networks, as of those of chips
 OUTCOMES = ("finish", "wrong", "crash", "forks")  # of an episode
@@ -72,6 +73,7 @@ class Execution:
 
 WAYS = {
     "zero-skipping": Execution(),
+    "delta 0": Execution(delta=0.0),
     "delta 0.1": Execution(delta=0.1),
     "delta 0.3": Execution(delta=0.3),
     "triggered by 16 events": Execution(trigger=16),
@@ -79,6 +81,7 @@ WAYS = {
     "triggered by 256 events": Execution(trigger=256),
     "every 2 steps": Execution(every=2),
     "every 4 steps": Execution(every=4),
+    "every 16 steps": Execution(every=16),
 }
 
 
@@ -102,10 +105,12 @@ class CountedFloatController:
         conv_macs           those of the convolutions, the first one included
         dense_macs          those of the convolutions, if no zero were skipped
         cells, sent         inputs of the first layer that are not 0; of the others what is sent
-        compared            units that are compared with what they sent, in a delta network
+        compared            in a delta network, units some of whose inputs changed: their sum is
+                            read and written, and what they send is compared with what they sent
         units, first_units  units of all layers, those of the first
         gates, runs         units of the GRU, and how often it ran
         events              of the camera
+        waits               control steps that events wait for until the network runs, their own not
     """
 
     def __init__(
@@ -143,6 +148,7 @@ class CountedFloatController:
             seen = np.where(is_long[:, None], self._since, lately)
             self._actions[rows] = self._run(torch.from_numpy(seen[rows]).float(), rows)
             self._since[rows], self._waited[rows] = 0, 0
+        self.totals["waits"] += self._since.sum(1)
         found: NDArray[np.int64] = self._actions.copy()
         return found
 
@@ -185,13 +191,16 @@ class CountedFloatController:
         if self._way.delta is not None and not is_first:
             is_sent = (x - before).abs() > self._way.delta
             self._sent[name][rows] = x = torch.where(is_sent, x, before)
-            totals["compared"][rows] += x.shape[1]
         fan_out, matrix = self._fan_out[name].double(), self._policy.matrix(name)
         macs = (is_sent.double() @ fan_out).numpy()
         totals["macs"][rows] += macs
         totals["cells" if is_first else "sent"][rows] += is_sent.sum(1).numpy()
         drive = matrix.drive(x, self._weights[name])
         totals["units"][rows] += drive.shape[1]
+        if self._way.delta is not None:
+            changed = ((x != before) if is_first else is_sent).float()
+            reached = matrix.drive(changed, self._weights[name].abs()) > 0
+            totals["compared"][rows] += reached.sum(1).numpy()
         if is_first:
             totals["first_macs"][rows] += macs
             totals["first_units"][rows] += drive.shape[1]
@@ -309,8 +318,9 @@ def drive(
     """What evaluation episodes of kart-eye brought, and how each of them ended.
 
     Counts are means of a control step; `still` has those of steps in which nothing moved, neither
-    kart nor gate, and how many these were, and how many at gates; `finishes` says of each episode
-    whether it was finished.
+    kart nor gate, and how many these were, and how many at gates; `wait` is that of an event which
+    came in the others until a float network ran [control steps], its own not counted; `finishes`
+    says of each episode whether it was finished.
 
     options: of the environment
     limit: control steps of an episode, those at gates included; None for all
@@ -354,6 +364,9 @@ def drive(
         "crashed": crash / episodes,
         **{name: total / steps for name, total in totals.items()},
     }
+    if "waits" in totals:
+        came = max(totals["events"] - still["events"], 1.0)
+        row["wait"] = (totals["waits"] - still["waits"]) / came
     if resting:
         each_still = {name: total / resting for name, total in still.items()}
         row["still"] = {"steps": resting, "waiting": waiting, **each_still}

@@ -26,7 +26,7 @@ def path(request):
 def test_it_acts_in_the_environment_of_its_folder(path):
     candidate = find(str(path))
     world = envs.make(path.parent.name)
-    player = open_policy(candidate, "loihi1" if candidate.kind == "snn" else None, world)
+    player = open_policy(candidate, candidate.default_chip, world)
     observation, _ = world.reset(seed=10_000)
     player.reset(10_000)
     # through a pipeline an observation acts one or two control steps later

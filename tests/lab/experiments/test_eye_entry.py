@@ -129,6 +129,6 @@ def test_the_page_concludes_from_its_numbers(right, finish, words):
     found = list(
         verdicts({"linear-traces-8x16": [row((6, 0), (1, 0))], "cnn": [row(right, finish)]})
     )
-    assert "not below: linear-traces-8x16" in found[0]  # 6 of 7
+    assert "right: no: linear-traces-8x16" in found[0]  # 6 of 7
     assert words in found[1]
     assert np.isclose(right_share([row((6, 0), (1, 0))]).mean, 6 / 7)

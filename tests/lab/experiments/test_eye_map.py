@@ -1,6 +1,7 @@
 """The map of kart-eye in its smallest size, with untrained policies; its prices and its rule."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -84,12 +85,12 @@ def test_the_page_compares_each_chip_with_the_best_float_network(design, results
                 row for row in rows
                 if not row["spiking"] and (row["rate"], row["quiet"]) == (cell.rate, cell.quiet)
             ]  # fmt: skip
-            best = max(row["finished"] for row in floats)
+            usual = max(row["finished"] for row in floats if row["way"] == "zero-skipping")
             (spiking,) = cell.spiking.rows
-            as_late = max(latency(spiking)[0], 1 / cell.rate)
-            assert cell.is_equal == (spiking["finished"] >= best - EQUAL)
-            equal = [row for row in floats if row["finished"] >= spiking["finished"] - EQUAL]
-            no_later = [row for row in equal if latency(row)[0] <= as_late]
+            as_late = max(latency(spiking), 1 / cell.rate)
+            assert cell.is_equal == (spiking["finished"] >= usual - EQUAL)
+            equal = [row for row in floats if row["finished"] >= usual - EQUAL]
+            no_later = [row for row in equal if latency(row) <= as_late]
             mine, least, cheapest = (
                 min(power(row, found.accounting) for row in rows)
                 for rows in ([spiking], no_later, equal)
@@ -194,7 +195,7 @@ def counted(**changes):
     [
         (70, 1000, 100 * 1.55),  # zeros left out
         (10, 1000, 70 * 1.55 + 2 * 2 * 2.5),  # only what changed, onto sums that are kept
-        (70, 100, 40 * 1.55 + 100 * (0.3 + 1.25 / 16)),  # all of them in an array
+        (70, 60, 40 * 1.55 + 60 * (0.3 + 1.25 / 16 + 5 / 16)),  # all of them in an array
     ],
 )
 def test_multiplications_are_done_by_the_cheapest_circuit(changed, dense, pico):
@@ -220,21 +221,34 @@ def test_a_float_network_costs_what_its_terms_say():
         assert found[name] == pytest.approx(100e-12 * pico), name
 
 
+def test_what_is_scattered_into_memory_costs_as_much_of_both_kinds():
+    row = counted(macs=100, first_macs=40, changed_macs=1e4, dense_macs=1e4)
+    spiking = counted(spiking=True, sop=100)
+    of_float, of_spikes = (terms(r, ACCOUNTINGS["speck"])["operations"] for r in (row, spiking))
+    assert of_float - of_spikes == pytest.approx(100e-12 * 100 * 0.2)  # a product of 8 bits
+
+
+def test_a_delta_network_pays_for_units_whose_inputs_changed():
+    found = terms(counted(compared=10, sent=4, units=50), ACCOUNTINGS["int"])["comparisons"]
+    # their sums read and written, two subtractions and a read each; what is sent is stored
+    assert found == pytest.approx(100e-12 * (10 * (5 + 0.2 + 2.5) + 4 * 2.6))
+
+
 def test_a_chip_pays_for_all_neurons_or_for_those_that_are_touched():
-    row = counted(spiking=True, sop=100, neuron_update=40, touched=10, events=9, cells=5)
+    row = counted(spiking=True, sop=100, neuron_update=40, one_state_update=30, touched=10)
     found = {name: terms(row, each) for name, each in ACCOUNTINGS.items()}
-    assert found["int"]["updates"] == pytest.approx(100e-12 * 40 * 26.5)
-    assert found["int-touched"]["updates"] == pytest.approx(100e-12 * 10 * (26.5 + 7.5 + 3.1))
+    assert found["int"]["updates"] == pytest.approx(100e-12 * (10 * 16.5 + 30 * 8.3))
+    assert found["speck"]["updates"] == pytest.approx(100e-12 * 40 * 5.2)
+    assert found["speck-touched"]["updates"] == pytest.approx(100e-12 * 10 * 5.2)
     # silicon's update over its synaptic operation
     ratio = (51.2 + 21.6) / 35.5
     assert found["loihi1"]["updates"] == pytest.approx(100e-12 * 40 * 1.35 * ratio)
     assert found["loihi1"]["operations"] == found["int"]["operations"]
 
 
-def test_an_event_waits_for_a_control_step_for_layers_or_for_other_events():
-    assert latency(counted(spiking=True)) == pytest.approx((0.025, 0.04))
-    row = counted(way="triggered by 64 events", events=16, late=[0, 0])
-    assert latency(row) == pytest.approx((0.02, 0.04))
+def test_an_event_waits_for_a_control_step_for_layers_or_until_the_network_runs():
+    assert latency(counted(spiking=True)) == pytest.approx(0.025)
+    assert latency(counted(wait=1.5)) == pytest.approx(0.02)
 
 
 # the rule
@@ -294,7 +308,7 @@ def test_at_a_border_that_counts_give_in_closed_form_both_cost_the_same():
     )  # fmt: skip
     array = {"changed_macs": 1e4, "dense_macs": 1e4}
     net = counted(rate=rate, span=1e-9, events=10, cells=1e-6, first_macs=0, macs=50, **array)
-    by = ACCOUNTINGS["int-touched"]
+    by = replace(ACCOUNTINGS["int"], touched=True)
     # both add up the events, the float network sees none of them: e 100 sop + cells = r 50 mac
     wanted = events * (100 * 1.35 + 7.5) / (50 * 1.55)
 

@@ -78,16 +78,19 @@ class PlainNetwork:
             for name, w in self.weights.items()
         }
         self.delta, self.sent = delta, {n: np.zeros(w.shape[1]) for n, w in self.weights.items()}
-        self.h, self.macs, self.changed = np.zeros(policy.gru), 0, 0
+        self.h, self.macs, self.changed, self.compared = np.zeros(policy.gru), 0, 0, 0
 
     def through(self, name, x):
         is_sent = x != 0
+        is_changed = x != self.sent[name]
         if self.delta is not None and name != "conv1":
-            is_sent = np.abs(x - self.sent[name]) > self.delta
+            is_changed = is_sent = np.abs(x - self.sent[name]) > self.delta
             x = self.sent[name] = np.where(is_sent, x, self.sent[name])
         if name == "conv1":
-            self.changed += np.count_nonzero(self.weights[name][:, x != self.sent[name]])
+            self.changed += np.count_nonzero(self.weights[name][:, is_changed])
             self.sent[name] = x
+        if self.delta is not None:
+            self.compared += np.count_nonzero(self.weights[name][:, is_changed].any(1))
         for weight in self.weights[name]:
             for w, sent in zip(weight, is_sent, strict=True):
                 self.macs += int(w != 0 and sent)
@@ -103,7 +106,7 @@ class PlainNetwork:
         return self.through("out", self.h).argmax()
 
 
-@pytest.mark.parametrize("delta", [None, 0.2])
+@pytest.mark.parametrize("delta", [None, 0.0, 0.2])
 @pytest.mark.parametrize("is_pruned", [False, True])
 def test_a_float_network_counts_each_weight_that_meets_what_is_sent(delta, is_pruned):
     policy = float_policy()
@@ -115,8 +118,11 @@ def test_a_float_network_counts_each_weight_that_meets_what_is_sent(delta, is_pr
     for counts in recording():
         expected = [each.act(seen) for each, seen in zip(plain, counts, strict=True)]
         assert controller.act(counts).tolist() == expected
-    assert controller.totals["macs"].tolist() == [each.macs for each in plain]
-    assert controller.totals["changed_macs"].tolist() == [each.changed for each in plain]
+    # what is exactly as before in float32 may differ in the last places in float64
+    rel = 0.01 if delta == 0 else 0
+    for name, found in (("macs", "macs"), ("changed_macs", "changed"), ("compared", "compared")):
+        expected = [getattr(each, found) for each in plain]
+        assert controller.totals[name].tolist() == pytest.approx(expected, rel=rel)
     assert controller.totals["dense_macs"].tolist() == [STEPS * 3 * 3 * 4 * 18] * KARTS
 
 
@@ -131,11 +137,21 @@ def test_a_network_that_skips_nothing_else_is_the_policy():
         np.testing.assert_allclose(controller._memory, state[1], atol=1e-6)
 
 
+def test_a_delta_network_with_a_threshold_of_0_is_the_network():
+    policy = float_policy()
+    exact, delta = (
+        CountedFloatController(policy, KARTS, Execution(delta=each)) for each in (None, 0.0)
+    )
+    for counts in recording():
+        assert exact.act(counts).tolist() == delta.act(counts).tolist()
+        assert torch.equal(exact._memory, delta._memory)
+
+
 def test_a_triggered_network_runs_where_enough_events_came_and_sees_all_of_them():
     policy, seen = float_policy(), recording(0.03, 30)
     controller = CountedFloatController(policy, KARTS, Execution(trigger=4))
     since, runs = np.zeros(seen.shape[1:], np.int64), np.zeros(KARTS)
-    frames, before = [], controller.act(np.zeros_like(seen[0]))
+    frames, before, waits = [], controller.act(np.zeros_like(seen[0])), np.zeros(KARTS)
     for counts in seen:
         actions = controller.act(counts)
         since += counts
@@ -143,8 +159,10 @@ def test_a_triggered_network_runs_where_enough_events_came_and_sees_all_of_them(
         assert (actions[~ran] == before[~ran]).all()
         frames += [since[0].copy()] * int(ran[0])
         since[ran], before = 0, actions
+        waits += since.sum(1)
         runs += ran
     assert controller.totals["runs"].tolist() == runs.tolist()
+    assert controller.totals["waits"].tolist() == waits.tolist()
     assert 0 < runs.sum() < KARTS * len(seen)
     # what the first kart saw, as counts in every control step
     other = CountedFloatController(policy, 1, Execution())
