@@ -13,7 +13,7 @@ import csv
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -36,6 +36,7 @@ from spikedeploy.trainers.sparse.pool import BatchController, Stateless
 from spikedeploy.trainers.sparse.student import FloatController
 from spikedeploy.trainers.sparse.vision import EyeEpisodes
 
+_BESIDE = "cnn"  # the network whose finishes are 100 %
 TEACHER = "teacher"  # drives by what the simulation knows, and is no training
 MOST_OF_GRIDS, LEAST_RIGHT, LEAST_FINISHED = 0.75, 0.95, 0.90  # what the test asks for
 _ROWS: Mapping[str, Mapping[str, Any]] = DESIGNS["kart-eye"]["networks"]
@@ -84,7 +85,7 @@ class EyeEntryDesign(Design):
     def _training(self, network: str, seed: int) -> TrainingJob:
         of = _ROWS[network]
         every = (*of["settings"], *(QUICK["kart-eye"] if self.quick else ()), *self.settings)
-        parents = {} if "own walks" in of else {"pool": self._walks}
+        parents = {"pool": self._walks}
         if "guide" in of:
             parents["guide"] = self._training(of["guide"], seed)
         name = f"{network}-s{seed}"
@@ -94,8 +95,7 @@ class EyeEntryDesign(Design):
         names = {setting.split("=")[0] for row in others for setting in row["settings"]}
         names -= {"teacher_walks", "noisy_walks"}  # which come with the walks of others
         made = job.planned().model_dump(mode="json")
-        values = {name: _setting(made, name) for name in sorted(names | {"dense_rounds"})}
-        own = [f"{name}={json.dumps(value)}" for name, value in values.items() if value is not None]
+        own = [f"{n}={json.dumps(_setting(made, n))}" for n in sorted(names | {"dense_rounds"})]
         return replace(job, telling=(*every, *own))
 
     def check(self, results: Path) -> None:
@@ -146,11 +146,7 @@ class EyeEntryDesign(Design):
         episodes = EyeEpisodes(env, self.episodes, self.limit)
         controller: BatchController = Stateless(lambda seen: taught_actions(episodes, seen))
         if training is not None:
-            run = RunFolder(training.existing_run)
-            learned_from = [
-                config,
-                *(self._walks.config for name in training.parents if name == "pool"),
-            ]
+            run, taught = RunFolder(training.existing_run), self._walks.config
             policy = run.policy(level)
             controller = FloatController(policy)
             progress = run.load(level)[0]
@@ -161,7 +157,8 @@ class EyeEntryDesign(Design):
                 "way": way,
                 "weights": sum(each.numel() for each in policy.parameters()),
                 "updates": progress["updates"],
-                "walks": sum(each.teacher_walks + each.noisy_walks for each in learned_from)
+                "walks": taught.teacher_walks
+                + taught.noisy_walks
                 + config.walks * progress["phase"],
                 "versions": versions_text(read_json(training.existing_run / "versions.json")),
             }
@@ -231,11 +228,8 @@ class EyeEntryDesign(Design):
 
 
 def _setting(made: Record, name: str) -> Any:  # noqa: ANN401 - JSON
-    """A setting of a configuration; None where it has none of this name."""
-    found: Any = made
-    for each in name.split("."):
-        found = found.get(each)
-    return found
+    """A setting of a configuration."""
+    return reduce(lambda found, each: found[each], name.split("."), made)
 
 
 def taught_actions(episodes: EyeEpisodes, seen: Any) -> Any:  # noqa: ANN401 - arrays
@@ -296,10 +290,9 @@ def student_facts(
     """Facts that the page shows of a network, its level and its way, in all its trainings."""
     network, level, way = of
     seeds = {row["seed"] for row in rows}
-    guide = _ROWS[network].get("guide", network)
     beside = [
         row["finish"] for row in all_rows
-        if (row["network"], row["level"], row["way"]) == (guide, NOT_PRUNED, None)
+        if (row["network"], row["level"], row["way"]) == (_BESIDE, NOT_PRUNED, None)
         and row["seed"] in seeds
     ]  # fmt: skip
     operations = "macs" if rows[0]["macs"] else "sop"
@@ -310,7 +303,7 @@ def student_facts(
         "operations": mean(rows, operations),
         "kind": {"macs": "MACs", "sop": "SOPs"}[operations],
         "updates": mean(rows, "neuron_update"),
-        "of_guide": nested_ratio([row["finish"] for row in rows], beside) if beside else None,
+        "of_cnn": nested_ratio([row["finish"] for row in rows], beside) if beside else None,
     }
 
 
@@ -346,7 +339,7 @@ def verdicts(rows: Mapping[str, Sequence[Record]]) -> Iterator[str]:
             "must be right."
         )
     for name, of in rows.items():
-        sees = name != TEACHER and _ROWS[name]["recipe"] == "kart-eye-cnn"
+        sees = name != TEACHER and _ROWS[name]["recipe"] == _ROWS[_BESIDE]["recipe"]
         right = right_share(of) if sees else None
         if right is None:
             continue

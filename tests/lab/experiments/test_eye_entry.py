@@ -71,28 +71,23 @@ def test_all_networks_train_equally_hard():
 
     whole = eye_entry.DESIGNS["kart-eye"]["networks"]
     unlike = {"budget", "levels", "chip", "rounding"}  # behind the level that is not pruned
-    first, *others = (effort(row) for row in whole.values() if "own walks" not in row)
+    first, *others = (effort(row) for row in whole.values())
     assert len(others) == 9
     assert all(each[n] == first[n] for each in others for n in first.keys() - unlike)
-    faster = [effort(row) for name, row in whole.items() if name.endswith("-240")]
-    assert len(faster) == 2
-    assert all(each[n] == faster[0][n] for each in faster for n in first.keys() - unlike)
-    updates = ("dense_rounds", "dense_updates", "level_updates")
-    assert all(faster[0][name] == first[name] for name in updates)
 
 
 def test_the_runs_of_one_network_are_not_those_of_another(tmp_path, monkeypatch):
     networks = eye_entry.DESIGNS["kart-eye"]["networks"]
     monkeypatch.setattr(eye_entry, "_ROWS", networks)
-    for name in ("cnn", "cnn-240"):
+    for name, guide in (("cnn", ""), ("cnn-small", "kart-eye-cnn-s0-cnn")):
         run = RunFolder(tmp_path / f"kart-eye-cnn-s0-{name}")
         run.path.mkdir()
-        made = networks[name]["settings"]
+        made = [*networks[name]["settings"], f'guide="{guide}"']
         run.write_config(resolve(SparseConfig, "kart-eye-cnn", overrides=made, seed=0))
     found = {t.name: t.run for t in EyeEntryDesign(runs=str(tmp_path)).trainings()}
     assert {name: run.name for name, run in found.items() if run} == {
         "cnn-s0": "kart-eye-cnn-s0-cnn",
-        "cnn-240-s0": "kart-eye-cnn-s0-cnn-240",
+        "cnn-small-s0": "kart-eye-cnn-s0-cnn-small",
     }
 
 
