@@ -1,6 +1,6 @@
 """Exports a network of sinabs that takes events, with spikes that it computed, for `check`.
 
-pip install "sinabs==3.1.3" "nirtorch==2.6"
+pip install --no-deps sinabs==3.1.3 nirtorch==2.6 pbr
 python examples/from_sinabs.py [FOLDER]
 spikedeploy check sinabs.nir --from sinabs --against sinabs.npz
 """
