@@ -105,7 +105,9 @@ def _check_neurons(artifact: Artifact, chip: Chip) -> None:
     if convention.reset not in chip.resets:
         late = convention.reset not in ("zero", "subtract")
         how = " (snnTorch: reset_mechanism, and reset_delay=False)" if late else ""
-        options = " or ".join(f"--reset {each}" for each in chip.resets)
+        # --reset subtract makes this of a file of snnTorch
+        others = [each for each in chip.resets if f"{each}-ahead" != convention.reset]
+        options = " or ".join(f"--reset {each}" for each in others or chip.resets)
         remedy = f"Train with that reset{how}, give it as an option ({options}), or run in float."
         raise RuleError(
             f"rule reset: reset {convention.reset!r}: a spike on {chip.name} can only do "

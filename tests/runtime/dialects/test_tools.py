@@ -225,6 +225,9 @@ def test_a_leaky_without_a_leak_is_an_integrator_that_speck_takes(tmp_path):
     spikes = FloatGraph(artifact).run(np.ones((1, 7, 1)))["n2"].ravel()
     assert spikes.tolist() == [0, 0, 1, 0, 0, 1, 0]  # 0.4, 0.8, 1.2
     compile_program(artifact, chip("speck2f:queue=on"))
+    subtracts = load(tmp_path / "a.nir", written_by="snntorch", reset="subtract")
+    with pytest.raises(RuleError, match=r"it as an option \(--reset zero\)"):  # not the same again
+        compile_program(subtracts, chip("speck2f"))
     with pytest.raises(ArtifactError, match="'n2': r holds inf"):
         load(tmp_path / "a.nir")
 
