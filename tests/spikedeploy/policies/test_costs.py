@@ -175,8 +175,11 @@ ON_SEVERAL_CORES = (
     "hexapod-command/popsan.nir",
     "hexapod-command/sparse.nir",
     "hexapod-command/sparse-gated.nir",
+    "kart-eye/snn.nir",
 )
-SHIPPED = [path for path in zoo.policies() if path.suffix == ".nir"]
+SHIPPED = [
+    path for path in zoo.policies() if path.suffix == ".nir" and not load(path).trained_for
+]  # on Loihi
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=[zoo.name_in_reports(str(p)) for p in SHIPPED])
@@ -193,7 +196,7 @@ def test_shipped_policies_are_counted_as_neurobench_counts_their_file(path):
     if max(player.cores.values()) > 1:
         # several cores take a message each: large layers, and one with decays of its own a neuron
         assert zoo.name_in_reports(str(path)) in ON_SEVERAL_CORES
-        assert found.messages < found.messages_placed < 6 * found.messages
+        assert found.messages < found.messages_placed <= max(player.cores.values()) * found.messages
     else:
         assert zoo.name_in_reports(str(path)) not in ON_SEVERAL_CORES
         assert found.messages_placed == found.messages

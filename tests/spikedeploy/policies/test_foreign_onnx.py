@@ -129,9 +129,9 @@ def test_other_operators_run_after_a_trial(tmp_path):
 
 
 @pytest.mark.parametrize("path", sorted(zoo.FOLDER.rglob("*.onnx")), ids=lambda p: p.stem)
-def test_shipped_policies_need_no_trial(path):
+def test_shipped_policies_without_convolutions_need_no_trial(path):
     found = operators(path)
-    assert found.elementary
+    assert found.elementary == ("Conv" not in found.names)
     known = onnx.load(path).graph
     assert found.names == tuple(node.op_type for node in known.node)
     assert found.shapes == tuple(tuple(each.dims) for each in known.initializer)
