@@ -188,8 +188,10 @@ def _check_values(name: str, field: str, value: object) -> None:
         raise _fault(name, f"{field} is empty, {found.shape}")
     if not np.isfinite(found).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(found))[0])
+        endless = field in ("tau", "r") and bool(np.isposinf(found).all())
+        hint = " (snnTorch writes it for beta 1: --from snntorch reads that)" if endless else ""
         raise _fault(
-            name, f"{field} holds {found[index]} at index {index}; every value must be finite"
+            name, f"{field} holds {found[index]} at index {index}; every value must be finite{hint}"
         )
 
 
