@@ -24,9 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-EQUAL = (
-    0.02  # share of episodes that one of equal success finishes less than the reference, at most
-)
+# share of episodes that a policy of equal success may finish less than the reference
+EQUAL = 0.02
 _FINE = 48  # points of the predicted border on an axis
 
 
@@ -42,8 +41,8 @@ class Group:
         return self.rows[0]["policy"], self.rows[0]["way"]
 
     @property
-    def counted(self) -> tuple[str, str]:
-        """The key of what the rule starts from: of a policy trained at a higher rate its like."""
+    def lowest_rate_key(self) -> tuple[str, str]:
+        """The key of the same policy and way, trained at the lowest rate."""
         policy, way = self.key
         return policy.removesuffix(" " + trained_at(self.rows[0]["trained_rate"])), way
 
@@ -70,20 +69,16 @@ class Group:
         """Return whether its actions follow events no later than the other's, or a control step."""
         return bool(self.latency <= max(other.latency, 1 / self.rows[0]["rate"]))
 
-    def finishes_more_than(self, other: "Group") -> Estimate | None:
-        """Finishes less those of another group [1], in the same episodes of the same seeds.
-
-        None where they have no seed in common.
-        """
+    def finish_differences(self, other: "Group") -> list[list[float]]:
+        """Finishes less those of another group, of each seed in common the same episodes [1]."""
         theirs = {row["seed"]: row["finishes"] for row in other.rows}
         pairs = [(r["finishes"], theirs[r["seed"]]) for r in self.rows if r["seed"] in theirs]
-        rows = [np.subtract(*pair).tolist() for pair in pairs]
-        return stratified_bootstrap(rows, np.random.default_rng(0)).mean if rows else None
+        return [np.subtract(*pair).tolist() for pair in pairs]
 
     def equals(self, reference: "Group") -> bool:
         """Return whether it finishes as many episodes as a reference, but for EQUAL."""
-        difference = self.finishes_more_than(reference)
-        return difference is not None and difference.mean >= -EQUAL
+        differences = self.finish_differences(reference)
+        return bool(differences) and float(np.mean(differences)) >= -EQUAL
 
     def power(self, accounting: Accounting) -> float:
         """Mean power [W]."""
@@ -156,8 +151,9 @@ class Cell:
 
     @property
     def difference(self) -> Estimate | None:
-        """Finishes of spiking less those of the rival [1], in the same episodes."""
-        return self.spiking.finishes_more_than(self.rival)
+        """Finishes of spiking less those of the rival [1]; None without a seed in common."""
+        rows = self.spiking.finish_differences(self.rival)
+        return stratified_bootstrap(rows, np.random.default_rng(0)).mean if rows else None
 
     @property
     def microwatts(self) -> tuple[float, float]:
@@ -227,7 +223,7 @@ def _predicted(
     references: "References", group: Group, accounting: Accounting, rate: float, events: float
 ) -> float:
     """Power [W] of a group at another rate, by the rule."""
-    moving, resting = references[group.counted]
+    moving, resting = references[group.lowest_rate_key]
     # events that a float group sees are those of a control step of its training, at least
     span = float(max(1 / rate, group.rows[0]["span"]))
     return moving.predicted(resting, accounting, rate, events, span)
@@ -264,12 +260,12 @@ def _cell(
     rate: int, quiet: float, groups: Sequence[Group], accounting: Accounting,
     references: "References",
 ) -> Cell | None:  # fmt: skip
-    known = [group for group in groups if group.counted in references]
+    known = [group for group in groups if group.lowest_rate_key in references]
     rivals = [group for group in known if not group.rows[0]["spiking"]]
     spiking = [group for group in known if group.key[1] == accounting.place]
     if not rivals or not spiking:
         return None
-    reference = _reference(rivals)
+    reference = _success_reference(rivals)
     equal = [group for group in spiking if group.equals(reference)]
     mine = (
         min(equal, key=lambda group: group.power(accounting))
@@ -285,7 +281,7 @@ def _cell(
     return replace(cell, predicted=expected / min(others))
 
 
-def _reference(floats: Sequence[Group]) -> Group:
+def _success_reference(floats: Sequence[Group]) -> Group:
     """The float network whose finishes others must equal; without it the one that finishes most."""
     way = MAP["ways"][0]
     named = [group for group in floats if group.key == (MAP["reference"], way)]

@@ -75,7 +75,6 @@ WAYS = {
     "zero-skipping": Execution(),
     "delta 0": Execution(delta=0.0),
     "delta 0.1": Execution(delta=0.1),
-    "delta 0.3": Execution(delta=0.3),
     "triggered by 16 events": Execution(trigger=16),
     "triggered by 64 events": Execution(trigger=64),
     "triggered by 256 events": Execution(trigger=256),
