@@ -21,6 +21,7 @@ Events = NDArray[np.void]
 
 MOST_PIXELS = 1 << 16  # along an axis, as x and y have 16 bits
 _CHUNK = 1 << 15  # events that HDF5 compresses together
+_MARK = "written by an event camera of spikedeploy"
 
 
 class EventWriter:
@@ -75,10 +76,28 @@ class EventWriter:
 def write_events(path: Path, size: tuple[int, int], remark: str = "") -> Iterator[EventWriter]:
     """Yield the writer of a recording, which is in its place at the end of the block.
 
+    A file that is there is replaced if an event camera here wrote it; else ConfigError.
+
     size: (height, width) of the camera [pixels].
     remark: a text that the file shall hold.
     """
     import h5py  # as packages load without it
 
+    if path.exists() and not _is_ours(path):
+        raise ConfigError(
+            f"{path} exists, and no event camera here recorded it: name another file, or move it "
+            "away."
+        )
     with replacing(path) as part, h5py.File(part, "w") as file:
+        file.attrs["by"] = _MARK
         yield EventWriter(file, size, remark)
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a file that exists is a recording of `write_events`."""
+    import h5py
+
+    if not path.is_file() or not h5py.is_hdf5(path):
+        return False
+    with h5py.File(path) as file:
+        return bool(file.attrs.get("by") == _MARK)

@@ -95,6 +95,8 @@ def _emulate_events(
     from spikedeploy.reports.page import FILES, is_page_of, write_page
 
     file, events, output = paths
+    if camera.step == "event" and camera.time_step is not None:
+        raise typer.BadParameter("--step event has no timesteps: leave --time-step out")
     if camera.page:
         check_output_folder("--page", camera.page, FILES, paths, force, is_page_of("emulate"))
     _, height, width = input_shape(artifact)

@@ -219,6 +219,13 @@ def emulate_events(
             f"{tally.clipped:,} of {found.seen:,} events found their neuron with as many as the "
             f"chip takes in a timestep already, and are lost: a shorter --time-step loses fewer"
         )
+    if view.shape[0] == 1:
+        remarks.append("the network has one channel, which takes events of both polarities")
+    if isinstance(network, Machine) and network.program.chip.arithmetic.by_events:
+        remarks.append(
+            "the chip takes the events of a timestep in the order of their neurons; --step event "
+            "gives it each when it came"
+        )
     if isinstance(network, EventMachine) and _has_host(network.program):
         remarks.append("the output, which the host computes in timesteps, is left out")
     if tally.spikes and not any(tally.spikes.values()):

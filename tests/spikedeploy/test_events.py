@@ -50,3 +50,19 @@ def test_an_event_that_the_camera_cannot_have_sent_leaves_no_file(tmp_path, wron
 def test_a_camera_without_pixels_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="0x8"), write_events(tmp_path / "a.h5", (0, 8)):
         pass
+
+
+def test_a_recording_replaces_one_of_its_own_and_nothing_else(tmp_path):
+    mine, foreign, text = (tmp_path / name for name in ("mine.h5", "foreign.h5", "notes.h5"))
+    for _ in range(2):
+        with write_events(mine, SIZE) as writer:
+            writer.write(np.zeros(1, EVENT))
+    with h5py.File(foreign, "w") as file:
+        file.create_group("events").attrs["height"] = SIZE[0]
+    text.write_text("what nobody has twice")
+    for path in (foreign, text, tmp_path):
+        with pytest.raises(ConfigError, match="exists"), write_events(path, SIZE):
+            pass
+    assert text.read_text() == "what nobody has twice"
+    with h5py.File(foreign) as file:
+        assert list(file["events"]) == []

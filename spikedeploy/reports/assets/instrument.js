@@ -45,7 +45,7 @@ class Instrument {
     this.colours = {
       sky: of("--stage"), forbidden: of("--forbidden"), grid: of("--grid"), ink: of("--ink"), line: of("--line"), spike: of("--ink"), soft: of("--soft"), card: of("--card"), shadow: of("--shadow"),
       players: this.episode.players.map(colour), of: colour,
-      series: [of("--chip"), of("--ann"), of("--snn"), of("--control")],
+      series: SERIES.map(of),
       positive: [213, 94, 0], negative: [0, 114, 178],
     };
     this._who();
@@ -89,9 +89,9 @@ class Instrument {
     requestAnimationFrame(frame);
   }
 
-  // the large button in the picture of what does not move
+  // the large button in the picture of what does not move; it would cover a layer of maps
   _invite() {
-    if ($("start")) $("start").hidden = this.playing || !this.view;
+    if ($("start")) $("start").hidden = this.playing || !this.view || this.word === "span";
   }
 
   drawScene() {
@@ -141,6 +141,12 @@ class Instrument {
       row.innerHTML = '<div class="name"><span></span><small></small><output></output></div><div class="plot"><canvas></canvas><i></i></div>';
       row.querySelector("span").textContent = strip.title;
       row.querySelector("small").textContent = strip.range || "";
+      row.querySelector("span").append(...(strip.legend || []).map((colour, place) => {
+        const key = document.createElement("b");
+        key.style.color = `var(${colour})`;
+        key.textContent = ` ${place}`;
+        return key;
+      }));
       const sheet = row.querySelector("canvas"), plot = row.querySelector(".plot");
       plot.style.height = `${strip.height}px`;
       sheet.setAttribute("role", "img");

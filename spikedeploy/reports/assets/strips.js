@@ -1,5 +1,7 @@
 // Curves, rasters and maps over the same time axis.
 
+const SERIES = ["--chip", "--ann", "--snn", "--control"];  // colours of the page, of several curves of a player
+
 // What is drawn of an episode, from the top down. The last player is the one the page is about.
 function stripsOf(episode, period) {
   const main = episode.players.at(-1), found = [];
@@ -42,10 +44,14 @@ class LinesStrip {
       if (all !== this.range) this.range += `, a few beyond: ${all}`;
     }
     if (this.high - this.low < 1e-12) [this.low, this.high] = [Math.min(0, this.low), Math.max(1, this.high)];
+    this.alone = lines.every(({ player }) => player === lines[0].player);
+    // numbers of the curves in their colours, from 0
+    this.legend = this.alone && lines.length > 1 ? lines.map((_, place) => SERIES[place % SERIES.length]) : [];
   }
 
   value(step) {
-    return this.lines.map(({ at, rows }) => (step < rows ? short(at(Math.min(step, rows - 1))) : "–")).slice(-1)[0] + (this.unit && ` ${this.unit}`);
+    const values = this.lines.map(({ at, rows }) => (step < rows ? short(at(Math.min(step, rows - 1))) : "–"));
+    return values.slice(this.alone ? 0 : -1).join(", ") + (this.unit && ` ${this.unit}`);
   }
 
   draw(context, width, height, from, to, paint) {
@@ -57,8 +63,7 @@ class LinesStrip {
     this.lines.forEach((line, place) => {
       const last = Math.min(line.rows - 1, Math.ceil(to)), first = Math.max(0, Math.floor(from));
       const skip = Math.max(1, Math.floor((last - first) / (2 * width)));
-      const alone = this.lines.every((each) => each.player === line.player);
-      context.strokeStyle = alone ? paint.series[place % paint.series.length] : line.player ? paint.of(line.player) : paint.soft;
+      context.strokeStyle = this.alone ? paint.series[place % paint.series.length] : line.player ? paint.of(line.player) : paint.soft;
       context.lineWidth = 1.3;
       context.beginPath();
       for (let step = first; step <= last; step += skip) {

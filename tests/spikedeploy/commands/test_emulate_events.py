@@ -159,6 +159,24 @@ def test_event_by_event_spikes_are_those_of_the_event_machine(files, emulate, tm
     assert found["sops"] == machine.ledger.total("sop")
 
 
+def test_a_timestep_into_a_chip_that_goes_event_by_event_is_remarked(files, emulate):
+    said = {}
+    for step in ("time", "event"):
+        words = ("--downsample", "2", "--step", step, "--chip", "speck2f:queue=on", "--json")
+        code, out, err = emulate(*words)
+        assert code == 0, err
+        said[step] = " ".join(json.loads(out)["remarks"])
+    assert "in the order of their neurons" in said["time"]
+    assert "in the order of their neurons" not in said["event"]
+
+
+def test_polarities_that_are_merged_are_remarked(files, emulate, tmp_path):
+    write_network(tmp_path / "one.nir", channels=1)
+    code, out, err = emulate("--downsample", "2", "--chip", "speck2f", "--json", network="one.nir")
+    assert code == 0, err
+    assert "both polarities" in " ".join(json.loads(out)["remarks"])
+
+
 def test_only_chips_that_go_event_by_event_take_events(files, emulate, tmp_path):
     for chip, said in (("loihi1", "does not go event by event"), ("float", "float computes")):
         code, _, err = emulate("--chip", chip, "--step", "event", "--downsample", "2")
@@ -198,6 +216,7 @@ def test_rows_and_columns_left_over_are_not_seen():
         (("--downsample", "2", "--time-step", "1"), "number and its unit"),
         (("--downsample", "2", "--time-step", "0ms"), "above 0"),
         (("--downsample", "2", "--input", "rec.h5"), "two inputs"),
+        (("--downsample", "2", "--step", "event", "--time-step", "1ms"), "leave --time-step out"),
     ],
 )
 def test_options_that_cannot_be_are_refused_in_a_sentence(words, said, files, emulate, tmp_path):
