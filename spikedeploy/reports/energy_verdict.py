@@ -67,14 +67,17 @@ def _beside(row: Row, rows: Sequence[Row]) -> str:
     """All known terms, beside those of the smallest float policy that is as good."""
     spent = row["energy_total_j"].get(COMMON_TABLE)
     other = smallest_baseline(row, rows) if "returns" in row else None
-    beside = other["energy_total_j"].get(COMMON_TABLE) if other else None
-    if not spent or not other or not beside:
+    dense = other["energy_total_j"].get(COMMON_TABLE) if other else None
+    if not spent or not other or not dense:
         return ""
+    computed = other["energy_per_inference_j"][COMMON_TABLE]
+    beside = dense - computed + other["energy_zero_skipping_j"].get(COMMON_TABLE, computed)
     ratio = spent / beside
     times = f"{ratio:.1f} times" if ratio >= 1 else f"{ratio:.0%} of"
+    skips = ", which skips inputs of 0" if beside < dense else ""
     return (
         f"All its known terms are {format_si(spent)}J, {times} the {format_si(beside)}J of "
-        f"{other['policy']}."
+        f"{other['policy']}{skips}."
     )
 
 

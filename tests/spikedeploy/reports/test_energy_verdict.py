@@ -23,6 +23,7 @@ def row(**changes):
         "macs_effective": None,
         "energy_per_inference_j": {INT8: 1e-9},
         "energy_total_j": {INT8: 3e-9},
+        "energy_zero_skipping_j": {},
         "static_energy_j": {"popsan2020": 3e-3, "frady2020": 2e-3},
         **changes,
     }
@@ -61,6 +62,10 @@ def test_a_row_within_or_above_the_borders_is_said_to_be(sops, place):
 def test_all_terms_stand_beside_those_of_the_smallest_float_policy_that_is_as_good():
     assert "All its known terms are 3.00 nJ, 2.0 times the 1.50 nJ of small." in energy_verdict(
         [row(), rival()]
+    )
+    skipping = rival(energy_zero_skipping_j={INT8: 0.75e-9})  # 0.25 nJ less than dense
+    assert "2.4 times the 1.25 nJ of small, which skips inputs of 0." in energy_verdict(
+        [row(), skipping]
     )
     worse = rival(returns=[1.0, 1.0])
     assert "known terms" not in energy_verdict([row(), worse])
