@@ -183,11 +183,11 @@ def _multiplications(row: Record, each: float) -> float:
 def latency(row: Record) -> float:
     """Mean time [s] from an event in motion to an action that follows from it, computing apart.
 
-    The event waits until its control step ends, for further ones until a float network runs, or for
+    The event waits until its control step ends, for further ones until a network runs, and for
     those in which layers of spiking ones hand it on.
     """
-    later = row["late"][0] if row["spiking"] else row["wait"]
-    return float((later + 0.5) / row["rate"])
+    later = row["late"][0] if row["spiking"] else 0
+    return float((later + row.get("wait", 0.0) + 0.5) / row["rate"])
 
 
 def computing_time(row: Record, table: str = "sanafe") -> float:

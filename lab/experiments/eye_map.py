@@ -20,7 +20,14 @@ from lab.experiments import DESIGNS
 from lab.experiments.networks import constants
 from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, read_rows
-from lab.experiments.vision import CountedChipController, drive, make_controller, wait_longer
+from lab.experiments.vision import (
+    CountedChipController,
+    chip_of,
+    drive,
+    held_at,
+    make_controller,
+    wait_longer,
+)
 from spikedeploy.envs.eye.batch import EyeOptions
 from spikedeploy.reports.table import write_rows
 from spikedeploy.runtime.errors import ConfigError
@@ -99,11 +106,12 @@ class Checkpoint:
             )
         return policy
 
-    @property
-    def ways(self) -> list[str]:
-        """Ways of a float network to save operations, or chips."""
+    def ways(self, rate: int) -> list[str]:
+        """Ways of a float network to save operations, or chips, at a control rate [Hz]."""
         if isinstance(self.policy, SpikingVisionPolicy):
-            return list(MAP["chips"][self.policy.neuron])
+            chips = MAP["chips"][self.policy.neuron]
+            held = [chip + held_at(self.rate) for chip in chips if rate > self.rate]
+            return [*chips, *held]
         return list(MAP["ways"] if self.is_last else MAP["ways"][:1])
 
 
@@ -186,7 +194,7 @@ class EyeMapDesign(Design):
                 partial(self._evaluate, checkpoint, options, way),
                 form={"policy": str, "way": str},
             )
-            for way in checkpoint.ways
+            for way in checkpoint.ways(rate)
         ]
 
     def _evaluate(self, checkpoint: Checkpoint, options: Record, way: str) -> Record:
@@ -199,10 +207,11 @@ class EyeMapDesign(Design):
         }  # fmt: skip
         if isinstance(controller, CountedChipController):
             program = controller.program
-            late = program.control_steps_late(1) or (0, 0)
+            every = slower if chip_of(way) != way else 1
+            late = [every * steps for steps in program.control_steps_late(1) or (0, 0)]
             sizes = sum(layer.size for layer in program.layers)
-            chip = {"constants": constants(program), "neurons": sizes}
-            about |= {"spiking": True, "late": list(late), **chip}
+            chip = {"constants": constants(program) / every, "neurons": sizes}
+            about |= {"spiking": True, "late": late, **chip}
         else:
             about |= {"spiking": False, "late": [0, 0]}
         return about | drive(options, controller, self.episodes, self.limit)[0]

@@ -1,7 +1,7 @@
 """The page of the map of kart-eye: what costs less in each cell, and the border by the rule."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +16,7 @@ from lab.experiments.eye_map import MAP, trained_at
 from lab.experiments.pages import grouped
 from lab.experiments.runner import command_line
 from lab.experiments.training import Record
+from lab.experiments.vision import chip_of
 from spikedeploy.comparison.statistics import Estimate, stratified_bootstrap
 from spikedeploy.reports.plots import save
 from spikedeploy.runtime.metrics.energy_tables import STATIC
@@ -41,10 +42,21 @@ class Group:
         return self.rows[0]["policy"], self.rows[0]["way"]
 
     @property
+    def place(self) -> str:
+        """The chip of a spiking policy."""
+        return chip_of(self.key[1])
+
+    @property
     def lowest_rate_key(self) -> tuple[str, str]:
-        """The key of the same policy and way, trained at the lowest rate."""
+        """The key of the same policy and way, trained at the lowest rate, at which it runs."""
         policy, way = self.key
-        return policy.removesuffix(" " + trained_at(self.rows[0]["trained_rate"])), way
+        own = policy.removesuffix(" " + trained_at(self.rows[0]["trained_rate"]))
+        return own, self.place if self.rows[0]["spiking"] else way
+
+    @property
+    def run_rate(self) -> int | None:
+        """Rate [Hz] at which a chip runs whatever the control rate is; None where by this."""
+        return self.rows[0]["trained_rate"] if self.place != self.key[1] else None
 
     @property
     def name(self) -> str:
@@ -70,10 +82,16 @@ class Group:
         return bool(self.latency <= max(other.latency, 1 / self.rows[0]["rate"]))
 
     def finish_differences(self, other: "Group") -> list[list[float]]:
-        """Finishes less those of another group, of each seed in common the same episodes [1]."""
-        theirs = {row["seed"]: row["finishes"] for row in other.rows}
-        pairs = [(r["finishes"], theirs[r["seed"]]) for r in self.rows if r["seed"] in theirs]
-        return [np.subtract(*pair).tolist() for pair in pairs]
+        """Finishes less those of another group [1], of each seed in common the same episodes.
+
+        Those of all shares of quiet in which both have driven.
+        """
+        found: dict[int, list[float]] = {}
+        theirs = {(row["seed"], row["quiet"]): row["finishes"] for row in other.rows}
+        for row in self.rows:
+            if (beside := theirs.get((row["seed"], row["quiet"]))) is not None:
+                found.setdefault(row["seed"], []).extend(np.subtract(row["finishes"], beside))
+        return list(found.values())
 
     def equals(self, reference: "Group") -> bool:
         """Return whether it finishes as many episodes as a reference, but for EQUAL."""
@@ -105,6 +123,7 @@ class Cell:
     spiking    the cheapest group that equals the reference; where none does the one that finishes
                most
     is_equal   whether it does
+    driven     of the control rate, by policy and way: rows of all shares of quiet that were driven
     others     float groups that equal the reference
     predicted  power of spiking over float [1], by the rule
     """
@@ -115,6 +134,7 @@ class Cell:
     others: Sequence[Group]
     spiking: Group
     is_equal: bool
+    driven: Mapping[tuple[str, str], Group]
     accounting: Accounting
     predicted: float
 
@@ -151,8 +171,11 @@ class Cell:
 
     @property
     def difference(self) -> Estimate | None:
-        """Finishes of spiking less those of the rival [1]; None without a seed in common."""
-        rows = self.spiking.finish_differences(self.rival)
+        """Finishes of spiking less those of the rival [1]; None without a seed in common.
+
+        At the control rate, in all shares of quiet that were driven.
+        """
+        rows = self.driven[self.spiking.key].finish_differences(self.driven[self.rival.key])
         return stratified_bootstrap(rows, np.random.default_rng(0)).mean if rows else None
 
     @property
@@ -224,6 +247,7 @@ def _predicted(
 ) -> float:
     """Power [W] of a group at another rate, by the rule."""
     moving, resting = references[group.lowest_rate_key]
+    rate = group.run_rate or rate
     # events that a float group sees are those of a control step of its training, at least
     span = float(max(1 / rate, group.rows[0]["span"]))
     return moving.predicted(resting, accounting, rate, events, span)
@@ -246,9 +270,18 @@ def maps(rows: Sequence[Record]) -> list[Map]:
     ends = [cells.get((rates[0], q), []) for q in (quiet[0], quiet[-1])] if rates else [[], []]
     resting = {group.key: group for group in ends[1]}
     references = {g.key: (g, resting[g.key]) for g in ends[0] if g.key in resting}
+    # success is decided of a control rate: a cell has too few episodes
+    counted = [row for row in rows if row["quiet"] == row["driven_quiet"]]
+    driven = {
+        rate: {key: Group(each) for key, each in grouped(found, "policy", "way")}
+        for rate, found in grouped(counted, "rate")
+    }
     for accounting in ACCOUNTINGS.values():
         table = [
-            [_cell(rate, q, cells.get((rate, q), []), accounting, references) for q in quiet]
+            [
+                _cell(rate, q, cells.get((rate, q), []), driven[rate], accounting, references)
+                for q in quiet
+            ]
             for rate in rates
         ]
         if any(cell is not None for row in table for cell in row):
@@ -257,24 +290,24 @@ def maps(rows: Sequence[Record]) -> list[Map]:
 
 
 def _cell(
-    rate: int, quiet: float, groups: Sequence[Group], accounting: Accounting,
-    references: "References",
+    rate: int, quiet: float, groups: Sequence[Group], driven: Mapping[tuple[str, str], Group],
+    accounting: Accounting, references: "References",
 ) -> Cell | None:  # fmt: skip
     known = [group for group in groups if group.lowest_rate_key in references]
     rivals = [group for group in known if not group.rows[0]["spiking"]]
-    spiking = [group for group in known if group.key[1] == accounting.place]
+    spiking = [group for group in known if group.place == accounting.place]
     if not rivals or not spiking:
         return None
-    reference = _success_reference(rivals)
-    equal = [group for group in spiking if group.equals(reference)]
+    reference = _success_reference([driven[group.key] for group in rivals])
+    equal = [group for group in spiking if driven[group.key].equals(reference)]
     mine = (
         min(equal, key=lambda group: group.power(accounting))
         if equal
-        else max(spiking, key=lambda group: group.finished)
+        else max(spiking, key=lambda group: driven[group.key].finished)
     )
-    rivals = [group for group in rivals if group.equals(reference)]
+    rivals = [group for group in rivals if driven[group.key].equals(reference)]
     events = float(np.mean([group.mean("events") * rate for group in (mine, *rivals)]))
-    cell = Cell(rate, quiet, events, rivals, mine, bool(equal), accounting, 0.0)
+    cell = Cell(rate, quiet, events, rivals, mine, bool(equal), driven, accounting, 0.0)
     expected, *others = (
         _predicted(references, g, accounting, rate, events) for g in (mine, *cell.rivals)
     )

@@ -11,7 +11,8 @@ last k control steps, as many as in training, or all since it last ran where tha
 memory moves by a k-th for each control step: h' = h + (1 - z) (n - h) / k. A spiking network takes
 the events as they come; its decay factors become their k-th roots, and what comes in every
 timestep, biases and currents that last, is so much smaller. Whether a policy still drives then is
-measured.
+measured. A chip may also run at the rate of training, on the events that came since it last ran,
+and hold its action between.
 """
 
 from collections.abc import Mapping, Sequence
@@ -54,6 +55,7 @@ _COUNTS_OF_FLOATS = (
 )  # fmt: skip
 BITS = 8  # of the weights of float networks, as of those of chips
 OUTCOMES = ("finish", "wrong", "crash", "forks")  # of an episode
+_AT = " at "  # between a chip and the rate at which it runs
 _RECURRENT = ("gru", "back", "out")  # synapses behind the layers of units
 
 
@@ -216,21 +218,27 @@ class CountedFloatController:
 class CountedChipController:
     """A spiking network on a chip, whose ledger counts.
 
+    every: control steps from one run to the next; the action is held between.
     totals: by name (B,), besides the events of the ledger
         cells    inputs that spike
         events   of the camera
         touched  neurons at which a spike arrives, once a timestep
+        waits    control steps that events wait for until the network runs, their own not
     """
 
     def __init__(
-        self, policy: SpikingVisionPolicy, karts: int, place: str, slower: int = 1
+        self, policy: SpikingVisionPolicy, karts: int, place: str, slower: int = 1, every: int = 1
     ) -> None:
         artifact = vision_artifact(_slowed(policy, slower))
         target = chip(place)
         self._controller = SpikingController(
             artifact, target, ledger="copies", backend="auto", trace=True
         )
-        self._own: Totals = {name: np.zeros(karts) for name in ("cells", "events", "touched")}
+        names = ("cells", "events", "touched", "waits")
+        self._own: Totals = {name: np.zeros(karts) for name in names}
+        self._every, self._step = every, 0
+        self._since = np.zeros((karts, policy.observations))  # events since it last ran
+        self._actions = np.full(karts, policy.actions // 2)
         self._reached = [
             [(s.source, s.window, (s.weight != 0).astype(np.float64)) for s in layer.synapses]
             for layer in self.program.layers
@@ -243,12 +251,23 @@ class CountedChipController:
 
     def act(self, counts: Counts) -> NDArray[np.int64]:
         """Actions (B,) for counts of events (B, obs)."""
-        actions: NDArray[np.int64] = self._controller.act_batch(counts.astype(np.float64))
+        self._since += counts
+        self._own["events"] += counts.sum(1)
+        if self._step % self._every == 0:
+            self._actions = self._run(self._since)
+            self._since[:] = 0
+        self._step += 1
+        self._own["waits"] += self._since.sum(1)
+        found: NDArray[np.int64] = self._actions.copy()
+        return found
+
+    def _run(self, counts: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Actions (B,) of the network, which runs once."""
+        actions: NDArray[np.int64] = self._controller.act_batch(counts)
         encoded, machine = self._controller.encoded, self._controller.network
         assert isinstance(machine, Machine)
         spikes = {name: each.spikes[:, 0] for name, each in machine.recordings.items()}
         spikes[self.program.input] = encoded[:, 0]
-        self._own["events"] += counts.sum(1)
         self._own["cells"] += np.count_nonzero(encoded[:, 0], axis=1)
         self._own["touched"] += touched(self._reached, spikes)
         return actions
@@ -299,12 +318,31 @@ def _slowed(policy: SpikingVisionPolicy, slower: int) -> SpikingVisionPolicy:
     return policy
 
 
+def held_at(rate: int) -> str:
+    """What follows the chip in the way of a spiking policy that runs at the rate of its training.
+
+    rate: of its training [Hz]
+    """
+    return f"{_AT}{rate} Hz"
+
+
+def chip_of(way: str) -> str:
+    """The chip in the way of a spiking policy."""
+    return way.partition(_AT)[0]
+
+
 def make_controller(policy: Policy, karts: int, way: str, slower: int = 1) -> CountedController:
-    """A policy as a controller: a float one by one of the WAYS, a spiking one on a chip."""
+    """A policy as a controller: a float one by one of the WAYS, a spiking one on a chip.
+
+    way: of a spiking policy `speck2f`, or `speck2f at 60 Hz` where it runs at that rate
+    slower: control steps in one of its training
+    """
     if isinstance(policy, FloatVisionPolicy):
         return CountedFloatController(policy, karts, WAYS[way], slower)
     if isinstance(policy, SpikingVisionPolicy):
-        return CountedChipController(policy, karts, way, slower)
+        if (place := chip_of(way)) != way:
+            return CountedChipController(policy, karts, place, every=slower)
+        return CountedChipController(policy, karts, place, slower)
     raise ConfigError(f"a policy of kind {policy.kind!r} does not see by events; leave it out")
 
 
