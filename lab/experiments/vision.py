@@ -229,7 +229,7 @@ class CountedChipController:
     def __init__(
         self, policy: SpikingVisionPolicy, karts: int, place: str, slower: int = 1, every: int = 1
     ) -> None:
-        artifact = vision_artifact(_slowed(policy, slower))
+        artifact = vision_artifact(policy.slowed(slower))
         target = chip(place)
         self._controller = SpikingController(
             artifact, target, ledger="copies", backend="auto", trace=True
@@ -299,23 +299,6 @@ def touched(reach: Reach, spikes: Mapping[str, NDArray[Any]]) -> NDArray[np.floa
             arriving = arriving + (sent @ ones if window is None else window.sums(ones, sent))
         found += np.count_nonzero(arriving, axis=1)
     return found
-
-
-@torch.no_grad()
-def _slowed(policy: SpikingVisionPolicy, slower: int) -> SpikingVisionPolicy:
-    """The policy at a control rate that is so many times as high."""
-    policy, before = deepcopy(policy), policy
-    for decays in policy.decays.values():
-        decays.copy_(torch.logit(torch.sigmoid(decays.double()) ** (1 / slower)))
-    for name in policy.spiking if policy.neuron == "lif" else ():
-        old, new = (each.decay(name).double() for each in (before, policy))
-        # as much is summed up: b' / (1 - beta') = b / (1 - beta)
-        share = ((1 - new) / (1 - old)).float()
-        policy.biases[name] *= share
-        if name == "hidden" and policy.memory:  # so do currents that last
-            for synapses in ("hidden", "back") if policy.recurrent else ("hidden",):
-                policy.matrix(synapses).weight[-policy.memory :] *= share[-policy.memory :, None]
-    return policy
 
 
 def held_at(rate: int) -> str:

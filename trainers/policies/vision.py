@@ -359,6 +359,24 @@ class SpikingVisionPolicy(VisionPolicy):
         """Return decay factors, of each channel, hidden neuron or readout; of "lif" alone."""
         return torch.sigmoid(self.decays[name])
 
+    @torch.no_grad()
+    def slowed(self, times: float) -> "SpikingVisionPolicy":
+        """Return the policy with the same time constants at so many times as many timesteps."""
+        policy = deepcopy(self)
+        for decays in policy.decays.values():
+            decays.copy_(torch.logit(torch.sigmoid(decays.double()) ** (1 / times)))
+        for name in policy.spiking if policy.neuron == "lif" else ():
+            old, new = (each.decay(name).double() for each in (self, policy))
+            # as much is summed up: b' / (1 - beta') = b / (1 - beta)
+            share = ((1 - new) / (1 - old)).float()
+            policy.biases[name] *= share
+            if name == "hidden" and policy.memory:  # so do currents that last
+                for synapses in ("hidden", "back") if policy.recurrent else ("hidden",):
+                    policy.matrix(synapses).weight[-policy.memory :] *= share[
+                        -policy.memory :, None
+                    ]
+        return policy
+
     @property
     def current_decay(self) -> Tensor:
         """Return decay factors of the currents of hidden neurons."""

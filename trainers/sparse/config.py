@@ -66,6 +66,8 @@ class SparseConfig(RunConfig):
     guide: run folder of a float policy that sees: from the convolutions of its level that is pruned
         least a spiking student starts, and its outputs are half of what it imitates of actions and
         all of what it does of signs
+    start: of policies that see: run folder of such a policy, from whose level that is pruned most
+        training starts, with what is pruned; at another control rate with the same time constants
     sign_weight: of policies that see: weight of what the signs said, beside the actions
     """
 
@@ -111,6 +113,7 @@ class SparseConfig(RunConfig):
     sharpness: Rate = 2.0
     schedule: Literal["rounds", "once"] = "rounds"
     guide: str = ""
+    start: str = ""
     sign_weight: float = Field(default=1.0, ge=0)
     log_every: Positive = 200
     checkpoint_every: Positive = 1_000

@@ -142,6 +142,12 @@ class Sparse(Runner[SparseConfig]):
         )
         self.pool = WalkPool()
         self._student = student(self.policy, config)
+        for name in ("guide", "start"):
+            if getattr(config, name) and not isinstance(self._student, VisionStudent):
+                raise ConfigError(
+                    f"{name}: {config.recipe} has a {self.policy.kind} policy, and this is for "
+                    "policies that see by events. Leave it out"
+                )
         self.learner = SparseLearner(config, self._student)
         self.updates = self.phase = self.collections = 0
         self.start = 0.0

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import cross_entropy
 
-from spikedeploy.envs.eye.batch import STEERING, EyeBatch
+from spikedeploy.envs.eye.batch import STEERING, EyeBatch, EyeOptions
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.errors import ConfigError
@@ -107,6 +107,7 @@ class VisionStudent:
 
     policy: what is trained
     guide: float policy that it imitates as well, None for none
+    start: policy that it begins as, None for none
     offsets: what rounding by the chip adds to each weight; none before `round`
     """
 
@@ -115,6 +116,7 @@ class VisionStudent:
     def __init__(self, policy: VisionPolicy, config: SparseConfig) -> None:
         self.policy, self._config = policy, config
         self.guide = _guide(config.guide, policy) if config.guide else None
+        self.start = _start(config, policy) if config.start else None
         self._guided: list[Single] = []  # labels of the guide, walk by walk
         self.offsets: Mapping[str, Tensor] = {}
         widths = [policy.inputs(name) for name in policy.synapses]
@@ -127,7 +129,10 @@ class VisionStudent:
         pool.take_observations(self._guided)
 
     def begin(self, pool: WalkPool, rng: np.random.Generator) -> None:
-        """Take over the guide's first convolutions that fit, and scale weights to the walks."""
+        """Take over a start; or the guide's first convolutions, and scale weights to the walks."""
+        if self.start is not None:
+            self.policy.load_state_dict(self.start.state_dict())
+            return
         if self.guide is not None:
             self._take_over(self.guide)
         self.policy.normalise(self._sample(pool, rng).seen[:16].float())
@@ -244,6 +249,23 @@ def _guide(run: str, policy: VisionPolicy) -> VisionPolicy:
             "a run with its shape"
         )
     return found.requires_grad_(False)
+
+
+def _start(config: SparseConfig, policy: VisionPolicy) -> VisionPolicy:
+    """Return the policy of the start that is pruned most, at the control rate of the training."""
+    folder = RunFolder.find(config.start)
+    found = folder.policy(next(iter(folder.levels.values()), None))
+    if not isinstance(found, VisionPolicy) or found.spec() != policy.spec():
+        raise ConfigError(
+            f"start: the policy of {config.start} is not one as is trained here. Give a run with the "
+            "settings policy.… of this one"
+        )
+    rates = [
+        each.get("rate", EyeOptions.rate)
+        for each in (config.env.options, folder.settings()["env"]["options"])
+    ]
+    is_spiking = isinstance(found, SpikingVisionPolicy)
+    return found.slowed(rates[0] / rates[1]) if is_spiking else found
 
 
 @torch.no_grad()

@@ -17,7 +17,7 @@ from spikedeploy.trainers.config import VisionSnnConfig, resolve
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import from_config
 from spikedeploy.trainers.policies.vision import vision_artifact
-from spikedeploy.trainers.run_folder import load_policy
+from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.phases import planned
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool, Windows
@@ -59,6 +59,37 @@ def test_a_student_with_a_guide_starts_from_its_kernels_and_is_written_as_it_is(
     path = to_nir(policy, Provenance("kart-eye"), tmp_path / "policy.nir")
     checks = check(policy, path, observations)
     assert [found.passed for found in checks] == [True] * 7
+
+
+def test_a_training_goes_on_at_another_control_rate_from_what_was_pruned(tmp_path):
+    first = train("smoke-eye-snn", overrides=SHORT, runs=tmp_path, quiet=True)
+    settings = [*SHORT, f"start={first}", "env.options.rate=240"]
+    config = resolve(SparseConfig, "smoke-eye-snn", overrides=settings)
+    policy = from_config(config.policy, 1024, 7, 4.0, None, "discrete")
+    student = VisionStudent(policy, config)
+    student.begin(WalkPool(), np.random.default_rng(0))
+    before = RunFolder(first).policy(next(iter(RunFolder(first).levels.values())))
+    for name in policy.synapses:
+        assert (policy.matrix(name).mask == before.matrix(name).mask).all()
+    assert any((policy.matrix(name).mask == 0).any() for name in policy.synapses)
+    torch.testing.assert_close(policy.decay("out"), before.decay("out") ** (1 / 4))
+    gain = (1 - policy.decay("conv1")) / (1 - before.decay("conv1"))
+    torch.testing.assert_close(policy.biases["conv1"], before.biases["conv1"] * gain)
+    second = train("smoke-eye-snn", overrides=settings, runs=tmp_path / "on", quiet=True)
+    assert load_policy(second).spec() == before.spec()
+
+
+@pytest.mark.parametrize("setting", ["guide", "start"])
+def test_policies_that_do_not_see_take_no_other_policy(setting, guide, tmp_path):
+    with pytest.raises(ConfigError, match=f"{setting}: .* policies that see"):
+        train("smoke-sparse", overrides=[f"{setting}={guide}"], runs=tmp_path, quiet=True)
+
+
+def test_a_start_that_is_something_else_is_refused(guide):
+    config = resolve(SparseConfig, "smoke-eye-snn", overrides=[f"start={guide}"])
+    policy = from_config(config.policy, 1024, 7, 4.0, None, "discrete")
+    with pytest.raises(ConfigError, match="not one as is trained here"):
+        VisionStudent(policy, config)
 
 
 def test_a_guide_lends_kernels_to_further_channels_alike(guide):
