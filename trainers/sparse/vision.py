@@ -264,8 +264,9 @@ def _start(config: SparseConfig, policy: VisionPolicy) -> VisionPolicy:
         each.get("rate", EyeOptions.rate)
         for each in (config.env.options, folder.settings()["env"]["options"])
     ]
-    is_spiking = isinstance(found, SpikingVisionPolicy)
-    return found.slowed(rates[0] / rates[1]) if is_spiking else found
+    if isinstance(found, SpikingVisionPolicy):
+        return found.slowed(rates[0] / rates[1])
+    return found
 
 
 @torch.no_grad()
