@@ -84,10 +84,13 @@ class EyeEntryDesign(Design):
 
     def _training(self, network: str, seed: int) -> TrainingJob:
         of = _ROWS[network]
-        every = (*of["settings"], *(QUICK["kart-eye"] if self.quick else ()), *self.settings)
-        parents = {"pool": self._walks}
-        if "guide" in of:
-            parents["guide"] = self._training(of["guide"], seed)
+        own_walks = QUICK["kart-eye-walks"] if "start" in of else ()
+        short = (*QUICK["kart-eye"], *own_walks) if self.quick else ()
+        every = (*of["settings"], *short, *self.settings)
+        parents = {} if "start" in of else {"pool": self._walks}
+        for setting in ("guide", "start"):
+            if setting in of:
+                parents[setting] = self._training(of[setting], seed)
         name = f"{network}-s{seed}"
         job = TrainingJob(name, of["recipe"], seed, self.runs, every, parents)
         # other trainings of the recipe, and the walks, differ in one of these
@@ -95,7 +98,8 @@ class EyeEntryDesign(Design):
         names = {setting.split("=")[0] for row in others for setting in row["settings"]}
         names -= {"teacher_walks", "noisy_walks"}  # which come with the walks of others
         made = job.planned().model_dump(mode="json")
-        own = [f"{n}={json.dumps(_setting(made, n))}" for n in sorted(names | {"dense_rounds"})]
+        found = {name: _setting(made, name) for name in sorted(names | {"dense_rounds"})}
+        own = [f"{name}={json.dumps(value)}" for name, value in found.items() if value is not None]
         return replace(job, telling=(*every, *own))
 
     def check(self, results: Path) -> None:
@@ -146,7 +150,8 @@ class EyeEntryDesign(Design):
         episodes = EyeEpisodes(env, self.episodes, self.limit)
         controller: BatchController = Stateless(lambda seen: taught_actions(episodes, seen))
         if training is not None:
-            run, taught = RunFolder(training.existing_run), self._walks.config
+            run = RunFolder(training.existing_run)
+            taught = self._walks.config if "pool" in training.parents else config
             policy = run.policy(level)
             controller = FloatController(policy)
             progress = run.load(level)[0]
@@ -228,8 +233,8 @@ class EyeEntryDesign(Design):
 
 
 def _setting(made: Record, name: str) -> Any:  # noqa: ANN401 - JSON
-    """A setting of a configuration."""
-    return reduce(lambda found, each: found[each], name.split("."), made)
+    """A setting of a configuration; None for an option that is not set."""
+    return reduce(lambda found, each: found.get(each), name.split("."), made)
 
 
 def taught_actions(episodes: EyeEpisodes, seen: Any) -> Any:  # noqa: ANN401 - arrays
