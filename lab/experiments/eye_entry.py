@@ -13,7 +13,7 @@ import csv
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -234,7 +234,10 @@ class EyeEntryDesign(Design):
 
 def _setting(made: Record, name: str) -> Any:  # noqa: ANN401 - JSON
     """A setting of a configuration; None for an option that is not set."""
-    return reduce(lambda found, each: found.get(each), name.split("."), made)
+    found: Any = made
+    for each in name.split("."):
+        found = found.get(each)
+    return found
 
 
 def taught_actions(episodes: EyeEpisodes, seen: Any) -> Any:  # noqa: ANN401 - arrays

@@ -72,9 +72,18 @@ class Checkpoint:
     def name(self) -> str:
         """`kart-eye-cnn`, `kart-eye-cnn gru=32`, `kart-eye-cnn ops-30000 at 240 Hz`."""
         own = [text.split(".", 1)[1] for text in self._differences if text.startswith("policy.")]
-        level = [] if self.level in ("best", NOT_PRUNED) else [self.level]
+        level = [] if self._pruned_to in ("best", NOT_PRUNED) else [self._pruned_to]
         rate = [] if self.rate == EyeOptions.rate else [trained_at(self.rate)]
         return " ".join([str(self.settings["recipe"]), *own, *level, *rate]).replace('"', "")
+
+    @property
+    def _pruned_to(self) -> str:
+        """The level, or where it is not pruned that of the run from which its training started."""
+        start = str(self.settings.get("start") or "")
+        if not start or self.level not in ("best", NOT_PRUNED):
+            return self.level
+        levels = RunFolder(self.run.path.parent / Path(start).name).levels  # runs move together
+        return next(iter(levels.values()), self.level)
 
     @property
     def _differences(self) -> list[str]:

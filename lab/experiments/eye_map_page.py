@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 # share of episodes that a policy of equal success may finish less than the reference
 EQUAL = 0.02
+_RESAMPLES = 2_000  # of the courses
 _FINE = 48  # points of the predicted border on an axis
 
 
@@ -81,22 +82,18 @@ class Group:
         """Return whether its actions follow events no later than the other's, or a control step."""
         return bool(self.latency <= max(other.latency, 1 / self.rows[0]["rate"]))
 
-    def finish_differences(self, other: "Group") -> list[list[float]]:
-        """Finishes less those of another group [1], of each seed in common the same episodes.
+    def finish_differences(self, other: "Group") -> NDArray[np.float64] | None:
+        """Finishes less those of another group (E,), of each course; None with nothing in common.
 
-        Those of all shares of quiet in which both have driven.
+        Means over the seeds and the shares of quiet in which both have driven it.
         """
-        found: dict[int, list[float]] = {}
         theirs = {(row["seed"], row["quiet"]): row["finishes"] for row in other.rows}
-        for row in self.rows:
-            if (beside := theirs.get((row["seed"], row["quiet"]))) is not None:
-                found.setdefault(row["seed"], []).extend(np.subtract(row["finishes"], beside))
-        return list(found.values())
-
-    def equals(self, reference: "Group") -> bool:
-        """Return whether it finishes as many episodes as a reference, but for EQUAL."""
-        differences = self.finish_differences(reference)
-        return bool(differences) and float(np.mean(differences)) >= -EQUAL
+        pairs = [
+            (row["finishes"], theirs[place])
+            for row in self.rows
+            if (place := (row["seed"], row["quiet"])) in theirs
+        ]
+        return np.mean([np.subtract(*pair) for pair in pairs], 0) if pairs else None
 
     def power(self, accounting: Accounting) -> float:
         """Mean power [W]."""
@@ -116,6 +113,47 @@ References = dict[tuple[str, str], tuple[Group, Group]]
 
 
 @dataclass(frozen=True)
+class Success:
+    """Finishes at a control rate; a cell alone has too few episodes.
+
+    groups  by policy and way: rows of all shares of quiet that were driven
+    """
+
+    groups: Mapping[tuple[str, str], Group]
+
+    @cached_property
+    def reference(self) -> Group:
+        """The float network whose finishes others must equal; else the one that finishes most."""
+        floats = [group for group in self.groups.values() if not group.rows[0]["spiking"]]
+        way = MAP["ways"][0]
+        named = [group for group in floats if group.key == (MAP["reference"], way)]
+        usual = [group for group in floats if group.key[1] == way] or floats
+        return named[0] if named else max(usual, key=lambda group: group.finished)
+
+    @cached_property
+    def _differences(self) -> Mapping[tuple[str, str], NDArray[np.float64]]:
+        found = {k: each.finish_differences(self.reference) for k, each in self.groups.items()}
+        return {key: each for key, each in found.items() if each is not None}
+
+    @cached_property
+    def _resampled(self) -> Mapping[tuple[str, str], NDArray[np.bool_]]:
+        rng, found = np.random.default_rng(0), self._differences
+        count = len(next(iter(found.values())))
+        drawn = rng.integers(count, size=(_RESAMPLES, count))
+        return {key: each[drawn].mean(1) >= -EQUAL for key, each in found.items()}
+
+    def equals(self, group: Group) -> bool:
+        """Return whether it finishes as many episodes as the reference, but for EQUAL."""
+        return group.key in self._differences and bool(
+            self._differences[group.key].mean() >= -EQUAL
+        )
+
+    def resampled(self, group: Group) -> NDArray[np.bool_]:
+        """Whether it does in resampled courses (n,), the same for all groups."""
+        return self._resampled.get(group.key, np.zeros(_RESAMPLES, np.bool_))
+
+
+@dataclass(frozen=True)
 class Cell:
     """A cell of the map by an accounting: the cheapest of equal success of either kind.
 
@@ -123,8 +161,10 @@ class Cell:
     spiking    the cheapest group that equals the reference; where none does the one that finishes
                most
     is_equal   whether it does
-    driven     of the control rate, by policy and way: rows of all shares of quiet that were driven
+    success    at the control rate
     others     float groups that equal the reference
+    resampled  ratios of power where other courses decide what equals the reference, of those in
+               which a spiking group does
     predicted  power of spiking over float [1], by the rule
     """
 
@@ -134,7 +174,8 @@ class Cell:
     others: Sequence[Group]
     spiking: Group
     is_equal: bool
-    driven: Mapping[tuple[str, str], Group]
+    success: Success
+    resampled: NDArray[np.float64]
     accounting: Accounting
     predicted: float
 
@@ -171,12 +212,28 @@ class Cell:
 
     @property
     def difference(self) -> Estimate | None:
-        """Finishes of spiking less those of the rival [1]; None without a seed in common.
+        """Finishes of spiking less those of the rival [1]; None with nothing in common.
 
         At the control rate, in all shares of quiet that were driven.
         """
-        rows = self.driven[self.spiking.key].finish_differences(self.driven[self.rival.key])
-        return stratified_bootstrap(rows, np.random.default_rng(0)).mean if rows else None
+        groups = self.success.groups
+        found = groups[self.spiking.key].finish_differences(groups[self.rival.key])
+        if found is None:
+            return None
+        return stratified_bootstrap([found.tolist()], np.random.default_rng(0)).mean
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """Bounds of the ratio [1] by courses; None where no spiking policy equals the reference."""
+        if not self.is_equal:
+            return None
+        low, high = np.quantile(self.resampled, (0.025, 0.975))
+        return float(low), float(high)
+
+    @property
+    def equal_share(self) -> float:
+        """Share of resampled courses [1] in which a spiking policy equals the reference."""
+        return len(self.resampled) / _RESAMPLES
 
     @property
     def microwatts(self) -> tuple[float, float]:
@@ -270,16 +327,15 @@ def maps(rows: Sequence[Record]) -> list[Map]:
     ends = [cells.get((rates[0], q), []) for q in (quiet[0], quiet[-1])] if rates else [[], []]
     resting = {group.key: group for group in ends[1]}
     references = {g.key: (g, resting[g.key]) for g in ends[0] if g.key in resting}
-    # success is decided of a control rate: a cell has too few episodes
-    counted = [row for row in rows if row["quiet"] == row["driven_quiet"]]
-    driven = {
-        rate: {key: Group(each) for key, each in grouped(found, "policy", "way")}
-        for rate, found in grouped(counted, "rate")
+    driven = [row for row in rows if row["quiet"] == row["driven_quiet"]]
+    success = {
+        rate: Success({key: Group(each) for key, each in grouped(of, "policy", "way")})
+        for rate, of in grouped(driven, "rate")
     }
     for accounting in ACCOUNTINGS.values():
         table = [
             [
-                _cell(rate, q, cells.get((rate, q), []), driven[rate], accounting, references)
+                _cell(rate, q, cells.get((rate, q), []), success[rate], accounting, references)
                 for q in quiet
             ]
             for rate in rates
@@ -290,36 +346,52 @@ def maps(rows: Sequence[Record]) -> list[Map]:
 
 
 def _cell(
-    rate: int, quiet: float, groups: Sequence[Group], driven: Mapping[tuple[str, str], Group],
-    accounting: Accounting, references: "References",
+    rate: int, quiet: float, groups: Sequence[Group], success: Success, accounting: Accounting,
+    references: "References",
 ) -> Cell | None:  # fmt: skip
     known = [group for group in groups if group.lowest_rate_key in references]
-    rivals = [group for group in known if not group.rows[0]["spiking"]]
+    floats = [group for group in known if not group.rows[0]["spiking"]]
     spiking = [group for group in known if group.place == accounting.place]
-    if not rivals or not spiking:
+    if not floats or not spiking:
         return None
-    reference = _success_reference([driven[group.key] for group in rivals])
-    equal = [group for group in spiking if driven[group.key].equals(reference)]
+    equal = [group for group in spiking if success.equals(group)]
     mine = (
         min(equal, key=lambda group: group.power(accounting))
         if equal
-        else max(spiking, key=lambda group: driven[group.key].finished)
+        else max(spiking, key=lambda group: success.groups[group.key].finished)
     )
-    rivals = [group for group in rivals if driven[group.key].equals(reference)]
+    rivals = [group for group in floats if success.equals(group)]
     events = float(np.mean([group.mean("events") * rate for group in (mine, *rivals)]))
-    cell = Cell(rate, quiet, events, rivals, mine, bool(equal), driven, accounting, 0.0)
+    resampled = _resampled_ratios(spiking, floats, success, accounting)
+    cell = Cell(rate, quiet, events, rivals, mine, bool(equal), success, resampled, accounting, 0.0)
     expected, *others = (
         _predicted(references, g, accounting, rate, events) for g in (mine, *cell.rivals)
     )
     return replace(cell, predicted=expected / min(others))
 
 
-def _success_reference(floats: Sequence[Group]) -> Group:
-    """The float network whose finishes others must equal; without it the one that finishes most."""
-    way = MAP["ways"][0]
-    named = [group for group in floats if group.key == (MAP["reference"], way)]
-    usual = [group for group in floats if group.key[1] == way] or floats
-    return named[0] if named else max(usual, key=lambda group: group.finished)
+def _resampled_ratios(
+    spiking: Sequence[Group], floats: Sequence[Group], success: Success, accounting: Accounting
+) -> NDArray[np.float64]:
+    """Power of the cheapest spiking group over that of its rival, as in Cell, (n,).
+
+    Of resampled courses, which decide what equals the reference; without those in which no spiking
+    group does.
+    """
+    mine, rivals = np.full((2, _RESAMPLES), math.inf)
+    for group in sorted(spiking, key=lambda group: -group.power(accounting)):
+        cheapest, soonest = np.full((2, _RESAMPLES), math.inf)
+        for other in sorted(floats, key=lambda other: -other.latency):
+            is_equal, spent = success.resampled(other), other.power(accounting)
+            soonest[is_equal] = spent
+            if other.acts_as_soon_as(group):
+                cheapest[is_equal] = np.minimum(cheapest[is_equal], spent)
+        is_equal = success.resampled(group)
+        mine[is_equal] = group.power(accounting)
+        rivals[is_equal] = np.where(np.isfinite(cheapest), cheapest, soonest)[is_equal]
+    there = np.isfinite(mine)
+    found: NDArray[np.float64] = mine[there] / rivals[there]
+    return found
 
 
 # the picture
@@ -439,6 +511,26 @@ def errors(found: Map) -> list[float]:
     )
 
 
+def summary(found: Map) -> str:
+    """A sentence on an accounting: in how many cells success is equal, and what both cost there."""
+    cells = [cell for row in found.cells for cell in row if cell is not None]
+    equal = [cell for cell in cells if cell.is_equal]
+    said = f"{found.accounting.title}: success is equal in {len(equal)} of {len(cells)} cells"
+    if not equal:
+        return f"{said}."
+    shown = []
+    for words, ratios in (
+        ("than float networks that act as soon", [cell.ratio for cell in equal]),
+        ("than any", [cell.ratio_to_later for cell in equal]),
+    ):
+        less = sum(ratio < 1 for ratio in ratios)
+        shown.append(
+            f"in {less} of them spiking costs less {words} ({min(ratios):.2f} to "
+            f"{max(ratios):.2f} times)"
+        )
+    return f"{said}; {', '.join(shown)}."
+
+
 def rate_text(rate: float) -> str:
     """A border: `310 Hz`, `everywhere`, `never`, or `–` where nothing can be said."""
     if math.isnan(rate):
@@ -474,6 +566,7 @@ def write(
         errors=errors,
         deviations=deviations,
         rate_text=rate_text,
+        summary=summary,
         EQUAL=EQUAL,
         MAP=MAP,
         costs=eye_costs,

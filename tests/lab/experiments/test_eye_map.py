@@ -176,6 +176,20 @@ def test_pruned_policies_are_driven_and_those_pruned_most_in_all_ways(tmp_path):
     assert ways == {"ops-40000": MAP["ways"], "ops-60000": ["zero-skipping"]}
 
 
+def test_a_policy_has_the_level_of_the_one_that_its_training_started_from(tmp_path):
+    first = untrained_run(tmp_path, "kart-eye-cnn", forks=1)
+    for level in ("ops-40000", NOT_PRUNED):
+        first.save(level, POLICIES["kart-eye-cnn"](), {})
+    second = untrained_run(tmp_path, "kart-eye-cnn", forks=1, rate=240)
+    config = second.config(SparseConfig).model_copy(
+        update={"start": f"elsewhere/{first.path.name}"}
+    )
+    second.write_config(config)
+    second.save(NOT_PRUNED, POLICIES["kart-eye-cnn"](), {})
+    names = {each.name for each in EyeMapDesign(runs=str(tmp_path)).checkpoints()}
+    assert names == {"kart-eye-cnn ops-40000", "kart-eye-cnn ops-40000 at 240 Hz"}
+
+
 def test_a_map_without_policies_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="no run folder of kart-eye"):
         EyeMapDesign(runs=str(tmp_path)).check(tmp_path)
