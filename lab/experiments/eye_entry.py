@@ -61,6 +61,7 @@ class EyeEntryDesign(Design):
     """
 
     seeds: int = 5
+    episodes: int = 200
 
     NAME = "kart-eye"
     OPTIONS: ClassVar = {n: n for n in ("seeds", "runs", "episodes", "quick")} | {"set": "settings"}
@@ -298,10 +299,11 @@ def student_facts(
     """Facts that the page shows of a network, its level and its way, in all its trainings."""
     network, level, way = of
     seeds = {row["seed"] for row in rows}
+    is_alike = not any(setting.startswith("env.") for setting in _ROWS[network]["settings"])
     beside = [
         row["finish"] for row in all_rows
         if (row["network"], row["level"], row["way"]) == (_BESIDE, NOT_PRUNED, None)
-        and row["seed"] in seeds
+        and row["seed"] in seeds and is_alike
     ]  # fmt: skip
     operations = "macs" if rows[0]["macs"] else "sop"
     return {

@@ -274,7 +274,11 @@ _NUMBERS = {
     "controls": (0, "kart: trainings of each control (5)"),
     "jobs": (1, "processes side by side (kart all cores, others 1)"),
     "finishes": (0, "kart: finishes that end a training; 0 spends the whole budget (classic 300)"),
-    "episodes": (1, "of each evaluation (100; karts of pareto 300; robustness 30; gymnasium 50)"),
+    "episodes": (
+        1,
+        "of each evaluation (100; karts of pareto 300; kart-eye 200; its map 32; robustness 30; "
+        "gymnasium 50)",
+    ),
     "chip-episodes": (1, "pareto: episodes on other chips and in fewer bits (30)"),
     "levels": (1, "pareto: how many of the last levels are evaluated (all)"),
 }
