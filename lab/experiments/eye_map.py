@@ -22,10 +22,10 @@ from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, read_rows
 from lab.experiments.vision import (
     CountedChipController,
-    chip_of,
     drive,
     held_at,
     make_controller,
+    own_way,
     wait_longer,
 )
 from spikedeploy.envs.eye.batch import EyeOptions
@@ -118,10 +118,10 @@ class Checkpoint:
     def ways(self, rate: int) -> list[str]:
         """Ways of a float network to save operations, or chips, at a control rate [Hz]."""
         if isinstance(self.policy, SpikingVisionPolicy):
-            chips = MAP["chips"][self.policy.neuron]
-            held = [chip + held_at(self.rate) for chip in chips if rate > self.rate]
-            return [*chips, *held]
-        return list(MAP["ways"] if self.is_last else MAP["ways"][:1])
+            ways = held = MAP["chips"][self.policy.neuron]
+        else:
+            ways, held = (MAP["ways"], MAP["held"]) if self.is_last else (MAP["ways"][:1], ())
+        return [*ways, *(way + held_at(self.rate) for way in held if rate > self.rate)]
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ class EyeMapDesign(Design):
         }  # fmt: skip
         if isinstance(controller, CountedChipController):
             program = controller.program
-            every = slower if chip_of(way) != way else 1
+            every = slower if own_way(way) != way else 1
             late = [every * steps for steps in program.control_steps_late(1) or (0, 0)]
             sizes = sum(layer.size for layer in program.layers)
             chip = {"constants": constants(program) / every, "neurons": sizes}

@@ -16,7 +16,7 @@ from lab.experiments.eye_map import MAP, trained_at
 from lab.experiments.pages import grouped
 from lab.experiments.runner import command_line
 from lab.experiments.training import Record
-from lab.experiments.vision import chip_of
+from lab.experiments.vision import own_way
 from spikedeploy.comparison.statistics import Estimate, stratified_bootstrap
 from spikedeploy.reports.plots import save
 from spikedeploy.runtime.metrics.energy_tables import STATIC
@@ -43,21 +43,20 @@ class Group:
         return self.rows[0]["policy"], self.rows[0]["way"]
 
     @property
-    def place(self) -> str:
-        """The chip of a spiking policy."""
-        return chip_of(self.key[1])
+    def own_way(self) -> str:
+        """The way, or the chip, at whatever rate it runs."""
+        return own_way(self.key[1])
 
     @property
     def lowest_rate_key(self) -> tuple[str, str]:
         """The key of the same policy and way, trained at the lowest rate, at which it runs."""
-        policy, way = self.key
-        own = policy.removesuffix(" " + trained_at(self.rows[0]["trained_rate"]))
-        return own, self.place if self.rows[0]["spiking"] else way
+        policy = self.key[0]
+        return policy.removesuffix(" " + trained_at(self.rows[0]["trained_rate"])), self.own_way
 
     @property
     def run_rate(self) -> int | None:
-        """Rate [Hz] at which a chip runs whatever the control rate is; None where by this."""
-        return self.rows[0]["trained_rate"] if self.place != self.key[1] else None
+        """Rate [Hz] at which it runs whatever the control rate is; None where by this."""
+        return self.rows[0]["trained_rate"] if self.own_way != self.key[1] else None
 
     @property
     def name(self) -> str:
@@ -351,7 +350,7 @@ def _cell(
 ) -> Cell | None:  # fmt: skip
     known = [group for group in groups if group.lowest_rate_key in references]
     floats = [group for group in known if not group.rows[0]["spiking"]]
-    spiking = [group for group in known if group.place == accounting.place]
+    spiking = [group for group in known if group.own_way == accounting.place]
     if not floats or not spiking:
         return None
     equal = [group for group in spiking if success.equals(group)]

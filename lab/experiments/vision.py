@@ -11,13 +11,13 @@ last k control steps, as many as in training, or all since it last ran where tha
 memory moves by a k-th for each control step: h' = h + (1 - z) (n - h) / k. A spiking network takes
 the events as they come; its decay factors become their k-th roots, and what comes in every
 timestep, biases and currents that last, is so much smaller. Whether a policy still drives then is
-measured. A chip may also run at the rate of training, on the events that came since it last ran,
-and hold its action between.
+measured. Both may also run at the rate of training, on the events that came since they last ran,
+and hold their action between.
 """
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -55,7 +55,7 @@ _COUNTS_OF_FLOATS = (
 )  # fmt: skip
 BITS = 8  # of the weights of float networks, as of those of chips
 OUTCOMES = ("finish", "wrong", "crash", "forks")  # of an episode
-_AT = " at "  # between a chip and the rate at which it runs
+_AT = " at "  # between a way, or a chip, and the rate at which it runs
 _RECURRENT = ("gru", "back", "out")  # synapses behind the layers of units
 
 
@@ -302,30 +302,31 @@ def touched(reach: Reach, spikes: Mapping[str, NDArray[Any]]) -> NDArray[np.floa
 
 
 def held_at(rate: int) -> str:
-    """What follows the chip in the way of a spiking policy that runs at the rate of its training.
+    """What follows the way of a policy, or its chip, that runs at the rate of its training.
 
     rate: of its training [Hz]
     """
     return f"{_AT}{rate} Hz"
 
 
-def chip_of(way: str) -> str:
-    """The chip in the way of a spiking policy."""
+def own_way(way: str) -> str:
+    """The way, or the chip, of a policy at whatever rate it runs."""
     return way.partition(_AT)[0]
 
 
 def make_controller(policy: Policy, karts: int, way: str, slower: int = 1) -> CountedController:
     """A policy as a controller: a float one by one of the WAYS, a spiking one on a chip.
 
-    way: of a spiking policy `speck2f`, or `speck2f at 60 Hz` where it runs at that rate
+    way: such as `speck2f`, or `speck2f at 60 Hz` where it runs at the rate of its training
     slower: control steps in one of its training
     """
+    own = own_way(way)
+    every = slower if own != way else 1
     if isinstance(policy, FloatVisionPolicy):
-        return CountedFloatController(policy, karts, WAYS[way], slower)
+        made = replace(WAYS[own], every=every) if own != way else WAYS[own]
+        return CountedFloatController(policy, karts, made, slower)
     if isinstance(policy, SpikingVisionPolicy):
-        if (place := chip_of(way)) != way:
-            return CountedChipController(policy, karts, place, every=slower)
-        return CountedChipController(policy, karts, place, slower)
+        return CountedChipController(policy, karts, own, slower // every, every)
     raise ConfigError(f"a policy of kind {policy.kind!r} does not see by events; leave it out")
 
 

@@ -23,7 +23,7 @@ from lab.experiments.eye_map import MAP, NOT_PRUNED, EyeMapDesign, trained_at
 from lab.experiments.eye_map_page import EQUAL, errors, maps
 from lab.experiments.pages import grouped
 from lab.experiments.runner import run_experiment
-from lab.experiments.vision import chip_of, drive, wait_longer
+from lab.experiments.vision import drive, own_way, wait_longer
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.policies import FloatVisionPolicy, SpikingVisionPolicy
@@ -70,8 +70,8 @@ def results(design, ran):
 
 def test_every_policy_is_driven_in_every_cell_by_every_way_or_chip(design, results):
     rows = list(design.all_rows())
-    # two LIF chips and one of integrate-and-fire neurons, which at 960 Hz may run at 60 Hz as well
-    assert len(rows) == 4 * (len(MAP["ways"]) + 2 + 1) + 2 * (2 + 1)
+    # two LIF chips and one of integrate-and-fire neurons; some at 960 Hz may run at 60 Hz as well
+    assert len(rows) == 4 * (len(MAP["ways"]) + 2 + 1) + 2 * (len(MAP["held"]) + 2 + 1)
     assert {(row["rate"], row["quiet"]) for row in rows} == set(design.cells)
     assert all(row["trained_rate"] == 60 for row in rows)
 
@@ -94,7 +94,7 @@ def test_the_page_compares_each_chip_with_the_best_float_network(design, results
             usual = max(finished[r["policy"], r["way"]] for r in floats if r["way"] == NO_ZEROS)
             equal = [row for row in floats if finished[row["policy"], row["way"]] >= usual - EQUAL]
             chips = [
-                r for r in there if r["spiking"] and chip_of(r["way"]) == cell.accounting.place
+                r for r in there if r["spiking"] and own_way(r["way"]) == cell.accounting.place
             ]
             as_good = [r for r in chips if finished[r["policy"], r["way"]] >= usual - EQUAL]
             assert cell.is_equal == bool(as_good)
@@ -112,10 +112,10 @@ def test_the_page_compares_each_chip_with_the_best_float_network(design, results
 
 def test_a_chip_that_runs_at_the_rate_of_its_training_does_so_at_any_control_rate(design, results):
     rows = {(r["policy"], r["way"], r["rate"], r["quiet"]): r for r in design.all_rows()}
-    held = [key for key, row in rows.items() if row["spiking"] and chip_of(key[1]) != key[1]]
+    held = [key for key, row in rows.items() if row["spiking"] and own_way(key[1]) != key[1]]
     assert {key[2] for key in held} == {960}
     for policy, way, rate, quiet in held:
-        row, fast = rows[policy, way, rate, quiet], rows[policy, chip_of(way), rate, quiet]
+        row, fast = rows[policy, way, rate, quiet], rows[policy, own_way(way), rate, quiet]
         # of 12 control steps the first
         assert row["neuron_update"] + row["neuron_idle"] == pytest.approx(
             (fast["neuron_update"] + fast["neuron_idle"]) / 12
@@ -127,7 +127,7 @@ def test_a_chip_that_runs_at_the_rate_of_its_training_does_so_at_any_control_rat
 
 def test_the_rule_starts_for_a_faster_policy_from_its_like(design):
     rows = [
-        row for row in design.all_rows() if not row["spiking"] or chip_of(row["way"]) == row["way"]
+        row for row in design.all_rows() if not row["spiking"] or own_way(row["way"]) == row["way"]
     ]
     faster = [
         {**row, "policy": f"{row['policy']} {trained_at(960)}", "trained_rate": 960, "macs": 1.0}
