@@ -23,8 +23,8 @@ of time that this takes, and not at all else; what is counted at rest follows fr
         layer takes so many operations a cell, the others what they take in motion and at rest; of
         its cells change those of the events that came and of as many that are past
     one that n events trigger runs min(f, 1 / (n / e + 1 / (2 f))) times a second, as a control step
-        ends half a step after them, and not at all at rest; one that runs in every k-th step f / k
-        times
+        ends half a step after them, and not at all at rest, as one that is gated; one that runs in
+        every k-th step f / k times
     a delta network: behind the first layer a random walk, whose changes since the last control step
         grow with the root of its time
     a spiking one: operations a second as at rest, and the others as cells with events a second;
@@ -218,7 +218,8 @@ def places_of(events: float, found: float) -> float:
 def predict(row: Record, rest: Record, rate: float, events: float, span: float) -> Record:
     """Counts of a control step at another rate and with so many events a second, from two rows.
 
-    row     of the policy, at the rate it was trained for and without quiet
+    row     of the policy, at the rate it was trained for and without quiet; its way may be to run
+            in some control steps where the counts are of one that runs in each
     rest    of the same, with most quiet
     rate    control rate [Hz]
     events  of the camera a second, those of noise included
@@ -240,12 +241,16 @@ _COUNTED = (
 )  # fmt: skip
 
 
+_UPDATES = ("neuron_update", "one_state_update")  # fewer at rest where input is gated
+
+
 def _still(row: Record, rest: Record) -> Record:
     """Counts of a control step at rest, of which `rest` has a share, and motion the other."""
     moving = min(1.0, rest["events"] / row["events"])
     if moving > 1 - 1e-9:
         return row | dict.fromkeys(_COUNTED, 0.0)
-    found = {n: (rest[n] - moving * row[n]) / (1 - moving) for n in _COUNTED if n in row}
+    names = (*_COUNTED, *_UPDATES)
+    found = {n: (rest[n] - moving * row[n]) / (1 - moving) for n in names if n in row}
     return row | {name: max(each, 0.0) for name, each in found.items()}
 
 
@@ -255,6 +260,7 @@ def _chip_at(row: Record, still: Record, rate: float, moving: float) -> Record:
     events = moving * row["events"] * slower
     cells = occupied(events, places_of(row["events"], row["cells"]))
     found = {"events": events, "cells": cells}
+    found |= {name: (row if moving else still)[name] for name in _UPDATES}
     for name in ("sop", "graded_sop", "spike_out", "spike_in"):
         by_events = max(row[name] - still[name], 0.0) * cells / row["cells"]
         found[name] = by_events + min(still[name], row[name]) * slower
@@ -285,9 +291,10 @@ def _float_at(row: Record, still: Record, rate: float, span: float, moving: floa
             still["compared"],
         )
         convolved = still["conv_macs"] - still["first_macs"]
+    if way.gate:
+        runs = rate * row["runs"] if moving else 0.0
     if way.every > 1:
         runs, seen = rate / way.every, max(span, way.every / rate)
-        usual = max(usual, way.every / row["rate"])
     if way.delta is not None:
         share = min(1.0, math.sqrt(row["rate"] / rate))
         behind, sent, convolved = behind * share, sent * share, convolved * share

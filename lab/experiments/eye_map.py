@@ -21,11 +21,11 @@ from lab.experiments.networks import constants
 from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, read_rows
 from lab.experiments.vision import (
+    WAYS,
     CountedChipController,
     drive,
     held_at,
     make_controller,
-    own_way,
     wait_longer,
 )
 from spikedeploy.envs.eye.batch import EyeOptions
@@ -116,12 +116,15 @@ class Checkpoint:
         return policy
 
     def ways(self, rate: int) -> list[str]:
-        """Ways of a float network to save operations, or chips, at a control rate [Hz]."""
+        """Ways of a float network to save operations, or chips, at a control rate [Hz].
+
+        What runs at the rate of its training, or less often, is derived (`hold`).
+        """
         if isinstance(self.policy, SpikingVisionPolicy):
-            ways = held = MAP["chips"][self.policy.neuron]
-        else:
-            ways, held = (MAP["ways"], MAP["held"]) if self.is_last else (MAP["ways"][:1], ())
-        return [*ways, *(way + held_at(self.rate) for way in held if rate > self.rate)]
+            chips = MAP["chips"][self.policy.neuron]
+            return [way for chip in chips for way in (chip, f"{chip} {MAP['gate']}")]
+        ways = MAP["ways"] if self.is_last else MAP["ways"][:1]
+        return [way for way in ways if WAYS[way].every in (1, *range(2, rate // self.rate))]
 
 
 @dataclass(frozen=True)
@@ -154,7 +157,7 @@ class EyeMapDesign(Design):
         return sorted([(rate, quiet) for rate in rates for quiet in MAP["measured"]] + checked)
 
     def checkpoints(self) -> list[Checkpoint]:
-        """All policies: of each run its levels of pruning, or where it has none its best."""
+        """All policies: of each run its levels, or where it has none its best."""
         named = [existing_run(name, self.runs) for name in self.policies]
         found = []
         for path in named or runs_in(Path(self.runs)):
@@ -164,7 +167,7 @@ class EyeMapDesign(Design):
             if run.settings()["env"]["name"] != ENV:
                 raise ConfigError(f"{path} is no training of {ENV}; leave it out")
             levels = list(run.levels.values())  # fewest operations first
-            names = [each for each in levels if each != NOT_PRUNED] or levels[:1] or ["best"]
+            names = levels or ["best"]
             there = [name for name in names if run.checkpoint(name).is_file()]
             found += [Checkpoint(run, name, name == names[0]) for name in there]
         return found
@@ -178,11 +181,11 @@ class EyeMapDesign(Design):
             )
 
     def parts(self) -> list[Part]:
-        """Each policy in each cell of the map."""
+        """Each policy in each cell at the rate of its training, pruned most at higher ones too."""
         found = []
         for checkpoint in self.checkpoints():
             for rate, quiet in self.cells:
-                if rate >= checkpoint.rate:
+                if rate == checkpoint.rate or (rate > checkpoint.rate and checkpoint.is_last):
                     words = f"{checkpoint.name}-s{checkpoint.seed}-{rate}-q{quiet:g}"
                     name = re.sub("[^a-z0-9.]+", "-", words.lower())
                     found.append(Part(name, partial(self._rows, checkpoint, rate, quiet, name)))
@@ -216,17 +219,27 @@ class EyeMapDesign(Design):
         }  # fmt: skip
         if isinstance(controller, CountedChipController):
             program = controller.program
-            every = slower if own_way(way) != way else 1
-            late = [every * steps for steps in program.control_steps_late(1) or (0, 0)]
+            late = program.control_steps_late(1) or (0, 0)
             sizes = sum(layer.size for layer in program.layers)
-            chip = {"constants": constants(program) / every, "neurons": sizes}
-            about |= {"spiking": True, "late": late, **chip}
+            chip = {"constants": constants(program), "neurons": sizes}
+            about |= {"spiking": True, "late": list(late), **chip}
         else:
             about |= {"spiking": False, "late": [0, 0]}
         return about | drive(options, controller, self.episodes, self.limit)[0]
 
     def all_rows(self) -> Iterator[Record]:
-        """The results so far, and those that follow from them where a kart waits for longer."""
+        """The results so far, and those that follow from them.
+
+        Where a kart waits for longer, and where a policy runs at the rate of its training while
+        actions are wanted at a higher one.
+        """
+        for row in self._with_longer_waits():
+            yield row
+            for rate in MAP["rates"]:
+                if row["rate"] == row["trained_rate"] < rate:
+                    yield hold(row, rate)
+
+    def _with_longer_waits(self) -> Iterator[Record]:
         found = [row for part in self.parts() for row in part.found]
         driven = {self._place(row) for row in found}
         longest = max(MAP["measured"])
@@ -261,6 +274,29 @@ class EyeMapDesign(Design):
         table = write_rows(told, COLUMNS, results / "kart-eye-map.csv")
         missing = sum(not part.is_done for part in self.parts())
         return [*write(rows, results, missing, self.limit, self.deviations()), table]
+
+
+_OF_A_STEP = COLUMNS[COLUMNS.index("events") : COLUMNS.index("constants") + 1]
+
+
+def hold(row: Record, rate: int) -> Record:
+    """The row of a policy that runs as often as in a row, at a higher control rate [Hz].
+
+    It sees the events of as many control steps together, and holds its action for as long: it
+    drives the same way, as the physics have a rate of their own.
+    """
+    times = rate / row["rate"]
+    each = {name: row[name] / times for name in _OF_A_STEP if row.get(name) is not None}
+    return {
+        **row,
+        **each,
+        "way": row["way"] + held_at(row["rate"]),
+        "rate": rate,
+        "late": [times * steps for steps in row["late"]],
+        # an event waits for the end of the longer control step, and on average for half of it
+        "wait": times * row.get("wait", 0.0) + (times - 1) / 2,
+        "steps": round(times * row["steps"]),
+    }
 
 
 def trained_at(rate: int) -> str:

@@ -1,6 +1,7 @@
 """The page of the map of kart-eye: what costs less in each cell, and the border by the rule."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,7 +17,7 @@ from lab.experiments.eye_map import MAP, trained_at
 from lab.experiments.pages import grouped
 from lab.experiments.runner import command_line
 from lab.experiments.training import Record
-from lab.experiments.vision import own_way
+from lab.experiments.vision import WAYS, chip_of, own_way
 from spikedeploy.comparison.statistics import Estimate, stratified_bootstrap
 from spikedeploy.reports.plots import save
 from spikedeploy.runtime.metrics.energy_tables import STATIC
@@ -49,9 +50,14 @@ class Group:
 
     @property
     def lowest_rate_key(self) -> tuple[str, str]:
-        """The key of the same policy and way, trained at the lowest rate, at which it runs."""
-        policy = self.key[0]
-        return policy.removesuffix(" " + trained_at(self.rows[0]["trained_rate"])), self.own_way
+        """The key of the same policy, trained at the lowest rate, at which it runs.
+
+        In the same way, or in each control step where it runs in some of them.
+        """
+        policy, way = self.key[0], self.own_way
+        if way in WAYS and WAYS[way].every > 1:
+            way = MAP["ways"][0]
+        return policy.removesuffix(" " + trained_at(self.rows[0]["trained_rate"])), way
 
     @property
     def run_rate(self) -> int | None:
@@ -78,8 +84,9 @@ class Group:
         return float(np.mean([latency(row) for row in self.rows]))
 
     def acts_as_soon_as(self, other: "Group") -> bool:
-        """Return whether its actions follow events no later than the other's, or a control step."""
-        return bool(self.latency <= max(other.latency, 1 / self.rows[0]["rate"]))
+        """Return whether its actions follow events no later than the other's, or as it runs."""
+        period = 1 / (other.run_rate or other.rows[0]["rate"])
+        return bool(self.latency <= max(other.latency, period))
 
     def finish_differences(self, other: "Group") -> NDArray[np.float64] | None:
         """Finishes less those of another group (E,), of each course; None with nothing in common.
@@ -99,11 +106,15 @@ class Group:
         return float(np.mean([power(row, accounting) for row in self.rows]))
 
     def predicted(
-        self, rest: "Group", accounting: Accounting, rate: float, events: float, span: float
-    ) -> float:
+        self, rest: "Group", way: str, accounting: Accounting, rate: float, events: float,
+        span: float,
+    ) -> float:  # fmt: skip
         """Mean power [W] elsewhere, from the counts of these rows and of those with most quiet."""
         resting = {row["seed"]: row for row in rest.rows}
-        found = (predict(r, resting.get(r["seed"], r), rate, events, span) for r in self.rows)
+        found = (
+            predict({**r, "way": way}, resting.get(r["seed"], r), rate, events, span)
+            for r in self.rows
+        )
         return float(np.mean([power(row, accounting) for row in found]))
 
 
@@ -122,12 +133,15 @@ class Success:
 
     @cached_property
     def reference(self) -> Group:
-        """The float network whose finishes others must equal; else the one that finishes most."""
+        """The float network whose finishes others must equal; else the one that finishes most.
+
+        At the rate of its training, whatever the control rate is.
+        """
         floats = [group for group in self.groups.values() if not group.rows[0]["spiking"]]
-        way = MAP["ways"][0]
-        named = [group for group in floats if group.key == (MAP["reference"], way)]
-        usual = [group for group in floats if group.key[1] == way] or floats
-        return named[0] if named else max(usual, key=lambda group: group.finished)
+        usual = [group for group in floats if group.own_way == MAP["ways"][0]] or floats
+        usual = [group for group in usual if group.run_rate] or usual
+        named = [group for group in usual if group.key[0] == MAP["reference"]]
+        return max(named or usual, key=lambda group: group.finished)
 
     @cached_property
     def _differences(self) -> Mapping[tuple[str, str], NDArray[np.float64]]:
@@ -230,6 +244,14 @@ class Cell:
         return float(low), float(high)
 
     @property
+    def verdict(self) -> str:
+        """The kind that costs less, as far as the courses tell."""
+        if self.interval is None:
+            return "no spiking policy"
+        low, high = self.interval
+        return "spiking" if high < 1 else "float" if low > 1 else "undecided"
+
+    @property
     def equal_share(self) -> float:
         """Share of resampled courses [1] in which a spiking policy equals the reference."""
         return len(self.resampled) / _RESAMPLES
@@ -254,23 +276,16 @@ class Map:
     cells: Sequence[Sequence[Cell | None]]
     references: "References"
 
-    def equal(self, column: int) -> str:
-        """How many of the cells at a share of quiet have equal success: `2 of 3`."""
-        found = [cell.is_equal for row in self.cells if (cell := row[column]) is not None]
-        return f"{sum(found)} of {len(found)}"
+    def predicted_border(self, column: int) -> float:
+        """Control rate [Hz] from which spiking costs less by the rule, of cells of equal success.
 
-    def borders(self, column: int) -> tuple[float, ...]:
-        """Control rates [Hz] from which spiking costs less, of cells of equal success.
-
-        As counted, where float networks may act later, and by the rule; nan where none is equal.
+        nan where none is.
         """
         some = [(r, row[column]) for r, row in zip(self.rates, self.cells, strict=True)]
         there = [(rate, cell) for rate, cell in some if cell is not None and cell.is_equal]
         if not there:
-            return (math.nan,) * 3
-        rates, cells = zip(*there, strict=True)
-        ratios = [(c.ratio, c.ratio_to_later, c.predicted) for c in cells]
-        return tuple(border(rates, each) for each in zip(*ratios, strict=True))
+            return math.nan
+        return border([rate for rate, _ in there], [cell.predicted for _, cell in there])
 
     def fine(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Rates (n,), shares of motion (n,), and logarithms of predicted ratios (n, n) there.
@@ -306,7 +321,7 @@ def _predicted(
     rate = group.run_rate or rate
     # events that a float group sees are those of a control step of its training, at least
     span = float(max(1 / rate, group.rows[0]["span"]))
-    return moving.predicted(resting, accounting, rate, events, span)
+    return moving.predicted(resting, group.own_way, accounting, rate, events, span)
 
 
 def _distance(cell: Cell, rate: float, moving: float) -> float:
@@ -350,7 +365,7 @@ def _cell(
 ) -> Cell | None:  # fmt: skip
     known = [group for group in groups if group.lowest_rate_key in references]
     floats = [group for group in known if not group.rows[0]["spiking"]]
-    spiking = [group for group in known if group.own_way == accounting.place]
+    spiking = [group for group in known if chip_of(group.key[1]) == accounting.place]
     if not floats or not spiking:
         return None
     equal = [group for group in spiking if success.equals(group)]
@@ -451,16 +466,20 @@ def _panel(axes: "Axes", drawn: Map, later: bool) -> None:
                 continue
             place = (left[i], low[k]), left[i + 1] - left[i], low[k + 1] - low[k]
             ratio = cell.ratio_to_later if later else cell.ratio
+            if not cell.is_equal:
+                axes.add_patch(
+                    Rectangle(*place, facecolor="#FFFFFF", edgecolor="#BBBBBB", hatch="//")
+                )
+                continue
             shade = colours(0.5 + math.log2(ratio) / (2 * _MOST))
-            hatch = None if cell.is_equal else "///"
-            axes.add_patch(
-                Rectangle(*place, facecolor=shade, edgecolor="#FFFFFF", hatch=hatch, linewidth=1)
-            )
+            axes.add_patch(Rectangle(*place, facecolor=shade, edgecolor="#FFFFFF", linewidth=1))
+            shown = f"{ratio:.2g}"
+            if not later and cell.interval is not None:
+                shown += f"\n{cell.interval[0]:.2g} to {cell.interval[1]:.2g}"
             axes.text(
-                x[i], y[k], f"{ratio:.2g}", ha="center", va="center", color=_INSIDE, fontsize=_TEXT
+                x[i], y[k], shown, ha="center", va="center", color=_INSIDE, fontsize=_TEXT - 1
             )
-            if cell.is_equal:
-                counted[k, i] = math.log(ratio)
+            counted[k, i] = math.log(ratio)
     drawn_lines = [((x, y, counted), "-", 3.0)]
     if not later:
         rates, moving, ratios = drawn.fine()
@@ -497,9 +516,10 @@ def _edges(centres: NDArray[Any]) -> NDArray[Any]:
 def errors(found: Map) -> list[float]:
     """Power by the rule over power as counted [1], ascending, of each policy by itself.
 
-    In driven cells at other rates than that whose counts the rule has.
+    In driven cells other than those whose counts the rule has.
     """
-    cells = [cell for row in found.cells[1:] for cell in row if cell is not None]
+    first, *others = found.cells
+    cells = [cell for row in (first[1:-1], *others) for cell in row if cell is not None]
     return sorted(
         _predicted(found.references, group, found.accounting, cell.rate, cell.events)
         / group.power(found.accounting)
@@ -511,23 +531,25 @@ def errors(found: Map) -> list[float]:
 
 
 def summary(found: Map) -> str:
-    """A sentence on an accounting: in how many cells success is equal, and what both cost there."""
+    """A sentence on an accounting: in how many cells which kind costs less."""
     cells = [cell for row in found.cells for cell in row if cell is not None]
+    counts = Counter(cell.verdict for cell in cells)
     equal = [cell for cell in cells if cell.is_equal]
-    said = f"{found.accounting.title}: success is equal in {len(equal)} of {len(cells)} cells"
+    said = (
+        f"{found.accounting.title}: of {len(cells)} cells spiking costs less in "
+        f"{counts['spiking']}, float in {counts['float']}, {counts['undecided']} are undecided, "
+        f"and in {counts['no spiking policy']} no spiking policy has equal success"
+    )
     if not equal:
         return f"{said}."
-    shown = []
-    for words, ratios in (
-        ("than float networks that act as soon", [cell.ratio for cell in equal]),
-        ("than any", [cell.ratio_to_later for cell in equal]),
-    ):
-        less = sum(ratio < 1 for ratio in ratios)
-        shown.append(
-            f"in {less} of them spiking costs less {words} ({min(ratios):.2f} to "
-            f"{max(ratios):.2f} times)"
-        )
-    return f"{said}; {', '.join(shown)}."
+    ratios = sorted(cell.ratio for cell in equal)
+    saved = max((rival - mine for mine, rival in (cell.microwatts for cell in equal)), default=0.0)
+    idle = [1e6 * each.watts for each in STATIC.get(found.accounting.place, ())]
+    beside = f"; the chip idles at {min(idle):,.3g} \N{MICRO SIGN}W or more" if idle else ""
+    return (
+        f"{said}. Ratios are {ratios[0]:.2f} to {ratios[-1]:.2f}, and the most that spiking saves "
+        f"is {max(saved, 0.0):.3g} \N{MICRO SIGN}W{beside}."
+    )
 
 
 def rate_text(rate: float) -> str:

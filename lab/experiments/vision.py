@@ -4,20 +4,20 @@ A float network skips multiplications by zero, and saves more in one of the WAYS
 it sends only what has changed by more than a threshold since it was sent (Neil et al. 2017,
 arXiv 1612.05571), with a threshold of 0 exactly what it would else compute; and triggered by events
 it runs only where so many came since it last ran, or in every so many control steps, and holds its
-action and memory else.
+action and memory else. A gate leaves out what comes in control steps with less, such as noise at
+rest.
 
 At a control rate that is k times as high as in training, a float network sees the events of the
 last k control steps, as many as in training, or all since it last ran where that is longer ago; its
 memory moves by a k-th for each control step: h' = h + (1 - z) (n - h) / k. A spiking network takes
 the events as they come; its decay factors become their k-th roots, and what comes in every
 timestep, biases and currents that last, is so much smaller. Whether a policy still drives then is
-measured. Both may also run at the rate of training, on the events that came since they last ran,
-and hold their action between.
+measured.
 """
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -65,11 +65,13 @@ class Execution:
 
     delta    change of a unit above which it is sent again; None sends all that are not 0
     trigger  events that must have come since it last ran; 0 lets it run in every control step
+    gate     events that a control step of the training must bring; others are left out
     every    control steps from one run to the next
     """
 
     delta: float | None = None
     trigger: int = 0
+    gate: int = 0
     every: int = 1
 
 
@@ -80,9 +82,10 @@ WAYS = {
     "triggered by 16 events": Execution(trigger=16),
     "triggered by 64 events": Execution(trigger=64),
     "triggered by 256 events": Execution(trigger=256),
+    "gated by 16 events": Execution(gate=16),
+    "gated by 64 events": Execution(gate=64),
     "every 2 steps": Execution(every=2),
     "every 4 steps": Execution(every=4),
-    "every 16 steps": Execution(every=16),
 }
 
 
@@ -140,10 +143,11 @@ class CountedFloatController:
         self._since += counts
         self._waited += 1
         self.totals["events"] += counts.sum(1)
+        lately = self._seen.sum(0, dtype=np.int64)
         is_due = (self._step - 1) % self._way.every == 0
-        rows = np.flatnonzero(is_due & (self._since.sum(1) >= self._way.trigger))
+        is_due &= self._since.sum(1) >= self._way.trigger
+        rows = np.flatnonzero(is_due & (lately.sum(1) >= self._way.gate))
         if len(rows):
-            lately = self._seen.sum(0, dtype=np.int64)
             holds = self._way.trigger > 0 or self._way.every > self._slower
             is_long = (self._waited > self._slower) & holds
             seen = np.where(is_long[:, None], self._since, lately)
@@ -218,16 +222,16 @@ class CountedFloatController:
 class CountedChipController:
     """A spiking network on a chip, whose ledger counts.
 
-    every: control steps from one run to the next; the action is held between.
+    gate: events that a control step of the training must bring; others are left out.
     totals: by name (B,), besides the events of the ledger
         cells    inputs that spike
         events   of the camera
         touched  neurons at which a spike arrives, once a timestep
-        waits    control steps that events wait for until the network runs, their own not
+        waits    control steps that events wait for: none
     """
 
     def __init__(
-        self, policy: SpikingVisionPolicy, karts: int, place: str, slower: int = 1, every: int = 1
+        self, policy: SpikingVisionPolicy, karts: int, place: str, slower: int = 1, gate: int = 0
     ) -> None:
         artifact = vision_artifact(policy.slowed(slower))
         target = chip(place)
@@ -236,9 +240,11 @@ class CountedChipController:
         )
         names = ("cells", "events", "touched", "waits")
         self._own: Totals = {name: np.zeros(karts) for name in names}
-        self._every, self._step = every, 0
-        self._since = np.zeros((karts, policy.observations))  # events since it last ran
-        self._actions = np.full(karts, policy.actions // 2)
+        self._gate, self._step = gate, 0
+        self._lately = np.zeros((slower, karts))  # events of the last control steps
+        self._shut = np.zeros(karts)  # control steps without input
+        # where nothing leaks, nothing changes in them
+        self._may_rest = policy.neuron == "if"
         self._reached = [
             [(s.source, s.window, (s.weight != 0).astype(np.float64)) for s in layer.synapses]
             for layer in self.program.layers
@@ -251,19 +257,13 @@ class CountedChipController:
 
     def act(self, counts: Counts) -> NDArray[np.int64]:
         """Actions (B,) for counts of events (B, obs)."""
-        self._since += counts
         self._own["events"] += counts.sum(1)
-        if self._step % self._every == 0:
-            self._actions = self._run(self._since)
-            self._since[:] = 0
+        self._lately[self._step % len(self._lately)] = counts.sum(1)
         self._step += 1
-        self._own["waits"] += self._since.sum(1)
-        found: NDArray[np.int64] = self._actions.copy()
-        return found
-
-    def _run(self, counts: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Actions (B,) of the network, which runs once."""
-        actions: NDArray[np.int64] = self._controller.act_batch(counts)
+        is_shut = self._lately.sum(0) < self._gate
+        self._shut += is_shut
+        seen = np.where(is_shut[:, None], 0.0, counts)
+        actions: NDArray[np.int64] = self._controller.act_batch(seen)
         encoded, machine = self._controller.encoded, self._controller.network
         assert isinstance(machine, Machine)
         spikes = {name: each.spikes[:, 0] for name, each in machine.recordings.items()}
@@ -279,6 +279,10 @@ class CountedChipController:
         found = {name: ledger.counts[:, :, k].sum(1) for k, name in enumerate(EVENTS)}
         alone = [name in ledger.one_state for name in ledger.layers]
         found["one_state_update"] = ledger.counts[:, alone, EVENTS.index("neuron_update")].sum(1)
+        if self._may_rest and self._step:
+            running = 1 - self._shut / self._step
+            for name in ("neuron_update", "one_state_update"):
+                found[name] = found[name] * running
         return {name: each.astype(np.float64) for name, each in found.items()} | self._own
 
 
@@ -314,19 +318,23 @@ def own_way(way: str) -> str:
     return way.partition(_AT)[0]
 
 
+def chip_of(way: str) -> str:
+    """The chip in the way of a spiking policy, such as `speck2f gated by 16 events`."""
+    return way.partition(" ")[0]
+
+
 def make_controller(policy: Policy, karts: int, way: str, slower: int = 1) -> CountedController:
     """A policy as a controller: a float one by one of the WAYS, a spiking one on a chip.
 
-    way: such as `speck2f`, or `speck2f at 60 Hz` where it runs at the rate of its training
+    way: of a spiking policy `speck2f`, or with a gate of the WAYS `speck2f gated by 16 events`
     slower: control steps in one of its training
     """
-    own = own_way(way)
-    every = slower if own != way else 1
     if isinstance(policy, FloatVisionPolicy):
-        made = replace(WAYS[own], every=every) if own != way else WAYS[own]
-        return CountedFloatController(policy, karts, made, slower)
+        return CountedFloatController(policy, karts, WAYS[way], slower)
     if isinstance(policy, SpikingVisionPolicy):
-        return CountedChipController(policy, karts, own, slower // every, every)
+        place, _, gated = way.partition(" ")
+        gate = WAYS[gated].gate if gated else 0
+        return CountedChipController(policy, karts, place, slower, gate)
     raise ConfigError(f"a policy of kind {policy.kind!r} does not see by events; leave it out")
 
 
