@@ -83,21 +83,30 @@ def write_events(path: Path, size: tuple[int, int], remark: str = "") -> Iterato
     """
     import h5py  # as packages load without it
 
+    _check_replaceable(path)
+    with replacing(path) as part:
+        with h5py.File(part, "w") as file:
+            file.attrs["by"] = _MARK
+            yield EventWriter(file, size, remark)
+        _check_replaceable(path)  # recordings take long
+
+
+def _check_replaceable(path: Path) -> None:
+    """Refuse to replace what `write_events` has not recorded."""
     if path.exists() and not _is_ours(path):
         raise ConfigError(
             f"{path} exists, and no event camera here recorded it: name another file, or move it "
             "away."
         )
-    with replacing(path) as part, h5py.File(part, "w") as file:
-        file.attrs["by"] = _MARK
-        yield EventWriter(file, size, remark)
 
 
 def _is_ours(path: Path) -> bool:
     """Whether a file that exists is a recording of `write_events`."""
     import h5py
 
-    if not path.is_file() or not h5py.is_hdf5(path):
+    try:
+        with h5py.File(path) as file:
+            by = file.attrs.get("by")
+    except (OSError, KeyError, ValueError):  # none, a damaged one, or one that is being written
         return False
-    with h5py.File(path) as file:
-        return bool(file.attrs.get("by") == _MARK)
+    return isinstance(by, str) and by == _MARK

@@ -5,6 +5,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import socket
 import sys
 from collections.abc import Iterator
@@ -34,7 +35,10 @@ def replacing(path: Path) -> Iterator[Path]:
         raise FileExistsError(errno.EEXIST, "is no plain file, and is not replaced", str(path))
     target.parent.mkdir(parents=True, exist_ok=True)
     _sweep(target)
-    temporary = target.with_name(f".{target.name}.{_machine()}-{os.getpid()}.part")
+    prefix = f"{_prefix(target)}{os.getpid()}"
+    names = (f"{prefix}{n}.part" for n in ("", *(f"-{k}" for k in range(1, 10))))
+    # this process may be writing the file already
+    temporary = next(path for name in names if not (path := target.with_name(name)).exists())
     try:
         yield temporary
         flush(temporary)
@@ -46,18 +50,21 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def _sweep(target: Path) -> None:
     """Delete temporary files of a target whose processes on this machine have ended."""
-    prefix, suffix = f".{target.name}.{_machine()}-", ".part"
+    form = re.compile(re.escape(_prefix(target)) + r"([0-9]+)(-[0-9])?\.part")
     with suppress(OSError):  # of a folder that cannot be listed
         for name in os.listdir(target.parent):
-            process = name.removeprefix(prefix).removesuffix(suffix)
-            is_ours = name == f"{prefix}{process}{suffix}" and process.isdecimal()
-            if is_ours and _has_ended(int(process)):
+            found = form.fullmatch(name)
+            if found and _has_ended(int(found[1])):
                 (target.parent / name).unlink(missing_ok=True)
 
 
-def _machine() -> str:
-    """A mark of this machine: of the processes of another nothing is known here."""
-    return hashlib.sha256(socket.gethostname().encode()).hexdigest()[:6]
+def _prefix(target: Path) -> str:
+    """What temporary files of a target begin with, of processes of this machine.
+
+    Of the processes of another nothing is known here.
+    """
+    machine = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:6]
+    return f".{target.name}.{machine}-"
 
 
 def _has_ended(process: int) -> bool:

@@ -141,8 +141,11 @@ class RunFolder:
     @property
     def levels(self) -> dict[float, str]:
         """Operations of each level of pruning that has a policy -> its checkpoint, fewest first."""
-        names = (path.stem for path in self.path.glob(f"checkpoints/{LEVEL}*.safetensors"))
-        return dict(sorted((float(name.removeprefix(LEVEL)), name) for name in names))
+        found: dict[float, str] = {}
+        for path in self.path.glob(f"checkpoints/{LEVEL}*.safetensors"):
+            with suppress(ValueError):  # a copy that somebody named
+                found[float(path.stem.removeprefix(LEVEL))] = path.stem
+        return dict(sorted(found.items()))
 
     def write_numbers(self, name: str, state: Mapping[str, Any]) -> None:
         """Write the numbers to read of a checkpoint, after its weights."""

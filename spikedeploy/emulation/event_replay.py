@@ -87,7 +87,8 @@ class Replay:
             rows = np.zeros((-(-self.spans // self.every), int(np.prod(shape))), np.bool_)
             for span, neurons in pictures.items():
                 rows[span // self.every, neurons] = True
-            maps.append({"name": name, "shape": shape, "spikes": pack_bits(rows)})
+            size = "×".join(map(str, node_shape(run.artifact, name)))
+            maps.append({"name": name, "size": size, "shape": shape, "spikes": pack_bits(rows)})
         tracks = [
             curve(f"{'events' if name in run.artifact.graph.inputs else 'spikes'} of {name}",
                   "per s", counts / seconds)

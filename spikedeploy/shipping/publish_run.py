@@ -112,7 +112,10 @@ def _before(source: Path) -> Iterator[dict[str, Any]]:
         if not settings.get(setting):  # runs of before lack some
             continue
         run = find_start(settings[setting], source.parent).path
-        own = training_of(run, settings.get("start_checkpoint"))
+        checkpoint = settings.get("start_checkpoint")
+        if setting == "start" and checkpoint is None:  # what is pruned most
+            checkpoint = next(iter(RunFolder(run).levels.values()), None)
+        own = training_of(run, checkpoint)
         for each in (*_before(run), own | {"run": run.name, "gives": setting}):
             if each["run"] not in told:
                 yield each

@@ -59,10 +59,21 @@ def test_a_recording_replaces_one_of_its_own_and_nothing_else(tmp_path):
             writer.write(np.zeros(1, EVENT))
     with h5py.File(foreign, "w") as file:
         file.create_group("events").attrs["height"] = SIZE[0]
+        file.attrs["by"] = np.arange(3)
     text.write_text("what nobody has twice")
-    for path in (foreign, text, tmp_path):
+    broken = tmp_path / "broken.h5"
+    broken.write_bytes(mine.read_bytes()[:-100])
+    for path in (foreign, text, broken, tmp_path):
         with pytest.raises(ConfigError, match="exists"), write_events(path, SIZE):
             pass
     assert text.read_text() == "what nobody has twice"
     with h5py.File(foreign) as file:
         assert list(file["events"]) == []
+
+
+def test_what_appears_while_a_recording_is_made_stays(tmp_path):
+    path = tmp_path / "a.h5"
+    with pytest.raises(ConfigError, match="exists"), write_events(path, SIZE):
+        path.write_text("somebody else's")
+    assert path.read_text() == "somebody else's"
+    assert list(tmp_path.iterdir()) == [path]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from spikedeploy.errors import ConfigError
-from spikedeploy.files import as_text, is_locked, locked, write_text
+from spikedeploy.files import as_text, is_locked, locked, replacing, write_text
 
 HOLD = """
 import sys, time
@@ -76,6 +76,20 @@ def test_what_a_kill_left_of_an_output_goes_with_its_next_write_and_no_other(tmp
     process.communicate("")
     assert output.read_text() == "half"
     assert not at_work.exists()
+
+
+def test_a_file_that_is_written_twice_at_once_is_that_of_the_last_to_end(tmp_path):
+    output = tmp_path / "out.json"
+    with replacing(output) as first:
+        first.write_text("first")
+        with pytest.raises(OSError, match="broke"), replacing(output) as second:
+            assert second != first
+            raise OSError("broke")
+        with replacing(output) as second:
+            second.write_text("second")
+        assert output.read_text() == "second"
+    assert output.read_text() == "first"
+    assert list(tmp_path.iterdir()) == [output]
 
 
 def test_numbers_that_json_lacks_become_null():

@@ -366,9 +366,9 @@ class SpikingVisionPolicy(VisionPolicy):
         for decays in policy.decays.values():
             decays.copy_(torch.logit(torch.sigmoid(decays.double()) ** (1 / times)))
         for name in policy.spiking if policy.neuron == "lif" else ():
-            old, new = (each.decay(name).double() for each in (self, policy))
             # as much is summed up: b' / (1 - beta') = b / (1 - beta)
-            share = ((1 - new) / (1 - old)).float()
+            new, old = (torch.sigmoid(-each.decays[name].double()) for each in (policy, self))
+            share = (new / old).float()
             policy.biases[name] *= share
             if name == "hidden" and policy.memory:  # so do currents that last
                 for synapses in ("hidden", "back") if policy.recurrent else ("hidden",):

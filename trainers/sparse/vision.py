@@ -21,7 +21,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.distill.teacher import compute_cross_entropy
-from spikedeploy.trainers.policies import SpikingVisionPolicy, VisionPolicy
+from spikedeploy.trainers.policies import FloatVisionPolicy, SpikingVisionPolicy, VisionPolicy
 from spikedeploy.trainers.policies.policy import PrunedKernel, SynapseGroup
 from spikedeploy.trainers.policies.vision import SIGNS, vision_artifact
 from spikedeploy.trainers.run_folder import RunFolder, with_prefix
@@ -107,7 +107,6 @@ class VisionStudent:
 
     policy: what is trained
     guide: float policy that it imitates as well, None for none
-    start: policy that it begins as, None for none
     offsets: what rounding by the chip adds to each weight; none before `round`
     """
 
@@ -116,7 +115,6 @@ class VisionStudent:
     def __init__(self, policy: VisionPolicy, config: SparseConfig) -> None:
         self.policy, self._config = policy, config
         self.guide = _guide(config.guide, policy) if config.guide else None
-        self.start = _start(config, policy) if config.start else None
         self._guided: list[Single] = []  # labels of the guide, walk by walk
         self.offsets: Mapping[str, Tensor] = {}
         widths = [policy.inputs(name) for name in policy.synapses]
@@ -130,8 +128,8 @@ class VisionStudent:
 
     def begin(self, pool: WalkPool, rng: np.random.Generator) -> None:
         """Take over a start; or the guide's first convolutions, and scale weights to the walks."""
-        if self.start is not None:
-            self.policy.load_state_dict(self.start.state_dict())
+        if self._config.start:
+            self.policy.load_state_dict(_start(self._config, self.policy).state_dict())
             return
         if self.guide is not None:
             self._take_over(self.guide)
@@ -243,10 +241,10 @@ def _guide(run: str, policy: VisionPolicy) -> VisionPolicy:
     """Return the policy of a run that is pruned least, which sees what another sees."""
     folder = RunFolder.find(run)
     found = folder.policy(next(reversed(folder.levels.values()), None))
-    if not isinstance(found, VisionPolicy) or found.shape != policy.shape:
+    if not isinstance(found, FloatVisionPolicy) or found.shape != policy.shape:
         raise ConfigError(
-            f"guide: the policy of {run} does not see counts {policy.shape} as this one does. Give "
-            "a run with its shape"
+            f"guide: the policy of {run} is no float policy that sees counts {policy.shape} as "
+            "this one does. Give a run of one"
         )
     return found.requires_grad_(False)
 
@@ -257,15 +255,13 @@ def _start(config: SparseConfig, policy: VisionPolicy) -> VisionPolicy:
     found = folder.policy(next(iter(folder.levels.values()), None))
     if not isinstance(found, VisionPolicy) or found.spec() != policy.spec():
         raise ConfigError(
-            f"start: the policy of {config.start} is not one as is trained here. Give a run with the "
-            "settings policy.… of this one"
+            f"start: the policy of {config.start} is not one as is trained here. Give a run with "
+            "the settings policy.… of this one"
         )
-    rates = [
-        each.get("rate", EyeOptions.rate)
-        for each in (config.env.options, folder.settings()["env"]["options"])
-    ]
     if isinstance(found, SpikingVisionPolicy):
-        return found.slowed(rates[0] / rates[1])
+        made = (config, folder.config(SparseConfig))
+        rate, before = (EyeOptions(**each.env.options).rate for each in made)
+        return found.slowed(rate / before)
     return found
 
 

@@ -138,13 +138,13 @@ class Instrument {
     this.strips = stripsOf(this.episode, this.period).map((strip) => {
       const row = document.createElement("div");
       row.className = "strip";
-      row.innerHTML = '<div class="name"><span></span><small></small><output></output></div><div class="plot"><canvas></canvas><i></i></div>';
+      row.innerHTML = '<div class="name"><span></span><span class="keys"></span><small></small><output></output></div><div class="plot"><canvas></canvas><i></i></div>';
       row.querySelector("span").textContent = strip.title;
       row.querySelector("small").textContent = strip.range || "";
-      row.querySelector("span").append(...(strip.legend || []).map((colour, place) => {
+      row.querySelector(".keys").append(...(strip.legend || []).map((colour, place) => {
         const key = document.createElement("b");
         key.style.color = `var(${colour})`;
-        key.textContent = ` ${place}`;
+        key.textContent = `${place} `;
         return key;
       }));
       const sheet = row.querySelector("canvas"), plot = row.querySelector(".plot");

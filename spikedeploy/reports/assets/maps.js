@@ -49,7 +49,7 @@ class MapsView {
     context.font = "12px system-ui, sans-serif";
     for (const { tile, scale, x, y, wide, high } of this._place(width - 20, height - 16)) {
       context.fillStyle = paint.soft;
-      context.fillText(`${tile.name} ${tile.shape.join("×")}`, x, y - 5, Math.max(wide, 92));
+      context.fillText(`${tile.name} ${tile.size}`, x, y - 5, Math.max(wide, 92));
       context.imageSmoothingEnabled = false;
       context.drawImage(this._sheet(tile, picture, paint), x, y, wide, high);
       context.strokeStyle = paint.line;

@@ -252,6 +252,7 @@ def test_a_page_is_bounded_and_holds_every_layer(files, emulate, tmp_path, monke
         (episode,) = json.loads(re.search(r'id="episodes-data">(.*?)</script>', html)[1])
         maps, tracks = episode["scene"]["maps"], episode["players"][0]["tracks"]
         assert [each["name"] for each in maps] == ["input", "if1", "if2", "if3"]
+        assert [each["size"] for each in maps[:2]] == ["2×6×8", "4×6×8"]
         assert maps[1]["shape"] == [4, 6, 8]
         assert episode["scene"]["every"] > 1
         assert f"every {episode['scene']['every']}th of" in html

@@ -87,9 +87,9 @@ def test_policies_that_do_not_see_take_no_other_policy(setting, guide, tmp_path)
 
 def test_a_start_that_is_something_else_is_refused(guide):
     config = resolve(SparseConfig, "smoke-eye-snn", overrides=[f"start={guide}"])
-    policy = from_config(config.policy, 1024, 7, 4.0, None, "discrete")
+    student = VisionStudent(from_config(config.policy, 1024, 7, 4.0, None, "discrete"), config)
     with pytest.raises(ConfigError, match="not one as is trained here"):
-        VisionStudent(policy, config)
+        student.begin(WalkPool(), np.random.default_rng(0))
 
 
 def test_a_guide_lends_kernels_to_further_channels_alike(guide):
@@ -138,7 +138,7 @@ def test_a_guide_with_other_kernels_lends_none(guide):
 def test_a_guide_that_sees_something_else_is_refused(guide):
     config = resolve(SparseConfig, "smoke-eye-snn", overrides=[f"guide={guide}"])
     policy = from_config(VisionSnnConfig(shape=(2, 8, 32), hidden=4), 512, 7, head="discrete")
-    with pytest.raises(ConfigError, match="Give a run with its shape"):
+    with pytest.raises(ConfigError, match="Give a run of one"):
         VisionStudent(policy, config)
 
 
