@@ -171,9 +171,11 @@ class Cell:
     """A cell of the map by an accounting: the cheapest of equal success of either kind.
 
     events     of the camera a second
-    spiking    the cheapest group that equals the reference; where none does the one that finishes
-               most
+    spiking    the cheapest group that runs in each control step and equals the reference; where
+               none does the one that finishes most
     is_equal   whether it does
+    later      the cheapest group that equals the reference however often it runs; None where none
+               does
     success    at the control rate
     others     float groups that equal the reference
     resampled  ratios of power where other courses decide what equals the reference, of those in
@@ -187,6 +189,7 @@ class Cell:
     others: Sequence[Group]
     spiking: Group
     is_equal: bool
+    later: Group | None
     success: Success
     resampled: NDArray[np.float64]
     accounting: Accounting
@@ -214,9 +217,11 @@ class Cell:
         return self.spiking.power(self.accounting) / self.rival.power(self.accounting)
 
     @property
-    def ratio_to_later(self) -> float:
-        """The same where float networks may also act later."""
-        return self.spiking.power(self.accounting) / self.later_rival.power(self.accounting)
+    def later_ratio(self) -> float | None:
+        """The same where both may act later; None where no spiking policy has equal success."""
+        if self.later is None:
+            return None
+        return self.later.power(self.accounting) / self.later_rival.power(self.accounting)
 
     @property
     def later_rival(self) -> Group:
@@ -366,18 +371,23 @@ def _cell(
     known = [group for group in groups if group.lowest_rate_key in references]
     floats = [group for group in known if not group.rows[0]["spiking"]]
     spiking = [group for group in known if chip_of(group.key[1]) == accounting.place]
-    if not floats or not spiking:
+    if not floats or all(group.run_rate for group in spiking):
         return None
-    equal = [group for group in spiking if success.equals(group)]
+    able = [group for group in spiking if success.equals(group)]
+    later = min(able, key=lambda group: group.power(accounting), default=None)
+    prompt = [group for group in spiking if group.run_rate is None]
+    equal = [group for group in prompt if success.equals(group)]
     mine = (
         min(equal, key=lambda group: group.power(accounting))
         if equal
-        else max(spiking, key=lambda group: success.groups[group.key].finished)
+        else max(prompt, key=lambda group: success.groups[group.key].finished)
     )
     rivals = [group for group in floats if success.equals(group)]
     events = float(np.mean([group.mean("events") * rate for group in (mine, *rivals)]))
-    resampled = _resampled_ratios(spiking, floats, success, accounting)
-    cell = Cell(rate, quiet, events, rivals, mine, bool(equal), success, resampled, accounting, 0.0)
+    cell = Cell(
+        rate, quiet, events, rivals, mine, bool(equal), later, success,
+        _resampled_ratios(prompt, floats, success, accounting), accounting, 0.0,
+    )  # fmt: skip
     expected, *others = (
         _predicted(references, g, accounting, rate, events) for g in (mine, *cell.rivals)
     )
@@ -465,8 +475,8 @@ def _panel(axes: "Axes", drawn: Map, later: bool) -> None:
             if cell is None:
                 continue
             place = (left[i], low[k]), left[i + 1] - left[i], low[k + 1] - low[k]
-            ratio = cell.ratio_to_later if later else cell.ratio
-            if not cell.is_equal:
+            ratio = cell.later_ratio if later else cell.ratio if cell.is_equal else None
+            if ratio is None:
                 axes.add_patch(
                     Rectangle(*place, facecolor="#FFFFFF", edgecolor="#BBBBBB", hatch="//")
                 )
