@@ -487,8 +487,9 @@ def _panel(axes: "Axes", drawn: Map, later: bool) -> None:
             if not later and cell.interval is not None:
                 shown += f"\n{cell.interval[0]:.2g} to {cell.interval[1]:.2g}"
             axes.text(
-                x[i], y[k], shown, ha="center", va="center", color=_INSIDE, fontsize=_TEXT - 1
-            )
+                x[i], y[k], shown, ha="center", va="center", color=_INSIDE, fontsize=_TEXT - 1,
+                zorder=5, bbox={"facecolor": shade, "edgecolor": "none", "pad": 1},
+            )  # fmt: skip
             counted[k, i] = math.log(ratio)
     drawn_lines = [((x, y, counted), "-", 3.0)]
     if not later:
