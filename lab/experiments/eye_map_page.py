@@ -555,8 +555,8 @@ def summary(found: Map) -> str:
         return f"{said}."
     ratios = sorted(cell.ratio for cell in equal)
     saved = max((rival - mine for mine, rival in (cell.microwatts for cell in equal)), default=0.0)
-    idle = [1e6 * each.watts for each in STATIC.get(found.accounting.place, ())]
-    beside = f"; the chip idles at {min(idle):,.3g} \N{MICRO SIGN}W or more" if idle else ""
+    idle = [1e3 * each.watts for each in STATIC.get(found.accounting.place, ())]
+    beside = f"; the chip idles at {min(idle):,.3g} mW or more" if idle else ""
     return (
         f"{said}. Ratios are {ratios[0]:.2f} to {ratios[-1]:.2f}, and the most that spiking saves "
         f"is {max(saved, 0.0):.3g} \N{MICRO SIGN}W{beside}."
