@@ -422,6 +422,7 @@ def _resampled_ratios(
 
 _TEXT = 13  # [pt]
 _INSIDE = "#111111"  # of what stands in a cell, which is light by day and by night
+_GREY = "#777777"  # of lines in the legend, by day and by night
 _MOST = 3.0  # powers of 2 that colours tell apart
 
 
@@ -442,15 +443,15 @@ def figure(found: Sequence[Map], later: bool = False) -> "Figure":
         _panel(axes, each, later)
     for axes in grid.flat[len(found) :]:
         axes.set_axis_off()
-    predicted = Line2D([], [], color=_INSIDE, linewidth=2.5, linestyle="--", label="by the rule")
+    predicted = Line2D([], [], color=_GREY, linewidth=2.5, linestyle="--", label="by the rule")
     handles = [
-        Line2D([], [], color=_INSIDE, linewidth=3, label="border, as counted"),
+        Line2D([], [], color=_GREY, linewidth=3, label="border, as counted"),
         *([] if later else [predicted]),
         Patch(facecolor="#9CC4E0", label="spiking costs less"),
         Patch(facecolor="#F2B48A", label="float costs less"),
         Patch(
             facecolor="#FFFFFF",
-            edgecolor="#777777",
+            edgecolor=_GREY,
             hatch="///",
             label="no spiking policy finishes as many",
         ),
