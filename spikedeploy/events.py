@@ -1,5 +1,6 @@
 """Events of cameras: their type, and the HDF5 file that recordings are written to."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -76,28 +77,24 @@ class EventWriter:
 def write_events(path: Path, size: tuple[int, int], remark: str = "") -> Iterator[EventWriter]:
     """Yield the writer of a recording, which is in its place at the end of the block.
 
-    A file that is there is replaced if an event camera here wrote it; else ConfigError.
+    A file that is there is replaced if an event camera here wrote it; else ConfigError. Where one
+    appears meanwhile, the recording is kept beside it.
 
     size: (height, width) of the camera [pixels].
     remark: a text that the file shall hold.
     """
     import h5py  # as packages load without it
 
-    _check_replaceable(path)
+    foreign = f"{path} exists, and no event camera here recorded it"
+    if path.exists() and not _is_ours(path):
+        raise ConfigError(f"{foreign}: name another file, or move it away.")
     with replacing(path) as part:
         with h5py.File(part, "w") as file:
             file.attrs["by"] = _MARK
             yield EventWriter(file, size, remark)
-        _check_replaceable(path)  # recordings take long
-
-
-def _check_replaceable(path: Path) -> None:
-    """Refuse to replace what `write_events` has not recorded."""
-    if path.exists() and not _is_ours(path):
-        raise ConfigError(
-            f"{path} exists, and no event camera here recorded it: name another file, or move it "
-            "away."
-        )
+        if path.exists() and not _is_ours(path):
+            kept = part.rename(part.with_name(f"{path.stem}-{os.getpid()}{path.suffix}"))
+            raise ConfigError(f"{foreign}: the recording is {kept}.")
 
 
 def _is_ours(path: Path) -> bool:

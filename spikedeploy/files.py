@@ -2,6 +2,7 @@
 
 import errno
 import hashlib
+import itertools
 import json
 import math
 import os
@@ -36,7 +37,7 @@ def replacing(path: Path) -> Iterator[Path]:
     target.parent.mkdir(parents=True, exist_ok=True)
     _sweep(target)
     prefix = f"{_prefix(target)}{os.getpid()}"
-    names = (f"{prefix}{n}.part" for n in ("", *(f"-{k}" for k in range(1, 10))))
+    names = (f"{prefix}{f'-{k}' if k else ''}.part" for k in itertools.count())
     # this process may be writing the file already
     temporary = next(path for name in names if not (path := target.with_name(name)).exists())
     try:
@@ -50,7 +51,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def _sweep(target: Path) -> None:
     """Delete temporary files of a target whose processes on this machine have ended."""
-    form = re.compile(re.escape(_prefix(target)) + r"([0-9]+)(-[0-9])?\.part")
+    form = re.compile(re.escape(_prefix(target)) + r"([0-9]+)(-[0-9]+)?\.part")
     with suppress(OSError):  # of a folder that cannot be listed
         for name in os.listdir(target.parent):
             found = form.fullmatch(name)

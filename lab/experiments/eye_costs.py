@@ -239,8 +239,6 @@ _COUNTED = (
     "events", "cells", "macs", "first_macs", "changed_macs", "conv_macs", "sent", "sop",
     "graded_sop", "spike_out", "spike_in", "compared",
 )  # fmt: skip
-
-
 _UPDATES = ("neuron_update", "one_state_update")  # fewer at rest where input is gated
 
 

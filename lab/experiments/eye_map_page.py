@@ -84,9 +84,8 @@ class Group:
         return float(np.mean([latency(row) for row in self.rows]))
 
     def acts_as_soon_as(self, other: "Group") -> bool:
-        """Return whether its actions follow events no later than the other's, or as it runs."""
-        period = 1 / (other.run_rate or other.rows[0]["rate"])
-        return bool(self.latency <= max(other.latency, period))
+        """Return whether its actions follow events no later than the other's, or a control step."""
+        return bool(self.latency <= max(other.latency, 1 / self.rows[0]["rate"]))
 
     def finish_differences(self, other: "Group") -> NDArray[np.float64] | None:
         """Finishes less those of another group (E,), of each course; None with nothing in common.
@@ -157,9 +156,8 @@ class Success:
 
     def equals(self, group: Group) -> bool:
         """Return whether it finishes as many episodes as the reference, but for EQUAL."""
-        return group.key in self._differences and bool(
-            self._differences[group.key].mean() >= -EQUAL
-        )
+        found = self._differences.get(group.key)
+        return found is not None and bool(found.mean() >= -EQUAL)
 
     def resampled(self, group: Group) -> NDArray[np.bool_]:
         """Whether it does in resampled courses (n,), the same for all groups."""
@@ -429,7 +427,7 @@ _MOST = 3.0  # powers of 2 that colours tell apart
 def figure(found: Sequence[Map], later: bool = False) -> "Figure":
     """A panel for each accounting: control rate across, quiet upwards.
 
-    later: whether float networks may act later than spiking ones
+    later: whether both may run less often than in each control step
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D

@@ -143,15 +143,16 @@ class CountedFloatController:
         self._since += counts
         self._waited += 1
         self.totals["events"] += counts.sum(1)
-        lately = self._seen.sum(0, dtype=np.int64)
         is_due = (self._step - 1) % self._way.every == 0
-        is_due &= self._since.sum(1) >= self._way.trigger
-        rows = np.flatnonzero(is_due & (lately.sum(1) >= self._way.gate))
+        rows = np.flatnonzero(is_due & (self._since.sum(1) >= self._way.trigger))
+        lately = self._seen[:, rows].sum(0, dtype=np.int64)
+        is_open = lately.sum(1) >= self._way.gate
+        rows, lately = rows[is_open], lately[is_open]
         if len(rows):
             holds = self._way.trigger > 0 or self._way.every > self._slower
-            is_long = (self._waited > self._slower) & holds
-            seen = np.where(is_long[:, None], self._since, lately)
-            self._actions[rows] = self._run(torch.from_numpy(seen[rows]).float(), rows)
+            is_long = (self._waited[rows] > self._slower) & holds
+            seen = np.where(is_long[:, None], self._since[rows], lately)
+            self._actions[rows] = self._run(torch.from_numpy(seen).float(), rows)
             self._since[rows], self._waited[rows] = 0, 0
         self.totals["waits"] += self._since.sum(1)
         found: NDArray[np.int64] = self._actions.copy()
@@ -227,7 +228,6 @@ class CountedChipController:
         cells    inputs that spike
         events   of the camera
         touched  neurons at which a spike arrives, once a timestep
-        waits    control steps that events wait for: none
     """
 
     def __init__(
@@ -238,8 +238,7 @@ class CountedChipController:
         self._controller = SpikingController(
             artifact, target, ledger="copies", backend="auto", trace=True
         )
-        names = ("cells", "events", "touched", "waits")
-        self._own: Totals = {name: np.zeros(karts) for name in names}
+        self._own: Totals = {name: np.zeros(karts) for name in ("cells", "events", "touched")}
         self._gate, self._step = gate, 0
         self._lately = np.zeros((slower, karts))  # events of the last control steps
         self._shut = np.zeros(karts)  # control steps without input
