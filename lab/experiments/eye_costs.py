@@ -3,10 +3,10 @@
 A spiking policy is priced by one of the ACCOUNTINGS, and a float one by the same table beside it,
 at 45 nm. Static power is no part of either.
 
-operations   synaptic operations; or multiplications of weights, by the cheapest of three circuits:
-             inputs that are not 0; in the first layer those that changed, onto sums that are kept;
-             all inputs of convolutions, by an array that reads each of them for 16 channels and
-             moves a sum in 16 multiplications
+operations   synaptic operations; or multiplications of weights, of each layer by the cheapest of
+             three circuits: inputs that are not 0; in the first layer those that changed, onto sums
+             that are kept; all inputs of a convolution (of those behind the first together), by an
+             array that reads each of them for 16 channels and moves a sum in 16 multiplications
 updates      neurons that a chip updates, and those that it looks at; units of a GRU
 traffic      messages and spikes, where a table prices them; activations that are written and read
 histogram    events that are added up until the control step ends, and the cells that hold some
@@ -170,14 +170,18 @@ def _float(row: Record, table: str) -> tuple[float, ...]:
 
 
 def _multiplications(row: Record, each: float) -> float:
-    """Energy [J] of a float network's multiplications, by the cheapest circuit."""
-    kept = row["first_units"] * 2 * ACCESS
-    found: float = min(
-        row["macs"] * each,
-        (row["macs"] - row["first_macs"] + row["changed_macs"]) * each + kept,
-        (row["macs"] - row["conv_macs"]) * each + row["dense_macs"] * IN_ARRAY,
+    """Energy [J] of a float network's multiplications, of each layer by the cheapest circuit."""
+    first_dense = row["first_dense_macs"]  # 0 where the first layer is no convolution
+    first = min(
+        row["first_macs"] * each,
+        row["changed_macs"] * each + row["first_units"] * 2 * ACCESS,
+        first_dense * IN_ARRAY if first_dense else math.inf,
     )
-    return found
+    convolved = max(row["conv_macs"], row["first_macs"])  # and the first layer, whatever it is
+    others = min(
+        (convolved - row["first_macs"]) * each, (row["dense_macs"] - first_dense) * IN_ARRAY
+    )
+    return float(first + others + (row["macs"] - convolved) * each)
 
 
 def latency(row: Record) -> float:
@@ -316,8 +320,8 @@ def _float_at(row: Record, still: Record, rate: float, span: float, moving: floa
 
 
 _PER_RUN = (
-    "macs", "first_macs", "changed_macs", "conv_macs", "dense_macs", "cells", "sent", "compared",
-    "units", "first_units", "gates",
+    "macs", "first_macs", "changed_macs", "conv_macs", "dense_macs", "first_dense_macs", "cells",
+    "sent", "compared", "units", "first_units", "gates",
 )  # fmt: skip
 
 

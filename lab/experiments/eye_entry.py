@@ -41,6 +41,7 @@ TEACHER = "teacher"  # drives by what the simulation knows, and is no training
 MOST_OF_GRIDS, LEAST_RIGHT, LEAST_FINISHED = 0.75, 0.95, 0.90  # what the test asks for
 _ROWS: Mapping[str, Mapping[str, Any]] = DESIGNS["kart-eye"]["networks"]
 _WALKS: Mapping[str, Any] = DESIGNS["kart-eye"]["walks"]
+_STARTED: Sequence[str] = DESIGNS["kart-eye"]["started"]  # settings of trainings with a start
 _TABLE = "kart-eye.csv"
 _VERSION = 1  # of what a row holds; a higher one makes all rows again
 _FORM = {"network": str}  # of a row
@@ -85,9 +86,9 @@ class EyeEntryDesign(Design):
 
     def _training(self, network: str, seed: int) -> TrainingJob:
         of = _ROWS[network]
-        own_walks = QUICK["kart-eye-walks"] if "start" in of else ()
+        started, own_walks = (_STARTED, QUICK["kart-eye-walks"]) if "start" in of else ((), ())
         short = (*QUICK["kart-eye"], *own_walks) if self.quick else ()
-        every = (*of["settings"], *short, *self.settings)
+        every = (*of["settings"], *started, *short, *self.settings)
         parents = {} if "start" in of else {"pool": self._walks}
         for setting in ("guide", "start"):
             if setting in of:
@@ -96,7 +97,8 @@ class EyeEntryDesign(Design):
         job = TrainingJob(name, of["recipe"], seed, self.runs, every, parents)
         # other trainings of the recipe, and the walks, differ in one of these
         others = [row for row in (*_ROWS.values(), _WALKS) if row["recipe"] == of["recipe"]]
-        names = {setting.split("=")[0] for row in others for setting in row["settings"]}
+        given = (*_STARTED, *(setting for row in others for setting in row["settings"]))
+        names = {setting.split("=")[0] for setting in given}
         names -= {"teacher_walks", "noisy_walks"}  # which come with the walks of others
         made = job.planned().model_dump(mode="json")
         found = {name: _setting(made, name) for name in sorted(names | {"dense_rounds"})}

@@ -9,6 +9,7 @@ of its own.
 Counts are kept and not energies, so that the page can be written again with other prices.
 """
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from typing import Any, ClassVar
 from lab.experiments import DESIGNS
 from lab.experiments.networks import constants
 from lab.experiments.runner import Design, Part
-from lab.experiments.training import Record, StoredRow, read_rows
+from lab.experiments.training import Record, StoredRow
 from lab.experiments.vision import (
     WAYS,
     CountedChipController,
@@ -39,12 +40,11 @@ from spikedeploy.trainers.sparse.config import SparseConfig
 MAP: dict[str, Any] = DESIGNS["kart-eye-map"]
 ENV = "kart-eye"
 NOT_PRUNED = f"{LEVEL}{1e6:g}"  # the level of the recipes that is above all operations
-TEXTS = ("policy", "way")
 COLUMNS = (
     "policy", "seed", "spiking", "way", "rate", "quiet", "driven_quiet", "trained_rate", "span",
     "episodes", "steps", "finished", "right", "crashed", "late", "events", "cells", "macs",
-    "first_macs", "changed_macs", "conv_macs", "dense_macs", "sent", "compared", "units",
-    "first_units", "gates", "runs", "wait", "sop", "graded_sop", "bias_sop",
+    "first_macs", "changed_macs", "conv_macs", "dense_macs", "first_dense_macs", "sent", "compared",
+    "units", "first_units", "gates", "runs", "wait", "sop", "graded_sop", "bias_sop",
     "neuron_update", "one_state_update", "neuron_idle", "touched", "spike_in", "spike_out",
     "message", "saturation", "lost_spike", "constants", "neurons",
 )  # fmt: skip
@@ -185,7 +185,10 @@ class EyeMapDesign(Design):
         found = []
         for checkpoint in self.checkpoints():
             for rate, quiet in self.cells:
-                if rate == checkpoint.rate or (rate > checkpoint.rate and checkpoint.is_last):
+                is_transferred = rate > checkpoint.rate and checkpoint.is_last
+                if checkpoint.seed >= MAP["seeds"].get(str(rate), math.inf):
+                    continue
+                if rate == checkpoint.rate or is_transferred:
                     words = f"{checkpoint.name}-s{checkpoint.seed}-{rate}-q{quiet:g}"
                     name = re.sub("[^a-z0-9.]+", "-", words.lower())
                     found.append(Part(name, partial(self._rows, checkpoint, rate, quiet, name)))
@@ -210,8 +213,8 @@ class EyeMapDesign(Design):
         ]
 
     def _evaluate(self, checkpoint: Checkpoint, options: Record, way: str) -> Record:
-        slower = options["rate"] // checkpoint.rate
-        controller = make_controller(checkpoint.policy, self.episodes, way, slower)
+        slower, gated = (options["rate"] // rate for rate in (checkpoint.rate, EyeOptions.rate))
+        controller = make_controller(checkpoint.policy, self.episodes, way, slower, gated)
         about: Record = {
             "policy": checkpoint.name, "seed": checkpoint.seed, "way": way,
             "rate": options["rate"], "quiet": options["quiet"], "driven_quiet": options["quiet"],
@@ -302,8 +305,3 @@ def hold(row: Record, rate: int) -> Record:
 def trained_at(rate: int) -> str:
     """What the name of a policy ends with that was trained at another rate than the lowest."""
     return f"at {rate} Hz"
-
-
-def read_table(path: Path) -> list[Record]:
-    """The rows of a table."""
-    return read_rows(path, TEXTS)

@@ -4,8 +4,8 @@ A float network skips multiplications by zero, and saves more in one of the WAYS
 it sends only what has changed by more than a threshold since it was sent (Neil et al. 2017,
 arXiv 1612.05571), with a threshold of 0 exactly what it would else compute; and triggered by events
 it runs only where so many came since it last ran, or in every so many control steps, and holds its
-action and memory else. A gate leaves out what comes in control steps with less, such as noise at
-rest.
+action and memory else. A gate leaves out control steps where the last 1/60 s brought fewer, such as
+noise at rest.
 
 At a control rate that is k times as high as in training, a float network sees the events of the
 last k control steps, as many as in training, or all since it last ran where that is longer ago; its
@@ -50,8 +50,8 @@ FIRST_SEED = EVALUATION + 30_000  # of evaluations; kart-eye and its students we
 Counts = NDArray[np.uint8]
 Totals = dict[str, NDArray[np.float64]]
 _COUNTS_OF_FLOATS = (
-    "macs", "first_macs", "changed_macs", "conv_macs", "dense_macs", "cells", "sent", "compared",
-    "units", "first_units", "gates", "runs", "events", "waits",
+    "macs", "first_macs", "changed_macs", "conv_macs", "dense_macs", "first_dense_macs", "cells",
+    "sent", "compared", "units", "first_units", "gates", "runs", "events", "waits",
 )  # fmt: skip
 BITS = 8  # of the weights of float networks, as of those of chips
 OUTCOMES = ("finish", "wrong", "crash", "forks")  # of an episode
@@ -65,7 +65,7 @@ class Execution:
 
     delta    change of a unit above which it is sent again; None sends all that are not 0
     trigger  events that must have come since it last ran; 0 lets it run in every control step
-    gate     events that a control step of the training must bring; others are left out
+    gate     events that the last 1/60 s must have brought; other control steps are left out
     every    control steps from one run to the next
     """
 
@@ -108,6 +108,7 @@ class CountedFloatController:
         changed_macs        those of the first layer with inputs that changed since it last ran
         conv_macs           those of the convolutions, the first one included
         dense_macs          those of the convolutions, if no zero were skipped
+        first_dense_macs    those of the first layer, if it is one
         cells, sent         inputs of the first layer that are not 0; of the others what is sent
         compared            in a delta network, units some of whose inputs changed: their sum is
                             read and written, and what they send is compared with what they sent
@@ -118,7 +119,7 @@ class CountedFloatController:
     """
 
     def __init__(
-        self, policy: FloatVisionPolicy, karts: int, way: Execution, slower: int = 1
+        self, policy: FloatVisionPolicy, karts: int, way: Execution, slower: int = 1, gated: int = 1
     ) -> None:
         if policy.traces:
             raise ConfigError("a policy with leaky traces has no other control rate; leave it out")
@@ -129,6 +130,7 @@ class CountedFloatController:
         self.totals: Totals = {name: np.zeros(karts) for name in _COUNTS_OF_FLOATS}
         self._seen = np.zeros((slower, karts, policy.observations), np.uint8)  # of the last steps
         self._since = np.zeros((karts, policy.observations), np.int64)  # events since it last ran
+        self._lately = np.zeros((gated, karts))  # events of the last control steps, for a gate
         self._waited, self._step = np.zeros(karts), 0
         self._memory = torch.zeros(karts, policy.gru)
         # what was sent last; of the first layer what it last saw
@@ -139,18 +141,18 @@ class CountedFloatController:
     def act(self, counts: Counts) -> NDArray[np.int64]:
         """Actions (B,) for counts of events (B, obs)."""
         self._seen[self._step % self._slower] = counts
+        self._lately[self._step % len(self._lately)] = counts.sum(1)
         self._step += 1
         self._since += counts
         self._waited += 1
         self.totals["events"] += counts.sum(1)
         is_due = (self._step - 1) % self._way.every == 0
-        rows = np.flatnonzero(is_due & (self._since.sum(1) >= self._way.trigger))
-        lately = self._seen[:, rows].sum(0, dtype=np.int64)
-        is_open = lately.sum(1) >= self._way.gate
-        rows, lately = rows[is_open], lately[is_open]
+        is_open = self._lately.sum(0) >= self._way.gate
+        rows = np.flatnonzero(is_due & is_open & (self._since.sum(1) >= self._way.trigger))
         if len(rows):
             holds = self._way.trigger > 0 or self._way.every > self._slower
             is_long = (self._waited[rows] > self._slower) & holds
+            lately = self._seen[:, rows].sum(0, dtype=np.int64)
             seen = np.where(is_long[:, None], self._since[rows], lately)
             self._actions[rows] = self._run(torch.from_numpy(seen).float(), rows)
             self._since[rows], self._waited[rows] = 0, 0
@@ -214,7 +216,9 @@ class CountedFloatController:
             self._sent[name][rows] = x
         if isinstance(matrix, PrunedKernel):
             totals["conv_macs"][rows] += macs
-            totals["dense_macs"][rows] += matrix.weight[0].numel() * drive.shape[1]
+            dense = matrix.weight[0].numel() * drive.shape[1]
+            totals["dense_macs"][rows] += dense
+            totals["first_dense_macs"][rows] += dense if is_first else 0
         bias = self._biases[name]
         maps: Tensor = drive.view(len(drive), len(bias), -1) + bias[:, None]
         return maps.flatten(1)
@@ -223,7 +227,7 @@ class CountedFloatController:
 class CountedChipController:
     """A spiking network on a chip, whose ledger counts.
 
-    gate: events that a control step of the training must bring; others are left out.
+    gate: events that the last 1/60 s must have brought; other control steps are left out.
     totals: by name (B,), besides the events of the ledger
         cells    inputs that spike
         events   of the camera
@@ -231,7 +235,13 @@ class CountedChipController:
     """
 
     def __init__(
-        self, policy: SpikingVisionPolicy, karts: int, place: str, slower: int = 1, gate: int = 0
+        self,
+        policy: SpikingVisionPolicy,
+        karts: int,
+        place: str,
+        slower: int = 1,
+        gate: int = 0,
+        gated: int = 1,
     ) -> None:
         artifact = vision_artifact(policy.slowed(slower))
         target = chip(place)
@@ -240,7 +250,7 @@ class CountedChipController:
         )
         self._own: Totals = {name: np.zeros(karts) for name in ("cells", "events", "touched")}
         self._gate, self._step = gate, 0
-        self._lately = np.zeros((slower, karts))  # events of the last control steps
+        self._lately = np.zeros((gated, karts))  # events of the last control steps, for the gate
         self._shut = np.zeros(karts)  # control steps without input
         # where nothing leaks, nothing changes in them
         self._may_rest = policy.neuron == "if"
@@ -322,18 +332,21 @@ def chip_of(way: str) -> str:
     return way.partition(" ")[0]
 
 
-def make_controller(policy: Policy, karts: int, way: str, slower: int = 1) -> CountedController:
+def make_controller(
+    policy: Policy, karts: int, way: str, slower: int = 1, gated: int = 1
+) -> CountedController:
     """A policy as a controller: a float one by one of the WAYS, a spiking one on a chip.
 
     way: of a spiking policy `speck2f`, or with a gate of the WAYS `speck2f gated by 16 events`
     slower: control steps in one of its training
+    gated: control steps in 1/60 s, whose events a gate adds up
     """
     if isinstance(policy, FloatVisionPolicy):
-        return CountedFloatController(policy, karts, WAYS[way], slower)
+        return CountedFloatController(policy, karts, WAYS[way], slower, gated)
     if isinstance(policy, SpikingVisionPolicy):
-        place, _, gated = way.partition(" ")
-        gate = WAYS[gated].gate if gated else 0
-        return CountedChipController(policy, karts, place, slower, gate)
+        place, _, name = way.partition(" ")
+        gate = WAYS[name].gate if name else 0
+        return CountedChipController(policy, karts, place, slower, gate, gated)
     raise ConfigError(f"a policy of kind {policy.kind!r} does not see by events; leave it out")
 
 

@@ -22,6 +22,7 @@ While they learn, both have a second head, which says what the signs did: none, 
 is no part of what is deployed.
 """
 
+import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
@@ -39,6 +40,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.codec.codec import Codec, Normaliser
 from spikedeploy.runtime.codec.events import EventEncoder
 from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies.delta import DT
 from spikedeploy.trainers.policies.neurons import integrate_many, lif, spike, surrogate
@@ -116,6 +118,10 @@ class VisionPolicy(Policy):
     @abstractmethod
     def normalise(self, counts: Tensor) -> None:
         """Scale the first weights, layer by layer, to what counts (B, L, C·Y·X) bring."""
+
+    @abstractmethod
+    def slowed(self, times: float) -> "VisionPolicy":
+        """Return a policy with the same time constants at so many times as many control steps."""
 
     def advance(self, observation: Tensor, state: list[Tensor]) -> tuple[Tensor, list[Tensor]]:
         """Take one control step: return logits (B, act), and inputs (B, M) of each matrix.
@@ -263,6 +269,22 @@ class FloatVisionPolicy(VisionPolicy):
             matrix = self.matrix(name)
             drive = matrix.drive(x, matrix())
             matrix.weight.div_(drive.square().mean().sqrt().clamp(min=1e-6))
+
+    @torch.no_grad()
+    def slowed(self, times: float) -> "FloatVisionPolicy":
+        """Return a policy with the same time constants at so many times as many control steps.
+
+        Each of these brings so many times fewer events, for which the first weights make up.
+        ConfigError where it has leaky traces.
+        """
+        if self.traces:
+            raise ConfigError("a policy with leaky traces has no other control rate; take another")
+        policy = deepcopy(self)
+        policy.matrix(next(iter(policy.synapses))).weight.mul_(times)
+        if self.gru:
+            # h' = z h + (1 - z) n: where the memory lasts, 1 - z = sigmoid(-a) is as much less
+            policy.biases["gru"][self.gru : 2 * self.gru] += math.log(times)
+        return policy
 
 
 class SpikingVisionPolicy(VisionPolicy):

@@ -258,11 +258,9 @@ def _start(config: SparseConfig, policy: VisionPolicy) -> VisionPolicy:
             f"start: the policy of {config.start} is not one as is trained here. Give a run with "
             "the settings policy.… of this one"
         )
-    if isinstance(found, SpikingVisionPolicy):
-        made = (config, folder.config(SparseConfig))
-        rate, before = (EyeOptions(**each.env.options).rate for each in made)
-        return found.slowed(rate / before)
-    return found
+    made = (config, folder.config(SparseConfig))
+    rate, before = (EyeOptions(**each.env.options).rate for each in made)
+    return found.slowed(rate / before)
 
 
 @torch.no_grad()

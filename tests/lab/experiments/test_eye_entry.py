@@ -64,7 +64,7 @@ def test_what_is_done_is_not_done_again_and_rows_of_elsewhere_stay(design, resul
             replace(design, **changed).check(results)
 
 
-def test_all_networks_train_equally_hard():
+def test_all_networks_train_equally_hard(tmp_path, monkeypatch):
     def effort(row):
         made = resolve(SparseConfig, row["recipe"], overrides=row["settings"], seed=0)
         return made.model_dump(exclude={"policy", "recipe"})
@@ -74,6 +74,11 @@ def test_all_networks_train_equally_hard():
     first, *others = (effort(row) for row in whole.values() if "start" not in row)
     assert len(others) == 9
     assert all(each[n] == first[n] for each in others for n in first.keys() - unlike)
+    monkeypatch.setattr(eye_entry, "_ROWS", whole)
+    trainings = EyeEntryDesign(runs=str(tmp_path)).trainings()
+    goes_on = [each.planned() for each in trainings if each.name.endswith("-240-s0")]
+    first, second = (each.model_dump(exclude={"policy", "recipe"}) for each in goes_on)
+    assert {n for n in first if first[n] != second[n]} <= {"chip", "rounding", "start"}
 
 
 def test_the_runs_of_one_network_are_not_those_of_another(tmp_path, monkeypatch):

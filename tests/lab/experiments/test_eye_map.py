@@ -71,11 +71,9 @@ def results(design, ran):
 def test_every_policy_is_driven_in_every_cell_by_every_way_or_chip(design, results):
     driven = [row for part in design.parts() for row in part.found]
     chips = 2 * (2 + 1)  # two of LIF neurons and one of the others, each with a gate as well
-    slower = ["every 2 steps", "every 4 steps"]
-    assert len(driven) == 4 * (len(MAP["ways"]) + chips) - 2 * len(slower)
+    assert len(driven) == 4 * (len(MAP["ways"]) + chips)
     assert {(row["rate"], row["quiet"]) for row in driven} == set(design.cells)
     assert all(row["trained_rate"] == 60 for row in driven)
-    assert {row["way"] for row in driven if row["rate"] == 60}.isdisjoint(slower)
 
 
 def test_the_page_compares_each_chip_with_the_best_float_network(design, results):
@@ -170,7 +168,7 @@ def test_the_rule_starts_for_a_faster_policy_from_its_like(design):
     assert len(other.others) == 2 * len(cell.others)
     assert len(errors(with_faster)) == len(errors(each))
     assert other.rival.key[0] == "kart-eye-cnn at 960 Hz"
-    assert other.predicted == pytest.approx(cell.predicted, rel=0.01)  # other mean events
+    assert other.predicted == pytest.approx(cell.predicted, rel=0.02)  # other mean events
 
 
 def test_what_is_there_is_not_made_again(design, results, ran):
@@ -204,9 +202,8 @@ def test_pruned_policies_are_driven_and_those_pruned_most_in_all_ways(tmp_path):
     for level in ("ops-40000", "ops-60000", NOT_PRUNED):
         run.save(level, POLICIES["kart-eye-cnn"](), {})
     ways = {each.level: each.ways(60) for each in EyeMapDesign(runs=str(tmp_path)).checkpoints()}
-    most = [way for way in MAP["ways"] if not way.startswith("every")]
     rarely = ["zero-skipping"]
-    assert ways == {"ops-40000": most, "ops-60000": rarely, NOT_PRUNED: rarely}
+    assert ways == {"ops-40000": MAP["ways"], "ops-60000": rarely, NOT_PRUNED: rarely}
 
 
 def test_a_policy_has_the_level_of_the_one_that_its_training_started_from(tmp_path):
@@ -257,35 +254,42 @@ def test_longer_waits_follow_from_shorter_ones():
 
 def counted(**changes):
     names = (
-        "macs first_macs changed_macs conv_macs dense_macs cells sent compared units first_units "
-        "gates events sop graded_sop bias_sop neuron_update one_state_update neuron_idle touched "
-        "spike_in spike_out message constants"
+        "macs first_macs changed_macs conv_macs dense_macs first_dense_macs cells sent compared "
+        "units first_units gates events sop graded_sop bias_sop neuron_update one_state_update "
+        "neuron_idle touched spike_in spike_out message constants"
     )
     zeros = dict.fromkeys(names.split(), 0.0)
     about = {"rate": 100, "span": 0.01, "runs": 1.0, "late": [2, 3], "way": "zero-skipping"}
     return {**zeros, "spiking": False, **about, **changes}
 
 
+ARRAY = 0.3 + 1.25 / 16 + 5 / 16  # [pJ] a multiplication in an array
+
+
 @pytest.mark.parametrize(
-    ("changed", "dense", "pico"),
+    ("changed", "first", "dense", "pico"),
     [
-        (70, 1000, 100 * 1.55),  # zeros left out
-        (10, 1000, 70 * 1.55 + 2 * 2 * 2.5),  # only what changed, onto sums that are kept
-        (70, 60, 40 * 1.55 + 60 * (0.3 + 1.25 / 16 + 5 / 16)),  # all of them in an array
+        (70, 500, 1000, 100 * 1.55),  # zeros left out
+        (10, 500, 1000, 70 * 1.55 + 2 * 2 * 2.5),  # only what changed, onto sums that are kept
+        (70, 35, 60, 40 * 1.55 + 60 * ARRAY),  # all of them in an array
+        (70, 35, 1000, 60 * 1.55 + 35 * ARRAY),  # those of the first layer in an array
+        (10, 50, 70, 10 * 1.55 + 2 * 2 * 2.5 + 20 * ARRAY + 40 * 1.55),  # those behind it
+        (70, 0, 0, 100 * 1.55),  # no convolution
     ],
 )
-def test_multiplications_are_done_by_the_cheapest_circuit(changed, dense, pico):
+def test_multiplications_of_each_layer_are_done_by_the_cheapest_circuit(
+    changed, first, dense, pico
+):
     row = counted(
-        macs=100, first_macs=40, changed_macs=changed, first_units=2, conv_macs=60, dense_macs=dense
-    )
+        macs=100, first_macs=40, changed_macs=changed, first_units=2,
+        conv_macs=60 if dense else 0, dense_macs=dense, first_dense_macs=first,
+    )  # fmt: skip
     found = terms(row, ACCOUNTINGS["int"])["operations"]
     assert found == pytest.approx(100e-12 * pico)
 
 
 def test_a_float_network_costs_what_its_terms_say():
-    row = counted(
-        macs=100, dense_macs=1e4, changed_macs=1e4, cells=10, events=20, sent=7, units=3, gates=2
-    )
+    row = counted(macs=100, changed_macs=1e4, cells=10, events=20, sent=7, units=3, gates=2)
     # [pJ] Horowitz 2014: 1.25 a byte, 0.1 an addition, 3.1 a product, 2.5 an access of 16 bits
     expected = {
         "operations": 155, "updates": 2 * (5 * 2.5 + 3 * 3.1 + 0.5), "traffic": 7 * 2.5,
@@ -298,7 +302,7 @@ def test_a_float_network_costs_what_its_terms_say():
 
 
 def test_what_is_scattered_into_memory_costs_as_much_of_both_kinds():
-    row = counted(macs=100, first_macs=40, changed_macs=1e4, dense_macs=1e4)
+    row = counted(macs=100, first_macs=40, changed_macs=1e4)
     spiking = counted(spiking=True, sop=100)
     of_float, of_spikes = (terms(r, ACCOUNTINGS["speck"])["operations"] for r in (row, spiking))
     assert of_float - of_spikes == pytest.approx(100e-12 * 100 * 0.2)  # a product of 8 bits
@@ -382,8 +386,7 @@ def test_at_a_border_that_counts_give_in_closed_form_both_cost_the_same():
     chip = counted(
         spiking=True, rate=rate, events=10, cells=10 * (1 - 1e-9), sop=1000, touched=0,
     )  # fmt: skip
-    array = {"changed_macs": 1e4, "dense_macs": 1e4}
-    net = counted(rate=rate, span=1e-9, events=10, cells=1e-6, first_macs=0, macs=50, **array)
+    net = counted(rate=rate, span=1e-9, events=10, cells=1e-6, first_macs=0, macs=50)
     by = replace(ACCOUNTINGS["int"], touched=True)
     # both add up the events, the float network sees none of them: e 100 sop + cells = r 50 mac
     wanted = events * (100 * 1.35 + 7.5) / (50 * 1.55)

@@ -123,7 +123,8 @@ def test_a_float_network_counts_each_weight_that_meets_what_is_sent(delta, is_pr
     for name, found in (("macs", "macs"), ("changed_macs", "changed"), ("compared", "compared")):
         expected = [getattr(each, found) for each in plain]
         assert controller.totals[name].tolist() == pytest.approx(expected, rel=rel)
-    assert controller.totals["dense_macs"].tolist() == [STEPS * 3 * 3 * 4 * 18] * KARTS
+    for name in ("dense_macs", "first_dense_macs"):  # of the one convolution that there is
+        assert controller.totals[name].tolist() == [STEPS * 3 * 3 * 4 * 18] * KARTS
 
 
 def test_a_network_that_skips_nothing_else_is_the_policy():
@@ -245,6 +246,20 @@ def test_counts_of_an_episode_end_with_it():
     assert row["runs"] == 1
     assert row["gates"] == 3
     assert row["steps"] <= 3 * 40
+
+
+@pytest.mark.parametrize(("gated", "gate"), [(1, 3), (4, 12)])
+def test_a_gate_adds_up_the_events_of_a_sixtieth_of_a_second_at_any_rate_of_training(gated, gate):
+    seen = recording(0.03, 12)
+    controller = CountedFloatController(float_policy(), KARTS, Execution(gate=gate), 1, gated)
+    opened, expected = [], []
+    controller._run = lambda x, rows: opened.append(rows.tolist()) or np.zeros(len(rows))
+    for number, counts in enumerate(seen, start=1):
+        controller.act(counts)
+        brought = seen[max(number - gated, 0) : number].sum((0, 2))
+        expected.append(np.flatnonzero(brought >= gate).tolist())
+    assert opened == [rows for rows in expected if rows]
+    assert 0 < sum(map(len, opened)) < KARTS * len(seen)
 
 
 def test_a_network_that_runs_in_every_second_step_holds_its_action_and_sees_what_came_since():

@@ -13,7 +13,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.config import VisionSnnConfig, resolve
+from spikedeploy.trainers.config import VisionConfig, VisionSnnConfig, resolve
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import from_config
 from spikedeploy.trainers.policies.vision import vision_artifact
@@ -77,6 +77,28 @@ def test_a_training_goes_on_at_another_control_rate_from_what_was_pruned(tmp_pat
     torch.testing.assert_close(policy.biases["conv1"], before.biases["conv1"] * gain)
     second = train("smoke-eye-snn", overrides=settings, runs=tmp_path / "on", quiet=True)
     assert load_policy(second).spec() == before.spec()
+
+
+def test_a_float_training_goes_on_at_another_control_rate(guide, tmp_path):
+    settings = [*SHORT, f"start={guide}", "env.options.rate=240"]
+    second = train("smoke-eye-cnn", overrides=settings, runs=tmp_path, quiet=True)
+    before = RunFolder(guide).policy(next(iter(RunFolder(guide).levels.values())))
+    assert load_policy(second).spec() == before.spec()
+
+
+def test_a_slowed_float_policy_remembers_for_as_long():
+    config = VisionConfig(shape=(2, 4, 4), channels=(2,), kernels=(3,), strides=(1,), gru=5)
+    policy = from_config(config, 32, 7, head="discrete")
+    with torch.no_grad():
+        policy.biases["gru"][5:10] += 4.0  # so that the memory lasts
+    steady = torch.full((1, 40, 32), 4.0)
+    memory = policy.unrolled(steady, policy.weights(), policy.rest(1)).state[1]
+    slow = policy.slowed(4)
+    found = slow.unrolled(steady.repeat(1, 4, 1) / 4, slow.weights(), slow.rest(1)).state[1]
+    assert memory.abs().max() > 0.1
+    torch.testing.assert_close(found, memory, rtol=0.05, atol=0.005)
+    with pytest.raises(ConfigError, match="leaky traces"):
+        from_config(config.model_copy(update={"traces": (0.5,)}), 32, 7).slowed(4)
 
 
 @pytest.mark.parametrize("setting", ["guide", "start"])
