@@ -40,8 +40,8 @@ _BESIDE = "cnn"  # the network whose finishes are 100 %
 TEACHER = "teacher"  # drives by what the simulation knows, and is no training
 MOST_OF_GRIDS, LEAST_RIGHT, LEAST_FINISHED = 0.75, 0.95, 0.90  # what the test asks for
 _ROWS: Mapping[str, Mapping[str, Any]] = DESIGNS["kart-eye"]["networks"]
-_WALKS: Mapping[str, Any] = DESIGNS["kart-eye"]["walks"]
-_STARTED: Sequence[str] = DESIGNS["kart-eye"]["started"]  # settings of trainings with a start
+_WALKS: Mapping[str, Mapping[str, Any]] = DESIGNS["kart-eye"]["walks"]
+_STARTED: Mapping[str, Any] = DESIGNS["kart-eye"]["started"]  # of trainings with a start
 _TABLE = "kart-eye.csv"
 _VERSION = 1  # of what a row holds; a higher one makes all rows again
 _FORM = {"network": str}  # of a row
@@ -76,29 +76,33 @@ class EyeEntryDesign(Design):
             for name, of in _ROWS.items()
             if seed < of.get("seeds", self.seeds)
         ]
-        return [self._walks, *each]
+        return [*self.walks, *each]
 
     @property
-    def _walks(self) -> TrainingJob:
-        """A training of one update, in whose folder are the teacher's walks."""
-        every = (*(QUICK["kart-eye-walks"] if self.quick else ()), *_WALKS["settings"])
-        return TrainingJob("walks", _WALKS["recipe"], 0, self.runs, every, telling=every)
+    def walks(self) -> list[TrainingJob]:
+        """Trainings of one update, in whose folders are the teacher's walks."""
+        return [self._walks(name) for name in _WALKS]
+
+    def _walks(self, name: str) -> TrainingJob:
+        of, short = _WALKS[name], QUICK["kart-eye-walks"] if self.quick else ()
+        every = (*of["settings"], *short)
+        return TrainingJob(name, of["recipe"], 0, self.runs, every, telling=every)
 
     def _training(self, network: str, seed: int) -> TrainingJob:
         of = _ROWS[network]
-        started, own_walks = (_STARTED, QUICK["kart-eye-walks"]) if "start" in of else ((), ())
-        short = (*QUICK["kart-eye"], *own_walks) if self.quick else ()
+        started = _STARTED["settings"] if "start" in of else ()
+        short = QUICK["kart-eye"] if self.quick else ()
         every = (*of["settings"], *started, *short, *self.settings)
-        parents = {} if "start" in of else {"pool": self._walks}
+        parents = {"pool": self._walks(_STARTED["walks"] if "start" in of else "walks")}
         for setting in ("guide", "start"):
             if setting in of:
                 parents[setting] = self._training(of[setting], seed)
         name = f"{network}-s{seed}"
         job = TrainingJob(name, of["recipe"], seed, self.runs, every, parents)
         # other trainings of the recipe, and the walks, differ in one of these
-        others = [row for row in (*_ROWS.values(), _WALKS) if row["recipe"] == of["recipe"]]
-        given = (*_STARTED, *(setting for row in others for setting in row["settings"]))
-        names = {setting.split("=")[0] for setting in given}
+        like = (*_ROWS.values(), *_WALKS.values())
+        others = [row["settings"] for row in like if row["recipe"] == of["recipe"]]
+        names = {text.split("=")[0] for row in (*others, _STARTED["settings"]) for text in row}
         names -= {"teacher_walks", "noisy_walks"}  # which come with the walks of others
         made = job.planned().model_dump(mode="json")
         found = {name: _setting(made, name) for name in sorted(names | {"dense_rounds"})}
@@ -112,12 +116,12 @@ class EyeEntryDesign(Design):
 
     def parts(self) -> list[Part]:
         """The teacher's episodes; the walks; each training and its episodes."""
-        walks, *others = self.trainings()
         trained = []
-        for each in others:
+        for each in self.trainings()[len(_WALKS) :]:
             after = [parent.name for parent in each.parents.values()]
             trained.append(Part(each.name, partial(self._rows, each), each, after=after))
-        return [Part(TEACHER, partial(self._rows, None)), Part.to_train(walks), *trained]
+        teacher = Part(TEACHER, partial(self._rows, None))
+        return [teacher, *map(Part.to_train, self.walks), *trained]
 
     # rows
 
@@ -154,7 +158,7 @@ class EyeEntryDesign(Design):
         controller: BatchController = Stateless(lambda seen: taught_actions(episodes, seen))
         if training is not None:
             run = RunFolder(training.existing_run)
-            taught = self._walks.config if "pool" in training.parents else config
+            taught = training.parents["pool"].config
             policy = run.policy(level)
             controller = FloatController(policy)
             progress = run.load(level)[0]

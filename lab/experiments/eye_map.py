@@ -73,7 +73,7 @@ class Checkpoint:
         """`kart-eye-cnn`, `kart-eye-cnn gru=32`, `kart-eye-cnn ops-30000 at 240 Hz`."""
         own = [text.split(".", 1)[1] for text in self._differences if text.startswith("policy.")]
         level = [] if self._pruned_to in ("best", NOT_PRUNED) else [self._pruned_to]
-        rate = [] if self.rate == EyeOptions.rate else [trained_at(self.rate)]
+        rate = [] if self.rate == EyeOptions.rate else [f"at {self.rate} Hz"]
         return " ".join([str(self.settings["recipe"]), *own, *level, *rate]).replace('"', "")
 
     @property
@@ -300,8 +300,3 @@ def hold(row: Record, rate: int) -> Record:
         "wait": times * row.get("wait", 0.0) + (times - 1) / 2,
         "steps": round(times * row["steps"]),
     }
-
-
-def trained_at(rate: int) -> str:
-    """What the name of a policy ends with that was trained at another rate than the lowest."""
-    return f"at {rate} Hz"

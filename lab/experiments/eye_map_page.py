@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lab.experiments import eye_costs, pages
 from lab.experiments.eye_costs import ACCOUNTINGS, Accounting, border, latency, power, predict
-from lab.experiments.eye_map import MAP, trained_at
+from lab.experiments.eye_map import MAP
 from lab.experiments.pages import grouped
 from lab.experiments.runner import command_line
 from lab.experiments.training import Record
@@ -49,15 +49,10 @@ class Group:
         return own_way(self.key[1])
 
     @property
-    def lowest_rate_key(self) -> tuple[str, str]:
-        """The key of the same policy, trained at the lowest rate, at which it runs.
-
-        In the same way, or in each control step where it runs in some of them.
-        """
-        policy, way = self.key[0], self.own_way
-        if way in WAYS and WAYS[way].every > 1:
-            way = MAP["ways"][0]
-        return policy.removesuffix(" " + trained_at(self.rows[0]["trained_rate"])), way
+    def running_key(self) -> tuple[str, str]:
+        """The key of the same policy where it runs in each control step, in the same way."""
+        each_step = self.own_way not in WAYS or WAYS[self.own_way].every == 1
+        return self.key[0], self.own_way if each_step else MAP["ways"][0]
 
     @property
     def run_rate(self) -> int | None:
@@ -117,7 +112,7 @@ class Group:
         return float(np.mean([power(row, accounting) for row in found]))
 
 
-# policy and way -> what the rule starts from: at the lowest rate without quiet, and with most
+# policy and way -> what the rule starts from, at the rate of its training: no quiet, and most
 References = dict[tuple[str, str], tuple[Group, Group]]
 
 
@@ -320,7 +315,7 @@ def _predicted(
     references: "References", group: Group, accounting: Accounting, rate: float, events: float
 ) -> float:
     """Power [W] of a group at another rate, by the rule."""
-    moving, resting = references[group.lowest_rate_key]
+    moving, resting = references[group.running_key]
     rate = group.run_rate or rate
     # events that a float group sees are those of a control step of its training, at least
     span = float(max(1 / rate, group.rows[0]["span"]))
@@ -331,22 +326,26 @@ def _distance(cell: Cell, rate: float, moving: float) -> float:
     return float(abs(math.log(cell.rate / rate)) + abs(math.log((1 - cell.quiet) / moving)))
 
 
+def _groups(rows: Iterable[Record]) -> list[Group]:
+    return [Group(each) for _, each in grouped(rows, "policy", "way")]
+
+
 def maps(rows: Sequence[Record]) -> list[Map]:
     """The map by each accounting whose chip a policy ran on."""
     rates = sorted({row["rate"] for row in rows})
     quiet = sorted({row["quiet"] for row in rows})
-    cells = {
-        place: [Group(each) for _, each in grouped(found, "policy", "way")]
-        for place, found in grouped(rows, "rate", "quiet")
-    }
+    cells = {place: _groups(found) for place, found in grouped(rows, "rate", "quiet")}
     found = []
-    # the rule takes the counts of the lowest rate, without quiet and with most
-    ends = [cells.get((rates[0], q), []) for q in (quiet[0], quiet[-1])] if rates else [[], []]
-    resting = {group.key: group for group in ends[1]}
-    references = {g.key: (g, resting[g.key]) for g in ends[0] if g.key in resting}
+    # the rule takes the counts at the rate of the training, without quiet and with most
+    own = [row for row in rows if row["rate"] == row["trained_rate"]]
+    first, last = (
+        {group.key: group for group in _groups(row for row in own if [row["quiet"]] == end)}
+        for end in (quiet[:1], quiet[-1:])
+    )
+    references = {key: (each, last[key]) for key, each in first.items() if key in last}
     driven = [row for row in rows if row["quiet"] == row["driven_quiet"]]
     success = {
-        rate: Success({key: Group(each) for key, each in grouped(of, "policy", "way")})
+        rate: Success({group.key: group for group in _groups(of)})
         for rate, of in grouped(driven, "rate")
     }
     for accounting in ACCOUNTINGS.values():
@@ -366,7 +365,7 @@ def _cell(
     rate: int, quiet: float, groups: Sequence[Group], success: Success, accounting: Accounting,
     references: "References",
 ) -> Cell | None:  # fmt: skip
-    known = [group for group in groups if group.lowest_rate_key in references]
+    known = [group for group in groups if group.running_key in references]
     floats = [group for group in known if not group.rows[0]["spiking"]]
     spiking = [group for group in known if chip_of(group.key[1]) == accounting.place]
     if not floats or all(group.run_rate for group in spiking):
@@ -528,15 +527,15 @@ def errors(found: Map) -> list[float]:
 
     In driven cells other than those whose counts the rule has.
     """
-    first, *others = found.cells
-    cells = [cell for row in (first[1:-1], *others) for cell in row if cell is not None]
+    cells = [cell for row in found.cells for cell in row if cell is not None and cell.is_driven]
+    ends = (found.quiet[0], found.quiet[-1])
     return sorted(
         _predicted(found.references, group, found.accounting, cell.rate, cell.events)
         / group.power(found.accounting)
         for cell in cells
-        if cell.is_driven
         for group in (cell.spiking, *cell.others)
         if group.key in found.references
+        and not (cell.rate == group.rows[0]["trained_rate"] and cell.quiet in ends)
     )
 
 

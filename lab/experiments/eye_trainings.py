@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 
 from lab.experiments.archives import files_left, kept_levels
 from lab.experiments.eye_entry import EyeEntryDesign
-from lab.experiments.training import counters
+from lab.experiments.training import TrainingJob, counters
 from spikedeploy.files import replacing
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.run_folder import file_sha256
@@ -35,27 +35,29 @@ def pack(runs: Path, archives: Path) -> list[Path]:
 
 
 def replay_walks(runs: Path) -> int:
-    """Play the common walks again into the run folder that lacks them; return how many files.
+    """Play the common walks again into the run folders that lack them; return how many files.
 
-    Raises ConfigError where they are not those that the run recorded, to the bit.
+    Raises ConfigError where they are not those that a run recorded, to the bit.
     """
-    walks = EyeEntryDesign(runs=str(runs)).trainings()[0]
-    run = walks.existing_run
-    sums = counters(run)["pool_sha256"]
     with TemporaryDirectory(dir=runs) as folder:
-        again = EyeEntryDesign(runs=folder).trainings()[0]
-        if not again.complete():
-            raise ConfigError("interrupted: nothing was written")
-        made = sorted((again.existing_run / "pool").iterdir())
-        if [file_sha256(file) for file in made] != sums:
-            raise ConfigError(
-                f"the walks are not those that {run} recorded, as they depend on the versions in "
-                "its versions.json: install these, or train all again in another folder"
-            )
-        for file in made:
-            (run / "pool").mkdir(exist_ok=True)
-            with replacing(run / "pool" / file.name) as part:
-                shutil.copyfile(file, part)
+        pairs = (EyeEntryDesign(runs=str(each)).walks for each in (runs, folder))
+        return sum(_replay(old, new) for old, new in zip(*pairs, strict=True) if old.run)
+
+
+def _replay(recorded: TrainingJob, again: TrainingJob) -> int:
+    run = recorded.existing_run
+    if not again.complete():
+        raise ConfigError("interrupted: nothing was written")
+    made = sorted((again.existing_run / "pool").iterdir())
+    if [file_sha256(file) for file in made] != counters(run)["pool_sha256"]:
+        raise ConfigError(
+            f"the walks are not those that {run} recorded, as they depend on the versions in "
+            "its versions.json: install these, or train all again in another folder"
+        )
+    for file in made:
+        (run / "pool").mkdir(exist_ok=True)
+        with replacing(run / "pool" / file.name) as part:
+            shutil.copyfile(file, part)
     return len(made)
 
 
