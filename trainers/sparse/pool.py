@@ -206,6 +206,7 @@ class WalkPool:
 
     def __init__(self, walks: Iterable[Walk] = ()) -> None:
         self.walks = list(walks)
+        self._events: tuple[Tensor, Tensor] | None = None  # moved and seen, as they arrive
 
     def __len__(self) -> int:
         return len(self.walks)
@@ -252,7 +253,7 @@ class WalkPool:
             spikes += (sizes if encoder.code == "unary" else sizes > 0).sum((0, 1))
             moves += np.abs(now - before)[t < self._length].sum(0) if t else 0.0
             before = now
-        self._moved, self._seen = (_arriving(each, delay) for each in (moved, seen))
+        self._events = _arriving(moved, delay), _arriving(seen, delay)
         self._timesteps = timesteps
         self.event_rate = torch.from_numpy(spikes / self.steps).float()
         self.mean_move = moves / self.steps
@@ -263,12 +264,7 @@ class WalkPool:
         others: (S, act) further labels of each walk, which stand behind its own
         """
         self._take_labels(others)
-        first = torch.from_numpy(self.walks[0].observation)
-        shape = len(self.walks), int(self._length.max()), first.shape[1]
-        self._seen = torch.zeros(shape, dtype=first.dtype)
-        for k, walk in enumerate(self.walks):
-            self._seen[k, : len(walk.label)] = torch.from_numpy(walk.observation)
-        self._moved, self._timesteps = self._seen[..., :0], 1
+        self._events, self._timesteps = None, 1
 
     def _take_labels(self, others: Sequence[Single] = ()) -> None:
         """Take over lengths (W,) and labels (W, S, act), the last of each walk repeated."""
@@ -307,19 +303,28 @@ class WalkPool:
         rows = (steps[:, :, None] * self._timesteps + np.arange(self._timesteps)).reshape(
             len(steps), -1
         )
+        at = np.clip(steps, 0, self._label.shape[1] - 1)
+        label = self._label[torch.from_numpy(which)[:, None], torch.from_numpy(at)]
+        begins = torch.from_numpy(start < 0)
+        if self._events is None:
+            seen = self._observed(which, steps)
+            return Windows(seen, seen[..., :0], label, begins)
         # before the beginning nothing has happened; behind the end the last state stays
         before = torch.from_numpy(rows < 0)[:, :, None]
         walk = torch.from_numpy(which)[:, None]
-        at, labelled = (
-            torch.from_numpy(np.clip(each, 0, array.shape[1] - 1))
-            for each, array in ((rows, self._moved), (steps, self._label))
-        )
-        return Windows(
-            self._seen[walk, at].masked_fill_(before, 0.0),
-            self._moved[walk, at].masked_fill_(before, 0.0),
-            self._label[walk, labelled],
-            torch.from_numpy(start < 0),
-        )
+        arrived = torch.from_numpy(np.clip(rows, 0, self._events[0].shape[1] - 1))
+        moved, seen = (each[walk, arrived].masked_fill_(before, 0.0) for each in self._events)
+        return Windows(seen, moved, label, begins)
+
+    def _observed(self, which: NDArray[np.int64], steps: NDArray[np.int64]) -> Tensor:
+        """Return observations (W, L, obs) at steps (W, L); 0 outside of the walks."""
+        first = self.walks[0].observation
+        seen = np.zeros((*steps.shape, first.shape[1]), first.dtype)
+        for row, number, at in zip(seen, which, steps, strict=True):
+            observation = self.walks[number].observation
+            there = (at >= 0) & (at < len(observation))
+            row[there] = observation[at[there]]
+        return torch.from_numpy(seen)
 
     def states(
         self, rng: np.random.Generator, count: int, crash: float, crash_steps: int

@@ -202,3 +202,17 @@ def test_rounded_weights_are_multiples_of_the_chips_step():
 def test_a_spiking_student_keeps_the_design_rules_of_its_chip(recipe, on):
     policy = from_config(resolve(SparseConfig, recipe).policy, 1024, 7, head="discrete")
     assert compile_program(vision_artifact(policy), chip(on)).layers
+
+
+def test_windows_hold_what_was_seen_and_nothing_outside_of_a_walk():
+    rng = np.random.default_rng(0)
+    shapes = [(6, 4), (9, 4)]
+    pool = WalkPool([Walk(rng.integers(1, 9, s, np.uint8), np.zeros((s[0], 10))) for s in shapes])
+    pool.take_observations()
+    windows = pool.windows(np.array([0, 1]), np.array([-2, 4]), 8)
+    first, second = (walk.observation for walk in pool.walks)
+    nothing = np.zeros((2, 4), np.uint8)
+    np.testing.assert_array_equal(windows.seen[0], np.concatenate([nothing, first]))
+    np.testing.assert_array_equal(windows.seen[1], [*second[4:], *[second[0] * 0] * 3])
+    assert windows.moved.shape == (2, 8, 0)
+    assert windows.begins.tolist() == [True, False]
