@@ -41,7 +41,8 @@ TEACHER = "teacher"  # drives by what the simulation knows, and is no training
 MOST_OF_GRIDS, LEAST_RIGHT, LEAST_FINISHED = 0.75, 0.95, 0.90  # what the test asks for
 _ROWS: Mapping[str, Mapping[str, Any]] = DESIGNS["kart-eye"]["networks"]
 _WALKS: Mapping[str, Mapping[str, Any]] = DESIGNS["kart-eye"]["walks"]
-_STARTED: Mapping[str, Any] = DESIGNS["kart-eye"]["started"]  # of trainings with a start
+_STARTS: Mapping[str, Any] = DESIGNS["kart-eye"]["starts"]  # how those with a start go on
+_FROM_NOTHING: Mapping[str, Any] = {"walks": "walks", "settings": []}
 _TABLE = "kart-eye.csv"
 _VERSION = 1  # of what a row holds; a higher one makes all rows again
 _FORM = {"network": str}  # of a row
@@ -90,10 +91,10 @@ class EyeEntryDesign(Design):
 
     def _training(self, network: str, seed: int) -> TrainingJob:
         of = _ROWS[network]
-        started = _STARTED["settings"] if "start" in of else ()
+        way = _STARTS[of["as"]] if "start" in of else _FROM_NOTHING
         short = QUICK["kart-eye"] if self.quick else ()
-        every = (*of["settings"], *started, *short, *self.settings)
-        parents = {"pool": self._walks(_STARTED["walks"] if "start" in of else "walks")}
+        every = (*of["settings"], *way["settings"], *short, *self.settings)
+        parents = {"pool": self._walks(way["walks"])}
         for setting in ("guide", "start"):
             if setting in of:
                 parents[setting] = self._training(of[setting], seed)
@@ -102,7 +103,8 @@ class EyeEntryDesign(Design):
         # other trainings of the recipe, and the walks, differ in one of these
         like = (*_ROWS.values(), *_WALKS.values())
         others = [row["settings"] for row in like if row["recipe"] == of["recipe"]]
-        names = {text.split("=")[0] for row in (*others, _STARTED["settings"]) for text in row}
+        starts = (each["settings"] for each in _STARTS.values())
+        names = {text.split("=")[0] for row in (*others, *starts) for text in row}
         names -= {"teacher_walks", "noisy_walks"}  # which come with the walks of others
         made = job.planned().model_dump(mode="json")
         found = {name: _setting(made, name) for name in sorted(names | {"dense_rounds"})}

@@ -9,7 +9,6 @@ of its own.
 Counts are kept and not energies, so that the page can be written again with other prices.
 """
 
-import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -71,7 +70,7 @@ class Checkpoint:
     @property
     def name(self) -> str:
         """`kart-eye-cnn`, `kart-eye-cnn gru=32`, `kart-eye-cnn ops-30000 at 240 Hz`."""
-        own = [text.split(".", 1)[1] for text in self._differences if text.startswith("policy.")]
+        own = [text.split(".", 1)[1] for text in self.own_settings]
         level = [] if self._pruned_to in ("best", NOT_PRUNED) else [self._pruned_to]
         rate = [] if self.rate == EyeOptions.rate else [f"at {self.rate} Hz"]
         return " ".join([str(self.settings["recipe"]), *own, *level, *rate]).replace('"', "")
@@ -86,9 +85,10 @@ class Checkpoint:
         return next(iter(levels.values()), self.level)
 
     @property
-    def _differences(self) -> list[str]:
-        """Settings that are not those of the recipe."""
-        return differences(self.run.config(SparseConfig))
+    def own_settings(self) -> list[str]:
+        """Settings of the network that are not those of the recipe."""
+        found = differences(self.run.config(SparseConfig))
+        return [text for text in found if text.startswith("policy.")]
 
     @property
     def seed(self) -> int:
@@ -131,7 +131,8 @@ class Checkpoint:
 class EyeMapDesign(Design):
     """The parts of the experiment.
 
-    policies  run folders; all of the recipes of designs.toml in `runs` where none is named
+    policies  run folders; where none is named, all in `runs` with networks of the recipes that
+              designs.toml names
     """
 
     episodes: int = 32
@@ -169,7 +170,8 @@ class EyeMapDesign(Design):
             levels = list(run.levels.values())  # fewest operations first
             names = levels or ["best"]
             there = [name for name in names if run.checkpoint(name).is_file()]
-            found += [Checkpoint(run, name, name == names[0]) for name in there]
+            each = [Checkpoint(run, name, name == names[0]) for name in there]
+            found += [c for c in each if named or not c.own_settings]
         return found
 
     def check(self, results: Path) -> None:
@@ -185,14 +187,20 @@ class EyeMapDesign(Design):
         found = []
         for checkpoint in self.checkpoints():
             for rate, quiet in self.cells:
-                is_transferred = rate > checkpoint.rate and checkpoint.is_last
-                if checkpoint.seed >= MAP["seeds"].get(str(rate), math.inf):
-                    continue
-                if rate == checkpoint.rate or is_transferred:
+                if self._drives(checkpoint, rate):
                     words = f"{checkpoint.name}-s{checkpoint.seed}-{rate}-q{quiet:g}"
                     name = re.sub("[^a-z0-9.]+", "-", words.lower())
                     found.append(Part(name, partial(self._rows, checkpoint, rate, quiet, name)))
         return found
+
+    def _drives(self, checkpoint: Checkpoint, rate: int) -> bool:
+        """Whether it does at a control rate; at the highest ones fewer do."""
+        few = {} if self.quick or self.policies else MAP["fewer"].get(str(rate), {})
+        is_left_out = few and (
+            checkpoint.seed >= few["seeds"] or checkpoint.name not in few["policies"]
+        )
+        is_transferred = rate > checkpoint.rate and checkpoint.is_last
+        return not is_left_out and (rate == checkpoint.rate or is_transferred)
 
     def _rows(self, checkpoint: Checkpoint, rate: int, quiet: float, name: str) -> list[StoredRow]:
         """The rows of a policy in a cell, one for each way or chip."""

@@ -35,7 +35,7 @@ def pack(runs: Path, archives: Path) -> list[Path]:
 
 
 def replay_walks(runs: Path) -> int:
-    """Play the common walks again into the run folders that lack them; return how many files.
+    """Play common walks again into the run folders that lack them; return how many files.
 
     Raises ConfigError where they are not those that a run recorded, to the bit.
     """
@@ -46,19 +46,25 @@ def replay_walks(runs: Path) -> int:
 
 def _replay(recorded: TrainingJob, again: TrainingJob) -> int:
     run = recorded.existing_run
+    expected = counters(run)["pool_sha256"]
+    if _sums(run) == expected:
+        return 0
     if not again.complete():
         raise ConfigError("interrupted: nothing was written")
-    made = sorted((again.existing_run / "pool").iterdir())
-    if [file_sha256(file) for file in made] != counters(run)["pool_sha256"]:
+    if _sums(again.existing_run) != expected:
         raise ConfigError(
             f"the walks are not those that {run} recorded, as they depend on the versions in "
             "its versions.json: install these, or train all again in another folder"
         )
-    for file in made:
+    for file in sorted((again.existing_run / "pool").iterdir()):
         (run / "pool").mkdir(exist_ok=True)
         with replacing(run / "pool" / file.name) as part:
             shutil.copyfile(file, part)
-    return len(made)
+    return len(expected)
+
+
+def _sums(run: Path) -> list[str]:
+    return [file_sha256(file) for file in sorted(run.glob("pool/*.safetensors"))]
 
 
 def main() -> int:

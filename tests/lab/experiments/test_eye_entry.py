@@ -80,10 +80,11 @@ def test_all_networks_train_equally_hard(tmp_path, monkeypatch):
     assert all(each[n] == first[n] for each in others for n in first.keys() - unlike)
     monkeypatch.setattr(eye_entry, "_ROWS", whole)
     trainings = EyeEntryDesign(runs=str(tmp_path)).trainings()
-    goes_on = [each.planned() for each in trainings if each.name.endswith("-240-s0")]
-    first, second = (each.model_dump(exclude={"policy", "recipe"}) for each in goes_on)
     unlike |= {"start"}
-    assert {n for n in first if first[n] != second[n]} <= unlike
+    for ending in ("-240-s0", "-pruned-s0"):
+        goes_on = [each.planned() for each in trainings if each.name.endswith(ending)]
+        first, second = (each.model_dump(exclude={"policy", "recipe"}) for each in goes_on)
+        assert {n for n in first if first[n] != second[n]} <= unlike
 
 
 def test_the_runs_of_one_network_are_not_those_of_another(tmp_path, monkeypatch):

@@ -71,7 +71,9 @@ def results(design, ran):
 def test_every_policy_is_driven_in_every_cell_by_every_way_or_chip(design, results):
     driven = [row for part in design.parts() for row in part.found]
     chips = 2 * (2 + 1)  # two of LIF neurons and one of the others, each with a gate as well
-    assert len(driven) == 4 * (len(MAP["ways"]) + chips)
+    rarely = "every 2 steps"  # of what is transferred
+    assert len(driven) == 4 * (len(MAP["ways"]) + chips) - 2
+    assert {row["rate"] for row in driven if row["way"] == rarely} == {960}
     assert {(row["rate"], row["quiet"]) for row in driven} == set(design.cells)
     assert all(row["trained_rate"] == 60 for row in driven)
 
@@ -183,20 +185,24 @@ def test_what_is_there_is_not_made_again(design, results, ran):
 def test_trainings_drive_at_their_rate_and_at_higher_ones(tmp_path):
     untrained_run(tmp_path, "kart-eye-cnn", forks=1)
     untrained_run(tmp_path, "kart-eye-cnn", forks=1, rate=240)
-    made = EyeMapDesign(runs=str(tmp_path))
-    driven = {
-        (checkpoint.name, row.of["options"]["rate"], row.of["options"]["rate"] // checkpoint.rate)
-        for part in made.parts()
-        for row in part.rows()
-        for checkpoint in row.make.args[:1]
-    }
-    assert driven == {
+
+    def driven(made):
+        return {
+            (each.name, row.of["options"]["rate"], row.of["options"]["rate"] // each.rate)
+            for part in made.parts()
+            for row in part.rows()
+            for each in row.make.args[:1]
+        }
+
+    some = {
         ("kart-eye-cnn", 60, 1),
         ("kart-eye-cnn", 240, 4),
-        ("kart-eye-cnn", 960, 16),
         ("kart-eye-cnn at 240 Hz", 240, 1),
-        ("kart-eye-cnn at 240 Hz", 960, 4),
     }
+    assert driven(EyeMapDesign(runs=str(tmp_path))) == some  # at 960 Hz those that are listed
+    named = [str(run) for run in tmp_path.iterdir()]
+    highest = {("kart-eye-cnn", 960, 16), ("kart-eye-cnn at 240 Hz", 960, 4)}
+    assert driven(EyeMapDesign(runs=str(tmp_path), policies=named)) == some | highest
 
 
 def test_pruned_policies_are_driven_and_those_pruned_most_in_all_ways(tmp_path):
@@ -205,7 +211,7 @@ def test_pruned_policies_are_driven_and_those_pruned_most_in_all_ways(tmp_path):
         run.save(level, POLICIES["kart-eye-cnn"](), {})
     ways = {each.level: each.ways(60) for each in EyeMapDesign(runs=str(tmp_path)).checkpoints()}
     rarely = ["zero-skipping"]
-    assert ways == {"ops-40000": MAP["ways"], "ops-60000": rarely, NOT_PRUNED: rarely}
+    assert ways == {"ops-40000": MAP["ways"][:-1], "ops-60000": rarely, NOT_PRUNED: rarely}
 
 
 def test_a_policy_has_the_level_of_the_one_that_its_training_started_from(tmp_path):
