@@ -53,14 +53,12 @@ COLUMNS = (
 class Checkpoint:
     """A policy: a checkpoint of a run.
 
-    run      its folder
-    level    name of the checkpoint
-    is_last  whether it is pruned most
+    run    its folder
+    level  name of the checkpoint
     """
 
     run: RunFolder
     level: str
-    is_last: bool
 
     @cached_property
     def settings(self) -> Record:
@@ -71,12 +69,12 @@ class Checkpoint:
     def name(self) -> str:
         """`kart-eye-cnn`, `kart-eye-cnn gru=32`, `kart-eye-cnn ops-30000 at 240 Hz`."""
         own = [text.split(".", 1)[1] for text in self.own_settings]
-        level = [] if self._pruned_to in ("best", NOT_PRUNED) else [self._pruned_to]
+        level = [] if self.pruned_to in ("best", NOT_PRUNED) else [self.pruned_to]
         rate = [] if self.rate == EyeOptions.rate else [f"at {self.rate} Hz"]
         return " ".join([str(self.settings["recipe"]), *own, *level, *rate]).replace('"', "")
 
     @property
-    def _pruned_to(self) -> str:
+    def pruned_to(self) -> str:
         """The level, or where it is not pruned that of the run from which its training started."""
         start = str(self.settings.get("start") or "")
         if not start or self.level not in ("best", NOT_PRUNED):
@@ -115,6 +113,13 @@ class Checkpoint:
             )
         return policy
 
+    @property
+    def is_driven_in_all_ways(self) -> bool:
+        """Whether it is the level of its run that is driven in all ways, and at higher rates."""
+        levels = [Checkpoint(self.run, name) for name in self.run.levels.values()]  # fewest first
+        listed = [each.level for each in levels if each.pruned_to in MAP["levels"]]
+        return self.level in (listed or [each.level for each in levels] or [self.level])[:1]
+
     def ways(self, rate: int) -> list[str]:
         """Ways of a float network to save operations, or chips, at a control rate [Hz].
 
@@ -122,8 +127,9 @@ class Checkpoint:
         """
         if isinstance(self.policy, SpikingVisionPolicy):
             chips = MAP["chips"][self.policy.neuron]
-            return [way for chip in chips for way in (chip, f"{chip} {MAP['gate']}")]
-        ways = MAP["ways"] if self.is_last else MAP["ways"][:1]
+            gated = [f"{chip} {MAP['gate']}" for chip in chips if self.policy.neuron == "if"]
+            return [*chips, *gated]
+        ways = MAP["ways"] if self.is_driven_in_all_ways else MAP["ways"][:1]
         return [way for way in ways if WAYS[way].every in (1, *range(2, rate // self.rate))]
 
 
@@ -154,7 +160,7 @@ class EyeMapDesign(Design):
     def cells(self) -> list[tuple[int, float]]:
         """Control rate [Hz] and share of quiet that are driven; fewer in a quick trial."""
         rates = MAP["rates"][:: 2 if self.quick else 1]
-        checked = [] if self.quick else [(rate, quiet) for rate, quiet in MAP["checked"]]
+        checked = [] if self.quick else [(rate, q) for rate, q in MAP["checked"]["cells"]]
         return sorted([(rate, quiet) for rate in rates for quiet in MAP["measured"]] + checked)
 
     def checkpoints(self) -> list[Checkpoint]:
@@ -167,10 +173,8 @@ class EyeMapDesign(Design):
                 continue
             if run.settings()["env"]["name"] != ENV:
                 raise ConfigError(f"{path} is no training of {ENV}; leave it out")
-            levels = list(run.levels.values())  # fewest operations first
-            names = levels or ["best"]
-            there = [name for name in names if run.checkpoint(name).is_file()]
-            each = [Checkpoint(run, name, name == names[0]) for name in there]
+            names = list(run.levels.values()) or ["best"]
+            each = [Checkpoint(run, name) for name in names if run.checkpoint(name).is_file()]
             found += [c for c in each if named or not c.own_settings]
         return found
 
@@ -183,10 +187,13 @@ class EyeMapDesign(Design):
             )
 
     def parts(self) -> list[Part]:
-        """Each policy in each cell at the rate of its training, pruned most at higher ones too."""
+        """Each policy in each cell at the rate of its training, some at higher ones too."""
         found = []
         for checkpoint in self.checkpoints():
             for rate, quiet in self.cells:
+                is_check = quiet not in MAP["measured"]
+                if is_check and checkpoint.seed >= MAP["checked"]["seeds"]:
+                    continue
                 if self._drives(checkpoint, rate):
                     words = f"{checkpoint.name}-s{checkpoint.seed}-{rate}-q{quiet:g}"
                     name = re.sub("[^a-z0-9.]+", "-", words.lower())
@@ -199,7 +206,7 @@ class EyeMapDesign(Design):
         is_left_out = few and (
             checkpoint.seed >= few["seeds"] or checkpoint.name not in few["policies"]
         )
-        is_transferred = rate > checkpoint.rate and checkpoint.is_last
+        is_transferred = rate > checkpoint.rate and checkpoint.is_driven_in_all_ways
         return not is_left_out and (rate == checkpoint.rate or is_transferred)
 
     def _rows(self, checkpoint: Checkpoint, rate: int, quiet: float, name: str) -> list[StoredRow]:

@@ -70,7 +70,7 @@ def results(design, ran):
 
 def test_every_policy_is_driven_in_every_cell_by_every_way_or_chip(design, results):
     driven = [row for part in design.parts() for row in part.found]
-    chips = 2 * (2 + 1)  # two of LIF neurons and one of the others, each with a gate as well
+    chips = 2 + 2  # two of LIF neurons, and one of the others, with a gate as well
     rarely = "every 2 steps"  # of what is transferred
     assert len(driven) == 4 * (len(MAP["ways"]) + chips) - 2
     assert {row["rate"] for row in driven if row["way"] == rarely} == {960}
