@@ -4,9 +4,11 @@ A spiking policy is priced by one of the ACCOUNTINGS, and a float one by the sam
 at 45 nm. Static power is no part of either.
 
 operations   synaptic operations; or multiplications of weights, of each layer by the cheapest of
-             three circuits: inputs that are not 0; in the first layer those that changed, onto sums
+             four circuits: inputs that are not 0; in the first layer those that changed, onto sums
              that are kept; all inputs of a convolution (of those behind the first together), by an
-             array that reads each of them for 16 channels and moves a sum in 16 multiplications
+             array that reads each of them for 16 channels and moves a sum in 16 multiplications;
+             behind the convolutions all inputs of a unit, its sum in a register (of all layers, or
+             of those alone that read the memory of a GRU, which is never 0)
 updates      neurons that a chip updates, and those that it looks at; units of a GRU
 traffic      messages and spikes, where a table prices them; activations that are written and read
 histogram    events that are added up until the control step ends, and the cells that hold some
@@ -87,6 +89,7 @@ class Accounting:
     table    prices of operations, of float networks as well
     prices   those of the chip's events [J] that differ from them
     touched  whether those neurons alone are updated at which a spike arrives
+    gathers  whether float networks add up in registers where the chip adds up in memory
     source   what the charge for updates is known from
     """
 
@@ -96,6 +99,7 @@ class Accounting:
     prices: Mapping[str, float]
     source: str
     touched: bool = False
+    gathers: bool = False
 
     @property
     def on_chip(self) -> EnergyTable:
@@ -132,7 +136,7 @@ ACCOUNTINGS = {
 
 def terms(row: Record, accounting: Accounting) -> dict[str, float]:
     """Power [W] of each term of a policy, from its counts of a control step."""
-    found = _chip(row, accounting) if row["spiking"] else _float(row, accounting.table)
+    found = _chip(row, accounting) if row["spiking"] else _float(row, accounting)
     return {name: row["rate"] * joules for name, joules in zip(TERMS, found, strict=True)}
 
 
@@ -153,12 +157,13 @@ def _chip(row: Record, accounting: Accounting) -> tuple[float, ...]:
     return each["operations"], updates, sent, histogram, constants, 0.0
 
 
-def _float(row: Record, table: str) -> tuple[float, ...]:
+def _float(row: Record, accounting: Accounting) -> tuple[float, ...]:
     # a multiplication that is scattered into sums in memory costs what one by a graded spike does
-    each = TABLES[table].joules["graded_sop" if table == ACC16 else "mac"]
+    scatters = accounting.table == ACC16 and not accounting.gathers
+    each = TABLES[accounting.table].joules["graded_sop" if scatters else "mac"]
     compared = row["compared"]
     return (
-        _multiplications(row, each),
+        _multiplications(row, each, TABLES[accounting.table].joules["mac"]),
         row["gates"] * GATES,
         row["sent"] * 2 * _BYTE,
         row["events"] * EVENT + row["cells"] * CELL,
@@ -169,8 +174,12 @@ def _float(row: Record, table: str) -> tuple[float, ...]:
     )
 
 
-def _multiplications(row: Record, each: float) -> float:
-    """Energy [J] of a float network's multiplications, of each layer by the cheapest circuit."""
+def _multiplications(row: Record, each: float, gathered: float) -> float:
+    """Energy [J] of a float network's multiplications, of each layer by the cheapest circuit.
+
+    each: of one whose inputs that are not 0 are scattered
+    gathered: of one of all inputs of a unit, whose sum stays in a register
+    """
     first_dense = row["first_dense_macs"]  # 0 where the first layer is no convolution
     first = min(
         row["first_macs"] * each,
@@ -181,7 +190,11 @@ def _multiplications(row: Record, each: float) -> float:
     others = min(
         (convolved - row["first_macs"]) * each, (row["dense_macs"] - first_dense) * IN_ARRAY
     )
-    return float(first + others + (row["macs"] - convolved) * each)
+    behind, of_memory = row["macs"] - convolved, row["memory_weights"]
+    last = min(behind * each, row["behind_weights"] * gathered)
+    if not row["compared"]:  # a delta network sends less than all of its memory
+        last = min(last, (behind - of_memory) * each + of_memory * gathered)
+    return float(first + others + last)
 
 
 def latency(row: Record) -> float:
@@ -296,7 +309,7 @@ def _float_at(row: Record, still: Record, rate: float, span: float, moving: floa
     if way.gate:
         runs = rate * row["runs"] if moving else 0.0
     if way.every > 1:
-        runs, seen = rate / way.every, max(span, way.every / rate)
+        runs, seen = runs / way.every, max(span, way.every / rate)
     if way.delta is not None:
         share = min(1.0, math.sqrt(row["rate"] / rate))
         behind, sent, convolved = behind * share, sent * share, convolved * share
@@ -320,8 +333,9 @@ def _float_at(row: Record, still: Record, rate: float, span: float, moving: floa
 
 
 _PER_RUN = (
-    "macs", "first_macs", "changed_macs", "conv_macs", "dense_macs", "first_dense_macs", "cells",
-    "sent", "compared", "units", "first_units", "gates",
+    "macs", "first_macs", "changed_macs", "conv_macs", "dense_macs", "first_dense_macs",
+    "behind_weights", "memory_weights", "cells", "sent", "compared", "units", "first_units",
+    "gates",
 )  # fmt: skip
 
 

@@ -42,10 +42,10 @@ NOT_PRUNED = f"{LEVEL}{1e6:g}"  # the level of the recipes that is above all ope
 COLUMNS = (
     "policy", "seed", "spiking", "way", "rate", "quiet", "driven_quiet", "trained_rate", "span",
     "episodes", "steps", "finished", "right", "crashed", "late", "events", "cells", "macs",
-    "first_macs", "changed_macs", "conv_macs", "dense_macs", "first_dense_macs", "sent", "compared",
-    "units", "first_units", "gates", "runs", "wait", "sop", "graded_sop", "bias_sop",
-    "neuron_update", "one_state_update", "neuron_idle", "touched", "spike_in", "spike_out",
-    "message", "saturation", "lost_spike", "constants", "neurons",
+    "first_macs", "changed_macs", "conv_macs", "dense_macs", "first_dense_macs", "behind_weights",
+    "memory_weights", "sent", "compared", "units", "first_units", "gates", "runs", "wait", "sop",
+    "graded_sop", "bias_sop", "neuron_update", "one_state_update", "neuron_idle", "touched",
+    "spike_in", "spike_out", "message", "saturation", "lost_spike", "constants", "neurons",
 )  # fmt: skip
 
 

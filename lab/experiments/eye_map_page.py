@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 # share of episodes that a policy of equal success may finish less than the reference
 EQUAL = 0.02
+_SURE = 0.95  # share of resampled courses in which a spiking policy must equal the reference
+_SOON = 0.01  # share of a control step [1] by which waiting times are rounded
 _RESAMPLES = 2_000  # of the courses
 _FINE = 48  # points of the predicted border on an axis
 
@@ -50,9 +52,11 @@ class Group:
 
     @property
     def running_key(self) -> tuple[str, str]:
-        """The key of the same policy where it runs in each control step, in the same way."""
-        each_step = self.own_way not in WAYS or WAYS[self.own_way].every == 1
-        return self.key[0], self.own_way if each_step else MAP["ways"][0]
+        """The key of the same policy and way where it may run in each control step."""
+        if self.own_way not in WAYS:
+            return self.key[0], self.own_way
+        often = replace(WAYS[self.own_way], every=1)
+        return self.key[0], next(name for name, way in WAYS.items() if way == often)
 
     @property
     def run_rate(self) -> int | None:
@@ -80,7 +84,8 @@ class Group:
 
     def acts_as_soon_as(self, other: "Group") -> bool:
         """Return whether its actions follow events no later than the other's, or a control step."""
-        return bool(self.latency <= max(other.latency, 1 / self.rows[0]["rate"]))
+        step = 1 / self.rows[0]["rate"]
+        return bool(self.latency <= max(other.latency, step) + _SOON * step)
 
     def finish_differences(self, other: "Group") -> NDArray[np.float64] | None:
         """Finishes less those of another group (E,), of each course; None with nothing in common.
@@ -210,6 +215,12 @@ class Cell:
         return self.spiking.power(self.accounting) / self.rival.power(self.accounting)
 
     @property
+    def register_ratio(self) -> float:
+        """The same where sums of float networks are in registers, wherever those of spiking are."""
+        other = replace(self.accounting, gathers=True)
+        return self.spiking.power(self.accounting) / min(g.power(other) for g in self.rivals)
+
+    @property
     def later_ratio(self) -> float | None:
         """The same where both may act later; None where no spiking policy has equal success."""
         if self.later is None:
@@ -247,6 +258,8 @@ class Cell:
         if self.interval is None:
             return "no spiking policy"
         low, high = self.interval
+        if self.equal_share < _SURE:
+            return "undecided"
         return "spiking" if high < 1 else "float" if low > 1 else "undecided"
 
     @property
@@ -420,6 +433,7 @@ def _resampled_ratios(
 _TEXT = 13  # [pt]
 _INSIDE = "#111111"  # of what stands in a cell, which is light by day and by night
 _GREY = "#777777"  # of lines in the legend, by day and by night
+_OPEN = "#E9E9E6"  # of cells that are undecided
 _MOST = 3.0  # powers of 2 that colours tell apart
 
 
@@ -446,6 +460,7 @@ def figure(found: Sequence[Map], later: bool = False) -> "Figure":
         *([] if later else [predicted]),
         Patch(facecolor="#9CC4E0", label="spiking costs less"),
         Patch(facecolor="#F2B48A", label="float costs less"),
+        *([] if later else [Patch(facecolor=_OPEN, label="undecided")]),
         Patch(
             facecolor="#FFFFFF",
             edgecolor=_GREY,
@@ -453,7 +468,7 @@ def figure(found: Sequence[Map], later: bool = False) -> "Figure":
             label="no spiking policy finishes as many",
         ),
     ]
-    made.legend(handles=handles, loc="outside upper center", ncols=5, frameon=False, fontsize=_TEXT)
+    made.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=_TEXT)
     made.supxlabel("control rate [Hz]", fontsize=_TEXT)
     made.supylabel("share of the time in which the kart waits", fontsize=_TEXT)
     return made
@@ -479,7 +494,8 @@ def _panel(axes: "Axes", drawn: Map, later: bool) -> None:
                     Rectangle(*place, facecolor="#FFFFFF", edgecolor="#BBBBBB", hatch="//")
                 )
                 continue
-            shade = colours(0.5 + math.log2(ratio) / (2 * _MOST))
+            is_open = not later and cell.verdict == "undecided"
+            shade = _OPEN if is_open else colours(0.5 + math.log2(ratio) / (2 * _MOST))
             axes.add_patch(Rectangle(*place, facecolor=shade, edgecolor="#FFFFFF", linewidth=1))
             shown = f"{ratio:.2g}"
             if not later and cell.interval is not None:
@@ -490,7 +506,8 @@ def _panel(axes: "Axes", drawn: Map, later: bool) -> None:
             )  # fmt: skip
             counted[k, i] = math.log(ratio)
     drawn_lines = [((x, y, counted), "-", 3.0)]
-    if not later:
+    # where what was counted has a border, the rule has one to compare with it
+    if not later and np.nanmin(counted, initial=0) < 0 < np.nanmax(counted, initial=0):
         rates, moving, ratios = drawn.fine()
         drawn_lines.append(((np.log(rates), -np.log(moving), ratios), "--", 2.5))
     for (across, up, values), style, width in drawn_lines:
@@ -555,9 +572,15 @@ def summary(found: Map) -> str:
     saved = max((rival - mine for mine, rival in (cell.microwatts for cell in equal)), default=0.0)
     idle = [1e3 * each.watts for each in STATIC.get(found.accounting.place, ())]
     beside = f"; the chip idles at {min(idle):,.3g} mW or more" if idle else ""
+    gathered = sorted(cell.register_ratio for cell in equal)
+    other = (
+        f" ({gathered[0]:.2f} to {gathered[-1]:.2f} if float networks keep their sums in registers)"
+        if max(cell.register_ratio / cell.ratio for cell in equal) > 1 + 1e-6
+        else ""
+    )
     return (
-        f"{said}. Ratios are {ratios[0]:.2f} to {ratios[-1]:.2f}, and the most that spiking saves "
-        f"is {max(saved, 0.0):.3g} \N{MICRO SIGN}W{beside}."
+        f"{said}. Ratios are {ratios[0]:.2f} to {ratios[-1]:.2f}{other}, and the most that spiking "
+        f"saves is {max(saved, 0.0):.3g} \N{MICRO SIGN}W{beside}."
     )
 
 

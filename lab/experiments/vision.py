@@ -50,8 +50,9 @@ FIRST_SEED = EVALUATION + 30_000  # of evaluations; kart-eye and its students we
 Counts = NDArray[np.uint8]
 Totals = dict[str, NDArray[np.float64]]
 _COUNTS_OF_FLOATS = (
-    "macs", "first_macs", "changed_macs", "conv_macs", "dense_macs", "first_dense_macs", "cells",
-    "sent", "compared", "units", "first_units", "gates", "runs", "events", "waits",
+    "macs", "first_macs", "changed_macs", "conv_macs", "dense_macs", "first_dense_macs",
+    "behind_weights", "memory_weights", "cells", "sent", "compared", "units", "first_units",
+    "gates", "runs", "events", "waits",
 )  # fmt: skip
 BITS = 8  # of the weights of float networks, as of those of chips
 OUTCOMES = ("finish", "wrong", "crash", "forks")  # of an episode
@@ -85,6 +86,7 @@ WAYS = {
     "gated by 16 events": Execution(gate=16),
     "gated by 64 events": Execution(gate=64),
     "every 2 steps": Execution(every=2),
+    "gated by 16 events every 2 steps": Execution(gate=16, every=2),
     "every 4 steps": Execution(every=4),
 }
 
@@ -109,6 +111,8 @@ class CountedFloatController:
         conv_macs           those of the convolutions, the first one included
         dense_macs          those of the convolutions, if no zero were skipped
         first_dense_macs    those of the first layer, if it is one
+        behind_weights      weights of the layers behind the convolutions, each time they run
+        memory_weights      those of them that read the memory of a GRU, which is never 0
         cells, sent         inputs of the first layer that are not 0; of the others what is sent
         compared            in a delta network, units some of whose inputs changed: their sum is
                             read and written, and what they send is compared with what they sent
@@ -132,6 +136,7 @@ class CountedFloatController:
         self._since = np.zeros((karts, policy.observations), np.int64)  # events since it last ran
         self._lately = np.zeros((gated, karts))  # events of the last control steps, for a gate
         self._waited, self._step = np.zeros(karts), 0
+        self._of_memory = ("back", "out") if policy.gru else ()
         self._memory = torch.zeros(karts, policy.gru)
         # what was sent last; of the first layer what it last saw
         self._sent = {name: torch.zeros(karts, len(f)) for name, f in self._fan_out.items()}
@@ -219,6 +224,10 @@ class CountedFloatController:
             dense = matrix.weight[0].numel() * drive.shape[1]
             totals["dense_macs"][rows] += dense
             totals["first_dense_macs"][rows] += dense if is_first else 0
+        elif not is_first:
+            weights = float(fan_out.sum())
+            totals["behind_weights"][rows] += weights
+            totals["memory_weights"][rows] += weights if name in self._of_memory else 0
         bias = self._biases[name]
         maps: Tensor = drive.view(len(drive), len(bias), -1) + bias[:, None]
         return maps.flatten(1)

@@ -125,6 +125,10 @@ def test_a_float_network_counts_each_weight_that_meets_what_is_sent(delta, is_pr
         assert controller.totals[name].tolist() == pytest.approx(expected, rel=rel)
     for name in ("dense_macs", "first_dense_macs"):  # of the one convolution that there is
         assert controller.totals[name].tolist() == [STEPS * 3 * 3 * 4 * 18] * KARTS
+    weights = {n: np.count_nonzero(rounded(w)) for n, w in policy.synapses.items()}
+    behind = [n for n in weights if n != "conv1"]
+    for name, some in (("behind_weights", behind), ("memory_weights", ["back", "out"])):
+        assert controller.totals[name].tolist() == [STEPS * sum(weights[n] for n in some)] * KARTS
 
 
 def test_a_network_that_skips_nothing_else_is_the_policy():
