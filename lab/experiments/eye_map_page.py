@@ -433,7 +433,7 @@ def _resampled_ratios(
 _TEXT = 13  # [pt]
 _INSIDE = "#111111"  # of what stands in a cell, which is light by day and by night
 _GREY = "#777777"  # of lines in the legend, by day and by night
-_OPEN = "#E9E9E6"  # of cells that are undecided
+_OPEN, _PALE = "#E4E4E0", 0.35  # colour of cells that are undecided, and share of their own in it
 _MOST = 3.0  # powers of 2 that colours tell apart
 
 
@@ -475,7 +475,7 @@ def figure(found: Sequence[Map], later: bool = False) -> "Figure":
 
 
 def _panel(axes: "Axes", drawn: Map, later: bool) -> None:
-    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.colors import LinearSegmentedColormap, to_rgba
     from matplotlib.patches import Rectangle
     from matplotlib.ticker import FixedLocator, NullLocator
 
@@ -495,7 +495,9 @@ def _panel(axes: "Axes", drawn: Map, later: bool) -> None:
                 )
                 continue
             is_open = not later and cell.verdict == "undecided"
-            shade = _OPEN if is_open else colours(0.5 + math.log2(ratio) / (2 * _MOST))
+            shade = np.array(colours(0.5 + math.log2(ratio) / (2 * _MOST)))
+            if is_open:
+                shade = _PALE * shade + (1 - _PALE) * np.array(to_rgba(_OPEN))
             axes.add_patch(Rectangle(*place, facecolor=shade, edgecolor="#FFFFFF", linewidth=1))
             shown = f"{ratio:.2g}"
             if not later and cell.interval is not None:
