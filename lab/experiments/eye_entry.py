@@ -91,7 +91,7 @@ class EyeEntryDesign(Design):
 
     def _training(self, network: str, seed: int) -> TrainingJob:
         of = _ROWS[network]
-        way = _STARTS[of["as"]] if "start" in of else _FROM_NOTHING
+        way = _way_of(network)
         short = QUICK["kart-eye"] if self.quick else ()
         every = (*of["settings"], *way["settings"], *short, *self.settings)
         parents = {"pool": self._walks(way["walks"])}
@@ -237,7 +237,7 @@ class EyeEntryDesign(Design):
     def _missing(self, rows: Sequence[Record]) -> str:
         """The trainings that have no row; empty where there are none."""
         there = {f"{row['network']}-s{row['seed']}" for row in rows}
-        lack = [each.name for each in self.trainings()[1:] if each.name not in there]
+        lack = [each.name for each in self.trainings()[len(_WALKS) :] if each.name not in there]
         return f"**Not trained or evaluated yet: {', '.join(lack)}.**" if lack else ""
 
 
@@ -307,11 +307,10 @@ def student_facts(
     """Facts that the page shows of a network, its level and its way, in all its trainings."""
     network, level, way = of
     seeds = {row["seed"] for row in rows}
-    is_alike = not any(setting.startswith("env.") for setting in _ROWS[network]["settings"])
     beside = [
         row["finish"] for row in all_rows
         if (row["network"], row["level"], row["way"]) == (_BESIDE, NOT_PRUNED, None)
-        and row["seed"] in seeds and is_alike
+        and row["seed"] in seeds and not _drives_elsewhere(network)
     ]  # fmt: skip
     operations = "macs" if rows[0]["macs"] else "sop"
     return {
@@ -323,6 +322,19 @@ def student_facts(
         "updates": mean(rows, "neuron_update"),
         "of_cnn": nested_ratio([row["finish"] for row in rows], beside) if beside else None,
     }
+
+
+def _way_of(network: str) -> Mapping[str, Any]:
+    """The walks, and the settings, of those that go on from a training in the same way."""
+    of = _ROWS[network]
+    found: Mapping[str, Any] = _STARTS[of["as"]] if "start" in of else _FROM_NOTHING
+    return found
+
+
+def _drives_elsewhere(network: str) -> bool:
+    """Whether it drives with other options of the environment than most."""
+    settings = (*_ROWS[network]["settings"], *_way_of(network)["settings"])
+    return any(setting.startswith("env.") for setting in settings)
 
 
 def right_share(rows: Sequence[Record]) -> Estimate | None:
@@ -359,7 +371,7 @@ def verdicts(rows: Mapping[str, Sequence[Record]]) -> Iterator[str]:
     for name, of in rows.items():
         sees = name != TEACHER and _ROWS[name]["recipe"] == _ROWS[_BESIDE]["recipe"]
         right = right_share(of) if sees else None
-        if right is None:
+        if right is None or _drives_elsewhere(name):
             continue
         finish = episode_share(of, "finish")
         does = right.mean >= LEAST_RIGHT and finish.mean >= LEAST_FINISHED
