@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 # share of episodes that a policy of equal success may finish less than the reference
 EQUAL = 0.02
 _SURE = 0.95  # share of resampled courses in which a spiking policy must equal the reference
-_SOON = 0.01  # share of a control step [1] by which waiting times are rounded
+_SOON = 0.1  # share of a control step [1] that decides nothing: waits differ from drive to drive
 _RESAMPLES = 2_000  # of the courses
 _FINE = 48  # points of the predicted border on an axis
 
@@ -215,6 +215,13 @@ class Cell:
         return self.spiking.power(self.accounting) / self.rival.power(self.accounting)
 
     @property
+    def prompt_ratio(self) -> float | None:
+        """The same beside float networks alone that act as soon; None where none does."""
+        latest = self.spiking.latency + _SOON / self.rate
+        soon = [group.power(self.accounting) for group in self.others if group.latency <= latest]
+        return self.spiking.power(self.accounting) / min(soon) if soon else None
+
+    @property
     def register_ratio(self) -> float:
         """The same where sums of float networks are in registers, wherever those of spiking are."""
         other = replace(self.accounting, gathers=True)
@@ -286,6 +293,12 @@ class Map:
     quiet: Sequence[float]
     cells: Sequence[Sequence[Cell | None]]
     references: "References"
+
+    @property
+    def has_border(self) -> bool:
+        """Whether each kind costs less in some cell."""
+        verdicts = {cell.verdict for row in self.cells for cell in row if cell is not None}
+        return {"spiking", "float"} <= verdicts
 
     def predicted_border(self, column: int) -> float:
         """Control rate [Hz] from which spiking costs less by the rule, of cells of equal success.
@@ -455,9 +468,10 @@ def figure(found: Sequence[Map], later: bool = False) -> "Figure":
     for axes in grid.flat[len(found) :]:
         axes.set_axis_off()
     predicted = Line2D([], [], color=_GREY, linewidth=2.5, linestyle="--", label="by the rule")
+    counted = Line2D([], [], color=_GREY, linewidth=3, label="border, as counted")
+    lines_drawn = [counted] if later else [counted, predicted]
     handles = [
-        Line2D([], [], color=_GREY, linewidth=3, label="border, as counted"),
-        *([] if later else [predicted]),
+        *(lines_drawn if any(each.has_border for each in found) else []),
         Patch(facecolor="#9CC4E0", label="spiking costs less"),
         Patch(facecolor="#F2B48A", label="float costs less"),
         *([] if later else [Patch(facecolor=_OPEN, label="undecided")]),
@@ -507,9 +521,8 @@ def _panel(axes: "Axes", drawn: Map, later: bool) -> None:
                 zorder=5, bbox={"facecolor": shade, "edgecolor": "none", "pad": 1},
             )  # fmt: skip
             counted[k, i] = math.log(ratio)
-    drawn_lines = [((x, y, counted), "-", 3.0)]
-    # where what was counted has a border, the rule has one to compare with it
-    if not later and np.nanmin(counted, initial=0) < 0 < np.nanmax(counted, initial=0):
+    drawn_lines = [((x, y, counted), "-", 3.0)] if drawn.has_border else []
+    if drawn.has_border and not later:
         rates, moving, ratios = drawn.fine()
         drawn_lines.append(((np.log(rates), -np.log(moving), ratios), "--", 2.5))
     for (across, up, values), style, width in drawn_lines:
