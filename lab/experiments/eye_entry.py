@@ -41,7 +41,7 @@ TEACHER = "teacher"  # drives by what the simulation knows, and is no training
 MOST_OF_GRIDS, LEAST_RIGHT, LEAST_FINISHED = 0.75, 0.95, 0.90  # what the test asks for
 _ROWS: Mapping[str, Mapping[str, Any]] = DESIGNS["kart-eye"]["networks"]
 _WALKS: Mapping[str, Mapping[str, Any]] = DESIGNS["kart-eye"]["walks"]
-_STARTS: Mapping[str, Any] = DESIGNS["kart-eye"]["starts"]  # how those with a start go on
+_STARTS: Mapping[str, Any] = DESIGNS["kart-eye"]["starts"]  # how trainings go on from others
 _FROM_NOTHING: Mapping[str, Any] = {"walks": "walks", "settings": []}
 _TABLE = "kart-eye.csv"
 _VERSION = 1  # of what a row holds; a higher one makes all rows again
@@ -91,10 +91,10 @@ class EyeEntryDesign(Design):
 
     def _training(self, network: str, seed: int) -> TrainingJob:
         of = _ROWS[network]
-        way = _way_of(network)
+        start = _start_of(network)
         short = QUICK["kart-eye"] if self.quick else ()
-        every = (*of["settings"], *way["settings"], *short, *self.settings)
-        parents = {"pool": self._walks(way["walks"])}
+        every = (*of["settings"], *start["settings"], *short, *self.settings)
+        parents = {"pool": self._walks(start["walks"])}
         for setting in ("guide", "start"):
             if setting in of:
                 parents[setting] = self._training(of[setting], seed)
@@ -324,16 +324,16 @@ def student_facts(
     }
 
 
-def _way_of(network: str) -> Mapping[str, Any]:
-    """The walks, and the settings, of those that go on from a training in the same way."""
+def _start_of(network: str) -> Mapping[str, Any]:
+    """The walks that a training begins with, and the settings of those that begin alike."""
     of = _ROWS[network]
-    found: Mapping[str, Any] = _STARTS[of["as"]] if "start" in of else _FROM_NOTHING
+    found: Mapping[str, Any] = _STARTS[of["continued"]] if "start" in of else _FROM_NOTHING
     return found
 
 
 def _drives_elsewhere(network: str) -> bool:
     """Whether it drives with other options of the environment than most."""
-    settings = (*_ROWS[network]["settings"], *_way_of(network)["settings"])
+    settings = (*_ROWS[network]["settings"], *_start_of(network)["settings"])
     return any(setting.startswith("env.") for setting in settings)
 
 

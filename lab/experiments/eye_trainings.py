@@ -7,8 +7,8 @@
 `pack` writes an archive for each training that ended: settings, versions, metrics, and the policy
 of each level of pruning, without optimisers and walks; and one with all evaluations. After
 `unpack`, `python -m lab experiment kart-eye` trains what is missing, for which it needs the walks
-that all trainings begin with: `walks` plays them again, and takes them if they are the same to the
-bit.
+that trainings begin with, at each control rate: `walks` plays those again that are not there, and
+takes them if they are the same to the bit.
 """
 
 import shutil

@@ -78,16 +78,13 @@ class Execution:
 
 WAYS = {
     "zero-skipping": Execution(),
-    "delta 0": Execution(delta=0.0),
     "delta 0.1": Execution(delta=0.1),
     "triggered by 16 events": Execution(trigger=16),
     "triggered by 64 events": Execution(trigger=64),
-    "triggered by 256 events": Execution(trigger=256),
     "gated by 16 events": Execution(gate=16),
     "gated by 64 events": Execution(gate=64),
     "every 2 steps": Execution(every=2),
     "gated by 16 events every 2 steps": Execution(gate=16, every=2),
-    "every 4 steps": Execution(every=4),
 }
 
 

@@ -23,7 +23,15 @@ from lab.experiments.eye_map import MAP, NOT_PRUNED, EyeMapDesign, hold
 from lab.experiments.eye_map_page import EQUAL, errors, maps
 from lab.experiments.pages import grouped
 from lab.experiments.runner import run_experiment
-from lab.experiments.vision import chip_of, drive, make_controller, own_way, wait_longer
+from lab.experiments.vision import (
+    CountedFloatController,
+    Execution,
+    chip_of,
+    drive,
+    make_controller,
+    own_way,
+    wait_longer,
+)
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.policies import FloatVisionPolicy, SpikingVisionPolicy
@@ -112,8 +120,28 @@ def test_the_page_compares_each_chip_with_the_best_float_network(design, results
                 for rows in (as_good or [spiking], no_later, able or [spiking], equal)
             )
             assert cell.ratio == pytest.approx(mine / least)
+            as_soon = [r for r in equal if latency(r) <= latency(spiking) + 0.1 / cell.rate]
+            soonest = min((power(row, found.accounting) for row in as_soon), default=math.inf)
+            assert (cell.prompt_ratio or 0.0) == pytest.approx(mine / soonest)
+            gathers = replace(found.accounting, gathers=True)
+            in_registers = min(power(row, gathers) for row in no_later)
+            assert cell.register_ratio == pytest.approx(mine / in_registers)
             if able:
                 assert cell.later_ratio == pytest.approx(all_mine / cheapest)
+
+
+def test_a_cell_is_undecided_where_courses_leave_it_open(design, results):
+    cells = (c for found in maps(list(design.all_rows())) for row in found.cells for c in row)
+    cell = replace(next(c for c in cells if c is not None), is_equal=True)
+    draws = 2_000
+    for ratios, verdict in (
+        ([0.8, 0.9] * (draws // 2), "spiking"),
+        ([1.1, 1.2] * (draws // 2), "float"),
+        ([0.9, 1.1] * (draws // 2), "undecided"),
+        ([0.8] * (draws * 9 // 10), "undecided"),  # in the others no spiking policy is equal
+    ):
+        assert replace(cell, resampled=np.array(ratios)).verdict == verdict
+    assert replace(cell, is_equal=False).verdict == "no spiking policy"
 
 
 def test_what_runs_at_the_rate_of_its_training_costs_the_same_at_any_control_rate(design, results):
@@ -132,7 +160,9 @@ def test_a_float_network_held_by_derivation_is_that_which_runs_in_every_fourth_s
     torch.manual_seed(0)
     policy, options = POLICIES["kart-eye-cnn"](), {"forks": 1}
     slow = drive(options, make_controller(policy, 2, NO_ZEROS), 2, 60)[0]
-    made = drive(options | {"rate": 240}, make_controller(policy, 2, "every 4 steps", 4), 2, 240)[0]
+    made = drive(
+        options | {"rate": 240}, CountedFloatController(policy, 2, Execution(every=4), 4), 2, 240
+    )[0]
     about = {"rate": 60, "way": NO_ZEROS, "late": [0, 0]}
     held = hold(slow | about, 240)
     assert made["steps"] == pytest.approx(held["steps"], abs=8)  # whole control steps
