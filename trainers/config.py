@@ -139,7 +139,9 @@ class DeltaSnnConfig(_Section):
     copies: "legs" for one network that every leg of a hexapod-tiles has a copy of
     deep: further neurons, which read spikes of the hidden ones instead of events
     recurrent: whether these also read each other's
-    integrated: whether they do so through readouts of their own that hardly decay
+    integrated: whether events reach the readout through integrators that hardly decay
+    memoryless: whether neurons are threshold units: membranes and the readouts of spikes keep
+        nothing from one timestep to the next, and events reach the readout through integrators
     most, code: events of an observation in a timestep, and on which channels; see
         runtime.codec.delta
     timesteps: of a control step. A pipelined chip acts on what it sees now from 3 on, with 1 it
@@ -155,6 +157,7 @@ class DeltaSnnConfig(_Section):
     deep: Count = 0
     recurrent: bool = False
     integrated: bool = False
+    memoryless: bool = False
     most: Events = 3
     timesteps: Timesteps = 1
     code: Literal["unary", "one-hot"] = "one-hot"

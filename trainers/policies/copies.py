@@ -86,11 +86,15 @@ class SharedWeight(PrunedWeight):
         self._gathers = not _in_order(columns, shape[1])
         self._sorting = None if _in_order(rows, shape[0]) else rows.flatten().argsort()
 
-    def drive(self, inputs: Tensor, weight: Tensor) -> Tensor:
-        """Return what inputs (..., M) bring to each neuron (..., N) through such weights."""
+    def read(self, inputs: Tensor) -> Tensor:
+        """Return what each of the K copies reads (..., K, m) of inputs (..., M)."""
         if self._gathers:
             inputs = inputs[..., self._columns.flatten()] * self._factors.flatten()
-        read = inputs.reshape(-1, weight.shape[1])
+        return inputs.unflatten(-1, self._columns.shape)
+
+    def drive(self, inputs: Tensor, weight: Tensor) -> Tensor:
+        """Return what inputs (..., M) bring to each neuron (..., N) through such weights."""
+        read = self.read(inputs).reshape(-1, weight.shape[1])
         brought = (read @ weight.T).view(*inputs.shape[:-1], self._shape[0])
         return brought if self._sorting is None else brought[..., self._sorting]
 

@@ -16,6 +16,10 @@ they are recurrent, sent in the timestep before, with currents that do not last:
 
     I     = R s[t-1]
 
+Memoryless neurons are threshold units (McCulloch and Pitts 1943), as far as chips allow: beta and
+gamma are 1/4096, so that a neuron spikes in each timestep in which its input is above the
+threshold, and actions depend on the latest observations alone.
+
 Currents, membranes and readouts live on from one control step to the next. A control step has T
 timesteps; in each the encoder sends what is still missing, up to its most events, and the action is
 that of the last.
@@ -30,6 +34,7 @@ With T = 1 an action is that of what was seen one to two control steps before; f
 is seen now.
 """
 
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -39,6 +44,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.codec.codec import Codec, Normaliser
@@ -65,6 +71,7 @@ CURRENT_DECAY = 4095 / 4096
 _THRESHOLD = 1.0
 _BETA, _GAMMA = 0.6, 0.5  # initial decay factors of membranes and readouts
 _DEEP_BETA, _DEEP_GAMMA = 0.7, 0.9  # of deep neurons, and of readouts where there are some
+_MEMORYLESS = 1 / 4096  # Loihi's fastest decay, of a register of 4095
 DEEP_NODE = "lif2"
 DT = 1e-3  # [s] one timestep; policies have no unit of time, and chips run near this value
 
@@ -104,6 +111,9 @@ class DeltaSnnPolicy(Policy):
     copies: of a network that serves several parts of a body; None for one network
     deep: hidden neurons, the last ones of each copy, that read the others instead of events
     recurrent: whether they also read each other; both only where the clock is pipelined
+    memoryless: whether membranes and readouts of spikes last for no longer than a timestep
+    two_valued: observations with two values that are a step apart: their channels of several events
+        are never used, and weigh no more than that of one, so that a chip's weights are finer
     deep_neurons: (H,) which hidden neurons are deep
     step: (obs,) distance that one event stands for [normalised observation]
     threshold: (H,) membrane above which a neuron spikes: 1, or the chip's nearest to it
@@ -135,9 +145,13 @@ class DeltaSnnPolicy(Policy):
         copies: Copies | None = None,
         deep: int = 0,
         recurrent: bool = False,
+        memoryless: bool = False,
+        two_valued: Sequence[int] = (),
     ) -> None:
         super().__init__()
+        self.two_valued = tuple(two_valued)
         self.clock, self.timesteps, self.copies = clock, timesteps, copies
+        self.memoryless = memoryless
         self.deep, self.recurrent = deep, recurrent
         parts = copies.count if copies else 1
         width = max(hidden // parts, 1)
@@ -147,7 +161,7 @@ class DeltaSnnPolicy(Policy):
                 "deep neurons read others a timestep late: set policy.clock=pipelined"
             )
         self.observations, self.actions, self.hidden = observations, actions, hidden
-        self.integrated = integrated and skip and hidden > 0
+        self.integrated = (integrated or memoryless) and skip and hidden > 0
         self.skip, self.most, self.code = skip or not hidden, most, code
         self.events_above, self.head = events_above, head
         self.current_decay, self.surrogate_width = current_decay, surrogate_width
@@ -171,9 +185,15 @@ class DeltaSnnPolicy(Policy):
         self.past = weights_between(copies, (read, actions), torch.zeros, reads=True, acts=True)
         self.action_bias = nn.Parameter(torch.zeros(actions))
         beta = torch.where(self.deep_neurons, _DEEP_BETA, _BETA)
-        self._beta = nn.Parameter(torch.logit(beta))
         gamma = _DEEP_GAMMA if deep else _GAMMA
-        self._gamma = nn.Parameter(torch.full((actions,), gamma).logit())
+        if memoryless:
+            beta, gamma = torch.full((hidden,), _MEMORYLESS), _MEMORYLESS
+        decays = {"_beta": beta, "_gamma": torch.full((actions,), gamma)}
+        for name, decay in decays.items():
+            if memoryless:
+                self.register_buffer(name, decay.logit())
+            else:
+                self.register_parameter(name, nn.Parameter(decay.logit()))
         # readouts that last for longer sum up more spikes
         self.out.weight.data *= (1 - gamma) / (1 - _GAMMA)
         self._gradient = surrogate("atan", surrogate_width)
@@ -282,6 +302,8 @@ class DeltaSnnPolicy(Policy):
         if not self.hidden:  # the readouts hold what currents would hold
             mean = self.past.drive(self._last(seen), weights.past) + self.action_bias
             return mean, mean.new_zeros(*mean.shape[:2], 0)
+        if self.memoryless and not self.recurrent:
+            return self._without_memory(seen, weights, burn_in, begins)
         hidden, actions = (seen.new_zeros(len(seen), n) for n in (self.hidden, self.actions))
         runs_on = 1 - begins[:, None].to(seen.dtype)
         with torch.no_grad():  # a window without gradient brings the states up
@@ -294,6 +316,42 @@ class DeltaSnnPolicy(Policy):
             mean = mean + self.past.drive(seen, weights.past)
         steps = spikes.reshape(len(spikes), -1, self.timesteps, self.hidden)
         return self._last(mean), steps.sum(2)
+
+    def _without_memory(
+        self, seen: Tensor, weights: "DeltaWeights", burn_in: int, begins: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """As `unrolled`, zeros in the burn-in; of a control step only what its action depends on.
+
+        Spikes are T times those of the timestep that the action reads.
+
+        burn_in: timesteps
+        """
+        last = torch.arange(burn_in, seen.shape[1])[self.timesteps - 1 :: self.timesteps]
+        width = self.hidden // (self.copies.count if self.copies else 1)
+        shallow = width - int(self.deep_neurons[:width].sum())
+        excess = (weights.bias - weights.threshold).view(-1, width)
+
+        def first(late: int) -> Tensor:
+            """Return spikes (B, L, K, n) of the first layer, so many timesteps before."""
+            rows = last - late
+            drive = self.into.read(seen[:, rows.clamp(min=0)]) @ weights.into[:shallow].T
+            spikes = spike(drive + excess[:, :shallow], self._gradient)
+            rests = begins[:, None] & (rows < burn_in)
+            return spikes.masked_fill(rests[:, :, None, None], 0.0)
+
+        spikes = first(self.delay)
+        if weights.back is not None:
+            drive = first(2) @ weights.back[shallow:, :shallow].T
+            deep = spike(drive + excess[:, shallow:], self._gradient)
+            rests = begins[:, None] & (last - 1 < burn_in)
+            deep = deep.masked_fill(rests[:, :, None, None], 0.0)
+            spikes = torch.cat([spikes, deep], -1)
+        spikes = spikes.flatten(2)
+        mean = self.out.drive(spikes, weights.out) + self.action_bias
+        if self.skip:
+            mean = mean + self.past.drive(seen[:, last], weights.past)
+        before = (0, 0, burn_in // self.timesteps, 0)
+        return pad(mean, before), pad(self.timesteps * spikes, before)
 
     def _last(self, rows: Tensor) -> Tensor:
         """Return the rows (B, L, n) of the last timesteps of control steps, of all (B, L T, n)."""
@@ -387,7 +445,7 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
     float network's activations. In its DeltaState `current` is sigma, and `membrane` q. Nothing
     decays. A control step has one timestep.
 
-    hidden, skip, most, code, events_above, copies: as in DeltaSnnPolicy
+    hidden, skip, most, code, events_above, copies, two_valued: as in DeltaSnnPolicy
     share: thresholds are to be so many standard deviations of their neuron's activation
     threshold: (H,) distance that a graded spike of 1 stands for
     """
@@ -408,10 +466,11 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         head: Head = "continuous",
         clock: Literal["gated", "pipelined"] = "pipelined",
         copies: Copies | None = None,
+        two_valued: Sequence[int] = (),
     ) -> None:
         super().__init__(
-            observations, actions, hidden, skip, most, code, events_above,
-            current_decay=1.0, clip=clip, head=head, clock=clock, copies=copies,
+            observations, actions, hidden, skip, most, code, events_above, current_decay=1.0,
+            clip=clip, head=head, clock=clock, copies=copies, two_valued=two_valued,
         )  # fmt: skip
         del self._beta, self._gamma
         self.share = threshold
@@ -564,8 +623,9 @@ def live_layers(policy: DeltaSnnPolicy) -> dict[str, Tensor]:
 def channel_weights(policy: DeltaSnnPolicy, weight: Array) -> Array:
     """Return weights (N, M) of the encoder's channels, from those of the observation (N, obs)."""
     k = np.arange(1, policy.most + 1)
-    each = k if policy.code == "one-hot" else np.ones_like(k)
-    signed = np.concatenate([each, -each])  # the K channels of rising values, then of falling ones
+    each = np.tile(k if policy.code == "one-hot" else np.ones_like(k), (policy.observations, 1))
+    each[list(policy.two_valued)] = 1 if policy.code == "one-hot" else k == 1
+    signed = np.concatenate([each, -each], 1)  # K channels of rising values, then of falling ones
     moved: Array = weight * to_array(policy.step)
     return np.reshape(moved[:, :, None] * signed, (len(weight), -1))
 

@@ -211,6 +211,10 @@ class PrunedWeight(nn.Module):
         """Return the weights (N, M), zero where a synapse was taken out."""
         return self.weight * self.mask
 
+    def read(self, inputs: Tensor) -> Tensor:
+        """Return what each copy of the weights reads (..., K, m) of inputs (..., M): one, of all."""
+        return inputs.unsqueeze(-2)
+
     def drive(self, inputs: Tensor, weight: Tensor) -> Tensor:
         """Return what inputs (..., M) bring to each neuron (..., N) through such weights."""
         return inputs @ weight.T

@@ -273,6 +273,7 @@ class Sparse(Runner[SparseConfig]):
         normaliser = self.policy.normalizer
         normaliser.adopt(Moments.of(seen))
         if isinstance(self.policy, DeltaSnnPolicy):
+            self.policy.two_valued = tuple(np.flatnonzero(self._binary).tolist())
             low, high = seen[:, self._binary].min(0), seen[:, self._binary].max(0)
             normaliser.mean[self._binary] = torch.from_numpy(low).float()
             normaliser.std[self._binary] = torch.from_numpy(high - low).float()
@@ -376,6 +377,8 @@ class Sparse(Runner[SparseConfig]):
         self.pool.add(own_walks(self._run.path, self._sums, self._widths))
         if "binary" in tensors:
             self._binary = tensors["binary"].numpy()
+            if isinstance(self.policy, DeltaSnnPolicy):
+                self.policy.two_valued = tuple(np.flatnonzero(self._binary).tolist())
         self._student.prepare(self.pool)
         if self._config.search:
             self._ended = [Ended(**each) for each in state["ended"]]

@@ -73,6 +73,7 @@ class DeltaStudent:
     readout: names of the parameters behind the last hidden layer, and past it
     hidden_rate: (H,) mean spikes of the hidden neurons in a control step
     offsets: what rounding by the chip adds to each field of DeltaWeights; none before `round`
+    quanta: of which weights are rounded to multiples in each forward pass, by matrix
     """
 
     readout = frozenset({"out.weight", "past.weight", "action_bias", "_gamma"})
@@ -81,7 +82,8 @@ class DeltaStudent:
         self.policy = policy
         self._config = config
         self.hidden_rate = torch.full((policy.hidden,), 0.15)
-        self.offsets: Mapping[str, Tensor] = {}
+        self.offsets: dict[str, Tensor] = {}
+        self.quanta: dict[str, Tensor] = {}
         self._event_rate = torch.ones(policy.observations)
 
     def prepare(self, pool: WalkPool) -> None:
@@ -125,17 +127,27 @@ class DeltaStudent:
     def weights(self) -> DeltaWeights:
         """Return what is computed with: the policy's weights, as the chip rounds them."""
         weights = self.policy.weights()
-        kinds = {name: getattr(weights, name) + added for name, added in self.offsets.items()}
+        kinds = {name: getattr(weights, name) + added for name, added in self._rounding().items()}
         return replace(weights, **kinds)
+
+    @torch.no_grad()
+    def _rounding(self) -> dict[str, Tensor]:
+        """Return what rounding adds now: quanta and registers are those of the last `round`."""
+        found = dict(self.offsets)
+        for name, quantum in self.quanta.items():
+            weight, held = self.policy.groups[name](), quantum > 0
+            nearest = torch.round(weight / quantum.where(held, 1.0)) * quantum
+            found[name] = torch.where(held, nearest - weight, 0.0)
+        return found
 
     def round(self, target: Chip) -> None:
         """Compute with the numbers that the chip would have now, if the configuration says so."""
         if self._config.rounding:
-            self.offsets = rounding_offsets(self.policy, target)
+            self.offsets, self.quanta = rounding_offsets(self.policy, target)
 
     def acting(self) -> Policy:
         """Return the policy with the numbers that are computed with."""
-        return with_offsets(self.policy, self.offsets)
+        return with_offsets(self.policy, self._rounding())
 
     def hidden_operations(self, activities: list[Tensor]) -> Tensor:
         """Return the hidden neurons' operations for spikes (n, H), with a gradient."""
@@ -168,14 +180,15 @@ class DeltaStudent:
         return into, SynapseGroup(self.policy.out, self.hidden_rate)
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return rates and offsets of rounding, by name."""
+        """Return rates, offsets and quanta of rounding, by name."""
         offsets = {f"offsets.{name}": added for name, added in self.offsets.items()}
-        return {"hidden_rate": self.hidden_rate.clone(), **offsets}
+        quanta = {f"quanta.{name}": each for name, each in self.quanta.items()}
+        return {"hidden_rate": self.hidden_rate.clone(), **offsets, **quanta}
 
     def load(self, named: Mapping[str, Tensor]) -> None:
         """Restore what `tensors` returned."""
         self.hidden_rate = named["hidden_rate"]
-        self.offsets = with_prefix("offsets", named)
+        self.offsets, self.quanta = (with_prefix(n, named) for n in ("offsets", "quanta"))
 
 
 class MlpStudent:
@@ -430,12 +443,14 @@ def check_rounding(target: Chip) -> None:
 
 
 @torch.no_grad()
-def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
-    """Return what rounding adds to each field of DeltaWeights, by name.
+def rounding_offsets(
+    policy: DeltaSnnPolicy, target: Chip
+) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """Return what rounding adds to each field of DeltaWeights, and the quanta of each matrix.
 
     That of an observation is the error of the channel of one event. Decay factors, biases and
     thresholds of LIF neurons are those of the chip's registers; of sigma-delta neurons only weights
-    are rounded here.
+    are rounded here. Weights are rounded to multiples of their quanta; 0 for those that are out.
     """
     artifact = delta_artifact(policy)
     exact = compile_program(artifact, chip("ideal"), limits=False)
@@ -443,6 +458,7 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
     weights, groups = vars(policy.weights()).items(), policy.groups
     offsets = {name: torch.zeros_like(each) for name, each in weights if each is not None}
     offsets |= {name: torch.zeros_like(each.whole_mask) for name, each in groups.items()}
+    quanta = {name: torch.zeros_like(each.whole_mask) for name, each in groups.items()}
     layers = live_layers(policy)
     graded = isinstance(policy, DeltaMlpPolicy)
     for before, after in zip(exact.layers, rounded.layers, strict=True):
@@ -454,13 +470,17 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
             rows = layers.get(before.name, torch.arange(policy.actions))
             columns = layers.get(old.source, torch.arange(policy.observations))
             error = new.weight * after.scale - old.weight
+            counts = np.ones(len(error))  # what a unit of the source's output counts
             if old.source == exact.input:
                 # that of the channel of one event
-                first = error.reshape(policy.observations, 2 * policy.most, -1)[:, 0]
-                error = first / policy.step.double().numpy()[:, None]
+                error = error.reshape(policy.observations, 2 * policy.most, -1)[:, 0]
+                counts = policy.step.double().numpy()
             elif graded:  # by what a spike counts
-                error = error / policy.threshold[columns].double().numpy()[:, None]
-            offsets[name][rows[:, None], columns[None]] = torch.from_numpy(error.T).float()
+                counts = policy.threshold[columns].double().numpy()
+            step = np.gcd.reduce(np.abs(new.weight).astype(np.int64), axis=None) * after.scale
+            for found, each in ((offsets, error), (quanta, np.broadcast_to(step, error.shape))):
+                each = torch.from_numpy((each / counts[:, None]).T).float()
+                found[name][rows[:, None], columns[None]] = each
         if graded:
             continue
         decay = torch.from_numpy(after.membrane_decay / target.arithmetic.decay_one).float()
@@ -475,7 +495,8 @@ def rounding_offsets(policy: DeltaSnnPolicy, target: Chip) -> dict[str, Tensor]:
             offsets["threshold"][live] = torch.from_numpy(threshold).float()
     # what pruning took out stays out
     matrices = {name: each.block(offsets[name]) * each.mask for name, each in groups.items()}
-    return matrices if graded else offsets | matrices
+    steps = {name: each.block(quanta[name]).abs() * each.mask for name, each in groups.items()}
+    return matrices if graded else offsets | matrices, steps
 
 
 @torch.no_grad()
@@ -502,7 +523,8 @@ def round_for_chip(policy: Policy, target: Chip, rounding: bool) -> Policy:
         return with_weights(policy, rounding_of_kernels(policy, target))
     if not rounding or not isinstance(policy, DeltaSnnPolicy):
         return policy
-    copy = with_offsets(policy, rounding_offsets(policy, target))
+    offsets, _ = rounding_offsets(policy, target)
+    copy = with_offsets(policy, offsets)
     for matrix in copy.groups.values():
         matrix.mask *= matrix.weight != 0
     return copy

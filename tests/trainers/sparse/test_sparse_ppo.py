@@ -180,7 +180,7 @@ def test_windows_cover_every_step_of_every_walk_once(played):
 
 def test_exploration_and_replay_compute_with_the_weights_of_the_chip(played):
     learner, _, _, _ = played
-    offsets = rounding_offsets(learner.student.policy, chip("loihi1"))
+    offsets, _ = rounding_offsets(learner.student.policy, chip("loihi1"))
     assert any(added.abs().max() > 0 for added in offsets.values())
     for name, added in offsets.items():
         plain = getattr(learner.student.policy.weights(), name)
