@@ -158,7 +158,7 @@ class HexapodTilesEnv(HexapodEnv):
     -10/3 for each foot that stands on a forbidden tile. A touchdown is a contact after at least 4
     control steps in the air. An episode succeeds that does not fall, comes 2.5 m far, and whose
     missteps are at most 5 % of its touchdowns. The info adds touchdowns, missteps (so far) and
-    misstep_share.
+    misstep_share, and course, the direction of the walk.
 
     view    "around" or "ahead"
     tile    [m] side of a tile
@@ -187,6 +187,7 @@ class HexapodTilesEnv(HexapodEnv):
         self._tile = _number("tile", tile, 0.02, 1.0)
         self._share = _number("share", share, 0.0, 0.9)
         self._noise = _number("noise", _NOISE[view] if noise is None else noise, 0.0, 0.5)
+        self._course = 0.0
         scan = ObservationEntry("scan", len(SCANS[view]), 0.0, 1.0)
         self.ENTRIES = (*BODY, *COURSE, LOAD, scan)  # type: ignore[misc] # of the view
         self.OBSERVATION = layout(self.ENTRIES)  # type: ignore[misc]
@@ -202,6 +203,23 @@ class HexapodTilesEnv(HexapodEnv):
         """The missteps so far: control step, and where [m] (x, y)."""
         return self._missed
 
+    @property
+    def course(self) -> float:
+        """Direction of the course in the world [rad], 0 unless it was turned."""
+        return self._course
+
+    def steer(self, course: float) -> None:
+        """Turn the course about the robot to a direction in the world [rad].
+
+        From now on heading, lateral position and speed are relative to it; distances add up.
+        """
+        if course == self._course:
+            return
+        position = self._on_course(self._robot.sense()).position
+        # here the walk goes on, as far along as before and without an offset
+        self._here = self._robot.sense().position[:2]
+        self._along, self._course = position[0], course
+
     def scan_footholds(self) -> FloatArray:
         """Return 1 where a point about a leg's foothold is forbidden (6, 35), as the ground is."""
         return self._scan("around").reshape(6, -1)
@@ -212,13 +230,31 @@ class HexapodTilesEnv(HexapodEnv):
         self._touchdowns = 0
         self._missed: list[tuple[int, float, float]] = []
         self._standing = np.zeros(6, np.bool_)
+        self._course, self._here, self._along = 0.0, self.FIELD.start, self.FIELD.start[0]
+
+    def _on_course(self, motion: Motion) -> Motion:
+        """Return the motion with position, heading and velocity relative to the course."""
+        if not self._course and self._here == self.FIELD.start:
+            return motion
+        cosine, sine = math.cos(self._course), math.sin(self._course)
+        x, y = motion.position[0] - self._here[0], motion.position[1] - self._here[1]
+        vx, vy, vz = motion.velocity
+        return motion._replace(
+            position=(
+                self._along + cosine * x + sine * y,
+                cosine * y - sine * x,
+                motion.position[2],
+            ),
+            heading=math.remainder(motion.heading - self._course, math.tau),
+            velocity=(cosine * vx + sine * vy, cosine * vy - sine * vx, vz),
+        )
 
     def _servo_command(self, action: FloatArray) -> FloatArray:
         moved: FloatArray = self._filtered + STRIDE * action
         return np.minimum(np.maximum(moved, -REACH), REACH)
 
     def _track(self, motion: Motion) -> None:
-        super()._track(motion)
+        super()._track(self._on_course(motion))
         places = self._robot.feet[:, :2]
         forbidden = self._tiles.at(places)
         touched = motion.contact & (self._airtime >= AIRTIME)
@@ -228,7 +264,8 @@ class HexapodTilesEnv(HexapodEnv):
         self._airtime = np.where(motion.contact, 0, self._airtime + 1)
 
     def _task_terms(self, motion: Motion) -> dict[str, float]:
-        terms = course_terms(self._speed, motion.heading, motion.position[1], TARGET_SPEED)
+        seen = self._on_course(motion)
+        terms = course_terms(self._speed, seen.heading, seen.position[1], TARGET_SPEED)
         return {**terms, "forbidden": -_WEIGHT * float(self._standing.sum())}
 
     def _succeeds(self) -> bool:
@@ -236,6 +273,9 @@ class HexapodTilesEnv(HexapodEnv):
 
     def _misstep_share(self) -> float:
         return len(self._missed) / max(self._touchdowns, 1)
+
+    def _task_observation(self, motion: Motion) -> tuple[float, ...]:
+        return super()._task_observation(self._on_course(motion))
 
     def _further(self, motion: Motion) -> tuple[FloatArray, ...]:
         self._pose = motion.heading, motion.position[:2]
@@ -266,6 +306,7 @@ class HexapodTilesEnv(HexapodEnv):
             "touchdowns": self._touchdowns,
             "missteps": len(self._missed),
             "misstep_share": self._misstep_share(),
+            "course": self._course,
         }
 
 

@@ -1,6 +1,7 @@
 """`spikedeploy play`: drive with the keys, command a robot, or watch a policy."""
 
 import itertools
+import math
 import time
 from collections import Counter, deque
 from collections.abc import Mapping
@@ -223,6 +224,37 @@ class CommandedPolicyDriver(PolicyDriver):
         return super().act(observation)
 
 
+class SteeredPolicyDriver(PolicyDriver):
+    """A policy that walks straight along a course, which a person turns.
+
+    course  its direction [rad]
+    """
+
+    _STEP = math.radians(10)
+    legend = [("← →", "turn")]  # noqa: RUF012
+
+    def __init__(self, player: Player, name: str, world: Any) -> None:  # noqa: ANN401
+        super().__init__(player, name)
+        self._world, self.course = world, 0.0
+
+    def reset(self, seed: int) -> None:
+        """Start an episode, along the x axis."""
+        super().reset(seed)
+        self.course = 0.0
+
+    def handle(self, event: pygame.Event) -> None:
+        """Handle a key press."""
+        if event.type == pygame.KEYDOWN:
+            self.course += self._STEP * (
+                (event.key == pygame.K_LEFT) - (event.key == pygame.K_RIGHT)
+            )
+
+    def act(self, observation: Floats) -> NDArray[Any]:
+        """The policy's action; the next observation is relative to the course."""
+        self._world.steer(self.course)
+        return super().act(observation)
+
+
 # a session: one driver in one environment
 
 
@@ -374,6 +406,8 @@ def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Drive
     chip = chip or candidate.default_chip
     player = open_with_traces(candidate, chip, world, "total")
     name = f"{candidate.name} on {chip}" if chip else candidate.name
+    if hasattr(inner, "course"):
+        return SteeredPolicyDriver(player, name, inner)
     if hasattr(inner, "steer"):
         return CommandedPolicyDriver(player, name, inner)
     return PolicyDriver(player, name)

@@ -189,6 +189,8 @@ class RolloutView:
                 command = float(info["command_speed"][at]), float(info["command_turn"][at])
                 if command != self.world.command:
                     self.world.steer(*command)
+            if "course" in info:
+                self.world.steer(float(info["course"][at]))
             self.newest = self._env.step(self._played.action[at])[0]
         self._at = step
 

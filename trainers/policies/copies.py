@@ -90,7 +90,7 @@ class SharedWeight(PrunedWeight):
         """Return what each of the K copies reads (..., K, m) of inputs (..., M)."""
         if self._gathers:
             inputs = inputs[..., self._columns.flatten()] * self._factors.flatten()
-        return inputs.unflatten(-1, self._columns.shape)
+        return inputs.reshape(*inputs.shape[:-1], *self._columns.shape)
 
     def drive(self, inputs: Tensor, weight: Tensor) -> Tensor:
         """Return what inputs (..., M) bring to each neuron (..., N) through such weights."""

@@ -124,6 +124,8 @@ class DeltaSnnPolicy(Policy):
     kind = "delta-snn"
     step: Tensor
     threshold: Tensor
+    _beta: Tensor
+    _gamma: Tensor
 
     def __init__(
         self,

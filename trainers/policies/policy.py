@@ -212,7 +212,7 @@ class PrunedWeight(nn.Module):
         return self.weight * self.mask
 
     def read(self, inputs: Tensor) -> Tensor:
-        """Return what each copy of the weights reads (..., K, m) of inputs (..., M): one, of all."""
+        """Return what each of K copies of the weights reads (..., K, m) of inputs (..., M)."""
         return inputs.unsqueeze(-2)
 
     def drive(self, inputs: Tensor, weight: Tensor) -> Tensor:

@@ -479,8 +479,8 @@ def rounding_offsets(
                 counts = policy.threshold[columns].double().numpy()
             step = np.gcd.reduce(np.abs(new.weight).astype(np.int64), axis=None) * after.scale
             for found, each in ((offsets, error), (quanta, np.broadcast_to(step, error.shape))):
-                each = torch.from_numpy((each / counts[:, None]).T).float()
-                found[name][rows[:, None], columns[None]] = each
+                of_unit = torch.from_numpy((each / counts[:, None]).T).float()
+                found[name][rows[:, None], columns[None]] = of_unit
         if graded:
             continue
         decay = torch.from_numpy(after.membrane_decay / target.arithmetic.decay_one).float()

@@ -70,6 +70,32 @@ def test_a_point_has_the_tile_that_it_lies_on():
     np.testing.assert_allclose(tiles.centres, [[0.15, 0.15]])
 
 
+def test_a_course_that_is_turned_is_what_heading_offset_and_distance_are_relative_to(env):
+    script = FootholdScript(env)
+    seen, _ = env.reset(seed=3)
+    heading, lateral = (env.OBSERVATION[name] for name in ("heading", "lateral"))
+    for _ in range(50):
+        seen, *_, before = env.step(script.act(seen))
+    env.steer(math.pi / 2)
+    seen, *_, info = env.step(script.act(seen))
+    centre, spread = env.scaling
+    measured = seen * spread + centre
+    assert measured[heading][0] == pytest.approx(info["heading"] - math.pi / 2)
+    assert abs(measured[lateral][0]) < 0.01
+    assert info["distance"] == pytest.approx(before["distance"], abs=0.01)
+    for _ in range(400):
+        seen, *_, info = env.step(script.act(seen))
+    # it walks along y now, still on free tiles, and what it came far counts
+    x, y, _ = env.robot.sense().position
+    assert abs(info["heading"] - math.pi / 2) < 0.3
+    assert y > 1.0 > abs(x - env.FIELD.start[0])
+    assert info["distance"] == pytest.approx(before["distance"] + y, abs=0.3)
+    assert info["misstep_share"] < 0.1
+    assert not info["fall"]
+    env.reset(seed=3)
+    assert env.course == 0.0
+
+
 def test_a_share_is_forbidden_and_none_at_the_start():
     field = Field(length=10.0, width=5.0, start=(-4.0, 0.0))
     tiles = Tiles.draw(field, 0.1, 0.3, np.random.default_rng(0))
