@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, get_args
 
 import gymnasium
 import numpy as np
@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 
 from spikedeploy.envs.errors import EnvError, all_finite
 from spikedeploy.envs.hexapod.camera import Camera, CameraWindow, Mark
-from spikedeploy.envs.hexapod.robot import GRAVITY, STANCE, Field, Gait, Motion, Robot, Terrain
+from spikedeploy.envs.hexapod.robot import (
+    GRAVITY,
+    STANCE,
+    Field,
+    Gait,
+    Ground,
+    Motion,
+    Robot,
+    Terrain,
+)
 
 Range = float | tuple[float, float]
 
@@ -232,7 +241,9 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
     speed [m/s] smoothed · heading [rad] · lateral [m] · slip [m/s] · power [W] mean of the step ·
     distance [m] along the course · cot [1] energy / (m g distance) so far · episode_return so far.
 
-    terrain      [m] height of the bumps
+    terrain      [m] height of the bumps, blocks or risers
+    ground       "bumps"; "steps", blocks of 25 cm of random heights; or "stairs", three risers up
+                 and three down, with treads of 25 cm
     pushes       [1] scale of the pushes, 0 for none
     mass         [1] factor on every body
     payload      [kg] on the torso
@@ -265,6 +276,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         self,
         *,
         terrain: Range = 0.03,
+        ground: Ground = "bumps",
         pushes: float = 1.0,
         mass: Range = (0.95, 1.05),
         payload: Range = (-0.1, 0.3),
@@ -280,7 +292,9 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
             raise EnvError(f"option max_steps: {max_steps} is below 1")
         self.render_mode = render_mode
         self.max_steps = max_steps
-        self._bump = check("terrain", terrain, 0.0, 0.1)
+        if ground not in get_args(Ground):
+            raise EnvError(f"option ground: {ground!r} is not one of {', '.join(get_args(Ground))}")
+        self._bump, self._ground = check("terrain", terrain, 0.0, 0.1), ground
         self._body = {
             "mass": check("mass", mass, 0.5, 2.0),
             "payload": check("payload", payload, -0.5, 2.0),
@@ -292,7 +306,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         if isinstance(scale, tuple):
             raise EnvError(f"option pushes: {pushes!r} is a pair; one number scales every push")
         self._pushes = Pushes(self.PUSHES, scale)
-        self._robot = Robot(self.FIELD)
+        self._robot = Robot(self.FIELD, ground)
         self._terrain = Terrain(self.FIELD, self._robot.model)
         self._gait = Gait()
         self._camera: Camera | CameraWindow | None = None
@@ -332,7 +346,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         """Start an episode with new ground, body parameters, pushes and gait phase."""
         super().reset(seed=seed)
         rng = self.np_random
-        self._terrain.roughen(sample(self._bump, rng), rng)
+        self._terrain.roughen(sample(self._bump, rng), rng, self._ground)
         self._robot.rebuild(**{name: sample(value, rng) for name, value in self._body.items()})
         self._gait.reset(rng.uniform(0.0, math.tau))
         self._pushes.reset(rng)

@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -56,7 +56,9 @@ class Gait:
 
 
 _CELL = 0.05  # [m] spacing of the height samples
-CEILING = 0.1  # [m] height of the value 1 in MuJoCo's height field
+Ground = Literal["bumps", "steps", "stairs"]
+_CEILING = 0.1  # [m] height of the value 1 in MuJoCo's height field
+_FLIGHT = 3  # risers of stairs, up and then down again
 BASE = 0.2  # [m] thickness of the ground below its lowest point
 _SPACING = 5  # [cells] spacing of the lattice of bumps, 25 cm
 _PATCH = 3  # [cells] half width of the patch whose mean is the local ground
@@ -93,23 +95,37 @@ class Terrain:
         self.field = field
         rows, columns = field.shape
         self._heights = model.hfield_data.reshape(rows, columns)
+        self._ceiling = float(model.hfield_size[0, 2])
         y = np.linspace(-field.width / 2, field.width / 2, rows)[:, None]
         x = np.linspace(-field.length / 2, field.length / 2, columns)[None, :]
         near, far = _CLEARING
         distance = np.hypot(x - field.start[0], y - field.start[1])
         self._rough = np.clip((distance - near) / (far - near), 0.0, 1.0)
+        # treads as long as bumps, from where the ground is rough on
+        tread = np.ceil((x - field.start[0] - far) / (_SPACING * _CELL)).clip(min=0) % (2 * _FLIGHT)
+        self._stairs = np.broadcast_to(np.minimum(tread, 2 * _FLIGHT - tread), (rows, columns))
         self.height: NDArray[np.float64] = np.zeros((rows, columns))
         self.mean: NDArray[np.float64] = np.zeros((rows, columns))
 
-    def roughen(self, bump: float, rng: np.random.Generator) -> None:
-        """Draw new ground with bumps of up to `bump` [m]."""
-        noise = _bumps(self.field.shape, rng)
-        lowest = noise.min()
-        # height = bump (noise - min) / (max - min), fading to the middle height at the start
-        level = (noise - lowest) / (noise.max() - lowest)
+    def roughen(self, bump: float, rng: np.random.Generator, ground: Ground = "bumps") -> None:
+        """Draw new ground of up to `bump` [m].
+
+        Steps are blocks of 25 cm, each of a height of its own; stairs have treads of 25 cm and
+        risers of `bump`, three up and three down, again and again.
+        """
+        if ground == "stairs":
+            level = 0.5 + self._stairs
+        elif ground == "steps":
+            level = _lattice(self.field.shape, rng).repeat(_SPACING, 0).repeat(_SPACING, 1)
+            level = level[: self.field.shape[0], : self.field.shape[1]]
+        else:
+            noise = _bumps(self.field.shape, rng)
+            lowest = noise.min()
+            level = (noise - lowest) / (noise.max() - lowest)
+        # height = bump level, fading to the middle height at the start
         self.height = bump * (0.5 + self._rough * (level - 0.5))
         self.mean = _box_mean(self.height, _PATCH)
-        self._heights[:] = self.height / CEILING
+        self._heights[:] = self.height / self._ceiling
 
     def ground(self, x: float, y: float) -> float:
         """Mean height of the ground around a point [m], bilinear, constant beyond the edge."""
@@ -128,9 +144,14 @@ class Terrain:
 def _bumps(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float64]:
     """Random heights on a lattice of 25 cm, interpolated to every sample and smoothed."""
     rows, columns = shape
-    lattice = rng.random((rows // _SPACING + 2, columns // _SPACING + 2))
-    fine = _blur(_stretch(_stretch(lattice).T).T)
+    fine = _blur(_stretch(_stretch(_lattice(shape, rng)).T).T)
     return fine[:rows, :columns]
+
+
+def _lattice(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float64]:
+    """Random levels in [0, 1], a lattice of 25 cm that reaches over all samples."""
+    rows, columns = shape
+    return rng.random((rows // _SPACING + 2, columns // _SPACING + 2))
 
 
 def _stretch(lattice: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -215,8 +236,9 @@ class Robot:
     support_force  [1] fraction of the full upward force, 0.6 of the weight, used in training only
     """
 
-    def __init__(self, field: Field) -> None:
-        self.model = mujoco.MjModel.from_xml_string(_xml(field))
+    def __init__(self, field: Field, ground: Ground = "bumps") -> None:
+        ceiling = (_FLIGHT + 0.5) * _CEILING if ground == "stairs" else _CEILING
+        self.model = mujoco.MjModel.from_xml_string(_xml(field, ceiling))
         self.data = mujoco.MjData(self.model)
         self.support_force = 0.0
         self._torso = self.model.body("torso").id
@@ -348,7 +370,7 @@ def _slip(readings: list[float]) -> float:
     return total / count if count else 0.0
 
 
-def _xml(field: Field) -> str:
+def _xml(field: Field, ceiling: float) -> str:
     root = ElementTree.parse(_XML).getroot()
     hfield = root.find("asset/hfield")
     if hfield is None:
@@ -356,5 +378,5 @@ def _xml(field: Field) -> str:
     rows, columns = field.shape
     hfield.set("nrow", str(rows))
     hfield.set("ncol", str(columns))
-    hfield.set("size", f"{field.length / 2} {field.width / 2} {CEILING} {BASE}")
+    hfield.set("size", f"{field.length / 2} {field.width / 2} {ceiling} {BASE}")
     return ElementTree.tostring(root, encoding="unicode")
