@@ -40,10 +40,11 @@ VIEWS = ("around", "ahead")
 FEW, FEW_SUCCEED, MANY_SUCCEED = 5_000, 0.2, 0.9  # operations; shares that the test asks for
 _ROWS: Mapping[str, Mapping[str, Any]] = DESIGNS["hexapod-tiles"]["networks"]
 _WALKS: Mapping[str, Any] = DESIGNS["hexapod-tiles"]["walks"]
+_GROUNDS: Mapping[str, Mapping[str, Any]] = DESIGNS["hexapod-tiles"]["grounds"]
 _TABLE = "hexapod-tiles.csv"
 _VERSION = 2  # of what a row holds; a higher one makes all rows again
-_TEXT = ("network", "view", "level", "place", "quick")
-_KEY = ("network", "view", "seed", "level", "place")
+_TEXT = ("network", "view", "level", "place", "ground", "quick")
+_KEY = ("network", "view", "seed", "level", "place", "ground")
 _FLOAT = ("float32", "int8")  # places of float networks
 _COUNTS = (
     "weights", "operations", "neuron_updates", "bias_operations", "readout_updates", "neuron_idle",
@@ -104,6 +105,10 @@ class TilesDesign(Design):
             for view in VIEWS
             for name in SCRIPTS
         ]
+        found += [
+            Part(f"{SCRIPT}-around-{ground}", partial(self._script_rows, SCRIPT, "around", ground))
+            for ground in _GROUNDS
+        ]
         for job in self.trainings():
             if is_walks(job):
                 found.append(Part.to_train(job))
@@ -121,45 +126,57 @@ class TilesDesign(Design):
             "version": _VERSION,
         }  # fmt: skip
 
-    def _script_rows(self, name: str, view: str) -> list[StoredRow]:
-        file = Path(self.runs) / "evaluations" / f"{name}-{view}.json"
-        return [StoredRow(file, self._made, partial(self._walk_by_script, name, view))]
+    def _script_rows(self, name: str, view: str, ground: str | None = None) -> list[StoredRow]:
+        stem = "-".join([name, view, *([ground] if ground else [])])
+        file = Path(self.runs) / "evaluations" / f"{stem}.json"
+        return [StoredRow(file, self._made, partial(self._walk_by_script, name, view, ground))]
 
-    def _walk_by_script(self, name: str, view: str) -> Record:
+    def _walk_by_script(self, name: str, view: str, ground: str | None) -> Record:
         scripts = Scripts(view, looks=name == SCRIPT)
-        played = play(_env(view), self.episodes, scripts, self.limit)
+        played = play(_env(view, ground), self.episodes, scripts, self.limit)
         # the gait is the same script on a scan that is free; what it needs was not counted
         facts = {"operations": scripts.count(played.walks)} if name == SCRIPT else {}
-        return self._row((name, view, None, None, None), facts, played.infos)
+        return self._row((name, view, None, None, None, ground), facts, played.infos)
 
     def _rows(self, training: TrainingJob) -> list[StoredRow]:
         """The rows of a training that ended, one of each level."""
         run = RunFolder(training.existing_run)
+        spikes = training.config.policy.kind in SPIKING
+        places = [self.chip] if spikes else _FLOAT
+        every = [(level, at, None) for level in reversed(run.levels.values()) for at in places]
+        name, view, _ = training.name.rsplit("-", 2)
+        if view == "around" and _ROWS[name].get("transfer"):
+            every += [(NOT_PRUNED, places[0], ground) for ground in _GROUNDS]
         rows = []
-        for level in reversed(run.levels.values()):
+        for level, place, ground in every:
             of = {**self._made, "policy": zoo.sha256(run.checkpoint(level))}
-            spikes = training.config.policy.kind in SPIKING
-            for place in [self.chip] if spikes else _FLOAT:
-                file = Path(self.runs) / "evaluations" / f"{training.name}-{level}-{place}.json"
-                make = partial(self._evaluate, training, level, place)
-                rows.append(StoredRow(file, of, make))
+            stem = "-".join([training.name, level, place, *([ground] if ground else [])])
+            file = Path(self.runs) / "evaluations" / f"{stem}.json"
+            rows.append(
+                StoredRow(file, of, partial(self._evaluate, training, level, place, ground))
+            )
         return rows
 
-    def _evaluate(self, training: TrainingJob, level: str, place: str) -> Record:
+    def _evaluate(
+        self, training: TrainingJob, level: str, place: str, ground: str | None
+    ) -> Record:
         name, view, _ = training.name.rsplit("-", 2)
         run = RunFolder(training.existing_run)
         policy = run.policy(level)
         stem = Path(self.runs) / "policies" / f"{training.name}-{level}"
         placed = network(run.path, level, place, stem)
-        played = play(training.config.env, self.episodes, placed.controller, self.limit)
+        env = training.config.env
+        rough = _GROUNDS[ground] if ground else {}
+        env = env.model_copy(update={"options": {**env.options, **rough}})
+        played = play(env, self.episodes, placed.controller, self.limit)
         matrices = [each for each in policy.modules() if isinstance(each, PrunedWeight)]
         weights = sum(int(each.mask.sum()) for each in matrices)
         facts = {"weights": weights, **placed.counts(played.walks)}
-        return self._row((name, view, training.seed, level, place), facts, played.infos)
+        return self._row((name, view, training.seed, level, place, ground), facts, played.infos)
 
     def _row(
         self,
-        key: tuple[str, str, int | None, str | None, str | None],
+        key: tuple[str, str, int | None, str | None, str | None, str | None],
         facts: Mapping[str, Any],
         infos: Sequence[Mapping[str, Any]],
     ) -> Record:
@@ -192,7 +209,11 @@ class TilesDesign(Design):
             if not is_walks(job)
             and (*job.name.rsplit("-", 2)[:2], job.seed) not in there
         )  # fmt: skip
-        every = [policy_facts(of) for _, of in grouped(rows, "network", "view", "level", "place")]
+        level = [row for row in rows if not row["ground"]]
+        every = [policy_facts(of) for _, of in grouped(level, "network", "view", "level", "place")]
+        rough = [policy_facts(of) for _, of in grouped(
+            [row for row in rows if row["ground"]], "ground", "network", "level", "place"
+        )]  # fmt: skip
         whole = [f for f in every if not f["pruned"] and f["place"] != "int8"]
         page, shown = pages.write_page(
             results / "hexapod-tiles.md",
@@ -204,6 +225,7 @@ class TilesDesign(Design):
             chip=self.chip,
             missing=[f"{name} ({count})" for name, count in lack.items()],
             views={v: [f for f in whole if f["view"] == v] for v in VIEWS},
+            rough=rough,
             front=[f for f in every if f["pruned"] or f["has_levels"]],
             verdicts="\n".join(f"- {line}" for line in verdicts(every)),
             facts=[f"- {pages.releases('torch', 'numpy', 'mujoco')}"],
@@ -217,8 +239,9 @@ def is_walks(training: TrainingJob) -> bool:
     return training.name.startswith("walks-")
 
 
-def _env(view: str) -> EnvConfig:
-    return EnvConfig(name="hexapod-tiles", options={"view": view})
+def _env(view: str, ground: str | None = None) -> EnvConfig:
+    options = _GROUNDS[ground] if ground else {}
+    return EnvConfig(name="hexapod-tiles", options={"view": view, **options})
 
 
 class Scripts:
@@ -263,6 +286,7 @@ def policy_facts(rows: Sequence[Record]) -> Record:
         "view": first["view"],
         "level": first["level"],
         "place": first["place"],
+        "ground": first.get("ground"),
         "kind": of.get("kind", SCRIPTS.get(first["network"], "")),
         "pruned": first["level"] is not None and first["level"] != NOT_PRUNED,
         "has_levels": of.get("levels", False),

@@ -31,9 +31,9 @@ def _few_networks():
 @pytest.fixture(scope="module")
 def design(tmp_path_factory):
     runs = str(tmp_path_factory.mktemp("tiles") / "runs")
-    small = ("policy.hidden=4", "policy.deep=2")
+    small = {"settings": ("policy.hidden=4", "policy.deep=2")}
     with pytest.MonkeyPatch.context() as patch:
-        rows = {**tiles._ROWS["legs-snn"], "settings": small}
+        rows = tiles._ROWS["legs-snn"] | small
         patch.setattr(tiles, "_ROWS", {**tiles._ROWS, "legs-snn": rows})
         patch.setattr("spikedeploy.trainers.sparse.sparse._ENV_COPIES", 2)
         yield TilesDesign(1, runs, episodes=2, quick=True, limit=60)
@@ -43,7 +43,7 @@ def design(tmp_path_factory):
 def results(design, ran):
     folder = Path(design.runs).parent / "results"
     outcome = run_experiment(design, (), 1, folder)
-    assert (outcome.done, outcome.of, outcome.failed) == (7, 7, {})
+    assert (outcome.done, outcome.of, outcome.failed) == (10, 10, {})
     assert ran[-1] == "legs-snn-around-s0"
     return folder
 
@@ -53,7 +53,7 @@ def table(results):
 
 
 def test_each_row_holds_its_episodes_and_counts_what_it_did(results):
-    rows = [r for r in table(results) if r["place"] != "int8"]
+    rows = [r for r in table(results) if r["place"] != "int8" and not r["ground"]]
     found = {(r["network"], r["level"]): r for r in rows}
     assert {r["network"] for r in table(results) if r["place"] == "int8"} == {*FEW} - {"legs-snn"}
     assert all(len(row["success"]) == len(row["missteps"]) == 2 for row in found.values())
@@ -68,6 +68,17 @@ def test_each_row_holds_its_episodes_and_counts_what_it_did(results):
     spiking = found["legs-snn", NOT_PRUNED]
     updates = 2 * (6 * (4 + 2) + 2 * 18)
     assert spiking["neuron_updates"] + spiking["neuron_idle"] == pytest.approx(updates, rel=0.02)
+
+
+def test_policies_and_the_script_also_walk_on_rough_ground(results):
+    rough = [(r["ground"], r["network"], r["level"]) for r in table(results) if r["ground"]]
+    of_each = [("script", None), ("legs-snn", NOT_PRUNED)]
+    grounds = ("bumps", "steps", "stairs")
+    assert sorted(rough, key=str) == sorted(
+        ((ground, *each) for ground in grounds for each in of_each), key=str
+    )
+    page = (results / "hexapod-tiles.md").read_text()
+    assert "| stairs | legs-snn |" in page
 
 
 def test_what_is_done_is_not_done_again_and_rows_of_elsewhere_stay(design, results, ran):
