@@ -64,9 +64,9 @@ def test_each_row_holds_its_episodes_and_counts_what_it_did(results):
     assert linear["weights"] <= 51 * 3
     assert 100 < linear["operations"] < 6 * linear["weights"]
     assert found["legs-gru", NOT_PRUNED]["operations"] > 10 * linear["operations"]
-    # in two timesteps; readouts to which nothing comes are idle
+    # readouts to which nothing comes are idle
     spiking = found["legs-snn", NOT_PRUNED]
-    updates = 2 * (6 * (4 + 2) + 2 * 18)
+    updates = 6 * (4 + 2) + 2 * 18
     assert spiking["neuron_updates"] + spiking["neuron_idle"] == pytest.approx(updates, rel=0.02)
 
 
