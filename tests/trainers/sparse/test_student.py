@@ -7,8 +7,13 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.policies import PrunedGruPolicy
-from spikedeploy.trainers.policies.delta import delta_artifact, live_neurons
+from spikedeploy.trainers.policies import DeltaSnnPolicy, PrunedGruPolicy, build
+from spikedeploy.trainers.policies.delta import (
+    channel_weights,
+    delta_artifact,
+    delta_codec,
+    live_neurons,
+)
 from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool
 from spikedeploy.trainers.sparse.student import (
@@ -64,6 +69,30 @@ def test_rounded_weights_are_what_the_loss_sees_and_gradients_pass_through():
     assert float(plain.detach()) != float(moved.detach())
     moved.backward()
     assert policy.past.weight.grad.abs().sum() > 0
+
+
+@pytest.mark.parametrize(("make", "on"), [(delta_policy, "loihi1"), (delta_mlp, "loihi2")])
+def test_each_forward_pass_rounds_weights_as_the_chip_will(make, on):
+    """Between two roundings by the chip weights move further than one step of its own."""
+    policy, target = make(left=1.0), chip(on)
+    found = student(policy, settings())
+    found.round(target)
+    with torch.no_grad():
+        for matrix in policy.groups.values():
+            largest = matrix.weight.abs() == matrix.weight.abs().max()  # sets the scale
+            matrix.weight.add_(0.05 * torch.randn_like(matrix.weight).where(~largest, 0.0))
+    offsets, quanta = rounding_offsets(policy, target)
+    weights = found.weights()
+    for name, quantum in quanta.items():
+        held, now = getattr(weights, name), policy.groups[name]()
+        torch.testing.assert_close(quantum, found.quanta[name])
+        assert (held - now).abs().max() <= 0.51 * quantum.max()
+        torch.testing.assert_close(held, now + offsets[name], atol=1e-5, rtol=0)
+        torch.testing.assert_close(held, held.div(quantum).round() * quantum, atol=1e-5, rtol=0)
+    assert torch.equal(found.acting().groups["out"](), weights.out)
+    again = student(make(left=1.0), settings())
+    again.load(found.tensors())
+    assert again.quanta.keys() == quanta.keys()
 
 
 def test_discrete_actions_are_imitated_by_their_logits():
@@ -215,6 +244,30 @@ def test_channels_of_a_deployed_policy_weigh_exact_multiples_of_one_event(shape)
             for k in (1, 2, 3):
                 np.testing.assert_array_equal(channels[:, 0, k - 1], k * channels[:, 0, 0])
                 np.testing.assert_array_equal(channels[:, 1, k - 1], -k * channels[:, 0, 0])
+
+
+def test_unused_channels_of_two_valued_observations_do_not_set_the_scale():
+    """A contact of weight 1, and an observation whose events weigh 0.1."""
+
+    def error(**options):
+        policy = DeltaSnnPolicy(2, 1, 1, step=1.0, most=3, **options)
+        with torch.no_grad():
+            policy.into.weight.copy_(torch.tensor([[1.0, 0.1033]]))
+        offsets, quanta = rounding_offsets(policy, chip("loihi1"))
+        return policy, float(offsets["into"][0, 1].abs()), float(quanta["into"].max())
+
+    for code in ("one-hot", "unary"):
+        plain, rough, coarse = error(code=code)
+        policy, fine, finer = error(code=code, two_valued=[0])
+        codec = delta_codec(policy)
+        seen = np.array([[0.0, 0.0], [1.0, 0.9], [0.0, -2.9], [1.0, 0.1]])
+        raster = codec.encode_episode(seen).reshape(4, -1)
+        both = [channel_weights(p, p.into().detach().numpy()) @ raster.T for p in (plain, policy)]
+        np.testing.assert_allclose(*both)  # nothing that is sent changes
+        if code == "one-hot":
+            assert finer == pytest.approx(coarse / 3)
+            assert fine < rough
+    assert build(policy.spec()).two_valued == (0,)
 
 
 def test_a_deployed_policy_is_what_the_chip_holds():
