@@ -527,6 +527,7 @@ def round_for_chip(policy: Policy, target: Chip, rounding: bool) -> Policy:
     copy = with_offsets(policy, offsets)
     for matrix in copy.groups.values():
         matrix.mask *= matrix.weight != 0
+        matrix.weight *= matrix.mask  # what is out is stored as zeros, which take no room
     return copy
 
 
