@@ -170,6 +170,10 @@ class DeltaSnnConfig(_Section):
             raise ValueError("deep: without hidden neurons they have none to read. Set hidden")
         if self.recurrent and not self.deep:
             raise ValueError("recurrent: only deep neurons read each other. Set deep")
+        if self.recurrent and self.memoryless:
+            raise ValueError(
+                "memoryless: recurrent neurons remember by their spikes. Set recurrent=false"
+            )
         if self.deep and self.clock != "pipelined":
             raise ValueError("deep: these neurons read others a timestep late. Set clock=pipelined")
         return self

@@ -243,7 +243,8 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
 
     terrain      [m] height of the bumps, blocks or risers
     ground       "bumps"; "steps", blocks of 25 cm of random heights; or "stairs", three risers up
-                 and three down, with treads of 25 cm
+                 and three down, with treads of 25 cm. Edges are slopes of 5 cm, the spacing of
+                 samples of the ground
     pushes       [1] scale of the pushes, 0 for none
     mass         [1] factor on every body
     payload      [kg] on the torso

@@ -187,7 +187,7 @@ class HexapodTilesEnv(HexapodEnv):
         self._tile = _number("tile", tile, 0.02, 1.0)
         self._share = _number("share", share, 0.0, 0.9)
         self._noise = _number("noise", _NOISE[view] if noise is None else noise, 0.0, 0.5)
-        self._course = 0.0
+        self._course, self._here, self._along = 0.0, self.FIELD.start, self.FIELD.start[0]
         scan = ObservationEntry("scan", len(SCANS[view]), 0.0, 1.0)
         self.ENTRIES = (*BODY, *COURSE, LOAD, scan)  # type: ignore[misc] # of the view
         self.OBSERVATION = layout(self.ENTRIES)  # type: ignore[misc]
@@ -211,8 +211,11 @@ class HexapodTilesEnv(HexapodEnv):
     def steer(self, course: float) -> None:
         """Turn the course about the robot to a direction in the world [rad].
 
-        From now on heading, lateral position and speed are relative to it; distances add up.
+        What is observed and rewarded of heading, lateral position and speed is relative to it from
+        now on, and distances add up; heading and lateral of the info stay in the world.
         """
+        if not math.isfinite(course):
+            raise EnvError(f"steer: {course} is no direction")
         if course == self._course:
             return
         position = self._on_course(self._robot.sense()).position

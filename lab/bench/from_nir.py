@@ -22,6 +22,7 @@ from spikedeploy.trainers.policies import (
     PopsanPolicy,
     SpikingMlpPolicy,
 )
+from spikedeploy.trainers.policies.delta import DEEP_NODE
 
 _DIGITS = 12  # of a decay; dt / tau loses precision beyond them
 
@@ -76,6 +77,8 @@ def _event_driven(
     artifact: Artifact, codec: Codec, encoder: DeltaEncoder, arrays: Arrays
 ) -> DeltaSnnPolicy:
     nodes = artifact.graph.nodes
+    if DEEP_NODE in nodes:
+        raise AttributeError("a second hidden layer")
     policy = _untrained(artifact, codec, encoder)
     is_graded = isinstance(policy, DeltaMlpPolicy)
     is_read = np.isfinite(encoder.step)  # a step of infinity: no synapse reads the observation

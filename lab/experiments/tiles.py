@@ -143,7 +143,9 @@ class TilesDesign(Design):
         run = RunFolder(training.existing_run)
         spikes = training.config.policy.kind in SPIKING
         places = [self.chip] if spikes else _FLOAT
-        every = [(level, at, None) for level in reversed(run.levels.values()) for at in places]
+        every: list[tuple[str, str, str | None]] = [
+            (level, at, None) for level in reversed(run.levels.values()) for at in places
+        ]
         name, view, _ = training.name.rsplit("-", 2)
         if view == "around" and _ROWS[name].get("transfer"):
             every += [(NOT_PRUNED, places[0], ground) for ground in _GROUNDS]
@@ -209,8 +211,8 @@ class TilesDesign(Design):
             if not is_walks(job)
             and (*job.name.rsplit("-", 2)[:2], job.seed) not in there
         )  # fmt: skip
-        level = [row for row in rows if not row["ground"]]
-        every = [policy_facts(of) for _, of in grouped(level, "network", "view", "level", "place")]
+        usual = [row for row in rows if not row["ground"]]
+        every = [policy_facts(of) for _, of in grouped(usual, "network", "view", "level", "place")]
         rough = [policy_facts(of) for _, of in grouped(
             [row for row in rows if row["ground"]], "ground", "network", "level", "place"
         )]  # fmt: skip

@@ -30,8 +30,8 @@ late, and hidden spikes the readout one later still (runtime.convention.Clock):
 
     I[t] = a I[t-1] + W (step n[t-1]) ;  y[t] = gamma y[t-1] + Wo s[t-1] + Ws (step n[t-1])
 
-With T = 1 an action is that of what was seen one to two control steps before; from T = 3 on of what
-is seen now.
+With T = 1 an action is that of what was seen one to two control steps before, or three with deep
+neurons; from T = 3 on, or 4, of what is seen now.
 """
 
 from collections.abc import Sequence
@@ -113,7 +113,8 @@ class DeltaSnnPolicy(Policy):
     recurrent: whether they also read each other; both only where the clock is pipelined
     memoryless: whether membranes and readouts of spikes last for no longer than a timestep
     two_valued: observations with two values that are a step apart: their channels of several events
-        are never used, and weigh no more than that of one, so that a chip's weights are finer
+        are never used; of a one-hot code they weigh as much as that of one, so that they do not
+        make a chip's weights coarser, of a unary code nothing
     deep_neurons: (H,) which hidden neurons are deep
     step: (obs,) distance that one event stands for [normalised observation]
     threshold: (H,) membrane above which a neuron spikes: 1, or the chip's nearest to it

@@ -8,6 +8,7 @@ from spikedeploy.trainers.config import (
     EVALUATION_SEEDS,
     Batch,
     Count,
+    DeltaSnnConfig,
     Positive,
     Rate,
     RunConfig,
@@ -125,6 +126,20 @@ class SparseConfig(RunConfig):
             raise ValueError(
                 f"window: {self.window} control steps leave none to learn from behind burn_in "
                 f"({self.burn_in}). Make window longer or burn_in shorter"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _burn_in_fills_the_pipeline(self) -> "SparseConfig":
+        policy = self.policy
+        if not isinstance(policy, DeltaSnnConfig) or not policy.memoryless:
+            return self
+        late = (1 + (policy.deep > 0)) * (policy.clock == "pipelined")  # timesteps to a readout
+        least = -(-max(late - policy.timesteps + 1, 0) // policy.timesteps)
+        if self.burn_in < least:
+            raise ValueError(
+                f"burn_in: an action depends on what was seen up to {late} timesteps before. Set "
+                f"burn_in={least} at least"
             )
         return self
 

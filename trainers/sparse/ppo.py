@@ -44,6 +44,7 @@ from spikedeploy.trainers.runner import Critic, Learner, Runner, adam, descend, 
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import Earned, Episodes, WalkPool, Windows, mean_outcome
 from spikedeploy.trainers.sparse.student import (
+    DeltaStudent,
     FloatController,
     GruStudent,
     imitation,
@@ -425,6 +426,8 @@ class SparsePpoLearner(Learner):
         found = student(policy, source)
         if isinstance(found, VisionStudent | GruStudent):
             raise ConfigError(f"a policy of kind {policy.kind!r} learns by imitation alone")
+        if isinstance(found, DeltaStudent):
+            found.each_pass = False  # ratios and divergences follow small changes of weights
         self.student = found
         self.head: NoisyActions | CategoricalHead = (
             CategoricalHead() if policy.head == "discrete" else NoisyActions(config.noise[0])

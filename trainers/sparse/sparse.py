@@ -182,7 +182,7 @@ class Sparse(Runner[SparseConfig]):
             self._student.begin(self.pool, self._rng)
             return
         self._fit()
-        self._student.prepare(self.pool)
+        self._prepare()
         self._set_thresholds()
 
     def _references(self, seeds: list[int]) -> tuple[float, float]:
@@ -220,11 +220,21 @@ class Sparse(Runner[SparseConfig]):
             step = choose_steps(self.policy, self.pool, self._binary, self._config)
             self.policy.step.copy_(self._alike(torch.from_numpy(step)))
         self._set_thresholds()
-        self._student.prepare(self.pool)
+        self._prepare()
         self.phase += 1
         self.start = operations(self._student.synapses())
         if self._config.schedule == "rounds" or self._phases[self.phase].last is not None:
             self.learner.restart()
+
+    def _prepare(self) -> None:
+        """Let the student know the pool, and which of its observations keep to two values."""
+        if isinstance(self.policy, DeltaSnnPolicy):
+            seen = np.concatenate([walk.observation for walk in self.pool.walks])
+            found = self._binary & binary_columns(seen.astype(np.float64))
+            if copies := self.policy.copies:  # where copies read the same, all of them do
+                found[copies.columns.numpy()] = found[copies.columns.numpy()].all(0)
+            self.policy.two_valued = tuple(np.flatnonzero(found).tolist())
+        self._student.prepare(self.pool)
 
     def _set_thresholds(self) -> None:
         """Set the thresholds of a delta network by the walks that are encoded."""
@@ -273,7 +283,6 @@ class Sparse(Runner[SparseConfig]):
         normaliser = self.policy.normalizer
         normaliser.adopt(Moments.of(seen))
         if isinstance(self.policy, DeltaSnnPolicy):
-            self.policy.two_valued = tuple(np.flatnonzero(self._binary).tolist())
             low, high = seen[:, self._binary].min(0), seen[:, self._binary].max(0)
             normaliser.mean[self._binary] = torch.from_numpy(low).float()
             normaliser.std[self._binary] = torch.from_numpy(high - low).float()
@@ -377,9 +386,7 @@ class Sparse(Runner[SparseConfig]):
         self.pool.add(own_walks(self._run.path, self._sums, self._widths))
         if "binary" in tensors:
             self._binary = tensors["binary"].numpy()
-            if isinstance(self.policy, DeltaSnnPolicy):
-                self.policy.two_valued = tuple(np.flatnonzero(self._binary).tolist())
-        self._student.prepare(self.pool)
+        self._prepare()
         if self._config.search:
             self._ended = [Ended(**each) for each in state["ended"]]
             self._shares, self._confirming = state["shares"], tuple(state["confirming"])

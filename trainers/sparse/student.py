@@ -7,6 +7,7 @@ with rounded weights has multiples of it on all channels, which the quantiser th
 are: its scale is that of the largest weight, which is 255 on Loihi and a multiple of K for 3 and 5.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
@@ -71,10 +72,15 @@ class DeltaStudent:
 
     policy: what is trained
     readout: names of the parameters behind the last hidden layer, and past it
-    hidden_rate: (H,) mean spikes of the hidden neurons in a control step
+    hidden_rate: (H,) mean spikes of the hidden neurons in a control step; of neurons without
+        memory T times those of the timestep that actions read
     offsets: what rounding by the chip adds to each field of DeltaWeights; none before `round`
     quanta: of which weights are rounded to multiples in each forward pass, by matrix
+    each_pass: whether they are; otherwise offsets hold from one `round` to the next, so that what
+        is computed changes smoothly with the weights
     """
+
+    each_pass = True
 
     readout = frozenset({"out.weight", "past.weight", "action_bias", "_gamma"})
 
@@ -143,7 +149,8 @@ class DeltaStudent:
     def round(self, target: Chip) -> None:
         """Compute with the numbers that the chip would have now, if the configuration says so."""
         if self._config.rounding:
-            self.offsets, self.quanta = rounding_offsets(self.policy, target)
+            self.offsets, quanta = rounding_offsets(self.policy, target)
+            self.quanta = quanta if self.each_pass else {}
 
     def acting(self) -> Policy:
         """Return the policy with the numbers that are computed with."""
@@ -463,6 +470,9 @@ def rounding_offsets(
     graded = isinstance(policy, DeltaMlpPolicy)
     for before, after in zip(exact.layers, rounded.layers, strict=True):
         units = target.arithmetic.partly_rounded(before, after, _STEP)
+        # on the grid of the chip lie all weights of a layer, whatever is left of each matrix
+        held = np.concatenate([np.abs(s.weight).ravel() for s in units.synapses])
+        step = _grid(held.astype(np.int64), target) * after.scale
         for old, new in zip(before.synapses, units.synapses, strict=True):
             # from events, and from neurons
             names = ("into", "back") if before.name in layers else ("past", "out")
@@ -477,7 +487,6 @@ def rounding_offsets(
                 counts = policy.step.double().numpy()
             elif graded:  # by what a spike counts
                 counts = policy.threshold[columns].double().numpy()
-            step = np.gcd.reduce(np.abs(new.weight).astype(np.int64), axis=None) * after.scale
             for found, each in ((offsets, error), (quanta, np.broadcast_to(step, error.shape))):
                 of_unit = torch.from_numpy((each / counts[:, None]).T).float()
                 found[name][rows[:, None], columns[None]] = of_unit
@@ -497,6 +506,17 @@ def rounding_offsets(
     matrices = {name: each.block(offsets[name]) * each.mask for name, each in groups.items()}
     steps = {name: each.block(quanta[name]).abs() * each.mask for name, each in groups.items()}
     return matrices if graded else offsets | matrices, steps
+
+
+def _grid(held: NDArray[np.int64], target: Chip) -> int:
+    """Return the distance of neighbouring weights of a layer, from those (n,) that it holds.
+
+    Weights count 2**exponent times, with an exponent for all: the largest one needs it.
+    """
+    registers: Any = target.arithmetic
+    unit = 1 << int(registers.mantissa_shift)
+    over = max(int(held.max(initial=0)) / unit / registers.weight_max, 1.0)
+    return int(registers.weight_step * unit << math.ceil(math.log2(over)))
 
 
 @torch.no_grad()
@@ -527,7 +547,7 @@ def round_for_chip(policy: Policy, target: Chip, rounding: bool) -> Policy:
     copy = with_offsets(policy, offsets)
     for matrix in copy.groups.values():
         matrix.mask *= matrix.weight != 0
-        matrix.weight *= matrix.mask  # what is out is stored as zeros, which take no room
+        matrix.weight.mul_(matrix.mask)  # what is out is stored as zeros, which take no room
     return copy
 
 

@@ -94,6 +94,8 @@ def test_a_course_that_is_turned_is_what_heading_offset_and_distance_are_relativ
     assert not info["fall"]
     env.reset(seed=3)
     assert env.course == 0.0
+    with pytest.raises(EnvError, match="no direction"):
+        env.steer(math.nan)
 
 
 def test_a_share_is_forbidden_and_none_at_the_start():

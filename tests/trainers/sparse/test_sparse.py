@@ -360,3 +360,16 @@ def test_any_policy_may_teach_on_tiles_but_nobody_is_privileged_elsewhere(stroll
     config = settings(teacher="privileged")
     with pytest.raises(ConfigError, match="privileged"):
         Sparse(config, RunFolder.create(tmp_path, config))
+
+
+@pytest.mark.parametrize(
+    ("timesteps", "deep", "least"), [(1, 2, 2), (1, 0, 1), (2, 2, 1), (2, 0, 0), (4, 2, 0)]
+)
+def test_a_burn_in_that_leaves_the_pipeline_empty_is_refused(timesteps, deep, least):
+    policy = {
+        "kind": "delta-snn", "hidden": 5, "deep": deep, "memoryless": True, "timesteps": timesteps,
+    }  # fmt: skip
+    settings(policy=policy, burn_in=least)
+    if least:
+        with pytest.raises(ValueError, match=f"burn_in={least} at least"):
+            settings(policy=policy, burn_in=least - 1)

@@ -270,6 +270,19 @@ def test_unused_channels_of_two_valued_observations_do_not_set_the_scale():
     assert build(policy.spec()).two_valued == (0,)
 
 
+@pytest.mark.parametrize("left", [1, 2])
+def test_quanta_are_the_chips_however_few_weights_are_left(left):
+    policy, target = delta_policy(hidden=4, left=1.0), chip("loihi1")
+    _, whole = rounding_offsets(policy, target)
+    largest = policy.out.weight.abs().flatten().argsort(descending=True)
+    policy.out.mask.flatten()[largest[left:]] = 0.0
+    _, quanta = rounding_offsets(policy, target)
+    held = quanta["out"] > 0
+    assert int(held.sum()) == left
+    # the scale of the readout's layer may change with what is left, by no more than its largest
+    assert quanta["out"][held].max() <= 1.01 * whole["out"].max()
+
+
 def test_a_deployed_policy_is_what_the_chip_holds():
     once = round_for_chip(delta_policy(code="one-hot", left=1.0), chip("loihi1"), True)
     for name, added in rounding_offsets(once, chip("loihi1"))[0].items():
