@@ -295,7 +295,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         self.max_steps = max_steps
         if ground not in get_args(Ground):
             raise EnvError(f"option ground: {ground!r} is not one of {', '.join(get_args(Ground))}")
-        self._bump, self._ground = check("terrain", terrain, 0.0, 0.1), ground
+        self._bump = check("terrain", terrain, 0.0, 0.1)
         self._body = {
             "mass": check("mass", mass, 0.5, 2.0),
             "payload": check("payload", payload, -0.5, 2.0),
@@ -308,7 +308,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
             raise EnvError(f"option pushes: {pushes!r} is a pair; one number scales every push")
         self._pushes = Pushes(self.PUSHES, scale)
         self._robot = Robot(self.FIELD, ground)
-        self._terrain = Terrain(self.FIELD, self._robot.model)
+        self._terrain = Terrain(self.FIELD, self._robot.model, ground)
         self._gait = Gait()
         self._camera: Camera | CameraWindow | None = None
         self._centre, self._spread = scaling(self.ENTRIES)
@@ -347,7 +347,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         """Start an episode with new ground, body parameters, pushes and gait phase."""
         super().reset(seed=seed)
         rng = self.np_random
-        self._terrain.roughen(sample(self._bump, rng), rng, self._ground)
+        self._terrain.roughen(sample(self._bump, rng), rng)
         self._robot.rebuild(**{name: sample(value, rng) for name, value in self._body.items()})
         self._gait.reset(rng.uniform(0.0, math.tau))
         self._pushes.reset(rng)

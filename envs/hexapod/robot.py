@@ -91,8 +91,8 @@ class Terrain:
     mean    (rows, columns) [m] averaged over a patch of 35 cm around each sample
     """
 
-    def __init__(self, field: Field, model: mujoco.MjModel) -> None:
-        self.field = field
+    def __init__(self, field: Field, model: mujoco.MjModel, ground: Ground = "bumps") -> None:
+        self.field, self._ground = field, ground
         rows, columns = field.shape
         self._heights = model.hfield_data.reshape(rows, columns)
         self._ceiling = float(model.hfield_size[0, 2])
@@ -107,15 +107,15 @@ class Terrain:
         self.height: NDArray[np.float64] = np.zeros((rows, columns))
         self.mean: NDArray[np.float64] = np.zeros((rows, columns))
 
-    def roughen(self, bump: float, rng: np.random.Generator, ground: Ground = "bumps") -> None:
+    def roughen(self, bump: float, rng: np.random.Generator) -> None:
         """Draw new ground of up to `bump` [m].
 
         Steps are blocks of 25 cm, each of a height of its own; stairs have treads of 25 cm and
         risers of `bump`, three up and three down, again and again.
         """
-        if ground == "stairs":
+        if self._ground == "stairs":
             level = 0.5 + self._stairs
-        elif ground == "steps":
+        elif self._ground == "steps":
             level = _lattice(self.field.shape, rng).repeat(_SPACING, 0).repeat(_SPACING, 1)
             level = level[: self.field.shape[0], : self.field.shape[1]]
         else:

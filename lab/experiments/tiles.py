@@ -228,6 +228,7 @@ class TilesDesign(Design):
             missing=[f"{name} ({count})" for name, count in lack.items()],
             views={v: [f for f in whole if f["view"] == v] for v in VIEWS},
             rough=rough,
+            heights={name: 100 * of["terrain"] for name, of in _GROUNDS.items()},
             front=[f for f in every if f["pruned"] or f["has_levels"]],
             verdicts="\n".join(f"- {line}" for line in verdicts(every)),
             facts=[f"- {pages.releases('torch', 'numpy', 'mujoco')}"],

@@ -225,34 +225,19 @@ class CommandedPolicyDriver(PolicyDriver):
 
 
 class SteeredPolicyDriver(PolicyDriver):
-    """A policy that walks straight along a course, which a person turns.
+    """A policy that walks straight along a course, which a person turns."""
 
-    course  its direction [rad]
-    """
-
-    _STEP = math.radians(10)
+    _STEPS = {pygame.K_LEFT: math.radians(10), pygame.K_RIGHT: -math.radians(10)}  # noqa: RUF012
     legend = [("← →", "turn")]  # noqa: RUF012
 
     def __init__(self, player: Player, name: str, world: Any) -> None:  # noqa: ANN401
         super().__init__(player, name)
-        self._world, self.course = world, 0.0
-
-    def reset(self, seed: int) -> None:
-        """Start an episode, along the x axis."""
-        super().reset(seed)
-        self.course = 0.0
+        self._world = world
 
     def handle(self, event: pygame.Event) -> None:
-        """Handle a key press."""
-        if event.type == pygame.KEYDOWN:
-            self.course += self._STEP * (
-                (event.key == pygame.K_LEFT) - (event.key == pygame.K_RIGHT)
-            )
-
-    def act(self, observation: Floats) -> NDArray[Any]:
-        """The policy's action; the next observation is relative to the course."""
-        self._world.steer(self.course)
-        return super().act(observation)
+        """Handle a key press; the next observation is relative to the course."""
+        if event.type == pygame.KEYDOWN and event.key in self._STEPS:
+            self._world.steer(self._world.course + self._STEPS[event.key])
 
 
 # a session: one driver in one environment
@@ -406,7 +391,7 @@ def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Drive
     chip = chip or candidate.default_chip
     player = open_with_traces(candidate, chip, world, "total")
     name = f"{candidate.name} on {chip}" if chip else candidate.name
-    if hasattr(inner, "course"):
+    if hasattr(inner, "course"):  # a direction; other walkers are given a velocity
         return SteeredPolicyDriver(player, name, inner)
     if hasattr(inner, "steer"):
         return CommandedPolicyDriver(player, name, inner)

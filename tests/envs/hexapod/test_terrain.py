@@ -37,8 +37,9 @@ def test_the_robot_walks_on_the_ground_that_is_measured(terrain):
         assert top - fall == pytest.approx(terrain.height[row, column], abs=1e-4)
 
 
-def test_steps_are_blocks_of_their_own_heights(terrain):
-    terrain.roughen(0.09, np.random.default_rng(0), "steps")
+def test_steps_are_blocks_of_their_own_heights():
+    terrain = Terrain(FIELD, Robot(FIELD).model, "steps")
+    terrain.roughen(0.09, np.random.default_rng(0))
     blocks = terrain.height[70:80, 110:120].reshape(2, 5, 2, 5)  # far from the start
     assert np.ptp(blocks, axis=(1, 3)).max() < 1e-12
     assert len(np.unique(blocks.round(9))) == 4
@@ -47,8 +48,8 @@ def test_steps_are_blocks_of_their_own_heights(terrain):
 
 def test_stairs_go_three_risers_up_and_three_down():
     robot = Robot(FIELD, "stairs")
-    terrain = Terrain(FIELD, robot.model)
-    terrain.roughen(0.07, np.random.default_rng(0), "stairs")
+    terrain = Terrain(FIELD, robot.model, "stairs")
+    terrain.roughen(0.07, np.random.default_rng(0))
     levels = (terrain.height[0, 48::5] / 0.07).round(6)  # a sample of each tread
     assert levels.tolist() == [0.5 + k for k in (0, 1, 2, 3, 2, 1, 0, 1, 2, 3, 2, 1, 0, 1, 2)]
     assert terrain.ground(*FIELD.start) == pytest.approx(0.035)
