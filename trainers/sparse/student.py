@@ -133,15 +133,15 @@ class DeltaStudent:
     def weights(self) -> DeltaWeights:
         """Return what is computed with: the policy's weights, as the chip rounds them."""
         weights = self.policy.weights()
-        kinds = {name: getattr(weights, name) + added for name, added in self._rounding().items()}
-        return replace(weights, **kinds)
+        found = self._rounding(weights).items()
+        return replace(weights, **{name: getattr(weights, name) + added for name, added in found})
 
     @torch.no_grad()
-    def _rounding(self) -> dict[str, Tensor]:
+    def _rounding(self, weights: DeltaWeights) -> dict[str, Tensor]:
         """Return what rounding adds now: quanta and registers are those of the last `round`."""
         found = dict(self.offsets)
         for name, quantum in self.quanta.items():
-            weight, held = self.policy.groups[name](), quantum > 0
+            weight, held = getattr(weights, name), quantum > 0
             nearest = torch.round(weight / quantum.where(held, 1.0)) * quantum
             found[name] = torch.where(held, nearest - weight, 0.0)
         return found
@@ -154,7 +154,7 @@ class DeltaStudent:
 
     def acting(self) -> Policy:
         """Return the policy with the numbers that are computed with."""
-        return with_offsets(self.policy, self._rounding())
+        return with_offsets(self.policy, self._rounding(self.policy.weights()))
 
     def hidden_operations(self, activities: list[Tensor]) -> Tensor:
         """Return the hidden neurons' operations for spikes (n, H), with a gradient."""
