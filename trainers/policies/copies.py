@@ -107,6 +107,12 @@ class SharedWeight(PrunedWeight):
         """(N, M) 1 where a synapse is left."""
         return self._spread(self.mask.expand(len(self._columns), *self.mask.shape))
 
+    @property
+    def fan_out(self) -> Tensor:
+        """Synapses (M,) that are left of each presynaptic neuron."""
+        each = self.mask.sum(0).repeat(len(self._columns))
+        return each.new_zeros(self._shape[1]).index_add(0, self._columns.flatten(), each)
+
     def _spread(self, blocks: Tensor) -> Tensor:
         """Return blocks (K, n, m) in their places (N, M), zeros elsewhere."""
         return blocks.new_zeros(self._shape).index_put(self._places, blocks)

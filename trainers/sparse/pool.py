@@ -207,6 +207,7 @@ class WalkPool:
     def __init__(self, walks: Iterable[Walk] = ()) -> None:
         self.walks = list(walks)
         self._events: tuple[Tensor, Tensor] | None = None  # moved and seen, as they arrive
+        self._rows: tuple[NDArray[Any], Single] | None = None  # of all walks, one behind another
 
     def __len__(self) -> int:
         return len(self.walks)
@@ -219,6 +220,7 @@ class WalkPool:
     def add(self, walks: Iterable[Walk]) -> None:
         """Take over walks; their windows are drawn after the next `encode`."""
         self.walks += walks
+        self._rows = None
 
     def encode(
         self,
@@ -334,12 +336,16 @@ class WalkPool:
         crashed = np.array([k for k, walk in enumerate(self.walks) if walk.crashed])
         near = rng.random(count) < crash if len(crashed) else np.zeros(count, bool)
         which[near] = rng.choice(crashed, size=int(near.sum())) if near.any() else which[near]
-        lengths = np.array([len(self.walks[k].label) for k in which])
-        first = np.where(near, np.maximum(lengths - crash_steps, 0), 0)
-        pairs = list(zip(which, rng.integers(first, lengths), strict=True))
-        observation = np.stack([self.walks[k].observation[t] for k, t in pairs])
-        label = np.stack([self.walks[k].label[t] for k, t in pairs])
-        return torch.from_numpy(observation), torch.from_numpy(label)
+        length = np.array([len(walk.label) for walk in self.walks])
+        first = np.where(near, np.maximum(length[which] - crash_steps, 0), 0)
+        at = (np.cumsum(length) - length)[which] + rng.integers(first, length[which])
+        if self._rows is None:
+            self._rows = (
+                np.concatenate([walk.observation for walk in self.walks]),
+                np.concatenate([walk.label for walk in self.walks]),
+            )
+        observation, label = (torch.from_numpy(rows[at]) for rows in self._rows)
+        return observation, label
 
 
 def _arriving(rows: Single, delay: int) -> Tensor:
