@@ -182,7 +182,8 @@ class Windows:
     """Parts of walks, W of them with L control steps of T timesteps each.
 
     seen: (W, L T, obs) what synapses with a decaying current hold of the observation
-    moved: (W, L T, obs) the encoder's step times its signed events, as they arrive
+    moved: (W, L T, obs) the encoder's step times its signed events, as they arrive; (W, L T, 0)
+        where they are not asked for
     label: (W, L, act)
     begins: (W,) whether the episode begins after the burn-in
     """
@@ -229,6 +230,7 @@ class WalkPool:
         decay: float,
         delay: int = 0,
         timesteps: int = 1,
+        moves: bool = True,
     ) -> None:
         """Compute the events of all walks.
 
@@ -236,29 +238,35 @@ class WalkPool:
         decay: factor by which currents keep, in a control step, what events brought
         delay: timesteps from an event to its arrival
         timesteps: of a control step
+        moves: whether windows hold `moved`, and not only what is `seen`
         """
         rows = [np.asarray(each) for each in normalised]
         self._take_labels()
-        shape = self._length.max() * timesteps, len(rows), encoder.observed
-        moved, seen = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        self._events = None  # makes room
+        steps, walks, width = self._length.max(), len(rows), encoder.observed
+        seen = np.zeros((walks, steps * timesteps, width), np.float32)
+        moved = np.zeros((*seen.shape[:2], width if moves else 0), np.float32)
         step = np.where(np.isfinite(encoder.step), encoder.step, 0.0)
-        held, before, levels = np.zeros(shape[1:]), np.zeros(shape[1:]), encoder.start(0)
-        spikes, moves = np.zeros(encoder.observed), np.zeros(encoder.observed)
-        for t in range(self._length.max()):
+        held, before = np.zeros((2, walks, width))
+        levels = encoder.start(0)
+        spikes, distance = np.zeros((2, width))
+        for t in range(steps):
             now = np.stack([each[min(t, len(each) - 1)] for each in rows])
             events = encoder.events(now, timesteps, levels)
-            for at, sent in enumerate(events.swapaxes(0, 1), t * timesteps):
-                moved[at] = step * sent
-                held = decay * held + moved[at]
-                seen[at] = held
+            for at, sent in enumerate(events.swapaxes(0, 1), t * timesteps + delay):
+                arriving = (step * sent).astype(np.float32)
+                held = decay * held + arriving
+                seen[:, at : at + 1] = held[:, None]  # nothing behind the end
+                if moves:
+                    moved[:, at : at + 1] = arriving[:, None]
             sizes = np.abs(events[t < self._length])
             spikes += (sizes if encoder.code == "unary" else sizes > 0).sum((0, 1))
-            moves += np.abs(now - before)[t < self._length].sum(0) if t else 0.0
+            distance += np.abs(now - before)[t < self._length].sum(0) if t else 0.0
             before = now
-        self._events = _arriving(moved, delay), _arriving(seen, delay)
+        self._events = torch.from_numpy(moved), torch.from_numpy(seen)
         self._timesteps = timesteps
         self.event_rate = torch.from_numpy(spikes / self.steps).float()
-        self.mean_move = moves / self.steps
+        self.mean_move = distance / self.steps
 
     def take_observations(self, others: Sequence[Single] = ()) -> None:
         """Let windows hold the raw observations in `seen`, and nothing in `moved`.
@@ -346,16 +354,6 @@ class WalkPool:
             )
         observation, label = (torch.from_numpy(rows[at]) for rows in self._rows)
         return observation, label
-
-
-def _arriving(rows: Single, delay: int) -> Tensor:
-    """Return rows (S, W, ...) as they arrive, so many control steps late, as (W, S, ...).
-
-    A window lies in one piece of memory.
-    """
-    late = np.zeros_like(rows)
-    late[delay:] = rows[: len(rows) - delay]
-    return torch.from_numpy(np.ascontiguousarray(late.swapaxes(0, 1)))
 
 
 # -- the pool of a run on disk: a file of walks for each collection, checked when it is read

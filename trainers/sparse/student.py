@@ -99,8 +99,9 @@ class DeltaStudent:
         rows = (normaliser(walk.observation.astype(np.float64)) for walk in pool.walks)
         policy = self.policy
         pool.encode(
-            rows, delta_encoder(precise), policy.current_decay, policy.delay, policy.timesteps
-        )
+            rows, delta_encoder(precise), policy.current_decay, policy.delay, policy.timesteps,
+            moves=not policy.memoryless,
+        )  # fmt: skip
         self._event_rate = pool.event_rate
 
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
