@@ -55,6 +55,8 @@ SCANS: dict[View, FloatArray] = {
 _LEFT = np.array([False, False, False, True, True, True])  # legs, RF to LR
 _SECOND = np.array([False, True, False, True, False, True])  # those of the second tripod
 _LANE = 2  # points of a strip to either side of a leg's foothold that it reads
+_DELAY = 6  # [control steps] between two earlier rows
+_MOST_DELAYS = 60
 _SEEN = 1.5  # [m] from the robot, within which tiles are drawn
 _MARKED = 40  # missteps that are drawn
 _FORBIDDEN, _MISSTEP = (0.62, 0.16, 0.12, 1.0), (1.0, 0.85, 0.1, 1.0)  # colours
@@ -68,7 +70,8 @@ def leg_inputs(
 
     Left legs read what a mirror shows, and legs of the second tripod half a period later: one
     network serves all. A leg reads the pose of the body, its own joints, and its own part of the
-    scan: the points about its foothold, or of the strip ahead those that come to lie there.
+    scan: the points about its foothold, or of the strip ahead and of earlier rows those that come
+    to lie there.
 
     observation: slices of HexapodTilesEnv.OBSERVATION
     """
@@ -85,8 +88,12 @@ def leg_inputs(
     inputs, signs = [], []
     for leg in range(6):
         own = [of(name, 3 * leg, 3 * leg + 1, 3 * leg + 2) for name in ("joints", "previous")]
-        points = _lane(scan, leg)
-        seen = [*own, of("contact", leg), points[:, ::-1].ravel() if _LEFT[leg] else points.ravel()]
+        lanes = [_lane(scan, leg)]
+        if "earlier" in observation:
+            earlier = np.arange(observation["earlier"].start, observation["earlier"].stop)
+            lanes.append(_lane(earlier, leg))
+        points = [(each[:, ::-1] if _LEFT[leg] else each).ravel() for each in lanes]
+        seen = [*own, of("contact", leg), *points]
         inputs.append(np.concatenate([of("phase", 0, 1), *(each for each, _ in body), *seen]))
         tripod, mirror = 1 - 2 * int(_SECOND[leg]), [m if _LEFT[leg] else 1 for _, m in body]
         signs.append([tripod, tripod, *mirror] + [1] * sum(map(len, (n.ravel() for n in seen))))
@@ -94,7 +101,7 @@ def leg_inputs(
 
 
 def _lane(scan: NDArray[np.int64], leg: int) -> NDArray[np.int64]:
-    """Return the points (along, across) of a scan that a leg reads."""
+    """Return the points (along, across) of a scan, or of rows of a strip, that a leg reads."""
     if len(scan) == len(SCANS["around"]):
         points: NDArray[np.int64] = scan.reshape(6, *GRID)[leg]
         return points
@@ -146,13 +153,15 @@ class HexapodTilesEnv(HexapodEnv):
     Action (18,) in [-1, 1], leg by leg coxa, femur, tibia: the servos hold stance + 0.6 rad x
     target, and a control step adds 0.25 x action to the target, which stays within +-2.2.
 
-    Observation: the 77 numbers of HexapodEnv, of which `previous` is the target of the servos,
-    and a scan of the ground: 1 where a tile is forbidden, 0 elsewhere. Its points move with the
-    body and turn with its heading. `around` has 35 about the foothold of each leg in its stance,
-    6 cm behind it to 12 cm before it, 6 cm to either side; `ahead` has 138 in a strip 30 to 45 cm
-    in front of the body's centre and 66 cm wide, before any foot, as of a camera of depth: what
-    the other legs need has to be remembered. A point that is wrong, with the probability `noise`,
-    is drawn anew in every control step.
+    Observation: the 77 numbers of HexapodEnv, of which `previous` is the target of the servos, and
+    a scan of the ground: 1 where a tile is forbidden, 0 elsewhere. Its points move with the body
+    and turn with its heading. `around` has 35 about the foothold of each leg in its stance, 6 cm
+    behind it to 12 cm before it, 6 cm to either side; `ahead` has 138 in a strip 30 to 45 cm in
+    front of the body's centre and 66 cm wide, before any foot, as of a camera of depth: what the
+    other legs need has to be remembered: by the policy, or by `delays`, rows of the strip nearest
+    to the body as they were seen 6, 12, 18 ... control steps before (a tapped delay line, Waibel et
+    al. 1989), 23 points each. 26 of them reach 62 cm back, to the rear legs. A point that is wrong,
+    with the probability `noise`, is drawn anew in every control step.
 
     Reward of a control step: that of HexapodEnv with 0.2 m/s and without its term `jerk`, and
     -10/3 for each foot that stands on a forbidden tile. A touchdown is a contact after at least 4
@@ -164,6 +173,7 @@ class HexapodTilesEnv(HexapodEnv):
     tile    [m] side of a tile
     share   [1] of the tiles that is forbidden
     noise   [1] probability that a point of the scan is wrong; None for 0 around, 0.02 ahead
+    delays  earlier rows that are observed ahead, at most 60
     and the options of HexapodEnv.
     """
 
@@ -177,6 +187,7 @@ class HexapodTilesEnv(HexapodEnv):
         tile: float = 0.1,
         share: float = 0.3,
         noise: float | None = None,
+        delays: int = 0,
         terrain: float = 0.0,
         max_steps: int = 800,
         **options: Any,  # noqa: ANN401
@@ -187,9 +198,16 @@ class HexapodTilesEnv(HexapodEnv):
         self._tile = _number("tile", tile, 0.02, 1.0)
         self._share = _number("share", share, 0.0, 0.9)
         self._noise = _number("noise", _NOISE[view] if noise is None else noise, 0.0, 0.5)
+        if delays and view != "ahead":
+            raise EnvError(f"option delays: {delays!r} is for view='ahead', whose rows pass by")
+        if int(_number("delays", delays, 0, _MOST_DELAYS)) != delays:
+            raise EnvError(f"option delays: {delays!r} is no whole number")
+        self._delays = int(delays)
         self._course, self._here, self._along = 0.0, self.FIELD.start, self.FIELD.start[0]
         scan = ObservationEntry("scan", len(SCANS[view]), 0.0, 1.0)
-        self.ENTRIES = (*BODY, *COURSE, LOAD, scan)  # type: ignore[misc] # of the view
+        earlier = ObservationEntry("earlier", _ACROSS * self._delays, 0.0, 1.0)
+        scans = (scan, earlier) if delays else (scan,)
+        self.ENTRIES = (*BODY, *COURSE, LOAD, *scans)  # type: ignore[misc] # of the view
         self.OBSERVATION = layout(self.ENTRIES)  # type: ignore[misc]
         super().__init__(terrain=terrain, max_steps=max_steps, **options)
 
@@ -233,6 +251,7 @@ class HexapodTilesEnv(HexapodEnv):
         self._touchdowns = 0
         self._missed: list[tuple[int, float, float]] = []
         self._standing = np.zeros(6, np.bool_)
+        self._nearest = np.zeros((1 + _DELAY * self._delays, _ACROSS))  # rows, the latest first
         self._course, self._here, self._along = 0.0, self.FIELD.start, self.FIELD.start[0]
 
     def _on_course(self, motion: Motion) -> Motion:
@@ -286,7 +305,11 @@ class HexapodTilesEnv(HexapodEnv):
         if self._noise:
             wrong = self.np_random.random(len(seen)) < self._noise
             seen = np.where(wrong, 1.0 - seen, seen)
-        return (seen,)
+        if not self._delays:
+            return (seen,)
+        self._nearest = np.roll(self._nearest, 1, axis=0)
+        self._nearest[0] = seen[:_ACROSS]
+        return seen, self._nearest[_DELAY::_DELAY].ravel()
 
     def _scan(self, view: View) -> FloatArray:
         """Return 1 where a point of a scan is forbidden (n,), 0 elsewhere, without noise."""

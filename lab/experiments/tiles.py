@@ -92,8 +92,9 @@ class TilesDesign(Design):
             f'env.options.view="{view}"', *of["settings"],
             *(QUICK["hexapod-tiles"] if self.quick else ()), *self.settings,
         )  # fmt: skip
-        blind = any("noise" in setting for setting in every)  # the walks show the ground
-        parents = {} if blind else {"pool": self._walks(view)}
+        # with options of its own a network sees other observations than the walks show
+        alone = any(setting.startswith("env.options.") for setting in of["settings"])
+        parents = {} if alone else {"pool": self._walks(view)}
         job = TrainingJob(f"{name}-{view}-s{seed}", of["recipe"], seed, self.runs, every, parents)
         # the walks are a run of one of the recipes too, and differ in their rounds
         return replace(job, telling=(*every, f"dense_rounds={job.planned().dense_rounds}"))

@@ -235,6 +235,15 @@ def test_legs_read_their_own_part_of_the_scan_and_left_ones_its_mirror(
     assert (signs[[1, 3, 5], :2] == -1).all()
 
 
+def test_of_earlier_rows_legs_read_what_they_read_of_the_nearest_one() -> None:
+    columns = make("hexapod-tiles", view="ahead", delays=3).unwrapped.OBSERVATION
+    inputs, signs = leg_inputs(columns)
+    assert inputs.shape == signs.shape == (6, 16 + 30 + 3 * 5)
+    nearest = inputs[:, 16:21] - columns["scan"].start
+    earlier = inputs[:, 46:].reshape(6, 3, 5) - columns["earlier"].start
+    assert np.array_equal(earlier, nearest[:, None] + 23 * np.arange(3)[:, None])
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
