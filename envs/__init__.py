@@ -111,6 +111,13 @@ ENVS: dict[str, EnvSpec] = {
             remark="HexapodTiles-v0 is on trial: no policy is shipped for it, and its numbers may "
             "still change.",
         ),
+        EnvSpec(
+            "hexapod-tiles-ahead",
+            "spikedeploy/HexapodTilesAhead-v0",
+            "spikedeploy.envs.hexapod.tiles:HexapodTilesAheadEnv",
+            "the same, by a strip in front of the body and what it showed before",
+            controls=("random", "footholds"),
+        ),
         *(
             EnvSpec(
                 f"kart-{kind.lower()}",

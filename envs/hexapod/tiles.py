@@ -336,6 +336,16 @@ class HexapodTilesEnv(HexapodEnv):
         }
 
 
+class HexapodTilesAheadEnv(HexapodTilesEnv):
+    """HexapodTilesEnv that looks ahead, with a delay line that reaches to the rear legs.
+
+    Its options are those of HexapodTilesEnv; `delays=0` leaves remembering to the policy.
+    """
+
+    def __init__(self, *, view: View = "ahead", delays: int = 26, **options: Any) -> None:  # noqa: ANN401
+        super().__init__(view=view, delays=delays, **options)
+
+
 def _number(name: str, value: object, lowest: float, highest: float) -> float:
     number = check(name, value, lowest, highest)
     if isinstance(number, tuple):

@@ -92,8 +92,8 @@ class TilesDesign(Design):
             f'env.options.view="{view}"', *of["settings"],
             *(QUICK["hexapod-tiles"] if self.quick else ()), *self.settings,
         )  # fmt: skip
-        # with options of its own a network sees other observations than the walks show
-        alone = any(setting.startswith("env.options.") for setting in of["settings"])
+        # in an environment of its own a network sees other observations than the walks show
+        alone = any(setting.startswith("env.") for setting in of["settings"])
         parents = {} if alone else {"pool": self._walks(view)}
         job = TrainingJob(f"{name}-{view}-s{seed}", of["recipe"], seed, self.runs, every, parents)
         # the walks are a run of one of the recipes too, and differ in their rounds

@@ -76,7 +76,9 @@ def test_chips_recipes_and_environments_are_offered():
     assert completion.chips("xylo-a") == ["xylo-a2", "xylo-a3"]
     assert completion.chips("odin,tiny") == ["odin,tinyodin"]
     assert completion.recipes("hexapod-sac") == ["hexapod-sac", "hexapod-sac-256"]
-    assert completion.environments("hexapod") == ["hexapod", "hexapod-command", "hexapod-tiles"]
+    assert completion.environments("hexapod") == [
+        "hexapod", "hexapod-command", "hexapod-tiles", "hexapod-tiles-ahead",
+    ]  # fmt: skip
     assert "CartPole-v1" in completion.environments("Cart")
     assert "CartPole-v1" not in completion.environments("")
     assert completion.trainings("hexapod-c")[-1] == "hexapod-command"
