@@ -329,14 +329,16 @@ def test_a_search_refuses_a_teacher_that_earns_no_more_than_random_actions(
         learned(settings(teacher=stroll, **SEARCH), tmp_path, until=1)
 
 
-def tiles(teacher, view="around"):
-    env = {"name": "hexapod-tiles", "options": {"view": view}}
+def tiles(teacher, **env):
+    env = {"name": "hexapod-tiles", **env}
     return settings(teacher=teacher, env=env, policy={"kind": "pruned-mlp", "hidden": [4]})
 
 
-@pytest.mark.parametrize("view", ["around", "ahead"])
-def test_the_script_that_is_shown_the_ground_teaches_whatever_is_observed(view, tmp_path):
-    config = tiles("privileged", view)
+@pytest.mark.parametrize(
+    "env", [{}, {"options": {"view": "ahead"}}, {"name": "hexapod-tiles-ahead"}]
+)
+def test_the_script_that_is_shown_the_ground_teaches_whatever_is_observed(env, tmp_path):
+    config = tiles("privileged", **env)
     run = Sparse(config, RunFolder.create(tmp_path, config))
     world = run._episodes.worlds[0]
     seen, _ = world.reset(seed=7)
@@ -344,7 +346,7 @@ def test_the_script_that_is_shown_the_ground_teaches_whatever_is_observed(view, 
     near = world.scan_footholds()
     columns = world.OBSERVATION["scan"]
     assert near.any()  # tiles about the feet are forbidden
-    if view == "around":
+    if not env:
         shown = seen.copy()
         shown[columns] = near.ravel()
         assert np.array_equal(run._teacher.act(shown), free)
