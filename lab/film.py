@@ -42,12 +42,14 @@ class FilmedStep:
     spikes  (S, N) input events and hidden spikes, in the control steps so far
     inputs  how many of them are inputs
     sops    mean of a control step
+    title   the environment, or how many steps went onto forbidden tiles
     """
 
     frame: NDArray[np.uint8]
     spikes: NDArray[np.bool_]
     inputs: int
     sops: float
+    title: str
 
 
 def play(policy: str, env: str) -> Iterator[tuple[FilmedStep, float]]:
@@ -61,7 +63,7 @@ def play(policy: str, env: str) -> Iterator[tuple[FilmedStep, float]]:
     past: list[NDArray[np.bool_]] = []
     every = round(1 / (_FPS * period))
     for step in range(round(_SECONDS / period)):
-        seen, _, terminated, truncated, _ = world.step(player.act(seen))
+        seen, _, terminated, truncated, info = world.step(player.act(seen))
         spikes = last_inference(player).spikes
         rows = {name: (each != 0).any(0) for name, each in spikes.items()}
         inputs = rows.pop("input")
@@ -69,13 +71,17 @@ def play(policy: str, env: str) -> Iterator[tuple[FilmedStep, float]]:
         if step % every == 0:
             ledger = ledger_of(player)
             sops = ledger.per_inference("sop") if ledger else 0.0
-            yield FilmedStep(np.asarray(world.render()), np.array(past), len(inputs), sops), period
+            title = env.partition(":")[2] or env
+            if "missteps" in info:
+                title = f"{info['missteps']} of {info['touchdowns']} steps on red"
+            frame = np.asarray(world.render())
+            yield FilmedStep(frame, np.array(past), len(inputs), sops, title), period
         if terminated or truncated:
             break
     world.close()
 
 
-def draw(moment: FilmedStep, period: float, title: str) -> Image.Image:
+def draw(moment: FilmedStep, period: float) -> Image.Image:
     """The frame over the spikes of the last seconds, with a line of text between."""
     picture = Image.fromarray(moment.frame)
     scale = max(_WIDTH / picture.width, _HEIGHT / picture.height)
@@ -84,18 +90,36 @@ def draw(moment: FilmedStep, period: float, title: str) -> Image.Image:
     whole = Image.new("RGB", (_WIDTH, _HEIGHT + 22 + _RASTER), _DARK)
     whole.paste(picture.crop((left, top, left + _WIDTH, top + _HEIGHT)), (0, 0))
     pen, font = ImageDraw.Draw(whole), ImageFont.load_default(size=14)
-    pen.text((8, _HEIGHT + 3), title, font=font, fill=_LIGHT)
-    count = f"{moment.sops:,.0f} operations a control step"
+    pen.text((8, _HEIGHT + 3), moment.title, font=font, fill=_LIGHT)
+    count = f"{moment.sops:,.0f} SOPs a control step"
     pen.text((_WIDTH - 8, _HEIGHT + 3), count, font=font, fill=_LIGHT, anchor="ra")
-    columns = round(_PAST / period)
-    recent = moment.spikes[-columns:]
-    wide, high = _WIDTH / columns, (_RASTER - 8) / recent.shape[1]
-    for step, neuron in zip(*recent.nonzero(), strict=True):
-        x = _WIDTH - wide * (len(recent) - step)
-        y = _HEIGHT + 24 + high * neuron
-        colour = _EVENTS if neuron < moment.inputs else _HIDDEN
-        pen.rectangle((x, y, x + max(wide - 1, 1), y + max(high - 0.5, 1.5)), fill=colour)
+    recent = moment.spikes[-round(_PAST / period) :]
+    top, rows = _HEIGHT + 24, _RASTER - 8
+    # as many rows for events as they are of all, and a quarter at least
+    above = round(rows * max(moment.inputs / recent.shape[1], 0.25))
+    both = (
+        (recent[:, : moment.inputs], above, _EVENTS),
+        (recent[:, moment.inputs :], rows - above, _HIDDEN),
+    )
+    for spikes, high, colour in both:
+        bright = np.sqrt(shares(spikes, high)).T[..., None]
+        pixels = np.array(_DARK) + bright * (np.array(colour) - _DARK)
+        wide = round(_WIDTH * len(recent) / round(_PAST / period))
+        part = Image.fromarray(pixels.round().astype(np.uint8)).resize(
+            (wide, high), Image.Resampling.NEAREST
+        )
+        whole.paste(part, (_WIDTH - wide, top))
+        top += high
     return whole
+
+
+def shares(spikes: NDArray[np.bool_], rows: int) -> NDArray[np.float64]:
+    """Share of the neurons (S, N) that spike, in each of so many rows (S, rows) of equal height."""
+    ends = np.linspace(0, spikes.shape[1], rows + 1)
+    sums = np.concatenate([np.zeros((len(spikes), 1)), np.cumsum(spikes, 1)], 1)
+    until = np.stack([np.interp(ends, np.arange(sums.shape[1]), each) for each in sums])
+    found: NDArray[np.float64] = np.diff(until, axis=1) * (rows / spikes.shape[1])
+    return found
 
 
 def write(shown: Sequence[str], path: Path) -> int:
@@ -103,8 +127,7 @@ def write(shown: Sequence[str], path: Path) -> int:
     films = []
     for each in shown:
         policy, _, env = each.partition("@")
-        title = env.partition(":")[2] or env
-        films.append([draw(moment, period, title) for moment, period in play(policy, env)])
+        films.append([draw(moment, period) for moment, period in play(policy, env)])
     images = []
     for parts in zip(*films, strict=False):
         whole = Image.new("RGB", (len(parts) * (_WIDTH + 6) - 6, parts[0].height), (255, 255, 255))

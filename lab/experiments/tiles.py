@@ -294,6 +294,7 @@ def policy_facts(rows: Sequence[Record]) -> Record:
         "kind": of.get("kind", SCRIPTS.get(first["network"], "")),
         "pruned": first["level"] is not None and first["level"] != NOT_PRUNED,
         "has_levels": of.get("levels", False),
+        "remembers": of.get("remembers", False),
         "trainings": 0 if is_script else len(rows),
         "success": episode_share(rows, "success"),
         "missteps": episode_mean(rows, "missteps"),
@@ -322,40 +323,54 @@ def episode_mean(rows: Sequence[Record], field: str) -> Estimate:
 
 def verdicts(every: Sequence[Record]) -> Iterator[str]:
     """Whether the test is passed, in sentences; none on what is not there."""
-    seen = [
-        f for f in every
-        if f["view"] == "around" and f["kind"] != "blind" and f["place"] != "int8"
-    ]  # fmt: skip
-    small = [
-        f for f in seen
-        if f["trainings"] and f["unit"] == "MACs" and f["operations"] < FEW
-    ]  # fmt: skip
-    if small:
-        best = max(small, key=lambda f: f["success"].mean)
-        above = [_with_operations(f) for f in small if f["success"].mean > FEW_SUCCEED]
-        yield (
-            f"Float policies below {FEW:,} MACs succeed in at most {FEW_SUCCEED:.0%}: "
-            f"{'no, ' + ', '.join(above) if above else 'those that are here do'}; the most has "
-            f"{_with_operations(best)} with {pages.percent(best['success'], 1)}."
-        )
-    large = [f for f in seen if f["unit"] == "MACs" and f["trainings"] and not f["pruned"]]
-    if large:
-        best = max(large, key=lambda f: f["success"].mean)
-        does = best["success"].mean >= MANY_SUCCEED
-        yield (
-            f"A float network succeeds in {MANY_SUCCEED:.0%}: {'yes' if does else 'no'}; "
-            f"{best['name']} with {pages.percent(best['success'], 1)} and "
-            f"{pages.percent(best['missteps'], 1)} missteps."
-        )
-        for spiking in (f for f in seen if f["unit"] == "SOPs"):
-            ratio = nested_ratio(
-                [row["success"] for row in spiking["rows"]],
-                [row["success"] for row in best["rows"]],
-            )
+    networks = [
+        f for f in every if f["trainings"] and f["kind"] != "blind" and f["place"] != "int8"
+    ]
+    around = [f for f in networks if f["view"] == "around"]
+    small = [f for f in around if f["unit"] == "MACs" and f["operations"] < FEW]
+    for pruned, those in ((False, "succeed"), (True, "that were pruned to them succeed")):
+        if found := [f for f in small if f["pruned"] == pruned]:
+            best = max(found, key=_success)
+            above = [_with_operations(f) for f in found if _success(f) > FEW_SUCCEED]
             yield (
-                f"{_with_operations(spiking)} has {pages.percent(ratio, 1)} of the successes of "
-                f"{best['name']}."
+                f"Float policies below {FEW:,} MACs {those} in at most {FEW_SUCCEED:.0%}: "
+                f"{'no, ' + ', '.join(above) if above else 'those that are here do'}; the most has "
+                f"{_with_operations(best)} with {pages.percent(best['success'], 1)}."
             )
+    large = [f for f in around if f["unit"] == "MACs" and not f["pruned"]]
+    if large:
+        best = max(large, key=_success)
+        yield (
+            f"A float network succeeds in {MANY_SUCCEED:.0%}: "
+            f"{'yes' if _success(best) >= MANY_SUCCEED else 'no'}; {best['name']} with "
+            f"{pages.percent(best['success'], 1)} and {pages.percent(best['missteps'], 1)} "
+            "missteps."
+        )
+        yield from (_compare(f, best) for f in around if f["unit"] == "SOPs")
+    ahead = [f for f in networks if f["view"] == "ahead" and not f["pruned"]]
+    remembering = [f for f in ahead if f["remembers"] and f["unit"] == "MACs"]
+    forgetting = [f for f in ahead if not f["remembers"]]
+    if remembering and forgetting:
+        best = max(remembering, key=_success)
+        yield f"On `ahead` {_compare(max(forgetting, key=_success), best)} It has no memory."
+        yield from (
+            f"On `ahead` {_compare(f, best)}"
+            for f in ahead
+            if f["remembers"] and f["unit"] == "SOPs"
+        )
+
+
+def _success(facts: Record) -> float:
+    return float(facts["success"].mean)
+
+
+def _compare(facts: Record, best: Record) -> str:
+    own, others = ([row["success"] for row in f["rows"]] for f in (facts, best))
+    ratio = nested_ratio(own, others)
+    return (
+        f"{_with_operations(facts)} has {pages.percent(ratio, 1)} of the successes of "
+        f"{best['name']}."
+    )
 
 
 def _with_operations(facts: Record) -> str:

@@ -145,6 +145,20 @@ def test_verdicts_say_who_succeeds_and_for_how_many_operations():
     assert all(some < every for some, every in energy)
 
 
+def test_verdicts_on_pruned_networks_and_on_memory_stand_apart():
+    pruned = row("legs-gru", [1, 1, 0, 0], operations=4_500.0, level="ops-4500")
+    rows = [row("legs-0", [0, 0, 0, 0]), pruned]
+    rows += [
+        row(name, success) | {"view": "ahead"}
+        for name, success in (("legs-0", [0, 1, 0, 0]), ("legs-gru", [1, 1, 1, 1]))
+    ]
+    found = list(verdicts([policy_facts([each]) for each in rows]))
+    assert "succeed in at most 20%: those that are here do" in found[0]
+    assert "that were pruned to them succeed in at most 20%: no, legs-gru at 4,500" in found[1]
+    assert found[-1].startswith("On `ahead` legs-0 at 4,000 MACs has 25.0%")
+    assert found[-1].endswith("of legs-gru. It has no memory.")
+
+
 def test_what_was_packed_is_trained_where_it_is_unpacked(design, results, tmp_path, monkeypatch):
     monkeypatch.setattr(tiles_trainings, "TilesDesign", lambda runs: replace(design, runs=runs))
     packed = pack(Path(design.runs), tmp_path / "archives")
