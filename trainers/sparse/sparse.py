@@ -283,10 +283,11 @@ class Sparse(Runner[SparseConfig]):
         self._binary = binary_columns(seen)
         normaliser = self.policy.normalizer
         normaliser.adopt(Moments.of(seen))
+        # 0 and 1: an input that is 0 takes no operation, of a float network neither
+        low, high = seen[:, self._binary].min(0), seen[:, self._binary].max(0)
+        normaliser.mean[self._binary] = torch.from_numpy(low).float()
+        normaliser.std[self._binary] = torch.from_numpy(high - low).float()
         if isinstance(self.policy, DeltaSnnPolicy):
-            low, high = seen[:, self._binary].min(0), seen[:, self._binary].max(0)
-            normaliser.mean[self._binary] = torch.from_numpy(low).float()
-            normaliser.std[self._binary] = torch.from_numpy(high - low).float()
             self.policy.step.fill_(self._config.step)
             self.policy.step[self._binary] = 1.0
         normaliser.mean.copy_(self._alike(normaliser.mean, signed=True))

@@ -208,14 +208,18 @@ class MlpStudent:
     def __init__(self, policy: PrunedMlpPolicy, config: SparseConfig) -> None:
         self.policy = policy
         self._config = config
-        # share of control steps in which each neuron is not 0, of each hidden layer
+        # share of control steps in which each input, and each neuron of each hidden layer, is not 0
+        self._input_rate = torch.ones(policy.observations)
         self._rates = [torch.full((width,), 0.5) for width in policy.hidden]
         last = len(policy.matrices) - 1
         self.readout = frozenset({f"matrices.{last}.weight", f"biases.{last}", "past.weight"})
 
     def prepare(self, pool: WalkPool) -> None:
-        """Let windows hold the observations as they are, for `replay`."""
+        """Let windows hold the observations as they are, for `replay`; count which are not 0."""
         pool.take_observations()
+        seen = (self.policy.normalizer(torch.from_numpy(w.observation)) for w in pool.walks)
+        counts = [torch.count_nonzero(each, 0) for each in seen]
+        self._input_rate = torch.stack(counts).sum(0) / pool.steps
 
     def round(self, target: Chip) -> None:
         """Do nothing: float numbers are not rounded."""
@@ -261,8 +265,7 @@ class MlpStudent:
 
     def synapses(self) -> list[SynapseGroup]:
         """Return all synapses."""
-        # an observation is never exactly 0
-        past = SynapseGroup(self.policy.past, torch.ones(self.policy.observations))
+        past = SynapseGroup(self.policy.past, self._input_rate)
         return [*self._layers(), past] if self.policy.skip else self._layers()
 
     def hidden_layers(self) -> list[tuple[SynapseGroup, SynapseGroup]]:
@@ -270,7 +273,7 @@ class MlpStudent:
         return list(pairwise(self._layers()))
 
     def _layers(self) -> list[SynapseGroup]:
-        rates = [torch.ones(self.policy.observations), *self._rates]
+        rates = [self._input_rate, *self._rates]
         return [SynapseGroup(m, rate) for m, rate in zip(self.policy.layers, rates, strict=True)]
 
     def tensors(self) -> dict[str, Tensor]:
