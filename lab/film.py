@@ -96,17 +96,19 @@ def draw(moment: FilmedStep, period: float) -> Image.Image:
     recent = moment.spikes[-round(_PAST / period) :]
     top, rows = _HEIGHT + 24, _RASTER - 8
     # as many rows for events as they are of all, and a quarter at least
-    above = round(rows * max(moment.inputs / recent.shape[1], 0.25))
+    above = min(round(rows * max(moment.inputs / recent.shape[1], 0.25)), rows - 8)
     both = (
         (recent[:, : moment.inputs], above, _EVENTS),
         (recent[:, moment.inputs :], rows - above, _HIDDEN),
     )
     for spikes, high, colour in both:
+        if not spikes.shape[1]:  # no hidden neuron
+            continue
         bright = np.sqrt(shares(spikes, high)).T[..., None]
         pixels = np.array(_DARK) + bright * (np.array(colour) - _DARK)
-        wide = round(_WIDTH * len(recent) / round(_PAST / period))
+        wide = max(round(_WIDTH * len(recent) / round(_PAST / period)), 1)
         part = Image.fromarray(pixels.round().astype(np.uint8)).resize(
-            (wide, high), Image.Resampling.NEAREST
+            (wide, high), Image.Resampling.BOX
         )
         whole.paste(part, (_WIDTH - wide, top))
         top += high

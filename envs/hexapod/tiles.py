@@ -199,7 +199,9 @@ class HexapodTilesEnv(HexapodEnv):
         self._share = _number("share", share, 0.0, 0.9)
         self._noise = _number("noise", _NOISE[view] if noise is None else noise, 0.0, 0.5)
         if delays and view != "ahead":
-            raise EnvError(f"option delays: {delays!r} is for view='ahead', whose rows pass by")
+            raise EnvError(
+                f"option delays: view={view!r} has no rows to delay. Set delays=0 or view='ahead'"
+            )
         if int(_number("delays", delays, 0, _MOST_DELAYS)) != delays:
             raise EnvError(f"option delays: {delays!r} is no whole number")
         self._delays = int(delays)

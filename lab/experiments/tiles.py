@@ -93,7 +93,8 @@ class TilesDesign(Design):
             *(QUICK["hexapod-tiles"] if self.quick else ()), *self.settings,
         )  # fmt: skip
         # in an environment of its own a network sees other observations than the walks show
-        alone = any(setting.startswith("env.") for setting in of["settings"])
+        own = (*of["settings"], *self.settings)
+        alone = any(setting.startswith("env.") for setting in own)
         parents = {} if alone else {"pool": self._walks(view)}
         job = TrainingJob(f"{name}-{view}-s{seed}", of["recipe"], seed, self.runs, every, parents)
         # the walks are a run of one of the recipes too, and differ in their rounds
@@ -232,6 +233,7 @@ class TilesDesign(Design):
             heights={name: 100 * of["terrain"] for name, of in _GROUNDS.items()},
             front=[f for f in every if f["pruned"] or f["has_levels"]],
             verdicts="\n".join(f"- {line}" for line in verdicts(every)),
+            changed=list(pages.other_settings(self.trainings(), pages.CHANGED)),
             facts=[f"- {pages.releases('torch', 'numpy', 'mujoco')}"],
             PRICES=PRICES,
         )
@@ -294,7 +296,7 @@ def policy_facts(rows: Sequence[Record]) -> Record:
         "kind": of.get("kind", SCRIPTS.get(first["network"], "")),
         "pruned": first["level"] is not None and first["level"] != NOT_PRUNED,
         "has_levels": of.get("levels", False),
-        "remembers": of.get("remembers", False),
+        "memory": of.get("memory", False),
         "trainings": 0 if is_script else len(rows),
         "success": episode_share(rows, "success"),
         "missteps": episode_mean(rows, "missteps"),
@@ -346,31 +348,41 @@ def verdicts(every: Sequence[Record]) -> Iterator[str]:
             f"{pages.percent(best['success'], 1)} and {pages.percent(best['missteps'], 1)} "
             "missteps."
         )
-        yield from (_compare(f, best) for f in around if f["unit"] == "SOPs")
+        floats = [f for f in around if f["unit"] == "MACs"]
+        yield from (_compare(f, best, floats) for f in around if f["unit"] == "SOPs")
     ahead = [f for f in networks if f["view"] == "ahead" and not f["pruned"]]
-    remembering = [f for f in ahead if f["remembers"] and f["unit"] == "MACs"]
-    forgetting = [f for f in ahead if not f["remembers"]]
-    if remembering and forgetting:
-        best = max(remembering, key=_success)
-        yield f"On `ahead` {_compare(max(forgetting, key=_success), best)} It has no memory."
-        yield from (
-            f"On `ahead` {_compare(f, best)}"
-            for f in ahead
-            if f["remembers"] and f["unit"] == "SOPs"
-        )
+    floats = [f for f in ahead if f["unit"] == "MACs"]
+    with_memory = [f for f in floats if f["memory"]]
+    memoryless = [f for f in floats if not f["memory"]]
+    if with_memory and memoryless:
+        best = max(with_memory, key=_success)
+        without = max(memoryless, key=_success)
+        yield f"On `ahead`, without memory, {_compare(without, best)}"
+        yield from (f"On `ahead` {_compare(f, best)}" for f in ahead if f["unit"] == "SOPs")
 
 
 def _success(facts: Record) -> float:
     return float(facts["success"].mean)
 
 
-def _compare(facts: Record, best: Record) -> str:
+def _compare(facts: Record, best: Record, floats: Sequence[Record] = ()) -> str:
+    """What share of the best network's successes one has, and who has more for no more."""
+    operations = _with_operations(facts)
+    if facts["updates"]:
+        operations += f" and {facts['updates']:,.0f} neuron updates"
+    if not _success(best):
+        return f"{operations} is compared with none: {best['name']} succeeds in no field."
     own, others = ([row["success"] for row in f["rows"]] for f in (facts, best))
-    ratio = nested_ratio(own, others)
-    return (
-        f"{_with_operations(facts)} has {pages.percent(ratio, 1)} of the successes of "
-        f"{best['name']}."
-    )
+    ratio = pages.percent(nested_ratio(own, others), 1)
+    said = f"{operations} has {ratio} of the successes of {_with_operations(best)}"
+    cheap = [f for f in floats if f["operations"] <= facts["operations"]]
+    if cheap:
+        other = max(cheap, key=_success)
+        said += (
+            f"; it has {pages.percent(facts['success'], 1)}, and {_with_operations(other)} "
+            f"{pages.percent(other['success'], 1)}"
+        )
+    return f"{said}."
 
 
 def _with_operations(facts: Record) -> str:

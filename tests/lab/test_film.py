@@ -42,3 +42,11 @@ def test_a_row_of_many_neurons_is_as_bright_as_many_of_them_spike():
     # a neuron may lie in several rows, and a row may begin within one
     np.testing.assert_allclose(film.shares(spikes[:1, :4], 8), [[1.0] * 6 + [0.0] * 2])
     np.testing.assert_allclose(film.shares(spikes[:1], 4), [[1.0, 0.2, 0.0, 0.0]])
+
+
+@pytest.mark.parametrize(("inputs", "period"), [(3, 0.1), (2, 0.1), (2, 0.001)])
+def test_a_policy_without_hidden_neurons_or_with_short_control_steps_is_drawn(inputs, period):
+    step = film.FilmedStep(
+        np.zeros((90, 120, 3), np.uint8), np.ones((1, 3), bool), inputs, 7.0, "robot"
+    )
+    assert np.asarray(film.draw(step, period))[film._HEIGHT + 24 :, -1].any()

@@ -122,14 +122,16 @@ def test_a_scan_moves_and_turns_with_the_body(view):
 
 
 def test_a_delay_line_shows_the_nearest_row_as_it_was_seen_before():
-    env = HexapodTilesEnv(view="ahead", delays=4)
+    env = HexapodTilesEnv(view="ahead", delays=4, noise=0.0)
+    script = FootholdScript(env)
     observation, _ = env.reset(seed=2)
     rows = []
-    for _ in range(30):
+    for _ in range(150):  # to where tiles are forbidden
         rows.append(observation[env.OBSERVATION["scan"]][:23])
-        observation, *_ = env.step(np.full(18, 0.05))
+        observation, *_ = env.step(script.act(observation))
     earlier = observation[env.OBSERVATION["earlier"]].reshape(4, 23)
     np.testing.assert_array_equal(earlier, [rows[-6], rows[-12], rows[-18], rows[-24]])
+    assert len(np.unique(earlier, axis=0)) > 1
     observation, _ = env.reset(seed=3)
     assert not observation[env.OBSERVATION["earlier"]].any()
 
@@ -246,7 +248,7 @@ def test_an_action_moves_the_servos_targets_and_they_keep_to_their_reach(env):
         ({"tile": 0.0}, "from 0.02 to 1"),
         ({"share": (0.1, 0.2)}, "give one number"),
         ({"noise": 0.9}, "from 0 to 0.5"),
-        ({"delays": 3}, "is for view='ahead'"),
+        ({"delays": 3}, "no rows to delay"),
         ({"view": "ahead", "delays": 2.5}, "no whole number"),
         ({"view": "ahead", "delays": 61}, "from 0 to 60"),
     ],

@@ -17,7 +17,7 @@ from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.sparse.config import SparseConfig
 
 FEW = ("legs-0", "legs-gru", "blind-legs-64-64", "legs-snn")
-SIZE = ("budget", "levels", "batch", "window", "burn_in", "step", "penalty")
+SIZE = ("budget", "levels", "batch", "window", "burn_in", "step", "penalty", "penalty_floor")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -136,7 +136,13 @@ def test_verdicts_say_who_succeeds_and_for_how_many_operations():
     small, large, spiking = verdicts(every)
     assert "at most 20%: no, legs-0" in small
     assert "in 90%: yes; legs-gru with 100.0%" in large
-    assert spiking.startswith("legs-snn at 2,000 SOPs has 75.0%")
+    assert spiking.startswith("legs-snn at 2,000 SOPs and 900 neuron updates has 75.0%")
+    assert spiking.endswith("of legs-gru at 20,000 MACs.")
+    cheaper = policy_facts([row("legs-0", [1, 1, 1, 1], operations=1_900.0)])
+    assert "it has 75.0%" in [*verdicts([*every, cheaper])][-1]
+    assert "and legs-0 at 1,900 MACs 100.0%" in [*verdicts([*every, cheaper])][-1]
+    nobody = [policy_facts([row("legs-gru", [0, 0])]), every[2]]
+    assert "legs-gru succeeds in no field" in [*verdicts(nobody)][-1]
     energy = every[2]["energy"]
     assert len(energy) == 2
     assert energy[0] < energy[1]  # sums in registers, in memory
@@ -153,8 +159,8 @@ def test_verdicts_on_pruned_networks_and_on_memory_stand_apart():
     found = list(verdicts([policy_facts([each]) for each in rows]))
     assert "succeed in at most 20%: those that are here do" in found[0]
     assert "that were pruned to them succeed in at most 20%: no, legs-gru at 4,500" in found[1]
-    assert found[-1].startswith("On `ahead` legs-0 at 4,000 MACs has 25.0%")
-    assert found[-1].endswith("of legs-gru. It has no memory.")
+    assert found[-1].startswith("On `ahead`, without memory, legs-0 at 4,000 MACs has 25.0%")
+    assert found[-1].endswith("of legs-gru at 4,000 MACs.")
 
 
 def test_what_was_packed_is_trained_where_it_is_unpacked(design, results, tmp_path, monkeypatch):

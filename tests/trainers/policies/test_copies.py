@@ -244,6 +244,14 @@ def test_of_earlier_rows_legs_read_what_they_read_of_the_nearest_one() -> None:
     assert np.array_equal(earlier, nearest[:, None] + 23 * np.arange(3)[:, None])
 
 
+@pytest.mark.parametrize("reads", [True, False])
+def test_the_fan_out_of_shared_weights_is_that_of_the_whole_matrix(reads: bool) -> None:
+    widths = (5, 8) if reads else (8, 2)
+    shared = weights_between(ARMS, widths, torch.randn, reads=reads, acts=not reads)
+    shared.mask[:, ::2] = 0.0
+    assert torch.equal(shared.fan_out, shared.whole_mask.sum(0))
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
