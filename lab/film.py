@@ -104,7 +104,7 @@ def draw(moment: FilmedStep, period: float) -> Image.Image:
     for spikes, high, colour in both:
         if not spikes.shape[1]:  # no hidden neuron
             continue
-        bright = np.sqrt(shares(spikes, high)).T[..., None]
+        bright = np.cbrt(shares(spikes, high)).T[..., None]  # one of eight is half as bright
         pixels = np.array(_DARK) + bright * (np.array(colour) - _DARK)
         wide = max(round(_WIDTH * len(recent) / round(_PAST / period)), 1)
         part = Image.fromarray(pixels.round().astype(np.uint8)).resize(
