@@ -297,6 +297,7 @@ def policy_facts(rows: Sequence[Record]) -> Record:
         "pruned": first["level"] is not None and first["level"] != NOT_PRUNED,
         "has_levels": of.get("levels", False),
         "memory": of.get("memory", False),
+        "harder": of.get("harder", False),
         "trainings": 0 if is_script else len(rows),
         "success": episode_share(rows, "success"),
         "missteps": episode_mean(rows, "missteps"),
@@ -325,9 +326,8 @@ def episode_mean(rows: Sequence[Record], field: str) -> Estimate:
 
 def verdicts(every: Sequence[Record]) -> Iterator[str]:
     """Whether the test is passed, in sentences; none on what is not there."""
-    networks = [
-        f for f in every if f["trainings"] and f["kind"] != "blind" and f["place"] != "int8"
-    ]
+    of_each = [f for f in every if f["trainings"] and f["kind"] != "blind" and f["place"] != "int8"]
+    networks = [f for f in of_each if not f["harder"]]
     around = [f for f in networks if f["view"] == "around"]
     small = [f for f in around if f["unit"] == "MACs" and f["operations"] < FEW]
     for pruned, those in ((False, "succeed"), (True, "that were pruned to them succeed")):
@@ -337,9 +337,11 @@ def verdicts(every: Sequence[Record]) -> Iterator[str]:
             yield (
                 f"Float policies below {FEW:,} MACs {those} in at most {FEW_SUCCEED:.0%}: "
                 f"{'no, ' + ', '.join(above) if above else 'those that are here do'}; the most has "
-                f"{_with_operations(best)} with {pages.percent(best['success'], 1)}."
+                f"{_with_success(best)}."
             )
     large = [f for f in around if f["unit"] == "MACs" and not f["pruned"]]
+    if harder := [f for f in of_each if f["harder"]]:
+        yield f"In a harder world: {'; '.join(map(_with_success, harder))}."
     if large:
         best = max(large, key=_success)
         yield (
@@ -378,12 +380,13 @@ def _compare(facts: Record, best: Record, floats: Sequence[Record] = ()) -> str:
     cheap = [f for f in floats if f["operations"] <= facts["operations"]]
     if cheap:
         other = max(cheap, key=_success)
-        said += (
-            f"; it has {pages.percent(facts['success'], 1)}, and {_with_operations(other)} "
-            f"{pages.percent(other['success'], 1)}"
-        )
+        said += f"; it has {pages.percent(facts['success'], 1)}, {_with_success(other)}"
     return f"{said}."
 
 
 def _with_operations(facts: Record) -> str:
     return f"{facts['name']} at {facts['operations']:,.0f} {facts['unit']}"
+
+
+def _with_success(facts: Record) -> str:
+    return f"{_with_operations(facts)} {pages.percent(facts['success'], 1)}"
