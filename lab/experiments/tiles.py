@@ -202,7 +202,9 @@ class TilesDesign(Design):
         found = {tuple(row.get(n) or 0 for n in _KEY): row for row in (*old, *self.all_rows())}
         order = [*SCRIPTS, *_ROWS]
         rows = sorted(
-            found.values(),
+            (
+                row for row in found.values() if row["network"] in order
+            ),  # others are no longer asked
             key=lambda r: (VIEWS.index(r["view"]), order.index(r["network"]), r["seed"] or 0),
         )
         write_exactly(({n: row.get(n) for n in _COLUMNS} for row in rows), _COLUMNS, table)
