@@ -97,8 +97,11 @@ class TilesDesign(Design):
         alone = any(setting.startswith("env.") for setting in own)
         parents = {} if alone else {"pool": self._walks(view)}
         job = TrainingJob(f"{name}-{view}-s{seed}", of["recipe"], seed, self.runs, every, parents)
-        # the walks are a run of one of the recipes too, and differ in their rounds
-        return replace(job, telling=(*every, f"dense_rounds={job.planned().dense_rounds}"))
+        made = job.planned()
+        # the walks are a run of one of the recipes too, and differ in their rounds; where walks are
+        # taken over, the environment has no other options than these
+        telling = (*every, f"dense_rounds={made.dense_rounds}", f"env.name={made.env.name}")
+        return replace(job, telling=telling if alone else (*telling, "teacher_walks=0"))
 
     def parts(self) -> list[Part]:
         """The scripts' episodes; the walks; each training and its episodes."""
