@@ -108,14 +108,12 @@ ENVS: dict[str, EnvSpec] = {
             "spikedeploy.envs.hexapod.tiles:HexapodTilesEnv",
             "walk straight ahead and step on no forbidden tile",
             controls=("random", "footholds"),
-            remark="HexapodTiles-v0 is on trial: no policy is shipped for it, and its numbers may "
-            "still change.",
         ),
         EnvSpec(
             "hexapod-tiles-ahead",
             "spikedeploy/HexapodTilesAhead-v0",
             "spikedeploy.envs.hexapod.tiles:HexapodTilesAheadEnv",
-            "the same, by a strip in front of the body and what it showed before",
+            "step on no forbidden tile, by what a strip before the body showed",
             controls=("random", "footholds"),
         ),
         *(

@@ -213,10 +213,10 @@ class TilesDesign(Design):
         write_exactly(({n: row.get(n) for n in _COLUMNS} for row in rows), _COLUMNS, table)
         rows = read_rows(table, _TEXT)  # as they stand there, so that the page can be made again
         there = {(row["network"], row["view"], row["seed"]) for row in rows}
+        those_that_learn = [job for job in self.trainings() if not is_walks(job)]
         lack = Counter(
-            job.name.rpartition("-s")[0] for job in self.trainings()
-            if not is_walks(job)
-            and (*job.name.rsplit("-", 2)[:2], job.seed) not in there
+            job.name.rpartition("-s")[0] for job in those_that_learn
+            if (*job.name.rsplit("-", 2)[:2], job.seed) not in there
         )  # fmt: skip
         usual = [row for row in rows if not row["ground"]]
         every = [policy_facts(of) for _, of in grouped(usual, "network", "view", "level", "place")]
@@ -238,7 +238,7 @@ class TilesDesign(Design):
             heights={name: 100 * of["terrain"] for name, of in _GROUNDS.items()},
             front=[f for f in every if f["pruned"] or f["has_levels"]],
             verdicts="\n".join(f"- {line}" for line in verdicts(every)),
-            changed=list(pages.other_settings(self.trainings(), pages.CHANGED)),
+            changed=list(pages.other_settings(those_that_learn, pages.CHANGED)),
             facts=[f"- {pages.releases('torch', 'numpy', 'mujoco')}"],
             PRICES=PRICES,
         )
