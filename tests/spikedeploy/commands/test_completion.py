@@ -50,8 +50,11 @@ def test_a_command_offers_its_words_without_loading_what_is_slow(here):
     ]
 
 
+WALKERS = ["hexapod/", "hexapod-command/", "hexapod-tiles/", "hexapod-tiles-ahead/"]
+
+
 def test_policies_open_folder_by_folder():
-    assert completion.policies("hexa") == ["hexapod/", "hexapod-command/"]
+    assert completion.policies("hexa") == WALKERS
     assert "hexapod-command/sac" in completion.policies("hexapod-c")
     assert completion.policies("hexapod/pops") == ["hexapod/popsan"]
     assert "chips/CartPole-v1/odin" in completion.policies("chips/C")
@@ -64,7 +67,7 @@ def test_files_and_runs_stand_beside_policies(here):
     (here / "hexes/deep.onnx").touch()
     (here / "runs/hexa-1").mkdir(parents=True)
     (here / "runs/hexa-1/config.json").touch()
-    found = ["hexapod/", "hexapod-command/", "hexa-1", "hexane.nir", "hexes/"]
+    found = [*WALKERS, "hexa-1", "hexane.nir", "hexes/"]
     assert completion.policies("hex") == found
     assert completion.policies("hexe") == ["hexes/deep.onnx"]
     assert completion.policies(f"{here}/hexa") == [f"{here}/hexane.nir"]
