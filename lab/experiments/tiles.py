@@ -203,19 +203,17 @@ class TilesDesign(Design):
         table = results / _TABLE
         old = read_rows(table, _TEXT) if table.is_file() else []
         found = {tuple(row.get(n) or 0 for n in _KEY): row for row in (*old, *self.all_rows())}
-        order = [*SCRIPTS, *_ROWS]
+        order = [*SCRIPTS, *_ROWS]  # rows of other networks are left out
         rows = sorted(
-            (
-                row for row in found.values() if row["network"] in order
-            ),  # others are no longer asked
+            (row for row in found.values() if row["network"] in order),
             key=lambda r: (VIEWS.index(r["view"]), order.index(r["network"]), r["seed"] or 0),
         )
         write_exactly(({n: row.get(n) for n in _COLUMNS} for row in rows), _COLUMNS, table)
         rows = read_rows(table, _TEXT)  # as they stand there, so that the page can be made again
         there = {(row["network"], row["view"], row["seed"]) for row in rows}
-        those_that_learn = [job for job in self.trainings() if not is_walks(job)]
+        trainings = [job for job in self.trainings() if not is_walks(job)]
         lack = Counter(
-            job.name.rpartition("-s")[0] for job in those_that_learn
+            job.name.rpartition("-s")[0] for job in trainings
             if (*job.name.rsplit("-", 2)[:2], job.seed) not in there
         )  # fmt: skip
         usual = [row for row in rows if not row["ground"]]
@@ -238,7 +236,7 @@ class TilesDesign(Design):
             heights={name: 100 * of["terrain"] for name, of in _GROUNDS.items()},
             front=[f for f in every if f["pruned"] or f["has_levels"]],
             verdicts="\n".join(f"- {line}" for line in verdicts(every)),
-            changed=list(pages.other_settings(those_that_learn, pages.CHANGED)),
+            changed=list(pages.other_settings(trainings, pages.CHANGED)),
             facts=[f"- {pages.releases('torch', 'numpy', 'mujoco')}"],
             PRICES=PRICES,
         )
@@ -341,12 +339,12 @@ def verdicts(every: Sequence[Record]) -> Iterator[str]:
             above = [_with_operations(f) for f in found if _success(f) > FEW_SUCCEED]
             yield (
                 f"Float policies below {FEW:,} MACs {those} in at most {FEW_SUCCEED:.0%}: "
-                f"{'no, ' + ', '.join(above) if above else 'those that are here do'}; the most has "
+                f"{'no, ' + ', '.join(above) if above else 'those that are here do'}; the best is "
                 f"{_with_success(best)}."
             )
     large = [f for f in around if f["unit"] == "MACs" and not f["pruned"]]
     if harder := [f for f in of_each if f["harder"]]:
-        yield f"In a harder world: {'; '.join(map(_with_success, harder))}."
+        yield f"In a harder world succeed {', '.join(map(_with_success, harder))}."
     if large:
         best = max(large, key=_success)
         yield (
@@ -385,7 +383,10 @@ def _compare(facts: Record, best: Record, floats: Sequence[Record] = ()) -> str:
     cheap = [f for f in floats if f["operations"] <= facts["operations"]]
     if cheap:
         other = max(cheap, key=_success)
-        said += f"; it has {pages.percent(facts['success'], 1)}, {_with_success(other)}"
+        said += (
+            f"; it succeeds in {pages.percent(facts['success'], 1)}, with no more operations "
+            f"{_with_success(other)}"
+        )
     return f"{said}."
 
 
@@ -394,4 +395,4 @@ def _with_operations(facts: Record) -> str:
 
 
 def _with_success(facts: Record) -> str:
-    return f"{_with_operations(facts)} {pages.percent(facts['success'], 1)}"
+    return f"{_with_operations(facts)} in {pages.percent(facts['success'], 1)}"

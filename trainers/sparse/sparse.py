@@ -230,8 +230,9 @@ class Sparse(Runner[SparseConfig]):
     def _prepare(self) -> None:
         """Let the student know the pool, and which of its observations keep to two values."""
         if isinstance(self.policy, DeltaSnnPolicy):
-            seen = np.concatenate([walk.observation for walk in self.pool.walks])
-            found = self._binary & binary_columns(seen.astype(np.float64))
+            seen = np.concatenate([w.observation[:, self._binary] for w in self.pool.walks])
+            found = self._binary.copy()
+            found[found] = binary_columns(seen)
             if copies := self.policy.copies:  # where copies read the same, all of them do
                 found[copies.columns.numpy()] = found[copies.columns.numpy()].all(0)
             self.policy.two_valued = tuple(np.flatnonzero(found).tolist())
@@ -283,7 +284,7 @@ class Sparse(Runner[SparseConfig]):
         self._binary = binary_columns(seen)
         normaliser = self.policy.normalizer
         normaliser.adopt(Moments.of(seen))
-        # 0 and 1: an input that is 0 takes no operation, of a float network neither
+        # 0 and 1, since an input that is 0 takes no operation, in a float network either
         low, high = seen[:, self._binary].min(0), seen[:, self._binary].max(0)
         normaliser.mean[self._binary] = torch.from_numpy(low).float()
         normaliser.std[self._binary] = torch.from_numpy(high - low).float()

@@ -558,7 +558,7 @@ def round_for_chip(policy: Policy, target: Chip, rounding: bool) -> Policy:
 # -- steps of the encoder, by how much each observation matters and how often it moves
 
 
-def binary_columns(observation: FloatArray) -> NDArray[np.bool_]:
+def binary_columns(observation: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
     """Mask (obs,) of observations that take exactly two values, each repeatedly, as contacts do."""
     some = observation[:: max(1, len(observation) // _SAMPLE)]
     found = np.array([_is_binary(column) for column in some.T], np.bool_)
@@ -567,9 +567,10 @@ def binary_columns(observation: FloatArray) -> NDArray[np.bool_]:
     return found
 
 
-def _is_binary(column: FloatArray) -> bool:
-    values, counts = np.unique(column, return_counts=True)
-    return len(values) == 2 and counts.min() >= _RARE and values[1] - values[0] >= _SWING
+def _is_binary(column: NDArray[np.floating[Any]]) -> bool:
+    low, high = column.min(), column.max()
+    ends = np.count_nonzero(column == low), np.count_nonzero(column == high)
+    return bool(sum(ends) == len(column) and min(ends) >= _RARE and high - low >= _SWING)
 
 
 def choose_steps(

@@ -139,8 +139,11 @@ def test_verdicts_say_who_succeeds_and_for_how_many_operations():
     assert spiking.startswith("legs-snn at 2,000 SOPs and 900 neuron updates has 75.0%")
     assert spiking.endswith("of legs-gru at 20,000 MACs.")
     cheaper = policy_facts([row("legs-0", [1, 1, 1, 1], operations=1_900.0)])
-    assert "it has 75.0%" in [*verdicts([*every, cheaper])][-1]
-    assert ", legs-0 at 1,900 MACs 100.0%" in [*verdicts([*every, cheaper])][-1]
+    assert "it succeeds in 75.0%" in [*verdicts([*every, cheaper])][-1]
+    assert (
+        "with no more operations legs-0 at 1,900 MACs in 100.0%"
+        in [*verdicts([*every, cheaper])][-1]
+    )
     nobody = [policy_facts([row("legs-gru", [0, 0])]), every[2]]
     assert "legs-gru succeeds in no field" in [*verdicts(nobody)][-1]
     energy = every[2]["energy"]

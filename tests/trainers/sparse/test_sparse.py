@@ -355,6 +355,16 @@ def test_the_script_that_is_shown_the_ground_teaches_whatever_is_observed(env, t
     assert np.array_equal(run._teacher.act(hidden), free)
 
 
+def test_a_float_student_reads_0_and_1_of_a_scan(tmp_path):
+    config = tiles("privileged", options={"max_steps": 120})
+    run = Sparse(config, RunFolder.create(tmp_path, config))
+    run._begin()
+    seen = torch.from_numpy(np.concatenate([walk.observation for walk in run.pool.walks]))
+    binary = torch.from_numpy(run._binary)
+    assert int(binary.sum()) > 50
+    assert set(run.policy.normalizer(seen)[:, binary].unique().tolist()) == {0.0, 1.0}
+
+
 def test_any_policy_may_teach_on_tiles_but_nobody_is_privileged_elsewhere(stroll, tmp_path):
     config = tiles("tests.job_functions:stand")
     with pytest.raises(EnvError, match="has no 'stand'"):  # it was looked for

@@ -107,9 +107,22 @@ def test_discrete_actions_are_imitated_by_their_logits():
     assert losses[1] > losses[0] + 3
 
 
+def test_two_values_are_found_in_all_of_a_column():
+    columns = np.zeros((30_000, 6), np.float32)
+    columns[::2, 0] = 1.0  # binary
+    columns[::2, 1], columns[7, 1] = 1.0, 0.5  # a third value, which a sample may lack
+    columns[0, 2] = 1.0  # once: an outlier
+    columns[::2, 3] = 1e-3  # one value with noise
+    columns[:, 4] = np.linspace(0, 1, len(columns))
+    assert binary_columns(columns).tolist() == [True] + 5 * [False]
+
+
 def test_operations_of_a_float_student_are_its_effective_macs():
     policy, pool = pruned_mlp(), walks(count=3)
+    for each in pool.walks:  # a contact, on a third of the time
+        each.observation[:, 0] = np.arange(len(each.observation)) % 3 == 0
     found = student(policy, settings(batch=100, window=12, burn_in=2))
+    found.prepare(pool)
     rng = np.random.default_rng(0)
     for _ in range(300):
         found.loss(pool, rng)
@@ -117,8 +130,9 @@ def test_operations_of_a_float_student_are_its_effective_macs():
     _, inputs = policy.activations(seen)
     fan_outs = [layer.fan_out for layer in policy.layers]
     macs = sum((x != 0).float().mean(0) @ f for x, f in zip(inputs, fan_outs, strict=True))
-    expected = float(macs + policy.past.mask.sum())
+    expected = float(macs + (inputs[0] != 0).float().mean(0) @ policy.past.fan_out)
     assert operations(found.synapses()) == pytest.approx(expected, rel=0.02)
+    assert expected < float(macs + policy.past.mask.sum())
 
 
 def group(weight, rate):
