@@ -36,7 +36,7 @@ from spikedeploy.shipping.export_run import kind_of
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.distill.teacher import Teacher
 from spikedeploy.trainers.policies import Policy, PrunedGruPolicy, PrunedMlpPolicy
-from spikedeploy.trainers.policies.policy import PrunedWeight
+from spikedeploy.trainers.policies.policy import PrunedWeight, in_bits
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse import pool
 from spikedeploy.trainers.sparse.pool import BatchController, Episodes, Stateless, Walk
@@ -202,23 +202,6 @@ def _dense_counts(policy: Policy, walks: Sequence[Walk]) -> Counts:
         "observations": float(walks[0].observation.shape[1]),
         "constants": float(sum(each.numel() for each in biases)),
     }
-
-
-def in_bits(policy: P, bits: int) -> P:
-    """The policy with weights rounded to integers of so many bits, one scale a matrix or kernel.
-
-    Scales are such that the largest weight fills the range, as on the chips; weights that are
-    rounded to 0 cost no operations, as there.
-    """
-    largest = 2 ** (bits - 1) - 1
-    for matrix in policy.modules():
-        if isinstance(matrix, PrunedWeight) and matrix.weight.numel():
-            weight = matrix().detach()
-            scale = weight.abs().max().clamp(min=torch.finfo(weight.dtype).tiny) / largest
-            steps = torch.round(weight / scale)
-            matrix.weight.data = steps * scale
-            matrix.mask.copy_(steps != 0)
-    return policy
 
 
 def is_discrete(env: str, options: Mapping[str, Any] | None = None) -> bool:

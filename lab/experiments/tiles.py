@@ -147,7 +147,8 @@ class TilesDesign(Design):
         """The rows of a training that ended, one of each level."""
         run = RunFolder(training.existing_run)
         spikes = training.config.policy.kind in SPIKING
-        places = [self.chip] if spikes else _FLOAT
+        bits = training.config.bits  # weights that were rounded in training are not in float32
+        places = [self.chip] if spikes else [f"int{bits}"] if bits else _FLOAT
         every: list[tuple[str, str, str | None]] = [
             (level, at, None) for level in reversed(run.levels.values()) for at in places
         ]
@@ -355,6 +356,13 @@ def verdicts(every: Sequence[Record]) -> Iterator[str]:
         )
         floats = [f for f in around if f["unit"] == "MACs"]
         yield from (_compare(f, best, floats) for f in around if f["unit"] == "SOPs")
+    eight = [
+        f for f in every
+        if f["view"] == "around" and f["place"] == "int8" and not f["harder"] and f["trainings"]
+    ]  # fmt: skip
+    if eight:
+        best = _with_success(max(eight, key=_success))
+        yield f"With weights of 8 bits the best float network is {best}."
     ahead = [f for f in networks if f["view"] == "ahead" and not f["pruned"]]
     floats = [f for f in ahead if f["unit"] == "MACs"]
     with_memory = [f for f in floats if f["memory"]]

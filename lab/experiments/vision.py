@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from lab.experiments.networks import in_bits
 from lab.experiments.training import Record
 from spikedeploy.envs.eye.batch import EyeBatch
 from spikedeploy.runtime.chips.chip import chip
@@ -38,7 +37,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.policies import Policy
-from spikedeploy.trainers.policies.policy import PrunedKernel
+from spikedeploy.trainers.policies.policy import PrunedKernel, in_bits
 from spikedeploy.trainers.policies.vision import (
     FloatVisionPolicy,
     SpikingVisionPolicy,

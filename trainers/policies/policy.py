@@ -4,7 +4,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from inspect import signature
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import torch
@@ -198,9 +198,12 @@ class PrunedWeight(nn.Module):
 
     weight: (N, M) trained
     mask: (N, M) 1 where a synapse is left, 0 where it was taken out
+    bits: of the integers to which weights are rounded in each forward pass, as `in_bits` does;
+        None leaves them. The gradient is that of the weights themselves (Bengio et al. 2013)
     """
 
     mask: Tensor
+    bits: int | None = None
 
     def __init__(self, weight: Tensor) -> None:
         super().__init__()
@@ -209,7 +212,11 @@ class PrunedWeight(nn.Module):
 
     def forward(self) -> Tensor:
         """Return the weights (N, M), zero where a synapse was taken out."""
-        return self.weight * self.mask
+        weight = self.weight * self.mask
+        if self.bits is None:
+            return weight
+        steps, scale = _in_steps(weight.detach(), self.bits)
+        return weight + (steps * scale - weight).detach()
 
     def read(self, inputs: Tensor) -> Tensor:
         """Return what each of K copies of the weights reads (..., K, m) of inputs (..., M)."""
@@ -241,6 +248,32 @@ class PrunedWeight(nn.Module):
     def uses(self, rate: Tensor) -> Tensor:
         """Return operations of each weight, of its shape, where inputs take `rate` (M,) each."""
         return rate.expand_as(self.mask)
+
+
+def _in_steps(weight: Tensor, bits: int) -> tuple[Tensor, Tensor]:
+    """Return the nearest integers of so many bits, and what one counts: the largest fills them."""
+    largest = 2 ** (bits - 1) - 1
+    most = weight.abs().max() if weight.numel() else weight.new_zeros(())
+    scale = most.clamp(min=torch.finfo(weight.dtype).tiny) / largest
+    return torch.round(weight / scale), scale
+
+
+P = TypeVar("P", bound=Policy)
+
+
+@torch.no_grad()
+def in_bits(policy: P, bits: int) -> P:
+    """Round a policy's weights to integers of so many bits, one scale a matrix, and return it.
+
+    Scales are such that the largest weight fills the range, as on the chips; weights that are
+    rounded to 0 cost no operations, as there.
+    """
+    for matrix in policy.modules():
+        if isinstance(matrix, PrunedWeight):
+            steps, scale = _in_steps(matrix.weight * matrix.mask, bits)
+            matrix.weight.copy_(steps * scale)
+            matrix.mask.copy_(steps != 0)
+    return policy
 
 
 class PrunedKernel(PrunedWeight):

@@ -61,6 +61,8 @@ class SparseConfig(RunConfig):
     neuron_cost: operations that an update of a neuron counts for when neurons are removed
     chip: on which policies are validated, and for whose weights they are rounded in training
     rounding: whether the forward pass computes with the chip's rounded weights after pruning began
+    bits: of float networks: to integers of how many bits it rounds their weights from then on; None
+        leaves them in float32
     sharpness: factor of the teacher's logits in the targets of discrete actions
     schedule: of the learning rate before pruning: it falls in each of the dense "rounds", whose
         optimisers are new, or "once" over all of them
@@ -111,6 +113,7 @@ class SparseConfig(RunConfig):
     neuron_cost: float = Field(default=0.0, ge=0)
     chip: str = "loihi1"
     rounding: bool = True
+    bits: int | None = Field(default=None, ge=2, le=16)
     sharpness: Rate = 2.0
     schedule: Literal["rounds", "once"] = "rounds"
     guide: str = ""
@@ -149,6 +152,15 @@ class SparseConfig(RunConfig):
             raise ValueError(
                 "teacher_walks and noisy_walks: both are 0, so that there is nothing to learn "
                 "from. Set one of them, or pool=RUN"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _bits_are_of_float_networks(self) -> "SparseConfig":
+        if self.bits is not None and self.policy.kind not in ("pruned-mlp", "pruned-gru"):
+            raise ValueError(
+                f"bits: for policies of kind pruned-mlp and pruned-gru; weights of a "
+                f"{self.policy.kind} policy are rounded as those of `chip`, or not. Leave it out"
             )
         return self
 

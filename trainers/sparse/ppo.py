@@ -250,7 +250,8 @@ class SparsePpo(Runner[SparsePpoConfig]):
         return True
 
     def _deployed(self) -> Policy:
-        return round_for_chip(self.policy, self._chip, self._source.rounding)
+        source = self._source
+        return round_for_chip(self.policy, self._chip, source.rounding, source.bits)
 
     def _evaluate(self) -> dict[str, float]:
         seeds, controller = self._config.validation.seeds, on_chip(self._deployed(), self._chip)

@@ -302,7 +302,8 @@ class Sparse(Runner[SparseConfig]):
     # validation and checkpoints
 
     def _deployed(self) -> Policy:
-        return round_for_chip(self.policy, self._chip, self._config.rounding)
+        config = self._config
+        return round_for_chip(self.policy, self._chip, config.rounding, config.bits)
 
     def _measure(
         self, policy: Policy, seeds: list[int], references: tuple[float, float]

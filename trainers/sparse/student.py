@@ -43,7 +43,7 @@ from spikedeploy.trainers.policies.delta import (
     live_layers,
     live_neurons,
 )
-from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup
+from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup, in_bits
 from spikedeploy.trainers.policies.vision import vision_artifact
 from spikedeploy.trainers.run_folder import with_prefix
 from spikedeploy.trainers.sparse.config import SparseConfig
@@ -222,7 +222,13 @@ class MlpStudent:
         self._input_rate = torch.stack(counts).sum(0) / pool.steps
 
     def round(self, target: Chip) -> None:
-        """Do nothing: float numbers are not rounded."""
+        """Compute with weights of so many bits, if the configuration says so."""
+        for matrix in self._matrices:
+            matrix.bits = self._config.bits
+
+    @property
+    def _matrices(self) -> list[PrunedWeight]:
+        return [each for each in self.policy.modules() if isinstance(each, PrunedWeight)]
 
     def acting(self) -> Policy:
         """Return the policy with the numbers that are computed with."""
@@ -277,12 +283,16 @@ class MlpStudent:
         return [SynapseGroup(m, rate) for m, rate in zip(self.policy.layers, rates, strict=True)]
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return rates, by name."""
-        return {f"rate{number}": rate.clone() for number, rate in enumerate(self._rates)}
+        """Return rates and whether weights are rounded, by name."""
+        rates = {f"rate{number}": rate.clone() for number, rate in enumerate(self._rates)}
+        rounds = any(matrix.bits is not None for matrix in self._matrices)
+        return rates | ({"rounds": torch.tensor(True)} if rounds else {})
 
     def load(self, named: Mapping[str, Tensor]) -> None:
         """Restore what `tensors` returned."""
         self._rates = [named[f"rate{number}"] for number in range(len(self._rates))]
+        for matrix in self._matrices:
+            matrix.bits = self._config.bits if "rounds" in named else None
 
 
 class GruStudent(MlpStudent):
@@ -538,11 +548,14 @@ def with_offsets(policy: DeltaSnnPolicy, offsets: Mapping[str, Tensor]) -> Delta
 
 
 @torch.no_grad()
-def round_for_chip(policy: Policy, target: Chip, rounding: bool) -> Policy:
-    """Return the policy with the numbers that the chip holds; a float policy as it is.
+def round_for_chip(policy: Policy, target: Chip, rounding: bool, bits: int | None = None) -> Policy:
+    """Return the policy with the numbers that the chip holds; a float one as it is, or in bits.
 
     rounding: whether they are rounded; weights that round to 0 are taken out
+    bits: of a float policy's weights
     """
+    if bits is not None:
+        return in_bits(deepcopy(policy), bits)
     if rounding and isinstance(policy, SpikingVisionPolicy):
         return with_weights(policy, rounding_of_kernels(policy, target))
     if not rounding or not isinstance(policy, DeltaSnnPolicy):

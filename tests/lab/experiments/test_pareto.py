@@ -9,7 +9,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 
 from lab.experiments import networks
 from lab.experiments.costs import INT8, LEAN_UPDATE, energies, terms
@@ -27,7 +26,6 @@ from lab.experiments.pareto_page import sentences
 from lab.experiments.runner import run_experiment
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.policies import PrunedMlpPolicy
 from spikedeploy.trainers.sparse.pool import Walk
 from tests.paths import ROOT
 
@@ -248,17 +246,6 @@ def test_sentences_say_who_wins_and_which_term_decides():
     assert "LIF at 100 (99.0%) costs 68 pJ, no float student is good enough; for 95%" in worse
     nothing = sentences([alone, point("small-mlp", 9.4, 50.0)])
     assert "no float student reaches the return of a spiking one" in nothing[0]
-
-
-def test_weights_in_few_bits_fill_their_range_and_zeros_cost_nothing():
-    policy = PrunedMlpPolicy(3, 1, hidden=())
-    policy.matrices[0].weight.data = torch.tensor([[1.0, -0.5, 0.1]])
-    rounded = networks.in_bits(policy, 2)  # -1, 0, 1
-    assert rounded.matrices[0]().tolist() == [[1.0, -0.0, 0.0]]
-    assert rounded.matrices[0].fan_out.tolist() == [1.0, 0.0, 0.0]
-    policy.matrices[0].weight.data = torch.tensor([[7.0, -3.4, 0.2]])
-    policy.matrices[0].mask.fill_(1.0)
-    assert networks.in_bits(policy, 4).matrices[0]().tolist() == [[7.0, -3.0, 0.0]]
 
 
 def test_robots_at_their_end_are_not_counted():

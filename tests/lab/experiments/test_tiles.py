@@ -17,7 +17,17 @@ from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.sparse.config import SparseConfig
 
 FEW = ("legs-0", "legs-gru", "blind-legs-64-64", "legs-snn")
-SIZE = ("budget", "levels", "batch", "window", "burn_in", "step", "penalty", "penalty_floor")
+SIZE = (
+    "budget",
+    "levels",
+    "batch",
+    "window",
+    "burn_in",
+    "step",
+    "penalty",
+    "penalty_floor",
+    "bits",
+)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -99,7 +109,7 @@ def test_all_networks_learn_from_as_many_walks_for_as_many_updates():
 
     whole = tiles.DESIGNS["hexapod-tiles"]["networks"]
     first, *others = (effort(row) for row in whole.values())
-    assert len(others) == 18
+    assert len(others) == 20
     for each in others:
         assert each == first
 
@@ -162,6 +172,14 @@ def test_verdicts_on_pruned_networks_and_on_memory_stand_apart():
     found = list(verdicts([policy_facts([each]) for each in rows]))
     assert "succeed in at most 20%: those that are here do" in found[0]
     assert "that were pruned to them succeed in at most 20%: no, legs-gru at 4,500" in found[1]
+    eight = [
+        row("legs-gru", [1, 1, 1, 0]) | {"place": "int8"},
+        row("legs-0", [0] * 4) | {"place": "int8"},
+    ]
+    (said,) = verdicts([policy_facts([each]) for each in eight])
+    assert said.startswith(
+        "With weights of 8 bits the best float network is legs-gru at 4,000 MACs"
+    )
     assert found[-1].startswith("On `ahead`, without memory, legs-0 at 4,000 MACs has 25.0%")
     assert found[-1].endswith("of legs-gru at 4,000 MACs.")
 

@@ -26,6 +26,7 @@ from spikedeploy.trainers.policies.policy import (
     PrunedWeight,
     SynapseGroup,
     TorchNormaliser,
+    in_bits,
 )
 from tests.delta_policies import delta_mlp, delta_policy, pruned_mlp, walk
 
@@ -223,3 +224,14 @@ def test_what_is_taken_out_counts_for_nothing_and_learns_nothing():
     assert weight.weight.grad.tolist() == [[1, 0, 1], [1, 1, 1]]
     # rates 0.5, 2 and 1 a control step
     assert SynapseGroup(weight, torch.tensor([0.5, 2.0, 1.0])).operations == 0.5 * 2 + 2 + 2
+
+
+def test_weights_in_few_bits_fill_their_range_and_zeros_cost_nothing():
+    policy = pruned_mlp(3, 1, hidden=(), left=1.0)
+    policy.matrices[0].weight.data = torch.tensor([[1.0, -0.5, 0.1]])
+    rounded = in_bits(policy, 2)  # -1, 0, 1
+    assert rounded.matrices[0]().tolist() == [[1.0, -0.0, 0.0]]
+    assert rounded.matrices[0].fan_out.tolist() == [1.0, 0.0, 0.0]
+    policy.matrices[0].weight.data = torch.tensor([[7.0, -3.4, 0.2]])
+    policy.matrices[0].mask.fill_(1.0)
+    assert in_bits(policy, 4).matrices[0]().tolist() == [[7.0, -3.0, 0.0]]

@@ -91,10 +91,13 @@ def test_operations_fall_to_the_budget(policy, stroll, tmp_path):
     assert best["eval_share"] == pytest.approx(earned / (best["teacher_return"] - none))
 
 
-@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize(
+    ("policy", "bits"), [*((policy, None) for policy in POLICIES), (POLICIES[2], 3)]
+)
 @pytest.mark.parametrize("stop", [12, 31])
-def test_a_stopped_run_resumes_to_the_same_bits(policy, stop, stroll, tmp_path):
-    config = settings(teacher=stroll, policy=policy, validation={"every": 6, "episodes": 1})
+def test_a_stopped_run_resumes_to_the_same_bits(policy, bits, stop, stroll, tmp_path):
+    every = {"validation": {"every": 6, "episodes": 1}, "bits": bits}
+    config = settings(teacher=stroll, policy=policy, **every)
     whole, rows = learned(config, tmp_path)
     part, again = learned(config, tmp_path, until=stop)
     assert part.load("last")[0]["updates"] == stop

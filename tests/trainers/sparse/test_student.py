@@ -95,6 +95,28 @@ def test_each_forward_pass_rounds_weights_as_the_chip_will(make, on):
     assert again.quanta.keys() == quanta.keys()
 
 
+def test_float_students_learn_with_weights_of_so_many_bits_and_deploy_them():
+    policy = pruned_mlp()
+    policy.requires_grad_(True)
+    found = student(policy, settings(policy={"kind": "pruned-mlp"}, bits=3))
+    assert "rounds" not in found.tensors()
+    found.round(chip("loihi1"))
+    deployed = round_for_chip(policy, chip("loihi1"), rounding=True, bits=3)
+    seen = torch.randn(9, 5)
+    torch.testing.assert_close(deployed(seen), policy(seen))
+    first = policy.layers[0]
+    steps = deployed.layers[0]() / first.weight[first.mask == 1].abs().max() * 3
+    torch.testing.assert_close(steps, steps.round(), atol=1e-5, rtol=0)
+    assert steps.abs().max() <= 3
+    assert deployed.layers[0].mask.sum() < first.mask.sum()
+    policy(seen).sum().backward()
+    lost = (steps.round() == 0) & (first.mask == 1)
+    assert first.weight.grad[lost].abs().sum() > 0  # what is rounded to 0 can come back
+    again = student(pruned_mlp(), settings(policy={"kind": "pruned-mlp"}, bits=3))
+    again.load(found.tensors())
+    assert torch.equal(again.policy(seen), policy(seen))
+
+
 def test_discrete_actions_are_imitated_by_their_logits():
     policy = delta_policy(head="discrete")
     label = torch.tensor([[2.0, 0.0]])
