@@ -2,9 +2,10 @@
 
 operations  synaptic operations, which multiply where a spike is graded, or multiply-accumulates
             with an input that is not 0
-updates     neurons that were updated, and looked at
+updates     neurons that were updated, and looked at; of a delta network units that were reached
 traffic     messages and spikes, where a table prices them
-encoder     the delta encoder, or of a float network the reading of its observations
+encoder     the delta encoder, or of a float network the reading of its observations, which a delta
+            network compares as well
 constants   the constant of each readout, added by the host, or the biases of a float network
 
 What the host does is priced by runtime/metrics/energy.py, alike beside all tables.
@@ -83,8 +84,23 @@ def terms(row: Mapping[str, Any], table: str, lean: bool = False) -> dict[str, f
         )
     else:
         operations = row["operations"] * TABLES[table].joules.get("mac", 0.0)
-        values = (operations, 0.0, 0.0, reading_energy(row["observations"]))
+        read = row["observations"]
+        if reached := row.get("compared"):
+            changed = comparisons(reached, row["sent"])
+            values = (operations, changed, 0.0, delta_encoder(read, 0.0))
+        else:
+            values = (operations, 0.0, 0.0, reading_energy(read))
     return dict(zip(TERMS, (*values, addition_energy(row["constants"])), strict=True))
+
+
+def comparisons(units: float, sent: float) -> float:
+    """Energy [J] of a delta network's units some of whose inputs changed.
+
+    The kept sum of each (16 bits) is read and written, and compared with what it sent; what is sent
+    is stored.
+    """
+    kept = units * 2 * ACCESS
+    return delta_encoder(units, sent) - reading_energy(units) + kept
 
 
 def total(row: Mapping[str, Any], table: str, of: str, lean: bool = False) -> float:

@@ -38,7 +38,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from lab.experiments.costs import ACC16, INT8
+from lab.experiments.costs import ACC16, INT8, comparisons
 from lab.experiments.training import Record
 from lab.experiments.vision import WAYS
 from spikedeploy.runtime.metrics.energy import (
@@ -46,8 +46,6 @@ from spikedeploy.runtime.metrics.energy import (
     ADDITION,
     addition_energy,
     chip_terms,
-    delta_encoder,
-    reading_energy,
 )
 from spikedeploy.runtime.metrics.energy_tables import (
     MULTIPLICATION,
@@ -168,9 +166,7 @@ def _float(row: Record, accounting: Accounting) -> tuple[float, ...]:
         row["sent"] * 2 * _BYTE,
         row["events"] * EVENT + row["cells"] * CELL,
         addition_energy(row["units"]),
-        delta_encoder(compared, row["sent"] if compared else 0)
-        - reading_energy(compared)
-        + compared * 2 * ACCESS,
+        comparisons(compared, row["sent"]) if compared else 0.0,
     )
 
 

@@ -12,7 +12,8 @@ from typing import Any, TypeVar
 import gymnasium
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
 
 from spikedeploy import envs
 from spikedeploy.comparison.evaluation import compare_policies
@@ -43,6 +44,7 @@ from spikedeploy.trainers.sparse.pool import BatchController, Episodes, Stateles
 from spikedeploy.trainers.sparse.student import FloatController
 
 FLOAT = "float"  # the place of a float network that computes as it was trained
+DELTA = "delta "  # followed by the threshold of the delta network as which one runs
 Counts = dict[str, float | None]
 P = TypeVar("P", bound=Policy)
 
@@ -63,6 +65,8 @@ class PlacedNetwork:
 def network(run: Path, level: str, place: str, stem: Path) -> PlacedNetwork:
     """The policy of a checkpoint at a place: a chip, FLOAT, `int8`, or `float32` if pruned.
 
+    One that is pruned and has no memory may run as a delta network, as in DELTA `0.1`.
+
     level  name of the checkpoint
     stem   of the exported file, without a suffix
 
@@ -75,6 +79,9 @@ def network(run: Path, level: str, place: str, stem: Path) -> PlacedNetwork:
     stem.parent.mkdir(parents=True, exist_ok=True)
     if policy.kind in SPIKING:
         return _on_chip(policy, origin, stem.with_name(f"{stem.name}.nir"), place)
+    if isinstance(policy, PrunedMlpPolicy) and place.startswith(DELTA):
+        running = DeltaNetwork(policy, float(place.removeprefix(DELTA)))
+        return PlacedNetwork(running, running.counts)
     if isinstance(policy, PrunedMlpPolicy):
         return _pruned(_rounded(policy, place), origin, stem.with_name(f"{stem.name}-{place}.onnx"))
     if isinstance(policy, PrunedGruPolicy):
@@ -191,6 +198,59 @@ def _pruned(policy: PrunedMlpPolicy, origin: Provenance, path: Path) -> PlacedNe
         }
 
     return PlacedNetwork(Stateless(running.replay), counts)
+
+
+class DeltaNetwork:
+    """A float network that sends what changed since it was sent, as a BatchController.
+
+    An input or a unit is sent where it differs by more than a threshold from what was sent of it
+    last; whom it reaches adds weight times change to a sum that is kept (Neil et al. 2017,
+    arXiv 1612.05571). Inputs are compared as they are normalised.
+    """
+
+    def __init__(self, policy: PrunedMlpPolicy, threshold: float) -> None:
+        self._policy, self._threshold = policy, threshold
+        first, *others = (each.fan_out for each in policy.layers)
+        self._fan_outs = [first + policy.past.fan_out if policy.skip else first, *others]
+
+    def reset(self, robots: int) -> None:
+        """Start an episode of each; nothing was sent."""
+        self._sent = [torch.zeros(robots, len(fan_out)) for fan_out in self._fan_outs]
+        self._steps: list[Tensor] = []  # (B, 3) of each control step
+
+    @torch.no_grad()
+    def act_batch(self, observation: NDArray[Any]) -> NDArray[Any]:
+        """Actions (B, act) for observations (B, obs)."""
+        policy = self._policy
+        x = policy.normalizer(torch.from_numpy(observation).float())
+        counts = torch.zeros(3, len(x))
+        drives = []
+        for k, (matrix, bias) in enumerate(zip(policy.layers, policy.biases, strict=True)):
+            is_sent = (x - self._sent[k]).abs() > self._threshold
+            self._sent[k] = torch.where(is_sent, x, self._sent[k])
+            changes, weight = is_sent.float(), matrix()
+            reached = matrix.drive(changes, weight.abs()) != 0
+            counts += torch.stack([changes @ self._fan_outs[k], reached.sum(1), changes.sum(1)])
+            drives.append(matrix.drive(self._sent[k], weight) + bias)
+            x = torch.relu(drives[-1])
+        mean = drives[-1]
+        if policy.skip:
+            mean = mean + policy.past.drive(self._sent[0], policy.past())
+        self._steps.append(counts.T)
+        return policy.env_action(mean)
+
+    def counts(self, walks: Sequence[Walk]) -> Counts:
+        """Means per control step; robots at their end keep their place in the batch, uncounted."""
+        lengths = torch.tensor([len(walk.observation) for walk in walks])
+        alive = torch.arange(len(self._steps))[:, None] < lengths
+        macs, reached, sent = torch.stack(self._steps)[alive].double().mean(0).tolist()
+        return {
+            "operations": macs,
+            "compared": reached,
+            "sent": sent,
+            "observations": float(torch.count_nonzero(self._fan_outs[0])),
+            "constants": 0.0,  # biases are in the sums that are kept
+        }
 
 
 def _dense_counts(policy: Policy, walks: Sequence[Walk]) -> Counts:

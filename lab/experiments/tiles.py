@@ -18,7 +18,7 @@ import numpy as np
 from lab.experiments import DESIGNS, QUICK, costs, pages
 from lab.experiments.eye_entry import episode_share
 from lab.experiments.eye_map import NOT_PRUNED
-from lab.experiments.networks import network, play
+from lab.experiments.networks import DELTA, network, play
 from lab.experiments.pages import grouped, mean
 from lab.experiments.runner import Design, Part
 from lab.experiments.students import PRICES
@@ -46,9 +46,11 @@ _VERSION = 2  # of what a row holds; a higher one makes all rows again
 _TEXT = ("network", "view", "level", "place", "ground", "quick")
 _KEY = ("network", "view", "seed", "level", "place", "ground")
 _FLOAT = ("float32", "int8")  # places of float networks
+_DELTA = f"{DELTA}0.01"  # of those without memory; a threshold tried in fields of seeds from 5,000
+OTHER_WAYS = ("int8", _DELTA)  # of a network that the page also has in float32
 _COUNTS = (
     "weights", "operations", "neuron_updates", "bias_operations", "readout_updates", "neuron_idle",
-    "messages", "spikes_out", "events", "observations", "constants",
+    "messages", "spikes_out", "events", "compared", "sent", "observations", "constants",
 )  # fmt: skip
 _COLUMNS = (
     *_KEY, "episodes", *_COUNTS, "quick", "success", "missteps", "distance", "fall",
@@ -155,6 +157,8 @@ class TilesDesign(Design):
         name, view, _ = training.name.rsplit("-", 2)
         if view == "around" and _ROWS[name].get("transfer"):
             every += [(NOT_PRUNED, places[0], ground) for ground in _GROUNDS]
+        if _ROWS[name].get("levels") and training.config.policy.kind == "pruned-mlp" and not bits:
+            every += [(level, _DELTA, None) for level in reversed(run.levels.values())]
         rows = []
         for level, place, ground in every:
             of = {**self._made, "policy": zoo.sha256(run.checkpoint(level))}
@@ -222,7 +226,7 @@ class TilesDesign(Design):
         rough = [policy_facts(of) for _, of in grouped(
             [row for row in rows if row["ground"]], "ground", "network", "level", "place"
         )]  # fmt: skip
-        whole = [f for f in every if not f["pruned"] and f["place"] != "int8"]
+        whole = [f for f in every if not f["pruned"] and f["place"] not in OTHER_WAYS]
         page, shown = pages.write_page(
             results / "hexapod-tiles.md",
             {},
@@ -330,7 +334,8 @@ def episode_mean(rows: Sequence[Record], field: str) -> Estimate:
 
 def verdicts(every: Sequence[Record]) -> Iterator[str]:
     """Whether the test is passed, in sentences; none on what is not there."""
-    of_each = [f for f in every if f["trainings"] and f["kind"] != "blind" and f["place"] != "int8"]
+    in_all = [f for f in every if f["trainings"] and f["kind"] != "blind"]
+    of_each = [f for f in in_all if f["place"] not in OTHER_WAYS]
     networks = [f for f in of_each if not f["harder"]]
     around = [f for f in networks if f["view"] == "around"]
     small = [f for f in around if f["unit"] == "MACs" and f["operations"] < FEW]
@@ -355,14 +360,17 @@ def verdicts(every: Sequence[Record]) -> Iterator[str]:
             "missteps."
         )
         floats = [f for f in around if f["unit"] == "MACs"]
+        floats += [
+            f for f in in_all
+            if f["view"] == "around" and f["place"] == _DELTA and not f["harder"]
+        ]  # fmt: skip
         yield from (_compare(f, best, floats) for f in around if f["unit"] == "SOPs")
     eight = [
-        f for f in every
-        if f["view"] == "around" and f["place"] == "int8" and not f["harder"] and f["trainings"]
+        f for f in in_all if f["view"] == "around" and f["place"] == "int8" and not f["harder"]
     ]  # fmt: skip
     if eight:
-        best = _with_success(max(eight, key=_success))
-        yield f"With weights of 8 bits the best float network is {best}."
+        said = _with_success(max(eight, key=_success))
+        yield f"With weights of 8 bits the best float network is {said}."
     ahead = [f for f in networks if f["view"] == "ahead" and not f["pruned"]]
     floats = [f for f in ahead if f["unit"] == "MACs"]
     with_memory = [f for f in floats if f["memory"]]
@@ -399,7 +407,8 @@ def _compare(facts: Record, best: Record, floats: Sequence[Record] = ()) -> str:
 
 
 def _with_operations(facts: Record) -> str:
-    return f"{facts['name']} at {facts['operations']:,.0f} {facts['unit']}"
+    way = f" ({facts['place']})" if facts["place"] == _DELTA else ""
+    return f"{facts['name']}{way} at {facts['operations']:,.0f} {facts['unit']}"
 
 
 def _with_success(facts: Record) -> str:
