@@ -258,7 +258,7 @@ def _covered(rows: Sequence[Row]) -> str:
     trained = _trained(rows)
     if len(rows) < 2 or not trained or any(row["training_seeds"] > 1 for row in trained):
         return ""
-    measured = "." if any(row.get("foreign") for row in rows) else ": results/pareto.md."
+    measured = "." if any(row.get("foreign") for row in rows) else ": results/README.md."
     few = has_few_episodes(trained[0])
     covered = "Rows are" if few else f"Intervals cover {describe_episodes(trained[0])}"
     return f"{covered} of one training each; other trainings differ{measured}"

@@ -296,6 +296,11 @@ def _term_columns(rows: Sequence[Row]) -> list[Column]:
 # one table of 80 columns, and one line
 
 
+_MISSTEPS = Column(
+    "missteps", "share of touchdowns on forbidden tiles", field_cell("missteps", ".1%")
+)
+
+
 def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
     """Policy, return, share of the float ANN, success, operations, and energy by one table.
 
@@ -312,6 +317,7 @@ def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
         earned,
         Column("of ANN", "return / that of the float ANN", field_cell("ratio_to_float_ann", ".1%")),
         success,
+        _MISSTEPS,
         Column(
             "operations",
             "a control step, of synapses; dense MACs: zeros are not skipped",
@@ -358,6 +364,7 @@ def describe_run(document: Mapping[str, Any]) -> str:
     facts = [
         f"return {format_return(row)} in {describe_episodes(row)}",
         *([f"{sum(row['successes'])} {done}"] if row["successes"] else []),
+        *(f"{each} missteps" for each in [_MISSTEPS.cell(row)] if each != ABSENT),
         *(f"{name} {value:.4g}" for name, value in row.get("measured", {}).items()),
         *(f"{each} a control step" for each in [format_operations(row)] if each != ABSENT),
     ]

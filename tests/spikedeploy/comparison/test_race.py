@@ -159,7 +159,7 @@ def test_the_sentences_say_what_finishes_on_the_chip_and_what_is_as_good():
         "MACs a control step, to 28 synaptic operations of snn. The script gap is not shown to "
         "finish less often either. Neuron updates and the encoder are in neither count. The float "
         "ANN finishes 99%, the controls random 0%, gap 98%, linear 60%, small 99%. Intervals cover "
-        "100 episodes of one training each; other trainings differ: results/pareto.md."
+        "100 episodes of one training each; other trainings differ: results/README.md."
     )
 
 
