@@ -28,8 +28,8 @@ _REMEDY = "Export the network again, or correct the node."
 # bytes of all arrays: a file with more is taken for a mistake that would exhaust the memory
 _MAX_BYTES = 1 << 31
 # bytes that a file may unpack to, and more for each that it takes on the disk: numbers of trained
-# networks hardly shrink
-_FREE_BYTES, _EXPANSION = 48 << 20, 8
+# networks hardly shrink; zeros between the legs of a whole body, and of what was pruned, do
+_FREE_BYTES, _EXPANSION = 96 << 20, 8
 # arithmetic is done in float32 at least: smaller numbers grow when they are read
 _SMALLEST_NUMBER = 4
 # arrays and groups; a neuron has up to nine
