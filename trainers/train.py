@@ -7,7 +7,8 @@ import json
 import re
 import shlex
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -21,6 +22,7 @@ from spikedeploy.files import write_json
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, metrics
 from spikedeploy.trainers.config import C, RunConfig, amend, require_known, resolve
+from spikedeploy.trainers.policies import Policy
 from spikedeploy.trainers.progress import Interrupt, Journal, ProgressBar
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import RunFolder, is_beginning, write_errors
@@ -81,10 +83,14 @@ def train(
             config = _budgeted(amend(former, **changes), budget)
             _check_network(run.path, former, config)
             run.sweep()
-            _check_left(run, kind, config)
+            state = _check_left(run, kind, config)
             with _written(run, config):
                 runner = kind(config, run)
+                _check_sizes(run.path, state, runner.policy)
             _learn(runner, config, run, quiet, stopped, watch, film)
+            if config != former and runner.step == state.get(kind.COUNTERS[0]) and runner.finished:
+                write_json(run.path / "config.json", before)  # nothing was trained with the other
+                print(f"{run.path} was trained, and keeps its configuration", file=sys.stderr)
         return run.path
     config = _budgeted(resolve(kind.Config, recipe, seed=seed, **changes), budget)
     if not config.env.name:
@@ -148,10 +154,27 @@ def _removed_if_refused(run: RunFolder) -> Iterator[None]:
 
 def _check_network(path: Path, former: RunConfig, config: RunConfig) -> None:
     """Refuse a run to be resumed with another network than it was begun with."""
-    before, now = former.model_dump()["policy"], config.model_dump()["policy"]
+    before, now = map(_network, (former, config))
     if changed := [name for name in now if before.get(name) != now[name]]:
-        some = ", ".join(f"policy.{name} is {before.get(name)}" for name in changed)
+        some = ", ".join(f"{name} is {before.get(name)}" for name in changed)
         raise ConfigError(f"a resumed run keeps its network, and in {path} {some}")
+
+
+def _network(config: RunConfig) -> dict[str, Any]:
+    """Return settings of the network by name; `bits`, of float weights, are the algorithm's."""
+    policy = {f"policy.{name}": each for name, each in config.model_dump()["policy"].items()}
+    return {**policy, "bits": getattr(config, "bits", None)}
+
+
+def _check_sizes(path: Path, state: Mapping[str, Any], policy: Policy) -> None:
+    """Refuse a run to be resumed in an environment whose observations or actions are others."""
+    for name in ("observations", "actions") if state else ():
+        began, now = state["policy"].get(name), getattr(policy, name)
+        if began not in (None, now):
+            raise ConfigError(
+                f"a resumed run keeps its network, and in {path} it has {began} {name}; with these "
+                f"settings of env there are {now}"
+            )
 
 
 @contextmanager
@@ -166,16 +189,18 @@ def _written(run: RunFolder, config: RunConfig) -> Iterator[None]:
         raise
 
 
-def _check_left(run: RunFolder, kind: type[Runner[Any]], config: RunConfig) -> None:
+def _check_left(run: RunFolder, kind: type[Runner[Any]], config: RunConfig) -> dict[str, Any]:
     """Refuse a run to be resumed whose tables are damaged, or whose last weights are missing.
 
-    One without a checkpoint starts from the beginning.
+    Return the numbers of its last checkpoint; without one it starts from the beginning.
     """
     run.check_weights("last")
-    if run.checkpoint("last").is_file():
-        state, _ = run.load("last")
-        for table in kind.tables(run, config):
-            table.check(state[kind.COUNTERS[0]], state)
+    if not run.checkpoint("last").is_file():
+        return {}
+    state, _ = run.load("last")
+    for table in kind.tables(run, config):
+        table.check(state[kind.COUNTERS[0]], state)
+    return state
 
 
 def _learn(

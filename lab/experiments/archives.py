@@ -5,6 +5,7 @@ python -m lab eye-trainings unpack --runs runs/kart-eye
 """
 
 import argparse
+import lzma
 import re
 import sys
 import zlib
@@ -19,6 +20,7 @@ from spikedeploy.trainers.run_folder import LEVEL
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"
 Pack = Callable[[Path, Path], Iterable[Path]]
+_DAMAGED = (BadZipFile, EOFError, NotImplementedError, zlib.error, lzma.LZMAError)
 _DATE = (2026, 1, 1, 0, 0, 0)  # of every member, so that the same files make the same archive
 
 
@@ -55,10 +57,13 @@ class Kept:
     def unpack(self, archive: Path, runs: Path) -> int:
         """Write the archive's files where there are none; return the number of those written.
 
-        Raises BadZipFile where a member is no file of a training.
+        Raises ValueError where it is damaged, or a member is no file of a training.
         """
-        with ZipFile(archive) as zipped:
-            content = {m.filename: self._read(zipped, m) for m in zipped.infolist()}
+        try:
+            with ZipFile(archive) as zipped:
+                content = {m.filename: self._read(zipped, m) for m in zipped.infolist()}
+        except (*_DAMAGED, RuntimeError) as error:  # encrypted
+            raise ValueError(f"{archive} is damaged: {error or type(error).__name__}") from error
         missing = [name for name in content if not (runs / name).exists()]
         for name in sorted(missing, key=lambda name: name.endswith(self.last)):
             with replacing(runs / name) as part:
@@ -68,7 +73,7 @@ class Kept:
     def _read(self, zipped: ZipFile, member: ZipInfo) -> bytes:
         """The content of a member; BadZipFile where it is no file of a training, or too large."""
         if not self.name.fullmatch(member.filename) or member.file_size > self.most:
-            raise BadZipFile(f"{zipped.filename}: {member.filename!r} is no file of a training")
+            raise BadZipFile(f"{member.filename!r} is no file of a training")
         return zipped.read(member)
 
     def command(self, about: str, pack: Pack, **others: Callable[[Path], str]) -> int:
@@ -81,7 +86,7 @@ class Kept:
         other = others.get(options.what)
         try:
             print(other(options.runs) if other else self._run(options, pack))
-        except (OSError, ValueError, RuntimeError, BadZipFile, zlib.error) as error:
+        except (OSError, ValueError, RuntimeError) as error:
             sys.exit(f"error: {error}")
         return 0
 
@@ -106,7 +111,7 @@ def kept_levels(experiment: str) -> Kept:
     name = re.compile(
         rf"{experiment}-[\w-]+/({'|'.join(map(re.escape, _RUN))}"
         rf"|checkpoints/{LEVEL}[\w+]+\.(json|safetensors))"
-        r"|evaluations/([\w.+=-]+/)?[\w.+=-]+\.json"
+        r"|evaluations/([\w+=-][\w.+=-]*/)?[\w+=-][\w.+=-]*\.json"
     )
     # a training counts as complete by its counters, which must not come before the rest
     return Kept(RESULTS / experiment / "trainings", name, 16 << 20, ("last.json",))

@@ -9,9 +9,11 @@ import signal
 import sys
 from types import ModuleType
 
+import numpy as np
 import pytest
 import safetensors.torch
 import torch
+from gymnasium.spaces import Box
 from rich.console import Console
 from safetensors import SafetensorError
 
@@ -75,6 +77,14 @@ def test_a_finished_run_is_left_as_it_is(tmp_path, world):
     assert (run / "checkpoints" / "last.safetensors").read_bytes() == before
     with pytest.raises(ConfigError, match=r"replay.*missing"):
         train("smoke", resume=run, overrides=["steps=800"], runs=tmp_path, quiet=True)
+
+
+def test_where_nothing_is_left_to_train_the_configuration_stays(tmp_path, world, capsys):
+    run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
+    before = (run / "config.json").read_bytes()
+    train("smoke", resume=run, overrides=["steps=300"], runs=tmp_path, quiet=True)
+    assert (run / "config.json").read_bytes() == before
+    assert "was trained, and keeps its configuration" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -271,6 +281,20 @@ def test_a_resumed_run_that_is_refused_keeps_its_configuration(tmp_path, world):
 def test_a_resumed_run_keeps_its_network(interrupted):
     with pytest.raises(ConfigError, match=r"keeps its network, .* policy.hidden is \("):
         train("smoke", resume=interrupted, overrides=["policy.hidden=[7]"], quiet=True)
+
+
+def test_a_resumed_run_keeps_the_size_of_what_it_sees(interrupted, monkeypatch):
+    class Wider(PointingEnv):
+        observation_space = Box(-1.0, 1.0, (7,), np.float64)
+
+        def _draw(self):
+            return np.zeros(7)
+
+    monkeypatch.setattr(envs, "make", lambda name, **options: Wider())
+    before = (interrupted / "config.json").read_bytes()
+    with pytest.raises(ConfigError, match=r"has 2 observations; .* env there are 7"):
+        train("smoke", resume=interrupted, overrides=["env.options.width=7"], quiet=True)
+    assert (interrupted / "config.json").read_bytes() == before
 
 
 @pytest.fixture

@@ -2,9 +2,8 @@
 
 import json
 import sys
-import zlib
 from dataclasses import replace
-from zipfile import BadZipFile, ZipFile
+from zipfile import ZipFile
 
 import pytest
 
@@ -166,7 +165,7 @@ def test_files_of_others_are_refused(name, tmp_path):
     with ZipFile(tmp_path / "a.zip", "w") as zipped:
         zipped.writestr("kart-grid-ann-s0-20260101-000000/config.json", "{}")
         zipped.writestr(name, "x")
-    with pytest.raises(BadZipFile, match="is no file of a training"):
+    with pytest.raises(ValueError, match=r"a\.zip is damaged: .* is no file of a training"):
         unpack(tmp_path / "a.zip", tmp_path / "runs")
     assert not (tmp_path / "runs").exists()
 
@@ -177,7 +176,7 @@ def test_damaged_archives_leave_nothing(tmp_path):
     data = bytearray(archive.read_bytes())
     data[-500] ^= 255
     archive.write_bytes(data)
-    with pytest.raises((BadZipFile, zlib.error)):
+    with pytest.raises(ValueError, match="zip is damaged"):
         unpack(archive, tmp_path / "there")
     assert not (tmp_path / "there").exists()
 

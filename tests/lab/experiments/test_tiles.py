@@ -193,3 +193,9 @@ def test_what_was_packed_is_trained_where_it_is_unpacked(design, results, tmp_pa
     again = replace(design, runs=str(there))
     assert [t.name for t in again.trainings() if not t.is_trained] == ["walks-around"]
     assert sum(len(list(part.found)) for part in again.parts()) == len(table(results))
+
+
+def test_evaluations_of_an_archive_are_written_in_their_folder():
+    assert KEPT.name.fullmatch("evaluations/a-ops-1e+06/b=2.json")
+    for name in ("evaluations/../x.json", "evaluations/..x.json", "evaluations/a/../x.json"):
+        assert not KEPT.name.fullmatch(name)
