@@ -6,6 +6,7 @@ in fields that no training saw, at each level of its pruning: float networks in 
 weights of 8 bits, spiking ones on the emulated chip. Scripts walk beside them.
 """
 
+import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -102,7 +103,10 @@ class TilesDesign(Design):
         made = job.planned()
         # the walks are a run of one of the recipes too, and differ in their rounds; where walks are
         # taken over, the environment has no other options than these
-        telling = (*every, f"dense_rounds={made.dense_rounds}", f"env.name={made.env.name}")
+        told = {"dense_rounds": made.dense_rounds, "policy.hidden": made.policy.hidden}
+        told |= {"env.name": made.env.name} | ({} if made.bits is None else {"bits": made.bits})
+        telling = (*every, *(f"{name}={json.dumps(value)}" for name, value in told.items()))
+        job = replace(job, lacking=("bits",) if made.bits is None else ())
         return replace(job, telling=telling if alone else (*telling, "teacher_walks=0"))
 
     def parts(self) -> list[Part]:

@@ -38,6 +38,7 @@ class TrainingJob:
     overrides  settings as `--set` takes them
     parents    setting -> the training whose run folder it names
     telling    those of the settings that tell its runs from others of the same recipe and seed
+    lacking    settings that its runs leave out, or have as None, likewise
     """
 
     name: str
@@ -47,6 +48,7 @@ class TrainingJob:
     overrides: Sequence[str] = ()
     parents: "Mapping[str, TrainingJob]" = field(default_factory=dict)
     telling: Sequence[str] = ()
+    lacking: Sequence[str] = ()
 
     @property
     def run(self) -> Path | None:
@@ -69,6 +71,8 @@ class TrainingJob:
     def _is_of(self, made: Record) -> bool:
         """Return whether a run has recipe, seed, telling settings and parents of this training."""
         if (made.get("recipe"), made.get("seed")) != (self.recipe, self.seed):
+            return False
+        if any(made.get(name) is not None for name in self.lacking):
             return False
         wanted = [setting for setting in self.telling if not setting.startswith(_COMPUTED)]
         return _is_within(merge({}, *map(parse_override, wanted)), made) and all(

@@ -18,16 +18,8 @@ from spikedeploy.trainers.sparse.config import SparseConfig
 
 FEW = ("legs-0", "legs-gru", "blind-legs-64-64", "legs-snn")
 SIZE = (
-    "budget",
-    "levels",
-    "batch",
-    "window",
-    "burn_in",
-    "step",
-    "penalty",
-    "penalty_floor",
-    "bits",
-)
+    "budget", "levels", "batch", "window", "burn_in", "step", "penalty", "penalty_floor", "bits",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -112,6 +104,20 @@ def test_all_networks_learn_from_as_many_walks_for_as_many_updates():
     assert len(others) == 20
     for each in others:
         assert each == first
+
+
+def test_a_run_is_that_of_one_training_alone(monkeypatch):
+    monkeypatch.setattr(tiles, "_ROWS", tiles.DESIGNS["hexapod-tiles"]["networks"])
+    monkeypatch.setattr(tiles, "VIEWS", ("around", "ahead"))
+    jobs, runs = TilesDesign(seeds=1).trainings(), []
+    for job in jobs:
+        made = job.planned().model_dump(mode="json")
+        runs.append(made | ({"teacher_walks": 0} if job.parents else {}))
+    for job in jobs:
+        alone = replace(job, parents={})
+        assert [o.name for o, run in zip(jobs, runs, strict=True) if alone._is_of(run)] == [
+            job.name
+        ]
 
 
 def test_the_gait_is_the_script_that_does_not_look():
