@@ -83,7 +83,9 @@ def terms(row: Mapping[str, Any], table: str, lean: bool = False) -> dict[str, f
             delta_encoder(row["observations"], row["events"]),
         )
     else:
-        operations = row["operations"] * TABLES[table].joules.get("mac", 0.0)
+        # changes are scattered into sums that are kept, as graded spikes are
+        prices, scatters = TABLES[table].joules, row.get("compared") and table in (ACC16, ACC32)
+        operations = row["operations"] * prices.get("graded_sop" if scatters else "mac", 0.0)
         read = row["observations"]
         if reached := row.get("compared"):
             changed = comparisons(reached, row["sent"])

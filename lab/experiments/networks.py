@@ -65,6 +65,8 @@ class PlacedNetwork:
 def network(run: Path, level: str, place: str, stem: Path) -> PlacedNetwork:
     """The policy of a checkpoint at a place: a chip, FLOAT, `int8`, or `float32` if pruned.
 
+    In `int8` a matrix has one scale, in `int8-rows` each row of it.
+
     One that is pruned and has no memory may run as a delta network, as in DELTA `0.1`.
 
     level  name of the checkpoint
@@ -91,7 +93,10 @@ def network(run: Path, level: str, place: str, stem: Path) -> PlacedNetwork:
 
 def _rounded(policy: P, place: str) -> P:
     """The policy with weights of as many bits as its place has."""
-    return policy if place == "float32" else in_bits(policy, int(place.removeprefix("int")))
+    if place == "float32":
+        return policy
+    bits, _, rows = place.removeprefix("int").partition("-")
+    return in_bits(policy, int(bits), by_row=rows == "rows")
 
 
 def _with_memory(policy: PrunedGruPolicy) -> PlacedNetwork:
@@ -224,12 +229,15 @@ class DeltaNetwork:
         policy = self._policy
         x = policy.normalizer(torch.from_numpy(observation).float())
         counts = torch.zeros(3, len(x))
-        drives = []
+        drives, inputs = [], x
         for k, (matrix, bias) in enumerate(zip(policy.layers, policy.biases, strict=True)):
             is_sent = (x - self._sent[k]).abs() > self._threshold
             self._sent[k] = torch.where(is_sent, x, self._sent[k])
             changes, weight = is_sent.float(), matrix()
             reached = matrix.drive(changes, weight.abs()) != 0
+            if policy.skip and k == len(self._sent) - 1:
+                reached |= policy.past.drive(inputs, policy.past().abs()) != 0
+            inputs = changes if k == 0 else inputs
             counts += torch.stack([changes @ self._fan_outs[k], reached.sum(1), changes.sum(1)])
             drives.append(matrix.drive(self._sent[k], weight) + bias)
             x = torch.relu(drives[-1])

@@ -48,7 +48,6 @@ _TEXT = ("network", "view", "level", "place", "ground", "quick")
 _KEY = ("network", "view", "seed", "level", "place", "ground")
 _FLOAT = ("float32", "int8")  # places of float networks
 _DELTA = f"{DELTA}0.01"  # of those without memory; a threshold tried in fields of seeds from 5,000
-OTHER_WAYS = ("int8", _DELTA)  # of a network that the page also has in float32
 _COUNTS = (
     "weights", "operations", "neuron_updates", "bias_operations", "readout_updates", "neuron_idle",
     "messages", "spikes_out", "events", "compared", "sent", "observations", "constants",
@@ -162,7 +161,8 @@ class TilesDesign(Design):
         if view == "around" and _ROWS[name].get("transfer"):
             every += [(NOT_PRUNED, places[0], ground) for ground in _GROUNDS]
         if _ROWS[name].get("levels") and training.config.policy.kind == "pruned-mlp" and not bits:
-            every += [(level, _DELTA, None) for level in reversed(run.levels.values())]
+            levels = reversed(run.levels.values())
+            every += [(level, at, None) for level in levels for at in ("int8-rows", _DELTA)]
         rows = []
         for level, place, ground in every:
             of = {**self._made, "policy": zoo.sha256(run.checkpoint(level))}
@@ -230,7 +230,7 @@ class TilesDesign(Design):
         rough = [policy_facts(of) for _, of in grouped(
             [row for row in rows if row["ground"]], "ground", "network", "level", "place"
         )]  # fmt: skip
-        whole = [f for f in every if not f["pruned"] and f["place"] not in OTHER_WAYS]
+        whole = [f for f in every if not f["pruned"] and not _is_other_way(f)]
         page, shown = pages.write_page(
             results / "hexapod-tiles.md",
             {},
@@ -339,7 +339,7 @@ def episode_mean(rows: Sequence[Record], field: str) -> Estimate:
 def verdicts(every: Sequence[Record]) -> Iterator[str]:
     """Whether the test is passed, in sentences; none on what is not there."""
     in_all = [f for f in every if f["trainings"] and f["kind"] != "blind"]
-    of_each = [f for f in in_all if f["place"] not in OTHER_WAYS]
+    of_each = [f for f in in_all if not _is_other_way(f)]
     networks = [f for f in of_each if not f["harder"]]
     around = [f for f in networks if f["view"] == "around"]
     small = [f for f in around if f["unit"] == "MACs" and f["operations"] < FEW]
@@ -366,15 +366,9 @@ def verdicts(every: Sequence[Record]) -> Iterator[str]:
         floats = [f for f in around if f["unit"] == "MACs"]
         floats += [
             f for f in in_all
-            if f["view"] == "around" and f["place"] == _DELTA and not f["harder"]
+            if f["view"] == "around" and _is_other_way(f) and not f["harder"]
         ]  # fmt: skip
         yield from (_compare(f, best, floats) for f in around if f["unit"] == "SOPs")
-    eight = [
-        f for f in in_all if f["view"] == "around" and f["place"] == "int8" and not f["harder"]
-    ]  # fmt: skip
-    if eight:
-        said = _with_success(max(eight, key=_success))
-        yield f"With weights of 8 bits the best float network is {said}."
     ahead = [f for f in networks if f["view"] == "ahead" and not f["pruned"]]
     floats = [f for f in ahead if f["unit"] == "MACs"]
     with_memory = [f for f in floats if f["memory"]]
@@ -383,7 +377,20 @@ def verdicts(every: Sequence[Record]) -> Iterator[str]:
         best = max(with_memory, key=_success)
         without = max(memoryless, key=_success)
         yield f"On `ahead`, without memory, {_compare(without, best)}"
+        others = [f for f in with_memory if f is not best]
+        yield from (f"On `ahead` {_compare(f, best)}" for f in others)
         yield from (f"On `ahead` {_compare(f, best)}" for f in ahead if f["unit"] == "SOPs")
+
+
+def _is_other_way(facts: Record) -> bool:
+    """Whether the page has the network in float32 as well."""
+    place = facts["place"] or ""
+    return place.startswith(DELTA) or _in_integers(place)
+
+
+def _in_integers(place: str) -> bool:
+    """Whether a float network has integers for weights there; `int` alone is a chip."""
+    return place.startswith("int") and place[3:4].isdigit()
 
 
 def _success(facts: Record) -> float:
@@ -397,21 +404,24 @@ def _compare(facts: Record, best: Record, floats: Sequence[Record] = ()) -> str:
         operations += f" and {facts['updates']:,.0f} neuron updates"
     if not _success(best):
         return f"{operations} is compared with none: {best['name']} succeeds in no field."
+    if not _success(facts):
+        return f"{operations} succeeds in no field, {_with_success(best)}."
     own, others = ([row["success"] for row in f["rows"]] for f in (facts, best))
     ratio = pages.percent(nested_ratio(own, others), 1)
     said = f"{operations} has {ratio} of the successes of {_with_operations(best)}"
     cheap = [f for f in floats if f["operations"] <= facts["operations"]]
     if cheap:
-        other = max(cheap, key=_success)
         said += (
             f"; it succeeds in {pages.percent(facts['success'], 1)}, with no more operations "
-            f"{_with_success(other)}"
+            f"{_with_success(max(cheap, key=_success))}"
         )
+    if eight := [f for f in cheap if _in_integers(f["place"])]:
+        said += f", of 8 bits {_with_success(max(eight, key=_success))}"
     return f"{said}."
 
 
 def _with_operations(facts: Record) -> str:
-    way = f" ({facts['place']})" if facts["place"] == _DELTA else ""
+    way = f" ({facts['place']})" if _is_other_way(facts) else ""
     return f"{facts['name']}{way} at {facts['operations']:,.0f} {facts['unit']}"
 
 

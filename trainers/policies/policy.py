@@ -250,10 +250,13 @@ class PrunedWeight(nn.Module):
         return rate.expand_as(self.mask)
 
 
-def _in_steps(weight: Tensor, bits: int) -> tuple[Tensor, Tensor]:
+def _in_steps(weight: Tensor, bits: int, by_row: bool = False) -> tuple[Tensor, Tensor]:
     """Return the nearest integers of so many bits, and what one counts: the largest fills them."""
     largest = 2 ** (bits - 1) - 1
-    most = weight.abs().max() if weight.numel() else weight.new_zeros(())
+    if not weight.numel():
+        return weight, weight
+    rows = tuple(range(1, weight.ndim))
+    most = weight.abs().amax(rows, keepdim=True) if by_row else weight.abs().max()
     scale = most.clamp(min=torch.finfo(weight.dtype).tiny) / largest
     return torch.round(weight / scale), scale
 
@@ -262,15 +265,15 @@ P = TypeVar("P", bound=Policy)
 
 
 @torch.no_grad()
-def in_bits(policy: P, bits: int) -> P:
-    """Round a policy's weights to integers of so many bits, one scale a matrix, and return it.
+def in_bits(policy: P, bits: int, by_row: bool = False) -> P:
+    """Round a policy's weights to integers of so many bits, and return it.
 
-    Scales are such that the largest weight fills the range, as on the chips; weights that are
-    rounded to 0 cost no operations, as there.
+    The largest weight of a matrix fills the range, or of each row of it, the weights of a unit.
+    Weights that are rounded to 0 cost no operations. Inputs, units and biases stay as they are.
     """
     for matrix in policy.modules():
         if isinstance(matrix, PrunedWeight):
-            steps, scale = _in_steps(matrix.weight * matrix.mask, bits)
+            steps, scale = _in_steps(matrix.weight * matrix.mask, bits, by_row)
             matrix.weight.copy_(steps * scale)
             matrix.mask.copy_(steps != 0)
     return policy

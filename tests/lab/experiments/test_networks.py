@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 import torch
 
-from lab.experiments.costs import INT8, terms
+from lab.experiments.costs import ACC16, INT8, terms
 from lab.experiments.networks import DeltaNetwork
 from spikedeploy.runtime.metrics.energy import ACCESS, ADDITION, reading_energy
+from spikedeploy.runtime.metrics.energy_tables import TABLES
 from spikedeploy.trainers.sparse.pool import Walk
 from tests.delta_policies import pruned_mlp, walk
 
@@ -47,3 +48,23 @@ def test_what_did_not_change_enough_is_not_sent_and_not_counted():
     sums = 1.2 * (2 * ADDITION + 3 * ACCESS) + 0.6 * (ADDITION + ACCESS)
     assert each["updates"] == pytest.approx(sums)
     assert each["encoder"] == pytest.approx(reading_energy(3) + 3 * (2 * ADDITION + ACCESS))
+    assert terms(counts, ACC16)["operations"] > 1.5 * 1.2 * TABLES[ACC16].joules["mac"]
+
+
+def test_hidden_units_and_the_path_past_them_are_counted_too():
+    policy = pruned_mlp(obs=2, act=1, hidden=(2,), left=1.0)
+    policy.normalizer.std.fill_(1.0)
+    with torch.no_grad():
+        policy.matrices[0].weight.copy_(torch.tensor([[1.0, 0.0], [0.0, 1.0]]))
+        policy.matrices[0].mask.copy_(policy.matrices[0].weight)  # an input of each hidden unit
+        policy.matrices[1].mask.copy_(torch.tensor([[1.0, 0.0]]))  # the second sends to nobody
+        policy.biases[0].zero_()
+    running = DeltaNetwork(policy, 0.1)
+    seen = np.array([[0.5, 0.0], [0.5, 0.9], [0.5, 0.9]])
+    walked(running, [seen])
+    counts = running.counts([Walk(seen.astype(np.float32), seen[:, :1].astype(np.float32))])
+    # the first input: to a unit, to the action, and the unit's change to the action; then the
+    # second input likewise, whose unit sends to nobody; then nothing
+    assert counts["operations"] == pytest.approx((3 + 2) / 3)
+    assert counts["compared"] == pytest.approx((2 + 2) / 3)  # a unit and the action each time
+    assert counts["sent"] == pytest.approx((2 + 2) / 3)

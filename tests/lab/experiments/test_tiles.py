@@ -55,9 +55,11 @@ def table(results):
 
 
 def test_each_row_holds_its_episodes_and_counts_what_it_did(results):
-    rows = [r for r in table(results) if r["place"] != "int8" and not r["ground"]]
+    rows = [r for r in table(results) if not str(r["place"]).startswith("int8") and not r["ground"]]
     found = {(r["network"], r["level"]): r for r in rows}
-    assert {r["network"] for r in table(results) if r["place"] == "int8"} == {*FEW} - {"legs-snn"}
+    assert {r["network"] for r in table(results) if r["place"] == "int8"} == {
+        *FEW
+    } - {"legs-snn"}
     assert all(len(row["success"]) == len(row["missteps"]) == 2 for row in found.values())
     assert found["script", None]["operations"] > 1_000
     assert found["gait", None]["operations"] is None
@@ -160,6 +162,15 @@ def test_verdicts_say_who_succeeds_and_for_how_many_operations():
         "with no more operations legs-0 at 1,900 MACs in 100.0%"
         in [*verdicts([*every, cheaper])][-1]
     )
+    others = [
+        policy_facts([row("legs-0", won, operations=1_800.0) | {"place": place}])
+        for place, won in (("delta 0.01", [1, 1, 1, 1]), ("int8", [1, 0, 0, 0]))
+    ]
+    said = [*verdicts([*every, *others])][-1]
+    assert "operations legs-0 (delta 0.01) at 1,800 MACs in 100.0%" in said
+    assert "of 8 bits legs-0 (int8) at 1,800 MACs in 25.0%" in said
+    nothing = policy_facts([row("legs-snn", [0, 0, 0, 0], updates=9.0)])
+    assert "succeeds in no field, legs-gru" in [*verdicts([*every[:2], nothing])][-1]
     nobody = [policy_facts([row("legs-gru", [0, 0])]), every[2]]
     assert "legs-gru succeeds in no field" in [*verdicts(nobody)][-1]
     energy = every[2]["energy"]
@@ -178,14 +189,6 @@ def test_verdicts_on_pruned_networks_and_on_memory_stand_apart():
     found = list(verdicts([policy_facts([each]) for each in rows]))
     assert "succeed in at most 20%: those that are here do" in found[0]
     assert "that were pruned to them succeed in at most 20%: no, legs-gru at 4,500" in found[1]
-    eight = [
-        row("legs-gru", [1, 1, 1, 0]) | {"place": "int8"},
-        row("legs-0", [0] * 4) | {"place": "int8"},
-    ]
-    (said,) = verdicts([policy_facts([each]) for each in eight])
-    assert said.startswith(
-        "With weights of 8 bits the best float network is legs-gru at 4,000 MACs"
-    )
     assert found[-1].startswith("On `ahead`, without memory, legs-0 at 4,000 MACs has 25.0%")
     assert found[-1].endswith("of legs-gru at 4,000 MACs.")
 

@@ -92,7 +92,8 @@ def test_operations_fall_to_the_budget(policy, stroll, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("policy", "bits"), [*((policy, None) for policy in POLICIES), (POLICIES[2], 3)]
+    ("policy", "bits"),
+    [*((policy, None) for policy in POLICIES), (POLICIES[2], 3), (POLICIES[4], 3)],
 )
 @pytest.mark.parametrize("stop", [12, 31])
 def test_a_stopped_run_resumes_to_the_same_bits(policy, bits, stop, stroll, tmp_path):
