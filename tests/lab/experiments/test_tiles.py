@@ -57,9 +57,7 @@ def table(results):
 def test_each_row_holds_its_episodes_and_counts_what_it_did(results):
     rows = [r for r in table(results) if not str(r["place"]).startswith("int8") and not r["ground"]]
     found = {(r["network"], r["level"]): r for r in rows}
-    assert {r["network"] for r in table(results) if r["place"] == "int8"} == {
-        *FEW
-    } - {"legs-snn"}
+    assert {r["network"] for r in table(results) if r["place"] == "int8"} == {*FEW} - {"legs-snn"}
     assert all(len(row["success"]) == len(row["missteps"]) == 2 for row in found.values())
     assert found["script", None]["operations"] > 1_000
     assert found["gait", None]["operations"] is None
