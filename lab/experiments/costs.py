@@ -83,15 +83,13 @@ def terms(row: Mapping[str, Any], table: str, lean: bool = False) -> dict[str, f
             delta_encoder(row["observations"], row["events"]),
         )
     else:
-        # changes are scattered into sums that are kept, as graded spikes are
-        prices, scatters = TABLES[table].joules, row.get("compared") and table in (ACC16, ACC32)
-        operations = row["operations"] * prices.get("graded_sop" if scatters else "mac", 0.0)
-        read = row["observations"]
+        event, updates, read = "mac", 0.0, reading_energy(row["observations"])
         if reached := row.get("compared"):
-            changed = comparisons(reached, row["sent"])
-            values = (operations, changed, 0.0, delta_encoder(read, 0.0))
-        else:
-            values = (operations, 0.0, 0.0, reading_energy(read))
+            updates, read = comparisons(reached, row["sent"]), delta_encoder(row["observations"], 0)
+            if table in (ACC16, ACC32):  # changes are scattered into sums, as graded spikes are
+                event = "graded_sop"
+        operations = row["operations"] * TABLES[table].joules.get(event, 0.0)
+        values = (operations, updates, 0.0, read)
     return dict(zip(TERMS, (*values, addition_energy(row["constants"])), strict=True))
 
 
@@ -101,8 +99,7 @@ def comparisons(units: float, sent: float) -> float:
     The kept sum of each (16 bits) is read and written, and compared with what it sent; what is sent
     is stored.
     """
-    kept = units * 2 * ACCESS
-    return delta_encoder(units, sent) - reading_energy(units) + kept
+    return delta_encoder(units, sent) - reading_energy(units) + units * 2 * ACCESS
 
 
 def total(row: Mapping[str, Any], table: str, of: str, lean: bool = False) -> float:

@@ -65,9 +65,8 @@ class PlacedNetwork:
 def network(run: Path, level: str, place: str, stem: Path) -> PlacedNetwork:
     """The policy of a checkpoint at a place: a chip, FLOAT, `int8`, or `float32` if pruned.
 
-    In `int8` a matrix has one scale, in `int8-rows` each row of it.
-
-    One that is pruned and has no memory may run as a delta network, as in DELTA `0.1`.
+    Integers have a scale per tensor, or in `int8-rows` per channel: each row of a matrix. A pruned
+    policy without memory may run as a delta network, `delta 0.1` with that threshold.
 
     level  name of the checkpoint
     stem   of the exported file, without a suffix
@@ -221,31 +220,29 @@ class DeltaNetwork:
     def reset(self, robots: int) -> None:
         """Start an episode of each; nothing was sent."""
         self._sent = [torch.zeros(robots, len(fan_out)) for fan_out in self._fan_outs]
-        self._steps: list[Tensor] = []  # (B, 3) of each control step
+        # (B, 3) of each control step: multiplications, units reached, what was sent
+        self._steps: list[Tensor] = []
 
     @torch.no_grad()
     def act_batch(self, observation: NDArray[Any]) -> NDArray[Any]:
         """Actions (B, act) for observations (B, obs)."""
         policy = self._policy
         x = policy.normalizer(torch.from_numpy(observation).float())
-        counts = torch.zeros(3, len(x))
-        drives, inputs = [], x
+        counts, changes = torch.zeros(3, len(x)), []
         for k, (matrix, bias) in enumerate(zip(policy.layers, policy.biases, strict=True)):
             is_sent = (x - self._sent[k]).abs() > self._threshold
             self._sent[k] = torch.where(is_sent, x, self._sent[k])
-            changes, weight = is_sent.float(), matrix()
-            reached = matrix.drive(changes, weight.abs()) != 0
-            if policy.skip and k == len(self._sent) - 1:
-                reached |= policy.past.drive(inputs, policy.past().abs()) != 0
-            inputs = changes if k == 0 else inputs
-            counts += torch.stack([changes @ self._fan_outs[k], reached.sum(1), changes.sum(1)])
-            drives.append(matrix.drive(self._sent[k], weight) + bias)
-            x = torch.relu(drives[-1])
-        mean = drives[-1]
-        if policy.skip:
-            mean = mean + policy.past.drive(self._sent[0], policy.past())
+            changes.append(is_sent.float())
+            drive = matrix.drive(self._sent[k], matrix()) + bias
+            reached = matrix.drive(changes[k], matrix().abs()) != 0
+            if policy.skip and k == len(policy.hidden):  # actions, past the hidden units too
+                drive = drive + policy.past.drive(self._sent[0], policy.past())
+                reached |= policy.past.drive(changes[0], policy.past().abs()) != 0
+            costs = changes[k] @ self._fan_outs[k], reached.sum(1), changes[k].sum(1)
+            counts += torch.stack(costs)
+            x = torch.relu(drive)
         self._steps.append(counts.T)
-        return policy.env_action(mean)
+        return policy.env_action(drive)
 
     def counts(self, walks: Sequence[Walk]) -> Counts:
         """Means per control step; robots at their end keep their place in the batch, uncounted."""

@@ -173,7 +173,7 @@ class ParetoDesign(Design):
                         f"{self.env}-tuned-{start.student}{suffix}-s{start.seed}",
                         f"{self.env}-sparse-tuned", start.seed, self.runs,
                         (*self._overrides(True), *more), {"start": start}, at_level,
-                        start.student, level,
+                        student=start.student, level=level,
                     )
                 )  # fmt: skip
         return found

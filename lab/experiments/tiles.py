@@ -2,8 +2,8 @@
 
 Policies of the whole body, and networks that all legs share, float and spiking, are trained by one
 recipe from the same walks of a script that is shown the ground as it is. Each training is evaluated
-in fields that no training saw, at each level of its pruning: float networks in float32 and with
-weights of 8 bits, spiking ones on the emulated chip. Scripts walk beside them.
+in fields that no training saw, at each level of its pruning: float networks in float32, in 8 bits
+and as delta networks, spiking ones on the emulated chip. Scripts walk beside them.
 """
 
 import json
@@ -105,8 +105,8 @@ class TilesDesign(Design):
         told = {"dense_rounds": made.dense_rounds, "policy.hidden": made.policy.hidden}
         told |= {"env.name": made.env.name} | ({} if made.bits is None else {"bits": made.bits})
         telling = (*every, *(f"{name}={json.dumps(value)}" for name, value in told.items()))
-        job = replace(job, lacking=("bits",) if made.bits is None else ())
-        return replace(job, telling=telling if alone else (*telling, "teacher_walks=0"))
+        telling += () if alone else ("teacher_walks=0",)
+        return replace(job, telling=telling, lacking=("bits",) if made.bits is None else ())
 
     def parts(self) -> list[Part]:
         """The scripts' episodes; the walks; each training and its episodes."""
@@ -363,11 +363,8 @@ def verdicts(every: Sequence[Record]) -> Iterator[str]:
             f"{pages.percent(best['success'], 1)} and {pages.percent(best['missteps'], 1)} "
             "missteps."
         )
-        floats = [f for f in around if f["unit"] == "MACs"]
-        floats += [
-            f for f in in_all
-            if f["view"] == "around" and _is_other_way(f) and not f["harder"]
-        ]  # fmt: skip
+        seen = [f for f in in_all if f["view"] == "around" and not f["harder"]]
+        floats = [f for f in seen if f["unit"] == "MACs"]  # in all ways
         yield from (_compare(f, best, floats) for f in around if f["unit"] == "SOPs")
     ahead = [f for f in networks if f["view"] == "ahead" and not f["pruned"]]
     floats = [f for f in ahead if f["unit"] == "MACs"]

@@ -48,7 +48,7 @@ class TrainingJob:
     overrides: Sequence[str] = ()
     parents: "Mapping[str, TrainingJob]" = field(default_factory=dict)
     telling: Sequence[str] = ()
-    lacking: Sequence[str] = ()
+    lacking: Sequence[str] = field(default=(), kw_only=True)  # others follow in subclasses
 
     @property
     def run(self) -> Path | None:

@@ -268,7 +268,7 @@ P = TypeVar("P", bound=Policy)
 def in_bits(policy: P, bits: int, by_row: bool = False) -> P:
     """Round a policy's weights to integers of so many bits, and return it.
 
-    The largest weight of a matrix fills the range, or of each row of it, the weights of a unit.
+    The largest weight of a matrix fills the range (per tensor), or that of each unit (per channel).
     Weights that are rounded to 0 cost no operations. Inputs, units and biases stay as they are.
     """
     for matrix in policy.modules():
