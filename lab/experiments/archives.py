@@ -111,7 +111,7 @@ def kept_levels(experiment: str) -> Kept:
     name = re.compile(
         rf"{experiment}-[\w-]+/({'|'.join(map(re.escape, _RUN))}"
         rf"|checkpoints/{LEVEL}[\w+]+\.(json|safetensors))"
-        r"|evaluations/([\w+=-][\w.+=-]*/)?[\w+=-][\w.+=-]*\.json"
+        r"|evaluations/([\w+=-][\w.+=-]*/)?[\w+=-][\w.+= -]*\.json"
     )
     # a training counts as complete by its counters, which must not come before the rest
     return Kept(RESULTS / experiment / "trainings", name, 16 << 20, ("last.json",))

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -206,3 +207,10 @@ def test_evaluations_of_an_archive_are_written_in_their_folder():
     assert KEPT.name.fullmatch("evaluations/a-ops-1e+06/b=2.json")
     for name in ("evaluations/../x.json", "evaluations/..x.json", "evaluations/a/../x.json"):
         assert not KEPT.name.fullmatch(name)
+
+
+def test_archives_of_the_results_can_be_unpacked():
+    found = sorted(KEPT.folder.glob("*.zip"))
+    names = [name for file in found for name in ZipFile(file).namelist()]
+    assert names
+    assert [name for name in names if not KEPT.name.fullmatch(name)] == []
