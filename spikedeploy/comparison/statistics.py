@@ -1,4 +1,4 @@
-"""Statistics of few episodes: interquartile mean, bootstrap intervals, paired differences.
+"""Statistics of few episodes and fewer trainings: means, intervals, paired differences.
 
 Returns of a controller are skewed by rare falls, so a mean needs its interval and an interquartile
 mean beside it (Agarwal et al. 2021, section 4.3), and the worst episodes a number of their own, the
@@ -29,7 +29,7 @@ class Estimate:
     """A mean with its interval.
 
     mean    [unit of the values]
-    ci95    (low, high) of the 95 % percentile bootstrap [unit of the values]
+    ci95    (low, high), 95 % by the percentile bootstrap where nothing else is said [same unit]
     """
 
     mean: float
@@ -109,6 +109,30 @@ def stratified_bootstrap(values: ArrayLike, rng: np.random.Generator) -> ReturnE
     resampled = map(np.concatenate, zip(*found, strict=True))
     pairs = zip(sample, resampled, strict=True)
     return ReturnEstimates(*(Estimate(value, _interval(many)) for value, many in pairs))
+
+
+def t_interval(values: ArrayLike) -> Estimate:
+    """The mean of `values` (n,), of n trainings, and the interval of Student's t (1908).
+
+    A bootstrap of three trainings never leaves their range, so that it is too narrow; this one is
+    4.3 standard errors to either side at 3, 2.8 at 5. It takes the values for normal. Of one value
+    nothing follows: the interval has no bounds.
+    """
+    sample = np.asarray(values, np.float64)
+    mean, n = float(sample.mean()), sample.size
+    if n < 2:
+        return Estimate(mean, (-math.inf, math.inf))
+    half = _t_quantile(n - 1) * float(sample.std(ddof=1)) / math.sqrt(n)
+    return Estimate(mean, (mean - half, mean + half))
+
+
+def _t_quantile(freedom: int) -> float:
+    """What |t| with so many degrees of freedom stays below in 95 % of all cases."""
+    # with t = sqrt(freedom) tan(angle) the density of the angle is ~ cos(angle)^(freedom - 1)
+    angle = np.linspace(0, math.pi / 2, 100_001)
+    density = np.cos((angle[1:] + angle[:-1]) / 2) ** (freedom - 1)
+    below = np.concatenate([[0.0], np.cumsum(density)]) / density.sum()
+    return math.sqrt(freedom) * math.tan(float(np.interp(_LEVEL, below, angle)))
 
 
 def share(events: ArrayLike) -> Estimate:
