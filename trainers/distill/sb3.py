@@ -1,9 +1,13 @@
-"""Teachers from Stable-Baselines3: PPO, A2C, SAC, TD3, DDPG and DQN with MlpPolicy.
+"""Teachers from Stable-Baselines3 and sb3-contrib with MlpPolicy: what of them is a plain network.
+
+PPO, A2C and TRPO; SAC, TQC, CrossQ, TD3 and DDPG; DQN. State-dependent exploration (gSDE) is noise
+on the action of such a network, whose mean is taken.
 
 A saved model is a zip. Its `data` is JSON: what JSON cannot say is pickled and base64 inside it,
 and stays unread. Its `policy.pth` is the state dict, a zip of torch's that torch's reader of
-weights alone accepts. The state dict says the sizes, the JSON the activation function where it is
-not the algorithm's own. Actions are those of `model.predict(observation, deterministic=True)`.
+weights alone accepts. The state dict says the sizes; the JSON the activation function where it is
+not the algorithm's own, the clip of the mean with gSDE, and whether PPO's goes through tanh.
+Actions are those of `model.predict(observation, deterministic=True)`.
 """
 
 import io
@@ -12,7 +16,7 @@ import re
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -47,17 +51,22 @@ class _Kind:
     hidden: prefix of the layers in a Sequential; out: name of the last layer, None if among them
     activation: unless the file names another
     squashed: whether actions go through tanh, and are then scaled to the bounds
+    renormalised: whether there may be batch renormalisation before each layer
     """
 
     hidden: str
     out: str | None
     activation: str
     squashed: bool = False
+    renormalised: bool = False
 
 
+_SAC = _Kind("actor.latent_pi", "actor.mu", "ReLU", squashed=True)
 _KINDS = {  # by the module of the policy's class
     "stable_baselines3.common.policies": _Kind("mlp_extractor.policy_net", "action_net", "Tanh"),
-    "stable_baselines3.sac.policies": _Kind("actor.latent_pi", "actor.mu", "ReLU", squashed=True),
+    "stable_baselines3.sac.policies": _SAC,
+    "sb3_contrib.tqc.policies": _SAC,
+    "sb3_contrib.crossq.policies": replace(_SAC, renormalised=True),
     "stable_baselines3.td3.policies": _Kind("actor.mu", None, "ReLU", squashed=True),
     "stable_baselines3.dqn.policies": _Kind("q_net.q_net", None, "ReLU"),
 }
@@ -68,7 +77,10 @@ class _DamagedError(Exception):
 
 
 class _RefusedError(Exception):
-    """The reason why a model is no teacher."""
+    """The reason why a model is no teacher, and what to do."""
+
+    def __init__(self, reason: str, remedy: str = REMEDY) -> None:
+        super().__init__(f"{reason}. {remedy}")
 
 
 def sb3_teacher(path: str, spaces: OwnSpaces) -> Teacher:
@@ -78,17 +90,19 @@ def sb3_teacher(path: str, spaces: OwnSpaces) -> Teacher:
     try:
         data, tensors = _read(path)
         module = _text(data, "policy_class", "__module__")
+        _check_algorithm(module, tensors)
         if why := _unfit(module, data, tensors) or _other_actions(data, spaces):
             raise _RefusedError(why)
-        kind = _KINDS[module]
-        layers = _layers(tensors, kind)
-        activation = getattr(nn, _activation(data, kind))
+        kind, settings = _KINDS[module], _settings(data)
+        layers = _layers(tensors, kind, settings)
+        activation = getattr(nn, _activation(settings, kind))
+        clip = _clip_of_mean(tensors, kind, settings)
     except _DamagedError as error:
         raise ConfigError(
             f"{path} cannot be read as a model of Stable-Baselines3: {error}"
         ) from error
     except _RefusedError as error:
-        raise ConfigError(f"the teacher {path} cannot be read: {error}. {REMEDY}") from error
+        raise ConfigError(f"the teacher {path} cannot be read: {error}") from error
     chain = [module for layer in layers for module in (layer, activation())][:-1]
     network = nn.Sequential(*chain).eval()
 
@@ -97,7 +111,8 @@ def sb3_teacher(path: str, spaces: OwnSpaces) -> Teacher:
         out: FloatArray = network(torch.from_numpy(observation).float()).double().numpy()
         if module.endswith("dqn.policies"):  # values of actions, of which the largest is chosen
             return certain(out.argmax(-1), out.shape[1])
-        if kind.squashed:  # to be scaled to the bounds as policies of ours are
+        out = np.clip(out, -clip, clip)
+        if kind.squashed or settings.get("squash_output"):  # scaled to the bounds, as ours are
             return spaces.labels(path, np.tanh(out), len(out), "scaled")
         return spaces.labels(path, out, len(out), "own")
 
@@ -169,29 +184,64 @@ def _tensors(raw: bytes) -> dict[str, Tensor]:
     return {str(name): tensor for name, tensor in found.items()}
 
 
+def _check_algorithm(module: str, tensors: Mapping[str, Tensor]) -> None:
+    """Refuse, by their names, policies that need more than one observation, or are read otherwise.
+
+    What they need is not in the file, or no teacher has it: each has a remedy of its own.
+    """
+    if "recurrent" in module or any("lstm" in name for name in tensors):
+        raise _RefusedError(
+            "it is recurrent (RecurrentPPO), and a teacher labels single observations, in whatever "
+            "format it is",
+            "Train one without memory (PPO, SAC), in an environment that shows what it has to "
+            "remember, such as the last observations by gymnasium.wrappers.FrameStackObservation",
+        )
+    if module == "sb3_contrib.common.maskable.policies":
+        raise _RefusedError(
+            "it is MaskablePPO, which chooses among the actions that a mask allows, and the mask "
+            "is not in the observation",
+            "Name a function of yours that asks for the mask and acts with it: "
+            "docs/own-teacher.md#stable-baselines3",
+        )
+    if module in _VALUES_OR_SEARCH:
+        raise _RefusedError(_VALUES_OR_SEARCH[module])
+
+
+_VALUES_OR_SEARCH = {
+    "sb3_contrib.qrdqn.policies": "it is QR-DQN, whose network puts out quantiles of the value of "
+    "each action, from which it chooses by their means",
+    "sb3_contrib.ars.policies": "it is ARS, whose layers are named otherwise",
+}
+
+
+def _settings(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the policy's settings; none where they are no table."""
+    given = data.get("policy_kwargs", {})
+    return given if isinstance(given, dict) else {}
+
+
 def _unfit(module: str, data: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
     """Return why a policy is more than an MLP of the observation; empty where it is one."""
-    given = data.get("policy_kwargs", {})
-    settings = given if isinstance(given, dict) else {}
+    settings = _settings(data)
     extractor = settings.get("features_extractor_class", _FLATTEN)
     # algorithms with a rollout buffer set it for VecNormalize alone; others set it always
     on_policy = module in _KINDS and _KINDS[module].out == "action_net"
     reasons = {
-        "it is recurrent, and a teacher labels single observations": (
-            "recurrent" in module or any("lstm" in name for name in tensors)
-        ),
         "it is a MultiInputPolicy, and students observe one vector": (
             "Dict" in _text(data, "observation_space", ":type:")
         ),
-        "its policy_kwargs are no table, so its networks are unknown": settings is not given,
+        "its policy_kwargs are no table, so its networks are unknown": (
+            not isinstance(data.get("policy_kwargs", {}), dict)
+        ),
         f"its features extractor is {extractor!s:.80}, not FlattenExtractor": (
             extractor != _FLATTEN
         ),
         "it has a features extractor with weights, such as a CnnPolicy's": any(
-            "features_extractor" in name for name in tensors
+            # that of gSDE in old versions makes noise alone
+            "features_extractor" in name and "sde_features_extractor" not in name
+            for name in tensors
         ),
         f"its policy is of {module or 'an unknown class'}, not MlpPolicy": module not in _KINDS,
-        "it was trained with state-dependent exploration (use_sde)": bool(data.get("use_sde")),
         "it was trained behind VecNormalize, whose statistics are in a pickle beside it, which "
         "could run code and stays unread": (
             on_policy and data.get("_last_original_obs") is not None
@@ -222,22 +272,73 @@ def _other_actions(data: Mapping[str, Any], spaces: OwnSpaces) -> str:
     return ""
 
 
-def _layers(tensors: Mapping[str, Tensor], kind: _Kind) -> list[nn.Linear]:
-    """Return the layers from observation to action."""
+def _layers(
+    tensors: Mapping[str, Tensor], kind: _Kind, settings: Mapping[str, Any]
+) -> list[nn.Linear]:
+    """Return the layers from observation to action, renormalisations folded into them."""
     inner = [name for name in tensors if name.startswith(f"{kind.hidden}.")]
-    pattern = re.compile(re.escape(kind.hidden) + r"\.([0-9]{1,3})\.(?:weight|bias)")
+    renormalised = kind.renormalised and f"{kind.hidden}.0.ra_mean" in tensors
+    parts = ("weight", "bias", *_RENORM, "steps") if renormalised else ("weight", "bias")
+    pattern = re.compile(re.escape(kind.hidden) + rf"\.([0-9]{{1,3}})\.({'|'.join(parts)})")
     matches = [pattern.fullmatch(name) for name in inner]
     for name, match in zip(inner, matches, strict=True):
         if match is None:
             raise _RefusedError(f"it has a layer {name:.60}: not an MLP's")
-    places = sorted({int(match[1]) for match in matches if match})
-    if places != list(range(0, 2 * len(places), 2)) or not (places or kind.out):
+    places = sorted({int(match[1]) for match in matches if match and match[2] == "weight"})
+    first, stride = (1, 3) if renormalised else (0, 2)  # linear, activation; or one more before
+    if places != list(range(first, first + stride * len(places), stride)) or not (
+        places or kind.out
+    ):
         raise _RefusedError(f"its layers {kind.hidden} are {places}: not an MLP's")
-    names = [f"{kind.hidden}.{place}" for place in places] + ([kind.out] if kind.out else [])
+    names = [f"{kind.hidden}.{place}" for place in places]
+    if kind.out:
+        names.append(f"{kind.out}.0" if _is_clipped(tensors, kind) else kind.out)
     layers = [_linear(tensors, name) for name in names]
     if any(a.out_features != b.in_features for a, b in pairwise(layers)):
         raise _RefusedError("its layers do not fit one another")
+    if renormalised:
+        eps = _positive(settings, "batch_norm_eps", 1e-3)
+        for place, layer in enumerate(layers):
+            _fold(tensors, f"{kind.hidden}.{stride * place}", layer, eps)
     return layers
+
+
+_RENORM = ("scale", "bias", "ra_mean", "ra_var")
+
+
+def _fold(tensors: Mapping[str, Tensor], name: str, layer: nn.Linear, eps: float) -> None:
+    """Fold the batch renormalisation before a layer into it, as it acts once training is over.
+
+    sb3_contrib.common.torch_layers.BatchRenorm: y = scale (x - ra_mean) / sqrt(ra_var + eps) + bias
+    """
+    found = [tensors.get(f"{name}.{part}") for part in _RENORM]
+    if not all(each is not None and each.shape == (layer.in_features,) for each in found):
+        raise _RefusedError(f"its renormalisation {name} does not fit the layer after it")
+    scale, bias, mean, variance = (each.double() for each in found if each is not None)
+    gain = scale / torch.sqrt(variance + eps)
+    weight = layer.weight.double()
+    folded = {"weight": weight * gain, "bias": layer.bias.double() + weight @ (bias - gain * mean)}
+    if not all(bool(each.isfinite().all()) for each in folded.values()):
+        raise _RefusedError(f"its renormalisation {name} has no finite numbers")
+    layer.load_state_dict({part: each.float() for part, each in folded.items()})
+
+
+def _is_clipped(tensors: Mapping[str, Tensor], kind: _Kind) -> bool:
+    """True of a squashed policy with gSDE, whose last layer stands before a clip of the mean."""
+    return kind.squashed and f"{kind.out}.0.weight" in tensors
+
+
+def _clip_of_mean(tensors: Mapping[str, Tensor], kind: _Kind, settings: Mapping[str, Any]) -> float:
+    """Return the largest size of the mean before tanh; inf where it is not clipped."""
+    return _positive(settings, "clip_mean", 2.0) if _is_clipped(tensors, kind) else np.inf
+
+
+def _positive(settings: Mapping[str, Any], name: str, default: float) -> float:
+    """Return a setting that is a positive number."""
+    found = settings.get(name, default)
+    if isinstance(found, bool) or not isinstance(found, int | float) or not 0 < found < np.inf:
+        raise _RefusedError(f"its setting {name} is {found!s:.40}, no positive number")
+    return float(found)
 
 
 def _linear(tensors: Mapping[str, Tensor], name: str) -> nn.Linear:
@@ -253,9 +354,9 @@ def _linear(tensors: Mapping[str, Tensor], name: str) -> nn.Linear:
     return layer
 
 
-def _activation(data: Mapping[str, Any], kind: _Kind) -> str:
+def _activation(settings: Mapping[str, Any], kind: _Kind) -> str:
     """Return the name of the activation function in torch.nn."""
-    named = data.get("policy_kwargs", {}).get("activation_fn")
+    named = settings.get("activation_fn")
     if named is None:
         return kind.activation
     found = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", str(named))
