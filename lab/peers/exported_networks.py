@@ -66,18 +66,35 @@ def chain(neurons: Callable[[int], Any], gain: float, linear: Any = None, join: 
 
 
 def snntorch_network(kind: str, **options: Any) -> tuple[Any, nir.NIRGraph]:  # noqa: ANN401
-    """Two layers of Leaky or Synaptic; parameters as vectors, which its export needs."""
+    """Two layers of Leaky, Synaptic, RLeaky or RSynaptic, or Leaky and Synaptic of odd decays.
+
+    Parameters are vectors, which its export needs.
+    """
     import snntorch
     import torch
     from snntorch.export_nir import export_to_nir
 
     def neurons(size: int) -> Any:  # noqa: ANN401
         given = {"beta": torch.linspace(0.8, 0.95, size), "threshold": torch.ones(size)}
-        if kind == "Synaptic":
+        if kind.startswith("Odd"):
+            # it clamps decay factors between 0 and 1
+            given["beta"] = torch.tensor([0.0, 1.0, 1.2, -0.3, 0.5, 1e-3] * size)[:size]
+        if kind.endswith("Synaptic"):
             given["alpha"] = torch.full((size,), 0.6)
-        return getattr(snntorch, kind)(**given, init_hidden=True, **options)
+        if kind == "OddSynaptic":
+            given["alpha"] = torch.tensor([0.0, 0.1, -0.3, 0.0, 1e-3] * size)[:size]
+        if kind.startswith("R"):
+            given["linear_features"] = size
+        neuron = getattr(snntorch, kind.removeprefix("Odd"))
+        return neuron(**given, init_hidden=True, **options)
 
-    module = chain(neurons, 1.0 if kind == "Leaky" else 0.4)
+    module = chain(neurons, 0.4 if kind in ("Synaptic", "RSynaptic") else 1.0)
+    recurrent = [layer.recurrent for layer in module[1::2] if kind.startswith("R")]
+    rng = np.random.default_rng(5)
+    for each in recurrent:
+        size = len(each.weight)
+        each.weight.data = torch.tensor(rng.normal(size=(size, size)), dtype=torch.float32) / 4
+        each.bias.data = torch.zeros(size)
     graph = export_to_nir(module, torch.zeros(1, SIZES[0]), ignore_dims=[0])
     for layer in module[1::2]:
         layer.reset_mem()
@@ -127,9 +144,13 @@ def _cases() -> Iterator[tuple[str, Exported]]:
         "zero_delayed": ({"reset_mechanism": "zero"}, {"reset": "zero-delayed"}),
         "none": ({"reset_mechanism": "none"}, {"reset": "none"}),
     }
-    for kind in ("Leaky", "Synaptic"):
+    # RSynaptic has no reset_delay=False: with init_hidden it crashes, and else it resets late
+    late = {name: each for name, each in resets.items() if name not in ("zero", "subtract")}
+    odd = {name: resets[name] for name in ("default", "zero")}
+    kinds = {"Leaky": resets, "Synaptic": resets, "RLeaky": resets, "RSynaptic": late}
+    for kind, cases in (kinds | {"OddLeaky": odd, "OddSynaptic": odd}).items():
         file = f"snntorch_{kind.lower()}"
-        for name, (options, given) in resets.items():
+        for name, (options, given) in cases.items():
             build = partial(snntorch_network, kind, **options)
             yield f"{file}_{name}", Exported("snntorch", file, build, given)
     for kind in ("LIFBoxCell", "LIFCell", "IAFCell"):

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import h5py
 import nir
@@ -145,20 +146,40 @@ def load(
     """
     options = dict(
         dt=dt, reset=reset, integrator=integrator, delay=delay, state=state, spikes=spikes,
-        floor=floor,
+        floor=floor, like=like, written_by=written_by,
     )  # fmt: skip
-    given = {name: value for name, value in options.items() if value is not None}
     try:
-        if like is not None and written_by is not None:
-            raise ConventionError(
-                f"--like {like} is how a tool reads the file, --from {written_by} how a tool wrote "
-                "it. Give one of them."
-            )
-        artifact = _artifact_of_graph(_read(Path(path)), given, like, written_by)
+        artifact = interpret(_read(Path(path)), options)
         check_size(artifact.graph, Path(path).stat().st_size)
     except (ArtifactError, ConventionError) as error:
         raise type(error)(f"{path}: {error}") from error
     return artifact
+
+
+def read_graph_of(path: str | Path) -> nir.NIRGraph:
+    """The graph in a file, in one level, for `interpret`; ArtifactError, with the path."""
+    try:
+        return _read(Path(path))
+    except ArtifactError as error:
+        raise ArtifactError(f"{path}: {error}") from error
+
+
+def interpret(graph: nir.NIRGraph, options: Mapping[str, Any]) -> Artifact:
+    """The artifact of a file's graph, which stays as it is, under the options of `load`.
+
+    Raises ArtifactError or ConventionError where the graph cannot be read or run.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    like, written_by = given.pop("like", None), given.pop("written_by", None)
+    if like is not None and written_by is not None:
+        raise ConventionError(
+            f"--like {like} is how a tool reads the file, --from {written_by} how a tool wrote "
+            "it. Give one of them."
+        )
+    again = nir.NIRGraph(
+        dict(graph.nodes), list(graph.edges), metadata=dict(graph.metadata), type_check=False
+    )
+    return _artifact_of_graph(again, given, like, written_by)
 
 
 def for_importer(artifact: Artifact, tool: str) -> Artifact:

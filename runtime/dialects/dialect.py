@@ -84,7 +84,8 @@ class Writer:
     fixed: options of Convention that are the same in all its files.
     open: options that its files do not say.
     always: what else its files do not say, and no option chooses.
-    convention: (convention, nodes) to what the options mean for these nodes.
+    wire: (nodes, edges, convention) to what the options mean for these nodes, and what the tool
+        has between and in them, changed in place.
     finite: a node to one that says the same without infinite numbers.
     """
 
@@ -99,7 +100,9 @@ class Writer:
     fixed: Mapping[str, Any] = field(default_factory=dict)
     open: Mapping[str, Assumption] = field(default_factory=dict)
     always: tuple[str, ...] = ()
-    convention: Callable[[Convention, Nodes], Convention] = lambda convention, nodes: convention
+    wire: Callable[[Nodes, Edges, Convention], Convention] = lambda nodes, edges, convention: (
+        convention
+    )
     finite: Callable[[nir.NIRNode], nir.NIRNode] = lambda node: node
 
 

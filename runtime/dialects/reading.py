@@ -83,7 +83,7 @@ def read_as_written(
     """
     tool, options = writer(name), dict(given or {})
     _check_options(tool, options)
-    nodes = dict(graph.nodes)
+    nodes, edges = dict(graph.nodes), set(graph.edges)
     with refusals(tool.tool, "Name the tool that wrote the file, or read it without --from."):
         _check_kinds(nodes, tool.kinds, "writes")
         dt, assumed = _timestep(tool, nodes, options.pop("dt", None))
@@ -91,12 +91,13 @@ def read_as_written(
         defaults = {option: each.choices[0] for option, each in tool.open.items()}
         convention = Convention(dt, **{**tool.fixed, **defaults, **options})
         nodes = {each: tool.translate(each, node, convention) for each, node in nodes.items()}
+        convention = tool.wire(nodes, edges, convention)
     source = f"as {tool.tool} writes it"
     if assumed := [*assumed, *tool.always]:
         source += f"; not in the file, so assumed: {'; '.join(assumed)}"
-    stated = replace(tool.convention(convention, nodes), source=source)
+    stated = replace(convention, source=source)
     told = {option: getattr(stated, option) for option in options}
-    return _with_nodes(graph, nodes, set(graph.edges)), stated.with_options(told)
+    return _with_nodes(graph, nodes, edges), stated.with_options(told)
 
 
 def _with_nodes(graph: nir.NIRGraph, nodes: Nodes, edges: Edges) -> nir.NIRGraph:

@@ -472,6 +472,7 @@ _SINABS_WRITER = Writer(
 
 _SNNTORCH_TOOL = "snnTorch 1.0.0"
 _SNNTORCH_RATE = 1e4  # 1/dt of its export [1/s]
+_SNNTORCH_ENDLESS = 2.0**60 / _SNNTORCH_RATE  # [s], whose decay factor rounds to 1 in float64
 _SNNTORCH_MAPS = (nir.Affine, nir.Linear, nir.Conv2d, nir.Flatten, nir.AvgPool2d)
 
 
@@ -510,33 +511,87 @@ def _snntorch_means(name: str, node: nir.NIRNode, convention: Convention) -> nir
         return with_gain(node, convention)
     dt, exact = convention.dt, {}
     for field in ("tau",) if isinstance(node, nir.LIF) else ("tau_syn", "tau_mem"):
-        # dt/(1 - beta), beta as the network had it
-        written = getattr(node, field)
-        beta = 1 - dt / float64(written)
-        exact[field] = dt / (1 - beta.astype(written.dtype).astype(np.float64))
+        # dt/(1 - beta), beta as the network had it; it clamps beta between 0 and 1
+        beta = np.clip(1 - dt / float64(getattr(node, field)), 0, 1)
+        single = beta.astype(np.float32).astype(np.float64)
+        rounding = np.finfo(getattr(node, field).dtype).eps
+        beta = np.where(np.abs(single - beta) <= rounding, single, beta)
+        with np.errstate(divide="ignore"):
+            exact[field] = np.minimum(
+                dt / (1 - np.where(beta <= rounding, 0, beta)), _SNNTORCH_ENDLESS
+            )
     return with_gain(with_parameters(node, **exact), convention)
 
 
 def _snntorch_finite(node: nir.NIRNode) -> nir.NIRNode:
-    """An IF for a Leaky of beta = 1, whose tau = dt/(1 - beta) and r are infinite in the file."""
-    fields = ("tau", "r", "v_leak", "v_threshold", "v_reset")
-    values = [np.asarray(getattr(node, name, None)) for name in fields]
-    tau, r, leak, threshold, reset = values
-    if not isinstance(node, nir.LIF) or any(each.dtype.kind != "f" for each in values):
+    """The neuron without the infinite tau and r of a decay factor of 1, or negative ones beyond 1.
+
+    An IF where all neurons of a Leaky have it, else time constants that do not decay in float64.
+    """
+    if not isinstance(node, (nir.LIF, nir.CubaLIF)):
         return node
-    if not (np.isposinf(tau).all() and np.isposinf(r).all() and not leak.any()):
+    values = {n: each for n, each in vars(node).items() if isinstance(each, np.ndarray)}
+    if any(each.dtype.kind != "f" for each in values.values()):
         return node
-    return nir.IF(np.full(r.shape, _SNNTORCH_RATE), threshold, reset)
+    finite = {}
+    for tau, gain in (("tau", "r"), ("tau_mem", "r"), ("tau_syn", "w_in")):
+        if tau not in values or values[tau].shape != values[gain].shape:
+            continue
+        times, gains = float64(values[tau]), float64(values[gain])
+        # dt/(1 - beta) of beta = 1 or above, which it clamps to 1
+        endless = (np.isposinf(times) & np.isposinf(gains)) | ((times < 0) & (gains < 0))
+        if not endless.any():
+            continue
+        if tau == "tau" and endless.all() and not node.v_leak.any():
+            return nir.IF(np.full(gains.shape, _SNNTORCH_RATE), node.v_threshold, node.v_reset)
+        finite[tau] = np.where(endless, _SNNTORCH_ENDLESS, times)
+        finite[gain] = np.where(endless, _SNNTORCH_ENDLESS * _SNNTORCH_RATE, gains)
+    return with_parameters(node, **finite) if finite else node
 
 
-def _snntorch_convention(convention: Convention, nodes: Nodes) -> Convention:
-    # where the threshold is not below 0; reset_delay=False, see runtime.float_model
-    if convention.reset == "subtract":
+def _snntorch_wires(nodes: Nodes, edges: Edges, convention: Convention) -> Convention:
+    """What the options mean for these nodes, some of which are replaced."""
+    loops = _snntorch_recurrent(nodes, edges)
+    recurrent = {name for name in loops if isinstance(nodes[name], nir.CubaLIF)}
+    current_based = {name for name, node in nodes.items() if isinstance(node, nir.CubaLIF)}
+    reset = convention.reset
+    if recurrent and reset in ("zero", "subtract"):
+        # its RSynaptic computes the reset of reset_delay=False, and keeps what was before it
+        if reset == "zero" and current_based | loops == recurrent:
+            reset = "zero-delayed"  # after which a Leaky fires alike
+        elif reset == "subtract" and all(
+            name in recurrent for name, node in nodes.items() if isinstance(node, SPIKING)
+        ):
+            reset = "subtract-delayed"
+        else:
+            late = "resets an RSynaptic one timestep later even with reset_delay=False, and other "
+            require(False, min(recurrent), f"{late}layers here at once, which no option says")
+        convention = replace(convention, reset=reset)
+    if reset == "subtract":
+        # where the threshold is not below 0; reset_delay=False, see runtime.float_model
         return replace(convention, reset="subtract-ahead")
+    if reset != "zero-delayed":
+        return convention
+    for name in loops - recurrent:
+        # an RLeaky loses the input of that timestep, as a CubaLIF does: one without a current
+        node = nodes[name]
+        tau = node.tau if isinstance(node, nir.LIF) else np.full(node.r.shape, _SNNTORCH_ENDLESS)
+        unit = np.full(node.r.shape, convention.dt)
+        nodes[name] = with_gain(
+            nir.CubaLIF(unit, tau, unit, 0 * unit, node.v_threshold, node.v_reset, unit), convention
+        )
     # b V is 0 after either: a Leaky fires alike
-    current_based = any(isinstance(node, nir.CubaLIF) for node in nodes.values())
-    late = convention.reset == "zero-delayed"
-    return replace(convention, reset="zero") if late and not current_based else convention
+    late_matters = current_based or loops
+    return convention if late_matters else replace(convention, reset="zero")
+
+
+def _snntorch_recurrent(nodes: Nodes, edges: Edges) -> set[str]:
+    """Neurons of RLeaky and RSynaptic: those in a loop with a node of weights."""
+    return {
+        source
+        for source, target in edges
+        if isinstance(nodes[source], SPIKING) and (target, source) in edges
+    }
 
 
 def _snntorch_arrange(nodes: Nodes, edges: EdgeList) -> tuple[Nodes, EdgeList]:
@@ -572,7 +627,7 @@ _SNNTORCH_WRITER = Writer(
     contradiction=f", which {_SNNTORCH_TOOL} writes whatever its network was trained with; its "
     "decays count timesteps",
     translate=_snntorch_means,
-    convention=_snntorch_convention,
+    wire=_snntorch_wires,
     finite=_snntorch_finite,
     source="snntorch 1.0.0, export_nir.py, _neurons/leaky.py and _neurons/synaptic.py",
     open={
@@ -582,6 +637,7 @@ _SNNTORCH_WRITER = Writer(
             "had reset_delay=False, zero-delayed or none if it had that reset_mechanism)",
         )
     },
+    always=("graded_spikes_factor 1, no inhibition and no state_quant",),
 )
 
 

@@ -121,18 +121,21 @@ def _rounding(node: nir.NIRNode) -> float:
 def _decay(name: str, node: nir.NIRNode, field: str, convention: Convention) -> tuple[Array, Array]:
     """The decay factor of one timestep, and 1 minus it computed without cancellation."""
     # a tau below the smallest float64 forgets everything at once
+    tau = getattr(node, field)
     with np.errstate(over="ignore", divide="ignore"):
-        step = convention.dt / float64(getattr(node, field))
+        step = convention.dt / float64(tau)
     if convention.integrator == "exponential":
         return np.exp(-step), -np.expm1(-step)
-    # for tau = dt, rounding may put dt/tau slightly above 1
-    if step.max() > 1 + _rounding(node):
+    # for tau = dt, rounding puts dt/tau beside 1
+    rounding = max(_rounding(node), ROUNDING.get(tau.dtype.type, 0.0))
+    if step.max() > 1 + rounding:
         raise ConventionError(
-            f"node {name!r}: dt = {convention.dt:g} s is longer than {field} = "
-            f"{convention.dt / step.max():g} s, and forward Euler would overshoot. "
+            f"node {name!r}: dt = {convention.dt:.9g} s is longer than {field} = "
+            f"{convention.dt / step.max():.9g} s, and forward Euler would overshoot. "
             "Choose a shorter dt, or the exponential integrator."
         )
-    step = np.minimum(step, 1.0)
+    near = np.abs(step - 1) <= 4 * np.finfo(tau.dtype).eps
+    step = np.where(near, 1.0, np.minimum(step, 1.0))
     return 1 - step, step
 
 

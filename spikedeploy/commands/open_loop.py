@@ -252,7 +252,7 @@ def _check_against(
 ) -> NoReturn:
     """Print the comparison with a recording, and exit."""
     from spikedeploy.emulation.design_report import network_path
-    from spikedeploy.emulation.verification import compare_with_recording
+    from spikedeploy.emulation.framework_recordings import compare_with_recording
 
     if chips:
         raise ConfigError(

@@ -19,6 +19,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.dialects.reading import preset, read_as_written, read_like, writer
 from spikedeploy.runtime.errors import ArtifactError, ConventionError, RuleError
 from spikedeploy.runtime.float_model import FloatGraph
+from spikedeploy.runtime.graph.neurons import discretise
 from tests.networks import chain, cuba, lif, popsan
 
 # tau in timesteps for which exp(-1/tau) = 0.5
@@ -162,8 +163,57 @@ def test_every_recorded_spike_of_the_authors_network_is_ours(name):
     with np.load(FOLDER / f"{name}.npz") as arrays:
         inputs, outputs = arrays["input"], arrays["output"]
     artifact = recorded(name)
-    assert 100 < outputs.sum() < 600
+    assert 100 < outputs.sum() < 800
     np.testing.assert_array_equal(FloatGraph(artifact).run(inputs[None])["output"][0], outputs)
+
+
+# networks that users of the tools wrote, with what the tools computed
+TOLD = [
+    # Linear(16, 20), RLeaky(20), Linear(20, 4), Leaky(4), reset_mechanism="zero"
+    ("snntorch_rleaky_leaky", "snntorch", {"reset": "zero-delayed"}, 29),
+    # Leaky of beta = 0, whose tau in float32 is below dt
+    ("snntorch_memoryless", "snntorch", {}, 68),
+    # Linear(8, 12), IAFSqueeze(min_v_mem=-1), Linear(12, 3), IAFSqueeze
+    ("sinabs_iaf_min", "sinabs", {"floor": "threshold"}, 113),
+]
+
+
+@pytest.mark.parametrize(("name", "tool", "given", "spikes"), TOLD)
+def test_a_network_of_a_user_spikes_as_the_tool_said(name, tool, given, spikes):
+    with np.load(FOLDER / f"{name}.npz") as arrays:
+        inputs, outputs = arrays["input"], arrays["output"]
+    assert outputs.sum() == spikes
+    artifact = load(FOLDER / f"{name}.nir", written_by=tool, **given)
+    np.testing.assert_array_equal(FloatGraph(artifact).run(inputs[None])["output"][0], outputs)
+
+
+def test_an_rsynaptic_resets_late_whatever_it_was_told():
+    # its forward subtracts from a variable of its own with reset_delay=False
+    late = recorded("snntorch_rsynaptic_default", reset="zero").convention
+    assert late.reset == "zero-delayed"
+    assert recorded("snntorch_rsynaptic_default", reset="subtract").convention.reset == (
+        "subtract-delayed"
+    )
+    loop = {"1.lif": cuba(1, dt=1e-4), "1.w_rec": nir.Linear(np.eye(1))}
+    whole = chain(loop["1.lif"], cuba(1, dt=1e-4), width=1, act=1)
+    nodes = {**whole.nodes, "w_rec": loop["1.w_rec"]}
+    edges = [*whole.edges, ("n1", "w_rec"), ("w_rec", "n1")]
+    mixed = nir.NIRGraph(nodes, edges, type_check=False)
+    for reset in ("zero", "subtract"):
+        with pytest.raises(
+            ConventionError, match=r"node 'n1': .* resets an RSynaptic one timestep"
+        ):
+            read_as_written(mixed, "snntorch", {"reset": reset})
+
+
+@pytest.mark.parametrize(("tau", "decay"), [(1 - 4e-8, 0.0), (1 + 4e-8, 0.0), (1 + 1e-5, 1e-5)])
+@pytest.mark.parametrize("field", ["tau_syn", "tau_mem"])
+def test_a_tau_of_dt_but_for_the_rounding_of_float32_forgets_at_once(tau, decay, field):
+    one = dict.fromkeys(("tau_syn", "tau_mem", "r", "w_in", "v_threshold"), np.ones(1, np.float32))
+    node = nir.CubaLIF(**{**one, field: np.float32([tau])}, v_leak=np.zeros(1, np.float32))
+    found = discretise("n", node, Convention(1.0))
+    name = {"tau_syn": "current_decay", "tau_mem": "membrane_decay"}[field]
+    assert getattr(found, name) == pytest.approx(decay, rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -180,7 +230,10 @@ def test_what_the_file_does_not_say_is_named_with_the_option(name, option):
 def test_what_was_given_is_not_assumed():
     convention = recorded("snntorch_leaky_default", reset="zero").convention
     assert convention == Convention(1e-4)
-    assert convention.source == "reset given, otherwise as snnTorch 1.0.0 writes it"
+    assert convention.source == (
+        "reset given, otherwise as snnTorch 1.0.0 writes it; not in the file, so assumed: "
+        "graded_spikes_factor 1, no inhibition and no state_quant"
+    )
 
 
 def test_our_file_read_like_a_tool_keeps_its_codec_and_loses_its_provenance(tmp_path):

@@ -1,8 +1,10 @@
 """`check --against`: the float twin and what the author's framework recorded."""
 
+import inspect
 import json
 import runpy
 import sys
+from functools import partial
 
 import nir
 import numpy as np
@@ -10,7 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 from spikedeploy.cli import app
-from tests.networks import chain, cuba
+from spikedeploy.commands.options import Reading
+from spikedeploy.emulation.other_readings import CHOICES, find_cause, find_difference
+from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.float_model import FloatGraph
+from tests.networks import chain, cuba, lif
 from tests.paths import ROOT
 
 EXPORTS = ROOT / "tests/golden/exports"
@@ -54,6 +60,102 @@ def test_the_likeliest_cause_is_named(network, recording, words, cause):
     assert found.exit_code == 1
     assert "your framework ≠ our float: inference 0, timestep " in found.stdout
     assert f"likeliest cause: {cause}" in found.stdout
+
+
+def test_the_search_has_every_option_that_check_has():
+    typed = {"written_by" if name == "from_" else name for name in vars(Reading())}
+    assert set(CHOICES) == typed == set(inspect.signature(load).parameters) - {"path"}
+
+
+def recording(path, tmp_path, height=1, **options):
+    """A recording of two inferences of the file, as it is with these options; its path."""
+    rng = np.random.default_rng(1)
+    artifact = load(path, **options)
+    (node,) = artifact.graph.inputs.values()
+    inputs = (rng.random((2, 40, *node.output_type["output"])) < 0.4).astype(float)
+    rows = inputs.reshape(1, 80, -1) if options.get("state") == "kept" else inputs
+    outputs = FloatGraph(artifact).run(rows)["output"].reshape(2, 40, -1)
+    np.savez(tmp_path / "a.npz", input=inputs, output=height * outputs)
+    return tmp_path / "a.npz"
+
+
+def network(tmp_path, *nodes):
+    """The path of a file with two layers of these neurons behind seeded weights."""
+    rng = np.random.default_rng(2)
+    first, second = nodes
+    weights = [nir.Affine(rng.normal(size=size), np.zeros(size[0])) for size in ((10, 8), (4, 10))]
+    layers = weights[0], first, weights[1], second
+    nir.write(tmp_path / "a.nir", chain(*layers, width=8, act=4))
+    return tmp_path / "a.nir"
+
+
+def nir_if(r, size):
+    return nir.IF(np.full(size, r), np.ones(size))
+
+
+@pytest.mark.parametrize(
+    ("option", "choice", "cause"),
+    [
+        ("reset", "subtract", "--reset subtract"),
+        ("delay", 1, "--delay 1"),
+        ("dt", 1e-4, "--dt 0.0001"),
+        ("spikes", "many", "--spikes many"),
+        ("floor", "zero", "--floor zero"),
+        ("integrator", "exponential", "--integrator exponential"),
+        ("state", "kept", "--state kept"),
+        ("written_by", "sinabs", "--from sinabs"),
+        ("like", "norse", "--like norse"),
+    ],
+)
+def test_each_option_is_found_where_it_alone_makes_both_equal(option, choice, cause, tmp_path):
+    kinds = {"written_by": partial(nir_if, 1.0), "like": partial(lif, tau=2e-3, r=3.0)}
+    usual = partial(cuba, alpha=0.6, beta=0.97, dt=1e-2, threshold=1.0)
+    path = network(tmp_path, *(kinds.get(option, usual)(n) for n in (10, 4)))
+    recorded = recording(path, tmp_path, **{option: choice})
+    words = ["--dt", "1e-3"] if option == "like" else []
+    assert f"likeliest cause: {cause}, with" in check(path, "--against", recorded, *words).stdout
+
+
+def test_three_things_that_files_of_sinabs_leave_open_are_found_together(tmp_path):
+    path = network(tmp_path, *(nir_if(1.0, n) for n in (10, 4)))
+    given = {"spikes": "reached", "reset": "zero", "floor": "threshold"}
+    recorded = recording(path, tmp_path, written_by="sinabs", **given)
+    found = check(path, "--from", "sinabs", "--against", recorded)
+    cause = "--spikes reached and --reset zero and --floor threshold"
+    assert f"likeliest cause: {cause}, with which all are equal" in found.stdout
+
+
+def test_integrators_of_sinabs_with_a_lowest_membrane_are_equal_with_a_floor():
+    # sinabs 3.1.3: Linear(8, 12), IAFSqueeze(min_v_mem=-1), Linear(12, 3), IAFSqueeze
+    found = against("sinabs_iaf_min", "sinabs_iaf_min", "--from", "sinabs")
+    assert "likeliest cause: --floor threshold, with which all are equal" in found.stdout
+    words = ["--from", "sinabs", "--floor", "threshold"]
+    assert against("sinabs_iaf_min", "sinabs_iaf_min", *words).exit_code == 0
+
+
+@pytest.mark.parametrize("reset", ["zero", "subtract"])
+def test_spikes_of_another_height_are_found(reset, tmp_path):
+    path = network(tmp_path, *(lif(n, tau=1e-3, r=10.0) for n in (10, 4)))
+    found = check(path, "--against", recording(path, tmp_path, height=2.5, reset=reset))
+    assert "spikes of height 2.5 in the last layer" in found.stdout
+    assert ("--reset subtract and" in found.stdout) == (reset == "subtract")
+
+
+def test_what_no_option_says_is_named_where_nothing_fits_and_the_search_ends(tmp_path):
+    path = network(tmp_path, *(lif(n, tau=1e-3, r=10.0) for n in (10, 4)))
+    recorded = recording(path, tmp_path)
+    with np.load(recorded) as arrays:
+        inputs, outputs = arrays["input"], 1 - arrays["output"]
+    np.savez(recorded, input=inputs, output=outputs)
+    said = check(path, "--against", recorded, "--from", "snntorch").stdout
+    assert "no option, and no two of them without --like, make both equal" in said
+    assert "tried were --reset, --delay, --dt, --spikes, --floor, --integrator, --state" in said
+    assert "What snntorch does not write and no option says: graded_spikes_factor 1" in said
+    artifact = load(path)
+    first = find_difference(artifact, inputs, outputs)
+    found = find_cause(path, {}, artifact, inputs, outputs, first, longest=0)
+    assert (found.cause, found.tried) == ((), 0)
+    assert found.left > 20
 
 
 def test_a_threshold_that_is_reached_is_told_from_one_that_is_passed(tmp_path):
