@@ -82,12 +82,12 @@ def int16_files(
     out = Declarations()
     out.constant("vector_observation_i16", observation, "int16_t")
     out.constant("vector_action_i16", action, "int16_t")
-    head = f"/* {MARK} */\n#include <stdint.h>\n\n#define VECTOR_STEPS {len(action)}u\n"
+    vectors = {"name": "VECTORS_I16", "includes": ("stdint",), "counts": {"STEPS": len(action)}}
     return {
         f"{values['prefix']}_i16.h": render("policy_i16.h", **values),
         "host_i16.c": render("host_i16.c", **values, out=Declarations(storage="const")),
         "selftest_i16.c": render("selftest_i16.c", **values),
-        "vectors_i16.h": f"{head}\n{out.text}\n",
+        "vectors_i16.h": render("vectors.h", **values, **vectors, out=out),
     }
 
 

@@ -29,6 +29,8 @@ _TAKEN = {
         fnmatch ftw glob grp iconv langinfo libgen libintl malloc memory monetary mqueue ndbm netdb
         nl_types poll pthread pwd regex sched search semaphore spawn strings stropts syslog tar
         termios trace ulimit unistd utime utmpx values wordexp alloca features""",
+    "a header of Arduino": "arduino client eeprom ethernet print printable sd server servo spi "
+    "stream udp wifi wire wstring",  # some file systems do not tell Arduino.h from arduino.h
     "a reserved word of C": """
         alignas alignof asm auto bool break case char const constexpr continue default do double
         else enum extern false for fortran goto if inline int long main nullptr register restrict
@@ -138,6 +140,11 @@ def check_prefix(prefix: str) -> None:
         raise ConfigError(
             f"--prefix {prefix[:40]!r}: names of C begin with it; choose a small letter, then "
             "small letters, digits and '_', 31 at most."
+        )
+    if "__" in f"{prefix}_":
+        raise ConfigError(
+            f"--prefix {prefix!r}: C++ reserves names with two underscores in a row, and one "
+            "follows the prefix; choose another, without '__' and without '_' at its end."
         )
     for what, names in _TAKEN.items():
         if prefix in names.split():

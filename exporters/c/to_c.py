@@ -18,7 +18,6 @@ from spikedeploy.exporters.c.int8 import Int8Mlp
 from spikedeploy.exporters.c.int16 import Int16Codec, Int16Player, int16_codec
 from spikedeploy.exporters.c.packaging import (
     MAKEFILE,
-    MARK,
     common_values,
     file_names,
     int16_files,
@@ -226,11 +225,10 @@ def _selftest(
         out.constant(f"vector_{quantity}", together, narrowest_of(together))
     reset = timesteps if plan.program.convention.state == "reset" else len(rows)
     counts = {"INFERENCES": inferences, "ROWS": len(rows), "RESET": reset, "NEURONS": sum(sizes)}
-    defines = "\n".join(f"#define VECTOR_{name} {value}u" for name, value in counts.items())
-    head = f"/* {MARK} */\n#include <math.h>\n#include <stdint.h>\n\n{defines}\n"
+    vectors = {"name": "VECTORS", "includes": ("math", "stdint"), "counts": counts, "out": out}
     return {
         "selftest.c": render("selftest.c", **values),
-        "vectors.h": f"{head}\n{out.text}\n",
+        "vectors.h": render("vectors.h", **values, **vectors),
     }
 
 

@@ -22,10 +22,6 @@
 
 {{ out.text }}
 
-#ifdef {{ PREFIX }}_PROBE
-void {{ prefix }}_probe(uint32_t timestep, const {{ id_t }} *id, uint32_t count);
-#endif
-
 /* Whether a number is neither infinite nor no number. */
 static int is_finite(const double *x)
 {

@@ -19,7 +19,7 @@
    It needs factors below 2**bits. #}
 {% macro decay(bits) %}
 {% set long = kind == "int32_t" and plan.largest < 2 ** 30 and plan.decays | map("max") | max < plan.rules.decay_one %}
-static {{ kind }} decay({{ kind }} x, u{{ kind }} factor)
+static {{ kind }} decayed({{ kind }} x, u{{ kind }} factor)
 {
 {% if long %}
 #if !defined(__ARM_ARCH_6M__) && !defined(__ARM_ARCH_8M_BASE__)
@@ -52,7 +52,7 @@ static {{ kind }} decay({{ kind }} x, u{{ kind }} factor)
 {# What is left of a state, and the plus sign behind it; nothing where nothing is left. #}
 {% macro kept(state, factor, table) -%}
 {% if plan.is_decay(factor) -%}
-decay({{ state }}, {{ out.each(table, factor, "n", "u" ~ kind) }}) + {# #}
+decayed({{ state }}, {{ out.each(table, factor, "n", "u" ~ kind) }}) + {# #}
 {%- elif factor.any() -%}
 {{ state }} + {# #}
 {%- endif %}

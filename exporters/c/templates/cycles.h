@@ -9,6 +9,10 @@
 
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #if defined(__ARM_ARCH_7M__) || defined(__ARM_ARCH_7EM__) || defined(__ARM_ARCH_8M_MAIN__) || \
     defined(__ARM_ARCH_8_1M_MAIN__)
 #define CYCLES_DEMCR (*(volatile uint32_t *)0xE000EDFCu)  /* bit 24: trace on */
@@ -65,5 +69,9 @@ static inline uint32_t cycles_between(uint32_t before, uint32_t after)
 {
     return (after - before) & CYCLES_MASK;
 }
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -23,13 +23,13 @@
  * their error leaves open which whole number is the nearest, in double. */
 {% include "nearest.c" %}
 /* Trunc(x 2**k), for a shift that says k, as long as the magnitude stays below 2**29. */
-static int32_t fixed(double x, int32_t scale)
+static int32_t fixed_point(double x, int32_t least)
 {
     uint64_t bits;
     uint32_t size;
     int32_t shift;
     (void)memcpy(&bits, &x, sizeof bits);
-    shift = scale - (int32_t)((bits >> 52) & 0x7FFu);
+    shift = least - (int32_t)((bits >> 52) & 0x7FFu);
     size = 0x80000000u | (uint32_t)((bits >> 21) & 0x7FFFFFFFu);
     if (shift < 3) {
         size = 0x20000000u;
@@ -65,7 +65,7 @@ static void encode_begin(const double *observation)
     for (k = 0u; k < {{ count }}u; k++) {
         const double observed = observation[{{ observed }}];
         /* the product with the gain is 32 by 32 bits */
-        const int32_t apart_mean = fixed(observed, {{ scale }}) - {{ mean_fixed }};
+        const int32_t apart_mean = fixed_point(observed, {{ scale }}) - {{ mean_fixed }};
         /* X + 1/2 in 2**-{{ parts.fraction }}u */
         const int64_t raised = ((int64_t)apart_mean * {{ gain }}) + {{ parts.raised | c("int64_t") }};
         const uint32_t rest = (uint32_t)((uint64_t)raised >> {{ parts.fraction - 16 }}u) & 65535u;

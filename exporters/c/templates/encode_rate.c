@@ -2,7 +2,7 @@
 {% set encoder, regular = codec.encoder, codec.encoder.mode == "regular" %}
 {% macro encoder_functions() %}
 {% do out.variable("rate", "uint16_t", encoder.width) %}
-{% do out.variable("carry" if regular else "random", "uint16_t" if regular else "uint32_t", encoder.width) %}
+{% do out.variable("carry" if regular else "drawn", "uint16_t" if regular else "uint32_t", encoder.width) %}
 /* Rate code in 8 bits: a number between low and high becomes 0 to 256 spikes in 256 timesteps. */
 {% include "nearest.c" %}
 static void encode_begin(const double *observation)
@@ -40,11 +40,11 @@ static uint32_t encode(uint32_t timestep, {{ id_t }} *id)
             count++;
         }
 {% else %}
-        uint32_t x = random[k];
+        uint32_t x = drawn[k];
         x ^= x << 13;
         x ^= x >> 17;
         x ^= x << 5;
-        random[k] = x;
+        drawn[k] = x;
         if ((x >> 24) < rate[k]) {
             id[count] = ({{ id_t }})k;
             count++;
@@ -72,12 +72,12 @@ static uint32_t mixed(uint32_t x)
 
 void {{ prefix }}_seed(uint64_t seed)
 {
-    const uint32_t low = (uint32_t)(seed & 0xFFFFFFFFu);
-    const uint32_t begun = mixed(mixed(low + 0x9E3779B9u) + (uint32_t)(seed >> 32));
+    const uint32_t lower = (uint32_t)(seed & 0xFFFFFFFFu);
+    const uint32_t begun = mixed(mixed(lower + 0x9E3779B9u) + (uint32_t)(seed >> 32));
     uint32_t k;
     for (k = 0u; k < {{ encoder.width }}u; k++) {
         const uint32_t first = mixed(begun + k);
-        random[k] = (first == 0u) ? 1u : first;
+        drawn[k] = (first == 0u) ? 1u : first;
     }
 }
 {% endif %}

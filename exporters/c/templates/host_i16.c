@@ -25,9 +25,15 @@ static int is_finite(const double *x)
 }
 
 /* {{ prefix }}_interface of {{ prefix }}.h, for the shared object of this interface */
+#ifdef __cplusplus
+extern "C" {
+#endif
 extern const uint32_t {{ host }}_interface[4];
 void {{ host }}_reset(void);
 int {{ host }}_step(const double observation[{{ PREFIX }}_OBSERVATIONS], {{ action_kind }} action[{{ PREFIX }}_ACTIONS]);
+#ifdef __cplusplus
+}
+#endif
 
 const uint32_t {{ host }}_interface[4] = {1u, {{ PREFIX }}_OBSERVATIONS, {{ PREFIX }}_ACTIONS, {{ PREFIX }}_CHOICES};
 

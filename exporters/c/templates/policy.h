@@ -8,6 +8,10 @@
 
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #define {{ PREFIX }}_INPUTS {{ plan.program.width }}u     /* channels of the input */
 #define {{ PREFIX }}_EVENTS_MAX {{ plan.events_max }}u /* of them that can spike in one timestep */
 #define {{ PREFIX }}_LAYERS {{ plan.layers | length }}u     /* of neurons on the chip */
@@ -66,5 +70,16 @@ void {{ prefix }}_net_step(uint32_t count);
 /* Layer number `index` after the last timestep; its spikes so many timesteps late, as far as they
  * are kept (0: those of the last). */
 void {{ prefix }}_net_layer(uint32_t index, uint32_t late, {{ prefix }}_layer_t *view);
+
+{% if codec %}
+#ifdef {{ PREFIX }}_PROBE
+/* For a self-test, which defines it: called after each timestep with the input spikes. */
+void {{ prefix }}_probe(uint32_t timestep, const {{ id_t }} *id, uint32_t count);
+#endif
+
+{% endif %}
+#ifdef __cplusplus
+}
+#endif
 
 #endif

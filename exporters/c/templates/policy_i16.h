@@ -12,6 +12,10 @@
 
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #ifndef {{ PREFIX }}_OBSERVATIONS
 #define {{ PREFIX }}_OBSERVATIONS {{ observations }}u
 #define {{ PREFIX }}_ACTIONS {{ actions }}u
@@ -37,5 +41,9 @@ extern const int16_t {{ prefix }}_low[{{ PREFIX }}_OBSERVATIONS];
 extern const int16_t {{ prefix }}_high[{{ PREFIX }}_OBSERVATIONS];
 int {{ prefix }}_to_i16(const double value[{{ PREFIX }}_OBSERVATIONS],
                   int16_t observation[{{ PREFIX }}_OBSERVATIONS]);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

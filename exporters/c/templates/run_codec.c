@@ -1,7 +1,5 @@
 static uint32_t inference;
 
-void {{ prefix }}_probe(uint32_t timestep, const {{ id_t }} *id, uint32_t count);
-
 /* Called by {{ prefix }}_step after each timestep. */
 void {{ prefix }}_probe(uint32_t timestep, const {{ id_t }} *id, uint32_t count)
 {
@@ -38,7 +36,7 @@ static void run(void)
         const double *observation = &vector_observation[(size_t)inference * {{ PREFIX }}_OBSERVATIONS];
         compare("the result", inference, 0u, 0u, {{ prefix }}_step(observation, action), {{ PREFIX }}_OK);
         for (a = 0u; a < {{ PREFIX }}_ACTIONS; a++) {
-            compare_action(a, action[a], vector_action[(size_t)inference * {{ PREFIX }}_ACTIONS + a]);
+            compare_action(a, action[a], ({{ prefix }}_action_t)vector_action[(size_t)inference * {{ PREFIX }}_ACTIONS + a]);
         }
     }
 }

@@ -11,7 +11,7 @@ static uint64_t high(uint64_t a, uint64_t b)
 }
 
 /* The product of two numbers in 2**-32. */
-static uint32_t times(uint32_t a, uint32_t b)
+static uint32_t product_of(uint32_t a, uint32_t b)
 {
     return (uint32_t)(((uint64_t)a * b) >> 32);
 }
@@ -20,21 +20,21 @@ static uint32_t times(uint32_t a, uint32_t b)
 static uint32_t bend(uint32_t h2)
 {
     uint32_t a = 93928738u; /* 62/2835 in 2**-32 */
-    a = 231791886u - (times(a, h2) >> 8);
-    a = 572662306u - (times(a, h2) >> 8);
-    a = 1431655765u - (times(a, h2) >> 8);
-    return times(a, h2);
+    a = 231791886u - (product_of(a, h2) >> 8);
+    a = 572662306u - (product_of(a, h2) >> 8);
+    a = 1431655765u - (product_of(a, h2) >> 8);
+    return product_of(a, h2);
 }
 
 /* r / (1 + r) = r (1 - r) (1 + r**2) (1 + r**4) ..., both in 2**-36. */
 static uint32_t shared(uint32_t r)
 {
     const uint32_t one = 0x80000000u;
-    const uint32_t r2 = times(r, r);
-    const uint32_t r4 = times(r2, r2);
-    uint32_t product = times(one - (r >> 5), one + (r2 >> 9)) << 1;
-    product = times(product, one + (r4 >> 17)) << 1;
-    return times(r, product) << 1;
+    const uint32_t r2 = product_of(r, r);
+    const uint32_t r4 = product_of(r2, r2);
+    uint32_t product = product_of(one - (r >> 5), one + (r2 >> 9)) << 1;
+    product = product_of(product, one + (r4 >> 17)) << 1;
+    return product_of(r, product) << 1;
 }
 
 /* tanh in integers, within 3e-13: from the nearest k/16 below, by the addition theorem

@@ -36,7 +36,7 @@ static void append(std::string &to, const void *from, size_t bytes) {
 }
 
 // One clock, after which outputs are those of the next; true if a token was taken.
-static bool clock(bool valid, uint16_t token) {
+static bool advance(bool valid, uint16_t token) {
   core->s_axis_tvalid = valid;
   core->s_axis_tdata = token;
   core->m_axis_tready = !waits();
@@ -66,7 +66,7 @@ static bool clock(bool valid, uint16_t token) {
 static void wait_until_ready() {
   const uint64_t from = clocks;
   while (!core->s_axis_tready) {
-    clock(false, 0);
+    advance(false, 0);
     if (clocks - from > MOST_CLOCKS) {
       fprintf(stderr, "the core does not take a token any more\n");
       exit(1);
@@ -74,10 +74,10 @@ static void wait_until_ready() {
   }
 }
 
-static void send(uint16_t token) {
+static void pass_token(uint16_t token) {
   wait_until_ready();
-  while (waits()) clock(false, token);
-  while (!clock(true, token)) {
+  while (waits()) advance(false, token);
+  while (!advance(true, token)) {
   }
 }
 
@@ -93,8 +93,8 @@ int main(int count, char **arguments) {
   }
   core = new Vpolicy_core;
   core->rst = 1;
-  clock(false, 0);
-  clock(false, 0);
+  advance(false, 0);
+  advance(false, 0);
   core->rst = 0;
   wait_until_ready();
   uint16_t tokens;
@@ -103,10 +103,10 @@ int main(int count, char **arguments) {
     for (uint16_t k = 0; k < tokens; ++k) {
       uint16_t token;
       if (fread(&token, sizeof token, 1, stdin) != 1) return 1;
-      send(token);
+      pass_token(token);
       wait_until_ready();
       if (token == STEP) {
-        clock(false, 0);  // the probe is a clock behind
+        advance(false, 0);  // the probe is a clock behind
         const uint32_t taken = static_cast<uint32_t>(clocks - 1);
         fwrite(&taken, sizeof taken, 1, stdout);
         if (probe) fwrite(probed.data(), 1, probed.size(), stdout);
