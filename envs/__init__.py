@@ -14,6 +14,8 @@ rollout.py        one episode of a controller, recorded and saved
 ghosts.py         compact records of kart episodes, a whole training in small files
 archive.py        .npz files, written atomically
 foreign.py        environments of other people, as policies expect them
+returned.py       what their reset and step return, as numbers
+repeats.py        whether they play the same episode again from the same seed
 errors.py         EnvError
 
 A new environment is one file and one line in ENVS.

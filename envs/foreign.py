@@ -3,21 +3,25 @@
     observation  Box of any shape and bounds: its numbers in float64, unscaled, as policies have a
                  normaliser; Discrete: one-hot
     action       Box with finite bounds: from [-1, 1]; Discrete: from 0
+    reward       one number, of an array or tensor of one element too
     info         the numbers in it, and success where it is known
 
-Other spaces, pictures, and actions without bounds are refused. Nothing is imported but the module
-that a target names. The current folder is searched, after the installed packages, for targets
-alone. The code of the environment runs in the user's process.
+Other spaces, pictures, and actions without bounds are refused, and so is what is no number, and a
+wrapper of gymnasium's that goes on measuring from episode to episode. Nothing is imported but the
+module that a target names. The current folder is searched, after the installed packages, for
+targets alone. The code of the environment runs in the user's process.
 """
 
 from __future__ import annotations
 
 import difflib
 import importlib
+import math
 import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, TypeAlias
@@ -26,16 +30,29 @@ import gymnasium
 import numpy as np
 from gymnasium.envs.registration import EnvSpec as Registration
 from gymnasium.spaces import Box, Discrete
+from gymnasium.wrappers import NormalizeObservation, NormalizeReward
 from numpy.typing import NDArray
 
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.event_camera_wrapper import EventCameraWrapper, control_period
+from spikedeploy.envs.returned import (
+    numbers_in,
+    read_flag,
+    read_info,
+    read_number,
+    read_vector,
+    show,
+)
 
 FloatArray: TypeAlias = NDArray[np.float64]
 _TODAY = (
     "gymnasium's environments return (observation, info) from reset(seed=…, options=…), and "
     "(observation, reward, terminated, truncated, info) from step: change it to that"
 )
+# a wider span of actions has fewer steps of float32 in [-1, 1], 2^-24 each, than whole units
+_WIDEST = 2.0**24
+_MOST_CHOICES = 2**16  # of Discrete
+_SPACES = ("observation_space", "action_space")
 _LONGEST = 100_000  # control steps of an episode: without a time limit it might never end
 
 
@@ -61,6 +78,7 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         self.metadata, self.render_mode = inner.metadata, inner.render_mode
         self.spec = Registration("Adapted-v0")
         self.spec.id = name  # not above: gymnasium parses names, not targets
+        self._spaces = {each: getattr(inner, each) for each in _SPACES}
         space, self._from_inner = _observation_map(name, inner.observation_space)
         self.observation_space: gymnasium.Space[Any] = space
         self.action_space, self._to_inner = _action_map(name, inner.action_space)
@@ -75,21 +93,23 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         """Start an episode."""
         self._total, self._steps = 0.0, 0
         observation, info = self._ask("reset", 2, seed=seed, options=options)
-        return self._seen(observation), _numbers(info)
+        self._check_spaces()
+        return self._seen(observation), numbers_in(info)
 
     def step(self, action: Any) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:  # noqa: ANN401
         """Take an action (act,) in [-1, 1], or an index from 0."""
-        found, reward, terminated, truncated, info = self._ask("step", 5, self._to_inner(action))
-        self._total, self._steps = self._total + float(reward), self._steps + 1
-        over = bool(terminated or truncated)
+        found, gain, terminated, truncated, info = self._ask("step", 5, self._to_inner(action))
+        self._steps += 1
+        of = f"{self.name}: {{}} of step {self._steps}".format
+        reward = read_number(of("reward"), gain)
+        ends = read_flag(of("terminated"), terminated), read_flag(of("truncated"), truncated)
+        self._total, over = self._total + reward, any(ends)
         if self._steps >= _LONGEST and not over:
             raise EnvError(
                 f"{self.name}: an episode did not end in {_LONGEST:,} steps: give it a time "
                 "limit with the option max_episode_steps=N"
             )
-        numbers = _numbers(info)
-        numbers |= self._success(info, numbers, over)
-        return self._seen(found), float(reward), bool(terminated), bool(truncated), numbers
+        return self._seen(found), reward, *ends, self._with_success(info, over)
 
     def render(self) -> Any:  # noqa: ANN401
         """The environment's picture."""
@@ -107,38 +127,51 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
             if not _is_of_old_api(error):
                 raise
             raise EnvError(f"{self.name}: {method}: {error}; {_TODAY}") from error
-        if isinstance(found, tuple) and len(found) == values and isinstance(found[-1], Mapping):
-            return found
-        what = f"{len(found)} values" if isinstance(found, tuple) else f"a {type(found).__name__}"
+        if isinstance(found, tuple | list) and len(found) == values:
+            info = read_info(f"{self.name}: {method}: its last value, info,", found[-1], _TODAY)
+            return *found[:-1], info
+        several = isinstance(found, tuple | list)
+        what = f"{len(found)} values" if several else f"a {type(found).__name__}"
         raise EnvError(f"{self.name}: {method} returns {what}; {_TODAY}")
 
+    def _check_spaces(self) -> None:
+        """Refuse spaces that are others than when it was made: a policy has one size and scale."""
+        for name, before in self._spaces.items():
+            now = getattr(self.inner, name)
+            if now is not before and now != before:
+                raise EnvError(
+                    f"{self.name}: its {name} is {now} after reset(), and was {before}: policies "
+                    "have one, so make it with the widest"
+                )
+
     def _seen(self, observation: Any) -> FloatArray:  # noqa: ANN401
-        vector = self._from_inner(observation)
-        if vector.shape != self.observation_space.shape or not np.isfinite(vector).all():
-            raise EnvError(
-                f"{self.name}: observation of step {self._steps} is no vector of "
-                f"{self.observation_space.shape} finite numbers: {vector}"
-            )
-        return vector
+        return self._from_inner(f"{self.name}: observation of step {self._steps}", observation)
 
-    def _success(
-        self, info: Mapping[str, Any], numbers: Mapping[str, Any], over: bool
-    ) -> dict[str, bool]:
-        """Success so far, by the key that was named, the reward threshold, or `is_success`.
+    def _with_success(self, info: Mapping[str, Any], over: bool) -> dict[str, Any]:
+        """Its numbers, with success so far by the key that was named or the reward threshold.
 
-        The last is the word of gymnasium-robotics and Stable-Baselines3, where `success` is absent.
+        Else `success` is the environment's own; `is_success` is the word of gymnasium-robotics and
+        Stable-Baselines3 for the same, and stands there as `success` alone.
         """
+        found = numbers_in(info)
         if self._key is None and self._threshold is not None:
-            return {"success": self._total >= self._threshold}
+            return {**found, "success": self._total >= self._threshold}
         if self._key is None:
-            is_said = "is_success" in numbers and "success" not in numbers
-            return {"success": bool(numbers["is_success"])} if is_said else {}
+            said = [found.pop(word) for word in ("success", "is_success") if word in found]
+            known = [bool(each) for each in said if not math.isnan(each)]
+            return {**found, "success": known[0]} if known else found
         if over and self._key not in info:
             raise EnvError(
                 f"{self.name}: --success {self._key}: the info of the last step has no such key; "
                 f"it has {', '.join(map(str, info)) or 'none'}"
             )
-        return {"success": bool(info.get(self._key, False))}
+        reached = found.get(self._key, False)
+        if over and (self._key not in found or math.isnan(reached)):
+            raise EnvError(
+                f"{self.name}: --success {self._key}: the info of the last step has "
+                f"{show(info[self._key])} there, neither true nor false"
+            )
+        return {**found, "success": bool(reached) and not math.isnan(reached)}
 
 
 def _is_of_old_api(error: TypeError | ValueError) -> bool:
@@ -156,11 +189,11 @@ def _is_of_old_api(error: TypeError | ValueError) -> bool:
 
 def _observation_map(
     name: str, space: gymnasium.Space[Any]
-) -> tuple[Box, Callable[[Any], FloatArray]]:
-    """The space of observations (obs,), and the map into it."""
+) -> tuple[Box, Callable[[str, Any], FloatArray]]:
+    """The space of observations (obs,), and the map into it of what is called so and a value."""
     if isinstance(space, Discrete):
-        rows, start = np.eye(int(space.n)), int(space.start)
-        return Box(0.0, 1.0, (len(rows),), np.float64), lambda seen: rows[int(seen) - start]
+        _check_choices(name, "observes", space)
+        return Box(0.0, 1.0, (int(space.n),), np.float64), partial(_one_hot, space)
     if not isinstance(space, Box):
         raise EnvError(
             f"{name} observes a {type(space).__name__}, and policies observe one vector: make it "
@@ -172,12 +205,27 @@ def _observation_map(
             f"{name} observes pictures {space.shape}, and policies observe one vector of numbers: "
             "make it with a gymnasium.ObservationWrapper that measures what matters in them"
         )
-    size = int(np.prod(space.shape))
-    return Box(-np.inf, np.inf, (size,), np.float64), _flat
+    shape, size = space.shape, int(np.prod(space.shape))
+    return Box(-np.inf, np.inf, (size,), np.float64), partial(read_vector, shape=shape)
 
 
-def _flat(observation: Any) -> FloatArray:  # noqa: ANN401
-    return np.array(observation, np.float64).reshape(-1)
+def _one_hot(space: Discrete, what: str, value: object) -> FloatArray:
+    """One of several levels, as (n,)."""
+    place, count = read_number(what, value) - int(space.start), int(space.n)
+    if place % 1 or not 0 <= place < count:
+        last = int(space.start) + count - 1
+        raise EnvError(f"{what} is {show(value)}, none of {int(space.start)} to {last}")
+    row: FloatArray = np.zeros(count)
+    row[int(place)] = 1.0
+    return row
+
+
+def _check_choices(name: str, does: str, space: Discrete) -> None:
+    if space.n > _MOST_CHOICES:
+        raise EnvError(
+            f"{name} {does} one of {int(space.n):,}, and policies have a number for each: at most "
+            f"{_MOST_CHOICES:,}. Make it with a Box"
+        )
 
 
 def _action_map(
@@ -185,6 +233,7 @@ def _action_map(
 ) -> tuple[Box | Discrete, Callable[[Any], Any]]:
     """The space of actions, (act,) in [-1, 1] or an index from 0, and the map out of it."""
     if isinstance(space, Discrete):
+        _check_choices(name, "takes", space)
         start = int(space.start)
         return Discrete(int(space.n)), lambda action: int(action) + start
     if not isinstance(space, Box):
@@ -193,11 +242,16 @@ def _action_map(
             "one choice: make it with a gymnasium.ActionWrapper whose action_space is a Box or "
             "Discrete, in a function of yours, and name that as module:function"
         )
-    low, high = _flat(space.low), _flat(space.high)
-    if unbounded := np.flatnonzero(~np.isfinite(high - low)).tolist():
+    low, high = np.float64(space.low).reshape(-1), np.float64(space.high).reshape(-1)
+    with np.errstate(over="ignore"):
+        unbounded = ~(high - low <= _WIDEST)
+    if unbounded.any():
+        k = int(unbounded.argmax())
         raise EnvError(
-            f"{name}: actions {unbounded} have no finite bounds, so that [-1, 1] cannot be scaled "
-            "to them: make it with an action_space that has bounds"
+            f"{name}: actions {np.flatnonzero(unbounded).tolist()} have no bounds that [-1, 1] "
+            f"could be scaled to: they are from {low[k]:g} to {high[k]:g}, and with a span of over "
+            f"2^24 = {_WIDEST:,.0f} one unit is less than a step of float32. Make it with an "
+            "action_space whose bounds are those of sensible actions, in units that fit"
         )
     return Box(-1.0, 1.0, low.shape, np.float64), _scaling(space, low, high)
 
@@ -209,15 +263,10 @@ def _scaling(space: Box, low: FloatArray, high: FloatArray) -> Callable[[Any], N
     def scale(action: Any) -> NDArray[Any]:  # noqa: ANN401
         # a = low + (x + 1) / 2 (high - low)
         share = (np.clip(np.asarray(action, np.float64), -1.0, 1.0) + 1.0) / 2.0
-        value = low + share * (high - low)
+        value = np.clip(low + share * (high - low), low, high)  # sums are rounded
         return (np.rint(value) if whole else value).astype(space.dtype).reshape(space.shape)
 
     return scale
-
-
-def _numbers(info: Mapping[str, Any]) -> dict[str, Any]:
-    plain = {str(key): v.item() if isinstance(v, np.generic) else v for key, v in info.items()}
-    return {key: v for key, v in plain.items() if isinstance(v, bool | int | float)}
 
 
 _TARGET = re.compile(r"([A-Za-z_][\w.]*):([\w./-]+)")  # my_package.my_module:MyEnv
@@ -265,10 +314,30 @@ def make_foreign(name: str, options: Mapping[str, Any], success: str | None = No
         world = gymnasium.make(_registration(name), disable_env_checker=True, **made)
     except TypeError as error:
         raise _explain(name, error) from error
+    _check_wrappers(name, world)
     if camera:
         world = _seen_by_events(world, camera)
     shown = given if success is None else {**given, "success": success}
     return AdaptedEnv(world, name, shown, success)
+
+
+def _check_wrappers(name: str, world: gymnasium.Env[Any, Any]) -> None:
+    """Refuse gymnasium's wrappers that go on measuring from episode to episode."""
+    remedies = {
+        NormalizeObservation: "policies measure mean and deviation themselves, into the file",
+        NormalizeReward: "returns are told as the environment gives them",
+    }
+    layer: Any = world
+    while isinstance(layer, gymnasium.Wrapper):
+        for kind, remedy in remedies.items():
+            if isinstance(layer, kind) and layer.update_running_mean:
+                raise EnvError(
+                    f"{name}: gymnasium's {kind.__name__} goes on measuring from episode to "
+                    "episode, so that an episode depends on those that its process played before. "
+                    f"Leave it out: {remedy}. Or freeze it, once it has measured, in the function "
+                    "that makes the environment: wrapped.update_running_mean = False"
+                )
+        layer = layer.env
 
 
 def _seen_by_events(world: gymnasium.Env[Any, Any], camera: object) -> EventCameraWrapper:
@@ -343,5 +412,8 @@ def _explain(name: str, error: TypeError) -> Exception:
     if lacks := re.search(r"missing \d+ required .*arguments?: (.+?)(?: was raised|$)", text):
         return EnvError(f"{name} needs {lacks[1]}: give each with --set OPTION=VALUE")
     if "must inherit from the gymnasium.Env" in text:
-        return EnvError(f"{name} makes no gymnasium.Env")
+        return EnvError(
+            f"{name} makes no gymnasium.Env: give one environment, and not several in a vector, "
+            "as copies are made here"
+        )
     return error

@@ -16,8 +16,8 @@ from typing import Any
 
 import torch
 
-from spikedeploy import envs
 from spikedeploy.envs.foreign import is_target
+from spikedeploy.envs.repeats import check_repeats
 from spikedeploy.files import write_json
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, metrics
@@ -98,7 +98,8 @@ def train(
             f"{recipe} trains in any environment: name one, as in "
             f"`spikedeploy train CartPole-v1 --recipe {recipe}`"
         )
-    envs.spec(config.env.name)  # refused where it is unknown
+    if remark := check_repeats(config.env.name, config.env.options):  # unknown ones are refused
+        print(remark, file=sys.stderr)
     config = _with_paths(config)
     run = RunFolder.create(runs, config)
     with run.locked(), _removed_if_refused(run):

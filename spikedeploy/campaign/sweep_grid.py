@@ -17,7 +17,9 @@ from pydantic.dataclasses import dataclass
 
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.metrics import checked_metrics
+from spikedeploy.console import say
 from spikedeploy.envs.disturbances import disturbances
+from spikedeploy.envs.repeats import check_repeats
 from spikedeploy.errors import ConfigError
 from spikedeploy.files import read_toml
 from spikedeploy.make_env import make_env
@@ -282,6 +284,8 @@ def _fitting(grid: SweepGrid) -> dict[str, list[Candidate]]:
         for candidate in found[env]:
             check_fit(candidate, world)
         world.close()
+        if remark := check_repeats(env, grid.options):
+            say(remark)
     for each in named:
         if not any(each in many for many in found.values()):
             raise ConfigError(f"policy: {each.name} is for {each.env}, which env does not name")

@@ -23,7 +23,8 @@ from spikedeploy.comparison.episodes import (
 )
 from spikedeploy.comparison.lineup import Entry, remark_on_chip
 from spikedeploy.console import progress, say
-from spikedeploy.envs.rollout import EpisodeRecorder, rollout
+from spikedeploy.envs.repeats import check_repeats
+from spikedeploy.envs.rollout import EpisodeRecorder, Rollout, rollout
 from spikedeploy.jobs.pool import local_backend
 from spikedeploy.make_env import confirm, disturbed_by, make_env
 from spikedeploy.outputs import mark
@@ -101,6 +102,8 @@ def _check(
         if entry.chip not in (None, FLOAT):
             chip(entry.chip)  # raises on an unknown name
     world.close()
+    if remark := check_repeats(env, options):
+        say(remark)
 
 
 def run_policy(
@@ -149,6 +152,7 @@ def run_policy(
     player = (open_policy if loop is None else loop.open)(candidate, entry.chip, world, sampled)
     period = world.unwrapped.CONTROL_DT
     episodes: list[Episode] = []
+    first: Rollout | None = None
     with progress(entry.label, len(seeds)) as done:
         for seed in seeds if loop is None else loop.seeds(seeds):
             if loop is not None:
@@ -158,13 +162,30 @@ def run_policy(
                     played = rollout(world, player, seed, on_step)
             else:
                 played = rollout(world, player, seed)
+            first = first or played
             episodes.append(summarise(player, played, {}, metrics, foreign))
             done()
+    if first and foreign and loop is None and len(episodes) > 1:
+        _say_whether_it_repeats(world, first)
     world.close()
     rows, disturb = [Row(entry, episodes)], disturbed_by(options)
     if loop is not None:  # it may have played more
         seeds = range(seeds[0], seeds[0] + len(episodes))
     return Comparison(played.env_id, seeds, rows, (), disturb, foreign, period)
+
+
+def _say_whether_it_repeats(world: Any, first: Rollout) -> None:  # noqa: ANN401
+    """Say it where an environment begins otherwise than before from the seed of its first episode.
+
+    It is reset for it alone: whether it goes on the same, `check_repeats` tries in a simulation,
+    and what is run may be a robot.
+    """
+    if not np.array_equal(world.reset(seed=first.seed)[0], first.observation[0]):
+        say(
+            f"{first.env_id} began otherwise when it was reset once more with seed {first.seed}: "
+            "it carries something from one episode to the next, or is random beyond its seed. "
+            "These episodes depend on their order. `compare` says more"
+        )
 
 
 @contextmanager

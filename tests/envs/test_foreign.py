@@ -1,15 +1,20 @@
 import subprocess
 import sys
+from decimal import Decimal
 from typing import ClassVar
 
+import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium import spaces
 
 from spikedeploy import envs
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.foreign import AdaptedEnv
+from spikedeploy.envs.repeats import check_repeats
 from spikedeploy.envs.rollout import rollout
+from spikedeploy.trainers.distill.teacher import OwnSpaces
 from tests import own_env
 from tests.paths import ROOT
 
@@ -164,8 +169,169 @@ def test_is_success_of_other_libraries_is_success_where_that_is_absent(monkeypat
     assert rollout(env, Middle(), seed=1).success is False
     Told.said = {"is_success": True, "success": False}
     assert rollout(env, Middle(), seed=1).success is False
+    assert "is_success" not in rollout(env, Middle(), seed=1).info  # one word for one thing
+    for said in ("yes", None, np.nan, np.array([True, False])):
+        Told.said = {"is_success": said}
+        assert rollout(env, Middle(), seed=1).success is None
+    Told.said = {"is_success": np.array([True]), "success": np.nan}
+    assert rollout(env, Middle(), seed=1).success is True
     Told.said = {"is_success": "yes"}
-    assert rollout(env, Middle(), seed=1).success is None
+    with pytest.raises(EnvError, match=r"--success is_success: .* has 'yes' \(str\) there"):
+        rollout(envs.make("tests.own_env:Told", success="is_success"), Middle(), seed=1)
+
+
+def returning(monkeypatch, observation=None, **changed):
+    """Reach whose `step` returns something else for reward, terminated, truncated or info."""
+
+    class Odd(own_env.Reach):
+        def step(self, action):
+            seen, *found = super().step(action)
+            given = dict(zip(("reward", "terminated", "truncated", "info"), found, strict=True))
+            seen = seen if observation is None else observation(seen)
+            return seen, *{**given, **changed}.values()
+
+    monkeypatch.setattr(own_env, "Odd", Odd, raising=False)
+    env = envs.make("tests.own_env:Odd")
+    env.reset(seed=0)
+    return env.step(np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    "reward",
+    [-2, np.float32(-2), np.array(-2.0), np.array([[-2]]), [-2.0], torch.tensor(-2.0),
+     torch.tensor([-2.0], requires_grad=True), Decimal(-2)],
+)  # fmt: skip
+def test_a_reward_is_one_number_in_whatever_it_comes(monkeypatch, reward):
+    found = returning(monkeypatch, reward=reward)[1]
+    assert (type(found), found) == (float, -2.0)
+
+
+@pytest.mark.parametrize(
+    "reward",
+    [None, np.nan, np.inf, "1.0", [1.0, 2.0], np.zeros(0), torch.zeros(2), {}, 1j, np.array("1")],
+)
+def test_a_reward_that_is_no_number_is_refused_with_what_it_was(monkeypatch, reward):
+    with pytest.raises(EnvError, match=r"Odd: reward of step 1 is .*: give one finite number"):
+        returning(monkeypatch, reward=reward)
+
+
+@pytest.mark.parametrize("said", [True, 1, np.bool_(True), np.array([True]), torch.tensor(True)])
+def test_an_end_is_true_or_false_in_whatever_it_comes(monkeypatch, said):
+    assert returning(monkeypatch, terminated=said, truncated=False)[2:4] == (True, False)
+    assert returning(monkeypatch, truncated=said)[2:4] == (False, True)
+
+
+@pytest.mark.parametrize("said", [None, "False", 2, np.nan, np.zeros(2, bool), []])
+@pytest.mark.parametrize("name", ["terminated", "truncated"])
+def test_an_end_that_is_neither_is_refused(monkeypatch, name, said):
+    with pytest.raises(EnvError, match=rf"Odd: {name} of step 1 is .*: give True or False"):
+        returning(monkeypatch, **{name: said})
+
+
+def test_no_info_is_an_empty_one_and_another_type_is_named(monkeypatch):
+    assert returning(monkeypatch, info=None)[4] == {}
+    with pytest.raises(EnvError, match=r"step: its last value, info, is \[1\] \(list\), no dict"):
+        returning(monkeypatch, info=[1])
+    found = returning(monkeypatch, info={"a": np.array([2.0]), "b": torch.tensor(3), "c": [4]})[4]
+    assert found == {"a": 2.0, "b": 3}
+
+
+@pytest.mark.parametrize(
+    "given",
+    [lambda seen: seen.tolist(), tuple, torch.tensor, lambda seen: seen.astype(np.float16),
+     lambda seen: seen[None]],
+)  # fmt: skip
+def test_an_observation_is_numbers_in_whatever_they_come(monkeypatch, given):
+    found = returning(monkeypatch, given)[0]
+    assert (found.dtype, found.shape) == (np.float64, (4,))
+    np.testing.assert_allclose(found, returning(monkeypatch)[0], rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (lambda seen: seen.ravel(), r"has the shape \(4,\), and observation_space says \(2, 2\)"),
+        (lambda seen: seen[:1], r"has the shape \(1, 2\)"),
+        (lambda seen: [[1.0], [1.0, 2.0]], "give numbers of shape"),
+        (lambda seen: {"a": seen}, r"\(dict\): give numbers"),
+        (lambda seen: seen.astype(str), "give numbers"),
+        (lambda seen: np.full((2, 2), None), "give numbers"),
+        (lambda seen: np.array([[0.0, -np.inf], [np.nan, 0.0]]), r"has -inf, nan at \[1, 2\]"),
+        (lambda seen: np.full((2, 2), 1e39), "1e.39.* no finite number of float32"),
+    ],
+)
+def test_an_observation_that_is_none_is_refused(monkeypatch, given, said):
+    with pytest.raises(EnvError, match=f"Odd: observation of step 1 .*{said}"):
+        returning(monkeypatch, given)
+
+
+@pytest.mark.parametrize("level", [4, 8, 5.5, None, [5, 6]])
+def test_a_level_that_the_space_has_not_is_refused(monkeypatch, level):
+    monkeypatch.setattr(own_env.Levels, "_level", lambda _: level)
+    with pytest.raises(EnvError, match="observation of step 0 is "):
+        envs.make("tests.own_env:Levels").reset(seed=0)
+
+
+LARGE32, LARGE64 = float(np.finfo(np.float32).max), float(np.finfo(np.float64).max)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "kind"),
+    [
+        (-LARGE32, LARGE32, np.float32),
+        (-LARGE64, LARGE64, np.float64),
+        (0.0, 1e38, np.float32),
+        (-1e10, 1.0, np.float32),
+        (-(2**31), 2**31 - 1, np.int32),
+        (-(2.0**23), 2.0**23 + 2, np.float64),
+    ],
+)
+def test_bounds_so_wide_that_labels_vanish_are_none(low, high, kind):
+    both = [np.array([-1, bound], kind) for bound in (low, high)]
+    both[1][0] = 1
+    space = spaces.Box(*both, (2,), kind)
+    with pytest.raises(EnvError, match=r"actions \[1\] have no bounds.*2\^24 = 16,777,216"):
+        envs.make("tests.own_env:refused", kind="action", space=space)
+
+
+def test_wide_bounds_and_those_without_a_choice_are_met():
+    space = spaces.Box(np.array([-(2.0**23), 0.5]), np.array([2.0**23, 0.5]), (2,), np.float64)
+    made = envs.make("tests.own_env:refused", kind="action", space=space)
+    np.testing.assert_array_equal(made._to_inner([1.0, 0.3]), [2.0**23, 0.5])
+    own = OwnSpaces.within("own", made)
+    one, other = own.labels("t", np.array([[0.3, 0.5], [-1.0, 0.5]]), 2, "own")
+    assert one[0] != other[0]
+    assert one[1] == other[1] == 0.0
+
+
+def test_many_choices_and_spaces_that_change_are_refused(monkeypatch):
+    for kind in ("observation", "action"):
+        with pytest.raises(EnvError, match="one of 10,000,000, and policies have a number for"):
+            envs.make("tests.own_env:refused", kind=kind, space=spaces.Discrete(10**7))
+
+    class Grows(own_env.Reach):
+        def reset(self, **given):
+            self.action_space = spaces.Box(-2.0, 2.0, (2, 1), np.float32)
+            return super().reset(**given)
+
+    monkeypatch.setattr(own_env, "Grows", Grows, raising=False)
+    with pytest.raises(
+        EnvError, match=r"its action_space is Box\(-2\.0, .* after reset\(\), and was"
+    ):
+        envs.make("tests.own_env:Grows").reset(seed=0)
+
+
+@pytest.mark.parametrize("kind", ["NormalizeObservation", "NormalizeReward"])
+def test_a_wrapper_that_goes_on_measuring_is_refused_unless_it_is_frozen(monkeypatch, kind):
+    def wrapped(freeze=False):
+        made = getattr(gymnasium.wrappers, kind)(own_env.Reach())
+        made.update_running_mean = not freeze
+        return gymnasium.wrappers.RecordEpisodeStatistics(made)
+
+    monkeypatch.setattr(own_env, "wrapped", wrapped, raising=False)
+    with pytest.raises(EnvError, match=f"wrapped: gymnasium's {kind} goes on measuring"):
+        envs.make("tests.own_env:wrapped")
+    assert check_repeats("tests.own_env:wrapped", {"freeze": True}) == ""
 
 
 def _old(**methods):

@@ -166,8 +166,9 @@ class OwnSpaces:
             )
         if units == "own":
             low, high = self.bounds()
-            # x = 2 (a - low) / (high - low) - 1
-            rows = 2.0 * (rows - low) / np.where(high > low, high - low, 1.0) - 1.0
+            # x = 2 (a - low) / (high - low) - 1; 0 where there is nothing to choose
+            span = np.where(high > low, high - low, 1.0)
+            rows = np.where(high > low, 2.0 * (rows - low) / span - 1.0, 0.0)
         return np.clip(rows, -1.0, 1.0)
 
 
