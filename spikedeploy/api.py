@@ -12,7 +12,7 @@ Each name does what a command does, by the same functions: `run` what `emulate` 
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -48,6 +48,7 @@ class LoadedNetwork:
     chip      as the command line takes it, or "float"
     limits    whether the design rules of the chip are enforced
     quantisation  on that chip
+    reading   options by which the file was read, beside what it states
     """
 
     path: Path
@@ -55,6 +56,7 @@ class LoadedNetwork:
     chip: str = FLOAT
     limits: bool = True
     quantisation: Quantisation = PLAIN
+    reading: Mapping[str, Any] = field(default_factory=dict)
 
     def on(
         self, chip: str, *, limits: bool = True, quantisation: Quantisation = PLAIN
@@ -81,7 +83,8 @@ class LoadedNetwork:
 
     def check(self, *chips: str) -> DesignReport:
         """Return True if the network fits on chips, rule by rule; by default on its own."""
-        return report_of(str(self.path), self.artifact, chips or (self.chip,))
+        named = chips or (self.chip,)
+        return report_of(str(self.path), self.artifact, named, self.path, self.reading)
 
     def controller(self, sampled: bool = False) -> SpikingController:
         """A robot's controller: an observation in, an action out; the file must hold a codec."""
@@ -220,8 +223,18 @@ def load(
     dt          [s]; like what follows an option of Convention, and precedes the file
     """
     file = network_path(str(path))
-    found = files.load(file, dt, reset, integrator, delay, state, spikes, floor, like, written_by)
-    return LoadedNetwork(file, found)
+    reading = {
+        "written_by": written_by,
+        "like": like,
+        "dt": dt,
+        "reset": reset,
+        "integrator": integrator,
+        "delay": delay,
+        "state": state,
+        "spikes": spikes,
+        "floor": floor,
+    }
+    return LoadedNetwork(file, files.load(file, **reading), reading=reading)
 
 
 def compare(

@@ -19,6 +19,8 @@ from typing import Any
 import nir
 import numpy as np
 
+from spikedeploy.reports.design import NEURONS_OF_CHIPS
+
 FOLDER = Path(__file__).parents[2] / "tests" / "golden" / "exports"
 # neurons of each layer, and timesteps
 SIZES, TIMESTEPS = (12, 16, 6), 200
@@ -31,7 +33,7 @@ class Exported:
     tool: as --from names it.
     file: name of its .nir file.
     build: to the torch module and its graph, exported by the tool.
-    options: what the file does not say, as `load` takes it.
+    options: what the file does not say, as `load` takes it; written_by is the tool if it is not in.
     """
 
     tool: str
@@ -65,14 +67,26 @@ def chain(neurons: Callable[[int], Any], gain: float, linear: Any = None, join: 
     return module
 
 
-def snntorch_network(kind: str, **options: Any) -> tuple[Any, nir.NIRGraph]:  # noqa: ANN401
+def snntorch_network(
+    kind: str,
+    at_once: bool = False,
+    **options: Any,  # noqa: ANN401
+) -> tuple[Any, nir.NIRGraph]:
     """Two layers of Leaky, Synaptic, RLeaky or RSynaptic, or Leaky and Synaptic of odd decays.
 
     Parameters are vectors, which its export needs.
+
+    at_once  that reset as chips do, by the lines that `check` prints
     """
     import snntorch
     import torch
     from snntorch.export_nir import export_to_nir
+
+    neuron = getattr(snntorch, kind.removeprefix("Odd"))
+    if at_once:
+        names: dict[str, Any] = {"torch": torch, "snntorch": snntorch}
+        exec(NEURONS_OF_CHIPS, names)
+        neuron = type(kind, (names["AtOnce"], neuron), {})
 
     def neurons(size: int) -> Any:  # noqa: ANN401
         given = {"beta": torch.linspace(0.8, 0.95, size), "threshold": torch.ones(size)}
@@ -85,7 +99,6 @@ def snntorch_network(kind: str, **options: Any) -> tuple[Any, nir.NIRGraph]:  # 
             given["alpha"] = torch.tensor([0.0, 0.1, -0.3, 0.0, 1e-3] * size)[:size]
         if kind.startswith("R"):
             given["linear_features"] = size
-        neuron = getattr(snntorch, kind.removeprefix("Odd"))
         return neuron(**given, init_hidden=True, **options)
 
     module = chain(neurons, 0.4 if kind in ("Synaptic", "RSynaptic") else 1.0)
@@ -143,6 +156,7 @@ def _cases() -> Iterator[tuple[str, Exported]]:
         "subtract": ({"reset_delay": False}, {"reset": "subtract"}),
         "zero_delayed": ({"reset_mechanism": "zero"}, {"reset": "zero-delayed"}),
         "none": ({"reset_mechanism": "none"}, {"reset": "none"}),
+        "at_once": ({"at_once": True}, {"written_by": None, "dt": 1e-4, "reset": "subtract"}),
     }
     # RSynaptic has no reset_delay=False: with init_hidden it crashes, and else it resets late
     late = {name: each for name, each in resets.items() if name not in ("zero", "subtract")}

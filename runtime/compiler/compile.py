@@ -18,6 +18,8 @@ from spikedeploy.runtime.compiler.rules import (
     RuleResult,
     evaluate,
     refuse,
+    reset_remedy,
+    spiking_kinds,
 )
 from spikedeploy.runtime.compiler.wiring import LayerGraph, wiring
 from spikedeploy.runtime.convention import Clock, Convention
@@ -103,12 +105,7 @@ def _check_neurons(artifact: Artifact, chip: Chip) -> None:
     convention = artifact.convention
     there = f"The policy was trained for {artifact.trained_for}: run it there."
     if convention.reset not in chip.resets:
-        late = convention.reset not in ("zero", "subtract")
-        how = " (snnTorch: reset_mechanism, and reset_delay=False)" if late else ""
-        # --reset subtract makes this of a file of snnTorch
-        others = [each for each in chip.resets if f"{each}-ahead" != convention.reset]
-        options = " or ".join(f"--reset {each}" for each in others or chip.resets)
-        remedy = f"Train with that reset{how}, give it as an option ({options}), or run in float."
+        remedy = reset_remedy(convention.reset, spiking_kinds(artifact), chip.resets)
         raise RuleError(
             f"rule reset: reset {convention.reset!r}: a spike on {chip.name} can only do "
             f"{', '.join(map(repr, chip.resets))}. {there if artifact.trained_for else remedy}"

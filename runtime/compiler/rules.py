@@ -191,6 +191,7 @@ def _primitive(design: PlacedNetwork) -> Iterator[RuleResult]:
 def _reset(design: PlacedNetwork) -> Iterator[RuleResult]:
     """A spike does to the membrane what the convention says, from 0."""
     reset, resets = design.artifact.convention.reset, design.chip.resets
+    kinds = spiking_kinds(design.artifact)
     for name, node in design.nodes:
         if not isinstance(node, SPIKING):
             continue
@@ -199,23 +200,50 @@ def _reset(design: PlacedNetwork) -> Iterator[RuleResult]:
             remedy = "Shift the membrane so that it resets to 0, or run the network in float."
             yield _result(name, "fail", found, "v_reset 0", "", remedy)
         else:
-            remedy = _reset_remedy(reset, type(node).__name__, resets)
+            remedy = reset_remedy(reset, kinds, resets)
             if trained_for := design.artifact.trained_for:
                 remedy = f"Run it on {trained_for}, for which it was trained."
             yield _choose(name, f"reset {reset!r}", [f"reset {r!r}" for r in resets], remedy)
 
 
-def _reset_remedy(reset: str, kind: str, resets: Sequence[str]) -> str:
-    if reset == "zero-delayed" and kind in ("LIF", "IF"):
+def spiking_kinds(artifact: Artifact) -> frozenset[str]:
+    """Names of the primitives of its spiking neurons."""
+    nodes = artifact.graph.nodes.values()
+    return frozenset(type(node).__name__ for node in nodes if isinstance(node, SPIKING))
+
+
+def reset_remedy(reset: str, kinds: Collection[str], resets: Sequence[str]) -> str:
+    """Advice on a reset that a chip lacks.
+
+    kinds: of the neurons, such as "LIF".
+    resets: of the chip.
+    """
+    integrates = {*kinds} == {"IF"}
+    if reset == "zero-delayed" and "CubaLIF" not in kinds:
         return "Give --reset zero, with which these neurons spike alike."
-    if reset == "subtract-delayed" and kind == "IF":
+    if reset == "subtract-delayed" and integrates:
         return "Give --reset subtract, with which neurons without a leak spike alike."
     if reset in ("zero", "subtract"):
-        options = " or ".join(f"--reset {each}" for each in resets)
-        return f"Train with that reset, give it ({options}), or run the network in float."
+        return (
+            f"Train with reset {' or '.join(map(repr, resets))} (docs/own-network.md says how in "
+            "snnTorch), or run the network in float; as an option it makes another network."
+        )
+    ways = []
+    if integrates and "subtract" in resets:
+        ways.append("reset_delay=True, its default, as no leak tells the two apart")
+    if "zero" in resets:
+        ways.append("reset_mechanism='zero' and reset_delay=False")
+    if not ways:
+        ways.append("neurons that subtract at once")
+    subtracts = reset.startswith("subtract")
+    is_on_none = (
+        "snnTorch's subtraction is on no chip, whatever its reset_delay"
+        if subtracts
+        else f"No chip has reset {reset!r}"
+    )
     return (
-        "Train with one of those (snnTorch: reset_mechanism, and reset_delay=False), or run the "
-        "network in float."
+        f"{is_on_none}. Train with {', or '.join(ways)} (docs/own-network.md, Neurons of snnTorch "
+        "for chips, has working lines), or run the network in float."
     )
 
 

@@ -570,6 +570,9 @@ def _snntorch_wires(nodes: Nodes, edges: Edges, convention: Convention) -> Conve
     if reset == "subtract":
         # where the threshold is not below 0; reset_delay=False, see runtime.float_model
         return replace(convention, reset="subtract-ahead")
+    # without a leak it is the same whether a threshold is taken off before or after a decay
+    if convention.reset == "subtract-delayed" and _all_integrate(nodes):
+        return replace(convention, reset="subtract")
     if reset != "zero-delayed":
         return convention
     for name in loops - recurrent:
@@ -592,6 +595,14 @@ def _snntorch_recurrent(nodes: Nodes, edges: Edges) -> set[str]:
         for source, target in edges
         if isinstance(nodes[source], SPIKING) and (target, source) in edges
     }
+
+
+def _all_integrate(nodes: Nodes) -> bool:
+    """True if all neurons are IF with thresholds from 0 on, so that none begins with a reset."""
+    spiking = [node for node in nodes.values() if isinstance(node, SPIKING)]
+    return bool(spiking) and all(
+        isinstance(node, nir.IF) and (node.v_threshold >= 0).all() for node in spiking
+    )
 
 
 def _snntorch_arrange(nodes: Nodes, edges: EdgeList) -> tuple[Nodes, EdgeList]:

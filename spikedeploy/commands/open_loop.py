@@ -195,6 +195,7 @@ def check(
     rules: bool = False,
     board: str | None = None,
     against: Path | None = None,
+    input_: Path | None = None,
     output: Path | None = None,
     force: bool = False,
     json: bool = False,
@@ -212,16 +213,18 @@ def check(
 
     file = runnable(file)
     if board is not None:
-        if output or against or rules:
-            raise typer.BadParameter("--board says what is full: leave --rules, --against, -o out")
+        if output or against or rules or input_:
+            more = "--rules, --against, --input, -o"
+            raise typer.BadParameter(f"--board says what is full: leave {more} out")
         _check_board(file, board, chip, reading, json)
     if against is not None:
-        if output:
-            raise typer.BadParameter("-o writes the rules of chips: leave --against out")
+        if output or input_:
+            raise typer.BadParameter("-o and --input are for rules of chips: leave --against out")
         _check_against(file, against, chip, reading, json)
     if output:
-        check_output_folder("-o", output, FILES, (network_path(file),), force, is_page_of("check"))
-    report = design_report(file, chip or [ALL], **reading.arguments())
+        given = (network_path(file), input_)
+        check_output_folder("-o", output, FILES, given, force, is_page_of("check"))
+    report = design_report(file, chip or [ALL], input_, **reading.arguments())
     if output:
         write_page("check", design_page(report), report.as_json(), output)
     if json:

@@ -1,5 +1,7 @@
 """The report of `check`: which chips a network fits on, and what it takes of their cores."""
 
+import re
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,14 +12,14 @@ from spikedeploy.reports.headline import HeadlineNumber
 from spikedeploy.reports.page import provenance, render
 from spikedeploy.reports.table import ABSENT, Table
 from spikedeploy.runtime.chips.chip import Limits
-from spikedeploy.runtime.compiler.compile import DesignCheck
+from spikedeploy.runtime.compiler.compile import COMPILE, DesignCheck
 from spikedeploy.runtime.compiler.mapping import (
     CoreMapping,
     Placement,
     mapping_utilisation,
     placement_utilisation,
 )
-from spikedeploy.runtime.compiler.rules import RuleResult, format_value
+from spikedeploy.runtime.compiler.rules import RuleResult, format_value, spiking_kinds
 
 LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"
 _MARKS = {"pass": "✓", "fail": "✗", "unknown": "?", "not applicable": "·"}
@@ -27,6 +29,28 @@ _SHARES = ("neurons", "memory", "axons_in", "axons_out")  # of the fullest core
 _LAYER_COLOURS = ("chip", "ann", "green", "snn", "yellow", "sky", "pink")  # variables of page.css
 _CORES_PER_LINE, _MOST_CORES = 16, 256
 _CELL, _GAP = 40, 6  # [px]
+# snnTorch's neurons with the reset of chips; docs/own-network.md has these lines too
+NEURONS_OF_CHIPS = """\
+class AtOnce:
+    def mem_reset(self, mem):
+        return torch.zeros_like(mem)  # nothing is left to reset of the timestep before
+
+    def forward(self, x):
+        spikes = super().forward(x)
+        self.mem = self.mem - spikes * self.threshold  # to zero: self.mem * (1 - spikes)
+        return spikes
+
+
+class Leaky(AtOnce, snntorch.Leaky):  # likewise Synaptic, RLeaky and RSynaptic
+    pass
+
+
+layer = Leaky(torch.full((16,), 0.9), torch.ones(16), init_hidden=True)
+"""
+READ_SO = (
+    "Their files are read with --dt 1e-4 --reset subtract, or --reset zero, and without --from "
+    "(docs/own-network.md)."
+)
 
 
 def print_report(report: DesignReport, everything: bool = True) -> None:
@@ -43,10 +67,31 @@ def print_report(report: DesignReport, everything: bool = True) -> None:
         for line in _broken_rules(report.checks[0]):
             print(f"✗ {line}")
     for each in report.checks:
-        mark = _MARKS["pass" if each.passed else "fail"]
-        print(f"{mark} {each.chip.name}: {_summary(each, alone)}{_remedy(report, each, alone)}")
+        print(_verdict(report, each, alone))
+    if not alone:
+        _print_remedies(report)
+    _print_neurons(report)
     if not everything:
-        print("All rules: --rules")
+        print("All rules: --rules" + "; why a chip cannot: --chip NAME" * (not alone))
+
+
+def _print_remedies(report: DesignReport) -> None:
+    """Print what another reset changes, once for all chips that it would help."""
+    for line in dict.fromkeys(other.describe() for other in report.resets.values()):
+        print_text(line)
+
+
+def _print_neurons(report: DesignReport) -> None:
+    """Print neurons of snnTorch that reset as chips do, where a reset lacks that is on no chip."""
+    artifact = report.artifact
+    convention = artifact.convention
+    # an integrator's own default is a reset of chips
+    is_leaky = spiking_kinds(artifact) != {"IF"} and not artifact.trained_for
+    is_snntorch = convention.reset not in ("zero", "subtract") or "snnTorch" in convention.source
+    if is_leaky and is_snntorch and any("reset" in _broken(each) for each in report.checks):
+        print_text("\nNeurons of snnTorch that reset in the timestep of a spike, as chips do:\n")
+        print(textwrap.indent(NEURONS_OF_CHIPS, "    "))
+        print_text(READ_SO)
 
 
 def _print_chip(check: DesignCheck) -> None:
@@ -58,31 +103,38 @@ def _print_chip(check: DesignCheck) -> None:
         print(f"  {note}")
 
 
-def _remedy(report: DesignReport, check: DesignCheck, alone: bool) -> str:
-    """The reset with which the network would fit, where that is all that it lacks."""
-    reset = report.resets.get(check.chip.name)
-    return "" if reset is None else f"{'.' * alone} With --reset {reset}: fits."
+def _verdict(report: DesignReport, check: DesignCheck, alone: bool) -> str:
+    """A line: fits or not, and with which reset it would."""
+    mark = _MARKS["pass" if check.passed else "fail"]
+    other = report.resets.get(check.chip.name)
+    fits = ""
+    if other is not None:
+        fits = f". {other.describe()}" if alone else f". With {other.typed}: fits"
+    return f"{mark} {check.chip.name}: {_summary(check)}{fits}"
 
 
-def _summary(check: DesignCheck, alone: bool) -> str:
-    """The broken rules, and the first in full unless it stands above; or cores and clock."""
+def _summary(check: DesignCheck) -> str:
+    """The names of the broken rules; or cores and clock."""
     if not check.passed:
-        first = next(result for result in check.rulings if result.failed)
-        in_full = "" if alone else f". First {first.describe(check.chip.name)}"
-        return f"breaks {_broken_names(check)}{in_full}"
+        return f"breaks {', '.join(_broken(check))}"
     clock = f", clock {check.program.describe_clock()}" if check.program else ""
     if check.chip.limits is None:
         return f"no limits{clock}"
     return (f"{check.mapping.cores} cores" if check.mapping.cores else "fits") + clock
 
 
-def _broken_names(check: DesignCheck) -> str:
-    return ", ".join(dict.fromkeys(result.rule for result in check.rulings if result.failed))
+def _broken(check: DesignCheck) -> dict[str, RuleResult]:
+    """Broken rule -> its worst result; the compiler's counts for the rule that it names."""
+    found = {rule: worst(check.of(rule)) for rule in statuses(check)}
+    broken = {rule: result for rule, result in found.items() if result.failed}
+    if (compiler := broken.pop(COMPILE, None)) is not None:
+        named = re.match(r"rule ([\w-]+):", str(compiler.found))
+        broken.setdefault(named[1] if named else COMPILE, compiler)
+    return broken
 
 
 def _broken_rules(check: DesignCheck) -> list[str]:
-    results = [worst(check.of(rule)) for rule in statuses(check)]
-    return [result.describe(check.chip.name) for result in results if result.failed]
+    return [result.describe(check.chip.name) for result in _broken(check).values()]
 
 
 def _notes(check: DesignCheck) -> list[str]:
@@ -190,7 +242,7 @@ def _lead(checks: Sequence[DesignCheck]) -> str:
     if len(checks) == 1:
         (check,) = checks
         verb = "It fits on" if check.passed else "It does not fit on"
-        return f"{verb} {check.chip.name}: {_summary(check, alone=True)}."
+        return f"{verb} {check.chip.name}: {_summary(check)}."
     limited = [each for each in checks if each.chip.limits is not None]
     fits = [each.chip.name for each in limited if each.passed]
     return f"It keeps all rules of {', '.join(fits) or 'no chip'}; {len(limited)} have limits."
@@ -225,7 +277,7 @@ def _chips(checks: Sequence[DesignCheck]) -> Table:
     for each in checks:
         cores = f"{each.mapping.cores:,}" if each.mapping.cores else ABSENT
         no_limits = "no limits" if each.chip.limits is None else ""
-        broken = no_limits if each.passed else _broken_names(each)
+        broken = no_limits if each.passed else ", ".join(_broken(each))
         rows.append((each.chip.name, "fits" if each.passed else "does not fit", cores, broken))
     kinds = ["pass" if each.passed else "fail" for each in checks]
     return Table(("chip", "verdict", "cores", "broken rules"), rows, kinds=kinds)
@@ -235,7 +287,7 @@ def _check(check: DesignCheck) -> dict[str, Any]:
     limits = check.chip.limits
     return {
         "chip": check.chip.name,
-        "summary": _summary(check, alone=True),
+        "summary": _summary(check),
         "broken": _broken_rules(check),
         "drawing": limits and core_drawing(check.mapping, limits, check.chip.name),
         "layers": limits and _layers(check, limits),

@@ -27,7 +27,7 @@ def test_an_export_of_today_means_the_same_spikes(name, tmp_path):
     pytest.importorskip(MODULES[case.tool], reason=reason, exc_type=ImportError)
     network, trace = record(name, tmp_path)
     inputs, outputs = np.load(trace)["input"], np.load(trace)["output"]
-    found = FloatGraph(load(network, written_by=case.tool, **case.options)).run(inputs[None])
+    found = FloatGraph(load(network, **{"written_by": case.tool, **case.options})).run(inputs[None])
     np.testing.assert_array_equal(found["output"][0], outputs)
     with np.load(FOLDER / f"{name}.npz") as golden:
         np.testing.assert_array_equal(golden["output"], outputs)

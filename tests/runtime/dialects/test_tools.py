@@ -5,6 +5,7 @@ snnTorch, Norse and SpikingJelly exported and computed (lab/peers/exported_netwo
 """
 
 import math
+from dataclasses import replace
 
 import nir
 import numpy as np
@@ -17,6 +18,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.dialects.reading import preset, read_as_written, read_like, writer
+from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConventionError, RuleError
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.neurons import discretise
@@ -154,7 +156,7 @@ def test_tools_of_the_usual_discretisation_agree_but_for_what_they_state(tool):
 def recorded(name, **options):
     case = RECORDED[name]
     return load(
-        FOLDER / f"{case.file}.nir", written_by=case.tool, **(options or dict(case.options))
+        FOLDER / f"{case.file}.nir", **{"written_by": case.tool, **(options or case.options)}
     )
 
 
@@ -278,11 +280,37 @@ def test_a_leaky_without_a_leak_is_an_integrator_that_speck_takes(tmp_path):
     spikes = FloatGraph(artifact).run(np.ones((1, 7, 1)))["n2"].ravel()
     assert spikes.tolist() == [0, 0, 1, 0, 0, 1, 0]  # 0.4, 0.8, 1.2
     compile_program(artifact, chip("speck2f:queue=on"))
+    default = load(tmp_path / "a.nir", written_by="snntorch")
+    assert default.convention.reset == "subtract"
+    compile_program(default, chip("speck2f"))
     subtracts = load(tmp_path / "a.nir", written_by="snntorch", reset="subtract")
-    with pytest.raises(RuleError, match=r"it as an option \(--reset zero\)"):  # not the same again
+    with pytest.raises(RuleError, match=r"'subtract-ahead'.*Train with reset_delay=True"):
         compile_program(subtracts, chip("speck2f"))
     with pytest.raises(ArtifactError, match=r"'n2': r holds inf.*--from snntorch"):
         load(tmp_path / "a.nir")
+
+
+def test_the_default_subtraction_of_integrators_is_the_one_of_chips(tmp_path):
+    weight = np.random.default_rng(0).normal(size=(8, 8))
+    endless = nir.LIF(*(np.full(8, value) for value in (np.inf, np.inf, 0.0, 1.0, 0.0)))
+    nir.write(tmp_path / "a.nir", chain(nir.Linear(weight), endless, width=8, act=8))
+    artifact = load(tmp_path / "a.nir", written_by="snntorch")
+    delayed = replace(artifact, convention=replace(artifact.convention, reset="subtract-delayed"))
+    raster = np.random.default_rng(1).random((4, 200, 8)) < 0.3
+    found = [FloatGraph(each).run(raster)["output"] for each in (artifact, delayed)]
+    assert found[0].sum() > 500
+    np.testing.assert_array_equal(*found)
+
+
+@pytest.mark.parametrize("kind", ["leaky", "synaptic"])
+def test_neurons_of_snntorch_that_subtract_at_once_run_on_chips_that_subtract(kind):
+    artifact = recorded(f"snntorch_{kind}_at_once")
+    with np.load(FOLDER / f"snntorch_{kind}_at_once.npz") as arrays:
+        inputs, outputs = arrays["input"], arrays["output"]
+    ideal = Machine(compile_program(artifact, chip("ideal")), 1)
+    np.testing.assert_array_equal(ideal.infer(inputs[None])[0], outputs)
+    xylo = Machine(compile_program(artifact, chip("xylo-a2")), 1)  # its limits kept
+    assert (xylo.infer(inputs[None])[0] != outputs).mean() < 0.2  # weights of 8 bits
 
 
 # what is refused
