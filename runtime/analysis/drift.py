@@ -180,6 +180,7 @@ class Drift:
     ablation: from rounded weights to the chip; empty where the arithmetic has none.
     findings: layers that are dead or saturated.
     readouts: layers on the chip whose membranes leave it.
+    remarks: on layers that one large number makes coarse (runtime.compiler.outliers).
     """
 
     chip: str
@@ -194,6 +195,7 @@ class Drift:
     ablation: tuple[_AblationStep, ...]
     findings: tuple[Finding, ...]
     readouts: tuple[_ReadoutDrift, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The fields, plain; the ablation is called rungs there."""
@@ -253,6 +255,7 @@ def drift(
         ablation=tuple(ablation),
         findings=tuple(diagnose(floats, program, raster, twin, runs)),
         readouts=tuple(_readout_drift(name, twin, seen) for name in seen.membranes),
+        remarks=program.outliers,
     )
 
 

@@ -7,6 +7,7 @@ chains    maps between neurons as kernels with their windows, or as matrices
 wiring    layers of neurons and their synapses, as a chip has them
 mapping   populations on cores, and how full those are
 rules     the design rules, and what they found in a network
+outliers  layers that one large number makes coarse, and what helps
 compile   the compiler itself, and the check of every design rule without an error
 program   the result: a network as one chip runs it
 """

@@ -10,6 +10,7 @@ from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.layer import MAX_BYTES, Layer
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.mapping import CoreMapping
+from spikedeploy.runtime.compiler.outliers import outlier_remarks
 from spikedeploy.runtime.compiler.program import HostOutput, Program, Readout
 from spikedeploy.runtime.compiler.rules import (
     ARITHMETIC,
@@ -76,8 +77,17 @@ def _compile(
     layers = chip.arithmetic.quantise(program, quantisation, chip.name, rows, limits=limits)
     if placed:  # last: the compiler itself is more precise
         refuse(placed, ARITHMETIC)
-    ranges = chip.arithmetic.ranges(layers, rows)
-    return replace(program, layers=tuple(layers), remarks=(*program.remarks, *ranges))
+    outliers = outlier_remarks(
+        chip.arithmetic,
+        program.layers,
+        layers,
+        quantisation,
+        lambda floats, chosen: chip.arithmetic.quantise(
+            replace(program, layers=tuple(floats)), chosen, chip.name, rows, limits=limits
+        ),
+    )
+    remarks = (*program.remarks, *chip.arithmetic.ranges(layers, rows), *outliers)
+    return replace(program, layers=tuple(layers), remarks=remarks, outliers=tuple(outliers))
 
 
 def own_clock(convention: Convention) -> Clock:
@@ -302,6 +312,7 @@ def check(artifact: Artifact, on: Chip) -> DesignCheck:
     arithmetic, layers = program.chip.arithmetic, program.layers
     ranges = arithmetic.ranges(layers, _rows(artifact, program))
     transport = arithmetic.transport_remarks(layers, program.input)
-    note = "; ".join(program.remarks if program.reads_membranes else (*transport, *ranges))
+    own = (*transport, *ranges, *program.outliers)
+    note = "; ".join(program.remarks if program.reads_membranes else own)
     ruling = RuleResult(COMPILE, None, "pass", "a program", note=note)
     return DesignCheck(on, (*rulings, ruling), placed.mapping, program)

@@ -70,6 +70,8 @@ def print_report(report: DesignReport, everything: bool = True) -> None:
         print(_verdict(report, each, alone))
     if not alone:
         _print_remedies(report)
+    if not (everything and alone):  # which prints all notes
+        _print_outliers(report)
     _print_neurons(report)
     if not everything:
         print("All rules: --rules" + "; why a chip cannot: --chip NAME" * (not alone))
@@ -79,6 +81,16 @@ def _print_remedies(report: DesignReport) -> None:
     """Print what another reset changes, once for all chips that it would help."""
     for line in dict.fromkeys(other.describe() for other in report.resets.values()):
         print_text(line)
+
+
+def _print_outliers(report: DesignReport) -> None:
+    """Print what is said of layers that one large number makes coarse, with the chips where so."""
+    chips: dict[str, list[str]] = {}
+    for each in report.checks:
+        for remark in each.program.outliers if each.program else ():
+            chips.setdefault(remark, []).append(each.chip.name)
+    for remark, names in chips.items():
+        print_text(remark if len(report.checks) == 1 else f"{', '.join(names)}: {remark}")
 
 
 def _print_neurons(report: DesignReport) -> None:

@@ -1,0 +1,184 @@
+"""Outliers: layers in which one large number leaves all others few of the chip's bits.
+
+The scale of a layer makes its largest weight, bias or threshold the largest that fits. Where one
+neuron, or the synapses of one source neuron, have numbers many times those of the others, these are
+rounded to a few steps, or to nothing. The test is a trial: the layer is quantised once more as the
+remedy would have it, and named only if its weights then lose much less.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikedeploy.runtime.chips.arithmetic import Arithmetic
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.errors import SpikedeployError
+
+Floats = NDArray[np.float64]
+# the layers of a network, of which one may be another, as the chip's integers
+Quantiser = Callable[[Sequence[Layer], Quantisation], Sequence[Layer]]
+
+# part of itself that rounding changes in the median weight, from which a layer is looked at
+_COARSE = 0.05
+# times less that it has to be with the remedy
+_BETTER = 3.0
+# times the median of the others from which a number is large
+_LARGE = 10.0
+
+
+@dataclass(frozen=True)
+class _Large:
+    """The neuron, or source neuron, with the largest numbers, and how many times the others'."""
+
+    place: int
+    times: float
+    what: str
+
+
+def outlier_remarks(
+    arithmetic: Arithmetic,
+    before: Sequence[Layer],
+    after: Sequence[Layer],
+    quantisation: Quantisation,
+    quantise: Quantiser,
+) -> list[str]:
+    """A sentence on each layer that one large number makes coarse, with what would help.
+
+    before, after: the layers in floats, and as quantised.
+    """
+    if not arithmetic.rounds:
+        return []
+    found = []
+    for place, (floats, integers) in enumerate(zip(before, after, strict=True)):
+        coarse = _median_error(arithmetic, floats, integers)
+        if coarse < _COARSE:
+            continue
+
+        def better(
+            layer: Layer, chosen: Quantisation = quantisation, at: int = place, was: float = coarse
+        ) -> bool:
+            """Whether weights lose much less in a layer in the place of this one."""
+            tried = [*before[:at], layer, *before[at + 1 :]]
+            try:
+                rounded = quantise(tried, chosen)[at]
+            except SpikedeployError:
+                return False
+            return _median_error(arithmetic, layer, rounded) * _BETTER <= was
+
+        remark = _by_neuron(arithmetic, floats, quantisation, better) or _by_axon(floats, better)
+        if remark:
+            found.append(
+                f"layer {floats.name!r}: {remark[0]}, so that rounding changes half of its weights "
+                f"by {min(coarse, 1):.0%} and more: {remark[1]}"
+            )
+    return found
+
+
+def _by_neuron(
+    arithmetic: Arithmetic,
+    layer: Layer,
+    quantisation: Quantisation,
+    better: Callable[..., bool],
+) -> tuple[str, str] | None:
+    """The large neuron and the remedy; None where there is none, or the remedy is none."""
+    fills = _fills(arithmetic, layer)
+    largest = max(fills, key=lambda what: float(fills[what].max()))
+    reach = np.max(list(fills.values()), axis=0)
+    large = _largest(reach, f"the largest {largest}")
+    if large is None:
+        return None
+    said = f"{large.what} is {large.times:.3g} x the others', in neuron {large.place}"
+    if "granularity" in arithmetic.choices and quantisation.granularity == "layer":
+        if better(layer, replace(quantisation, granularity="channel")):
+            return said, "--quantise channel"
+    elif quantisation.granularity == "layer" and better(_divided(layer, reach)):
+        return said, (
+            f"divide the neuron's weights, bias and threshold by {large.times:.3g}, which changes "
+            "nothing in float"
+        )
+    return None
+
+
+def _by_axon(layer: Layer, better: Callable[..., bool]) -> tuple[str, str] | None:
+    """The source neuron whose weights are large, and the remedy; or None."""
+    for k, synapses in enumerate(layer.synapses):
+        axis = (0, 2, 3) if synapses.window is not None else 1
+        reach = np.abs(synapses.weight).max(axis=axis)
+        if (large := _largest(reach, "the largest weight")) is None:
+            continue
+        usual = float(np.median(reach[reach > 0]))
+        factors = np.where(reach > _LARGE * usual, usual / np.maximum(reach, usual), 1.0)
+        shape = (1, -1, 1, 1) if synapses.window is not None else (-1, 1)
+        less = replace(synapses, weight=synapses.weight * factors.reshape(shape))
+        others = (*layer.synapses[:k], less, *layer.synapses[k + 1 :])
+        if better(replace(layer, synapses=others)):
+            of = "channel" if synapses.window is not None else "number"
+            said = f"{large.what} is {large.times:.3g} x the others', from {synapses.source!r}"
+            return f"{said} {of} {large.place}", (
+                "make its weights smaller and its spikes more, or give it several inputs; no "
+                "scale of the chip helps all of its targets"
+            )
+    return None
+
+
+def _largest(reach: Floats, what: str) -> _Large | None:
+    """The largest of several, where it is many times the median of the others that are not 0."""
+    place = int(reach.argmax())
+    others = np.delete(reach, place)
+    others = others[others > 0]
+    if not others.size or reach[place] < _LARGE * (usual := float(np.median(others))):
+        return None
+    return _Large(place, float(reach[place]) / usual, what)
+
+
+def _fills(arithmetic: Arithmetic, layer: Layer) -> dict[str, Floats]:
+    """(N,) weights, biases and thresholds of each neuron, over what the chip holds of each."""
+    shift = getattr(arithmetic, "mantissa_shift", 0)
+    most = float((1 << arithmetic.weight_bits) - 1)
+    # of a Loihi, whose biases are wider than its weights
+    mantissa = getattr(arithmetic, "bias_mantissa_max", 0)
+    wide = (mantissa << getattr(arithmetic, "bias_exponent_max", 0)) >> shift
+    weights = [s.over_axons(np.abs(s.weight), np.maximum) for s in layer.synapses]
+    found = {
+        "weight": np.max(weights, axis=0) / most,
+        "bias": np.maximum(np.abs(layer.bias) / most, np.abs(layer.voltage_bias) / (wide or most)),
+    }
+    if layer.spiking:
+        held = max(arithmetic.threshold_range[1] >> shift, 1)
+        found["threshold"] = np.abs(layer.threshold) / held
+    channels = {len(s.weight) for s in layer.synapses if s.window is not None}
+    for of in channels:  # neurons that share a kernel share a scale
+        found = {
+            what: np.repeat(each.reshape(of, -1).max(axis=1), layer.size // of)
+            for what, each in found.items()
+        }
+    return found
+
+
+def _divided(layer: Layer, reach: Floats) -> Layer:
+    """The layer with all neurons as large as each other, which float neurons do not tell apart."""
+    factors = np.divide(reach.max(), reach, out=np.ones(layer.size), where=reach > 0)
+    return replace(
+        layer,
+        synapses=tuple(s.scaled(factors) for s in layer.synapses),
+        **{n: getattr(layer, n) * factors for n in ("bias", "voltage_bias", "threshold")},
+    )
+
+
+def _median_error(arithmetic: Arithmetic, before: Layer, after: Layer) -> float:
+    """The part of itself by which rounding changes the median of the weights that are not 0."""
+    # state units of a weight's unit, where the chip has a register of a finer kind for states
+    unit = float(1 << getattr(arithmetic, "mantissa_shift", 0))
+    parts = []
+    for exact, rounded in zip(before.synapses, after.synapses, strict=True):
+        scale = exact.by_weight(after.scale) if exact.weight.shape == rounded.weight.shape else None
+        if scale is None:  # the chip stores the synapses otherwise
+            return 0.0
+        held = rounded.weight * unit * scale
+        used = exact.weight != 0
+        parts.append((np.abs(held - exact.weight)[used] / np.abs(exact.weight[used])).ravel())
+    errors = np.concatenate(parts) if parts else np.zeros(0)
+    return float(np.median(errors)) if errors.size else 0.0
