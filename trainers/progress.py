@@ -30,7 +30,7 @@ _SHOWN = {
     "updates_per_s": "{:,.0f} updates/s",
     "phase": "phase {:.0f}",
     "walks": "{:,.0f} walks",
-    "operations": "{:,.0f} operations",
+    "operations": "about {:,.0f} operations",  # expected, not counted on a chip
 }
 PAUSE = 10.0  # seconds between two lines where there is no terminal
 # SIGTERM is what schedulers and `kill` send, SIGHUP a terminal that is closed; Windows lacks both

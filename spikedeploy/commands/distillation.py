@@ -118,7 +118,8 @@ def teacher_options(run: Path) -> list[str]:
 class Level:
     """A level of pruning: its best checkpoint, in validation.
 
-    operations: of a control step, as validation counted them
+    operations: of a control step, as the chip's ledger counted them in the episodes of the share;
+        of float networks multiplications with inputs that are not 0
     share: of the teacher's return, over that of random actions
     chosen: whether it is the policy of the run
     """
@@ -143,8 +144,9 @@ def front(run: Path) -> list[Level]:
             chosen = level == f"{LEVEL}{best['kept']:g}"
         else:
             chosen = bool(best) and state["updates"] == best["updates"]
+        counted = best if chosen else state
         share = shares.get(level, state["eval_share"])
-        found.append(Level(state["eval_operations"], share, chosen))
+        found.append(Level(counted["eval_operations"], share, chosen))
     if best and not any(each.chosen for each in found):  # what was never pruned
         found.append(Level(best["eval_operations"], best["eval_share"], True))
     return sorted(found, key=lambda each: -each.operations)
@@ -225,7 +227,7 @@ def describe(run: Path, found: Mapping[str, Sequence[Level]]) -> str:
     ended = [each["operations"] for each in last.get("ended", ()) if each["goal"] is None]
     if found and c["budget"] and ended[-1] <= c["budget"]:
         lines.append(
-            f"the budget of {c['budget']:,.4g} operations did not bind: the student had "
-            f"{ended[-1]:,.4g} before pruning"
+            f"the budget of {c['budget']:,.4g} operations did not bind: by training's estimate the "
+            f"student had {ended[-1]:,.4g} before pruning"
         )
     return "".join(f"{line}\n" for line in lines)

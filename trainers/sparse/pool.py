@@ -109,6 +109,11 @@ class Episodes:
         self._envs: list[Any] = [envs.make(config.name, **config.options) for _ in every]
 
     @property
+    def lengths(self) -> list[int]:
+        """Control steps of each episode of the last call of `play`."""
+        return [len(each.reward) for each in self.earned]
+
+    @property
     def worlds(self) -> list[Any]:
         """The environments behind their wrappers."""
         return [env.unwrapped for env in self._envs]

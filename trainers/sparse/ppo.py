@@ -255,12 +255,11 @@ class SparsePpo(Runner[SparsePpoConfig]):
 
     def _evaluate(self) -> dict[str, float]:
         seeds, controller = self._config.validation.seeds, on_chip(self._deployed(), self._chip)
-        walks, returns, infos = self._episodes.play(seeds, controller, self._teacher.act_all)
+        _, returns, infos = self._episodes.play(seeds, controller)
         row = mean_outcome(returns, infos)
-        gain = row["eval_return"] - self.start_return
         return row | {
-            "eval_operations": self.learner.operations(WalkPool(walks)),
-            "eval_gain": gain,
+            "eval_operations": controller.operations(self._episodes.lengths),
+            "eval_gain": row["eval_return"] - self.start_return,
         }
 
     def _validate(self) -> dict[str, float]:

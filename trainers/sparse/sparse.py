@@ -308,13 +308,14 @@ class Sparse(Runner[SparseConfig]):
     def _measure(
         self, policy: Policy, seeds: list[int], references: tuple[float, float]
     ) -> dict[str, float]:
-        _, returns, infos = self._episodes.play(seeds, on_chip(policy, self._chip))
+        controller = on_chip(policy, self._chip)
+        _, returns, infos = self._episodes.play(seeds, controller)
         row = mean_outcome(returns, infos)
         earned, (teacher, none) = row["eval_return"], references
         return row | {
             "eval_of_teacher": earned / teacher if teacher else math.nan,
             "eval_share": (earned - none) / (teacher - none) if teacher != none else math.nan,
-            "eval_operations": operations(self._student.synapses()),
+            "eval_operations": controller.operations(self._episodes.lengths),
         }
 
     def _validates(self, before: int) -> bool:
@@ -348,13 +349,12 @@ class Sparse(Runner[SparseConfig]):
         share, count = max(self._shares), operations(self._student.synapses())
         wanted = target(self._config, self._ended)
         if phase.last is not None and not self._config.budget and share >= wanted:
-            level = f"{LEVEL}{phase.last:g}"
-            policy, before = self._run.policy(level), self._run.load(level)[0]
+            policy = self._run.policy(f"{LEVEL}{phase.last:g}")
             row = self._measure(policy, self._config.confirming, self._confirming)
             share = row["eval_share"]
             if share >= wanted:
                 self.kept = phase.last
-                self._save_best(policy, {**row, "eval_operations": before["eval_operations"]})
+                self._save_best(policy, row)
         self._ended.append(Ended(phase.last, count, share))
         self._shares = []
         self._plan_on()

@@ -184,7 +184,7 @@ def test_a_budget_that_does_not_bind_is_said(before, said, tmp_path, monkeypatch
     monkeypatch.setattr(RunFolder, "settings", lambda self: config)
     monkeypatch.setattr(RunFolder, "load", lambda self, name: (numbers | best, {}))
     monkeypatch.setattr("pathlib.Path.is_file", lambda self: True)
-    line = "the budget of 120 operations did not bind: the student had 84 before pruning"
+    line = "did not bind: by training's estimate the student had 84 before pruning"
     assert (line in describe(tmp_path, {STUDENT: [Level(80.0, 1.0, True)]})) == said
 
 

@@ -5,6 +5,7 @@ import torch
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.trainers.config import EnvConfig
+from spikedeploy.trainers.policies import PrunedGruPolicy
 from spikedeploy.trainers.sparse.pool import (
     Episodes,
     Stateless,
@@ -15,7 +16,7 @@ from spikedeploy.trainers.sparse.pool import (
 )
 from spikedeploy.trainers.sparse.student import FloatController, on_chip
 from tests import toy_race_env, toy_stroll_env
-from tests.delta_policies import delta_policy, walk
+from tests.delta_policies import delta_policy, pruned_mlp, walk
 
 DECAY = 0.9
 ENCODER = DeltaEncoder(np.array([0.3, 0.5, np.inf]), most=2)
@@ -214,3 +215,30 @@ def test_a_policy_walks_on_the_chip_as_in_float_or_nearly(target):
     tolerance = 1e-5 if target == "ideal" else 0.2
     for one, other in zip(by_torch, by_chip, strict=True):
         np.testing.assert_allclose(one.observation, other.observation, atol=tolerance)
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        delta_policy(obs=3),
+        pruned_mlp(obs=3),
+        PrunedGruPolicy(3, 2, [5], 3),
+    ],
+    ids=lambda policy: policy.kind,
+)
+def test_operations_are_those_of_each_robot_until_its_episode_ends(policy):
+    seen, lengths = np.random.default_rng(0).normal(size=(9, 3, 3)), [9, 2, 5, 4, 7]
+    alone = 0.0
+    for robot, steps in enumerate(lengths):
+        counted = on_chip(policy, chip("loihi1"))
+        counted.reset(1)
+        for row in seen[:steps, robot % 3]:
+            counted.act_batch(row[None])
+        alone += steps * counted.operations([steps])
+    together = on_chip(policy, chip("loihi1"))
+    for first, count in ((0, 3), (3, 2)):
+        together.reset(count)
+        for row in seen[: max(lengths[first : first + count])]:
+            together.act_batch(row[:count])
+    assert together.operations(lengths) == pytest.approx(alone / sum(lengths))
+    assert alone > 0
