@@ -2,14 +2,15 @@
 
 They are trained here, one a task, in three to twelve minutes of one core, and kept in
 results/students. Of each seed `distill` trains a spiking student and its float rival, without any
-setting; a linear policy is trained and pruned likewise. All play the same episodes: the student on
-the chip, float policies with weights of 8 bits.
+setting; a linear policy is trained and pruned likewise. Of the double pendulum there are regulators
+beside them (late.py). All play the same episodes: the student on the chip, float policies with
+weights of 8 bits.
 """
 
 import csv
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
@@ -20,8 +21,9 @@ from statistics import median
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lab.experiments import DESIGNS, QUICK, pages
+from lab.experiments import DESIGNS, QUICK, late, pages
 from lab.experiments.gymnasium import TaskTraining
 from lab.experiments.networks import (
     float_actions,
@@ -30,12 +32,12 @@ from lab.experiments.networks import (
     play,
     random_actions,
 )
-from lab.experiments.pages import ROOT, grouped, mean, number, share
+from lab.experiments.pages import ROOT, grouped, mean, number, percent, share
 from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows, write_exactly
 from spikedeploy import envs, zoo
 from spikedeploy.commands.distillation import FLOAT, RIVAL, SPARSE, STUDENT
-from spikedeploy.comparison.statistics import nested_ratio
+from spikedeploy.comparison.statistics import nested_ratio, risk, t_interval
 from spikedeploy.envs.foreign import attribute, import_target
 from spikedeploy.files import replacing
 from spikedeploy.reports.table import ABSENT
@@ -47,15 +49,23 @@ from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.pool import BatchController, Stateless
 
 TEACHER, RANDOM, IDLE, LINEAR = "teacher", "random", "no action", "float linear"
-ROLES = (TEACHER, RANDOM, IDLE, STUDENT, FLOAT, LINEAR)
+# role -> whether it is shown its last action, and whether it acts a control step late
+REGULATORS = {
+    "LQR": (False, False), "LQR, late": (False, True),
+    "LQR, late, shown its last action": (True, True),
+}  # fmt: skip
+ROLES = (TEACHER, RANDOM, IDLE, STUDENT, FLOAT, LINEAR, *REGULATORS)
 PRICES = ("horowitz45-int8", "horowitz45-int8-acc16")  # sums in registers, in memory
 TASKS: Mapping[str, Record] = DESIGNS["students"]["tasks"]
 TEACHERS = ROOT / "results" / "students"
 WANTED = 0.97  # of the teacher
-_TYPICAL: Sequence[Callable[[Sequence[float]], float]] = (median, min)  # of trainings
-_VERSION = 1  # of what a row holds; a higher one makes all rows again
+_LOST = 0.5  # of the way to the teacher's mean: an episode that earns less is lost
+_VERSION = 2  # of what a row holds; a higher one makes all rows again
 _TEXT = ("task", "role")
-_COLUMNS = ("task", "role", "seed", "episodes", "operations", "updates", "minutes", "scores")
+_COLUMNS = (
+    "task", "role", "seed", "episodes", "operations", "updates", "readout_updates", "minutes",
+    "validation", "scores",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -115,6 +125,8 @@ class StudentsDesign(Design):
             found.append(Part(name, partial(self._taught, task)))
             rows = partial(self._teacher_rows, task)
             found.append(Part(f"{task}-episodes", rows, after=[name]))
+            if task == late.NAME:
+                found.append(Part(f"{task}-regulators", partial(self._played, task, REGULATORS)))
         for training in self.trainings():
             parents = [each.name for each in training.parents.values()]
             after = [f"{training.env}-episodes", *parents]
@@ -134,13 +146,16 @@ class StudentsDesign(Design):
         return file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
 
     def _teacher_rows(self, task: str) -> list[StoredRow]:
-        roles = (TEACHER, RANDOM, IDLE)
+        return self._played(task, (TEACHER, RANDOM, IDLE))
+
+    def _played(self, task: str, roles: Iterable[str]) -> list[StoredRow]:
         return [row for role in roles for row in self._rows(task, role, 0, None)]
 
     def _rows(
         self, task: str, role: str, seed: int, training: TrainingJob | None
     ) -> list[StoredRow]:
-        file = Path(self.runs) / "evaluations" / f"{task}-{role.replace(' ', '-')}-s{seed}.json"
+        name = role.replace(",", "").replace(" ", "-")
+        file = Path(self.runs) / "evaluations" / f"{task}-{name}-s{seed}.json"
         policy = training.checkpoint() if training else self._file(task)
         of = {
             "episodes": self.episodes,
@@ -159,6 +174,10 @@ class StudentsDesign(Design):
             act: BatchController = random_actions(env.name)
             if role == IDLE:
                 act = _idle(env.name)
+            elif role in REGULATORS:
+                gains = late.gain(REGULATORS[role][0])
+                act = late.Regulator(gains, REGULATORS[role][1])
+                counts = {"operations": float(gains.size)}
             elif role == TEACHER:
                 found = teacher(str(self._file(task)), env.name)
                 act = float_actions(found, is_discrete(env.name))
@@ -170,10 +189,14 @@ class StudentsDesign(Design):
             placed = network(training.existing_run, "best", place, stem)
             played = play(env, self.episodes, placed.controller, self.limit)
             did = placed.counts(played.walks)
+            run = RunFolder(training.existing_run)
             counts = {
                 "operations": did["operations"],
                 "updates": did.get("neuron_updates"),
-                "minutes": _minutes(RunFolder(training.existing_run)),
+                "readout_updates": did.get("readout_updates"),
+                "minutes": _minutes(run),
+                # by which a training may be chosen: these episodes choose none
+                "validation": run.load("best")[0]["eval_share"],
             }
         who = {"task": task, "role": role, "seed": seed, "episodes": self.episodes}
         return {**who, **counts, "scores": played.returns}
@@ -201,21 +224,17 @@ class StudentsDesign(Design):
             first_seed=EVALUATION,
             chip=self.chip,
             tasks=tasks,
-            trained=sum(STUDENT in each["policies"] for each in tasks),
             count={name: sum(each[name] for each in tasks) for name in ("kept", "surely")},
             fewer=np.sum([each["fewer"] for each in tasks], axis=0),
-            energies=[each["energy"] for each in tasks if each["energy"]],
-            roles={"student": STUDENT, "mlp": FLOAT, "linear": LINEAR},
+            unknown=_unknown(rows),
+            lost=_LOST,
+            rows=[row for each in tasks for row in each["rows"]],
             missing=[
                 training.name
                 for training in self.trainings()
                 if (training.env, training.role, training.seed)
                 not in {(r["task"], r["role"], r["seed"]) for r in rows}
             ],
-            each=_each,
-            minutes=lambda of: number(of and of["minutes"]),
-            number=number,
-            share=share,
             facts=[f"- {pages.releases('torch', 'numpy', 'gymnasium', 'mujoco')}"],
             **{"WANTED": WANTED, "PRICES": PRICES},
         )
@@ -267,54 +286,115 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
     taught = by[task, TEACHER][0]["scores"]
     earned, random = float(np.mean(taught)), float(np.mean(by[task, RANDOM][0]["scores"]))
     idle = float(np.mean(by[task, IDLE][0]["scores"])) if (task, IDLE) in by else None
-    roles = {role: by[task, role] for role in (STUDENT, FLOAT, LINEAR) if (task, role) in by}
+    roles = {role: by[task, role] for role in ROLES if (task, role) in by}
     # of the way from what no policy earns to what the teacher does
     zero = max(random, -np.inf if idle is None else idle)
-    shares = {
-        role: nested_ratio(
-            np.asarray([row["scores"] for row in rows]) - zero, np.asarray(taught) - zero
-        )
+    policies = {
+        role: _policy(rows, np.asarray(taught), zero)
         for role, rows in roles.items()
+        if role not in (RANDOM, IDLE)
     }
-    enough = [role for role in (FLOAT, LINEAR) if role in shares and shares[role].mean >= WANTED]
-    counts = {role: [row["operations"] for row in rows] for role, rows in roles.items()}
-    cheapest = [
-        min((typical(counts[role]) for role in enough), default=math.inf) for typical in _TYPICAL
-    ]
-    students = roles.get(STUDENT, [])
+    student = policies.get(STUDENT)
+    floats = [policies[role] for role in (FLOAT, LINEAR) if role in policies]
+    cheapest = _cheapest(floats)
     energy = []
-    for price in (TABLES[name].joules for name in PRICES if students and enough):
-        spent = [
-            r["operations"] * price["sop"] + r["updates"] * price["neuron_update"] for r in students
-        ]
+    for price in (TABLES[name].joules for name in PRICES if student and cheapest[0] < math.inf):
+        spent = [_energy(row, price) for row in roles[STUDENT]]
         energy.append(float(np.median(spent) / (cheapest[0] * price["mac"])))
     return {
         "name": task,
-        "env": TASKS[task]["env"],
-        "teacher": by[task, TEACHER][0],
         "earned": earned,
         "random": random,
         "idle": idle,
-        "policies": {
-            role: {
-                "trainings": len(rows),
-                "share": shares[role],
-                "operations": counts[role],
-                "updates": [row["updates"] for row in rows],
-                "minutes": mean(rows, "minutes"),
-            }
-            for role, rows in roles.items()
-        },
+        "policies": policies,
+        "rows": [_line(task, role, each, energy) for role, each in policies.items()],
         "energy": energy,
-        "kept": STUDENT in shares and shares[STUDENT].mean >= WANTED,
-        "surely": STUDENT in shares and shares[STUDENT].ci95[0] >= WANTED,
+        "kept": student is not None and student["kept"],
+        "surely": student is not None and student["share"].ci95[0] >= WANTED,
         "fewer": [
-            bool(students) and typical(counts[STUDENT]) < least
-            for typical, least in zip(_TYPICAL, cheapest, strict=True)
+            mine < least < math.inf
+            for mine, least in zip(_cheapest([student] if student else []), cheapest, strict=True)
         ],
     }
 
 
-def _each(of: Record | None, what: str) -> str:
-    """A count of each training."""
-    return ", ".join(f"{count:,.0f}" for count in of[what]) if of else ABSENT
+def _unknown(rows: Sequence[Record]) -> str:
+    """How many trainings have no record of their validation; nothing where all have."""
+    trained = [row for row in rows if row["role"] in (STUDENT, FLOAT, LINEAR)]
+    lacking = sum(row["validation"] is None for row in trained)
+    return f"{lacking} of {len(trained)}" if lacking else ""
+
+
+def _policy(rows: Sequence[Record], taught: NDArray[np.float64], zero: float) -> Record:
+    """Facts of the trainings of a policy: returns, operations, and which keep enough."""
+    scores = np.asarray([row["scores"] for row in rows])
+    share_of = nested_ratio(scores - zero, taught - zero)
+    each = (scores.mean(1) - zero) / (taught.mean() - zero)
+    return {
+        "trainings": len(rows),
+        "share": share_of,
+        "kept": share_of.mean >= WANTED,
+        "each": each.tolist(),
+        "lost": (scores < zero + _LOST * (taught.mean() - zero)).sum(1).tolist(),
+        "worst": float(np.mean([risk(each) for each in scores])),
+        "earned": float(scores.mean()),
+        "operations": [row.get("operations") for row in rows],
+        "updates": [row.get("updates") for row in rows],
+        "readouts": [row.get("readout_updates") for row in rows],
+        "validation": [row.get("validation") for row in rows],
+        "minutes": mean(rows, "minutes"),
+    }
+
+
+def _cheapest(policies: Sequence[Record]) -> tuple[float, float]:
+    """Fewest operations with which policies keep enough; infinite where none does.
+
+    By the median of a policy's trainings, of those policies whose mean keeps it; and of the best
+    training, of those that kept it in validation. Which episodes are shown decides about none of
+    them. Of trainings whose validation nobody recorded the policy's mean has to keep it.
+    """
+    medians = [median(each["operations"]) for each in policies if each["kept"]]
+    best = [
+        count
+        for each in policies
+        for count, known in zip(each["operations"], each["validation"], strict=True)
+        if (each["kept"] if known is None else known >= WANTED)
+    ]
+    return min(medians, default=math.inf), min(best, default=math.inf)
+
+
+def _energy(row: Record, price: Mapping[str, float]) -> float:
+    """Energy [J] of a student's synaptic operations and updates; readouts hold one state."""
+    whole = price["neuron_update"]
+    alone = price.get("one_state_update", whole) - whole
+    return float(
+        row["operations"] * price["sop"]
+        + row["updates"] * whole
+        + (row.get("readout_updates") or 0.0) * alone
+    )
+
+
+def _line(task: str, role: str, of: Record, energy: Sequence[float]) -> list[str]:
+    """The cells of a policy in the table."""
+    several = of["trainings"] > 1
+    alone = role == TEACHER
+    return [
+        task,
+        role,
+        f"{of['earned']:,.4g}",
+        ABSENT if alone else share(of["share"]),
+        percent(t_interval(of["each"]), 1) if several else ABSENT,
+        _counts(of["each"], ".1%") if several else ABSENT,
+        _counts(of["lost"]),
+        f"{of['worst']:,.4g}",
+        _counts(of["operations"]),
+        _counts(of["updates"]),
+        _counts(of["readouts"]),
+        "; ".join(f"{each:,.1f}" for each in energy) or ABSENT if role == STUDENT else ABSENT,
+        number(of["minutes"]),
+    ]
+
+
+def _counts(values: Sequence[float | None], form: str = ",.0f") -> str:
+    """A number of each training."""
+    return ", ".join(number(value, form) for value in values if value is not None) or ABSENT
