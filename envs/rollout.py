@@ -74,6 +74,15 @@ class Rollout:
         """Success by the last step's info; None where it does not say."""
         return bool(self.info["success"][-1]) if "success" in self.info else None
 
+    @property
+    def failed(self) -> bool | None:
+        """Whether a terminal state other than success ended it: a fall, a crash, being lost.
+
+        None where the environment does not say what success is. An episode that runs to its time
+        limit without success is neither.
+        """
+        return None if self.success is None else self.terminated and not self.success
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a .npz file atomically."""
         infos = {f"info/{name}": values for name, values in self.info.items()}

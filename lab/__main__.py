@@ -19,6 +19,7 @@ COMMANDS = {
     "eye-events": "lab.experiments.eye_events",
     "eye-trainings": "lab.experiments.eye_trainings",
     "tiles-trainings": "lab.experiments.tiles_trainings",
+    "hidden-neurons": "lab.experiments.hidden_neurons",
     "kart-trainings": "lab.experiments.kart_trainings",
     "phase-table": "lab.experiments.phase_table",
     "convolutions": "lab.bench.convolutions",

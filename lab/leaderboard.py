@@ -19,16 +19,22 @@ from typing import Any, Union, get_args, get_origin
 import numpy as np
 from pydantic import BaseModel
 
-from lab.experiments import clocks, energy_ratio, fronts
+from lab.experiments import clocks, energy_ratio, fronts, hidden_neurons
 from lab.fpga import put
 from spikedeploy import zoo
+from spikedeploy.comparison.statistics import risk
 from spikedeploy.envs import spec
 from spikedeploy.errors import ConfigError
 from spikedeploy.files import write_text
 from spikedeploy.reports.table import escape_markdown, format_si, markdown_text
 from spikedeploy.runtime.metrics.energy_tables import TABLES
 from spikedeploy.shipping import leaderboard
-from spikedeploy.shipping.leaderboard import Energy, LeaderboardRow, PolicyEntry
+from spikedeploy.shipping.leaderboard import (
+    Energy,
+    LeaderboardRow,
+    OverTrainings,
+    PolicyEntry,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "results"
@@ -67,7 +73,7 @@ def all_rows() -> dict[str, LeaderboardRow]:
 
 def own_rows() -> Iterator[tuple[str, LeaderboardRow]]:
     """The name and the row of each task with a policy for a Loihi's own clock."""
-    over = clocks.read(RESULTS / "clocks.csv")
+    over, hidden = clocks.read(RESULTS / "clocks.csv"), hidden_neurons.read()
     for task in energy_ratio.WALKS_AND_KARTS:
         card = zoo.card(f"{task}/sparse")
         reference = zoo.card(str(zoo.teacher(task)))
@@ -84,7 +90,7 @@ def own_rows() -> Iterator[tuple[str, LeaderboardRow]]:
         }
         made = leaderboard.row_of_rows(
             spec(task).id,
-            {**row, "file": f"{name}.nir"},
+            {**row, "file": f"{name}.nir", "failure_rate": _failure_rate(row)},
             reference["evaluation"][0],
             None,
             evidence,
@@ -92,20 +98,35 @@ def own_rows() -> Iterator[tuple[str, LeaderboardRow]]:
                 "source": _SOURCE,
                 "rival": _rival(task),
                 "over_trainings": _over_trainings(task, kind, over),
+                "without_hidden": hidden.get(name, {}).get("kept"),
                 "note": "Share over all trainings; operations and energy of the shipped one.",
             },
         )
         yield f"{OWN}{task}", made
 
 
+def _failure_rate(row: Mapping[str, Any]) -> float:
+    """Failures of a card's row; before they were kept, what ends episodes of ours by failing."""
+    found: float | None = row.get("failure_rate")
+    ends = [float(row.get(name, 0)) for name in ("falls", "crashes", "stalls")]
+    return sum(ends) if found is None else found
+
+
 def _over_trainings(task: str, kind: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     (row,) = (each for each in rows if (each["task"], each["kind"]) == (task, kind))
+    beside = next(row for row in rows if row["task"] == task)  # the reference, which comes first
+    of_trainings = clocks.share_over_trainings(row)
     return {
         "training_seeds": row["trainings"],
         "episodes": row["episodes"],
         "first_seed": clocks.FIRST_SEED,
         "share": row["share"],
         "share_ci95": [row["share_low"], row["share_high"]],
+        "share_t95": list(of_trainings.ci95) if of_trainings else None,
+        "success_rate": row["succeeded"],
+        "failure_rate": clocks.failed(row),
+        "worst_share": None if row["worst"] is None else row["worst"] / beside["mean"],
+        "reference_success_rate": beside["succeeded"],
         "source": f"results/clocks.csv: {task}, {kind}",
     }
 
@@ -113,7 +134,8 @@ def _over_trainings(task: str, kind: str, rows: Sequence[Mapping[str, Any]]) -> 
 def _rival(task: str) -> dict[str, Any]:
     """The cheapest float policy with 98 % of the teacher's score, as results/energy.csv has it.
 
-    Of karts the share is of mean returns, and has no interval: their scores are finishes.
+    Of karts the share is of mean returns, and has no interval: their scores are finishes. Success
+    of walkers was not recorded, nor how many karts stalled.
     """
     pair = _pair(task)
     table = fronts.read_table(RESULTS / "pareto" / f"{task}.csv")
@@ -134,6 +156,8 @@ def _rival(task: str) -> dict[str, Any]:
         "share": earned / teacher["return_mean"] if races else of.mean,
         "share_ci95": None if races else list(of.ci95),
         "success_rate": float(np.mean([row["scores"] for row in point.rows])) if races else None,
+        "failure_rate": None if races else point.mean("falls"),
+        "risk": risk([row["returns" if races else "scores"] for row in point.rows]),
         "training_seeds": len(point.rows),
         "effective_macs": float(pair["macs"]),
         "energy": [{"prices": _INT8, "dynamic_j": float(pair["float_j"])}],
@@ -176,6 +200,13 @@ def _table(rows: Sequence[LeaderboardRow]) -> str:
     return markdown_text([list(_COLUMNS), *([cell(r) for cell in _COLUMNS.values()] for r in rows)])
 
 
+def _linear(kept: float | None) -> str:
+    """What stands after the name of a policy that hardly needs its hidden neurons."""
+    if kept is None or not hidden_neurons.is_linear(kept):
+        return ""
+    return f", linear in events ({kept:.1%} of its return with all hidden neurons dead)"
+
+
 def _share(policy: PolicyEntry, reference: str | None) -> str:
     if policy.share is None:
         earned = policy.return_mean
@@ -191,8 +222,44 @@ def _percent(share: float, interval: Sequence[float] | None) -> str:
 def _earned(row: LeaderboardRow) -> str:
     of = row.over_trainings
     if of:
-        return f"{_percent(of.share, of.share_ci95)} of {row.reference}"
+        t = of.share_t95
+        between = f", t [{t[0]:.1%}, {t[1]:.1%}]" if t else ""
+        return f"{_percent(of.share, of.share_ci95)}{between} of {row.reference}"
     return _share(row.spiking, row.reference)
+
+
+def _success(row: LeaderboardRow) -> str:
+    """`59.2%; sac 91.0%`."""
+    of, beside = row.over_trainings, row.reference_success_rate
+    share = of.success_rate if of else row.spiking.success_rate
+    beside = of.reference_success_rate if of else beside
+    words = [UNKNOWN if share is None else f"{share:.1%}"]
+    if beside is not None:
+        words.append(f"{row.reference} {beside:.1%}")
+    return "; ".join(words)
+
+
+def _failures(row: LeaderboardRow) -> str:
+    of = row.over_trainings
+    return _over_or_own(of.failure_rate if of else None, row.spiking.failure_rate, "{:.1%}", of)
+
+
+def _worst(row: LeaderboardRow) -> str:
+    """In parts of the reference's mean return where that is known."""
+    of, own = row.over_trainings, row.spiking
+    if own.risk is None or not own.share or own.return_mean is None:
+        return _over_or_own(None, own.risk, "{:,.0f}", None)
+    share = own.risk * own.share / own.return_mean
+    return _over_or_own(of.worst_share if of else None, share, "{:.1%}", of)
+
+
+def _over_or_own(
+    over: float | None, own: float | None, form: str, trainings: OverTrainings | None
+) -> str:
+    """A number over all trainings; where they have none that of the shipped one, which it says."""
+    if over is not None:
+        return form.format(over)
+    return UNKNOWN if own is None else form.format(own) + (", shipped one" if trainings else "")
 
 
 def _operations(policy: PolicyEntry) -> str:
@@ -245,6 +312,14 @@ def _rival_cell(row: LeaderboardRow) -> str:
     words = [_operations(rival), "" if energy == UNKNOWN else energy]
     if rival.share is not None and rival.name != row.reference:
         words.insert(0, _percent(rival.share, rival.share_ci95))
+        earned = (rival.return_mean or 0) / rival.share if rival.share else 0  # of the reference
+        worst = rival.risk / earned if rival.risk is not None and earned else None
+        outcomes = {
+            "succeeds": rival.success_rate,
+            "fails": rival.failure_rate,
+            "worst 5 %": worst,
+        }
+        words[1:1] = [f"{name} {x:.1%}" for name, x in outcomes.items() if x is not None]
     if rival.training_seeds:
         words.append(f"{rival.training_seeds} trainings")
     return f"{escape_markdown(rival.name)}: {', '.join(filter(None, words))}"
@@ -258,9 +333,12 @@ def _source_cell(row: LeaderboardRow) -> str:
 
 _COLUMNS: Mapping[str, Callable[[LeaderboardRow], str]] = {
     "task": lambda row: row.task.removeprefix("spikedeploy/"),
-    "policy": lambda row: escape_markdown(row.spiking.name),
+    "policy": lambda row: escape_markdown(row.spiking.name) + _linear(row.without_hidden),
     "chip": lambda row: row.chip or UNKNOWN,
     "return": _earned,
+    "success": _success,
+    "failures": _failures,
+    "worst 5 %": _worst,
     "operations": lambda row: _operations(row.spiking),
     "neuron updates": lambda row: _number(row.spiking.neuron_updates, ",.1f"),
     "encoder": lambda row: row.spiking.encoder or UNKNOWN,

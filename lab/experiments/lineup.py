@@ -24,7 +24,7 @@ from lab.experiments.pages import grouped, mean, percent, releases, versions_at_
 from lab.experiments.runner import Design, Part, command_line
 from lab.experiments.training import NUMBER, Record, StoredRow, TrainingJob, read_rows
 from spikedeploy import zoo
-from spikedeploy.comparison.statistics import nested_ratio, stratified_bootstrap
+from spikedeploy.comparison.statistics import nested_ratio, stratified_bootstrap, t_interval
 from spikedeploy.files import read_json
 from spikedeploy.reports.table import write_rows
 from spikedeploy.runtime.errors import ConfigError
@@ -319,11 +319,15 @@ def _facts(policy: str, rows: Sequence[Record], returns: Mapping[str, Any]) -> R
         "unit": "SOPs" if spikes else "MACs",
         "found": stratified_bootstrap(mine, np.random.default_rng(0)),
         "of_teacher": nested_ratio(mine, teacher) if teacher and policy != "sac" else None,
+        "over_trainings": t_interval(np.array(means) / np.mean(teacher))
+        if teacher and policy != "sac" and len(means) > 1
+        else None,
         "shipped": next((row["return_mean"] for row in rows if row.get("shipped")), None),
         "means": means,
         "success": stratified_bootstrap(successes, np.random.default_rng(0)).mean
         if successes
         else None,
+        "failed": mean(rows, "falls"),
     }
 
 
@@ -340,6 +344,7 @@ def _sparse_rows(env: str, table: Path, episodes: int) -> list[Record]:
         {
             "policy": _SPARSE, "seed": row["seed"], "kind": "snn", "returns": row["scores"],
             "return_mean": row["return_mean"], "sops_per_inference": row["operations"],
+            "falls": row["falls"],
             "shipped": row["seed"] == shipped,
         }
         for row in tuned

@@ -84,6 +84,11 @@ class Row:
         return [episode.success for episode in self.episodes if episode.success is not None]
 
     @property
+    def failures(self) -> list[bool]:
+        """Whether each episode failed (n,); empty where the environment knows no success."""
+        return [episode.failed for episode in self.episodes if episode.failed is not None]
+
+    @property
     def mean(self) -> float:
         """Mean return."""
         return float(np.mean(self.returns))
@@ -175,6 +180,7 @@ class Comparison:
         ann, baseline = self.of_kind("ann"), self.of_kind(*BASELINES)
         estimate = bootstrap(row.returns, _rng())
         succeeded = share(row.successes) if row.successes else None
+        failed = share(row.failures) if row.failures else None
         others = stratified_bootstrap([row.returns], _rng())
         return {
             "training_seeds": row.training_seeds,
@@ -188,10 +194,13 @@ class Comparison:
             "risk_ci95": others.risk.ci95,
             "success_rate": succeeded.mean if succeeded else None,
             "success_ci95": succeeded.ci95 if succeeded else None,
+            "failure_rate": failed.mean if failed else None,
+            "failure_ci95": failed.ci95 if failed else None,
             "ratio_to_float_ann": self._ratio(row, ann) if ann else None,
             "normalised_score": _score(row, baseline, ann) if ann and baseline else None,
             "returns": row.returns,
             "successes": row.successes,
+            "failures": row.failures,
         }
 
     def _ratio(self, row: Row, other: Row) -> float | None:

@@ -120,6 +120,7 @@ class Episode:
     total      return
     steps      control steps, S
     success    as the environment defines it; None where it does not
+    failed     whether it ended without success before its time limit, by Rollout.failed
     metrics    of metrics.measure
     costs      per inference
     agreement  name -> agreement with each of the job's `others`
@@ -131,6 +132,7 @@ class Episode:
     total: float
     steps: int
     success: bool | None
+    failed: bool | None
     metrics: Mapping[str, float]
     costs: Costs
     agreement: Mapping[str, Agreement]
@@ -167,6 +169,7 @@ def summarise(
         total=played.total,
         steps=played.steps,
         success=played.success,
+        failed=played.failed,
         metrics={} if foreign else measure(played.info),
         costs=costs,
         agreement={name: agreement(player, played, other) for name, other in others.items()},

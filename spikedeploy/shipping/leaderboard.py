@@ -27,7 +27,9 @@ FORMAT = 1
 FEWEST_FOR_RISK = 20  # episodes below which NeuroBench's RewardScore has no risk
 _EQUAL = 1e-6  # relative: numbers of a row that follow from one another
 # of a row, what a report does not decide: whoever sends it may write it
-_OF_THE_SENDER = ("source", "link", "read", "note", "over_trainings", "evidence.reproduce")
+_OF_THE_SENDER = (
+    "source", "link", "read", "note", "over_trainings", "without_hidden", "evidence.reproduce",
+)  # fmt: skip
 
 Count = Annotated[FiniteFloat, Field(ge=0)]
 Whole = Annotated[int, Field(ge=0, lt=2**63)]
@@ -65,6 +67,12 @@ class PolicyEntry(_Entry):
     share: FiniteFloat | None = Field(None, description="return_mean over that of the reference")
     share_ci95: Interval | None = Field(None, description="its 95 % interval")
     success_rate: Share | None = Field(None, description="share of the episodes that succeed")
+    failure_rate: Share | None = Field(
+        None, description="share that a terminal state other than success ended: a fall, a crash"
+    )
+    risk: FiniteFloat | None = Field(
+        None, description="mean return of the worst 5 %; null for fewer than 20 episodes"
+    )
     training_seeds: Some | None = Field(None, description="trainings that the numbers are of")
     sops: Count | None = Field(None, description="synaptic operations of a control step")
     effective_acs: Count | None = Field(None, description="accumulates, input not 0")
@@ -83,6 +91,17 @@ class OverTrainings(_Entry):
     first_seed: Whole = Field(description="seed of the first episode")
     share: FiniteFloat = Field(description="mean return over that of the reference")
     share_ci95: Interval = Field(description="its 95 % interval, over trainings and episodes")
+    share_t95: Interval | None = Field(
+        None, description="that of Student's t over the trainings; null of one training"
+    )
+    success_rate: Share | None = Field(None, description="share of all episodes that succeed")
+    failure_rate: Share | None = Field(None, description="share of all episodes that fail")
+    worst_share: FiniteFloat | None = Field(
+        None, description="mean return of the worst 5 % of all, over the reference's mean"
+    )
+    reference_success_rate: Share | None = Field(
+        None, description="that of the reference in the same episodes"
+    )
     source: Name = Field(description="file and row")
 
 
@@ -138,11 +157,17 @@ class LeaderboardRow(_Entry):
     task: Name = Field(description="id of the environment")
     chip: Name | None = Field(None, description="chip, emulated if the row has evidence")
     reference: Name | None = Field(None, description="float policy whose return is 100 %")
+    reference_success_rate: Share | None = Field(
+        None, description="share of the reference's episodes that succeed"
+    )
     episodes: Some | None = Field(None, description="evaluation episodes")
     spiking: PolicyEntry = Field(description="the spiking policy")
     rival: PolicyEntry | None = Field(None, description="the float policy beside it")
     over_trainings: OverTrainings | None = Field(None, description="the recipe, trained again")
     neurobench: NeuroBenchEntry | None = Field(None, description="of the spiking policy")
+    without_hidden: FiniteFloat | None = Field(
+        None, description="share of its return with all hidden neurons dead; null: not tried"
+    )
     source: Name = Field(description="paper and table, or whose row it is")
     link: Name | None = Field(None, description="URL, arXiv number or DOI")
     read: Literal["paper", "abstract", "notes"] | None = Field(
@@ -168,6 +193,7 @@ class _ComparedRow(BaseModel):
     returns: Annotated[list[FiniteFloat], Field(min_length=1)]
     successes: list[bool]
     success_rate: FiniteFloat | None
+    failure_rate: FiniteFloat | None = None
     sparsity: FiniteFloat | None
     sops_per_inference: FiniteFloat | None
     effective_acs: FiniteFloat | None
@@ -254,6 +280,7 @@ def row_of_rows(
         "task": task,
         "chip": spiking["chip"],
         "reference": reference["policy"] if reference else None,
+        "reference_success_rate": reference["success_rate"] if reference else None,
         "episodes": spiking["episodes"],
         "spiking": _policy(spiking, reference),
         "rival": _policy(rival, reference) if rival else None,
@@ -307,6 +334,8 @@ def _policy(row: Data, reference: Data | None) -> dict[str, Any]:
         "return_ci95": list(row["return_ci95"]),
         **_share(row, reference),
         "success_rate": row["success_rate"],
+        "failure_rate": row.get("failure_rate"),
+        "risk": _risk(row),
         "training_seeds": row["training_seeds"],
         "sops": row["sops_per_inference"],
         "effective_acs": row["effective_acs"] if spikes else None,
@@ -326,6 +355,11 @@ def _policy(row: Data, reference: Data | None) -> dict[str, Any]:
             for table, terms in row["energy_terms_j"].items()
         ],
     }
+
+
+def _risk(row: Data) -> float | None:
+    """The mean return of the worst 5 %; None of too few episodes."""
+    return row["risk"] if len(row["returns"]) >= FEWEST_FOR_RISK else None
 
 
 def _share(row: Data, reference: Data | None) -> dict[str, Any]:
@@ -353,7 +387,6 @@ def _encoder(file: str) -> str | None:
 
 
 def _neurobench(row: Data) -> dict[str, Any]:
-    returns = row["returns"]
     return {
         "Footprint": row["footprint"],
         "ConnectionSparsity": row["connection_sparsity"],
@@ -366,7 +399,7 @@ def _neurobench(row: Data) -> dict[str, Any]:
         "RewardScore": {
             "avg": row["return_mean"],
             "std": row["return_std"],
-            "risk": row["risk"] if len(returns) >= FEWEST_FOR_RISK else None,
+            "risk": _risk(row),
         },
     }
 
@@ -384,6 +417,7 @@ def faults(row: LeaderboardRow) -> Iterator[str]:
     if row.over_trainings:
         of = row.over_trainings
         yield from _outside("over_trainings.share", of.share, of.share_ci95)
+        yield from _outcomes("over_trainings", of)
     yield from _of_neurobench(row)
     if row.evidence is None and row.read is None:
         yield "evidence is null and read too: a row is of a report, or of a publication"
@@ -422,11 +456,28 @@ def differences(row: LeaderboardRow, document: Data, report: str) -> Iterator[st
 def _of_policy(whose: str, policy: PolicyEntry) -> Iterator[str]:
     yield from _outside(f"{whose}.return_mean", policy.return_mean, policy.return_ci95)
     yield from _outside(f"{whose}.share", policy.share, policy.share_ci95)
+    yield from _outcomes(whose, policy)
+    yield from _above(f"{whose}.risk", policy.risk, policy.return_mean)
     for name in ("effective_macs", "effective_acs"):
         count = getattr(policy, name)
         dense = policy.macs_dense
         if count is not None and dense is not None and count > dense * (1 + _EQUAL):
             yield f"{whose}.{name} is {count:g}, more than all weights have: {dense:g}"
+
+
+def _outcomes(whose: str, of: PolicyEntry | OverTrainings) -> Iterator[str]:
+    """No episode both succeeds and fails."""
+    if (of.success_rate or 0) + (of.failure_rate or 0) > 1 + _EQUAL:
+        yield (
+            f"{whose}: {of.success_rate:g} of the episodes succeed and {of.failure_rate:g} fail, "
+            "more than all"
+        )
+
+
+def _above(name: str, risk: float | None, mean: float | None) -> Iterator[str]:
+    """The worst episodes earn no more than all."""
+    if risk is not None and mean is not None and risk > mean + abs(mean) * _EQUAL:
+        yield f"{name} is {risk:g}, above the mean {mean:g}"
 
 
 def _outside(name: str, value: float | None, interval: Sequence[float] | None) -> Iterator[str]:
@@ -479,8 +530,7 @@ def _of_neurobench(row: LeaderboardRow) -> Iterator[str]:
         return
     if not _same(score.avg, row.spiking.return_mean):
         yield f"RewardScore.avg is {score.avg:g}, and return_mean {row.spiking.return_mean}"
-    if score.risk is not None and score.risk > score.avg + abs(score.avg) * _EQUAL:
-        yield f"RewardScore.risk is {score.risk:g}, above the mean {score.avg:g}"
+    yield from _above("RewardScore.risk", score.risk, score.avg)
     if score.risk is not None and row.episodes and row.episodes < FEWEST_FOR_RISK:
         yield f"RewardScore.risk of {row.episodes} episodes: NeuroBench has none below 20"
 

@@ -3,6 +3,9 @@
 import pytest
 
 from lab import leaderboard
+from lab.experiments import hidden_neurons
+from spikedeploy import zoo
+from spikedeploy.envs import spec
 from spikedeploy.shipping.leaderboard import faults, plain
 from tests.paths import ROOT
 
@@ -45,6 +48,38 @@ def test_what_is_not_known_is_said_to_be_not_reported():
     (row,) = (line for line in table.splitlines() if "2411.13945" in line)
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     assert cells[2:12] == ["not reported"] * 10
+
+
+COLUMNS = leaderboard._COLUMNS
+
+
+@pytest.mark.parametrize("name", [name for name in ROWS if name.startswith(leaderboard.OWN)])
+def test_success_failures_and_the_worst_episodes_stand_beside_every_return(name):
+    row = ROWS[name]
+    for column in ("success", "failures", "worst 5 %"):
+        assert "%" in COLUMNS[column](row)
+    assert f"{row.over_trainings.success_rate:.1%}; {row.reference} " in COLUMNS["success"](row)
+    assert row.spiking.success_rate + row.spiking.failure_rate <= 1
+    assert row.spiking.risk <= row.spiking.return_mean
+
+
+def test_a_policy_that_hardly_needs_its_hidden_neurons_is_called_linear_in_events():
+    kept = {name: row["kept"] for name, row in hidden_neurons.read().items()}
+    told = {row.task: "linear in events" in COLUMNS["policy"](row) for row in ROWS.values()}
+    for task in ("kart-grid", "kart-steer", "kart-gazebo"):
+        name = f"{task}/sparse"
+        assert told[spec(task).id] is (kept[name] >= hidden_neurons.LEAST)
+        page = zoo.path(name).with_suffix(".md").read_text("utf-8")
+        assert ("linear in events" in page) is told[spec(task).id]
+    assert kept["kart-grid/sparse"] > 1 > kept["kart-steer/sparse"] > 0.9
+    assert kept["kart-gazebo/sparse"] < 0.2
+
+
+@pytest.mark.parametrize("policy", hidden_neurons.read())
+def test_a_card_says_what_the_table_of_hidden_neurons_has(policy):
+    row = hidden_neurons.read()[policy]
+    assert zoo.card(policy)["hidden_neurons"] == hidden_neurons.describe(row)
+    assert row["hidden_spikes"] > 0  # they spike, needed or not
 
 
 def test_a_row_of_ours_stands_beside_a_float_policy_of_nearly_equal_return():

@@ -91,14 +91,32 @@ def test_a_line_up_shows_the_players_that_the_environment_names(monkeypatch):
 def test_rows_of_karts_tell_of_finishes_laps_and_crashes():
     rows = compare_policies("race", [Entry(find("random"))], SEEDS, processes=1).as_json()
     assert rows[0]["success_rate"] + rows[0]["crashes"] == 1
+    assert rows[0]["failure_rate"] == np.mean(rows[0]["failures"]) == 0  # all end by the limit
     assert rows[0]["speed"] == 400
     assert "heading_error" not in rows[0]
     assert "lap_time" not in rows[0]  # by luck alone, none of four finishes
     titles = list(tables(rows))
     assert titles[0] == "Does the kart still finish?"
     heads = [column.title for column in tables(rows)[titles[0]]]
-    assert heads[:3] == ["policy", "finished", "crashes"]
+    assert heads[:4] == ["policy", "finished", "failures", "crashes"]
     assert "CoT" not in heads
+
+
+@pytest.mark.parametrize(
+    ("info", "terminated", "failed"),
+    [
+        ({"success": [0.0, 1.0]}, True, False),  # the finish
+        ({"success": [0.0, 0.0]}, True, True),  # a fall
+        ({"success": [0.0, 0.0]}, False, False),  # the time limit
+        ({}, True, None),  # a goal or a fall: nothing says which
+    ],
+)
+def test_an_episode_fails_that_a_terminal_state_other_than_success_ends(info, terminated, failed):
+    played = Rollout(
+        "race", 0, np.zeros((3, 1)), np.zeros((2, 1)), np.zeros(2), terminated, not terminated,
+        {name: np.array(values) for name, values in info.items()},
+    )  # fmt: skip
+    assert played.failed is failed
 
 
 def test_a_lap_is_timed_only_where_it_is_format_success():

@@ -1,0 +1,88 @@
+"""Figures that README and the pages quote are those of the results that they name."""
+
+import csv
+import json
+import re
+from itertools import chain
+
+import numpy as np
+import pytest
+
+from lab.experiments import eye_entry
+from spikedeploy import zoo
+from tests.paths import ROOT
+
+README = (ROOT / "README.md").read_text("utf-8")
+TASKS = ("hexapod", "hexapod-command", "kart-grid", "kart-gazebo", "kart-steer")
+SPECK_PAGES = (
+    "README.md", "docs/board-speck.md", "docs/speck.md", "docs/chips.md", "docs/kart-eye.md",
+)  # fmt: skip
+
+
+def finishes(level, way, seed=None):
+    """Shares of finished episodes of the trainings for Speck."""
+    rows = eye_entry.read_table(ROOT / "results/kart-eye.csv")
+    asked = ("if", level, way)
+    return [
+        row["finish_share"]
+        for row in rows
+        if (row["network"], row["level"], row["way"]) == asked and seed in (None, row["seed"])
+    ]
+
+
+@pytest.mark.parametrize("page", SPECK_PAGES)
+def test_where_speck_is_recommended_stands_what_its_policies_do_event_by_event(page):
+    stepped, events = (finishes("ops-1e+06", way) for way in ("speck2f", "speck2f:queue=on"))
+    assert len(stepped) == len(events) == 5
+    text = (ROOT / page).read_text("utf-8")
+    assert f"{100 * np.mean(events):.1f} %" == "0.8 %"
+    assert "0.8 %" in text
+    if page != "docs/kart-eye.md":
+        assert f"{100 * np.mean(stepped):.1f} %" in text
+
+
+def test_the_card_of_the_policy_for_speck_says_both():
+    card = zoo.card("kart-eye/speck")
+    level, seed = card["checkpoint"], card["seed"]
+    (stepped,), (events,) = (finishes(level, way, seed) for way in ("speck2f", "speck2f:queue=on"))
+    assert f"{round(200 * stepped)} of the 200" in card["note"]
+    assert f"works, {round(200 * events)} of 200" in card["note"]
+
+
+def test_spiking_takes_so_many_times_the_energy_of_pruned_float_networks():
+    wanted = {"task": "hexapod", "encoder": "chip", "clock": "gated", "update_price_of": "own"}
+    with (ROOT / "results/energy.csv").open(newline="", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if wanted.items() <= row.items()]
+    ratios = {row["accumulator_bits"]: float(row["ratio"]) for row in rows}
+    text = (ROOT / "results/pareto.md").read_text("utf-8").partition("\n## hexapod\n")[2]
+    line = next(r for r in text.splitlines() if "With updates, encoder and constants: for" in r)
+    most = float(re.search(r"times \([\d.]+ to ([\d.]+)\)", line)[1])
+    assert f"{min(ratios.values()):.1f} to {most:.1f} times the energy" in README
+    table = json.loads((ROOT / "results/phase-table.json").read_text("utf-8"))["joules"]["all"]
+    (spiking,) = (float(r["spiking_j"]) for r in rows if r["accumulator_bits"] == "none")
+    assert f"{spiking / table:.0f} times that of the table of phases" in README
+
+
+def idle(task):
+    """Static energy of a control step over all that happens in it, and over operations alone."""
+    (row,) = (r for r in zoo.card(f"{task}/sparse")["evaluation"] if r["chip"] == "loihi1")
+    terms = [row["energy_terms_j"][table] for table in ("davies2018", "sanafe")]
+    powers = row["static_energy_j"].values()
+    every = [power / sum(each.values()) for power in powers for each in terms]
+    return every, [power / each["operations"] for power in powers for each in terms]
+
+
+def span(values):
+    """`0.1 to 1.0`, in millions."""
+    values = list(values)
+    return f"{min(values) / 1e6:.1f} to {max(values) / 1e6:.1f}"
+
+
+def test_an_idle_loihi_takes_so_many_times_what_a_policy_does():
+    page = (ROOT / "docs/energy.md").read_text("utf-8")
+    every, alone = zip(*map(idle, TASKS), strict=True)
+    assert f"takes {span(chain(*every))} million times the energy of all" in page
+    assert f"alone are {span(chain(*alone))} million times less" in page
+    assert f"on the walking task {span(every[0])} million times" in page
+    assert f"on the walking task {span(alone[0])}." in page
+    assert f"{span(every[0])} million times](docs/energy.md#static-power)" in README
