@@ -6,12 +6,20 @@ import signal
 import sys
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 LAB = Path(__file__).parent / "lab"
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+
+
+# a busy machine is slow: that an example took long says nothing
+hypothesis.settings.register_profile(
+    "suite", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
+hypothesis.settings.load_profile("suite")
 
 
 # in the background a shell ignores them, and what tests start would inherit that
@@ -26,18 +34,25 @@ for ignored, usual in (
 def pytest_addoption(parser):
     """`--lab` runs the tests of the lab too; a path in their folder does so without it.
 
-    `--fpga` runs those that take minutes of synthesis and simulation.
+    `--fpga` runs those that take minutes of synthesis and simulation, `--record` those that compare
+    the bits of floats with files, which another processor rounds otherwise.
     """
     parser.addoption("--lab", action="store_true", help="the tests of the lab too")
     parser.addoption("--fpga", action="store_true", help="long tests of FPGAs too")
+    parser.addoption("--record", action="store_true", help="bits of the machine of record too")
 
 
 def pytest_collection_modifyitems(config, items):
-    """Skip the long tests of FPGAs where nobody asks for them."""
-    if not config.getoption("--fpga"):
-        for item in items:
-            if item.get_closest_marker("fpga"):
-                item.add_marker(pytest.mark.skip(reason="minutes of synthesis: --fpga runs it"))
+    """Skip the long tests of FPGAs, and those of one machine, where nobody asks for them."""
+    reasons = {
+        "fpga": "minutes of synthesis: --fpga runs it",
+        "record": "bits of floats, which are one machine's: --record compares them",
+    }
+    for name, reason in reasons.items():
+        if not config.getoption(f"--{name}"):
+            for item in items:
+                if item.get_closest_marker(name):
+                    item.add_marker(pytest.mark.skip(reason=reason))
 
 
 def pytest_ignore_collect(collection_path, config):

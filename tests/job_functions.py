@@ -9,6 +9,7 @@ from pathlib import Path
 
 from spikedeploy.jobs.resumable import JobEnd
 from spikedeploy.runtime.errors import ConfigError
+from tests.waiting import PATIENCE
 
 
 def write(path, text="done"):
@@ -31,7 +32,7 @@ def wait(path):
     """Work until interrupted, then leave what a training would: a checkpoint, and False."""
     Path(path).write_text("begun")
     try:
-        time.sleep(60)
+        time.sleep(PATIENCE)
     except KeyboardInterrupt:
         Path(path).write_text("checkpoint")
         return False
@@ -41,7 +42,8 @@ def linger(path):
     """Heed no interruption for a while."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Path(path).write_text("begun")
-    time.sleep(60)
+    time.sleep(PATIENCE)
+    Path(path).write_text("done")
 
 
 def in_this_process(names):

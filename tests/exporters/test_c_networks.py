@@ -21,7 +21,6 @@ from tests.programs import random_convolutions, random_programs
 # each example is compiled
 FEW = settings(
     max_examples=8,
-    deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.filter_too_much],
 )

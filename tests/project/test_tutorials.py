@@ -11,6 +11,7 @@ from spikedeploy.exporters.verilog.tools import missing_tools
 from spikedeploy.runtime import CHIPS
 from tests.project.test_docs import checkout  # noqa: F401  the folder of the reader
 from tests.project.tutorials import PAGES, commands, fails, missing, parts, programs, short
+from tests.waiting import PATIENCE
 
 
 @pytest.fixture
@@ -66,7 +67,7 @@ def called(lines, folder):
         if missing_tools(*(tool for word in words for tool in NEEDED.get(word, ()))):
             return None
         done = subprocess.run([program, *words[1:]], cwd=folder, capture_output=True, text=True,
-                              check=False, stdin=subprocess.DEVNULL, timeout=100)  # fmt: skip
+                              check=False, stdin=subprocess.DEVNULL, timeout=PATIENCE)  # fmt: skip
         assert done.returncode == 0, done.stderr
         printed += done.stdout + done.stderr  # qemu writes what a board says to the second
     return printed

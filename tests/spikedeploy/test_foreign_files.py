@@ -2,7 +2,6 @@
 
 import json
 import math
-import time
 import zipfile
 
 import numpy as np
@@ -30,6 +29,7 @@ from spikedeploy.runtime.traces.verify import verify
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.distill.distill import DistillConfig
 from spikedeploy.trainers.ppo import PpoConfig
+from tests.effort import memory_below
 from tests.networks import popsan
 
 DEEP = "[" * 100_000
@@ -136,10 +136,8 @@ def test_an_archive_that_unpacks_to_hundreds_of_megabytes_is_refused(tmp_path):
     path = bomb(tmp_path / "a.npz")
     assert path.stat().st_size < 1_000_000
     for read in (read_rasters, Ghosts.load, Rollout.load):
-        began = time.process_time()
-        with pytest.raises((EnvError, ObservationError), match="unpack"):
+        with memory_below(2**25), pytest.raises((EnvError, ObservationError), match="unpack"):
             read(path)
-        assert time.process_time() - began < 1
 
 
 def test_numbers_that_would_take_gigabytes_as_floats_are_refused(tmp_path):
@@ -193,9 +191,9 @@ def circle(path, points, radius, **changes):
 
 
 def test_a_track_too_long_or_too_large_is_refused(tmp_path):
-    began = time.process_time()
-    assert len(track_file.load(circle(tmp_path / "a.json", 15_000, 1500)).walls) == 15_000
-    assert time.process_time() - began < 5
+    path = circle(tmp_path / "a.json", 15_000, 1500)
+    with memory_below(2**27):
+        assert len(track_file.load(path).walls) == 15_000
     for points, radius, changes, says in (
         (30_000, 900, {}, "of each"),
         (60, 9000, {}, "square px"),

@@ -116,7 +116,7 @@ def by_impulses(artifact, on, **options):
 
 
 @pytest.mark.parametrize("name", CHIPS)
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(layers(), st.integers(0, 99), st.sampled_from([0.05, 0.5]))
 def test_kernels_equal_the_matrices_that_impulses_find(name, drawn, seed, density):
     start, found = drawn

@@ -352,7 +352,7 @@ def test_every_node_of_a_shipped_policy_is_judged_by_every_rule(policy, name):
             assert "/sparse" in policy or policy in ("kart-eye/snn", "hexapod-tiles/legs-snn")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(graphs(), st.sampled_from(list(CHIPS)), st.sampled_from(["zero", "subtract"]))
 def test_a_generated_graph_is_judged_or_refused_by_our_errors(network, name, reset):
     try:
@@ -366,7 +366,7 @@ def test_a_generated_graph_is_judged_or_refused_by_our_errors(network, name, res
             assert ruling.rule in ruling.describe(name)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     st.floats(-8, 8),
     st.floats(0, 6),

@@ -96,7 +96,7 @@ def plain_step(fixed, subtract, layer, n, arrived, before):
     return (current, after, resting), spike, active, lost + wrapped + turned + clipped
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(random_programs(), st.sampled_from(["zero", "subtract"]), st.integers(0, 2**32 - 1))
 def test_a_timestep_equals_that_of_a_plain_loop(program, reset, seed):
     rng, fixed = np.random.default_rng(seed), program.chip.arithmetic
@@ -133,7 +133,7 @@ def test_sums_of_a_negative_exponent_are_rounded_down_together(shift):
     ]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(random_programs(), st.sampled_from(["zero", "subtract"]), st.integers(0, 2**32 - 1))
 def test_membranes_before_their_reset_say_which_neurons_spiked(program, reset, seed):
     fixed = replace(program.chip.arithmetic, refractory=1)

@@ -40,7 +40,7 @@ def check_same(one, other):
     assert one.ledger.timesteps == other.ledger.timesteps
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(random_programs(), runs)
 def test_interpreted_steps_equal_the_kernels_and_their_ledger(program, run):
     fast, slow = Machine(program, run[0]), Machine(program, run[0], backend="interpreter")

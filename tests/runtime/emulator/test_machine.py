@@ -17,13 +17,13 @@ from tests.networks import popsan
 from tests.programs import random_programs, rasters
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(random_programs(), runs)
 def test_the_machine_equals_the_interpreter_in_every_current_membrane_and_spike(program, run):
     check_like_the_interpreter(program, run, "numpy")
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(random_programs(), runs)
 def test_a_chip_that_streams_shows_each_window_from_its_start_on(program, run):
     batch, timesteps, *_ = run
@@ -117,7 +117,7 @@ def test_a_machine_needs_at_least_one_network():
         Machine(compile_program(popsan(), chip("loihi1")), batch=0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["zero", "subtract"]), st.sampled_from([1, 3]))
 def test_on_ideal_backends_agree_up_to_the_rounding_of_float64(seed, reset, batch):
     # they add up the same products in another order: equal but for rounding, until a membrane comes
@@ -157,7 +157,7 @@ def _with_real_weights(layer, rng):
     return replace(layer, synapses=synapses)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(random_programs(), runs)
 def test_a_backend_shows_the_membranes_and_spikes_that_it_recorded(program, run):
     machine = Machine(program, run[0], trace=True)

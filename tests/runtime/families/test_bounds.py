@@ -30,7 +30,7 @@ def one_neuron(weights, decays, threshold=131071 << 6, **fields):
     return Program(WIDE, Convention(1e-3), "input", len(weight), (neuron,), "n", None)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(random_programs(), st.integers(0, 2**32 - 1), st.sampled_from([0.2, 1.0]))
 def test_no_spikes_exceed_the_bounds(program, seed, rate):
     raster = rasters(program, 2, 6, rate, seed)[0]
@@ -115,7 +115,7 @@ def test_so_many_spikes_cannot_overflow_as_the_peak_of_one_allows(weights, field
     assert spikes_without_overflow(neuron, WIDE.arithmetic, 5, most) == spikes
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(random_programs(), st.integers(1, 9), st.integers(0, 2**32 - 1), st.integers(8, 24))
 def test_so_few_spikes_leave_every_state_within_the_limit(program, timesteps, seed, bits):
     wide = replace(program.chip, arithmetic=WIDE.arithmetic)

@@ -52,7 +52,7 @@ def chips(draw):
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     chips(),
     st.sampled_from(["zero", "subtract"]),

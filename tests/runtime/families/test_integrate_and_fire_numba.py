@@ -109,13 +109,13 @@ def programs(draw):
     )
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(programs(), runs)
 def test_it_equals_the_interpreter_in_every_membrane_spike_and_count(program, run):
     check_like_the_interpreter(leaky(program), run, "numba")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(datasheets(), conventions(), st.integers(0, 2**32 - 1), st.booleans(), runs)
 def test_kernels_of_convolutions_do_too(datasheet, convention, seed, loop, run):
     rng = np.random.default_rng(seed)

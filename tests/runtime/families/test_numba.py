@@ -53,7 +53,7 @@ compilable_programs = random_programs().map(known)
 
 
 @compiled
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(compilable_programs, runs, st.sampled_from(["zero", "subtract"]))
 def test_it_equals_the_interpreter_in_every_current_membrane_spike_and_count(program, run, reset):
     # no chip of integers subtracts yet, but the specification says what would happen
@@ -62,7 +62,7 @@ def test_it_equals_the_interpreter_in_every_current_membrane_spike_and_count(pro
 
 
 @compiled
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(compilable_programs, st.integers(0, 2**32 - 1), st.booleans(), runs)
 def test_kernels_of_convolutions_do_too_and_equal_their_matrices(program, seed, loop, run):
     # chips and conventions of random programs
@@ -80,7 +80,7 @@ def test_kernels_of_convolutions_do_too_and_equal_their_matrices(program, seed, 
 
 
 @compiled
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(compilable_programs, runs, st.booleans())
 def test_without_a_trace_it_equals_the_numpy_kernels_in_all_that_is_left(program, run, streaming):
     batch, *_ = run

@@ -200,7 +200,7 @@ def random_network(seed, order, rule):
     return network(*layers, reset=reset, event_order=order, event_spikes=rule), rng
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["cyx", "yxc"]), st.booleans())
 def test_the_kernel_equals_its_specification_in_spikes_membranes_and_counts(seed, order, multi):
     program, rng = random_network(seed, order, "multi" if multi else "single")

@@ -15,7 +15,7 @@ def summation(weight, bias, partial, out):
     return Summation(weight, bias, partial, 64, out, np.zeros(8 * weight.size, np.uint8))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from([1, 20, LARGE // NEURONS + 1]),

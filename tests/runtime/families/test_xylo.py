@@ -255,7 +255,7 @@ def plain_timestep(network, of, presynaptic, currents, membranes):
     return spikes, active, lost
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(random_cores(), st.integers(0, 2**32 - 1))
 def test_a_timestep_equals_that_of_a_plain_loop(core, seed):
     program, _ = core

@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 
 import pytest
@@ -31,6 +30,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from tests.networks import popsan
 from tests.paths import ROOT
+from tests.waiting import wait_until
 
 ENV = "tests.own_env:Reach"
 SPEC = """
@@ -172,10 +172,7 @@ def test_a_driver_that_is_killed_loses_nothing_and_repeats_what_was_in_flight(
     command = [sys.executable, "-m", "spikedeploy", "sweep", str(spec), "-o", str(tmp_path)]
     environ = {**os.environ, "PYTHONPATH": str(ROOT)}
     driver = subprocess.Popen([*command, "--workers", "1"], cwd=ROOT, env=environ)
-    deadline = time.monotonic() + 120
-    while len(list((tmp_path / "jobs").glob("*.json"))) < 3:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_until(lambda: len(list((tmp_path / "jobs").glob("*.json"))) >= 3)
     driver.send_signal(signal.SIGKILL)
     driver.wait()
     there = results(tmp_path)

@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from tests.paths import ROOT
+from tests.waiting import PATIENCE
 
 # a finder that has none of the packages of the extras
 BLOCKED = """
@@ -41,6 +42,6 @@ def test_what_deploys_needs_no_torch(words, tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "spikedeploy", *given],
         cwd=ROOT, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True,
-        timeout=300,
+        timeout=PATIENCE,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -1,7 +1,5 @@
 """ONNX files of others: one sentence, whatever they hold; no unbounded loop or memory."""
 
-import time
-
 import numpy as np
 import onnx
 import onnxruntime
@@ -95,10 +93,8 @@ def test_what_is_no_policy_is_refused_in_one_sentence(name, tmp_path):
     write, message = REFUSED[name]
     path = tmp_path / "a.onnx"
     write(path) if callable(write) else model(path, **write)
-    began = time.perf_counter()
     with pytest.raises(ArtifactError, match=message):
         OnnxController(path)
-    assert time.perf_counter() - began < 30
 
 
 def test_metadata_that_are_no_text_are_refused(tmp_path):

@@ -22,6 +22,7 @@ from spikedeploy.realtime.server import (
 )
 from spikedeploy.runtime.errors import ConfigError
 from tests.paths import ROOT
+from tests.waiting import PATIENCE
 
 zmq = pytest.importorskip("zmq")
 from spikedeploy.realtime.server import PolicyServer  # noqa: E402 - it needs zmq
@@ -42,7 +43,7 @@ def server(policy):
     thread.start()
     yield running
     stop.set()
-    thread.join(10)
+    thread.join(PATIENCE)
     assert not thread.is_alive()
     running.close()
 
@@ -55,7 +56,7 @@ def connect(server):
     def connected(kind=zmq.REQ):
         sockets.append(context.socket(kind))
         sockets[-1].setsockopt(zmq.LINGER, 0)
-        sockets[-1].setsockopt(zmq.RCVTIMEO, 20_000)
+        sockets[-1].setsockopt(zmq.RCVTIMEO, 1000 * int(PATIENCE))
         sockets[-1].connect(server.endpoint)
         return sockets[-1]
 
@@ -267,7 +268,7 @@ def test_signals_end_the_command_at_once(number, code):
             # an open connection is no reason to stay
             client.connect(("127.0.0.1", int(line.rpartition(":")[2])))
             process.send_signal(number)
-            found = process.wait(10)
+            found = process.wait(PATIENCE)
         finally:
             process.kill()
     assert found in (code, -number)  # shells say 128 + the signal of both
@@ -285,7 +286,7 @@ def test_the_example_of_a_client_whose_reply_is_lost_connects_and_resets_again(c
                 router.send_multipart([client, empty, b'{"ok": true, "observations": 2}'])
 
     with context.socket(zmq.ROUTER) as router:
-        router.linger, router.rcvtimeo = 1000, 20_000
+        router.linger, router.rcvtimeo = 1000, 1000 * int(PATIENCE)
         at = f"tcp://127.0.0.1:{router.bind_to_random_port('tcp://127.0.0.1')}"
         thread = threading.Thread(target=answers)
         thread.start()

@@ -33,6 +33,7 @@ from spikedeploy.runtime.traces.verify import verify
 from spikedeploy.shipping.export_program import export_program
 from tests.networks import popsan
 from tests.paths import ROOT
+from tests.waiting import PATIENCE
 
 SCRIPTS = ROOT / "exporters" / "kit"
 LIBRARIES = {
@@ -290,7 +291,7 @@ def script_of(kit, *words, without=()):
     text += f"runpy.run_path({kit.tool.script!r}, run_name='__main__')"
     return subprocess.run(
         [sys.executable, "-c", text, *words],
-        cwd=kit.folder, capture_output=True, text=True, check=False, timeout=120,
+        cwd=kit.folder, capture_output=True, text=True, check=False, timeout=PATIENCE,
     )  # fmt: skip
 
 
@@ -636,7 +637,7 @@ def test_nengo_loihis_emulator_runs_the_kit_and_closes_the_loop(kit_of):
     for words in ((), ("--loop",)):
         done = subprocess.run(
             [sys.executable, "-W", "ignore", "run_nengo_loihi.py", *words],
-            cwd=kit.folder, capture_output=True, text=True, check=False, timeout=120,
+            cwd=kit.folder, capture_output=True, text=True, check=False, timeout=PATIENCE,
         )  # fmt: skip
         assert done.returncode == 0, done.stdout + done.stderr
     assert verify(kit.folder / "nengo-loihi.json").equal

@@ -74,7 +74,7 @@ def test_a_changed_number_of_the_specification_is_found(file):
         assert not compare_spikes(program, spec, 200).passed
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(random_networks())
 def test_specifications_of_random_networks_compute_the_same_spikes(artifact):
     program = program_of(artifact)
@@ -82,7 +82,7 @@ def test_specifications_of_random_networks_compute_the_same_spikes(artifact):
     assert check.passed, check.detail
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(random_networks(), st.integers(0, 2**32 - 1))
 def test_xylosim_computes_from_the_specification_what_the_emulated_chip_does(artifact, seed):
     reason = "xylosim is not installed: it needs a C++ compiler"
