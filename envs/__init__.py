@@ -16,6 +16,7 @@ archive.py        .npz files, written atomically
 foreign.py        environments of other people, as policies expect them
 returned.py       what their reset and step return, as numbers
 repeats.py        whether they play the same episode again from the same seed
+drawing.py        what draws, not touched until something is drawn
 errors.py         EnvError
 
 A new environment is one file and one line in ENVS.
@@ -23,10 +24,7 @@ A new environment is one file and one line in ENVS.
 
 from __future__ import annotations
 
-import ctypes
-import os
 import re
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -34,25 +32,10 @@ from typing import Any
 
 import gymnasium
 
+from spikedeploy.envs import drawing
 from spikedeploy.envs.errors import EnvError
 
-# pygame, which draws karts, would print a greeting to stdout
-os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-
-
-def _loads(library: str) -> bool:
-    """Return True if a shared library can be loaded."""
-    try:
-        ctypes.CDLL(library)
-    except OSError:
-        return False
-    return True
-
-
-if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-    # MuJoCo reads it at import. Without a display it renders through EGL; without that library the
-    # import itself would fail, so that rendering is disabled
-    os.environ.setdefault("MUJOCO_GL", "egl" if _loads("libEGL.so.1") else "disable")
+drawing.choose()
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
+from spikedeploy.envs.drawing import explain, load_renderer
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.event_camera import CameraParameters, EventCamera, Float32, lin_log
 from spikedeploy.events import EVENT, Events, EventWriter, write_events
@@ -241,13 +242,11 @@ class _MujocoView:
 
         height, width = (_FINER * each for each in self._size)
         with _quality(self._model, height, width):
+            load_renderer()
             try:
                 return mujoco.Renderer(self._model, height, width)
             except Exception as error:  # every GL library raises its own type
-                raise EnvError(
-                    f"camera: no OpenGL to draw with ({error}); on Debian: apt-get install "
-                    "libegl1 libgl1"
-                ) from error
+                raise explain(error) from error
 
     def close(self) -> None:
         """Free the renderer."""

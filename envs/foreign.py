@@ -33,6 +33,7 @@ from gymnasium.spaces import Box, Discrete
 from gymnasium.wrappers import NormalizeObservation, NormalizeReward
 from numpy.typing import NDArray
 
+from spikedeploy.envs import drawing
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.event_camera_wrapper import EventCameraWrapper, control_period
 from spikedeploy.envs.returned import (
@@ -112,8 +113,15 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         return self._seen(found), reward, *ends, self._with_success(info, over)
 
     def render(self) -> Any:  # noqa: ANN401
-        """The environment's picture."""
-        return self.inner.render()
+        """The environment's picture; EnvError where what it draws with is not there."""
+        if hasattr(self.inner.unwrapped, "mujoco_renderer"):
+            drawing.check_variable()
+        try:
+            return self.inner.render()
+        except Exception as error:
+            if _is_of_renderer(error):
+                raise drawing.explain(error) from error
+            raise
 
     def close(self) -> None:
         """Close the environment."""
@@ -172,6 +180,14 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
                 f"{show(info[self._key])} there, neither true nor false"
             )
         return {**found, "success": bool(reached) and not math.isnan(reached)}
+
+
+def _is_of_renderer(error: Exception) -> bool:
+    """True where MuJoCo's or pygame's way to draw failed, and not the environment's own code."""
+    *_, (frame, _) = walk_tb(error.__traceback__)
+    at = str(frame.f_globals.get("__name__"))
+    kinds = ("mujoco", "gymnasium.envs.mujoco.mujoco_rendering", "OpenGL", "glfw")
+    return at.startswith(kinds) or type(error).__module__.startswith("pygame")
 
 
 def _is_of_old_api(error: TypeError | ValueError) -> bool:
@@ -323,7 +339,7 @@ def make_foreign(name: str, options: Mapping[str, Any], success: str | None = No
 
 def _check_wrappers(name: str, world: gymnasium.Env[Any, Any]) -> None:
     """Refuse gymnasium's wrappers that go on measuring from episode to episode."""
-    remedies = {
+    remedies: dict[type[Any], str] = {
         NormalizeObservation: "policies measure mean and deviation themselves, into the file",
         NormalizeReward: "returns are told as the environment gives them",
     }

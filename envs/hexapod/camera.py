@@ -7,12 +7,15 @@ import warnings
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.envs.drawing import explain, load_renderer, without_renderer
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.hexapod.robot import Robot
+
+with without_renderer():
+    import mujoco
 
 _WIDTH, _HEIGHT = 640, 480  # [pixels]
 
@@ -56,14 +59,13 @@ class Camera:
         self, subject: Robot, marks: Marks = tuple, width: int = _WIDTH, height: int = _HEIGHT
     ) -> None:
         self._model, self._data, self._marks = subject.model, subject.data, marks
+        context = load_renderer()
         try:
-            self._gl = mujoco.GLContext(width, height)
+            self._gl = context(width, height)
             self._gl.make_current()
             self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
         except Exception as error:  # every GL library raises its own type
-            raise EnvError(
-                f"no OpenGL to draw with ({error}); on Debian: apt-get install libegl1 libgl1"
-            ) from error
+            raise explain(error) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._scene = mujoco.MjvScene(self._model, maxgeom=200 + _MOST_MARKS)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = 1

@@ -10,11 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.envs.drawing import without_renderer
 from spikedeploy.envs.errors import EnvError, all_finite
+
+with without_renderer():
+    import mujoco
 
 LEGS = ("RF", "RM", "RR", "LF", "LM", "LR")
 

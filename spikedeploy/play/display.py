@@ -6,10 +6,10 @@ Without one SDL would open its window in memory, where nobody sees it.
 import os
 import sys
 
+from spikedeploy.envs.drawing import sdl_driver
 from spikedeploy.runtime.errors import ConfigError
 
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
-_CHOSEN = ("SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER")  # the user's own choice, "dummy" too
 _INVISIBLE = ("dummy", "offscreen")
 _REMEDY = "`spikedeploy replay --video` and `run --video` need none"
 
@@ -37,4 +37,4 @@ def _has_display() -> bool:
 
 
 def _is_chosen() -> bool:
-    return any(map(os.environ.get, _CHOSEN))
+    return bool(sdl_driver())  # the user's own choice, "dummy" too
