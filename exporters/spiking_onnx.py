@@ -27,7 +27,7 @@ from spikedeploy.files import replacing
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Layer
-from spikedeploy.runtime.codec.codec import Codec, Normaliser, Score
+from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec, Normaliser, Score
 from spikedeploy.runtime.codec.delta import LARGEST, PARTS, DeltaEncoder
 from spikedeploy.runtime.codec.population import PopulationEncoder
 from spikedeploy.runtime.codec.rate import LEVELS, RateEncoder
@@ -313,8 +313,8 @@ def checks(artifact: Artifact, path: Path, observations: NDArray[np.float64]) ->
 def _codec(artifact: Artifact) -> Codec:
     if artifact.codec is None:
         raise ConfigError(
-            "--to onnx: the file has no codec (observation to spikes), so it cannot act. Give it "
-            "one with `spikedeploy run --from`; docs/own-network.md has it."
+            "--to onnx: the file has no codec (observation to spikes), so it cannot act. "
+            f"{GIVE_CODEC}."
         )
     check_codec(artifact.codec)
     return artifact.codec

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.files import read_toml
 from spikedeploy.runtime.chips.layer import Layer
-from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec
 from spikedeploy.runtime.compiler.mapping import CoreMapping
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import State
@@ -336,7 +336,7 @@ class KitPlayer:
 def missing_of(program: Program, codec: Codec | None) -> str:
     """The reason why host.py cannot close the loop; empty where it can."""
     if codec is None:
-        return "the file has no codec, so observations cannot become spikes"
+        return f"the file has no codec, so observations cannot become spikes. {GIVE_CODEC}"
     if codec.encoder.random:
         return "its encoder draws random numbers, which host.py does not"
     if program.host:

@@ -26,10 +26,12 @@ from spikedeploy.policies.registry import FLOAT
 from spikedeploy.runtime.artifact import artifact as files
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.codec.codec import GIVE_CODEC
 from spikedeploy.runtime.convention import Floor, Integrator, Reset, Spikes, State
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.network import chip_or_float
-from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.errors import ArtifactError, RuleError
+from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.seeds import EVALUATION
 
 if TYPE_CHECKING:
@@ -66,7 +68,9 @@ class LoadedNetwork:
         return replace(self, chip=chip, limits=limits, quantisation=quantisation)
 
     def run(self, raster: "Raster | Mapping[str, Raster] | str | Path") -> "NetworkRun":
-        """Run the network on spikes (T, *shape), from zero states.
+        """Run the network on spikes (T, *shape), or (B, T, *shape), each from zero states.
+
+        All arrays of the run have the axis B then, and its counts are of all inferences.
 
         raster  an array, one for each Input node by name, or a file of them
         """
@@ -76,10 +80,15 @@ class LoadedNetwork:
             rows = {name: as_raster(each) for name, each in raster.items()}
         else:
             rows = as_raster(raster)
-        found = emulate_artifact(
-            self.artifact, self.chip, rows, None, self.limits, self.quantisation
-        )
-        return NetworkRun(**vars(found))
+        given = rows if isinstance(rows, Mapping) else {"": rows}
+        shapes = [port.shape for port in ports(self.artifact.graph.inputs)]
+        axes = {each.ndim for each in given.values()}
+        # of several inputs a wrong one is refused by name
+        batched = axes == {len(shapes[0]) + 2} and len({*map(len, shapes)}) == 1
+        on_chip = (None, self.limits, self.quantisation)
+        found = emulate_artifact(self.artifact, self.chip, rows, *on_chip, batched=batched)
+        ledger = found.ledger or Uncounted(found.uncounted)
+        return NetworkRun(**{**vars(found), "ledger": ledger})
 
     def check(self, *chips: str) -> DesignReport:
         """Return True if the network fits on chips, rule by rule; by default on its own."""
@@ -121,8 +130,26 @@ class LoadedNetwork:
 
 
 @dataclass(frozen=True)
+class Uncounted:
+    """The ledger of a run whose events could not be counted: false, and an error where it is used.
+
+    why  the reason
+    """
+
+    why: str
+
+    def __bool__(self) -> bool:
+        return False
+
+    def __getattr__(self, name: str) -> object:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise RuleError(f"this run has no {name}: {self.why}")
+
+
+@dataclass(frozen=True, repr=False)
 class NetworkRun(Emulation):
-    """One inference over a raster: fields of Emulation, energies as numbers, and a picture."""
+    """Inferences over a raster: fields of Emulation, energies as numbers, and a picture."""
 
     @property
     def energy(self) -> dict[str, float]:
@@ -136,7 +163,9 @@ class NetworkRun(Emulation):
         """
         from spikedeploy.reports.plots import raster_figure, save
 
-        figure = raster_figure(self.spikes)
+        # of several inferences the first
+        spikes = {n: rows if self.batch is None else rows[0] for n, rows in self.spikes.items()}
+        figure = raster_figure(spikes)
         if path is not None:
             save(figure, Path(path))
         return figure
@@ -147,7 +176,7 @@ class NetworkRun(Emulation):
 
         spikes = sum(int(np.count_nonzero(rows)) for rows in self.spikes.values())
         counts = {"timesteps": self.timesteps, "spikes": spikes}
-        if self.ledger is not None:
+        if self.ledger:
             counts["synaptic operations"] = self.ledger.total("sop")
         facts = {name: f"{count:,}" for name, count in counts.items()}
         facts |= {f"energy, {name}": f"{joules:.3g} J" for name, joules in self.energy.items()}
@@ -155,7 +184,7 @@ class NetworkRun(Emulation):
         return notebook_card(f"One inference on {self.chip}", facts) + shown
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ComparedPolicies:
     """A comparison on the same seeds: what `spikedeploy compare --json` prints.
 
@@ -180,7 +209,7 @@ class ComparedPolicies:
 
         return report.write(self.document, Path(folder))
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         table = self._table()
         cells = [table.columns, *table.rows]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
@@ -223,7 +252,7 @@ def load(
     dt          [s]; like what follows an option of Convention, and precedes the file
     """
     file = network_path(str(path))
-    reading = {
+    reading: dict[str, Any] = {
         "written_by": written_by,
         "like": like,
         "dt": dt,
@@ -278,7 +307,9 @@ def _named(policy: "str | Path | LoadedNetwork") -> str:
     if not isinstance(policy, LoadedNetwork):
         return str(policy)
     if policy.artifact.codec is None:
-        raise ArtifactError(f"{policy.path} holds no codec, so it cannot drive a robot")
+        raise ArtifactError(
+            f"{policy.path} holds no codec, so it cannot drive a robot. {GIVE_CODEC}"
+        )
     if files.digest(policy.artifact) != files.digest(files.load(policy.path)):
         raise ArtifactError(
             f"{policy.path} was loaded with other options than it states, and is compared as the "

@@ -9,6 +9,7 @@ import typer
 
 from spikedeploy.commands.options import one_word, with_groups
 from spikedeploy.console import discard_output, name_program, prepare_streams
+from spikedeploy.requirements import check_requirements
 from spikedeploy.user_errors import BAD_INPUT, exit_code, one_line
 
 # panel of the help -> command -> its module in spikedeploy/commands
@@ -105,6 +106,9 @@ def run(commands: typer.Typer) -> None:
         os.environ.setdefault(name, "1")
     prepare_streams()
     try:
+        # `doctor` lists what is wrong itself, and help needs nothing
+        if sys.argv[1:] and not {"doctor", "-h", "--help", "--version"} & {*sys.argv[1:]}:
+            check_requirements()
         commands()
     except SystemExit as stop:  # 1 of rich's or typer's where the reader of a pipe left
         if isinstance(stop.__context__, BrokenPipeError):

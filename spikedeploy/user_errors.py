@@ -4,6 +4,7 @@ import errno
 import sys
 
 from spikedeploy.errors import SpikedeployError
+from spikedeploy.requirements import is_required, wrong_requirements
 
 # package that a command may need -> the extra of pyproject.toml that installs it
 EXTRAS = {
@@ -31,10 +32,17 @@ def one_line(error: Exception) -> str | None:
     if isinstance(error, ModuleNotFoundError):
         package = (error.name or "").partition(".")[0]
         extra = EXTRAS.get(package)
-        return extra and (
+        if extra is None and is_required(package):
+            return f"spikedeploy needs {package}, which cannot be imported: pip install ."
+        if extra is None:
+            return next(wrong_requirements(extras=True), None)
+        return (
             f"this needs {package}, which is not installed: in the checkout of spikedeploy, "
             f'pip install ".[{extra}]"'
         )
+    if isinstance(error, ImportError | AttributeError):
+        # a bug, but where a package of another version lacks what is asked of it
+        return next(wrong_requirements(extras=True), None)
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, OSError) and error.errno == errno.ENOSPC:

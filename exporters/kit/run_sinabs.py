@@ -14,7 +14,7 @@ import sys
 
 from host import main, needs, np
 
-with needs("sinabs==3.1.3 and torch"):
+with needs("sinabs==3.1.3 by pip install --no-deps, and torch"):
     import sinabs.layers
     import torch
     from sinabs.activation import MembraneReset, MembraneSubtract, MultiSpike, SingleSpike

@@ -33,6 +33,12 @@ __all__ = [
 Squash = Literal["tanh", "none", "argmax"]
 Score = Literal["mean", "last"]
 
+# what to do about a file without one
+GIVE_CODEC = (
+    "Give it one: `spikedeploy run FILE --from TOOL --codec FILE.json --env ENV` (or --dt in place "
+    "of --from) writes FILE.policy.nir; docs/own-network.md, As a policy, has such a JSON file"
+)
+
 _MOST_TIMESTEPS = 2**16  # of an inference: a spike train is held whole
 
 

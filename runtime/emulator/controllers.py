@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.damage import Damage
-from spikedeploy.runtime.codec.codec import observed_numbers
+from spikedeploy.runtime.codec.codec import GIVE_CODEC, observed_numbers
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import BackendMaker, BackendName
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
@@ -76,7 +76,7 @@ class SpikingController:
         if artifact.codec is None:
             raise ArtifactError(
                 "the file holds a network but no codec, so that observations cannot become spikes. "
-                "Export the policy with spikedeploy, or run the network open loop with emulate."
+                f"{GIVE_CODEC}. Or run the network open loop with emulate."
             )
         self.codec = artifact.codec
         self._kept = artifact.convention.state == "kept"

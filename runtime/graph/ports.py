@@ -110,8 +110,9 @@ def _check(port: Port, rows: Rows, leading: tuple[int, ...]) -> None:
     if rows.ndim < 2 or rows.shape[2:] != port.shape or not rows.size:
         wanted = ", ".join(["B", "T", *map(str, port.shape)])
         raise ObservationError(
-            f"the raster has shape {rows.shape}; node {port.name!r} takes ({wanted}), with at "
-            "least one timestep. Add the missing axis or give the raster of this network."
+            f"the raster has shape {rows.shape} with its batch; node {port.name!r} takes "
+            f"({wanted}), B inferences of at least one timestep. Add the missing axis or give the "
+            "raster of this network."
         )
     if rows.shape[:2] != leading:
         raise ObservationError(

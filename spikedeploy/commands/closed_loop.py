@@ -186,12 +186,14 @@ def _adopt(
 ) -> str:
     """The policy, or the one that is written from a file of another tool."""
     convention = reading.arguments()
-    if reading.from_ is None:
-        given = [
-            name for name, value in (*convention.items(), ("codec", codec)) if value is not None
-        ]
-        if given:
-            raise typer.BadParameter(f"--{given[0]} goes with --from: other policies state it")
+    # a network that no tool wrote is read by its dt
+    if reading.from_ is None and (codec is None or reading.dt is None):
+        stated = (*convention.items(), ("codec", codec))
+        if given := [name for name, value in stated if value is not None]:
+            raise typer.BadParameter(
+                f"--{given[0]} goes with --from, or where no tool wrote the file with --codec and "
+                "--dt: other policies state it"
+            )
         return policy
     from spikedeploy.envs import spec
     from spikedeploy.policies.nir import adopt, check_fits

@@ -179,7 +179,7 @@ def doctor(*, json: bool = False) -> None:
     from spikedeploy import zoo
     from spikedeploy.reports.table import Table
 
-    found = [*_versions(), _tested(), _threads(), _tried("rendering", _draw)]
+    found = [*_versions(), *_wrong(), _tested(), _threads(), _tried("rendering", _draw)]
     found += [_tried(name, partial(_opened, name)) for name in zoo.names()]
     marks = {True: "✓", False: "✗", None: " "}
     rows = [(marks[f.ok], f.name, f.detail) for f in found]
@@ -199,6 +199,14 @@ def _versions() -> Iterator[DoctorFinding]:
     for package in TRAIN:
         missing = 'not installed: pip install ".[train]" to train and export'
         yield DoctorFinding(package, None, installed_version(package) or missing)
+
+
+def _wrong() -> Iterator[DoctorFinding]:
+    """A finding for each package that is missing or of a version that is not supported."""
+    from spikedeploy.requirements import wrong_requirements
+
+    for sentence in wrong_requirements(extras=True):
+        yield DoctorFinding("version", False, sentence)
 
 
 def _tested() -> DoctorFinding:

@@ -23,6 +23,7 @@ from spikedeploy.runtime.analysis.drift import drift as measured
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.codec.codec import GIVE_CODEC
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.ports import by_port, ports
@@ -83,7 +84,8 @@ def choose_inputs(
     if artifact.codec is None:
         raise ConfigError(
             f"{path} has no codec (observation to spikes), so it cannot be played: give a raster "
-            "with --input, or draw spikes with --random RATE"
+            f"with --input, or draw spikes with --random RATE. Or {GIVE_CODEC[0].lower()}"
+            f"{GIVE_CODEC[1:]}"
         )
     return observed_inputs(artifact, find(str(path)), env, seeds, steps, options)
 

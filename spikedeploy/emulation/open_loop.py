@@ -104,7 +104,7 @@ def measure_inference(
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Emulation:
     """One inference over a raster of T timesteps.
 
@@ -118,6 +118,7 @@ class Emulation:
     measures  NeuroBench's numbers, memory and time; None likewise
     tables    energy tables to price by; empty for those of the chip
     clock     how the layers advanced, in words; empty in float
+    batch     inferences, B, which all arrays have as their first axis then; None for a single one
     """
 
     artifact: Artifact
@@ -130,6 +131,7 @@ class Emulation:
     measures: Measures | None = None
     tables: Sequence[str] = ()
     clock: str = ""
+    batch: int | None = None
 
     def save(self, path: Path) -> None:
         """Write a .npz, or NIRData in .h5: spikes and outputs, each by the name of its node."""
@@ -147,7 +149,25 @@ class Emulation:
     @property
     def timesteps(self) -> int:
         """T."""
-        return len(next(iter(self.outputs.values())))
+        return next(iter(self.outputs.values())).shape[0 if self.batch is None else 1]
+
+    def __repr__(self) -> str:
+        """A few lines, and no arrays: spikes by layer, outputs, operations, energies."""
+        size = self.timesteps * (self.batch or 1)
+        sent = {name: np.count_nonzero(rows) for name, rows in self.spikes.items()}
+        layers = [f"{n} {s:,} of {self.spikes[n].size // size:,} neurons" for n, s in sent.items()]
+        many = "one inference" if self.batch is None else f"{self.batch:,} inferences"
+        lines = [f"<{many} of {self.timesteps:,} timesteps on {self.chip}"]
+        lines += [f"spikes: {', '.join(layers)}"] * bool(layers)
+        lines += [
+            f"{name} {rows.shape}, sums {describe(rows)}" for name, rows in self.outputs.items()
+        ]
+        if self.ledger:
+            lines.append(f"synaptic operations: {self.ledger.total('sop'):,}")
+        joules = [f"{each.value:.3g} J by {name}" for name, each in self.energies.items()]
+        lines += [f"energy an inference: {', '.join(joules)}"] * bool(joules)
+        lines += [f"not counted: {self.uncounted}"] * bool(self.uncounted)
+        return "\n  ".join(lines) + ">"
 
     def as_json(self) -> dict[str, Any]:
         """Counts over the whole raster, by layer too, energies, and the convention.
@@ -162,7 +182,7 @@ class Emulation:
         neurons = dict(zip(ledger.layers, ledger.neurons, strict=True)) if ledger else {}
         layers = {
             name: {
-                "neurons": rows[0].size,
+                "neurons": rows.size // (self.timesteps * (self.batch or 1)),
                 "spikes": int(rows.sum()),
                 "rate": float(rows.mean()),
                 "sops": sops.get(name),
@@ -202,7 +222,7 @@ class Emulation:
     @property
     def energies(self) -> dict[str, EnergyEstimate]:
         """Energy table -> [J] with its interval."""
-        if self.ledger is None:
+        if not self.ledger:
             return {}
         names = self.tables or priced_by(chip_or_float(self.chip))
         return {name: energy_estimate(self.ledger, energy_table(name)) for name in names}
@@ -215,42 +235,66 @@ def emulate_artifact(
     backend: str | None = None,
     limits: bool = True,
     quantisation: Quantisation = PLAIN,
+    batched: bool = False,
 ) -> Emulation:
     """A network on a raster (T, *shape), or one for each Input node, from zero states.
 
     A chip takes spikes only; in float any numbers will do.
 
+    batched     rasters are (B, T, *shape), an inference each
+
     backend     as Machine takes it; None for its default
     limits      refuse what breaks a design rule of the chip
     quantisation  on a chip
     """
-    rows = by_port(ports(artifact.graph.inputs), in_batch(rasters))
+    rows = by_port(ports(artifact.graph.inputs), rasters if batched else in_batch(rasters))
     on = chip_or_float(chip)
     options: dict[str, Any] = {"backend": backend}  # whose unknown names the machine refuses
     options |= {"quantisation": quantisation, "limits": limits}
     network = run_network(artifact, on, trace=True, **options)
     if on is not None:
-        _check_memory(network.program, next(iter(rows.values())).shape[1])
+        inferences, timesteps = next(iter(rows.values())).shape[:2]
+        _check_memory(network.program, inferences * timesteps)
     found = split(network.outputs, network.infer(rows))
-    outputs = {"output" if len(found) == 1 else name: each[0] for name, each in found.items()}
+    kept = slice(None) if batched else 0
+    outputs = {"output" if len(found) == 1 else name: each[kept] for name, each in found.items()}
     if both := sorted(network.spikes.keys() & outputs.keys()):
         raise ArtifactError(f"node {both[0]!r} spikes, but that name is the output's. Rename it.")
     nodes = artifact.graph.nodes
     spikes = {
-        name: seen[0].reshape(-1, *nodes[name].output_type["output"])
+        name: seen.reshape(*seen.shape[:2], *nodes[name].output_type["output"])[kept]
         for name, seen in network.spikes.items()
     }
     unlimited = on is not None and not limits and on.limits is not None
     silent = bool(spikes) and not any(rows.any() for rows in spikes.values())
     remarks = (*network.remarks, *[_UNLIMITED] * unlimited, *[SILENT] * silent)
     clock = "" if on is None else network.program.describe_clock()
-    emulation = Emulation(artifact, chip, spikes, outputs, None, remarks=remarks, clock=clock)
+    batch = len(next(iter(rows.values()))) if batched else None
+    emulation = Emulation(
+        artifact, chip, spikes, outputs, None, remarks=remarks, clock=clock, batch=batch
+    )
     try:
         raster, ledger = network.program.joined(rows), network.ledger
         measures = measure_inference(artifact, network, raster, ledger)
     except RuleError as error:  # a graph or a raster that no chip could take
         return replace(emulation, uncounted=str(error))
     return replace(emulation, ledger=ledger, measures=measures)
+
+
+_SHOWN = 16  # numbers of an output in words
+
+
+def describe(rows: NDArray[Any]) -> str:
+    """An output (…, T, act) in words: sums over time of each number, and the largest.
+
+    Of several inferences the sums of all.
+    """
+    flat = rows.reshape(-1, rows.shape[-1]) if rows.ndim > 1 else rows[:, None]
+    sums = flat.sum(axis=0)
+    shown = ", ".join(f"{each:,.6g}" for each in sums[:_SHOWN])
+    more = f" … of {sums.size:,}" if sums.size > _SHOWN else ""
+    largest = f"; largest {int(sums.argmax())}" if sums.size > 1 and np.ptp(sums) > 0 else ""
+    return f"{shown}{more}{largest}"
 
 
 def _check_memory(program: Program, timesteps: int) -> None:

@@ -16,6 +16,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+import nir
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,13 +38,14 @@ from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.runtime.chips.quantisation import Quantisation
-from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.rules import PlacedNetwork
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.network import chip_or_float
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, SpikedeployError
+from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.metadata import Provenance, Record
 from spikedeploy.runtime.metrics.traffic import placed_messages
 
@@ -67,7 +69,7 @@ def _read_policy(path: str, *identity: int) -> Artifact:
     if artifact.codec is None:
         raise ArtifactError(
             f"{path} has no codec (observation to spikes, output to action), so it cannot drive a "
-            "robot; `spikedeploy emulate` plays spikes into it"
+            f"robot. {GIVE_CODEC}. `spikedeploy emulate` plays spikes into it as it is"
         )
     return artifact
 
@@ -207,7 +209,12 @@ def adopt(
             "actions: give --codec FILE.json; docs/own-network.md has one"
         )
     target = path.with_suffix(".policy.nir")
-    policy = replace(artifact, codec=read_codec(codec), provenance=_ADOPTED)
+    if artifact.codec is not None:
+        raise ConfigError(f"{file} states its codec: leave --codec out")
+    found, bounds = _read_codec(codec)
+    policy = replace(artifact, codec=found, provenance=_ADOPTED)
+    if bounds is not None:
+        policy = with_actions(policy, *bounds, f"--codec {codec}: actions")
     check_output("--from", target, (file, codec), force, _is_adopted)
     check(policy)
     save(policy, target)
@@ -233,23 +240,80 @@ def _is_adopted(path: Path) -> bool:
     return found is not None and (found.env, found.recipe) == (_ADOPTED.env, _ADOPTED.recipe)
 
 
+def with_actions(policy: Artifact, low: Floats, high: Floats, where: str) -> Artifact:
+    """The policy whose output neurons' rates, 0 to 1, become actions from `low` to `high`.
+
+    It is a readout of its own, behind neurons that spike at most once in a timestep.
+
+    low, high  (N,) of actions, of which -1 and 1 stand for the bounds of the environment's
+    """
+    graph = policy.graph
+    (output,) = graph.outputs
+    before = [source for source, target in graph.edges if target == output]
+    neurons = int(np.prod(graph.outputs[output].output_type["output"]))
+    spiking = all(isinstance(graph.nodes[name], SPIKING) for name in before) and len(before) == 1
+    if not spiking or policy.convention.spikes == "many" or policy.sigma_delta:
+        raise ConfigError(
+            f"{where} scales output neurons that spike once in a timestep at most, and the output "
+            f"hears {', '.join(sorted(before))}. Without it, scores are actions"
+        )
+    if policy.codec is None or policy.codec.squash != "none":
+        raise ConfigError(f"{where} needs squash 'none': what it gives are the actions")
+    if low.shape != (neurons,) or high.shape != (neurons,) or not np.all(low < high):
+        raise ConfigError(
+            f"{where}: low and high have shapes {low.shape} and {high.shape}; the network has "
+            f"{neurons} output neurons. Give {neurons} finite numbers each, low below high"
+        )
+    name = "actions"
+    while name in graph.nodes:
+        name += "_"
+    readout = nir.Affine(np.diag(high - low), low)
+    edges = [edge for edge in graph.edges if edge[1] != output]
+    edges += [(before[0], name), (name, output)]
+    wider = nir.NIRGraph(
+        {**graph.nodes, name: readout}, edges, metadata=graph.metadata, type_check=False
+    )
+    return replace(policy, graph=wider)
+
+
 def read_codec(path: Path) -> Codec:
     """The codec in a JSON file."""
+    return _read_codec(path)[0]
+
+
+def _read_codec(path: Path) -> tuple[Codec, tuple[Floats, Floats] | None]:
+    """The codec in a JSON file, and the bounds (N,) of `actions`, where it has them."""
     try:
         record = json.loads(read_text(path))
     except (OSError, ValueError, RecursionError) as error:
         raise ArtifactError(f"{path} is no JSON that can be read: {error}") from error
     if not isinstance(record, dict):
         raise ArtifactError(f"{path} holds no codec, but a {type(record).__name__}")
+    bounds = _bounds(path, record.pop("actions", None))
     try:
         arrays = _with_arrays(record)
     except (ValueError, OverflowError) as error:  # lists of different lengths
         raise ArtifactError(f"--codec {path} holds lists that are no arrays: {error}") from error
     try:
-        return Codec.from_record(Record(arrays, str(path)))
+        return Codec.from_record(Record(arrays, str(path))), bounds
     except ArtifactError as error:
         found = str(error).removesuffix(". Export the policy again.")  # written by hand
         raise ArtifactError(f"--codec {found}; docs/own-network.md has a whole one") from error
+
+
+def _bounds(path: Path, found: Any) -> tuple[Floats, Floats] | None:  # noqa: ANN401
+    if found is None:
+        return None
+    try:
+        low, high = (np.asarray(found[name], np.float64) for name in ("low", "high"))
+        if found.keys() == {"low", "high"} and (np.abs([low, high]) <= 1).all():
+            return low, high
+    except (TypeError, KeyError, ValueError, AttributeError):
+        pass
+    raise ArtifactError(
+        f'--codec {path}: actions must be {{"low": […], "high": […]}}, a number for each output '
+        "neuron, from -1 to 1, which stand for the bounds of the environment's actions"
+    )
 
 
 def _with_arrays(value: Any) -> Any:  # noqa: ANN401

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from spikedeploy.console import print_list, print_text
-from spikedeploy.emulation.open_loop import Emulation
+from spikedeploy.emulation.open_loop import Emulation, describe
 from spikedeploy.emulation.verification import Verification
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.reports.columns import (
@@ -203,8 +203,7 @@ def _emulation_facts(emulation: Emulation) -> dict[str, str]:
         **{name: f"{value:,.4g}" for name, value in _operations(found["neurobench"]).items()},
         **{f"energy, {name}": energy for name, energy in energies.items()},
         "sums of outputs": ", ".join(
-            f"{name} {values.sum():,.6g} in {values[0].size:,} numbers a timestep"
-            for name, values in emulation.outputs.items()
+            f"{name} {describe(values)}" for name, values in emulation.outputs.items()
         ),
         "host": ", ".join(f"{host[k]:,} {k}" for k in ("multiplications", "additions") if host),
         "not counted": emulation.uncounted,

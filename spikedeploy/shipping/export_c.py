@@ -20,6 +20,7 @@ from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.codec.codec import GIVE_CODEC
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.convention import CLOCKS
 from spikedeploy.shipping.sources import (
@@ -95,7 +96,7 @@ def export_c(
     if artifact.codec is None:
         raise ConfigError(
             f"{policy} has no codec (observation to spikes), and C of it could not be asked for "
-            "actions. Give it one with `spikedeploy run --from`; docs/own-network.md has it."
+            f"actions. {GIVE_CODEC}."
         )
     check_output_folder("-o", folder, file_names(prefix), (file, policy), force, is_export)
     # software updates a layer when it is told to, whatever the chip can; its options come first
@@ -159,7 +160,7 @@ def _write_float(
 
 
 def _origin(file: Path) -> str:
-    return f"{zoo.name_in_reports(str(file))}, sha256 {zoo.sha256(file)[:16]}"
+    return f"{zoo.name_in_exports(file)}, sha256 {zoo.sha256(file)[:16]}"
 
 
 def is_export(folder: Path) -> bool:

@@ -38,6 +38,7 @@ from spikedeploy.make_env import confirm, make_env
 from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.codec.codec import GIVE_CODEC
 from spikedeploy.runtime.compiler.compile import clock_on, compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.compiler.rules import PlacedNetwork
@@ -106,8 +107,8 @@ def export_program(
     else:
         if artifact.codec is None:
             raise ConfigError(
-                f"--to program: {policy} has no codec, so no episode can be played. Give a raster: "
-                "--input spikes.npy."
+                f"--to program: {policy} has no codec, so no episode can be played. Give a raster, "
+                f"--input spikes.npy. Or {GIVE_CODEC[0].lower()}{GIVE_CODEC[1:]}."
             )
         run = chip_run(compiled, artifact.codec.timesteps, artifact.convention.state)
         if missing := missing_of(compiled, artifact.codec):
@@ -116,8 +117,7 @@ def export_program(
         rows, episode, source = _episode(policy, artifact, player, steps, env)
     _check_delays(run.program, tool)
     host = host_record(compiled, None if raster is not None else artifact.codec, run)
-    named = zoo.name_in_reports(str(file))
-    origin = f"{named if named != str(file) else file.name}, sha256 {zoo.sha256(file)[:16]}"
+    origin = f"{zoo.name_in_exports(file)}, sha256 {zoo.sha256(file)[:16]}"
     placement = PlacedNetwork(artifact, on).mapping if on.limits is not None else None
     text = program_text(run, compiled.clock, placement, host, origin)
     said = f"expected by spikedeploy's emulation of {chip_name}, {source}"

@@ -20,7 +20,7 @@ from spikedeploy.exporters.verilog.to_verilog import core_files
 from spikedeploy.outputs import check_output_folder
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.shipping.export_c import WrittenFolder
@@ -75,8 +75,7 @@ def design(
     if artifact.codec is None:
         raise ConfigError(
             f"{file} has no codec (observation to spikes), so that no host could ask the core for "
-            "actions. Give it one: docs/codec.md, 'A network of your own as a policy'; or with "
-            "`spikedeploy run --from TOOL --codec FILE`, where a tool wrote the network."
+            f"actions. {GIVE_CODEC}."
         )
     name, program = program_for(artifact, chip_name)
     image = core_image(program, artifact.codec)
@@ -118,7 +117,7 @@ def export_verilog(
     predict(image, on).check()
     check_output_folder("-o", folder, (RECORD, MAKEFILE), inputs, force, is_export)
     check_unchanged("-o", folder, force)
-    shipped = zoo.name_in_reports(str(file))
+    shipped = zoo.name_in_exports(file)
     origin = f"{shipped}, sha256 {zoo.sha256(file)[:16]}, on {made.chip}"
     where = world_of(policy, made.artifact)
     seen, source = episode_of(made.artifact, made.program.chip, observations, where, env)

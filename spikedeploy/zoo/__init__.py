@@ -65,6 +65,12 @@ def name_in_reports(file: str) -> str:
     return str(place.relative_to(FOLDER)) if place.is_relative_to(FOLDER) else file
 
 
+def name_in_exports(file: Path) -> str:
+    """A policy's file as exports name it, without the folders of the machine that made them."""
+    named = name_in_reports(str(file))
+    return file.name if named == str(file) else named
+
+
 def sha256(file: Path) -> str:
     """The hash of a policy's bytes, in hexadecimal."""
     return hashlib.sha256(file.read_bytes()).hexdigest()

@@ -202,3 +202,28 @@ def test_a_users_script_is_typed(tmp_path, monkeypatch):
     assert len(errors) == 2, said
     assert 'has no attribute "rum"' in errors[0]
     assert 'Argument "dt" to "load" has incompatible type "str"' in errors[1]
+
+
+@pytest.mark.parametrize("chip", ["float", "loihi1"])
+def test_a_batch_runs_as_its_inferences_do_and_its_repr_is_short(chip):
+    net = sd.load(NET, dt=1e-3).on(chip)
+    raster = np.load(RASTER)
+    other = raster[::-1]
+    batch, singles = net.run(np.stack([raster, other])), [net.run(raster), net.run(other)]
+    for name, rows in batch.spikes.items():
+        np.testing.assert_array_equal(rows, np.stack([each.spikes[name] for each in singles]))
+    assert batch.ledger.total("sop") == sum(each.ledger.total("sop") for each in singles) > 0
+    assert batch.timesteps == singles[0].timesteps == 200
+    for each in (batch, *singles):
+        assert len(repr(each)) < 500
+        assert "synaptic operations" in repr(each)
+    with pytest.raises(ObservationError, match=r"takes \(B, T, 16\)"):
+        net.run(raster[0])
+
+
+def test_events_that_were_not_counted_are_an_error_where_they_are_used():
+    out = sd.load(NET, dt=1e-3).run(np.full((20, 16), 0.5))
+    assert not out.ledger
+    with pytest.raises(RuleError, match=r"no total: events cannot be counted"):
+        out.ledger.total("sop")
+    assert "not counted" in repr(out)

@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+from spikedeploy import requirements
+from spikedeploy.errors import ConfigError
 from spikedeploy.user_errors import EXTRAS, one_line
 from tests.paths import ROOT
 
@@ -45,3 +47,33 @@ def test_a_missing_package_names_the_extra_that_has_it(package, extra):
 def test_a_command_that_moved_to_the_lab_says_where_it_is(name, command):
     code, _, err = command(name, "--quick")
     assert (code, f"`python -m lab {name}`" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("package", "found", "said"),
+    [
+        ("nir", "1.0.4", "nir 1.0.4 is installed, and spikedeploy needs nir >=1.0.8,<2"),
+        ("nir", "0.2", "nir 0.2 is installed"),
+        ("h5py", "4.0.0", "h5py 4.0.0 is installed, and spikedeploy needs h5py >="),
+        ("gymnasium", "0.29.1", "spikedeploy needs gymnasium >=1.0,<2"),
+        ("nir", None, "spikedeploy needs nir, which is not installed: pip install 'nir>="),
+    ],
+)
+def test_a_package_of_a_wrong_version_is_one_sentence(package, found, said, monkeypatch):
+    installed = requirements._installed
+    monkeypatch.setattr(
+        requirements, "_installed", lambda name: found if name == package else installed(name)
+    )
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        requirements.check_requirements()
+
+
+def test_the_packages_of_these_tests_are_in_their_ranges():
+    assert list(requirements.wrong_requirements()) == []
+
+
+def test_an_attribute_that_is_not_there_stays_a_bug_where_all_versions_are_right(monkeypatch):
+    monkeypatch.setattr(requirements, "_requirements", lambda: iter([("nir", ">=1.0.8,<2", False)]))
+    assert one_line(AttributeError("no such thing")) is None
+    monkeypatch.setattr(requirements, "_installed", lambda name: "1.0.4")
+    assert "nir 1.0.4 is installed" in one_line(AttributeError("no such thing"))

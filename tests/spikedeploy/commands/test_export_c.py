@@ -3,12 +3,13 @@
 import errno
 import json
 import os
+import shutil
 import sys
 from pathlib import Path
 
 import pytest
 
-from spikedeploy import files
+from spikedeploy import files, zoo
 from spikedeploy.exporters.c.declarations import plain
 from spikedeploy.exporters.c.packaging import INT16, MARK, file_names, write_texts
 from spikedeploy.exporters.c.refusals import check_prefix
@@ -255,3 +256,16 @@ def test_c_of_another_policy_is_removed_where_it_is_not_replaced(tmp_path):
     }
     export_c.write(kept, tmp_path, "policy")
     assert names_in(tmp_path) == {*kept, "host_i16.c"}
+
+
+@pytest.mark.parametrize("to", ["c", "verilog", "program"])
+def test_an_export_names_the_file_and_no_folder_of_the_machine(to, tmp_path, command):
+    source = tmp_path / "some" / "where" / "mine.nir"
+    source.parent.mkdir(parents=True)
+    shutil.copy(zoo.resolve("kart-grid/snn"), source)
+    more = ("--chip", "loihi1") if to != "verilog" else ()
+    code, _, err = command("export", source, "--to", to, *more, "-o", tmp_path / "out")
+    assert code == 0, err
+    texts = [path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()]
+    assert any(b"mine.nir" in text for text in texts)
+    assert not any(str(tmp_path).encode() in text or b"some/where" in text for text in texts)

@@ -3,8 +3,12 @@
 import json
 import shutil
 
+import nir
+import numpy as np
 import pytest
 
+import spikedeploy as sd
+from tests.networks import chain
 from tests.paths import ROOT
 
 EXPORTS = ROOT / "tests/golden/exports"
@@ -96,3 +100,30 @@ def test_what_no_chip_takes_leaves_the_policy_of_before(here, command):
     assert code == 1
     assert "rule reset" in err
     assert (here / "snntorch_leaky.policy.nir").read_bytes() == before
+
+
+def test_rates_of_a_spiking_last_layer_become_actions_in_bounds(here, command):
+    full = lambda *values: [np.full(1, float(value)) for value in values]  # noqa: E731
+    nodes = [nir.Linear(np.ones((1, 3))), nir.LIF(*full(2e-3, 2, 0, 0.5), v_reset=np.zeros(1))]
+    nir.write(here / "mine.nir", chain(*nodes, width=3, act=1))
+    coded = {
+        "timesteps": 8,
+        "squash": "none",
+        "normaliser": {"mean": [0] * 3, "std": [1, 1, 8], "clip": 1},
+        "encoder": {"kind": "rate", "mode": "regular", "low": [-1] * 3, "high": [1] * 3},
+    }
+    words = ("run", "mine.nir", "--dt", "1e-3", "--codec", "codec.json", "--env", "Pendulum-v1")
+    for actions, refused in (
+        ({"low": [-2], "high": [2]}, "from -1 to 1"),
+        ({"low": [-1, -1], "high": [1, 1]}, "1 output neurons"),
+        ({"low": [-1], "high": [1]}, ""),
+    ):
+        (here / "codec.json").write_text(json.dumps({**coded, "actions": actions}))
+        code, _, err = command(*words, "--episodes", "1", "--chip", "loihi1")
+        assert refused in " ".join(err.split())
+        assert code == (2 if refused else 0), err
+    for chip in ("float", "loihi1"):
+        controller = sd.load("mine.policy.nir").on(chip).controller()
+        acted = {float(controller.act(np.array([x, x, 8 * x]))[0]) for x in np.linspace(-1, 1, 9)}
+        assert (min(acted), max(acted)) == (-1, 1)
+        assert len(acted) > 3

@@ -300,7 +300,7 @@ MISSING = {
     "loihi1-nengo": ((), "nengo_loihi", "install nengo-loihi==1.1.0 and nengo==4.1.0"),
     "xylo-a2": (("--sim",), "xylosim", "install xylosim==0.1.3"),
     RESETTING[0]: ((), "rockpool", 'install "rockpool[xylo]==3.1.0", or run it with --sim'),
-    "speck2f": ((), "sinabs", "install sinabs==3.1.3 and torch"),
+    "speck2f": ((), "sinabs", "install sinabs==3.1.3 by pip install --no-deps, and torch"),
     "spinnaker2": ((), "spinnaker2", "install py-spinnaker2 from https://gitlab.com/spinnaker2"),
     "loihi2": ((), "numpy", "install numpy"),
 }
