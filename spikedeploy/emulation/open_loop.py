@@ -149,7 +149,8 @@ class Emulation:
     @property
     def timesteps(self) -> int:
         """T."""
-        return next(iter(self.outputs.values())).shape[0 if self.batch is None else 1]
+        rows = next(iter(self.outputs.values()))
+        return len(rows) if self.batch is None else len(rows[0])
 
     def __repr__(self) -> str:
         """A few lines, and no arrays: spikes by layer, outputs, operations, energies."""
