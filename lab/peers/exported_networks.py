@@ -114,7 +114,9 @@ def snntorch_network(
     return module, graph
 
 
-def norse_network(kind: str, subtract: bool = False) -> tuple[Any, nir.NIRGraph]:
+def norse_network(
+    kind: str, subtract: bool = False, v_leak: float = 0.0
+) -> tuple[Any, nir.NIRGraph]:
     """Two layers of LIFBoxCell, LIFCell or IAFCell; parameters as vectors, which NIR needs."""
     import norse.torch as norse
     import torch
@@ -124,7 +126,10 @@ def norse_network(kind: str, subtract: bool = False) -> tuple[Any, nir.NIRGraph]
         full = {"v_th": torch.ones(size)}
         if kind == "IAFCell":
             return norse.IAFCell(norse.IAFParameters(**full))
-        full |= {"tau_mem_inv": torch.linspace(80, 200, size), "v_leak": torch.zeros(size)}
+        full |= {
+            "tau_mem_inv": torch.linspace(80, 200, size),
+            "v_leak": torch.full((size,), v_leak),
+        }
         if kind == "LIFCell":
             full["tau_syn_inv"] = torch.full((size,), 300.0)
             return norse.LIFCell(norse.LIFParameters(**full))
@@ -137,7 +142,7 @@ def norse_network(kind: str, subtract: bool = False) -> tuple[Any, nir.NIRGraph]
 
 
 def spikingjelly_network(kind: str, **options: Any) -> tuple[Any, nir.NIRGraph]:  # noqa: ANN401
-    """Two layers of LIFNode or IFNode."""
+    """Two layers of LIFNode, IFNode or CUBALIFNode."""
     import torch
     from spikingjelly.activation_based import functional, layer, neuron
     from spikingjelly.activation_based.nir_exchange import export_to_nir
@@ -172,10 +177,16 @@ def _cases() -> Iterator[tuple[str, Exported]]:
         yield file, Exported("norse", file, partial(norse_network, kind), {})
     file, build = "norse_lifboxcell", partial(norse_network, "LIFBoxCell", subtract=True)
     yield f"{file}_subtract", Exported("norse", file, build, {"reset": "subtract"})
+    # membranes start where they leak to
+    for kind in ("LIFBoxCell", "LIFCell"):
+        file, build = f"norse_{kind.lower()}_leak", partial(norse_network, kind, v_leak=0.4)
+        yield file, Exported("norse", file, build, {})
     jelly: dict[str, tuple[str, dict[str, Any]]] = {
         "lif": ("LIFNode", {}),
         "lif_slow": ("LIFNode", {"tau": 5.0, "decay_input": False, "v_reset": -0.25}),
         "if": ("IFNode", {}),
+        "if_reset": ("IFNode", {"v_reset": -0.5}),
+        "cuba": ("CUBALIFNode", {"c_decay": 0.0, "v_decay": 0.8, "v_reset": -0.5}),
     }
     for name, (kind, options) in jelly.items():
         file, build = f"spikingjelly_{name}", partial(spikingjelly_network, kind, **options)

@@ -28,10 +28,15 @@ from spikedeploy.runtime.graph.neurons import (
     infer_convention,
     infer_timestep,
 )
-from spikedeploy.runtime.graph.normal_form import flatten, with_floats, without_batch_axis
+from spikedeploy.runtime.graph.normal_form import (
+    flatten,
+    with_floats,
+    with_full_parameters,
+    without_batch_axis,
+)
 from spikedeploy.runtime.graph.order import Timing, delay_timesteps, timing
 from spikedeploy.runtime.graph.shapes import check_size
-from spikedeploy.runtime.graph.validate import DERIVED_FIELDS, check_graph
+from spikedeploy.runtime.graph.validate import DERIVED_FIELDS, check_graph, check_nodes
 from spikedeploy.runtime.metadata import Provenance, Record, Tree
 
 _SCHEMA = 1
@@ -278,8 +283,9 @@ def _artifact_of_graph(
     else:
         if written_by is not None:
             graph = finite_nodes(graph, written_by)
+        check_nodes(graph)
+        graph = with_full_parameters(with_floats(graph))
         check_graph(graph)
-        graph = with_floats(graph)
     if like is not None:
         graph, convention = read_like(graph, like, given)
     elif written_by is not None:

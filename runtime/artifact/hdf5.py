@@ -19,6 +19,7 @@ import numpy as np
 from nir.serialization import hdf2dict
 
 from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.graph.shapes import ELEMENTWISE
 
 # releases that refuse the field v_reset; then all that files were opened with
 _WITHOUT_V_RESET = ("1.0.4", "1.0.5")
@@ -107,7 +108,7 @@ def _node(tree: object, path: str) -> nir.NIRNode:
             "primitive is newer."
         )
     try:
-        return nir.dict2NIRNode(dict(tree))
+        return nir.dict2NIRNode(_with_shapes(kind, tree))
     # each primitive has its own exceptions, and most name neither node nor field
     except Exception as error:
         fields = {n: np.shape(value) for n, value in sorted(tree.items()) if n != "type"}
@@ -116,6 +117,25 @@ def _node(tree: object, path: str) -> nir.NIRNode:
             f"node {path!r}: no {kind} can be made of {shapes or 'nothing'}: "
             f"{error or 'nir refuses'}. {_REMEDY}"
         ) from error
+
+
+def _with_shapes(kind: str, tree: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a node, those with one number for all of its values as the others are.
+
+    Tools write the parameters of neurons as one number, or some of them.
+    """
+    fields = dict(tree)
+    if not issubclass(getattr(nir, kind), ELEMENTWISE):
+        return fields
+    numbers = {
+        name: np.atleast_1d(value)
+        for name, value in fields.items()
+        if isinstance(value, (np.ndarray, np.number)) and value.dtype.kind in "fiu"
+    }
+    largest = max((each.shape for each in numbers.values()), key=math.prod, default=())
+    for name, each in numbers.items():
+        fields[name] = np.full(largest, each.ravel()[0]) if each.size == 1 else each
+    return fields
 
 
 def _text(name: object) -> str:

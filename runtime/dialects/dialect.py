@@ -231,6 +231,21 @@ def with_zero_reset(node: nir.NIRNode, **parameters: object) -> nir.NIRNode:
     return with_parameters(node, v_reset=np.zeros(node.v_threshold.shape), **parameters)
 
 
+def rounded_to(dt: float, tau: Values) -> Values:
+    """Time constants [s], exactly dt where the rounding of float32 alone tells them from it.
+
+    The decay factor of dt is 0.
+    """
+    return np.where(np.abs(tau / dt - 1) <= 4 * np.finfo(np.float32).eps, dt, tau)
+
+
+def counted_from(node: nir.NIRNode, start: Values) -> nir.NIRNode:
+    """The neuron whose membrane starts at `start`, counted from there: ours start at 0."""
+    ends = {n: float64(getattr(node, n)) - start for n in ("v_threshold", "v_reset")}
+    leak = {} if isinstance(node, nir.IF) else {"v_leak": float64(node.v_leak) - start}
+    return with_parameters(node, **ends, **leak)
+
+
 def with_batch_axis(node: nir.Flatten) -> nir.NIRNode:
     """The Flatten of a tool that counts the batch as axis 0."""
     start, end = int(node.start_dim), int(node.end_dim)

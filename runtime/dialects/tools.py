@@ -23,11 +23,13 @@ from spikedeploy.runtime.dialects.dialect import (
     Values,
     Writer,
     are_integrators,
+    counted_from,
     is_close,
     is_uniform,
     one_minus_decay,
     require,
     require_values,
+    rounded_to,
     tau_over_r,
     with_batch_axis,
     with_gain,
@@ -177,7 +179,8 @@ def _norse_reads(name: str, node: nir.NIRNode, convention: Convention) -> nir.NI
         require(convention.reset == "zero", name, only)
         # it ignores r, with a warning; an IF adds its input whatever dt is
         r = 1 / convention.dt if isinstance(node, nir.IF) else 1.0
-        return with_zero_reset(node, r=np.full(node.r.shape, r))
+        own = with_zero_reset(node, r=np.full(node.r.shape, r))
+        return own if isinstance(node, nir.IF) else counted_from(own, float64(node.v_leak))
     if isinstance(node, nir.CubaLIF):
         require(node.v_leak == 0, name, "would add v_leak to the synapse as well")
         return with_zero_reset(node)
@@ -188,17 +191,24 @@ def _norse_means(name: str, node: nir.NIRNode, convention: Convention) -> nir.NI
     """The neuron with its own time constants; files hold dt/tau_inv, tau times the dt of to_nir."""
     dt = convention.dt
     require_values(name, node, "writes", r=1)
-    if isinstance(node, (nir.LIF, nir.LI)):
-        return with_parameters(node, tau=float64(node.tau) / dt)
+    if isinstance(node, nir.LI):
+        starts = "starts membranes at v_leak, and nothing counts the output of an LI from there"
+        require(node.v_leak == 0, name, starts)
+        return with_parameters(node, tau=rounded_to(dt, float64(node.tau) / dt))
+    if isinstance(node, nir.LIF):
+        own = with_parameters(node, tau=rounded_to(dt, float64(node.tau) / dt))
+        return counted_from(own, float64(node.v_leak))
     if isinstance(node, nir.CubaLIF):
         if convention.reset == "subtract":
             raise ConventionError(
                 f"node {name!r}: reset 'subtract': an LIFCell of {_NORSE_TOOL} resets to "
                 "v_reset, only an LIFBoxCell can subtract. Leave --reset away."
             )
-        tau_syn, tau_mem = float64(node.tau_syn) / dt, float64(node.tau_mem) / dt
+        tau_syn = rounded_to(dt, float64(node.tau_syn) / dt)
+        tau_mem = rounded_to(dt, float64(node.tau_mem) / dt)
         # the input is added to the current whole
-        return with_parameters(node, tau_syn=tau_syn, tau_mem=tau_mem, w_in=tau_syn / dt)
+        own = with_parameters(node, tau_syn=tau_syn, tau_mem=tau_mem, w_in=tau_syn / dt)
+        return counted_from(own, float64(node.v_leak))
     if isinstance(node, nir.IF):
         # the input is added whatever dt is
         return with_parameters(node, r=np.full(node.r.shape, 1 / dt))
@@ -663,7 +673,7 @@ _CLOSE = 1e-6  # relative, by which its import compares
 
 
 def _spikingjelly_reads(name: str, node: nir.NIRNode, convention: Convention) -> nir.NIRNode:
-    """The node itself: it refuses every one that it would compute differently."""
+    """The node, counted from v_reset: it refuses every other that it would compute differently."""
     dt = convention.dt
     if isinstance(node, (nir.Conv1d, nir.Conv2d)):
         require(node.groups == 1, name, "reads no grouped convolution")
@@ -683,7 +693,8 @@ def _spikingjelly_reads(name: str, node: nir.NIRNode, convention: Convention) ->
         unit = is_close(node.w_in, float64(node.tau_syn) / dt, _CLOSE)
         require(unit, name, "needs w_in = tau_syn/dt")
         require(is_close(node.v_leak, 0.0, _CLOSE), name, "needs v_leak = 0")
-    return node
+    # where its membranes start
+    return counted_from(node, float64(node.v_reset)) if isinstance(node, SPIKING) else node
 
 
 def _spikingjelly_timestep(name: str, node: nir.NIRNode) -> Any:  # noqa: ANN401
@@ -697,16 +708,13 @@ def _spikingjelly_timestep(name: str, node: nir.NIRNode) -> Any:  # noqa: ANN401
 def _spikingjelly_means(name: str, node: nir.NIRNode, convention: Convention) -> nir.NIRNode:
     if not isinstance(node, SPIKING):
         return node
-    if not isinstance(node, nir.IF):
+    if isinstance(node, nir.CubaLIF):
+        require_values(name, node, "writes", v_leak=0)
+    elif isinstance(node, nir.LIF):
         same = is_close(node.v_leak, float64(node.v_reset))
         require(same, name, "writes v_leak = v_reset")
-    own = node
-    if not isinstance(node, nir.CubaLIF):
-        # the membrane counted from v_reset, where it begins and rests
-        zero = np.zeros(node.v_reset.shape)
-        threshold = float64(node.v_threshold) - float64(node.v_reset)
-        leak = {"v_leak": zero} if isinstance(node, nir.LIF) else {}
-        own = with_parameters(node, v_threshold=threshold, v_reset=zero, **leak)
+        node = with_parameters(node, v_leak=node.v_reset)
+    own = counted_from(node, float64(node.v_reset))  # where its membranes start
     return own if _spikingjelly_timestep(name, node) is None else with_gain(own, convention)
 
 

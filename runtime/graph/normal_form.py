@@ -1,4 +1,4 @@
-"""The normal form of a graph: one level, parameters in floats, no batch axes.
+"""The normal form of a graph: one level, parameters in floats and for each value, no batch axes.
 
 Nodes of an inner graph are called outer.inner. Its Input and Output compute nothing; they become
 edges.
@@ -8,10 +8,13 @@ signed one the magnitude does not fit, so that results would be wrong without a 
 
 Some tools write shapes with axes of one in front, for batch or time, which NIR does not count. A
 weight matrix takes (M,), a Conv1d (C, X), a Conv2d or pool (C, Y, X); what stands beside one with
-the same axes and further ones of length 1 before them has a batch.
+the same axes and further ones of length 1 before them has a batch. A Flatten may count it as well.
+
+Some tools write one number for all neurons of a layer, whose shape is then that of what arrives.
 """
 
 import copy
+import math
 from collections import defaultdict
 from collections.abc import Iterable
 from itertools import product
@@ -21,15 +24,22 @@ import nir
 import numpy as np
 
 from spikedeploy.runtime.errors import ArtifactError
-from spikedeploy.runtime.graph.neurons import NEURONS
 from spikedeploy.runtime.graph.order import Edge
-from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, POOLS, whole_numbers
+from spikedeploy.runtime.graph.shapes import (
+    CONVOLUTIONS,
+    DENSE,
+    ELEMENTWISE,
+    POOLS,
+    Shape,
+    flattened_shape,
+    output_shape,
+    stated_shape,
+    whole_numbers,
+)
 from spikedeploy.runtime.graph.validate import MAX_EDGES, check_edges
 
 Nodes: TypeAlias = dict[str, nir.NIRNode]
 
-# kinds with one parameter for every value that they take
-_ELEMENTWISE = (*NEURONS, nir.Threshold, nir.Scale, nir.Delay)
 _PORTS = (nir.Input, nir.Output)
 # geometry of a convolution, which stays in whole numbers; types are derived
 _NO_PARAMETERS = {
@@ -133,7 +143,7 @@ def _bypass(port: str, nodes: Nodes, edges: _Edges) -> None:
 
 def with_floats(graph: nir.NIRGraph) -> nir.NIRGraph:
     """The graph with whole parameters in float64; itself where there are none."""
-    kinds = (*DENSE, *CONVOLUTIONS, *_ELEMENTWISE)
+    kinds = (*DENSE, *CONVOLUTIONS, *ELEMENTWISE)
     return _with_nodes(
         graph, {n: _in_floats(n, m) for n, m in graph.nodes.items() if isinstance(m, kinds)}
     )
@@ -188,7 +198,7 @@ def _axes(graph: nir.NIRGraph) -> dict[str, int]:
     for here in waiting:
         for name in sorted(near[here]):
             node = graph.nodes.get(name)
-            if name not in known and isinstance(node, (*_ELEMENTWISE, *_PORTS)):
+            if name not in known and isinstance(node, (*ELEMENTWISE, *_PORTS)):
                 known[name] = known[here]
                 waiting.append(name)
     return known
@@ -209,7 +219,7 @@ def _without_leading_axes(node: nir.NIRNode, axes: int) -> nir.NIRNode:
         shape = np.asarray(node.output_type["output"])
         extra = _extra(shape.tolist(), axes) if shape.ndim == 1 else 0
         return type(node)(shape[extra:]) if extra else node
-    if not isinstance(node, _ELEMENTWISE):
+    if not isinstance(node, ELEMENTWISE):
         return node
     arrays = {n: value for n, value in vars(node).items() if isinstance(value, np.ndarray)}
     stripped = {n: value[(0,) * _extra(value.shape, axes)] for n, value in arrays.items()}
@@ -229,3 +239,114 @@ def _extra(lengths: Iterable[int], axes: int) -> int:
     while len(lengths) - found > axes and lengths[found] == 1:
         found += 1
     return found
+
+
+def with_full_parameters(graph: nir.NIRGraph) -> nir.NIRGraph:
+    """The graph whose nodes have one parameter for every value that arrives, and say their shapes.
+
+    A parameter of size 1 is that of all values, one of shape (C, 1, 1) that of all positions of a
+    channel. A Flatten that counts the batch gets axes that do not; an Output behind neurons of size
+    1 takes what they put out. What does not fit is left for the check of shapes.
+    """
+    if not any(map(_is_open, graph.nodes.values())):
+        return graph
+    sources, targets = defaultdict(list), defaultdict(list)
+    for source, target in sorted(graph.edges):
+        sources[target].append(source)
+        targets[source].append(target)
+    nodes, puts, widened = dict(graph.nodes), dict[str, Shape](), set[str]()
+
+    def visit(name: str, arriving: Shape | None) -> None:
+        node = nodes[name]
+        if arriving is not None:
+            behind = widened.intersection(sources[name])
+            wanted = [stated_shape(n, nodes[n]) for n in targets[name] if not _is_open(nodes[n])]
+            fitted = _fitted(name, node, arriving, next(iter(wanted), None), bool(behind))
+            if fitted is not node and isinstance(node, ELEMENTWISE):
+                widened.add(name)
+            nodes[name] = node = fitted
+        takes = stated_shape(name, node) or arriving
+        if takes is not None:
+            puts[name] = output_shape(name, node, takes)
+
+    for name in sorted(nodes):
+        if not _is_open(nodes[name]):
+            visit(name, None)
+    waiting = sorted(nodes.keys() - puts.keys())
+    while waiting:
+        new = []
+        for name in waiting:
+            if name not in puts and (known := [s for s in sources[name] if s in puts]):
+                visit(name, puts[known[0]])
+                new.append(name)
+        waiting = sorted({t for name in new for t in targets[name] if t not in puts})
+    return _with_nodes(graph, nodes)
+
+
+def _is_open(node: nir.NIRNode) -> bool:
+    """True if the shape of a node may be that of what arrives."""
+    if isinstance(node, nir.Output):
+        shape = np.asarray(node.output_type["output"])
+        return shape.dtype.kind in "fiu" and shape.ndim == 1 and bool(np.prod(shape) <= 1)
+    if isinstance(node, ELEMENTWISE):
+        return 1 in _parameters(node)
+    return isinstance(node, (nir.Flatten, *POOLS)) or (
+        isinstance(node, CONVOLUTIONS) and node.input_shape is None
+    )
+
+
+def _parameters(node: nir.NIRNode) -> Shape:
+    """The shape of the parameters of a node with one for each value."""
+    field = {nir.Scale: "scale", nir.Threshold: "threshold", nir.Delay: "delay"}
+    return tuple(map(int, np.shape(getattr(node, field.get(type(node), "r")))))
+
+
+def _fitted(
+    name: str, node: nir.NIRNode, arriving: Shape, wanted: Shape | None, widened: bool
+) -> nir.NIRNode:
+    """The node for what arrives; itself where it fits, or does not fit at all.
+
+    wanted: by the node behind it.
+    widened: True if it stands behind a node whose parameters were those of one value.
+    """
+    if isinstance(node, nir.Flatten):
+        return _fitted_flatten(name, node, arriving, wanted)
+    if isinstance(node, nir.Output):
+        return nir.Output(np.array(arriving)) if widened else node
+    if not isinstance(node, ELEMENTWISE):
+        return node
+    shape = _parameters(node)
+    single = math.prod(shape) == 1
+    aligned = len(shape) == len(arriving) and all(
+        a in (1, b) for a, b in zip(shape, arriving, strict=True)
+    )
+    if shape == arriving or not (single or aligned):
+        return node
+    other = copy.copy(node)
+    for field, value in vars(node).items():
+        if isinstance(value, np.ndarray) and value.shape == shape:
+            whole = value.reshape(-1)[:1] if single else value
+            setattr(other, field, np.array(np.broadcast_to(whole, arriving)))
+    other.input_type = {"input": np.array(arriving)}
+    other.output_type = {"output": np.array(arriving)}
+    return other
+
+
+def _fitted_flatten(
+    name: str, node: nir.Flatten, arriving: Shape, wanted: Shape | None
+) -> nir.NIRNode:
+    """The Flatten of what arrives, without axes of 1 in front that its shape or its axes count."""
+    stated = stated_shape(name, node) or arriving
+    extra = len(stated) - len(arriving)
+    if extra < 0 or stated != (1,) * extra + arriving:
+        return node
+    for shift in (extra, 0, 1) if wanted else (extra,):
+        start, end = int(node.start_dim), int(node.end_dim)
+        other = nir.Flatten(
+            {"input": np.array(arriving)},
+            max(start - shift, 0) if start > 0 else start,
+            max(end - shift, 0) if end > 0 else end,
+        )
+        if wanted is None or flattened_shape(name, other, arriving) == wanted:
+            return node if (extra, shift) == (0, 0) else other
+    return node

@@ -27,6 +27,8 @@ Shape: TypeAlias = tuple[int, ...]
 DENSE = (nir.Affine, nir.Linear)
 CONVOLUTIONS = (nir.Conv1d, nir.Conv2d)
 POOLS = (nir.SumPool2d, nir.AvgPool2d)
+# kinds with one parameter for every value that they take
+ELEMENTWISE = (*NEURONS, nir.Threshold, nir.Scale, nir.Delay)
 
 # values of one timestep: a node with more is taken for a mistake that would exhaust the memory
 MAX_VALUES = 1 << 24
@@ -133,7 +135,7 @@ def infer_shapes(graph: nir.NIRGraph) -> None:
         if puts != takes:
             raise ArtifactError(
                 f"edge {source!r} -> {target!r}: the shapes of the graph disagree: {source!r} puts "
-                f"out {puts}, {target!r} takes {takes}. Correct one of the two nodes."
+                f"out {puts}, {target!r} takes {takes}. {_remedy(graph.nodes[target], takes, puts)}"
             )
     for name, (takes, puts) in shapes.items():
         node = graph.nodes[name]
@@ -141,6 +143,13 @@ def infer_shapes(graph: nir.NIRGraph) -> None:
         node.output_type = {"output": np.array(puts)}
         if isinstance(node, CONVOLUTIONS) and node.input_shape is None:
             node.input_shape = takes[1:] if isinstance(node, nir.Conv2d) else takes[1]
+
+
+def _remedy(node: nir.NIRNode, takes: Shape, puts: Shape) -> str:
+    if isinstance(node, ELEMENTWISE) and len(takes) < len(puts) and puts[: len(takes)] == takes:
+        ones = ", ".join(map(str, (*takes, *(1 for _ in puts[len(takes) :]))))
+        return f"If its parameters are those of channels, give them the shape ({ones})."
+    return "Correct one of the two nodes."
 
 
 def check_size(graph: nir.NIRGraph, size: int) -> None:
@@ -213,9 +222,9 @@ def _shapes(graph: nir.NIRGraph) -> Shapes:
         new = []
         for name in waiting:
             known = [shapes[source][1] for source in sources[name] if source in shapes]
-            takes = _stated_input_shape(name, graph.nodes[name]) or (known[0] if known else None)
+            takes = stated_shape(name, graph.nodes[name]) or (known[0] if known else None)
             if takes is not None:
-                shapes[name] = takes, _output(name, graph.nodes[name], takes)
+                shapes[name] = takes, output_shape(name, graph.nodes[name], takes)
                 new.append(name)
         unknown.difference_update(new)
         waiting = sorted({target for name in new for target in targets[name]} & unknown)
@@ -227,7 +236,7 @@ def _shapes(graph: nir.NIRGraph) -> Shapes:
     return shapes
 
 
-def _stated_input_shape(name: str, node: nir.NIRNode) -> Shape | None:
+def stated_shape(name: str, node: nir.NIRNode) -> Shape | None:
     """The input shape that a node's own fields fix, or None where they leave it open."""
     if isinstance(node, POOLS):
         return None
@@ -253,7 +262,8 @@ def _channels(node: nir.NIRNode) -> int:
     return int(node.weight.shape[1]) * int(node.groups)
 
 
-def _output(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
+def output_shape(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
+    """Shape that a node puts out for what it takes; ArtifactError where it cannot take that."""
     if math.prod(takes) > MAX_VALUES:
         raise ArtifactError(
             f"node {name!r}: {takes} is more than {MAX_VALUES} values. Correct its shape."
@@ -263,7 +273,7 @@ def _output(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
     if isinstance(node, (*CONVOLUTIONS, *POOLS)):
         return _window_output_shape(name, node, takes)
     if isinstance(node, nir.Flatten):
-        return _flattened_shape(name, node, takes)
+        return flattened_shape(name, node, takes)
     return takes
 
 
@@ -299,7 +309,7 @@ def _window_output_shape(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
     return features, *positions
 
 
-def _flattened_shape(name: str, node: nir.Flatten, takes: Shape) -> Shape:
+def flattened_shape(name: str, node: nir.Flatten, takes: Shape) -> Shape:
     """The shape with the axes from start_dim to end_dim as one; the batch axis is not counted."""
     (start,) = whole_numbers(name, "start_dim", node.start_dim, 1, -len(takes))
     (end,) = whole_numbers(name, "end_dim", node.end_dim, 1, -len(takes))

@@ -32,6 +32,20 @@ DERIVED_FIELDS = ("input_type", "output_type", "metadata")
 
 def check_graph(graph: nir.NIRGraph) -> None:
     """Raise ArtifactError where a graph cannot be computed; writes its shapes into its nodes."""
+    check_nodes(graph)
+    for kind, found in (("Input", graph.inputs), ("Output", graph.outputs)):
+        if not found:
+            raise ArtifactError(f"the graph has no {kind} node. Add one and an edge to it.")
+        for name, node in found.items():
+            shape = np.asarray(node.output_type["output"])
+            if shape.dtype.kind not in "iu" or shape.ndim != 1 or not shape.size or shape.min() < 1:
+                raise _fault(name, f"shape is {shape.tolist()}; it must be whole numbers above 0")
+    infer_shapes(graph)
+    _check_connected(graph)
+
+
+def check_nodes(graph: nir.NIRGraph) -> None:
+    """Raise ArtifactError where an edge or the parameters of a node are wrong."""
     check_edges(graph)
     if len(graph.nodes) > MAX_NODES:
         raise ArtifactError(
@@ -45,15 +59,6 @@ def check_graph(graph: nir.NIRGraph) -> None:
                 "and has no '/' and no zero byte."
             )
         _check_node(name, node)
-    for kind, found in (("Input", graph.inputs), ("Output", graph.outputs)):
-        if not found:
-            raise ArtifactError(f"the graph has no {kind} node. Add one and an edge to it.")
-        for name, node in found.items():
-            shape = np.asarray(node.output_type["output"])
-            if shape.dtype.kind not in "iu" or shape.ndim != 1 or not shape.size or shape.min() < 1:
-                raise _fault(name, f"shape is {shape.tolist()}; it must be whole numbers above 0")
-    infer_shapes(graph)
-    _check_connected(graph)
 
 
 def check_edges(graph: nir.NIRGraph, path: str = "") -> None:

@@ -19,6 +19,7 @@ from spikedeploy.runtime.errors import (
     ObservationError,
     RuleError,
 )
+from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.order import order
 from tests.effort import calls_in, memory_below
 from tests.networks import ends, named_chain, unit_lif
@@ -306,3 +307,124 @@ def test_a_timestep_that_would_take_minutes_is_refused_at_load(network, message,
     nir.write(tmp_path / "a.nir", network)
     with pytest.raises(ArtifactError, match=message):
         load(tmp_path / "a.nir")
+
+
+# parameters of one number, as tools write them
+
+SCALAR = {"tau": 1e-2, "r": 10.0, "v_leak": 0.0, "v_threshold": 1.0, "v_reset": 0.0}
+
+
+def neurons(shape=()):
+    return nir.LIF(**{n: np.full(shape, each, np.float32)[()] for n, each in SCALAR.items()})
+
+
+def weights(rows, columns):
+    return nir.Linear(np.random.default_rng(rows * columns).normal(size=(rows, columns)))
+
+
+def filters():
+    weight = np.random.default_rng(0).normal(size=(3, 2, 3, 3))
+    return nir.Conv2d((8, 8), weight, 1, 0, 1, 1, np.zeros(3))
+
+
+def flatten_node(shape, start):
+    return nir.Flatten({"input": np.array(shape)}, start, -1)
+
+
+def stored(path, nodes, edges):
+    # nir.write cannot compress single numbers
+    nir.write(path, nir.NIRGraph(nodes, edges, type_check=False), compression=None)
+    return path
+
+
+def in_a_row(path, *layers, takes, puts):
+    nodes = {
+        "input": nir.Input(np.array(takes)),
+        **{f"n{i}": layer for i, layer in enumerate(layers)},
+        "output": nir.Output(np.array(puts)),
+    }
+    return stored(path, nodes, list(pairwise(nodes)))
+
+
+def spikes_of(path):
+    artifact = load(path, dt=1e-3)
+    (node,) = artifact.graph.inputs.values()
+    size = int(np.prod(node.output_type["output"]))
+    raster = np.random.default_rng(1).random((1, 30, size)) < 0.5
+    output = FloatGraph(artifact).run(raster.reshape(1, 30, *node.output_type["output"]))["output"]
+    assert output.any()
+    return output
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (1, 1, 1), (3, 1, 1), (1, 3, 1, 1)])
+@pytest.mark.parametrize(
+    "flatten",
+    [((3, 6, 6), 0), ((3, 6, 6), 1), ((1, 3, 6, 6), 0), ((1, 3, 6, 6), 1)],
+    ids=["as NIR means it", "batch in its axes", "batch in its shape", "batch in both"],
+)
+def test_neurons_of_one_number_behind_a_convolution_are_as_many_as_arrive(shape, flatten, tmp_path):
+    whole = filters(), neurons((3, 6, 6)), flatten_node((3, 6, 6), 0), weights(4, 108), neurons(4)
+    wanted = spikes_of(in_a_row(tmp_path / "a.nir", *whole, takes=(2, 8, 8), puts=(4,)))
+    layers = filters(), neurons(shape), flatten_node(*flatten), weights(4, 108), neurons()
+    path = in_a_row(tmp_path / "b.nir", *layers, takes=(1, 2, 8, 8), puts=(1, 4))
+    np.testing.assert_array_equal(spikes_of(path), wanted)
+
+
+def test_neurons_of_one_number_in_a_row_with_other_nodes_are_as_many_as_arrive(tmp_path):
+    def layers(shape):
+        one = np.ones(shape or (1,))
+        between = nir.Scale(2 * one), nir.Delay(1e-3 * one), nir.Threshold(0.5 * one)
+        return (neurons(shape), weights(5, 6), neurons(shape), *between, neurons(shape))
+
+    whole = list(layers(5))
+    whole[0] = neurons(6)
+    wanted = spikes_of(in_a_row(tmp_path / "a.nir", *whole, takes=(6,), puts=(5,)))
+    for shape, puts in (((), (5,)), ((1,), (1,))):
+        path = in_a_row(tmp_path / "b.nir", *layers(shape), takes=(6,), puts=puts)
+        np.testing.assert_array_equal(spikes_of(path), wanted)
+
+
+@pytest.mark.parametrize("shape", [(), (1,)])
+def test_neurons_of_one_number_with_weights_back_are_as_many_as_these(shape, tmp_path):
+    def loop(shape):
+        return {"lif": neurons(shape), "rec": weights(5, 5)}, [("lif", "rec"), ("rec", "lif")]
+
+    ends = {"input": nir.Input(np.array([6])), "w": weights(5, 6), "output": nir.Output([5])}
+    around = [("input", "w"), ("w", "lif"), ("lif", "output")]
+    found = []
+    for each in (5, shape):
+        nodes, edges = loop(each)
+        found.append(spikes_of(stored(tmp_path / "a.nir", ends | nodes, around + edges)))
+    nodes, edges = loop(shape)
+    ports = {"input": nir.Input(np.array([1])), "output": nir.Output(np.array([1]))}
+    edges = [*edges, ("input", "lif"), ("lif", "output")]
+    inner = nir.NIRGraph(nodes | ports, edges, type_check=False)
+    nested = [("input", "w"), ("w", "inner"), ("inner", "output")]
+    found.append(spikes_of(stored(tmp_path / "a.nir", {**ends, "inner": inner}, nested)))
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])
+
+
+def test_some_parameters_of_one_number_are_those_of_all_neurons(tmp_path):
+    path = in_a_row(tmp_path / "a.nir", weights(5, 6), neurons(5), takes=(6,), puts=(5,))
+    wanted = spikes_of(path)
+    with h5py.File(path, "r+") as file:
+        for field, value in (("v_threshold", np.float32(1)), ("r", np.full(1, 10.0))):
+            del file["node/nodes/n1"][field]
+            file["node/nodes/n1"][field] = value
+    np.testing.assert_array_equal(spikes_of(path), wanted)
+
+
+@pytest.mark.parametrize(
+    ("layers", "takes", "puts", "message"),
+    [
+        ((weights(5, 6), neurons()), (6,), (4,), r"edge 'n1' -> 'output': .*\(5,\).*\(4,\)"),
+        ((weights(5, 6), neurons(), weights(2, 4)), (6,), (2,), r"edge 'n1' -> 'n2'"),
+        ((weights(5, 6), neurons(4)), (6,), (4,), r"edge 'n0' -> 'n1': .*\(5,\).*\(4,\)"),
+        ((filters(), neurons(3)), (2, 8, 8), (3, 6, 6), r"'n1': .* the shape \(3, 1, 1\)"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_named_with_its_edge(layers, takes, puts, message, tmp_path):
+    path = in_a_row(tmp_path / "a.nir", *layers, takes=takes, puts=puts)
+    with pytest.raises(ArtifactError, match=message):
+        load(path, dt=1e-3)

@@ -18,6 +18,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.dialects.reading import preset, read_as_written, read_like, writer
+from spikedeploy.runtime.dialects.tools import WRITERS
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConventionError, RuleError
 from spikedeploy.runtime.float_model import FloatGraph
@@ -177,6 +178,11 @@ TOLD = [
     ("snntorch_memoryless", "snntorch", {}, 68),
     # Linear(8, 12), IAFSqueeze(min_v_mem=-1), Linear(12, 3), IAFSqueeze
     ("sinabs_iaf_min", "sinabs", {"floor": "threshold"}, 113),
+    # Linear(6, 5) and a LIF whose parameters are one number, or arrays of one; NumPy in float32
+    ("scalar_neurons", None, {"dt": 1e-3, "reset": "zero"}, 34),
+    ("scalar_neurons", "snntorch", {"reset": "zero"}, 34),
+    ("scalar_neurons_size1", None, {"dt": 1e-3, "reset": "zero"}, 34),
+    ("scalar_neurons_size1", "snntorch", {"reset": "zero"}, 34),
 ]
 
 
@@ -311,6 +317,70 @@ def test_neurons_of_snntorch_that_subtract_at_once_run_on_chips_that_subtract(ki
     np.testing.assert_array_equal(ideal.infer(inputs[None])[0], outputs)
     xylo = Machine(compile_program(artifact, chip("xylo-a2")), 1)  # its limits kept
     assert (xylo.infer(inputs[None])[0] != outputs).mean() < 0.2  # weights of 8 bits
+
+
+# what files leave out, tool by tool: read, or an assumption with its words, or refused with them
+
+FULL = np.ones(1)
+MEANINGS = {
+    ("snntorch", "initial state"): ("refused", lif(1, v_leak=0.5), "writes v_leak = 0"),
+    ("snntorch", "reset"): ("assumed", cuba(1, dt=1e-4), "--reset zero or subtract if yours"),
+    ("snntorch", "decay 0"): ("read", lif(1, tau=1e-4 * (1 - 4e-8), r=1.0), 0.0),
+    ("snntorch", "height of spikes"): ("assumed", cuba(1, dt=1e-4), "graded_spikes_factor 1"),
+    ("snntorch", "floor"): ("none", cuba(1, dt=1e-4), "none"),
+    ("norse", "initial state"): ("read", lif(1, tau=1e-5, r=1.0, v_leak=0.5), 0.9),
+    ("norse", "reset"): ("assumed", lif(1, tau=1e-5, r=1.0), "--reset subtract if reset_method"),
+    ("norse", "decay 0"): ("read", lif(1, tau=1e-6 * (1 - 4e-8), r=1.0), 0.0),
+    ("norse", "floor"): ("none", lif(1, tau=1e-5, r=1.0), "none"),
+    ("spikingjelly", "initial state"): (
+        "read", nir.LIF(*full(1e-3, 1, -0.5, 1), v_reset=np.full(1, -0.5)), 0.9),
+    ("spikingjelly", "reset"): ("none", lif(1, tau=1e-3, r=1.0), "zero"),
+    ("spikingjelly", "decay 0"): ("read", cuba(1, dt=1e-4, alpha=0.5, beta=0.0), 0.0),
+    ("spikingjelly", "floor"): ("none", lif(1, tau=1e-3, r=1.0), "none"),
+    ("sinabs", "initial state"): ("refused", lif(1, tau=9.0, r=1.0, v_leak=0.5), "v_leak = 0"),
+    ("sinabs", "reset"): ("assumed", nir.IF(FULL, FULL), "--reset zero for MembraneReset"),
+    ("sinabs", "height of spikes"): ("assumed", nir.IF(FULL, FULL), "--spikes reached for Single"),
+    ("sinabs", "floor"): ("assumed", nir.IF(FULL, FULL), "--floor threshold for min_v_mem"),
+    ("rockpool", "initial state"): (
+        "refused", nir.CubaLIF(*full(1, 1, 1, 0.5, 1)), "writes v_leak = 0"),
+    ("rockpool", "reset"): ("none", ROCKPOOL, "subtract"),
+    ("rockpool", "recurrence"): ("assumed", ROCKPOOL, "no recurrent weights"),
+    ("rockpool", "floor"): ("none", ROCKPOOL, "none"),
+    ("lava", "initial state"): ("refused", nir.CubaLIF(*full(1, 1, 1, 0.5, 1)), "v_leak = 0"),
+    ("lava", "reset"): ("none", DELAYED, "zero"),
+    ("lava", "decay 0"): ("read", cuba(1, dt=1e-4, alpha=0.5, beta=0.0), 0.0),
+    ("lava", "height of spikes"): ("assumed", DELAYED, "--spikes reached for lava-dl"),
+    ("lava", "floor"): ("none", DELAYED, "none"),
+}  # fmt: skip
+
+
+def test_every_tool_that_writes_files_stands_in_the_table():
+    assert {tool for tool, _ in MEANINGS} == set(WRITERS)
+
+
+@pytest.mark.parametrize(("tool", "meaning"), MEANINGS)
+def test_what_a_file_leaves_out_is_read_or_assumed_or_refused(tool, meaning):
+    how, node, told = MEANINGS[tool, meaning]
+    network = chain(nir.Affine(np.eye(1), np.zeros(1)), node, width=1, act=1)
+    if how == "refused":
+        with pytest.raises(ConventionError, match=told):
+            read_as_written(network, tool)
+        return
+    graph, convention = read_as_written(network, tool)
+    if how == "assumed":
+        assert told in convention.source.partition("not in the file, so assumed: ")[2]
+        options = [option for option in WRITERS[tool].open if f"--{option} " in told]
+        # what an option chooses is tried by `check --against`
+        assert len(options) == told.startswith("--")
+    elif how == "none":
+        assert told in (convention.reset, convention.floor)
+        assert meaning not in WRITERS[tool].open
+    else:
+        found = discretise("n2", graph.nodes["n2"], convention)
+        assert found.membrane_decay == pytest.approx(told)
+        if meaning == "initial state":
+            # starts where it leaks to, and stays there
+            assert (found.leak, found.threshold) == (0, 1 - float(node.v_leak[0]))
 
 
 # what is refused
