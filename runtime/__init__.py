@@ -4,6 +4,7 @@ Needs numpy, nir and h5py alone; numba is optional. EXPORTS is the public interf
 imported when it is first used, so that importing this package loads nothing heavy.
 
 errors           errors that a user can act on
+copies           copies of what holds states
 metadata         metadata of a `.nir` file, and the provenance of a policy
 convention       dt, reset, integrator, delay: what NIR leaves open
 graph/           the NIR graph: neurons, order, shapes, validation

@@ -32,6 +32,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.copies import Copied
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.graph.neurons import GRADED_MOST, NEURONS, SPIKING, SigmaDelta, discretise
 from spikedeploy.runtime.graph.order import Edge, delay_timesteps, sources
@@ -57,7 +58,8 @@ def build_node(name: str, node: nir.NIRNode, convention: Convention, dtype: DTyp
     if isinstance(node, DENSE):
         bias = node.bias.astype(dtype) if isinstance(node, nir.Affine) else None
         if node.weight.ndim > 2:
-            return partial(_stacked, node.weight.astype(dtype), bias)
+            # in one order, whatever the file has, so that a copy computes the same bits
+            return partial(_stacked, np.ascontiguousarray(node.weight, dtype=dtype), bias)
         # (M, N) in C order, which BLAS multiplies in half the time
         return partial(_dense, np.ascontiguousarray(node.weight.T, dtype=dtype), bias)
     if isinstance(node, CONVOLUTIONS):
@@ -328,7 +330,7 @@ MAX_RUN_BYTES = 1 << 32
 Trace = dict[str, NDArray[np.generic]]
 
 
-class FloatGraph:
+class FloatGraph(Copied):
     """A network with its state, which `run` continues where the convention keeps it.
 
     Without loops each node is computed for all timesteps at once; with loops all nodes are computed

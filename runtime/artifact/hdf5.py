@@ -65,6 +65,11 @@ def read_graph(path: Path) -> nir.NIRGraph:
     try:
         check_container(path, byte_budget(path, _FREE_BYTES, _EXPANSION))
         with h5py.File(path, "r") as file:
+            if "node" not in file:
+                raise ArtifactError(
+                    f"is HDF5 of another format: it holds {', '.join(list(file)[:8]) or 'nothing'} "
+                    "and no node. Give the file of a network; recordings of cameras go to --events."
+                )
             tree = hdf2dict(file["node"])
         if tree["type"] != "NIRGraph":
             raise ValueError(f"it holds a single {tree['type']} and no graph")
@@ -198,6 +203,24 @@ def _arrays(file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
                 waiting.append((f"{name}/", member))
 
 
+def open_member(file: h5py.File, place: str) -> h5py.Dataset:
+    """The dataset at a path; ArtifactError where any of its numbers are in another file.
+
+    Only what is on the path is looked at.
+    """
+    parts = place.split("/")
+    for k in range(len(parts)):
+        name = "/".join(parts[: k + 1])
+        if isinstance(file.get(name, getlink=True), h5py.ExternalLink):
+            raise ArtifactError(f"{name} is a link to another file. Replace it by its target.")
+    found = file[place]
+    if not isinstance(found, h5py.Dataset):
+        raise ArtifactError(f"{place} is no array. Write it as one.")
+    if found.external or found.is_virtual:
+        raise ArtifactError(f"{place} has its numbers in another file. Write them into it.")
+    return found
+
+
 def _address(group: h5py.Group) -> tuple[int, int]:
     info = h5py.h5o.get_info(group.id)
     return int(info.fileno), int(info.addr)
@@ -208,9 +231,10 @@ def _declared_bytes(name: str, array: h5py.Dataset) -> int:
     kind = array.dtype.kind
     # HDF5 can crash on reading a damaged type
     if kind == "V" or (kind == "O" and h5py.check_string_dtype(array.dtype) is None):
+        fields = f"the fields {', '.join(names)}" if (names := array.dtype.names) else "neither"
         raise ArtifactError(
-            f"{name} holds neither numbers nor texts; NIR has nothing else. The file is damaged; "
-            "copy or export it again."
+            f"{name} holds {fields}, and NIR has numbers and texts alone: the file is of another "
+            "format. Give the file of a network; recordings of cameras go to --events."
         )
     if array.external or array.is_virtual:
         raise ArtifactError(

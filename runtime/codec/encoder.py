@@ -11,7 +11,7 @@ from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.metadata import Record, Stored, Tree
 
 # what an encoder carries from one inference of an episode to the next, for every robot of a batch;
-# made by its `start`, read by its `encode` alone; copied by copy.deepcopy and pickle
+# made by its `start`, read by its `encode` alone; copied by copy and pickle
 EncoderState: TypeAlias = Any
 
 

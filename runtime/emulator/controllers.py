@@ -11,6 +11,7 @@ from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.runtime.codec.codec import GIVE_CODEC, observed_numbers
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.copies import Copied
 from spikedeploy.runtime.emulator.backend import BackendMaker, BackendName
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.machine import Machine
@@ -21,7 +22,7 @@ from spikedeploy.runtime.faults import NONE, Faults
 _STREAM = 2  # keeps the draws apart from those of an environment with the same seed
 
 
-class Sampler:
+class Sampler(Copied):
     """Draws from the softmax of scores; the seed of the episode decides every draw.
 
     chooses: whether the policy chooses one of several actions, which is all that can be drawn.
@@ -47,8 +48,10 @@ class Sampler:
         return np.asarray((below[:, :-1] <= drawn).sum(axis=1))
 
 
-class SpikingController:
+class SpikingController(Copied):
     """Observation in, action out; the codec of the artifact does the rest.
+
+    Copies go on from where it is, as those of its Machine do.
 
     artifact: the policy.
     chip: what it runs on; None is the float twin, in float64.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Clock
+from spikedeploy.runtime.copies import Copied
 from spikedeploy.runtime.errors import ConfigError
 
 Counts = NDArray[np.int64]
@@ -193,7 +194,7 @@ class _Counter(Protocol):
         """Counts (S, L, E): a row for each observation and each of its batch."""
 
 
-class LedgerBuilder:
+class LedgerBuilder(Copied):
     """Rows of counts, from observations that are counted when there are enough of them.
 
     rows: "each" keeps a row per control step, of each of a batch; "copies" adds up those of each;
@@ -210,6 +211,11 @@ class LedgerBuilder:
         self._used = self._inferences = self._timesteps = self._steps = 0
         self._pending: list[Any] = []
         self._counter: _Counter | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything, counted: what waits to be counted belongs to a counter in other memory."""
+        self._count()
+        return {**vars(self), "_counter": None}
 
     @property
     def keeps(self) -> bool:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.damage import Damage, sum_damage
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.copies import Copied
 from spikedeploy.runtime.emulator.backend import (
     Backend,
     BackendMaker,
@@ -31,10 +32,11 @@ Floats = NDArray[np.float64]
 CHUNK = 64
 
 
-class Machine:
+class Machine(Copied):
     """A running chip: spikes in; out comes what the readout makes of them, or spikes.
 
-    Use `infer` for whole inferences, or `step` for one chip timestep after another.
+    Use `infer` for whole inferences, or `step` for one chip timestep after another. Copies go on
+    from where the machine is; of one whose backend a function makes there are none.
 
     program: what it runs.
     batch: B, copies of the network that run side by side; None takes any number, which has to stay
@@ -73,6 +75,30 @@ class Machine:
         self._active: int | None = None
         self._step = 0
         self._seeds: tuple[int, ...] = ()
+        # of a copy, until it runs: what was sent in the last step
+        self._sent: Mapping[str, NDArray[Any]] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the backends, whose arrays are views of one memory: instead their states.
+
+        Raises ConfigError where a function makes them, which may share something between them.
+        """
+        if not isinstance(self._make_backend, type):
+            raise ConfigError(
+                "a machine whose backend is made by a function, such as hardware in simulation, "
+                "cannot be copied or pickled: both would act on one. Make another machine."
+            )
+        ran = {n: (each.schedule, each.saved()) for n, each in self._backends.items()}
+        sent: dict[str, NDArray[Any]] = {}
+        if self._active is not None and ran[self._active][0].mode == "step":
+            sent = {layer.name: self.sent(layer.name) for layer in self.program.layers}
+        return {**vars(self), "_backends": ran, "_sent": sent}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _backends={})
+        for batch, (schedule, saved) in state["_backends"].items():
+            self._backends[batch] = backend = self._make_backend(self.program, schedule, batch)
+            backend.restore(saved)
 
     def reset(self) -> None:
         """Forget every current, membrane and spike; the ledger stays."""
@@ -151,6 +177,8 @@ class Machine:
         """Spikes (B, N) of a layer in the last `step`; memory of the backend until the next."""
         if self._active is None or self._backends[self._active].schedule.mode != "step":
             raise ConfigError(f"layer {layer!r} has sent nothing: call step() first.")
+        if layer in self._sent:
+            return self._sent[layer]
         return np.asarray(self._backends[self._active].spikes(layer)[0])
 
     @property
@@ -280,7 +308,7 @@ class Machine:
     def _run(self, backend: Backend, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:
         """Spikes (T, B, N) as they reach the readout; the ledger counts them."""
         presynaptic = backend.run(rows, step)
-        self._active = rows.shape[1]
+        self._active, self._sent = rows.shape[1], {}
         if self._ledger.keeps:
             backend.report(self._ledger)
         return presynaptic

@@ -11,6 +11,7 @@ from numpy.typing import DTypeLike, NDArray
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.copies import Uncopied
 from spikedeploy.runtime.emulator.backend import (
     Recording,
     SavedState,
@@ -147,13 +148,14 @@ def describe(window: Window | None, tables: list[Numbers]) -> list[int]:
     return [height, width, *starts, *window.kernel, *of_group, features, target_y, target_x]
 
 
-class NumbaPipeline(ABC):
+class NumbaPipeline(Uncopied, ABC):
     """A program as a Backend, in memory for windows of T timesteps of B.
 
     states_of_neuron: its membrane is the last.
     """
 
     states_of_neuron: ClassVar[int]
+    instead = "Copy the Machine."
 
     def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
         self.schedule = schedule

@@ -1,41 +1,41 @@
 """Recordings of event cameras: files of several formats as one stream of checked events.
 
-HDF5 with `events/x`, `y`, `t`, `p` (our own, and DSEC's: Gehrig et al. 2021, "DSEC: A Stereo Event
-Camera Dataset for Driving Scenarios"), NIRData with events, and structured arrays of NumPy are read
-here; AEDAT 4, Prophesee's .raw (EVT 2, 2.1, 3) and .dat, and .es by faery. All are read in parts,
-so that memory does not grow with the recording.
+Structured arrays of NumPy are read here, HDF5 in `event_hdf5`; AEDAT 4, Prophesee's .raw (EVT 2,
+2.1, 3) and .dat, and .es by faery. All are read in parts, so that memory does not grow with the
+recording.
 """
 
-import importlib.util
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.emulation.event_columns import (
+    PART,
+    Columns,
+    Polarity,
+    Size,
+    check_kinds,
+    check_shapes,
+    named_columns,
+    whole_pixels,
+)
+from spikedeploy.emulation.event_hdf5 import hdf5_recording
 from spikedeploy.events import EVENT, MOST_PIXELS, Events
-from spikedeploy.runtime.artifact.hdf5 import check_container
 from spikedeploy.runtime.artifact.nir_data import is_nir_data
-from spikedeploy.runtime.errors import ArtifactError, ObservationError
+from spikedeploy.runtime.errors import ObservationError
 
-Size = tuple[int, int]
-Columns = tuple[NDArray[Any], ...]  # x, y, t [us] and p of some events, as a file holds them
-
-_PART = 1 << 16  # events that are read at once
-_FAERY = (".aedat4", ".raw", ".dat", ".es")
+# by the ending of a file, in small letters, the type by which faery reads it
+_FAERY = {".aedat4": "aedat", ".raw": "evt", ".dat": "dat", ".es": "es"}
 KINDS = f"HDF5, NumPy structured arrays (.npy), {', '.join(_FAERY)}"
-_MOST_CHUNK = 1 << 28  # bytes that HDF5 unpacks at once
 # [us] after which a counter of 32 bits begins anew, and by how much it then falls at least, unless
 # the camera was silent for nine minutes
 _WRAP, _FALL = 1 << 32, 7 << 29
 # what a size of faery means that no header gave: .raw and .dat have at most 14 bits for x and y
 _UNKNOWN = (1 << 14, 1 << 14)
-# names of the fields of structured arrays, as NumPy, Tonic, faery and event_stream have them
-_FIELDS = {"x": ("x",), "y": ("y",), "t": ("t", "ts", "timestamp"), "p": ("p", "on", "polarity")}
 _SORT = "Sort the events by time and write them anew"
 
 
@@ -46,11 +46,13 @@ class Recording:
     path: of the file.
     size: (height, width) of the camera [pixels]; None where nothing says it.
     parts: reads x, y, t [us] and p of some events after another, unchecked.
+    remarks: on how the file is read, where that is not plain; sentences.
     """
 
     path: Path
     size: Size | None
     parts: Callable[[], Iterator[Columns]]
+    remarks: tuple[str, ...] = ()
 
     def events(self) -> Iterator[Events]:
         """Events (E,) in the order of time, part by part; ObservationError where any is none.
@@ -59,7 +61,9 @@ class Recording:
         """
         count, wraps, last, stored = 0, 0, 0, 0
         height, width = self.size or (MOST_PIXELS, MOST_PIXELS)
+        polarity = Polarity(self.path)
         for x, y, t, p in self._parts():
+            x, y = whole_pixels(self.path, "x", x), whole_pixels(self.path, "y", y)
             t = t.astype(np.int64)
             falls = np.diff(t, prepend=stored if count else t[0]) < -_FALL
             offset = _WRAP * (wraps + np.cumsum(falls & (t < _WRAP)))
@@ -79,7 +83,8 @@ class Recording:
                     "Add an offset to all of them."
                 )
             events = np.empty(len(t), EVENT)
-            events["x"], events["y"], events["t"], events["p"] = x, y, found, p > 0
+            events["x"], events["y"], events["t"] = x, y, found
+            events["p"] = polarity.rising(p)
             count, last = count + len(t), int(found[-1])
             yield events
 
@@ -114,13 +119,16 @@ def open_recording(
     """
     if not path.is_file():
         raise ObservationError(f"{path} is no file. Give a recording: {KINDS}.")
+    suffix = path.suffix.lower()
+    found: Size | None = None
+    remarks: tuple[str, ...] = ()
     try:
-        if path.suffix == ".npy":
-            found, parts = None, _numpy_parts(path)
-        elif path.suffix in _FAERY:
-            found, parts = _faery_parts(path)
+        if suffix == ".npy":
+            parts = _numpy_parts(path)
+        elif suffix in _FAERY:
+            found, parts = _faery_parts(path, suffix)
         elif is_nir_data(path):
-            found, parts = _hdf5_parts(path, camera or fallback)
+            found, parts, remarks = hdf5_recording(path, camera or fallback)
         else:
             raise ObservationError(f"{path} is no recording of events that is known: {KINDS}.")
     except (ObservationError, ModuleNotFoundError):
@@ -132,7 +140,7 @@ def open_recording(
             f"{path} says that its camera has {found[0]}x{found[1]} pixels (height x width), "
             f"--camera {camera[0]}x{camera[1]}. Leave --camera out."
         )
-    return Recording(path, camera or found or fallback, parts)
+    return Recording(path, camera or found or fallback, parts, remarks)
 
 
 def _damaged(path: Path, error: Exception) -> ObservationError:
@@ -143,23 +151,6 @@ def _damaged(path: Path, error: Exception) -> ObservationError:
     )
 
 
-def _check_kinds(path: Path, columns: Iterable[NDArray[Any] | h5py.Dataset]) -> None:
-    """Refuse columns of events that are no whole numbers, or that differ in length."""
-    kinds = [each.dtype for each in columns]
-    if any(kind.kind not in "biu" for kind in kinds):
-        shown = ", ".join(f"{n} {kind}" for n, kind in zip("xytp", kinds, strict=True))
-        raise ObservationError(
-            f"{path} holds {shown}; x, y, t [us] and p must be whole numbers. Convert it: t in "
-            "seconds times 1e6, rounded."
-        )
-    if len({each.shape for each in columns}) != 1 or len(next(iter(columns)).shape) != 1:
-        shown = ", ".join(f"{n} {each.shape}" for n, each in zip("xytp", columns, strict=True))
-        raise ObservationError(
-            f"{path} holds {shown}, which must be columns of one length. The recording is "
-            "truncated; cut all columns to the shortest."
-        )
-
-
 # NumPy
 
 
@@ -167,129 +158,20 @@ def _numpy_parts(path: Path) -> Callable[[], Iterator[Columns]]:
     # memory-mapped, which takes no memory; no objects are loaded, which could execute code
     array = np.lib.format.open_memmap(path, mode="r")
     names = array.dtype.names or ()
-    fields = {name: next((n for n in known if n in names), None) for name, known in _FIELDS.items()}
-    if missing := sorted(name for name, field in fields.items() if field is None):
+    fields, missing = named_columns(names)
+    if missing:
         raise ObservationError(
             f"{path} holds {', '.join(names) or f'plain {array.dtype}'}; needed is a structured "
             f"array with the fields x, y, t [us] and p, and {missing[0]!r} is missing. Rasters go "
             "to --input."
         )
-    _check_kinds(path, [array[field] for field in fields.values()])
+    check_kinds(path, [array.dtype[fields[name]] for name in "xytp"])
+    check_shapes(path, [array.shape])
 
     def parts() -> Iterator[Columns]:
-        for first in range(0, len(array), _PART):
-            rows = array[first : first + _PART]
-            yield tuple(np.asarray(rows[field]) for field in fields.values())
-
-    return parts
-
-
-# HDF5
-
-
-def _hdf5_parts(
-    path: Path, camera: Size | None
-) -> tuple[Size | None, Callable[[], Iterator[Columns]]]:
-    """Size and parts of events/{x,y,t,p} or of NIRData."""
-    try:
-        check_container(path, 1 << 62)  # its size is no matter, since it is read in parts
-    except ArtifactError as error:
-        raise ObservationError(f"{path} is HDF5 and no recording of events: {error}") from error
-    with h5py.File(path) as file:
-        group = file.get("events")
-        if "nodes" in file:
-            return camera, _nir_parts(path, file, camera)
-        names = list(group) if isinstance(group, h5py.Group) else []
-        if missing := sorted(set("xytp") - set(names)):
-            raise ObservationError(
-                f"{path} holds {', '.join(f'events/{n}' for n in names) or ', '.join(file)}; "
-                f"needed are events/x, y, t and p, and events/{missing[0]} is missing. Rename "
-                "them."
-            )
-        columns = [group[name] for name in "xytp"]
-        _check_kinds(path, columns)
-        for column in columns:
-            _check_column(path, column)
-        offset = int(file["t_offset"][()]) if "t_offset" in file else 0
-        sides = (group.attrs.get("height"), group.attrs.get("width"))
-    size = None if None in sides else (int(sides[0]), int(sides[1]))
-    if size and min(size) < 1:
-        raise ObservationError(
-            f"{path} says that its camera has {size[0]}x{size[1]} pixels (height x width); the "
-            "least is 1x1. Correct the attributes height and width of its group events."
-        )
-
-    def parts() -> Iterator[Columns]:
-        with h5py.File(path) as file:
-            x, y, t, p = (file["events"][name] for name in "xytp")
-            for first in range(0, len(t), _PART):
-                part = slice(first, first + _PART)
-                # DSEC's times count from its offset
-                yield x[part], y[part], t[part].astype(np.int64) + offset, p[part]
-
-    return size, parts
-
-
-def _check_column(path: Path, column: h5py.Dataset) -> None:
-    """Refuse what would unpack to too much at once, or by a filter that is not installed."""
-    if (found := int(np.prod(column.chunks or (0,))) * column.dtype.itemsize) > _MOST_CHUNK:
-        raise ObservationError(
-            f"{path}: {column.name} unpacks {found} bytes at once; at most {_MOST_CHUNK}. Write it "
-            "in smaller chunks."
-        )
-    properties = column.id.get_create_plist()
-    filters = [properties.get_filter(k) for k in range(properties.get_nfilters())]
-    missing = [each for each in filters if not h5py.h5z.filter_avail(each[0])]
-    if missing and importlib.util.find_spec("hdf5plugin"):
-        import hdf5plugin  # noqa: F401 (it registers filters, such as DSEC's blosc)
-
-        missing = [each for each in missing if not h5py.h5z.filter_avail(each[0])]
-    if missing:
-        code, *_, name = missing[0]
-        raise ObservationError(
-            f"{path}: {column.name} is compressed by filter {code} ({name.decode() or 'no name'}), "
-            'which HDF5 here has not: pip install "spikedeploy[dsec]", or write it with gzip.'
-        )
-
-
-def _nir_parts(path: Path, file: h5py.File, camera: Size | None) -> Callable[[], Iterator[Columns]]:
-    """Parts of the events of NIRData's only node: neuron ((p H) + y) W + x at a time [s]."""
-    nodes = list(file["nodes"])
-    place = f"nodes/{nodes[0]}/observables/spikes" if len(nodes) == 1 else ""
-    data = file.get(place) if place else None
-    if data is None or "idx" not in data or "time" not in data or len(data["idx"]) != 1:
-        raise ObservationError(
-            f"{path} is NIRData of {', '.join(nodes) or 'no node'}; needed are events, one sample "
-            "of one node, called spikes. Write them so; rasters go to --input."
-        )
-    neurons = int(data.attrs["n_neurons"])
-    if camera is None or neurons not in (camera[0] * camera[1], 2 * camera[0] * camera[1]):
-        shown = f"{camera[0]}x{camera[1]}" if camera else "of unknown size"
-        raise ObservationError(
-            f"{path} holds events of {neurons} neurons; a camera {shown} has one for each pixel or "
-            "two. Give the size of its camera with --camera HxW."
-        )
-    _, width = camera
-    pixels = camera[0] * width
-    for column in (data["idx"], data["time"]):
-        _check_column(path, column)
-
-    def parts() -> Iterator[Columns]:
-        with h5py.File(path) as file:
-            idx, time = (file[f"{place}/{name}"] for name in ("idx", "time"))
-            for first in range(0, idx.shape[1], _PART):
-                neuron = idx[0, first : first + _PART].astype(np.int64)
-                at = time[0, first : first + _PART]
-                if not (np.isfinite(at).all() and (neuron < neurons).all()):
-                    raise ObservationError(
-                        f"{path} has an event of a neuron that it has not, or at no time. Correct "
-                        "the events."
-                    )
-                there = neuron >= 0  # samples of fewer events are filled with -1
-                neuron, us = neuron[there], np.rint(at[there] * 1e6).astype(np.int64)
-                # of one channel every event is one of rising light
-                p = neuron // pixels if neurons > pixels else np.ones(len(neuron), np.int64)
-                yield neuron % width, neuron % pixels // width, us, p
+        for first in range(0, len(array), PART):
+            rows = array[first : first + PART]
+            yield tuple(np.asarray(rows[fields[name]]) for name in "xytp")
 
     return parts
 
@@ -297,42 +179,50 @@ def _nir_parts(path: Path, file: h5py.File, camera: Size | None) -> Callable[[],
 # AEDAT 4, Prophesee
 
 
-def _faery_parts(path: Path) -> tuple[Size | None, Callable[[], Iterator[Columns]]]:
+def _faery_parts(path: Path, suffix: str) -> tuple[Size | None, Callable[[], Iterator[Columns]]]:
     import faery
 
     with path.open("rb") as file:
-        if path.suffix == ".raw" and file.read(1) != b"%":
+        if suffix == ".raw" and file.read(1) != b"%":
             raise ObservationError(
                 f"{path} has no header, which says whether its events are EVT 2, 2.1 or 3. Record "
                 "it anew, or convert it with the tools of the camera."
             )
-    width, height = faery.events_stream_from_file(path, dimensions_fallback=_UNKNOWN).dimensions()
+
+    def stream() -> faery.FiniteEventsStream:
+        kind = _FAERY[suffix]
+        return faery.events_stream_from_file(path, dimensions_fallback=_UNKNOWN, file_type=kind)
+
+    width, height = stream().dimensions()
     size = None if (width, height) == _UNKNOWN else (height, width)
 
     def parts() -> Iterator[Columns]:
-        if path.suffix == ".raw":
+        if suffix == ".raw":
             _check_times_high(path)
-        times, first, offset = _dat_times(path) if path.suffix == ".dat" else None, 0, 0
+        words, first, offset = _dat_words(path) if suffix == ".dat" else None, 0, 0
         # a stream is read once
-        for events in faery.events_stream_from_file(path, dimensions_fallback=_UNKNOWN):
-            t = events["t"].astype(np.int64)
-            if times is not None:
-                stored = times[first : first + len(t)].astype(np.int64)
+        for events in stream():
+            t, p = events["t"].astype(np.int64), events["p"]
+            if words is not None:
+                stored = words[first : first + len(t), 0].astype(np.int64)
+                # of its four bits faery keeps whether there is one
+                p = words[first : first + len(t), 1] >> 28
                 # headers of faery hold the time of the first event
                 offset = offset if first else int(t[0] - stored[0])
                 t, first = stored + offset, first + len(t)
-            yield events["x"], events["y"], t, events["p"]
+            yield events["x"], events["y"], t, p
 
     return size, parts
 
 
-def _dat_times(path: Path) -> NDArray[np.uint32]:
-    """Times [us] of a .dat as they are stored; faery raises each that falls to the one ahead of it.
+def _dat_words(path: Path) -> NDArray[np.uint32]:
+    """Words (E, 2) of a .dat: time [us], then x, y and p in 14, 14 and 4 bits.
 
-    Behind the header stand two bytes, then eight for each event, its time first.
+    The times are as they are stored; faery raises each that falls to the one ahead of it. Behind
+    the header stand two bytes, then eight for each event.
     """
     place = len(_header(path)) + 2
-    return np.memmap(path, "<u4", "r", place, ((path.stat().st_size - place) // 8, 2))[:, 0]
+    return np.memmap(path, "<u4", "r", place, ((path.stat().st_size - place) // 8, 2))
 
 
 # by version of EVT: a word, the place of its type in it, and of the time where that is TIME_HIGH
@@ -356,7 +246,7 @@ def _check_times_high(path: Path) -> None:
     last = 0
     with path.open("rb") as file:
         file.seek(len(header))
-        while part := file.read(width * _PART):
+        while part := file.read(width * PART):
             words = np.frombuffer(part[: len(part) // width * width], kind)
             high = (words[words >> of_type == _TIME_HIGH] >> of_time & most).astype(np.int64)
             falls = -np.diff(high, prepend=last)
@@ -369,7 +259,7 @@ def _header(path: Path) -> bytes:
     """The lines that begin with "%", ahead of all others; of .raw to "% end"."""
     found = b""
     with path.open("rb") as file:
-        while (line := file.readline(_PART)).startswith(b"%") and line.endswith(b"\n"):
+        while (line := file.readline(PART)).startswith(b"%") and line.endswith(b"\n"):
             found += line
             if line.strip() == b"% end":
                 break

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.emulation.event_files import Recording, Size
+from spikedeploy.emulation.event_columns import Size
+from spikedeploy.emulation.event_files import Recording
 from spikedeploy.events import Events
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.errors import ConfigError, ObservationError
@@ -137,14 +138,31 @@ class Survey:
     """The events of a recording, all of which are checked.
 
     events: how many there are.
-    seen: how many of them the network sees.
+    channels: how many of them each channel of the Input sees.
     first, last: times [us] of the first and the last.
     """
 
     events: int
-    seen: int
+    channels: tuple[int, ...]
     first: int
     last: int
+
+    @property
+    def seen(self) -> int:
+        """Events that the network sees."""
+        return sum(self.channels)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """On channels of the Input that no event reaches."""
+        if not self.seen:
+            return ("no event of the recording reaches the Input",)
+        return tuple(
+            f"channel {k} of the Input got no event: all {self.seen:,} that reach it have the "
+            "other polarity"
+            for k, count in enumerate(self.channels)
+            if not count
+        )
 
     def duration(self, steps: TimeSteps | None) -> float:
         """Time that a network runs over it [us]."""
@@ -168,15 +186,18 @@ class Survey:
 
 def survey(recording: Recording, view: EventView) -> Survey:
     """Read a recording once; ObservationError where it holds no event or an impossible one."""
-    count = seen = last = 0
+    count = last = 0
     first: int | None = None
+    channels, height, width = view.shape
+    seen = np.zeros(channels, np.int64)
     for events in recording.events():
         first = int(events["t"][0]) if first is None else first
         last, count = int(events["t"][-1]), count + len(events)
-        seen += int(np.count_nonzero(view.neurons(events) >= 0))
+        neurons = view.neurons(events)
+        seen += np.bincount(neurons[neurons >= 0] // (height * width), minlength=channels)
     if first is None:
         raise ObservationError(f"{recording.path} holds no event. Record anew.")
-    return Survey(count, seen, first, last)
+    return Survey(count, tuple(seen.tolist()), first, last)
 
 
 def count_rows(
@@ -189,7 +210,9 @@ def count_rows(
         neuron = view.neurons(events)
         is_seen = neuron >= 0
         step, neuron = steps.of(events["t"][is_seen]), neuron[is_seen]
-        starts = [0, *(np.flatnonzero(np.diff(step)) + 1).tolist()] if len(step) else []
+        if not len(step):
+            continue
+        starts = [0, *(np.flatnonzero(np.diff(step)) + 1).tolist()]
         for first, end in zip(starts, [*starts[1:], len(step)], strict=True):
             while now < step[first]:
                 yield row

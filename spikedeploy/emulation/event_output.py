@@ -32,7 +32,7 @@ def write_spikes(
     found: the survey of the recording.
     steps: timesteps; None where there are none.
     """
-    if path.suffix in NIR_DATA:
+    if path.suffix.lower() in NIR_DATA:
         seconds = found.duration(steps) / 1e6
         with replacing(path) as part, EventDataWriter(part, seconds) as writer:
             yield _Events(writer, artifact)

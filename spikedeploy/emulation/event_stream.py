@@ -143,6 +143,7 @@ class EventRun:
             "timesteps": self.steps and self.steps.count,
             "events": self.survey.events,
             "events_seen": self.survey.seen,
+            "events_of_channels": list(self.survey.channels),
             "events_clipped": self.clipped,
             "convention": self.artifact.convention.to_record(),
             "clock": self.clock or None,
@@ -213,7 +214,7 @@ def emulate_events(
         ledger = network.ledger
     except RuleError as error:
         uncounted = str(error)
-    remarks = list(network.remarks)
+    remarks = [*network.remarks, *recording.remarks, *found.remarks]
     if tally.clipped:
         remarks.append(
             f"{tally.clipped:,} of {found.seen:,} events found their neuron with as many as the "

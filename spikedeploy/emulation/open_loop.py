@@ -137,7 +137,7 @@ class Emulation:
         """Write a .npz, or NIRData in .h5: spikes and outputs, each by the name of its node."""
         own, everything = mark("emulate"), {**self.spikes, **self.outputs}
         with replacing(path) as part:
-            if path.suffix in NIR_DATA:
+            if path.suffix.lower() in NIR_DATA:
                 write_nir_data(part, everything, self.artifact.convention.dt, own)
                 return
             with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive:

@@ -19,6 +19,7 @@ from spikedeploy import zoo
 from spikedeploy.envs.foreign import is_target
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.codec.codec import observed_numbers
+from spikedeploy.runtime.copies import Uncopied
 from spikedeploy.runtime.emulator.backend import BackendMaker, BackendName
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import NONE, Faults
@@ -103,8 +104,10 @@ _HINT = "`spikedeploy policies` lists what is shipped"
 UNTRAINED = (*BUILT_IN, "function")  # formats of scripts
 
 
-class Player:
+class Player(Uncopied):
     """A loaded policy: it acts in an environment, and answers for recorded episodes.
+
+    Copies are refused unless a subclass is Copied: a script reads a world, a session has no copy.
 
     Subclasses define `act` or `replay`, of which each is made of the other.
 
@@ -112,6 +115,7 @@ class Player:
     damage   by faults of the chip
     """
 
+    instead = "Open the policy again."
     remarks: Sequence[str] = ()
     damage: "Sequence[Damage]" = ()
 

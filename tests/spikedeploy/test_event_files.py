@@ -50,8 +50,85 @@ def write_signed(path, events):
     write_columns(path, {name: events[name] for name in "xyt"} | {"p": polarity})
 
 
+def write_ours_by(*names, group="events", seconds=False, **more):
+    """Columns of these names for x, y, t, p in a group; times from 0 on where in seconds."""
+
+    def write(path, events):
+        with h5py.File(path, "w") as file:
+            for name, key in zip(names, "xytp", strict=True):
+                column = events[key] * 1e-6 if key == "t" and seconds else events[key]
+                file[f"{group}/{name}"] = column
+            for name, value in more.items():
+                file[name] = value
+
+    return write
+
+
+def write_table(place, order, kind):
+    """A table (N, 4) of these columns; in floats, times are in seconds and polarity -1 or 1."""
+
+    def write(path, events):
+        columns = {key: events[key].astype(kind) for key in "xytp"}
+        if kind == "f8":
+            columns |= {"t": events["t"] * 1e-6, "p": 2.0 * events["p"] - 1}
+        with h5py.File(path, "w") as file:
+            file[place] = np.stack([columns[key] for key in order], 1)
+            file["frame"] = np.zeros((2, 4, 4))
+
+    return write
+
+
+def write_compound(place):
+    """Fields of one dataset, compressed, beside others that are no events."""
+
+    def write(path, events):
+        kind = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
+        rows = np.zeros(len(events), kind)
+        for name in "xytp":
+            rows[name] = events[name]
+        with h5py.File(path, "w") as file:
+            file.create_dataset(place, data=rows, compression="gzip")
+            file["EXT_TRIGGER/events"] = np.zeros(3, [("p", "<i2"), ("t", "<i8"), ("id", "<i2")])
+            file["CD/indexes"] = np.zeros(3, [("id", "<u8"), ("ts", "<i8")])
+            file.attrs["geometry"] = f"{WIDTH}x{HEIGHT}"
+
+    return write
+
+
+def write_m3ed(path, events):
+    with h5py.File(path, "w") as file:
+        for name in "xytp":
+            file[f"prophesee/left/{name}"] = events[name]
+            file[f"prophesee/right/{name}"] = np.zeros(3, int)
+        file["prophesee/left/calib/resolution"] = [WIDTH, HEIGHT]
+
+
+def write_beside(path, events):
+    """The plain layout beside what no reader here takes: fields, references, texts, links."""
+    write_columns(path, events)
+    with h5py.File(path, "r+") as file:
+        file["imu"] = np.zeros(5, [("a", "<f4", 3)])
+        file["texts"] = ["one", "two"]
+        file.create_dataset("references", data=[file.ref], dtype=h5py.ref_dtype)
+        file["more/elsewhere"] = h5py.ExternalLink("other.h5", "/x")
+        file["more/here"] = file["events"]
+
+
+def write_linked(path, events):
+    write_compound("CD/all")(path, events)
+    with h5py.File(path, "r+") as file:
+        file["CD/events"] = h5py.SoftLink("/CD/all")
+
+
+def write_numpy_floats(path, events):
+    """Whole numbers in floats, but for the times."""
+    kinds = [(name, "<i8" if name == "t" else "<f4") for name in EVENT.names]
+    np.save(path, events.astype(kinds))
+
+
 def write_numpy(path, events):
-    np.save(path, events)
+    with path.open("wb") as file:  # a name would get an ending in small letters
+        np.save(file, events)
 
 
 def write_tonic(path, events):
@@ -69,13 +146,33 @@ def write_faery(path, events):
     rows = np.zeros(len(events), faery.EVENTS_DTYPE)
     for name, other in zip("xytp", ("x", "y", "t", "on"), strict=True):
         rows[other] = events[name]
-    faery.events_stream_from_array(rows, (WIDTH, HEIGHT)).to_file(path)
+    small = path.with_suffix(path.suffix.lower())  # by which faery tells them apart
+    faery.events_stream_from_array(rows, (WIDTH, HEIGHT)).to_file(small)
+    small.rename(path)
 
 
 WRITERS = {
     "ours.h5": write_ours,
     "dsec.h5": write_dsec,
     "signed.h5": write_signed,
+    "cd.hdf5": write_compound("CD/events"),
+    "linked.hdf5": write_linked,
+    "fields.h5": write_compound("recording/all"),
+    "v2e.h5": write_table("events", "txyp", "u4"),
+    "mvsec.hdf5": write_table("davis/left/events", "xytp", "f8"),
+    "m3ed.h5": write_m3ed,
+    "esim.h5": write_ours_by("xs", "ys", "ts", "ps", seconds=True),
+    "whole.h5": write_ours_by("xs", "ys", "ts", "ps"),
+    "root.h5": write_ours_by("x", "y", "t", "p", group="/"),
+    "root-esim.h5": write_ours_by("xs", "ys", "ts", "ps", group="/", seconds=True),
+    "beside.h5": write_beside,
+    "floats.npy": write_numpy_floats,
+    "UPPER.NPY": write_numpy,
+    "Upper.HDF5": write_ours,
+    "UPPER.H5": write_compound("CD/events"),
+    "Upper.Raw": write_faery,
+    "UPPER.DAT": write_faery,
+    "Upper.AEDAT4": write_faery,
     "ours.npy": write_numpy,
     "tonic.npy": write_tonic,
     "nir.h5": write_nir,
@@ -115,6 +212,144 @@ def test_a_counter_of_32_bits_that_wraps_goes_on(kind, tmp_path):
     np.save(path, events.astype([(n, kind if n == "t" else EVENT[n]) for n in EVENT.names]))
     (found,) = open_recording(path, SIZE).events()
     np.testing.assert_array_equal(found, events)
+
+
+# polarity of events -> what is said; None where it is a coding that is known
+CODINGS = {
+    "1 and 2": (lambda p: p + 1, "polarities 1, 2; known are 0 .* 1 .*, or -1 and 1"),
+    "to 3": (lambda p: p + 2 * (np.arange(len(p)) % 2), "polarities 0, 1, 2, 3"),
+    "bytes": (lambda p: 255 * p, "polarities 0, 255"),
+    "three": (lambda p: p - (np.arange(len(p)) % 2), "polarities -1, 0, 1"),
+    "unsigned": (lambda p: 2 * p.astype("u4") - 1, "polarities 1, 4294967295"),
+    "missing": (lambda p: np.where(p, 1.0, np.nan), "polarities 1, nan"),
+    "halves": (lambda p: 0.5 * p, "polarities 0, 0.5"),
+    "floats": (lambda p: 1.0 * p, None),
+    "signs in floats": (lambda p: 2.0 * p - 1, None),
+    "booleans": (lambda p: p > 0, None),
+    "rising": (lambda p: 0 * p + 1, None),
+    "falling": (lambda p: 0 * p, None),
+    "negative": (lambda p: 0 * p - 1, None),
+}
+
+
+@pytest.mark.parametrize("how", ["npy", "h5", "v2e", "fields"])
+@pytest.mark.parametrize("name", CODINGS)
+def test_a_polarity_of_another_coding_is_refused_in_every_reader(name, how, tmp_path):
+    code, said = CODINGS[name]
+    events = drawn(50)
+    columns = {key: events[key] for key in "xyt"} | {"p": code(events["p"].astype(np.int64))}
+    kinds = [(key, columns[key].dtype) for key in "xytp"]
+    rows = np.zeros(50, kinds)
+    for key in "xytp":
+        rows[key] = columns[key]
+    path = tmp_path / f"a.{'npy' if how == 'npy' else 'h5'}"
+    if how == "npy":
+        np.save(path, rows)
+    elif how == "h5":
+        write_columns(path, columns)
+    else:
+        with h5py.File(path, "w") as file:
+            if how == "fields":
+                file["CD/events"] = rows
+            elif rows["p"].dtype.kind == "f" or (rows["p"] < 0).any():
+                pytest.skip("v2e's table has unsigned numbers")
+            else:
+                file["events"] = np.stack([columns[key] for key in "txyp"], 1).astype("u4")
+    if said is None:
+        (found,) = open_recording(path, SIZE).events()
+        np.testing.assert_array_equal(found["p"], columns["p"] > 0)
+        return
+    with pytest.raises(ObservationError, match=said):
+        list(open_recording(path, SIZE).events())
+
+
+def test_a_coding_is_judged_over_all_parts_of_a_recording(tmp_path):
+    events = drawn()
+    events["p"] = 1
+    events["p"][-1] = 2
+    np.save(tmp_path / "a.npy", events)
+    with pytest.raises(ObservationError, match="polarities 1, 2"):
+        list(open_recording(tmp_path / "a.npy", SIZE).events())
+
+
+def test_a_dat_with_more_polarities_than_two_is_refused(tmp_path):
+    pytest.importorskip("faery", reason="the extra events is not installed")
+    words = np.array([[5, 1 << 28], [6, 2 << 28]], "<u4")
+    path = tmp_path / "a.dat"
+    path.write_bytes(b"% Version 2\n% Width 64\n% Height 48\n\x0c\x08" + words.tobytes())
+    with pytest.raises(ObservationError, match="polarities 1, 2"):
+        list(open_recording(path).events())
+
+
+def test_what_was_assumed_of_a_layout_is_a_remark(tmp_path):
+    said = {
+        "esim.h5": "times are read as seconds, as DSEC or ESIM writes",
+        "mvsec.hdf5": "times are read as seconds, as MVSEC",
+        "m3ed.h5": "read is prophesee/left; prophesee/right is there too",
+    }
+    for name, words in said.items():
+        WRITERS[name](tmp_path / name, drawn(9))
+        assert any(words in each for each in open_recording(tmp_path / name).remarks)
+    write_numpy(tmp_path / "a.npy", drawn(9))
+    assert not open_recording(tmp_path / "a.npy").remarks
+
+
+def hdf5(path, **members):
+    with h5py.File(path, "w") as file:
+        for name, value in members.items():
+            file[name.replace("__", "/")] = value
+
+
+def packed_by_ecf(path):
+    """Prophesee's own, with the number of its filter and bytes that nobody here unpacks."""
+    with h5py.File(path, "w") as file:
+        kind = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
+        properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        properties.set_chunk((64,))
+        properties.set_filter(36559, h5py.h5z.FLAG_OPTIONAL, (0,))
+        space = h5py.h5s.create_simple((64,))
+        kind_id = h5py.h5t.py_create(kind)
+        h5py.h5d.create(file.create_group("CD").id, b"events", kind_id, space, properties)
+
+
+FIELDS = np.zeros(3, [("x", "<u2"), ("y", "<u2"), ("t", "<i8"), ("p", "u1")])
+INTACT = {
+    "ecf": (packed_by_ecf, r"Prophesee .*ECF.*36559.*metavision_file_to_dat"),
+    "other": (lambda path: hdf5(path, a=[1], b__c=FIELDS["x"]), r"holds a \(1,\), b/c \(3,\)"),
+    "two": (lambda path: hdf5(path, a=FIELDS, b=FIELDS), "holds a, b; which of them is it"),
+    "no polarity": (
+        lambda path: hdf5(path, events__x=[1], events__y=[1], events__t=[1]),
+        "events/p is missing",
+    ),
+    "floats": (lambda path: hdf5(path, events=np.zeros((3, 4))), r"events \(3, 4\) of float64"),
+    "whole seconds": (
+        lambda path: hdf5(path, xs=[1, 1], ys=[1, 1], ts=[1.0, 2e6], ps=[1, 1]),
+        "the unit is not known",
+    ),
+    "rectified": (
+        lambda path: hdf5(path, xs=[1.5], ys=[1], ts=[0.1], ps=[1]),
+        "at x = 1.5; events are at whole pixels",
+    ),
+    "offset": (
+        lambda path: hdf5(
+            path, events__x=[1], events__y=[1], events__t=[1], events__p=[1], t_offset=[1, 2]
+        ),
+        "t_offset of int64",
+    ),
+    "elsewhere": (
+        lambda path: hdf5(path, CD__events=h5py.ExternalLink("other.h5", "/x"), a=[1]),
+        "holds|another file",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", INTACT)
+def test_of_an_intact_file_it_is_never_said_that_it_is_damaged(name, tmp_path):
+    write, said = INTACT[name]
+    write(tmp_path / "a.hdf5")
+    with pytest.raises(ObservationError, match=said) as caught:
+        list(open_recording(tmp_path / "a.hdf5").events())
+    assert not re.search("damaged|truncated", str(caught.value))
 
 
 def changed(**columns):
@@ -203,7 +438,7 @@ def test_other_files_are_refused(tmp_path):
     (tmp_path / "text.csv").write_text("1,2,3,1\n")
     (tmp_path / "noise.raw").write_bytes(b"1234" * 9)
     said = {
-        "empty.h5": "events/p is missing",
+        "empty.h5": "holds nothing; known are CD/events",
         "raster.npy": "--input",
         "objects.npy": "object",
         "text.csv": "no recording",

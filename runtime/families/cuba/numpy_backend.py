@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Synapses
 from spikedeploy.runtime.chips.registers import magnitude
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.copies import Uncopied
 from spikedeploy.runtime.emulator.backend import (
     Recording,
     SavedState,
@@ -462,8 +463,10 @@ class EventCounter:
 _IDLE = EVENTS.index("neuron_idle")
 
 
-class NumpyPipeline:
+class NumpyPipeline(Uncopied):
     """CuBa-LIF layers as a Backend; integers where the chip has them, else float64."""
+
+    instead = "Copy the Machine."
 
     def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
         self.schedule = schedule

@@ -18,6 +18,7 @@ from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.families.integrate_and_fire.event_machine import EventMachine
 from tests.packed_arrays import unpacked
+from tests.paths import GOLDEN
 
 SIZE = HEIGHT, WIDTH = 12, 16
 DT = 1e-3
@@ -264,6 +265,61 @@ def test_a_page_is_bounded_and_holds_every_layer(files, emulate, tmp_path, monke
         layers = [each["spikes"] for each in found["layers"].values()]
         assert spikes[1:] == pytest.approx(layers, rel=1e-3)
         assert spikes[0] == pytest.approx(found["events_seen"] - found["events_clipped"], rel=1e-3)
+
+
+@pytest.fixture
+def recorded(command):
+    """Emulates the network of tests/golden/events on a recording; returns the JSON or the error."""
+
+    def run(recording, *words):
+        files = (GOLDEN / "events/net.nir", "--events", recording, "--chip", "loihi1")
+        code, out, err = command(
+            "emulate", *map(str, (*files, "--dt", DT, "--time-step", "1ms", "--json", *words))
+        )
+        return json.loads(out) if code == 0 else err
+
+    return run
+
+
+# as Prophesee writes them, but unpacked; beside an unrelated dataset with fields; and the other
+# coding of polarity
+@pytest.mark.parametrize("name", ["cd.hdf5", "comp.h5", "signed.npy", "CD.HDF5"])
+def test_a_recording_gives_the_same_spikes_in_every_layout(name, recorded, tmp_path):
+    path = GOLDEN / "events" / name
+    if name == "signed.npy":
+        events = np.load(GOLDEN / "events/p12.npy")
+        kinds = [(n, "i1" if n == "p" else events.dtype[n]) for n in events.dtype.names]
+        events = events.astype(kinds)
+        events["p"] = 2 * events["p"] - 3
+        np.save(path := tmp_path / name, events)
+    if name == "CD.HDF5":
+        path = tmp_path / name
+        path.write_bytes((GOLDEN / "events/cd.hdf5").read_bytes())
+    found = recorded(path)
+    assert (found["events"], found["events_seen"]) == (400, 400)
+    assert found["layers"]["n"]["spikes"] == 9
+    assert all(found["events_of_channels"])
+    assert not any("got no event" in each for each in found["remarks"])
+
+
+def test_polarities_1_and_2_are_refused_with_what_was_found(recorded):
+    said = recorded(GOLDEN / "events/p12.npy")
+    assert "has the polarities 1, 2; known are 0" in said
+
+
+@pytest.mark.parametrize(("words", "channel"), [((), 0), (("--channels", "on-off"), 1)])
+def test_a_channel_that_no_event_reaches_is_remarked(words, channel, recorded):
+    found = recorded(GOLDEN / "events/onlyon.npy", *words)
+    assert found["events_of_channels"] == ([0, 400] if channel == 0 else [400, 0])
+    assert f"channel {channel} of the Input got no event: all 400" in " ".join(found["remarks"])
+
+
+def test_a_recording_of_which_the_network_sees_nothing_is_remarked(recorded, tmp_path):
+    events = np.load(GOLDEN / "events/onlyon.npy")
+    events["x"] += 20
+    np.save(tmp_path / "a.npy", events)
+    found = recorded(tmp_path / "a.npy", "--camera", "8x40", "--region", "0,0,8,8")
+    assert "no event of the recording reaches the Input" in found["remarks"]
 
 
 def test_options_of_recordings_need_one(files, command, tmp_path):
