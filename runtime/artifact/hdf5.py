@@ -66,9 +66,10 @@ def read_graph(path: Path) -> nir.NIRGraph:
         check_container(path, byte_budget(path, _FREE_BYTES, _EXPANSION))
         with h5py.File(path, "r") as file:
             if "node" not in file:
+                found = ", ".join(list(file)[:8]) or "nothing"
                 raise ArtifactError(
-                    f"is HDF5 of another format: it holds {', '.join(list(file)[:8]) or 'nothing'} "
-                    "and no node. Give the file of a network; recordings of cameras go to --events."
+                    f"cannot be read as a NIR graph: it is HDF5 that holds {found}, not node. "
+                    "Give the file of a network; recordings of cameras go to --events."
                 )
             tree = hdf2dict(file["node"])
         if tree["type"] != "NIRGraph":
@@ -231,10 +232,10 @@ def _declared_bytes(name: str, array: h5py.Dataset) -> int:
     kind = array.dtype.kind
     # HDF5 can crash on reading a damaged type
     if kind == "V" or (kind == "O" and h5py.check_string_dtype(array.dtype) is None):
-        fields = f"the fields {', '.join(names)}" if (names := array.dtype.names) else "neither"
+        fields = f" but the fields {', '.join(names)}" if (names := array.dtype.names) else ""
         raise ArtifactError(
-            f"{name} holds {fields}, and NIR has numbers and texts alone: the file is of another "
-            "format. Give the file of a network; recordings of cameras go to --events."
+            f"{name} holds neither numbers nor texts{fields}; NIR has nothing else. Give the file "
+            "of a network; recordings of cameras go to --events."
         )
     if array.external or array.is_virtual:
         raise ArtifactError(

@@ -52,6 +52,8 @@ _BEYOND = (
     "{}: dv is 4096, which lava takes and the chip's register of 12 bits does not hold; replayed "
     "as lava computes it, the membrane keeps nothing"
 )
+# traces of nengo_loihi that were recorded before the field existed meant 0 from the input
+_UNDELAYED = "{}: no delay is given; a spike takes {} [timesteps], as {} has it"
 
 
 def loihi_trace(fields: Fields, chip: str) -> TraceFile:
@@ -70,6 +72,9 @@ def loihi_trace(fields: Fields, chip: str) -> TraceFile:
         layer = _read_layer(spec, f"layer{place}", synapses, arithmetic)
         layers.append(layer)
         chips.append(arithmetic)
+        if spec.name("delay", "delays") is None:
+            taken = ", ".join(f"{s.delay} from {s.source}" for s in synapses[:1])
+            remarks.append(_UNDELAYED.format(layer.name, taken, chip))
         if spec.name("dv", "decay_v") and not layer.membrane_decay.all():
             # one more than the register holds, which _decay_factor takes of lava alone
             remarks += [_BEYOND.format(layer.name)] * (arithmetic.exponents == "sum")

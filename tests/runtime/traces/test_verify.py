@@ -123,7 +123,11 @@ def test_lava_takes_a_decay_that_no_register_holds_and_the_verdict_says_so(file)
     del params["effective_decay_v"]
     verdict = verify(file({**record, "params": {**params, "dv": 4096}}))
     assert verdict.equal
-    (remark,) = verdict.remarks
+    assumed, remark = verdict.remarks
+    assert (
+        assumed
+        == "layer0: no delay is given; a spike takes 1 from input [timesteps], as loihi1 has it"
+    )
     assert remark.startswith("layer0: dv is 4096, which lava takes and the chip's register of 12")
     other = {**record, "chip": "loihi1-nengo", "params": {**params, "dv": 4096}}
     with pytest.raises(TraceError, match="dv holds 4096"):
