@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import typer
 
-from spikedeploy.commands.options import AfterSpike, States
+from spikedeploy.commands.options import AfterSpike, Granularity, States
 from spikedeploy.console import print_json, print_result, say
 from spikedeploy.errors import ConfigError
 
@@ -25,6 +25,7 @@ def export(
     chip: str | None = None,
     env: str | None = None,
     clock: ChipClock | None = None,
+    quantise: Granularity = "layer",
     prefix: str = "policy",
     board: str | None = None,
     raster: Path | None = None,
@@ -44,7 +45,11 @@ def export(
     --to card makes the run folder ready for upload: the policy, card.md, curve.svg, report.html.
     """
     from spikedeploy import zoo
+    from spikedeploy.runtime.chips.quantisation import Quantisation
 
+    quantisation = Quantisation(quantise)
+    if quantise != "layer" and to not in ("c", "verilog", "program"):
+        raise typer.BadParameter("--quantise goes with --to c, verilog and program")
     if board is not None and to != "verilog":
         raise typer.BadParameter("--board goes with --to verilog")
     if film and to != "card":
@@ -53,6 +58,7 @@ def export(
         raise ConfigError(f"{run}: no such file")  # as a run folder it would be missed elsewhere
     reading = {"written_by": from_, "dt": dt, "reset": reset}
     played: dict[str, Any] = {"raster": raster, "clock": clock}
+    written_as: dict[str, Any] = {"env": env, "force": force, "quantisation": quantisation}
     if for_ or nir_compat:
         from spikedeploy.shipping.export_file import export_nir
 
@@ -65,7 +71,7 @@ def export(
         from spikedeploy.shipping.export_program import export_program
 
         program = export_program(
-            run, chip, output, observations, env=env, options=reading, force=force, **played
+            run, chip, output, observations, options=reading, **written_as, **played
         )
         print_result(json, program.record(), *program.lines)
         return
@@ -85,13 +91,13 @@ def export(
     if to == "c":
         from spikedeploy.shipping.export_c import export_c
 
-        code = export_c(run, chip, output, observations, prefix, force, env)
+        code = export_c(run, chip, output, observations, prefix, **written_as)
         print_result(json, code.record(), *code.lines)
         return
     if to == "verilog":
         from spikedeploy.shipping.export_verilog import export_verilog
 
-        core = export_verilog(run, chip, board, output, observations, force, env)
+        core = export_verilog(run, chip, board, output, observations, **written_as)
         print_result(json, core.record(), *core.lines)
         return
     if to == "card":

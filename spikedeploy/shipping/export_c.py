@@ -20,6 +20,7 @@ from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.codec.codec import GIVE_CODEC
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.convention import CLOCKS
@@ -30,6 +31,7 @@ from spikedeploy.shipping.sources import (
     is_ours,
     nir_file,
     observations_of,
+    on_chip,
     policy_file,
     world_of,
 )
@@ -65,6 +67,7 @@ def export_c(
     prefix: str = "policy",
     force: bool = False,
     env: str | None = None,
+    quantisation: Quantisation = PLAIN,
 ) -> WrittenFolder:
     """Write a policy as C: a spiking one of a chip, a float one with 8-bit weights.
 
@@ -76,6 +79,7 @@ def export_c(
     prefix: what names in C begin with.
     force: whether files that no earlier export wrote are replaced.
     env: in which the episode is played; None is what the policy names, of ours.
+    quantisation: of a spiking policy.
     """
     if folder is None:
         raise ConfigError("--to c writes a folder: name it, as in -o firmware")
@@ -84,6 +88,11 @@ def export_c(
         if chip_name is not None:
             raise ConfigError(
                 f"--to c: {policy} is a float network, whose C is of no chip; leave --chip out."
+            )
+        if quantisation != PLAIN:
+            raise ConfigError(
+                f"--to c: {policy} is a float network, which has a scale for each input; leave "
+                "--quantise out."
             )
         check_prefix(prefix)
         names = file_names(prefix, spiking=False)
@@ -101,9 +110,10 @@ def export_c(
     check_output_folder("-o", folder, file_names(prefix), (file, policy), force, is_export)
     # software updates a layer when it is told to, whatever the chip can; its options come first
     clock, software = on.clock or own_clock(artifact.convention), replace(on, clocks=CLOCKS)
-    program = compile_program(artifact, software, clock=clock)
+    program = compile_program(artifact, software, quantisation, clock)
     seen, source = episode_of(artifact, on, observations, world_of(policy, artifact), env)
-    files = policy_in_c(program, artifact.codec, seen, f"{_origin(file)}, on {chip_name}", prefix)
+    origin = f"{_origin(file)}, on {on_chip(chip_name, quantisation)}"
+    files = policy_in_c(program, artifact.codec, seen, origin, prefix)
     write(files.text, folder, prefix)
     costs, without = files.costs, files.without_int16
     lines = (

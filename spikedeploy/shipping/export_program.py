@@ -38,6 +38,7 @@ from spikedeploy.make_env import confirm, make_env
 from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.codec.codec import GIVE_CODEC
 from spikedeploy.runtime.compiler.compile import clock_on, compile_program
 from spikedeploy.runtime.compiler.program import Program
@@ -47,7 +48,7 @@ from spikedeploy.runtime.errors import ConfigError, TraceError
 from spikedeploy.runtime.traces.verify import Verdict, verify
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.shipping.export_c import WrittenFolder
-from spikedeploy.shipping.sources import chip_of, is_ours, named_env, nir_file, world_of
+from spikedeploy.shipping.sources import chip_of, is_ours, named_env, nir_file, on_chip, world_of
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,7 @@ def export_program(
     clock: Clock | None = None,
     options: Mapping[str, Any] | None = None,
     force: bool = False,
+    quantisation: Quantisation = PLAIN,
 ) -> WrittenKit:
     """Write the kit of a policy, or of a network without a codec, for a chip.
 
@@ -84,6 +86,7 @@ def export_program(
     clock: as of compile_program; None is the network's own, or free.
     options: of artifact.load, such as reset.
     force: whether files that no earlier export wrote are replaced.
+    quantisation: whether neurons have scales of their own.
     """
     if folder is None:
         raise ConfigError("--to program writes a folder: name it, as in -o kit")
@@ -99,7 +102,7 @@ def export_program(
     if clock is None:  # tools hold no layer, so that a gated network runs free if it can
         wanted = clock_on(artifact.convention, on)
         clock = "free" if wanted == "gated" and "free" in on.clocks else wanted
-    compiled = compile_program(artifact, on, clock=clock)
+    compiled = compile_program(artifact, on, quantisation, clock)
     if raster is not None:
         given = _read_raster(artifact, raster, steps)
         run = chip_run(compiled, len(given))
@@ -118,6 +121,7 @@ def export_program(
     _check_delays(run.program, tool)
     host = host_record(compiled, None if raster is not None else artifact.codec, run)
     origin = f"{zoo.name_in_exports(file)}, sha256 {zoo.sha256(file)[:16]}"
+    origin += on_chip("", quantisation)
     placement = PlacedNetwork(artifact, on).mapping if on.limits is not None else None
     text = program_text(run, compiled.clock, placement, host, origin)
     said = f"expected by spikedeploy's emulation of {chip_name}, {source}"

@@ -20,6 +20,7 @@ from spikedeploy.exporters.verilog.to_verilog import core_files
 from spikedeploy.outputs import check_output_folder
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.compiler.program import Program
@@ -29,6 +30,7 @@ from spikedeploy.shipping.sources import (
     episode_of,
     named_env,
     nir_file,
+    on_chip,
     world_of,
 )
 from spikedeploy.shipping.verilog_folder import (
@@ -64,6 +66,7 @@ def design(
     file: Path,
     chip_name: str | None,
     board_name: str | None,
+    quantisation: Quantisation = PLAIN,
     **reading: Any,  # noqa: ANN401
 ) -> CoreDesign:
     """The design of a policy's file; ConfigError for what a core does not compute.
@@ -77,7 +80,7 @@ def design(
             f"{file} has no codec (observation to spikes), so that no host could ask the core for "
             f"actions. {GIVE_CODEC}."
         )
-    name, program = program_for(artifact, chip_name)
+    name, program = program_for(artifact, chip_name, quantisation)
     image = core_image(program, artifact.codec)
     return CoreDesign(artifact, artifact.codec, name, program, image, on)
 
@@ -90,6 +93,7 @@ def export_verilog(
     observations: int = 1000,
     force: bool = False,
     env: str | None = None,
+    quantisation: Quantisation = PLAIN,
 ) -> WrittenFolder:
     """Write a spiking policy as Verilog: a core, a top module, memories, a Makefile, a host.
 
@@ -100,6 +104,7 @@ def export_verilog(
     observations: of an episode, of which the test benches have the first control steps.
     force: whether files are replaced that no export wrote, or that were changed since.
     env: in which the episode is played; None is what the policy names, of ours.
+    quantisation: whether neurons have scales of their own.
 
     Raises ConfigError for a program that the core does not compute, RuleError where it is larger
     than the board, both before a file is written.
@@ -112,13 +117,13 @@ def export_verilog(
             "Name another."
         )
     file = nir_file(policy, "verilog")
-    made = design(file, chip_name, board_name)
+    made = design(file, chip_name, board_name, quantisation)
     image, on, inputs = made.image, made.board, (file, policy)
     predict(image, on).check()
     check_output_folder("-o", folder, (RECORD, MAKEFILE), inputs, force, is_export)
     check_unchanged("-o", folder, force)
     shipped = zoo.name_in_exports(file)
-    origin = f"{shipped}, sha256 {zoo.sha256(file)[:16]}, on {made.chip}"
+    origin = f"{shipped}, sha256 {zoo.sha256(file)[:16]}, on {on_chip(made.chip, quantisation)}"
     where = world_of(policy, made.artifact)
     seen, source = episode_of(made.artifact, made.program.chip, observations, where, env)
     raster = made.codec.encode_episode(seen)
@@ -128,7 +133,8 @@ def export_verilog(
     }
     check_output_folder("-o", folder, texts, inputs, force, is_export)
     names = (shipped, zoo.sha256(file), made.chip, on.name)
-    write_folder(texts, VerilogFolder(folder, *names, sums_of(texts)))
+    scales = quantisation.granularity
+    write_folder(texts, VerilogFolder(folder, *names, sums_of(texts), scales))
     begins = range(_COUNTED) if made.artifact.convention.state == "reset" else ()
     timesteps = clocks_of(image, tokens_of(raster[:_COUNTED], begins))
     clocks = np.array(timesteps).reshape(-1, raster.shape[1]).sum(axis=1)
@@ -161,7 +167,9 @@ def _targets(on: Board, use: Mapping[str, Any]) -> tuple[str, ...]:
     return ("lint", "sim", "netlist", "bit", *back)
 
 
-def program_for(artifact: Artifact, chip_name: str | None) -> tuple[str, Program]:
+def program_for(
+    artifact: Artifact, chip_name: str | None, quantisation: Quantisation = PLAIN
+) -> tuple[str, Program]:
     """The name of the chip, and the program, of a policy on a core.
 
     A core updates a layer when it is told to, so that a gated network runs gated, and the name says
@@ -171,7 +179,7 @@ def program_for(artifact: Artifact, chip_name: str | None) -> tuple[str, Program
     on, clock = chip(name), own_clock(artifact.convention)
     if on.clock is None and clock not in on.clocks:
         name += f"{',' if ':' in name else ':'}clock={clock}"
-    return name, compile_program(artifact, chip(name))
+    return name, compile_program(artifact, chip(name), quantisation)
 
 
 @dataclass(frozen=True)

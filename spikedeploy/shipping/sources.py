@@ -15,6 +15,7 @@ from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.registry import DEFAULT_CHIP
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.shipping import exported_run
@@ -44,6 +45,12 @@ def nir_file(policy: str, to: str) -> Path:
 def chip_of(artifact: Artifact) -> str:
     """The chip on which a policy runs where none is named: that of its training, or the default."""
     return artifact.trained_for or DEFAULT_CHIP
+
+
+def on_chip(chip_name: str, quantisation: Quantisation) -> str:
+    """The chip, and the scales of the weights where they are not its usual ones, in words."""
+    own = quantisation.granularity != PLAIN.granularity
+    return f"{chip_name}, a scale for each {quantisation.granularity}" if own else chip_name
 
 
 def named_env(artifact: Artifact) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, get_args
 
 from spikedeploy import zoo
 from spikedeploy.console import say
@@ -20,6 +20,7 @@ from spikedeploy.files import as_text, read_json
 from spikedeploy.outputs import has_text
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
 
 RECORD = "export.json"
@@ -39,6 +40,7 @@ class VerilogFolder:
     chip: whose integers the core computes, with the clock in the name where it is not the chip's.
     board: that the top module is for.
     files: name -> sha256 of what was written.
+    quantise: the granularity of its scales; folders from before it was a choice lack it.
     """
 
     folder: Path
@@ -47,6 +49,7 @@ class VerilogFolder:
     chip: str
     board: str
     files: Mapping[str, str]
+    quantise: Granularity = PLAIN.granularity
 
     def record(self) -> dict[str, Any]:
         """All but the folder, as RECORD holds it."""
@@ -112,12 +115,17 @@ def read_folder(folder: Path) -> VerilogFolder:
         )
     found = read_json(folder / RECORD, _REMEDY)
     files = found.get("files")
-    texts = {name: found.get(name) for name in ("policy", "sha256", "chip", "board")}
+    texts: dict[str, Any] = {
+        name: found.get(name) for name in ("policy", "sha256", "chip", "board")
+    }
     if not isinstance(files, dict) or not all(isinstance(each, str) for each in texts.values()):
         raise ConfigError(f"{folder / RECORD} is damaged, fields are missing: {_REMEDY}")
     if not all(_is_inside(name) and isinstance(value, str) for name, value in files.items()):
         raise ConfigError(f"{folder / RECORD} is damaged, it names files elsewhere: {_REMEDY}")
-    return VerilogFolder(folder, files=files, **{name: str(text) for name, text in texts.items()})
+    quantise = found.get("quantise", PLAIN.granularity)
+    if quantise not in get_args(Granularity):
+        raise ConfigError(f"{folder / RECORD} is damaged, quantise is none: {_REMEDY}")
+    return VerilogFolder(folder, files=files, quantise=quantise, **texts)
 
 
 def _is_inside(name: str) -> bool:
@@ -175,6 +183,7 @@ def build_simulation(found: VerilogFolder) -> Path:
 def open_hardware(found: VerilogFolder, policy: Path) -> Iterator[RtlProcess]:
     """The core of a folder in simulation, with its probe; policy: the file that it was made of."""
     artifact = load(policy)
-    image = core_image(compile_program(artifact, chip(found.chip)), artifact.codec)
+    program = compile_program(artifact, chip(found.chip), Quantisation(found.quantise))
+    image = core_image(program, artifact.codec)
     with image_process(build_simulation(found), image) as process:
         yield process

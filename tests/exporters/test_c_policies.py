@@ -10,6 +10,7 @@ from spikedeploy import zoo
 from spikedeploy.exporters.c.codec import exponents
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.codec.codec import Codec, DeltaEncoder, Normaliser
 from spikedeploy.runtime.codec.population import pattern_table
 from spikedeploy.runtime.codec.rate import RateEncoder
@@ -17,6 +18,7 @@ from spikedeploy.runtime.compiler.compile import own_clock
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.shipping.export_c import export_c
 from tests import readouts
 from tests.c_builds import (
     COMPILERS,
@@ -112,6 +114,19 @@ def test_policies_of_every_code_equal_the_interpreter(tmp_path, name):
 def test_a_policy_equals_the_interpreter_on_other_chips(tmp_path, name):
     artifact = popsan()
     check_policy(artifact, walk(artifact.codec), tmp_path, chip(name))
+
+
+@needs_c
+def test_a_policy_with_a_scale_for_each_neuron_equals_the_interpreter(tmp_path):
+    to, plain = tmp_path / "c", tmp_path / "plain"
+    export_c("hexapod/popsan", None, to, 40, quantisation=Quantisation("channel"))
+    for name in ("README.md", "interface.json"):
+        assert "a scale for each channel" in (to / name).read_text()
+    assert passed(built(to)) > 0
+    export_c("hexapod/popsan", None, plain, 40)
+    assert (to / "policy.c").read_text() != (plain / "policy.c").read_text()
+    with pytest.raises(ConfigError, match="leave --quantise out"):
+        export_c("hexapod/mlp-8", None, to, quantisation=Quantisation("channel"))
 
 
 @needs_c
