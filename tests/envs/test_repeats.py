@@ -105,7 +105,9 @@ def named(monkeypatch, maker):
 
 
 @pytest.mark.parametrize(
-    "maker", [lambda: Measures(Reach()), running, Harder, Shorter, Unseeded], ids=str
+    "maker",
+    [lambda: Measures(Reach()), running, Harder, Shorter, Unseeded],
+    ids=["statistics", "running", "harder", "shorter", "unseeded"],
 )
 def test_an_environment_with_a_memory_is_refused_with_what_differs(monkeypatch, maker):
     what = r"(the (reward|observation|terminated|truncated)|number \d+ of).* at step \d+ was"
