@@ -28,6 +28,7 @@ from spikedeploy.exporters import spiking_onnx
 from spikedeploy.exporters.check import LargestDifference, MismatchCounter, ParityCheck, batches
 from spikedeploy.exporters.spiking_onnx import OBSERVATION, OUTPUTS
 from spikedeploy.exporters.to_nir import SpikingPolicy, artifact
+from spikedeploy.files import suffix
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import Codec
@@ -340,7 +341,7 @@ CHECKS: dict[str, Checks] = {".nir": _nir_checks, ".onnx": _onnx_checks}
 def check(policy: Policy, path: str | Path, observations: ArrayLike) -> list[ParityCheck]:
     """Return the checks of the file against the policy on observations (n, obs)."""
     path = Path(path)
-    if path.suffix not in CHECKS:
+    if suffix(path) not in CHECKS:
         raise ConfigError(f"{path}: parity is defined for files that end in {' or '.join(CHECKS)}")
     recorded = np.asarray(observations, dtype=np.float64)
     if recorded.ndim != 2 or recorded.shape[1] != policy.observations or not len(recorded):
@@ -348,4 +349,4 @@ def check(policy: Policy, path: str | Path, observations: ArrayLike) -> list[Par
             f"parity needs observations of shape (n, {policy.observations}), at least one; "
             f"found {recorded.shape}"
         )
-    return CHECKS[path.suffix](policy, path, recorded)
+    return CHECKS[suffix(path)](policy, path, recorded)

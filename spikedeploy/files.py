@@ -24,6 +24,11 @@ else:
 MOST_TOML = 1 << 15  # bytes: the time that a key with many dots takes grows with their square
 
 
+def suffix(path: Path | str) -> str:
+    """The suffix of a file's name in lower case, ".nir" of NET.NIR; "" where there is none."""
+    return Path(path).suffix.lower()
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`, which replaces it at the end of the block.

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from tempfile import TemporaryFile
 
+from spikedeploy.files import suffix
 from spikedeploy.runtime.errors import ConfigError
 
 # what training leaves in a run folder; anything else there is an export or a picture
@@ -150,7 +151,7 @@ def _check_run(option: str, path: Path) -> None:
     run = next((folder for folder in whole.parents if _is_run(folder)), None)
     if run is None:
         return
-    free = whole.parent == run and whole.suffix in _MAY_STAND_IN_RUNS
+    free = whole.parent == run and suffix(whole) in _MAY_STAND_IN_RUNS
     if whole.name in _OF_RUNS or not free:
         raise ConfigError(
             f"{option} {path} is inside the run folder {run}, whose own files are there. Name a "

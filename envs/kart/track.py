@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.errors import EnvError
+from spikedeploy.files import suffix
 
 FloatArray = NDArray[np.float64]
 RADIUS = 19.2  # [px] of a kart, for which all tracks are drawn
@@ -317,7 +318,7 @@ def load(track: str | Path) -> Track:
     Raises EnvError where the file is malformed or the track cannot be driven.
     """
     path = Path(track)
-    if path.suffix != ".json":
+    if suffix(path) != ".json":
         if str(track) not in names():
             known = [*names(), "corridor"]
             close = difflib.get_close_matches(str(track), known, n=1)

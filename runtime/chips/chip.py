@@ -35,7 +35,7 @@ from typing import Any, Literal, cast, get_args, get_origin
 
 import numpy as np
 
-from spikedeploy.files import MOST_TOML, read_toml
+from spikedeploy.files import MOST_TOML, read_toml, suffix
 from spikedeploy.runtime.chips import ARITHMETICS, CHIPS
 from spikedeploy.runtime.chips.arithmetic import Arithmetic
 from spikedeploy.runtime.chips.registers import OVERFLOWS, Register
@@ -238,7 +238,7 @@ def chip(name: str, **overrides: Any) -> Chip:  # noqa: ANN401
     place, options = _NAME.fullmatch(name.strip()).groups("")  # type: ignore[union-attr]  # any text
     if place in CHIPS:
         path, called = CHIPS[place], place
-    elif place.endswith(_FILE):
+    elif suffix(place) == _FILE:
         path, called = Path(place), Path(place).stem
         if called in CHIPS:
             raise ChipError(f"{path}: {called!r} is the name of another chip. Rename the file.")
@@ -273,7 +273,7 @@ def split_names(text: str) -> list[str]:
 
 _FILE = ".toml"
 # a name, or a file, which may have a colon in its path; then options
-_NAME = re.compile(r"(.*?\.toml(?=:|$)|[^:]*):?(.*)", re.DOTALL)
+_NAME = re.compile(r"(.*?\.(?i:toml)(?=:|$)|[^:]*):?(.*)", re.DOTALL)
 
 
 # options

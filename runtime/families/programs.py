@@ -24,6 +24,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.files import suffix
 from spikedeploy.runtime.chips.chip import CHIPS, Chip
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.chips.layer import NEVER, Layer, Synapses
@@ -380,7 +381,7 @@ def _inference(step: Fields, fields: Fields, timesteps: int) -> int:
 def _program_fields(fields: Fields, folder: Path) -> Fields:
     """The program's file, which must be the one that was run."""
     name = fields.text("program")
-    if Path(name).name != name or not name.endswith(".json"):
+    if Path(name).name != name or suffix(name) != ".json":
         raise fields.wrong("program", f"is {name[:40]!r}", "Name the JSON file beside this one.")
     path = folder / name
     try:

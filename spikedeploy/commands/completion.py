@@ -7,6 +7,8 @@ WORDS is the table of the parameters, by name or by command and name. `spikedepl
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from spikedeploy.files import suffix
+
 _RUNS = Path("runs")
 
 
@@ -111,7 +113,7 @@ def _one_level(incomplete: str, names: Iterable[str], suffixes: tuple[str, ...])
         if path.name.startswith(start) and not hidden and not any(map(str.isspace, path.name)):
             if path.is_dir():
                 found[f"{folder}{slash}{path.name}/"] = None
-            elif path.suffix in suffixes:
+            elif suffix(path) in suffixes:
                 found[f"{folder}{slash}{path.name}"] = None
     only = next(iter(found)) if len(found) == 1 else ""
     return _one_level(only, names, suffixes) if only.endswith("/") else list(found)

@@ -9,6 +9,7 @@ import typer
 from spikedeploy.commands.options import AfterSpike, Granularity, States
 from spikedeploy.console import print_json, print_result, say
 from spikedeploy.errors import ConfigError
+from spikedeploy.files import suffix
 
 if TYPE_CHECKING:
     from spikedeploy.exporters.check import CheckedFile
@@ -54,7 +55,7 @@ def export(
         raise typer.BadParameter("--board goes with --to verilog")
     if film and to != "card":
         raise typer.BadParameter("--film goes with --to card")
-    if run.endswith(zoo.SUFFIXES) and zoo.resolve(run) is None:
+    if suffix(run) in zoo.SUFFIXES and zoo.resolve(run) is None:
         raise ConfigError(f"{run}: no such file")  # as a run folder it would be missed elsewhere
     reading = {"written_by": from_, "dt": dt, "reset": reset}
     played: dict[str, Any] = {"raster": raster, "clock": clock}

@@ -9,6 +9,7 @@ from spikedeploy import seeds
 from spikedeploy.commands.options import FromCamera, OnChip, Reading
 from spikedeploy.console import print_json, print_result
 from spikedeploy.errors import ConfigError
+from spikedeploy.files import suffix
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -288,7 +289,7 @@ def verify(
     from spikedeploy.reports.terminal import print_verifications
 
     played = {"--network": network, "--chip": chip, "--input": input_}
-    if any(played.values()) or traces[0].suffix in (".npy", ".npz"):
+    if any(played.values()) or suffix(traces[0]) in (".npy", ".npz"):
         options = {"layer": layer, **reading.arguments(), **on_chip.arguments()}
         _verify_activity(traces, played, options, json)
     if (layer, reading, on_chip) != (None, Reading(), OnChip()):
@@ -298,7 +299,7 @@ def verify(
         )
     replays = []
     # of a folder its traces; an empty one is refused as a trace is
-    for path in (file for each in traces for file in sorted(each.glob("*.json")) or [each]):
+    for path in (file for each in traces for file in _traces_in(each) or [each]):
         replays.append(replay_trace(path))
         if not json:
             print_verifications(replays[-1:])
@@ -307,6 +308,11 @@ def verify(
     if any(not each.equal and not each.failed for each in replays):
         raise typer.Exit(1)
     raise typer.Exit(0 if all(each.equal for each in replays) else 2)
+
+
+def _traces_in(folder: Path) -> list[Path]:
+    """The JSON files in a folder; none in a file."""
+    return sorted(file for file in folder.glob("*") if suffix(file) == ".json")
 
 
 def _verify_activity(
@@ -318,7 +324,7 @@ def _verify_activity(
 
     if missing := [name for name, value in played.items() if not value]:
         given = [name for name in played if name not in missing]
-        if recordings[0].suffix == ".json" and "--network" in missing:
+        if suffix(recordings[0]) == ".json" and "--network" in missing:
             raise ConfigError(
                 f"{recordings[0]}: a trace needs no options, as it says network, chip and input "
                 f"itself: leave {' and '.join(given)} out"

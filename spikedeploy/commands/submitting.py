@@ -6,6 +6,7 @@ import typer
 
 from spikedeploy.console import print_result
 from spikedeploy.errors import ConfigError
+from spikedeploy.files import suffix
 
 
 def submit(
@@ -57,5 +58,5 @@ def _document(report: Path) -> tuple[dict[str, object], str]:
     """A report as data, and its name."""
     from spikedeploy.shipping.cards import REPORT, read_report
 
-    path = report / REPORT if report.is_dir() or report.suffix != ".json" else report
+    path = report / REPORT if report.is_dir() or suffix(report) != ".json" else report
     return read_report(path)[0], str(report)

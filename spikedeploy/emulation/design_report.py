@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from spikedeploy import zoo
 from spikedeploy.emulation.rasters import Raster, in_batch, read_inputs
+from spikedeploy.files import suffix
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import CHIPS, chip, split_names
 from spikedeploy.runtime.compiler.compile import COMPILE, DesignCheck
@@ -248,7 +249,7 @@ def network_path(reference: str) -> Path:
             f"no network at {reference!r}: no such file or shipped policy; `spikedeploy policies` "
             "lists what is shipped"
         )
-    if path.suffix == ".onnx":
+    if suffix(path) == ".onnx":
         raise ConfigError(f"{reference} does not spike, so no chip runs it: name a .nir file")
     return path
 

@@ -25,6 +25,7 @@ from spikedeploy.emulation.event_columns import (
 )
 from spikedeploy.emulation.event_hdf5 import hdf5_recording
 from spikedeploy.events import EVENT, MOST_PIXELS, Events
+from spikedeploy.files import suffix
 from spikedeploy.runtime.artifact.nir_data import is_nir_data
 from spikedeploy.runtime.errors import ObservationError
 
@@ -119,14 +120,14 @@ def open_recording(
     """
     if not path.is_file():
         raise ObservationError(f"{path} is no file. Give a recording: {KINDS}.")
-    suffix = path.suffix.lower()
+    form = suffix(path)
     found: Size | None = None
     remarks: tuple[str, ...] = ()
     try:
-        if suffix == ".npy":
+        if form == ".npy":
             parts = _numpy_parts(path)
-        elif suffix in _FAERY:
-            found, parts = _faery_parts(path, suffix)
+        elif form in _FAERY:
+            found, parts = _faery_parts(path, form)
         elif is_nir_data(path):
             found, parts, remarks = hdf5_recording(path, camera or fallback)
         else:
@@ -179,27 +180,27 @@ def _numpy_parts(path: Path) -> Callable[[], Iterator[Columns]]:
 # AEDAT 4, Prophesee
 
 
-def _faery_parts(path: Path, suffix: str) -> tuple[Size | None, Callable[[], Iterator[Columns]]]:
+def _faery_parts(path: Path, form: str) -> tuple[Size | None, Callable[[], Iterator[Columns]]]:
     import faery
 
     with path.open("rb") as file:
-        if suffix == ".raw" and file.read(1) != b"%":
+        if form == ".raw" and file.read(1) != b"%":
             raise ObservationError(
                 f"{path} has no header, which says whether its events are EVT 2, 2.1 or 3. Record "
                 "it anew, or convert it with the tools of the camera."
             )
 
     def stream() -> faery.FiniteEventsStream:
-        kind = _FAERY[suffix]
+        kind = _FAERY[form]
         return faery.events_stream_from_file(path, dimensions_fallback=_UNKNOWN, file_type=kind)
 
     width, height = stream().dimensions()
     size = None if (width, height) == _UNKNOWN else (height, width)
 
     def parts() -> Iterator[Columns]:
-        if suffix == ".raw":
+        if form == ".raw":
             _check_times_high(path)
-        words, first, offset = _dat_words(path) if suffix == ".dat" else None, 0, 0
+        words, first, offset = _dat_words(path) if form == ".dat" else None, 0, 0
         # a stream is read once
         for events in stream():
             t, p = events["t"].astype(np.int64), events["p"]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from spikedeploy.emulation.event_input import Survey, TimeSteps
 from spikedeploy.emulation.event_stream import Listener, node_shape
 from spikedeploy.emulation.open_loop import LARGEST, NIR_DATA
-from spikedeploy.files import replacing
+from spikedeploy.files import replacing, suffix
 from spikedeploy.outputs import mark
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.artifact.nir_data import EventDataWriter
@@ -32,7 +32,7 @@ def write_spikes(
     found: the survey of the recording.
     steps: timesteps; None where there are none.
     """
-    if path.suffix.lower() in NIR_DATA:
+    if suffix(path) in NIR_DATA:
         seconds = found.duration(steps) / 1e6
         with replacing(path) as part, EventDataWriter(part, seconds) as writer:
             yield _Events(writer, artifact)

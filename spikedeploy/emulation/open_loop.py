@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.emulation.rasters import Raster, in_batch
-from spikedeploy.files import replacing
+from spikedeploy.files import replacing, suffix
 from spikedeploy.outputs import mark
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.runtime.artifact.artifact import Artifact
@@ -137,7 +137,7 @@ class Emulation:
         """Write a .npz, or NIRData in .h5: spikes and outputs, each by the name of its node."""
         own, everything = mark("emulate"), {**self.spikes, **self.outputs}
         with replacing(path) as part:
-            if path.suffix.lower() in NIR_DATA:
+            if suffix(path) in NIR_DATA:
                 write_nir_data(part, everything, self.artifact.convention.dt, own)
                 return
             with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive:

@@ -10,7 +10,7 @@ from typing import Any
 
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart.track import Track, check, load, parse
-from spikedeploy.files import write_text
+from spikedeploy.files import suffix, write_text
 from spikedeploy.runtime.errors import ConfigError
 
 Point = tuple[float, float]
@@ -181,7 +181,7 @@ def open_draft(path: Path, copy: str | None = None) -> TrackDraft:
 
     copy  track to begin a new file with
     """
-    if path.suffix != ".json" or path.stem.endswith(".draft"):
+    if suffix(path) != ".json" or path.stem.lower().endswith(".draft"):
         raise ConfigError(
             f"{path}: a track is drawn into a file that ends in .json; its .draft.json opens itself"
         )

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from spikedeploy import envs, zoo
 from spikedeploy.envs.foreign import AdaptedEnv
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
+from spikedeploy.files import suffix
 from spikedeploy.make_env import make_env
 from spikedeploy.play.spikes import WIDTH as SPIKES_WIDTH
 from spikedeploy.play.spikes import WINDOW, InferenceTrace, draw_inference, last_scores
@@ -373,7 +374,7 @@ def open_session(
     policy   None for a person where keys can drive, else for a shipped policy
     chip     of a spiking policy; None is that of its training, or loihi1
     """
-    if record is not None and record.suffix != ".npz":
+    if record is not None and suffix(record) != ".npz":
         raise ConfigError(f"--record {record}: a drive is kept in a file that ends in .npz")
     world = make_env(env, options, render_mode="rgb_array")
     return Session(world, _driver(env, world, policy, chip), seed, record)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from spikedeploy import envs
 from spikedeploy.envs.ghosts import Ghost, Ghosts
 from spikedeploy.envs.rollout import Rollout
+from spikedeploy.files import suffix
 from spikedeploy.make_env import make_env
 from spikedeploy.outputs import mark
 from spikedeploy.play.ghosts import COLOURS, Facts, GhostView
@@ -138,7 +139,7 @@ def _world(source: Source, options: Mapping[str, Any]) -> str:
     short = envs.spec(source.env_id).short
     track = {"track": "big_S", **source.options, **options}["track"]
     place = Path(str(track))
-    return f"{short} on {place.resolve() if place.suffix == '.json' else place}"
+    return f"{short} on {place.resolve() if suffix(place) == '.json' else place}"
 
 
 class RolloutView:
@@ -456,22 +457,23 @@ def save_film(app: ReplayApp, path: Path, seconds: float) -> Path:
     .mp4  as large as the window, 30 frames per second
     .gif  smaller, 20 frames per second
     """
-    if path.suffix not in _FILM_FPS:
+    form = suffix(path)
+    if form not in _FILM_FPS:
         raise ConfigError(f"--video {path}: choose a name that ends in {' or '.join(_FILM_FPS)}")
-    fps = _FILM_FPS[path.suffix]
+    fps = _FILM_FPS[form]
     every = round(app.fps / fps)
 
     def frames() -> Iterator[Frame]:
         while not app.playback.rounds:
             frame = app.draw()
-            if path.suffix == ".gif":
+            if form == ".gif":
                 frame = pygame.transform.smoothscale_by(frame, _GIF_SCALE)
             yield pygame.surfarray.array3d(frame).swapaxes(0, 1)
             for _ in range(every):
                 app.tick()
 
     film = islice(frames(), max(1, round(seconds * fps)))
-    if path.suffix == ".gif":
+    if form == ".gif":
         gif(path, film, 1 / fps, mark("replay"))
         return path
     with mp4(path, fps, mark("replay")) as write_frame:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from spikedeploy import zoo
 from spikedeploy.envs.foreign import is_target
+from spikedeploy.files import suffix
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.copies import Uncopied
@@ -167,13 +168,13 @@ def find(reference: str) -> Candidate:
         raise ConfigError(
             f"no policy at {reference!r}: no such file, run folder or shipped policy; {hint}"
         )
-    if not path.is_dir() and path.suffix not in FORMATS:
+    if not path.is_dir() and suffix(path) not in FORMATS:
         named = shlex.quote(str(path))
         teacher = f"; a teacher plays in `spikedeploy compare ENV --teacher {named}`"
         raise ConfigError(
-            f"{path} is neither .onnx, .nir nor a run folder{teacher * (path.suffix == '.zip')}"
+            f"{path} is neither .onnx, .nir nor a run folder{teacher * (suffix(path) == '.zip')}"
         )
-    return _class_of("run" if path.is_dir() else path.suffix).describe(path)
+    return _class_of("run" if path.is_dir() else suffix(path)).describe(path)
 
 
 def open_policy(candidate: Candidate, chip: str | None, env: Env, sampled: bool = False) -> Player:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from spikedeploy.envs.foreign import is_target
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import Rollout
+from spikedeploy.files import suffix
 from spikedeploy.policies.costs import NOTHING, UNCOUNTED, Costs, float_costs
 from spikedeploy.policies.counting import count_operations
 from spikedeploy.policies.registry import Candidate, Env, Floats, Player, check_fit, find
@@ -197,8 +198,8 @@ def teacher_candidate(reference: str, units: "Units | None" = None) -> Candidate
     path = Path(reference)
     if is_target(reference) and not path.exists():
         return Candidate(reference, reference, "control", "function", units=units)
-    is_onnx = path.suffix == ".onnx" and path.is_file()
-    if path.suffix == ".zip" or (is_onnx and not has_policy_metadata(session(path))):
+    is_onnx = suffix(path) == ".onnx" and path.is_file()
+    if suffix(path) == ".zip" or (is_onnx and not has_policy_metadata(session(path))):
         return Candidate(reference, path.stem, "ann", "teacher", units=units)
     if units is not None:
         raise ConfigError(f"{reference} says itself how it acts: leave --teacher-units out")

@@ -17,7 +17,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.errors import ConfigError
-from spikedeploy.files import as_text, read_json, replacing
+from spikedeploy.files import as_text, read_json, replacing, suffix
 from spikedeploy.outputs import check_output
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import BUILT_IN, FLOAT, find
@@ -272,7 +272,7 @@ def read_evaluation(reference: str, settings_of: Callable[[str], Settings]) -> R
             f"{reference} is built in: it has no file, and so no card. Rows of it stand in reports "
             "of `compare`: name a folder with one, such as results/hexapod."
         )
-    file = place if place.suffix == ".json" and place.is_file() else Path(find(reference).path)
+    file = place if suffix(place) == ".json" and place.is_file() else Path(find(reference).path)
     card = file.with_suffix(".json")
     if not card.is_file():
         raise ConfigError(f"{reference}: no card {card.name} beside it, so nothing is recorded")

@@ -16,6 +16,7 @@ from spikedeploy.exporters.c.int8 import quantise, read_onnx
 from spikedeploy.exporters.c.packaging import MAKEFILE, MARK, RECORD, file_names, write_texts
 from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.exporters.c.to_c import mlp_in_c, policy_in_c
+from spikedeploy.files import suffix
 from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.artifact.artifact import load
@@ -84,7 +85,7 @@ def export_c(
     if folder is None:
         raise ConfigError("--to c writes a folder: name it, as in -o firmware")
     file = policy_file(policy)
-    if file.suffix == ".onnx" and file.is_file():
+    if suffix(file) == ".onnx" and file.is_file():
         if chip_name is not None:
             raise ConfigError(
                 f"--to c: {policy} is a float network, whose C is of no chip; leave --chip out."

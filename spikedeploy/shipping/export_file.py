@@ -13,7 +13,7 @@ from spikedeploy import zoo
 from spikedeploy.errors import ConfigError
 from spikedeploy.exporters.check import CheckedFile, MismatchCounter, ParityCheck, random_spikes
 from spikedeploy.exporters.to_xylo import Specification, check_chip, places, specification
-from spikedeploy.files import write_json
+from spikedeploy.files import suffix, write_json
 from spikedeploy.outputs import check_output, has_text
 from spikedeploy.runtime.artifact.artifact import Artifact, for_importer, load, save
 from spikedeploy.runtime.chips.chip import chip
@@ -99,7 +99,7 @@ def _compare_float(name: str, one: Artifact, other: Artifact, timesteps: int) ->
 def is_nir_file(reference: str) -> bool:
     """True where a reference is a `.nir` file or a shipped policy in one."""
     file = zoo.resolve(reference)
-    return file is not None and file.is_file() and file.suffix == ".nir"
+    return file is not None and file.is_file() and suffix(file) == ".nir"
 
 
 def export_onnx(
@@ -152,7 +152,7 @@ def export_xylo(
     """
     if path is None:
         raise ConfigError("--to xylo writes a file: name it, as in -o xylo.json")
-    if path.suffix.lower() != ".json":
+    if suffix(path) != ".json":
         raise ConfigError(
             f"-o {path}: --to xylo writes JSON, and other tools would take the file for something "
             "else. Name one that ends in .json, as in -o xylo.json."

@@ -13,6 +13,7 @@ from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters import EXPORTERS, exporter
 from spikedeploy.exporters.check import CheckedFile
 from spikedeploy.exporters.parity import check
+from spikedeploy.files import suffix
 from spikedeploy.outputs import check_output
 from spikedeploy.policies import run_record
 from spikedeploy.policies.run import TorchController, policy_of
@@ -66,7 +67,7 @@ def export_run(
     """
     folder = RunFolder.find(run).path
     if to is None:
-        ending = "" if path is None else path.suffix[1:]
+        ending = "" if path is None else suffix(path)[1:]
         to = ending if ending in EXPORTERS else run_record.format_of(folder)
     if state == "kept" and to != "nir":
         raise ConfigError(f"only a .nir file has membranes to keep: leave --state out for {to}")
@@ -87,7 +88,7 @@ def export_run(
 def _same_training(origin: Provenance, path: Path) -> bool:
     """True where a file is an export of the same training."""
     try:
-        if path.suffix == ".onnx":
+        if suffix(path) == ".onnx":
             said = session(path).get_modelmeta().custom_metadata_map
             found = Provenance(said["env"], said["recipe"], int(said["seed"]))
         else:

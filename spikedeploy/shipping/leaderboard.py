@@ -16,7 +16,7 @@ from spikedeploy.comparison.comparison import static
 from spikedeploy.comparison.statistics import nested_ratio
 from spikedeploy.comparison.summary import smallest_baseline
 from spikedeploy.errors import ConfigError, SpikedeployError
-from spikedeploy.files import read_json, write_json
+from spikedeploy.files import read_json, suffix, write_json
 from spikedeploy.reports.headline import ann_row, main_row
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.metrics.energy import TABLES, chip_terms
@@ -380,7 +380,7 @@ def _is_ours(task: str) -> bool:
 def _encoder(file: str) -> str | None:
     """Kind of a file's encoder; it runs on the host."""
     place = zoo.resolve(file)
-    if place is None or place.suffix != ".nir":
+    if place is None or suffix(place) != ".nir":
         return None
     codec = load(place).codec
     return f"{codec.encoder.kind}, on the host" if codec else None

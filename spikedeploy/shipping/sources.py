@@ -10,6 +10,7 @@ from spikedeploy import envs, zoo
 from spikedeploy.console import say
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.errors import ConfigError
+from spikedeploy.files import suffix
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.registry import DEFAULT_CHIP
@@ -32,9 +33,9 @@ def policy_file(policy: str) -> Path:
 def nir_file(policy: str, to: str) -> Path:
     """The `.nir` file of a policy; ConfigError where it does not spike."""
     file = policy_file(policy)
-    if file.suffix == ".nir" and file.is_file():
+    if suffix(file) == ".nir" and file.is_file():
         return file
-    if file.suffix in zoo.SUFFIXES and not file.is_file():
+    if suffix(file) in zoo.SUFFIXES and not file.is_file():
         raise ConfigError(f"--to {to}: there is no file {policy}")
     raise ConfigError(
         f"--to {to}: {policy} is no spiking policy; only .nir files can be taken, and runs that "

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.files import read_json
+from spikedeploy.files import read_json, suffix
 
 FOLDER = Path(__file__).parent
 SUFFIXES = (".onnx", ".nir")
@@ -30,7 +30,7 @@ def names() -> list[str]:
 
 def path(name: str) -> Path | None:
     """The file of a shipped policy by name, with or without suffix; None where there is none."""
-    wanted = name.removesuffix(".onnx").removesuffix(".nir")
+    wanted = Path(name).with_suffix("").as_posix() if suffix(name) in SUFFIXES else name
     return next((p for p in (*policies(), *for_chips()) if _name(p) == wanted), None)
 
 

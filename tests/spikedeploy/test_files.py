@@ -2,12 +2,24 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from spikedeploy import zoo
+from spikedeploy.emulation.design_report import network_path
+from spikedeploy.envs.kart import track
 from spikedeploy.errors import ConfigError
-from spikedeploy.files import as_text, is_locked, locked, replacing, write_text
+from spikedeploy.files import as_text, is_locked, locked, replacing, suffix, write_text
+from spikedeploy.policies.registry import find
+from spikedeploy.policies.scripts import teacher_candidate
+from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.shipping.export_file import is_nir_file
+from spikedeploy.shipping.sources import nir_file
+from spikedeploy.trainers.distill.teachers import teacher
+from tests.paths import ROOT
 
 HOLD = """
 import sys, time
@@ -95,3 +107,40 @@ def test_a_file_that_is_written_twice_at_once_is_that_of_the_last_to_end(tmp_pat
 def test_numbers_that_json_lacks_become_null():
     found = as_text({"a": [float("nan"), 1.5], 2: (float("-inf"),)})
     assert found == as_text({"a": [None, 1.5], "2": [None]})
+
+
+def read_teacher(path):
+    observation = np.linspace(-1, 1, 64 * 4).reshape(64, 4)
+    return teacher(str(path), "CartPole-v1").act_all(observation).tolist()
+
+
+def found(describe):
+    return lambda path: replace(describe(str(path)), path="", name="")
+
+
+HEXAPOD = zoo.FOLDER / "hexapod"
+# file -> its name in upper case, and who reads it
+READERS = [
+    (HEXAPOD / "popsan.nir", "NET.NIR", found(find)),
+    (HEXAPOD / "popsan.nir", "NET.NIR", lambda path: suffix(network_path(str(path)))),
+    (HEXAPOD / "popsan.nir", "NET.NIR", lambda path: suffix(nir_file(str(path), "c"))),
+    (HEXAPOD / "popsan.nir", "NET.NIR", lambda path: is_nir_file(str(path))),
+    (HEXAPOD / "sac.onnx", "POLICY.ONNX", found(find)),
+    (ROOT / "tests/golden/sb3/ppo.zip", "TEACHER.ZIP", found(teacher_candidate)),
+    (ROOT / "tests/golden/sb3/ppo.zip", "TEACHER.ZIP", read_teacher),
+    (ROOT / "envs/kart/tracks/big_S.json", "TRACK.JSON", lambda path: track.load(path).length),
+    (ROOT / "runtime/chips/datasheets/loihi1.toml", "OWN1.TOML",
+     lambda path: replace(chip(f"{path}:weight_bits=4"), name="")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("file", "upper", "read"), READERS)
+def test_suffixes_are_taken_in_any_case(file, upper, read, tmp_path):
+    lower = tmp_path / upper.lower()
+    for path in (lower, tmp_path / upper):
+        path.write_bytes(file.read_bytes())
+    assert read(tmp_path / upper) == read(lower)
+
+
+def test_names_of_shipped_policies_have_suffixes_in_any_case():
+    assert zoo.resolve("hexapod/popsan.NIR") == zoo.resolve("hexapod/popsan")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from spikedeploy import envs
 from spikedeploy.envs.foreign import attribute, import_target, is_target
 from spikedeploy.envs.rollout import rollout
+from spikedeploy.files import suffix
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig, ValidationConfig
 from spikedeploy.trainers.distill.sb3 import REMEDY, sb3_teacher
@@ -164,24 +165,24 @@ def open_teacher(
 ) -> Teacher:
     """Return the teacher as `teacher` does, with spaces of an environment that may be made."""
     path = str(find_shipped(path) or path)
-    suffix = Path(path).suffix
+    form = suffix(path)
     if is_target(path) and not Path(path).exists():
         return own_function(path, spaces(), units or "own")
-    if suffix in (*_SHIPPED, ".zip", *_PICKLES) and not Path(path).is_file():
+    if form in (*_SHIPPED, ".zip", *_PICKLES) and not Path(path).is_file():
         raise ConfigError(f"there is no teacher at {path}")
-    if suffix in _PICKLES:
+    if form in _PICKLES:
         raise ConfigError(
             f"the teacher {path} is a pickle, which could run code when it is read, and is not "
             f"read. {REMEDY}"
         )
-    if suffix != ".onnx" and units is not None:
+    if form != ".onnx" and units is not None:
         raise ConfigError(f"the teacher {path} says itself how it acts: leave teacher_units out")
-    if suffix == ".onnx":
+    if form == ".onnx":
         found = onnx_teacher(path, spaces, units)
-    elif suffix == ".zip":
+    elif form == ".zip":
         found = sb3_teacher(path, spaces())
     else:
-        found = _from_nir(path) if suffix == ".nir" else _from_run(path)
+        found = _from_nir(path) if form == ".nir" else _from_run(path)
     if found.env and envs.spec(found.env).id != envs.spec(env).id:
         raise ConfigError(f"the teacher {path} was trained in {found.env}, not in {env}")
     return found
@@ -195,7 +196,7 @@ def find_shipped(name: str) -> Path | None:
 def _zoo() -> dict[str, Path]:
     """Files of the shipped policies by name, such as "hexapod/sac"."""
     folder = Path(str(files("spikedeploy"))) / "zoo"
-    found = [path for suffix in _SHIPPED for path in sorted(folder.glob(f"**/*{suffix}"))]
+    found = [path for ending in _SHIPPED for path in sorted(folder.glob(f"**/*{ending}"))]
     return {path.relative_to(folder).with_suffix("").as_posix(): path for path in found}
 
 

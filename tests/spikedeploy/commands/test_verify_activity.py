@@ -169,6 +169,7 @@ TRACE = GOLDEN / "lava_A_popsan_decays.json"
         ((TRACE, "--limits", "off"), "--layer"),
         ((TRACE, "--chip", "loihi2"), "a trace needs no options"),
         (("a.npy",), "give --network and --chip and --input too"),
+        (("A.NPY",), "give --network and --chip and --input too"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(words, said, command, tmp_path, monkeypatch):
