@@ -130,6 +130,7 @@ def _weights(spec: Fields, name: str, place: int, registers: XyloArithmetic) -> 
     if found.shape[2] > registers.currents:
         remedy = f"A neuron has {registers.currents} synapses at most."
         raise spec.wrong(name, f"has shape {found.shape}", remedy)
-    shifts = spec.row("weight_shift", size=3, default=0, least=0, most=registers.shift_max)
-    own = spec.row(_SHIFTS[place], size=1, default=shifts[place], least=0, most=registers.shift_max)
-    return np.asarray(found << own)
+    limits = {"least": 0, "most": registers.shift_max}
+    if spec.name(_SHIFTS[place]):
+        return np.asarray(found << spec.row(_SHIFTS[place], size=1, **limits))
+    return np.asarray(found << spec.row("weight_shift", size=3, default=0, **limits)[place])

@@ -48,6 +48,7 @@ class Fields:
 
     where: its place, for messages.
     unread: names of the fields that were not asked for.
+    assumed: what was taken for fields that are missing, as in "refractory 1", in order.
     """
 
     def __init__(self, found: object, where: str, read: list[int] | None = None) -> None:
@@ -63,26 +64,39 @@ class Fields:
         self._found = {str(key): value for key, value in found.items() if value is not None}
         self.where = where
         self.unread = set(self._found)
+        self.assumed = list[str]()
         self._read = [0] if read is None else read  # numbers so far, of all objects of a file
 
     def name(self, *names: str) -> str | None:
         """The first of the names that is there."""
         return next((name for name in names if name in self._found), None)
 
-    def text(self, name: str) -> str:
-        """The text called `name`; empty where there is none."""
+    def assume(self, name: str, value: object) -> None:
+        """Note what is taken for a field that is missing."""
+        if (taken := f"{name} {value}") not in self.assumed:
+            self.assumed.append(taken)
+
+    def text(self, name: str, default: str = "") -> str:
+        """The text called `name`; the default where there is none."""
         self.unread.discard(name)
-        return str(self._found.get(name, ""))
+        found = str(self._found.get(name, ""))
+        if default and not found:
+            self.assume(name, default)
+        return found or default
 
     def has_content(self, name: str) -> bool:
         """True if there is anything in the field; an empty list is nothing."""
         self.unread.discard(name)
-        return bool(self._found.get(name))
+        if not (found := bool(self._found.get(name))):
+            self.assume(name, "none")
+        return found
 
-    def flag(self, name: str) -> bool | None:
-        """The true or false called `name`; None where it is missing."""
+    def flag(self, name: str, default: bool | None = None) -> bool | None:
+        """The true or false called `name`; the default where it is missing."""
         if name not in self._found:
-            return None
+            if default is not None:
+                self.assume(name, str(default).lower())
+            return default
         found = self._take(name)
         if not isinstance(found, bool):
             raise self.wrong(name, f"is {_short(found)}", "Write true or false.")
@@ -123,6 +137,7 @@ class Fields:
     def integer(self, *names: str, default: int, least: int, most: int) -> int:
         """A single whole number within its range."""
         if self.name(*names) is None:
+            self.assume(names[0], default)
             return default
         return int(self.array(*names, axes=0, least=least, most=most))
 
@@ -131,6 +146,7 @@ class Fields:
     ) -> Integers:
         """(size,) whole numbers within a range; one in the file stands for all."""
         if default is not None and self.name(*names) is None:
+            self.assume(names[0], default)
             return np.full(size, default, np.int64)
         found = self.array(*names, axes=1, least=least, most=most)
         if found.size not in (1, size):

@@ -6,7 +6,7 @@ is the first number that differs. Readers stand beside the arithmetic of their c
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import asdict, dataclass, replace
 from importlib import import_module
@@ -137,6 +137,19 @@ def chain_trace(
         recorded=recorded,
         blind_at_spikes=False,
         unread=unread,
+        remarks=assumptions(zip(recorded, specs, strict=True), program.chip.name),
+    )
+
+
+def assumptions(layers: Iterable[tuple[str, Fields]], chip: str) -> tuple[str, ...]:
+    """What was taken for fields that are missing: a remark for layers that take the same."""
+    takers: dict[tuple[str, ...], list[str]] = {}
+    for name, spec in layers:
+        takers.setdefault(tuple(spec.assumed), []).append(name)
+    return tuple(
+        f"{shown_names(names)}: not in the file, so taken as {chip} has it: {', '.join(assumed)}"
+        for assumed, names in takers.items()
+        if assumed
     )
 
 

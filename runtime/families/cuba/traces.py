@@ -46,14 +46,13 @@ _RECORDED = {
 _REPEATED = {
     "steps", "params", "layers", "dt", "exc_inh_split", "weights_effective_reported",
     "weights_exc", "weights_inh", "weights_mixed", "effective_decay_u", "effective_decay_v",
-    "bias_effective", "du", "decay_u", *_WEIGHTS_EFFECTIVE, *_THRESHOLDS_EFFECTIVE, *_INPUT,
+    "bias_effective", "bias_mant", "bias_exp", "du", "decay_u", *_EXPONENTS, *_WEIGHTS_EFFECTIVE,
+    *_THRESHOLDS_EFFECTIVE, *_INPUT,
 }  # fmt: skip
 _BEYOND = (
     "{}: dv is 4096, which lava takes and the chip's register of 12 bits does not hold; replayed "
     "as lava computes it, the membrane keeps nothing"
 )
-# traces of nengo_loihi that were recorded before the field existed meant 0 from the input
-_UNDELAYED = "{}: no delay is given; a spike takes {} [timesteps], as {} has it"
 
 
 def loihi_trace(fields: Fields, chip: str) -> TraceFile:
@@ -72,9 +71,6 @@ def loihi_trace(fields: Fields, chip: str) -> TraceFile:
         layer = _read_layer(spec, f"layer{place}", synapses, arithmetic)
         layers.append(layer)
         chips.append(arithmetic)
-        if spec.name("delay", "delays") is None:
-            taken = ", ".join(f"{s.delay} from {s.source}" for s in synapses[:1])
-            remarks.append(_UNDELAYED.format(layer.name, taken, chip))
         if spec.name("dv", "decay_v") and not layer.membrane_decay.all():
             # one more than the register holds, which _decay_factor takes of lava alone
             remarks += [_BEYOND.format(layer.name)] * (arithmetic.exponents == "sum")
@@ -93,7 +89,7 @@ def loihi_trace(fields: Fields, chip: str) -> TraceFile:
     )
     trace = chain_trace(fields, specs, program, rows, [_RECORDED] * len(specs), _REPEATED)
     # a board's probe shows something else where a neuron spikes
-    return replace(trace, blind_at_spikes=chip == "loihi2", remarks=tuple(remarks))
+    return replace(trace, blind_at_spikes=chip == "loihi2", remarks=(*trace.remarks, *remarks))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,26 +107,30 @@ class _Weights:
 
 
 def _read_weights(spec: Fields, arithmetic: CubaFixedPoint, fan_in: int) -> _Weights:
-    exponent = spec.integer(*_EXPONENTS, default=0, least=-8, most=7)
+    effective = spec.name(*_WEIGHTS_EFFECTIVE)
     lists = [name for name in ("weights_exc", "weights_inh") if spec.name(name)]
     if lists:
         tables = [_matrix(spec, name, fan_in) for name in lists]
         if tables[0].shape != tables[-1].shape:
             raise spec.wrong(lists[1], f"has shape {tables[1].shape}", f"Match {lists[0]}.")
-        return _Weights(np.asarray(sum(tables)), False, exponent)
-    effective = spec.name(*_WEIGHTS_EFFECTIVE)
+        return _Weights(np.asarray(sum(tables)), False, _exponent(spec))
     if effective and spec.name(*_WEIGHTS) is None:
         return _Weights(_matrix(spec, effective, fan_in, 1 << _SHIFT) >> _SHIFT, False, 0)
     name = spec.name(*_WEIGHTS) or _WEIGHTS[0]
     mantissa = _matrix(spec, name, fan_in)
-    mixed = (
-        name == "weights_mixed"
-        or spec.flag("exc_inh_split") is False
-        or "mixed" in spec.text("sign_mode").lower()
-    )
     # lava looks at the weights: a list of one sign spends no bit on it (its weightutils)
     one_sign = arithmetic.exponents == "sum" and (mantissa.min() >= 0 or mantissa.max() <= 0)
-    return _Weights(mantissa, mixed and not one_sign, exponent)
+    mixed = name == "weights_mixed" or _says_mixed(spec)
+    return _Weights(mantissa, mixed and not one_sign, _exponent(spec))
+
+
+def _says_mixed(spec: Fields) -> bool:
+    mode = spec.text("sign_mode").lower()
+    return "mixed" in mode or spec.flag("exc_inh_split", None if mode else True) is False
+
+
+def _exponent(spec: Fields) -> int:
+    return spec.integer(*_EXPONENTS, default=0, least=-8, most=7)
 
 
 def _matrix(spec: Fields, name: str, fan_in: int, unit: int = 1) -> Integers:
@@ -165,6 +165,7 @@ def _with_options(spec: Fields, arithmetic: CubaFixedPoint, weights: _Weights) -
 
 def _membrane(spec: Fields, register: Register) -> Register:
     if spec.name("vmin", "vmax") is None:
+        spec.assume("vmin and vmax", "of its register")
         return register
     least = spec.integer("vmin", default=-register.limit, least=-_STATE, most=0)
     most = spec.integer("vmax", default=register.limit, least=0, most=_STATE)
@@ -207,9 +208,12 @@ def _stored_lists(
     arithmetic = on.arithmetic
     if not isinstance(arithmetic, CubaFixedPoint):
         raise TypeError(type(arithmetic).__name__)
-    if delay is None:
-        least = arithmetic.input_delay(on.delay) if source == "input" else on.delay
-        delay = spec.integer("delay", default=least, least=0, most=on.delay_max)
+    if delay is None and spec.name("delay"):
+        delay = int(spec.array("delay", axes=0, least=0, most=on.delay_max))
+    elif delay is None:
+        # traces of nengo_loihi that were recorded before the field existed meant 0 from the input
+        delay = arithmetic.input_delay(on.delay) if source == "input" else on.delay
+        spec.assume("delay", f"{delay} from {'the input' if source == 'input' else 'layers'}")
     axons, exponent, shift = weights.mantissa.T, weights.exponent, 0
     stored: list[NDArray[np.int16]]
     if exponent >= 0 or arithmetic.exponents == "weight":
@@ -243,15 +247,15 @@ def _read_layer(
 
 def _bias(spec: Fields, size: int) -> Integers:
     """(N,) [state units]."""
-    mantissa = spec.row("bias_mant", size=size, default=0, least=-4096, most=4095)
+    name = spec.name("bias", "bias_effective")
+    if spec.name("bias_mant") is None or (name and spec.name("bias_exp") is None):
+        return spec.row(name or "bias", size=size, default=0, least=-_STATE, most=_STATE)
+    mantissa = spec.row("bias_mant", size=size, least=-4096, most=4095)
     exponent = spec.row("bias_exp", size=size, default=0, least=-8, most=7)
     made = np.asarray((mantissa << exponent.clip(min=0)) >> (-exponent).clip(min=0))
-    if (name := spec.name("bias", "bias_effective")) is None:
-        return made
-    bias = spec.row(name, size=size, least=-_STATE, most=_STATE)
-    if spec.name("bias_mant") and spec.name("bias_exp") and (bias != made).any():
+    if name and (spec.row(name, size=size, least=-_STATE, most=_STATE) != made).any():
         raise spec.wrong(name, "is not bias_mant times 2^bias_exp", "Leave the wrong one out.")
-    return bias
+    return made
 
 
 def _decay_factor(spec: Fields, state: str, arithmetic: CubaFixedPoint, size: int) -> Integers:

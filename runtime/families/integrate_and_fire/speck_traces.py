@@ -28,6 +28,7 @@ from spikedeploy.runtime.traces.fields import MOST_NUMBERS, Fields, Integers, Wo
 from spikedeploy.runtime.traces.verify import (
     Difference,
     Verdict,
+    assumptions,
     layer_of,
     nothing_to_compare,
     source_of,
@@ -104,6 +105,7 @@ def speck_verdict(fields: Fields, path: Path) -> Verdict:
         found |= _REPLAYS[section.partition("_")[0]](recorded, section, rows)
     differences = (_first_difference(key, expected, found[key]) for key, expected in pairs)
     used = {*rows, *_INPUTS, *(key.removeprefix("float_") for key in rows)}
+    named = [("the file", fields), *((f"layer{k}", spec) for k, spec in enumerate(specs))]
     layer_fields = {name for spec in specs for name in unread_fields([spec], set())}
     return Verdict(
         chip=_CHIP,
@@ -117,7 +119,7 @@ def speck_verdict(fields: Fields, path: Path) -> Verdict:
             *unread_fields([fields], set()),
             *sorted(layer_fields | recorded.arrays.keys() - used),
         ),
-        remarks=tuple(remarks),
+        remarks=(*assumptions(named, _CHIP), *remarks),
     )
 
 
@@ -294,7 +296,7 @@ def _read(fields: Fields, arrays: Arrays) -> tuple[SpeckTrace, list[Fields], lis
         layers.append(layer)
         shape, pool = _window(layer).target, pool_after
         shapes.append(shape[0])
-    resets = {spec.text("reset") or "subtract" for spec in specs}
+    resets = {spec.text("reset", "subtract") for spec in specs}
     if len(resets) > 1 or not resets <= {"subtract", "zero"}:
         remedy = "Write 'subtract' or 'zero', in all layers the same."
         raise fields.wrong("reset", f"is {', '.join(sorted(resets))[:40]!r}", remedy)

@@ -42,6 +42,7 @@ from spikedeploy.runtime.traces.verify import (
     Tables,
     TraceFile,
     Verdict,
+    assumptions,
     chain_trace,
     count_numbers,
     first_difference,
@@ -115,12 +116,12 @@ def crossbar_verdict(fields: Fields, chip: str) -> Verdict:
         # of one timestep that of an event
         difference=min(filter(None, found), key=lambda each: each.step or 0, default=None),
         unread=unread,
-        remarks=tuple(remarks),
+        remarks=(*assumptions([(_NEURONS, spec)], chip), *remarks),
     )
 
 
 def _choice(spec: Fields, name: str, choices: tuple[str, ...]) -> str:
-    found = spec.text(name) or choices[0]
+    found = spec.text(name, choices[0])
     if found not in choices:
         raise spec.wrong(name, f"is {found[:40]!r}", f"Write one of {', '.join(choices)}.")
     return found
@@ -135,15 +136,15 @@ def _read_crossbar(
         raise spec.wrong("weights", f"has {len(axon)} rows", f"Write {width}, one for each input.")
     size = axon.shape[1]
     weights = {"axon": axon, "neuron": np.zeros((size, size), np.int64)}
-    if spec.name("weights_rec"):
+    if spec.has_content("weights_rec"):
         weights["neuron"] = weights_of(spec, "weights_rec", *rules.weight_range)
     if size > _ROWS or weights["neuron"].shape != (size, size):
         found = f"are for {size} neurons and {weights['neuron'].shape}"
         raise spec.wrong("weights and weights_rec", found, f"Write up to {_ROWS} and a square.")
-    closed = spec.flag("closed_loop") or False
+    closed = spec.flag("closed_loop", False)
     if closed and host == "relays":
         raise spec.wrong("host", "relays in a closed loop", "Write closed_loop false, or wait.")
-    if (reset := spec.text("reset") or "zero") != "zero":
+    if (reset := spec.text("reset", "zero")) != "zero":
         raise spec.wrong("reset", f"is {reset[:40]!r}", "Neurons of the chip are reset to zero.")
     # tinyODIN has one bit of a threshold more than a membrane can reach
     most = (1 << (rules.threshold_bits + (rules.signs == "weight"))) - 1
@@ -432,7 +433,7 @@ def _program(specs: list[Fields], chip: Chip, width: int) -> Program:
     neuron_bits = _same(specs, "neuron_bits", arithmetic.membrane.bits, most=32)
     register = Register(neuron_bits, arithmetic.membrane.overflow)
     rules = replace(arithmetic, weight_bits=bits, membrane=register)
-    resets = {spec.text("reset") or "subtract" for spec in specs}
+    resets = {spec.text("reset", "subtract") for spec in specs}
     if len(resets) > 1 or not resets <= {"subtract", "fixed"}:
         found = f"is {shown_names(sorted(resets))}"
         raise specs[0].wrong("reset", found, "Write 'subtract' or 'fixed', in all layers the same.")
@@ -460,7 +461,7 @@ def _layer(spec: Fields, name: str, rules: IntegrateAndFire, source: str, fan_in
         remedy = f"Write {fan_in} rows, one for each input, of {_MOST_NEURONS} neurons at most."
         raise spec.wrong("weights", f"has shape {weights.shape}", remedy)
     synapses = [Synapses(source, weights, 0 if source == "input" else 2)]
-    if spec.name("weights_rec"):
+    if spec.has_content("weights_rec"):
         # their width is a parameter of its own, which no field names
         recurrent = weights_of(spec, "weights_rec", *replace(rules, weight_bits=16).weight_range)
         if recurrent.shape != (size, size):

@@ -124,14 +124,48 @@ def test_lava_takes_a_decay_that_no_register_holds_and_the_verdict_says_so(file)
     verdict = verify(file({**record, "params": {**params, "dv": 4096}}))
     assert verdict.equal
     assumed, remark = verdict.remarks
-    assert (
-        assumed
-        == "layer0: no delay is given; a spike takes 1 from input [timesteps], as loihi1 has it"
-    )
+    assert assumed.startswith("layer0: not in the file, so taken as loihi1 has it: ")
     assert remark.startswith("layer0: dv is 4096, which lava takes and the chip's register of 12")
     other = {**record, "chip": "loihi1-nengo", "params": {**params, "dv": 4096}}
     with pytest.raises(TraceError, match="dv holds 4096"):
         verify(file(other))
+
+
+TAKEN = {
+    "chain": "exc_inh_split true, weight_exp 0, num_weight_bits 8, refractory 1, vmin and vmax of "
+    "its register, delay 1 from {}, bias 0",
+    "brian2": "vmin and vmax of its register, delay 0 from the input, bias 0",
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "removed", "said"),
+    [
+        ("lava_L_chain_3layers", (), [
+            f"layer0: {{}}{TAKEN['chain'].format('the input')}",
+            f"layer1, layer2: {{}}{TAKEN['chain'].format('layers')}",
+        ]),
+        ("brian2loihi_own_exponent", (), [f"layer0: {{}}{TAKEN['brian2']}"]),
+        ("brian2loihi_own_exponent", ("weight_exp",),
+         [f"layer0: {{}}weight_exp 0, {TAKEN['brian2']}"]),
+        ("nengoloihi_own_vmin", ("decay_u", "effective_decay_u"),
+         ["layer0: {}exc_inh_split true, num_weight_bits 8, du 4095"]),
+        ("xylo_own_saturation", ("weight_shift", "bias", "dash_syn_2"),
+         ["hidden, output: {}weight_shift 0, aliases none, dash_syn_2 0, bias 0"]),
+        ("rtl/odin_random", ("leak", "closed_loop", "host"),
+         ["neurons: {}host wait, weights_rec none, closed_loop false, leak 0"]),
+        ("rtl/spiker_fixed_reset", ("v_reset", "weight_bits", "reset"),
+         ["layer0: {}weight_bits 5, reset subtract, weights_rec none, v_reset 0"]),
+    ],
+)  # fmt: skip
+def test_what_is_taken_for_missing_fields_is_said(name, removed, said, file):
+    record = json.loads((GOLDEN / f"{name}.json").read_text())
+    for group in (record, record.get("params", {})):
+        for each in removed:
+            group.pop(each, None)
+    verdict = verify(file(record))
+    chip = f"not in the file, so taken as {verdict.chip} has it: "
+    assert [r for r in verdict.remarks if chip in r] == [each.format(chip) for each in said]
 
 
 def test_a_bias_that_is_given_twice_must_be_the_same(lava, file):
