@@ -160,7 +160,9 @@ def _fills(arithmetic: Arithmetic, layer: Layer) -> dict[str, Floats]:
 
 def _divided(layer: Layer, reach: Floats) -> Layer:
     """The layer with all neurons as large as each other, which float neurons do not tell apart."""
-    factors = np.divide(reach.max(), reach, out=np.ones(layer.size), where=reach > 0)
+    with np.errstate(over="ignore"):  # what is so small that no float is its factor is as 0
+        factors = np.divide(reach.max(), reach, out=np.ones(layer.size), where=reach > 0)
+    factors[np.isinf(factors)] = 1.0
     return replace(
         layer,
         synapses=tuple(s.scaled(factors) for s in layer.synapses),

@@ -197,7 +197,8 @@ def _mantissas_per_unit(
     for limit, arrays in limits:
         found = np.abs(np.concatenate([np.atleast_2d(a) for a in arrays])).max(axis=0, initial=0.0)
         found = found if one_each else np.full(layer.size, magnitude(found))
-        scale = np.minimum(scale, np.divide(limit, found, out=scale.copy(), where=found > 0))
+        with np.errstate(over="ignore"):  # what is so small that no float is its scale bounds none
+            scale = np.minimum(scale, np.divide(limit, found, out=scale.copy(), where=found > 0))
     # a neuron of zeros has no largest number
     scale = np.where(np.isfinite(scale), scale, 1.0) * min(clip_ratio, 1.0)
     if not one_each:

@@ -11,10 +11,12 @@ import pytest
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.artifact.nir_data import read_nir_data
 from spikedeploy.runtime.chips.chip import CHIPS, chip
+from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.compiler.compile import check, compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import (
     ArtifactError,
+    ConfigError,
     ConventionError,
     ObservationError,
     RuleError,
@@ -175,18 +177,24 @@ def test_whole_numbers_that_no_float_holds_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("value", [5e-324, -1e-310])
-def test_denormal_weights_give_no_warnings(value, tmp_path):
-    weights = np.array([[value, 1.0], [0.0, value]])
-    path = written(tmp_path / "a.nir", weights)
+@pytest.mark.parametrize("place", ["weights", "row", "threshold"])
+@pytest.mark.parametrize("granularity", ["layer", "channel"])
+def test_denormal_numbers_give_no_warnings(granularity, place, value, tmp_path):
+    rows = {"weights": [[value, 1.0], [0.0, value]], "row": [[0.3, 1.0], [value, value]]}
+    cells = unit_lif(2)
+    if place == "threshold":  # its weights as small, so that it fires
+        cells.v_threshold[1] = abs(value)
+    path = written(tmp_path / "a.nir", np.array(rows.get(place, rows["row"])), cells)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         artifact = load(path, dt=1e-3)
         for name in CHIPS:
             check(artifact, chip(name))
             try:
-                compile_program(artifact, chip(name), limits=False)
-            except RuleError:
-                assert name != "loihi1"
+                chosen = Quantisation(granularity=granularity)
+                compile_program(artifact, chip(name), chosen, limits=False)
+            except (RuleError, ConfigError):
+                assert (name, place) != ("loihi1", "weights")
 
 
 def recorded_events(path, **changes):
