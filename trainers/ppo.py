@@ -489,10 +489,11 @@ class Ppo(EnvRunner[PpoConfig]):
         """Write a row for each episode that ended, in the order in which copies are stepped."""
         for k in np.flatnonzero(steps.ended).tolist():
             info = steps.infos[k]
-            outcome = {name: float(info[name]) for name in _OUTCOMES if name in info}
+            known = [name for name in ("success", *_OUTCOMES) if name in info]
+            outcome = {name: float(info[name]) for name in known}
             self._ended = self.env_steps - len(self._envs) + k + 1
             row = {"env_steps": self._ended, "steps": steps.count[k], "return": steps.total[k]}
-            self._table.add({**row, "success": float(info.get("success", False)), **outcome})
+            self._table.add({**row, **outcome})
             self.finishes += int(outcome.get("finish", 0.0))
 
     def _delete_ghosts(self, after: int) -> None:

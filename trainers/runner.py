@@ -37,6 +37,7 @@ _LASTS = {
     "finish": "eval_finish",
     "crash": "eval_crash",
     "gates": "eval_gates",
+    "success": "eval_success",
 }
 
 
@@ -397,15 +398,13 @@ class Validator:
 
 
 def _metrics(episodes: list[_Episode]) -> dict[str, float]:
-    """Return the metrics of the episodes, as far as the environment's infos have them."""
+    """Return the metrics of the episodes, as far as all of the environment's infos have them."""
     result = {"eval_return": float(np.mean([episode.total for episode in episodes]))}
     steps = [info for episode in episodes for info in episode.infos]
     ends = [episode.infos[-1] for episode in episodes]
     for names, infos, power in ((_MEANS, steps, 1), (_SQUARES, steps, 2), (_LASTS, ends, 1)):
         for name, column in names.items():
-            if name in ends[0]:
+            if all(name in info for info in infos):
                 mean = np.mean([info[name] ** power for info in infos])
                 result[column] = float(mean if power == 1 else np.sqrt(mean))
-    if all("success" in info for info in ends):  # other people's have it in the last info alone
-        result["eval_success"] = float(np.mean([info["success"] for info in ends]))
     return result

@@ -68,6 +68,7 @@ def test_episodes_are_written_with_the_step_at_which_they_ended(tmp_path, world)
     # eight copies, stepped in turn, end together every ten steps of each
     assert [row["env_steps"] for row in episodes[:9]] == [*range(73, 81), 153]
     assert all(row["steps"] == 10 for row in episodes)
+    assert not any("success" in row for row in episodes)  # which this world does not tell
     finishes = sum(row["finish"] for row in episodes)
     assert read(run / "metrics.csv")[-1]["finishes"] == finishes > 0
 

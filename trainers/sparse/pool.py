@@ -171,10 +171,13 @@ class Episodes:
 
 
 def mean_outcome(returns: Sequence[float], infos: Sequence[dict[str, Any]]) -> dict[str, float]:
-    """Return the metrics of validation episodes, from their returns and last infos."""
+    """Return the metrics of validation episodes, from their returns and last infos.
+
+    What only some of the episodes say is unknown: those that say it may not be like the others.
+    """
     row = {"eval_return": float(np.mean(returns))}
     for key, column in _OUTCOMES.items():
-        if key in infos[0]:
+        if all(key in info for info in infos):
             row[column] = float(np.mean([info[key] for info in infos]))
     return row
 

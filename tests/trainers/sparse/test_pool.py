@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -6,12 +8,14 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.policies import PrunedGruPolicy
+from spikedeploy.trainers.runner import _metrics as runner_metrics
 from spikedeploy.trainers.sparse.pool import (
     Episodes,
     Stateless,
     Walk,
     WalkPool,
     load_walks,
+    mean_outcome,
     save_walks,
 )
 from spikedeploy.trainers.sparse.student import FloatController, on_chip
@@ -242,3 +246,18 @@ def test_operations_are_those_of_each_robot_until_its_episode_ends(policy):
             together.act_batch(row[:count])
     assert together.operations(lengths) == pytest.approx(alone / sum(lengths))
     assert alone > 0
+
+
+@pytest.mark.parametrize(
+    ("infos", "known"),
+    [
+        ([{"success": True}, {"success": False}], {"eval_success": 0.5}),
+        ([{"success": True}, {}], {}),
+        ([{}, {"success": True, "fall": False}], {}),
+        ([{}, {}], {}),
+    ],
+)
+def test_what_only_some_episodes_say_has_no_mean(infos, known):
+    assert mean_outcome([1.0, 2.0], infos) == {"eval_return": 1.5, **known}
+    episodes = [SimpleNamespace(total=k + 1.0, infos=[{}, info]) for k, info in enumerate(infos)]
+    assert runner_metrics(episodes) == {"eval_return": 1.5, **known}
