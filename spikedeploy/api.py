@@ -116,6 +116,7 @@ class LoadedNetwork:
             "runs on": self.chip,
             "network": self._size(),
             "convention": self.artifact.convention.describe(),
+            **({"tuned": tuned} if (tuned := self.artifact.tuned) else {}),
             **({"made for": origin.env, "recipe": origin.recipe} if origin else {}),
         }
         from spikedeploy.reports.page import notebook_card

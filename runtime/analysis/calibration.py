@@ -66,18 +66,23 @@ def tune_to_float(
     quantisation: Quantisation = PLAIN,
     tau: float = TAU,
     episodes: Sequence[int] = (),
+    possible: Callable[[Quantisation], object] | None = None,
 ) -> Quantisation:
     """The clip ratio, then the factor of thresholds, that bring each layer nearest to float.
 
     raster: (B, T, M).
     tau: [timesteps] of the distance of van Rossum, which is what is made small.
     episodes: as in `drift`.
+    possible: candidates of which this is not true are left out.
     """
     twin, trains = activity(artifact, None, raster, episodes), trains_of(artifact, raster, episodes)
 
     def distance(name: str, tuning: Tuning) -> float:
+        tried = _with(quantisation, name, tuning)
         try:
-            program = compile_program(artifact, on, _with(quantisation, name, tuning), limits=False)
+            program = compile_program(artifact, on, tried, limits=False)
+            if possible is not None and not possible(tried):
+                return np.inf
         except RuleError:  # a scale at which a threshold or all weights vanish
             return np.inf
         seen = activity(artifact, _up_to(program, name), raster, episodes)

@@ -53,6 +53,7 @@ class Artifact:
     convention: how the graph is discretised; inferred or given for files of other tools.
     provenance: where the policy comes from; None in files of other tools.
     sigma_delta: names of nodes `I` that are sigma-delta neurons, and what NIR cannot say of them.
+    tuned: what calibration changed since the policy was exported, in words; empty where nothing.
     neurons: the difference equation of each node of neurons, by name.
     """
 
@@ -61,6 +62,7 @@ class Artifact:
     convention: Convention
     provenance: Provenance | None = None
     sigma_delta: Mapping[str, SigmaDelta] = field(default_factory=dict)
+    tuned: str = ""
     neurons: dict[str, DiscreteNeuron] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -161,6 +163,14 @@ def load(
     return artifact
 
 
+def is_tuned(path: Path) -> bool:
+    """True where a file is a policy that calibration changed (Artifact.tuned)."""
+    try:
+        return bool(load(path).tuned)
+    except (ArtifactError, ConventionError):
+        return False
+
+
 def read_graph_of(path: str | Path) -> nir.NIRGraph:
     """The graph in a file, in one level, for `interpret`; ArtifactError, with the path."""
     try:
@@ -247,6 +257,8 @@ def _record(artifact: Artifact) -> Tree:
         record["codec"] = artifact.codec.to_record()
     if artifact.sigma_delta:
         record["sigma_delta"] = {n: each.to_record() for n, each in artifact.sigma_delta.items()}
+    if artifact.tuned:
+        record["tuned"] = artifact.tuned
     return record
 
 
@@ -298,7 +310,7 @@ def _artifact_of_graph(
 def _artifact_of_ours(graph: nir.NIRGraph) -> Artifact:
     """The artifact of a graph with our metadata; ArtifactError where they contradict each other."""
     record = Record(graph.metadata, "file").group(_KEY)
-    record.only("schema", "convention", "codec", "origin", "sigma_delta")
+    record.only("schema", "convention", "codec", "origin", "sigma_delta", "tuned")
     if (schema := record.integer("schema")) != _SCHEMA:
         raise ArtifactError(
             f"metadata {record.where}.schema is {schema}; this version reads {_SCHEMA}. "
@@ -313,8 +325,9 @@ def _artifact_of_ours(graph: nir.NIRGraph) -> Artifact:
     found = Provenance.from_record(record.group("origin")) if "origin" in record else None
     graded = record.group("sigma_delta") if "sigma_delta" in record else Record({}, "")
     neurons = {name: SigmaDelta.from_record(graded.group(name)) for name in sorted(graded.fields)}
+    tuned = record.text("tuned") if "tuned" in record else ""
     del graph.metadata[_KEY]
-    artifact = Artifact(graph, codec, convention, found, neurons)
+    artifact = Artifact(graph, codec, convention, found, neurons, tuned)
     evidence = infer_timestep(graph)
     agrees = evidence.dt is None or np.isclose(evidence.dt, convention.dt, rtol=1e-3)
     if evidence.confirmed and not agrees:

@@ -144,6 +144,7 @@ def drift(
     set_: list[str] | None = None,
     calibrate: bool = False,
     tune: bool = False,
+    tuned: Path | None = None,
     tau: float = 5.0,
     markdown: bool = False,
     output: Path | None = None,
@@ -154,10 +155,10 @@ def drift(
     from spikedeploy.emulation.design_report import network_path
     from spikedeploy.emulation.drift import choose_inputs, drift_report
     from spikedeploy.make_env import parse_options
-    from spikedeploy.outputs import check_output_folder
+    from spikedeploy.outputs import check_output, check_output_folder
     from spikedeploy.reports.drift import drift_markdown, drift_page, print_drift
     from spikedeploy.reports.page import FILES, is_page_of, write_page
-    from spikedeploy.runtime.artifact.artifact import load
+    from spikedeploy.runtime.artifact.artifact import is_tuned, load, save
     from spikedeploy.runtime.chips.chip import chip as datasheet
     from spikedeploy.shipping.exported_run import runnable, trained_in
     from spikedeploy.shipping.sources import chip_of
@@ -166,12 +167,26 @@ def drift(
     path = network_path(runnable(file))
     if output:
         check_output_folder("-o", output, FILES, (path, input_), force, is_page_of("drift"))
+    if tuned:
+        check_output("--tuned", tuned, (path, input_), force, is_tuned)
     artifact = load(path, **reading.arguments())
     options = parse_options(set_ or ())
     numbers = range(seed, seed + episodes)
     inputs = choose_inputs(artifact, path, input_, random, env, numbers, steps, options)
-    on = datasheet(chip or chip_of(artifact))
-    report = drift_report(file, artifact, on, inputs, calibrate, tune, tau, **on_chip.arguments())
+    chip = chip or chip_of(artifact)
+    report = drift_report(
+        file,
+        artifact,
+        datasheet(chip),
+        inputs,
+        calibrate,
+        tune or tuned is not None,
+        chip if tuned else "",
+        tau,
+        **on_chip.arguments(),
+    )
+    if tuned and report.tuned:
+        save(report.tuned, tuned)
     if output:
         write_page("drift", drift_page(report), report.as_json(), output)
     if json:
@@ -181,6 +196,18 @@ def drift(
     else:
         print_drift(report)
         _name_page(output)
+    said = ""
+    if tuned and report.tuned:
+        same = " ".join(["--chip", chip, *on_chip.words()])
+        said = f"wrote {tuned}; with {same} it computes what was measured here"
+    elif tuned:
+        said = (
+            f"{tuned} was not written: nothing that a file can say brings a layer nearer to float"
+        )
+    elif tune and not (json or markdown):
+        said = "--tuned FILE.nir writes a policy that is tuned so, for every command"
+    if said:
+        typer.echo(said, err=json or markdown)
 
 
 def _name_page(folder: Path | None) -> None:

@@ -44,7 +44,7 @@ LowestMembrane = Literal["none", "zero", "threshold"]
 
 
 # what a command prints and writes, which has a panel of its own where it is as much as _PANEL
-_OUTPUT = ("output", "video", "energy", "tables", "markdown", "force", "json")
+_OUTPUT = ("output", "tuned", "video", "energy", "tables", "markdown", "force", "json")
 _PANEL = 4
 _TABLES = read_toml(Path(__file__).with_name("options.toml"))
 
@@ -137,6 +137,12 @@ class OnChip:
     headroom: HeadroomChoice = "none"
     thresholds: int | None = None
     weight_shift: int = 0
+
+    def words(self) -> list[str]:
+        """The options of the quantisation that were given, as on the command line."""
+        given = {n: value for n, value in vars(self).items() if value != getattr(OnChip, n)}
+        given.pop("limits", None)
+        return [f"--{name.replace('_', '-')} {value}" for name, value in given.items()]
 
     def quantisation(self) -> "Quantisation":
         """The quantisation of the five options."""

@@ -5,6 +5,7 @@ Inputs are a raster file, random spikes, or the observations of a policy, encode
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -20,9 +21,10 @@ from spikedeploy.runtime.analysis.activity import TAU
 from spikedeploy.runtime.analysis.calibration import tune_to_float, with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import Drift
 from spikedeploy.runtime.analysis.drift import drift as measured
+from spikedeploy.runtime.analysis.tuned import tuned_artifact
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
-from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.chips.quantisation import PLAIN, UNTUNED, Quantisation
 from spikedeploy.runtime.codec.codec import GIVE_CODEC
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError
@@ -151,6 +153,7 @@ class DriftReport:
     inputs      where they come from
     calibrated  inputs of the calibration, in words; empty without one
     drift       the measurement
+    tuned       the policy as tuning changed it; None where it was not asked for, or nothing helped
     """
 
     policy: str
@@ -158,6 +161,7 @@ class DriftReport:
     inputs: str
     calibrated: str
     drift: Drift
+    tuned: Artifact | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The fields as plain data."""
@@ -166,6 +170,7 @@ class DriftReport:
             "convention": self.convention.to_record(),
             "inputs": self.inputs,
             "calibrated": self.calibrated or None,
+            "tuned": self.tuned.tuned if self.tuned else None,
             **self.drift.as_json(),
         }
 
@@ -177,6 +182,7 @@ def drift_report(
     inputs: DriftInputs,
     headroom: bool = False,
     tune: bool = False,
+    for_file: str = "",
     tau: float = TAU,
     limits: bool = True,
     quantisation: Quantisation = PLAIN,
@@ -185,20 +191,30 @@ def drift_report(
 
     headroom  choose scales at which nothing overflows on the calibration inputs
     tune      choose clipping and thresholds that bring each layer nearest to the float twin
+    for_file  the chip with its options, as the tuned policy is to name it: tune by nothing but what
+              a policy of its own can say, and make that; empty tunes without
     tau       [timesteps] time constant of the van Rossum distance
     limits    refuse what breaks a design rule of the chip
     """
-    calibrated = ""
+    calibrated, tuned = "", None
+    if headroom and for_file:
+        raise ConfigError(
+            "--calibrate chooses scales below the largest, which no file can say. Leave it out, or "
+            "--tuned."
+        )
     if headroom or tune:
         first, inputs = inputs.halves()
         calibrated = first.source
         if tune:
+            write = partial(tuned_artifact, artifact, on, for_file) if for_file else None
             quantisation = tune_to_float(
-                artifact, on, first.raster, quantisation, tau, first.episodes
+                artifact, on, first.raster, quantisation, tau, first.episodes, write
             )
+            if write and any(each != UNTUNED for each in quantisation.tuned.values()):
+                tuned = write(quantisation)
         if headroom:
             quantisation = with_calibrated_headroom(
                 artifact, on, first.raster, quantisation, first.episodes
             )
     found = measured(artifact, on, inputs.raster, quantisation, tau, limits, inputs.episodes)
-    return DriftReport(policy, artifact.convention, inputs.source, calibrated, found)
+    return DriftReport(policy, artifact.convention, inputs.source, calibrated, found, tuned)

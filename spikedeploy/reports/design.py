@@ -246,7 +246,11 @@ def design_page(report: DesignReport) -> str:
         rules_by_chip=_rules_by_chip(checks),
         checks=[_check(each) for each in checks],
         legend=LEGEND,
-        made=[("convention", report.artifact.convention.describe()), *provenance()],
+        made=[
+            ("convention", report.artifact.convention.describe()),
+            *([("tuned", tuned)] if (tuned := report.artifact.tuned) else []),
+            *provenance(),
+        ],
     )
 
 

@@ -196,6 +196,7 @@ def _emulation_facts(emulation: Emulation) -> dict[str, str]:
     host = found.get("host") or {}
     facts = {
         "convention": emulation.artifact.convention.describe(),
+        **({"tuned": tuned} if (tuned := emulation.artifact.tuned) else {}),
         "clock": emulation.clock,
         **{
             name.replace("_", " "): f"{found[name]:,}" for name in counts if found[name] is not None

@@ -92,7 +92,8 @@ def _same_training(origin: Provenance, path: Path) -> bool:
             said = session(path).get_modelmeta().custom_metadata_map
             found = Provenance(said["env"], said["recipe"], int(said["seed"]))
         else:
-            found = load(path).provenance or Provenance("")
+            stored = load(path)
+            found = Provenance("") if stored.tuned else stored.provenance or Provenance("")
     except (SpikedeployError, KeyError, ValueError):
         return False
     return (found.env, found.recipe, found.seed) == (origin.env, origin.recipe, origin.seed)

@@ -4,6 +4,7 @@ import inspect
 import os
 import re
 import shutil
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import get_args, get_type_hints
@@ -14,9 +15,11 @@ import pytest
 from spikedeploy.cli import COMMANDS as COMMANDS_OF_CLI
 from spikedeploy.files import write_text
 from spikedeploy.outputs import check_output, check_output_folder, has_text, mark
+from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.shipping.export_run import export_run
+from spikedeploy.shipping.export_run import _same_training, export_run
 from spikedeploy.shipping.publish_run import publish_run
+from tests.networks import ORIGIN, popsan
 from tests.paths import ROOT
 
 NET = ROOT / "examples" / "net.nir"
@@ -31,7 +34,7 @@ OUTPUTS = {
     ("run", "video"), ("run", "output"), ("sweep", "output"), ("compare", "output"),
     ("emulate", "output"), ("export", "output"), ("publish", "output"), ("visualize", "output"),
     ("play", "record"), ("replay", "video"),
-    ("check", "output"), ("drift", "output"), ("submit", "output"),
+    ("check", "output"), ("drift", "output"), ("drift", "tuned"), ("submit", "output"),
 }  # fmt: skip
 # paths that are read, edited by design, or in which a new folder is made, or a build
 OTHERS = {"file", "input_", "against", "codec", "traces", "config", "runs", "source", "folder",
@@ -153,6 +156,14 @@ def test_files_of_a_run_are_never_overwritten(inside, force, run, command):
     words = ("visualize", run, "-o", run / inside, *force)
     kept = [run / "config.json", run / "metrics.csv"]
     refused(words, says="inside the run folder", command=command, kept=kept)
+
+
+def test_an_export_takes_no_tuned_file_for_its_own(tmp_path):
+    exported, tuned = tmp_path / "policy.nir", tmp_path / "tuned.nir"
+    save(popsan(), exported)
+    save(replace(popsan(), tuned="by drift --tune"), tuned)
+    assert _same_training(ORIGIN, exported)
+    assert not _same_training(ORIGIN, tuned)
 
 
 def test_exports_and_pictures_may_stand_in_a_run_folder(run, command):

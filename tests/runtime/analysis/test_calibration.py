@@ -1,16 +1,23 @@
 """Calibration: what is chosen on a recording holds on that recording."""
 
+from copy import copy
+from dataclasses import replace
+
+import nir
 import numpy as np
 import pytest
 
 from spikedeploy.runtime.analysis.calibration import tune_to_float, with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import drift
+from spikedeploy.runtime.analysis.tuned import tuned_artifact
+from spikedeploy.runtime.artifact.artifact import Artifact, digest, load, save
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.quantisation import UNTUNED, Quantisation
+from spikedeploy.runtime.chips.quantisation import UNTUNED, Quantisation, Tuning
 from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import RuleError
-from tests.networks import popsan
+from tests.networks import ends, named_chain, popsan, unit_lif
 from tests.runtime.families.test_headroom import crowd
 
 
@@ -57,3 +64,120 @@ def test_tuning_brings_every_layer_nearer_or_leaves_it():
 def test_a_chip_of_another_arithmetic_is_not_calibrated():
     with pytest.raises(RuleError, match="ideal: calibration chooses scales"):
         tune_to_float(crowd(), chip("ideal"), some(1))
+
+
+def mapped():
+    """Convolution, pool and dense maps with gains of their own, before LIF neurons."""
+    rng = np.random.default_rng(0)
+    kernel = nir.Conv2d((8, 8), rng.normal(size=(2, 1, 3, 3)), 1, 1, 1, 1, rng.normal(size=2))
+    flat = nir.Flatten({"input": np.array([2, 4, 4])}, 0, -1)
+    nodes = {
+        "conv": kernel,
+        "seen": unit_lif(2, 8, 8, gain=6.0),
+        "pool": nir.SumPool2d(np.array([2, 2]), np.array([2, 2]), np.array([0, 0])),
+        "flat": flat,
+        "dense": nir.Linear(rng.normal(size=(5, 32))),
+        "out": nir.LIF(*(np.full(5, v) for v in (4e-3, 3.0, 0.0, 1.3, 0.0))),
+    }
+    return Artifact(named_chain((1, 8, 8), 5, **nodes), None, Convention(1e-3))
+
+
+def looped(shared=False):
+    """Two layers, the first with weights back to itself, or both behind one map."""
+    rng = np.random.default_rng(1)
+    nodes = {
+        **ends(6, 4),
+        "in": nir.Linear(rng.normal(size=(4, 6))),
+        "a": unit_lif(4),
+        "back": nir.Linear(rng.normal(size=(4, 4))),
+        "to_b": nir.Affine(rng.normal(size=(4, 4)), rng.normal(size=4)),
+        "b": unit_lif(4),
+    }
+    edges = [("input", "in"), ("in", "a"), ("a", "back"), ("back", "a"), ("a", "to_b")]
+    edges += [("to_b", "b"), ("b", "output"), *([("in", "b")] if shared else [])]
+    return Artifact(nir.NIRGraph(nodes, edges, type_check=False), None, Convention(1e-3))
+
+
+def in_float32(artifact):
+    nodes = {name: copy(node) for name, node in artifact.graph.nodes.items()}
+    for node in nodes.values():
+        for name, value in vars(node).items():
+            if isinstance(value, np.ndarray) and value.dtype == np.float64:
+                setattr(node, name, value.astype(np.float32))
+    graph = nir.NIRGraph(nodes, artifact.graph.edges, type_check=False)
+    return replace(artifact, graph=graph)
+
+
+def integers(artifact, on, quantisation):
+    program = compile_program(artifact, on, quantisation)
+    return [
+        array
+        for layer in program.layers
+        for array in (layer.threshold, layer.bias, *(s.weight for s in layer.synapses))
+    ]
+
+
+@pytest.mark.parametrize(
+    "quantisation",
+    [
+        Quantisation(),
+        Quantisation("channel", "truncate"),
+        Quantisation("channel", thresholds=10),
+        Quantisation(headroom="proven"),
+    ],
+    ids=["layer", "channel", "thresholds", "headroom"],
+)
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("build", [popsan, mapped, looped])
+def test_a_file_of_what_was_tuned_becomes_the_integers_that_were_measured(
+    build, precision, quantisation, tmp_path
+):
+    artifact, on = build(), chip("loihi1", weight_bits=5)
+    artifact = in_float32(artifact) if precision == "float32" else artifact
+    if artifact.graph.nodes.get("conv") is not None and quantisation.headroom == "proven":
+        quantisation = Quantisation(rounding="truncate")
+    layers = list(compile_program(artifact, on, quantisation).spiking)
+    for ratio, factor in ((1.15, 1.0), (1.0, 0.85), (1.75, 1.05), (3.0, 1.2)):
+        tuning = {layer.name: Tuning(ratio, factor) for layer in layers}
+        tuned = replace(quantisation, tuned=tuning)
+        found = tuned_artifact(artifact, on, "loihi1:weight_bits=5", tuned)
+        assert found is not None, (ratio, factor)
+        save(found, tmp_path / "tuned.nir")
+        read = load(tmp_path / "tuned.nir")
+        wanted, got = integers(artifact, on, tuned), integers(read, on, quantisation)
+        assert all(map(np.array_equal, wanted, got))
+        assert not all(map(np.array_equal, wanted, integers(artifact, on, quantisation)))
+        assert "for loihi1:weight_bits=5: " in read.tuned
+        assert digest(artifact) in read.tuned
+        assert f"thresholds times {factor:.3g}" in read.tuned
+
+
+def test_a_file_keeps_where_a_policy_is_from_and_says_that_it_is_another(tmp_path):
+    artifact = popsan()
+    tuned = Quantisation(tuned={"n2": Tuning(2.0, 1.1)})
+    found = tuned_artifact(artifact, chip("loihi1"), "loihi1", tuned)
+    save(found, tmp_path / "tuned.nir")
+    read = load(tmp_path / "tuned.nir")
+    assert (read.provenance.env, read.provenance.seed) == ("spikedeploy/Hexapod-v0", 3)
+    assert read.provenance.sha256 == digest(read) != digest(artifact)
+    assert read.tuned.startswith("by drift --tune for loihi1: ")
+    # the given policy stays as it was
+    assert artifact.tuned == ""
+    assert digest(artifact) == digest(popsan())
+
+
+def test_what_no_file_can_say_is_none():
+    on = chip("loihi1")
+    below = Quantisation(tuned={"n2": Tuning(0.8)})
+    assert tuned_artifact(popsan(), on, "loihi1", below) is None
+    clipped, raised = ({"b": Tuning(*factors)} for factors in ((2.0, 1.0), (1.0, 1.1)))
+    both = looped(shared=True)  # to clip the weights of one layer would clip those of the other
+    assert tuned_artifact(both, on, "loihi1", Quantisation(tuned=clipped)) is None
+    assert tuned_artifact(both, on, "loihi1", Quantisation(tuned=raised)) is not None
+
+
+def test_tuning_for_a_file_leaves_out_what_it_cannot_say():
+    artifact, low = popsan(), chip("loihi1", weight_bits=3)
+    raster = (np.random.default_rng(0).random((20, 5, 30)) < 0.3).astype(np.uint8)
+    found = tune_to_float(artifact, low, raster, possible=lambda tried: False)
+    assert all(each == UNTUNED for each in found.tuned.values())
