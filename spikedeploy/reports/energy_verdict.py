@@ -16,6 +16,7 @@ from spikedeploy.comparison.summary import smallest_baseline
 from spikedeploy.reports.columns import COMMON_TABLE
 from spikedeploy.reports.headline import main_row
 from spikedeploy.reports.table import Row, format_si
+from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.metrics.energy_tables import STATIC, TABLES
 
 _IN_MEMORY = "horowitz45-int8-acc32"
@@ -76,27 +77,38 @@ def _beside(row: Row, rows: Sequence[Row]) -> str:
     times = f"{ratio:.1f} times" if ratio >= 1 else f"{ratio:.0%} of"
     skips = ", which skips inputs of 0" if beside < dense else ""
     return (
-        f"All its known terms are {format_si(spent)}J, {times} the {format_si(beside)}J of "
-        f"{other['policy']}{skips}."
+        f"By {COMMON_TABLE} all its known terms are {format_si(spent)}J, {times} the "
+        f"{format_si(beside)}J of {other['policy']}{skips}."
     )
 
 
 def static_power(row: Row) -> str:
-    """What the chip takes while it idles in a control step, over the energy of operations."""
-    name = row["chip"].partition(":")[0]
-    spent = row["energy_per_inference_j"].get(COMMON_TABLE)
-    if not row["static_energy_j"] or not spent:
+    """What the chip takes while it idles in a control step, over all that is known of a policy.
+
+    By the chip's own prices, each of its tables; by the common one where it has none.
+    """
+    if not row["static_energy_j"]:
+        return ""
+    on, totals = chip(row["chip"]), row["energy_total_j"]
+    tables = [table for table in on.energy_tables if totals.get(table)]
+    if not tables and totals.get(COMMON_TABLE):
+        tables = [COMMON_TABLE]
+    if not tables:
         return ""
     first, joules = min(row["static_energy_j"].items(), key=lambda each: each[1])
-    power = next(p for p in STATIC[name] if p.name == first)
+    power = next(p for p in STATIC[on.name] if p.name == first)
+    times = [_magnitude(joules / totals[table]) for table in tables]
+    times[0] += f" all known terms of {row['policy']}"
+    beside = " and ".join(f"{n} by {table}" for n, table in zip(times, tables, strict=True))
+    why = "" if on.energy_tables else f", as no prices of {on.name} are published"
     return (
-        f"Static power comes on top: {name} idles at "
+        f"Static power comes on top: {on.name} idles at "
         f"{format_si(power.watts * power.share)}W ({power.source}), {format_si(joules)}J in a "
-        f"control step, {_magnitude(joules / spent)} its operations."
+        f"control step, {beside}{why}."
     )
 
 
 def _magnitude(ratio: float) -> str:
-    if ratio >= 1e6:
+    if ratio >= 1e5:
         return f"{ratio / 1e6:,.2g} million times"
     return f"{ratio:,.0f} times" if ratio >= 2 else f"{ratio:.2g} times"

@@ -60,24 +60,51 @@ def test_a_row_within_or_above_the_borders_is_said_to_be(sops, place):
 
 
 def test_all_terms_stand_beside_those_of_the_smallest_float_policy_that_is_as_good():
-    assert "All its known terms are 3.00 nJ, 2.0 times the 1.50 nJ of small." in energy_verdict(
-        [row(), rival()]
-    )
+    text = energy_verdict([row(), rival()])
+    said = "By horowitz45-int8 all its known terms are 3.00 nJ, 2.0 times the 1.50 nJ of small."
+    assert said in text
     skipping = rival(energy_zero_skipping_j={INT8: 0.75e-9})  # 0.25 nJ less than dense
     assert "2.4 times the 1.25 nJ of small, which skips inputs of 0." in energy_verdict(
         [row(), skipping]
     )
     worse = rival(returns=[1.0, 1.0])
-    assert "known terms" not in energy_verdict([row(), worse])
+    assert "all its known terms" not in energy_verdict([row(), worse])
 
 
-def test_static_power_is_said_with_its_magnitude():
-    text = energy_verdict([row()])
-    assert (
-        "loihi1 idles at 0.10 W (Frady et al. 2020: Pohoiki Springs), 2.00 mJ in a control" in text
-    )
-    assert text.endswith("2 million times its operations.")
+OWN = {"davies2018": 4e-9, "sanafe": 8e-9, INT8: 1e-9}
+
+
+@pytest.mark.parametrize(
+    ("chip", "totals", "said"),
+    [  # 2 mJ over all terms: by each of the chip's own tables, and not by the common one
+        (
+            "loihi1:weight_bits=4",
+            OWN,
+            "0.5 million times all known terms of walker by davies2018 and 0.25 million times by "
+            "sanafe.",
+        ),
+        ("loihi1", {"sanafe": 8e-9, INT8: 1e-9}, "0.25 million times all known terms of walker by "
+         "sanafe."),
+        # of those that --energy names, where the chip's own are not among them
+        ("loihi1", {INT8: 1e-8}, "0.2 million times all known terms of walker by horowitz45-int8."),
+        (
+            "xylo-a2",
+            {INT8: 1e-6},
+            "2,000 times all known terms of walker by horowitz45-int8, as no prices of xylo-a2 are "
+            "published.",
+        ),
+    ],
+)  # fmt: skip
+def test_static_power_is_divided_by_all_terms_at_the_chips_own_prices(chip, totals, said):
+    powers = {"xylo2023": 2e-3} if chip == "xylo-a2" else {"popsan2020": 3e-3, "frady2020": 2e-3}
+    text = energy_verdict([row(chip=chip, energy_total_j=totals, static_energy_j=powers)])
+    assert text.endswith(f"2.00 mJ in a control step, {said}")
+    assert chip == "xylo-a2" or "loihi1 idles at 0.10 W (Frady et al. 2020: Pohoiki" in text
+
+
+def test_static_power_is_left_out_where_it_or_the_energy_is_not_known():
     assert "idles" not in energy_verdict([row(static_energy_j={})])
+    assert "idles" not in energy_verdict([row(energy_total_j={INT8: None})])
 
 
 def test_nothing_is_said_where_nothing_spikes_on_a_chip():
