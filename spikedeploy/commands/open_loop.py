@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import FromCamera, OnChip, Reading
+from spikedeploy.commands.options import FromCamera, OnChip, Reading, TablesChoice
 from spikedeploy.console import print_json, print_result
 from spikedeploy.errors import ConfigError
 from spikedeploy.files import suffix
@@ -28,6 +28,7 @@ def emulate(
     output: Path | None = None,
     backend: str | None = None,
     energy: list[str] | None = None,
+    tables: TablesChoice = "one",
     force: bool = False,
     json: bool = False,
 ) -> None:
@@ -45,14 +46,16 @@ def emulate(
     if output:
         inputs = (file, input_, camera.events)
         check_output("-o", output, inputs, force, lambda path: has_text(path, own))
-    tables = checked_table_names(energy or ())
+    priced = checked_table_names(energy or ())
     if camera.events is not None:
+        if tables == "all":
+            raise typer.BadParameter("--tables all goes with --input")
         if input_ is not None:
             raise typer.BadParameter("--input and --events are two inputs: give one of them")
         artifact = load(file, **reading.arguments())
         options = {"backend": backend, **on_chip.arguments()}
         paths = (file, camera.events, output)
-        _emulate_events(artifact, chip, camera, options, tables, paths, force, json)
+        _emulate_events(artifact, chip, camera, options, priced, paths, force, json)
         return
     if camera != FromCamera():
         raise typer.BadParameter("--camera, --region, --time-step and --page go with --events")
@@ -61,13 +64,13 @@ def emulate(
     artifact = load(file, **reading.arguments())
     rasters = read_inputs(input_, artifact)
     result = emulate_artifact(artifact, chip, rasters, backend, **on_chip.arguments())
-    result = replace(result, tables=tables)
+    result = replace(result, tables=priced)
     if output:
         result.save(output)
     if json:
         print_json(result.as_json())
         return
-    print_emulation(result)
+    print_emulation(result, tables == "all")
     if output:
         typer.echo(f"wrote {output}")
 

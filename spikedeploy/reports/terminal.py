@@ -158,15 +158,19 @@ _TIMES = {
 }
 
 
-def print_emulation(emulation: Emulation) -> None:
-    """Print the convention, the counts, the costs and the layers of an emulation."""
-    title = f"One inference on {emulation.chip}"
-    Table(("what", "found"), list(_emulation_facts(emulation).items()), title).print()
+def print_emulation(emulation: Emulation, everything: bool = False) -> None:
+    """Print the outputs, the counts, the costs and the layers of an emulation.
+
+    everything: NeuroBench's measures too.
+    """
+    found, title = emulation.as_json(), f"One inference on {emulation.chip}"
+    facts = _emulation_facts(emulation)
+    facts |= _neurobench(found["neurobench"]) if everything else {}
+    Table(("what", "found"), list(facts.items()), title).print()
     if hint := energy_hint([{"energy_per_inference_j": emulation.energies}]):
         print_text(hint)
     for remark in emulation.remarks:
         print(f"  {remark}")
-    found = emulation.as_json()
     rows = [
         (
             name,
@@ -184,36 +188,42 @@ def print_emulation(emulation: Emulation) -> None:
     if rows:
         heads = ("layer", "neurons", "spikes", "rate", "SOPs")
         Table(heads, rows, "Layers; rate per neuron and timestep", numbers=True).print()
+    if found["neurobench"] and not everything:
+        print_text("NeuroBench's measures: --tables all")
 
 
 def _emulation_facts(emulation: Emulation) -> dict[str, str]:
     found = emulation.as_json()
-    counts = ("timesteps", "spikes", "sops", "bias_sops", "neuron_updates", "saturations")
+    counts = {
+        "spikes": "spikes",
+        "sops": "SOPs",
+        "bias_sops": "bias SOPs",
+        "neuron_updates": "neuron updates",
+        "saturations": "saturations",
+    }
     energies = {
         name: format_bounds(f"{format_si(each.value)}J", each.value, each.low, each.high)
         for name, each in emulation.energies.items()
     }
     host = found.get("host") or {}
     facts = {
-        "convention": emulation.artifact.convention.describe(),
-        **({"tuned": tuned} if (tuned := emulation.artifact.tuned) else {}),
-        "clock": emulation.clock,
-        **{
-            name.replace("_", " "): f"{found[name]:,}" for name in counts if found[name] is not None
-        },
-        **{name: f"{value:,.4g}" for name, value in _operations(found["neurobench"]).items()},
-        **{f"energy, {name}": energy for name, energy in energies.items()},
         "sums of outputs": ", ".join(
             f"{name} {describe(values)}" for name, values in emulation.outputs.items()
         ),
+        **{said: f"{found[name]:,}" for name, said in counts.items() if found[name] is not None},
+        **{f"energy, {name}": energy for name, energy in energies.items()},
+        "timesteps": f"{found['timesteps']:,}",
+        "convention": emulation.artifact.convention.describe(),
+        **({"tuned": tuned} if (tuned := emulation.artifact.tuned) else {}),
+        "clock": emulation.clock,
         "host": ", ".join(f"{host[k]:,} {k}" for k in ("multiplications", "additions") if host),
         "not counted": emulation.uncounted,
     }
     return {name: fact for name, fact in facts.items() if fact}
 
 
-def _operations(measures: Mapping[str, Any] | None) -> dict[str, float]:
+def _neurobench(measures: Mapping[str, Any] | None) -> dict[str, str]:
     if measures is None:
         return {}
     flat = {**measures, **measures["SynapticOperations"]}
-    return {name: value for name, value in flat.items() if isinstance(value, int | float)}
+    return {name: f"{x:,.4g}" for name, x in flat.items() if isinstance(x, int | float)}

@@ -73,6 +73,20 @@ def emulate(command, tmp_path):
     return run
 
 
+def test_what_was_computed_is_printed_first_and_neurobench_on_demand(emulate):
+    network = chain(nir.Linear(np.eye(2)), lif(2, threshold=1.0), width=2, act=2)
+    raster, words = np.ones((40, 2), np.uint8), ("--chip", "loihi1", "--dt", 1e-3)
+    _, arrays, out, _ = emulate(network, raster, *words)
+    first, spikes, sops = out.splitlines()[4:7]
+    sums = arrays["output"].sum(axis=0)
+    assert first.split()[:3] == ["sums", "of", "outputs"]
+    assert ", ".join(f"{each:,.6g}" for each in sums) in first
+    assert (spikes.split(), sops.split()) == (["spikes", f"{sums.sum():.0f}"], ["SOPs", "80"])
+    assert "NeuroBench's measures: --tables all" in out
+    assert "MembraneUpdates" not in out
+    assert "MembraneUpdates" in emulate(network, raster, *words, "--tables", "all")[2]
+
+
 @pytest.mark.parametrize(("threshold", "silent"), [(1.0, False), (20.0, True)])
 def test_a_network_that_never_spikes_is_said_to_be_silent(
     threshold, silent, emulate, command, tmp_path
