@@ -22,7 +22,10 @@ analysis/        activity, calibration, drift from float, diagnosis
 traces/          recorded traces of chips and simulators, compared with the emulation
 """
 
+from functools import cache
 from importlib import import_module
+
+from spikedeploy.requirements import check_requirements
 
 EXPORTS = {
     # the file
@@ -51,11 +54,14 @@ EXPORTS = {
 
 __all__ = sorted(EXPORTS)
 
+_check_once = cache(check_requirements)
+
 
 def __getattr__(name: str) -> object:
     """The public object called `name`, imported now."""
     if name not in EXPORTS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    _check_once()  # a package of a wrong version is a sentence, not a traceback
     module, attribute = EXPORTS[name].split(":")
     return getattr(import_module(module), attribute)
 

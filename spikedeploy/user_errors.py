@@ -32,10 +32,9 @@ def one_line(error: Exception) -> str | None:
     if isinstance(error, ModuleNotFoundError):
         package = (error.name or "").partition(".")[0]
         extra = EXTRAS.get(package)
-        if extra is None and is_required(package):
-            return f"spikedeploy needs {package}, which cannot be imported: pip install ."
         if extra is None:
-            return next(wrong_requirements(extras=True), None)
+            broken = f"spikedeploy needs {package}, which cannot be imported: pip install ."
+            return next(wrong_requirements(extras=True), broken if is_required(package) else None)
         return (
             f"this needs {package}, which is not installed: in the checkout of spikedeploy, "
             f'pip install ".[{extra}]"'

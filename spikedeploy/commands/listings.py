@@ -2,7 +2,7 @@
 
 import os
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -12,13 +12,11 @@ import typer
 from spikedeploy.console import print_json
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from spikedeploy.policies.registry import Candidate
     from spikedeploy.reports.table import Table
 
 
-def _show(data: object, tables: "Iterable[Table]", json: bool, note: str = "") -> None:
+def _show(data: object, tables: Iterable["Table"], json: bool, note: str = "") -> None:
     if json:
         print_json(data)
         return
@@ -180,7 +178,8 @@ def doctor(*, json: bool = False) -> None:
     from spikedeploy.reports.table import Table
 
     found = [*_versions(), *_wrong(), _tested(), _threads(), _tried("rendering", _draw)]
-    found += [_tried(name, partial(_opened, name)) for name in zoo.names()]
+    policies = (_tried(name, partial(_opened, name)) for name in zoo.names())
+    found += _alike(policies, {each.detail for each in found})
     marks = {True: "✓", False: "✗", None: " "}
     rows = [(marks[f.ok], f.name, f.detail) for f in found]
     _show(
@@ -246,4 +245,22 @@ def _tried(name: str, attempt: Callable[[], str]) -> DoctorFinding:
     try:
         return DoctorFinding(name, True, attempt())
     except Exception as error:  # a doctor reports whatever is wrong
-        return DoctorFinding(name, False, f"{type(error).__name__}: {error}")
+        from spikedeploy.user_errors import one_line
+
+        return DoctorFinding(name, False, one_line(error) or f"{type(error).__name__}: {error}")
+
+
+def _alike(policies: Iterable[DoctorFinding], said: Collection[str]) -> Iterator[DoctorFinding]:
+    """The findings on policies, of which those that fail alike are one.
+
+    said: details that stand above.
+    """
+    failed: dict[str, list[str]] = {}
+    for each in policies:
+        if each.ok:
+            yield each
+        else:
+            failed.setdefault(each.detail, []).append(each.name)
+    for detail, (first, *others) in failed.items():
+        name = f"{first} and {len(others)} others" if others else first
+        yield DoctorFinding(name, False, "not opened, see above" if detail in said else detail)

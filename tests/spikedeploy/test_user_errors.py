@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from spikedeploy import requirements
+from spikedeploy import requirements, runtime
 from spikedeploy.errors import ConfigError
 from spikedeploy.user_errors import EXTRAS, one_line
 from tests.paths import ROOT
@@ -66,6 +66,9 @@ def test_a_package_of_a_wrong_version_is_one_sentence(package, found, said, monk
     )
     with pytest.raises(ConfigError, match=re.escape(said)):
         requirements.check_requirements()
+    runtime._check_once.cache_clear()
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        runtime.load  # noqa: B018
 
 
 def test_the_packages_of_these_tests_are_in_their_ranges():

@@ -257,6 +257,25 @@ def test_doctor_finds_versions_threads_and_policies(command, stroll):
     assert code == (0 if findings["rendering"]["ok"] else 1)
 
 
+def test_policies_that_cannot_be_opened_for_one_reason_are_one_line(command, monkeypatch):
+    said = "nir 0.9.0 is installed, and spikedeploy needs nir >=1.0.8,<2"
+    monkeypatch.setattr("spikedeploy.requirements.wrong_requirements", lambda **_: iter([said]))
+    monkeypatch.setattr("spikedeploy.user_errors.wrong_requirements", lambda **_: iter([said]))
+    monkeypatch.setattr("spikedeploy.zoo.names", lambda: ["a/one", "a/two", "a/three"])
+    raised = iter([ImportError("x"), AttributeError("y"), ModuleNotFoundError("z", name="nir.z")])
+
+    def fail(name):
+        raise next(raised)
+
+    monkeypatch.setattr("spikedeploy.commands.listings._opened", fail)
+    code, out, _ = command("doctor", "--json")
+    failed = [(f["name"], f["detail"]) for f in json.loads(out) if f["ok"] is False]
+    assert code == 1
+    assert failed[0] == ("version", said)
+    assert failed[-1] == ("a/one and 2 others", "not opened, see above")
+    assert "a/two" not in out
+
+
 @pytest.mark.parametrize("make", [Path.touch, Path.mkdir])
 def test_what_lies_at_the_name_of_a_shipped_policy_hides_it_from_no_list(make, command, stroll):
     (stroll / "stroll").mkdir()
