@@ -226,7 +226,8 @@ def reset_remedy(reset: str, kinds: Collection[str], resets: Sequence[str]) -> s
     if reset in ("zero", "subtract"):
         return (
             f"Train with reset {' or '.join(map(repr, resets))} (docs/own-network.md says how in "
-            "snnTorch), or run the network in float; as an option it makes another network."
+            "snnTorch), or run the network in float. Given as an option "
+            f"({' or '.join(f'--reset {each}' for each in resets)}), it makes another network."
         )
     ways = []
     if integrates and "subtract" in resets:

@@ -13,6 +13,7 @@ import typer
 
 from spikedeploy import cli, console
 from spikedeploy.console import progress
+from spikedeploy.envs import drawing
 from spikedeploy.play.display import check_driver
 from spikedeploy.reports.table import Table
 from spikedeploy.runtime.chips.chip import CHIPS, chip
@@ -176,6 +177,7 @@ def test_a_display_that_cannot_be_reached_is_none(monkeypatch):
     with pytest.raises(ConfigError, match="no display: :99 cannot be reached"):
         check_driver("offscreen")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setattr(drawing, "_sdl_is_ours", False)
     check_driver("dummy")  # as asked for
 
 

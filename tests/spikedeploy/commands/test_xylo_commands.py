@@ -27,10 +27,10 @@ def test_emulate_refuses_a_reset_to_zero(files, command, tmp_path):
     code, _, err = command(*words)
     assert code == 1
     assert "reset 'zero': a spike on xylo-a2 can only do 'subtract'" in err
-    assert "give it as an option (--reset subtract)" in err
+    assert "Given as an option (--reset subtract), it makes another network" in err
     code, out, _ = command("check", net, "--chip", "xylo-a2")
     assert code == 1
-    assert "give it (--reset subtract)" in out
+    assert "Given as an option (--reset subtract)" in " ".join(out.split())
 
 
 def test_emulate_shifts_the_weights_of_a_xylo(files, command, tmp_path):

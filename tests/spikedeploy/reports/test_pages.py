@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
@@ -52,11 +53,11 @@ def of_drift(network, run, folder):
 
 
 def of_check(network, run, folder):
-    return design_page(report_of(EVIL, network, ["loihi1"]))
+    return design_page(report_of(EVIL, network, ["loihi1"], Path(EVIL), {}))
 
 
 def of_check_everywhere(network, run, folder):
-    return design_page(report_of(EVIL, network, ["all"]))
+    return design_page(report_of(EVIL, network, ["all"], Path(EVIL), {}))
 
 
 def of_training(network, run, folder):
@@ -131,14 +132,14 @@ def test_every_page_fits_phones_and_desktops_in_light_and_dark_and_on_paper(brow
 
 def test_the_cores_that_are_drawn_hold_every_neuron_once(network):
     for name in ("loihi1", "loihi2", "truenorth", "spinnaker2"):
-        (check,) = report_of("small.nir", network, [name]).checks
+        (check,) = report_of("small.nir", network, [name], Path("small.nir"), {}).checks
         limits, mapping = check.chip.limits, check.mapping
         fills = list(core_fills(mapping, limits))
         assert len(fills) == mapping.cores == len({fill.number for fill in fills})
         for placement in mapping.placements:
             held = sum(fill.neurons for fill in fills if fill.layer == placement.name)
             assert held == placement.neurons
-        drawn = design_page(report_of("small.nir", network, [name]))
+        drawn = design_page(report_of("small.nir", network, [name], Path("small.nir"), {}))
         assert drawn.count("<g>") + drawn.count('<g class="over">') >= mapping.cores
         assert f"core {fills[0].number}: {fills[0].layer}, {fills[0].neurons:,} neurons" in drawn
 
