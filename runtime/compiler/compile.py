@@ -22,7 +22,7 @@ from spikedeploy.runtime.compiler.rules import (
     reset_remedy,
     spiking_kinds,
 )
-from spikedeploy.runtime.compiler.wiring import LayerGraph, wiring
+from spikedeploy.runtime.compiler.wiring import LayerGraph, rewired, wiring
 from spikedeploy.runtime.convention import Clock, Convention
 from spikedeploy.runtime.errors import RuleError, SpikedeployError
 
@@ -59,14 +59,7 @@ def _compile(
     judge: bool,
 ) -> Program:
     """The program; `judge` by the design rules, of a network that was not judged before."""
-    _check_neurons(artifact, chip)
-    if not limits:
-        chip = replace(chip, delay_max=_ENDLESS)
-    clock = clock or chip.clock or clock_on(artifact.convention, chip)
-    # a convention's own delay is a pipeline already
-    delays = clock == "pipelined" and not artifact.convention.delay
-    stated = replace(artifact.convention, clock="pipelined" if delays else "gated")
-    artifact = artifact.with_convention(stated)
+    artifact, chip, clock = _prepared(artifact, chip, clock, limits)
     graph = wiring(artifact.graph, artifact.convention, frozenset(artifact.sigma_delta))
     placed = PlacedNetwork(artifact, chip) if judge and chip.limits else None
     if placed:
@@ -88,6 +81,56 @@ def _compile(
     )
     remarks = (*program.remarks, *chip.arithmetic.ranges(layers, rows), *outliers)
     return replace(program, layers=tuple(layers), remarks=remarks, outliers=tuple(outliers))
+
+
+def _prepared(
+    artifact: Artifact, chip: Chip, clock: Clock | None, limits: bool
+) -> tuple[Artifact, Chip, Clock]:
+    """The artifact with its clock on the chip, the chip within its limits or not, and the clock."""
+    _check_neurons(artifact, chip)
+    if not limits:
+        chip = replace(chip, delay_max=_ENDLESS)
+    clock = clock or chip.clock or clock_on(artifact.convention, chip)
+    # a convention's own delay is a pipeline already
+    delays = clock == "pipelined" and not artifact.convention.delay
+    stated = replace(artifact.convention, clock="pipelined" if delays else "gated")
+    return artifact.with_convention(stated), chip, clock
+
+
+class Recompiler:
+    """Compiles a network again whenever its numbers have changed, as training through a chip does.
+
+    The edges of the graph are followed once. Rules on capacity are judged once, by `compile_program`
+    of the first numbers; what the arithmetic cannot compute is refused each time.
+
+    artifact: the network with its first numbers.
+    chip, quantisation, clock, limits: as in `compile_program`.
+    """
+
+    def __init__(
+        self,
+        artifact: Artifact,
+        chip: Chip,
+        quantisation: Quantisation = PLAIN,
+        clock: Clock | None = None,
+        limits: bool = True,
+    ) -> None:
+        self.first = compile_program(artifact, chip, quantisation, clock, limits)
+        self._quantisation, self._limits = quantisation, limits
+        artifact, self._chip, self._clock = _prepared(artifact, chip, clock, limits)
+        self._convention = artifact.convention
+        self._graph = wiring(artifact.graph, artifact.convention)
+
+    def program(self, artifact: Artifact) -> Program:
+        """The program of the same network with other numbers."""
+        artifact, chip = artifact.with_convention(self._convention), self._chip
+        graph = rewired(self._graph, artifact.graph, self._convention)
+        program = float_program(artifact, chip, graph, self._clock)
+        rows = _rows(artifact, program)
+        layers = chip.arithmetic.quantise(
+            program, self._quantisation, chip.name, rows, limits=self._limits
+        )
+        return replace(program, layers=tuple(layers))
 
 
 def own_clock(convention: Convention) -> Clock:

@@ -60,6 +60,8 @@ class LayerGraph:
         the graph and its convention say.
     bias: (N,) of each layer.
     outlets: the Output nodes.
+    ways: (source, target) -> names of the nodes between them, where one chain of nodes leads from a
+        source to a layer or Output and its weights are those of the chain; None where it does not.
     """
 
     input: str
@@ -68,6 +70,7 @@ class LayerGraph:
     synapses: dict[str, tuple[Synapses, ...]]
     bias: dict[str, Floats]
     outlets: tuple[HostOutput, ...]
+    ways: dict[tuple[str, str], tuple[str, ...] | None]
 
     @property
     def width(self) -> int:
@@ -104,6 +107,61 @@ def wiring(
         synapses={n: _synapses(matrices, blocks[n], name, inputs) for n in layers},
         bias={layer: matrices.bias(blocks[layer]) for layer in layers},
         outlets=tuple(_outlet(matrices, blocks[p.name], p) for p in ports(graph.outputs)),
+        ways=matrices.ways,
+    )
+
+
+def rewired(wired: LayerGraph, graph: nir.NIRGraph, convention: Convention) -> LayerGraph:
+    """The layers of a graph whose numbers alone have changed since it was wired.
+
+    It follows no edge again where chains lead from source to target, so that training compiles
+    quickly; of anything else it is `wiring`.
+    """
+    if len(wired.inputs) > 1 or any(way is None for way in wired.ways.values()):
+        return wiring(graph, convention)
+    nodes, biases = graph.nodes, dict[str, list[Floats]]()
+    for (_, target), way in wired.ways.items():
+        for name in way or ():
+            if isinstance(nodes[name], BIASED):
+                if name != (way or ("",))[-1]:
+                    return wiring(graph, convention)
+                shape, bias = shape_of(nodes[name]), nodes[name].bias.astype(np.float64)
+                bias = bias.reshape(-1, *(1 for _ in shape[1:]))
+                biases.setdefault(target, []).append(np.broadcast_to(bias, shape).ravel())
+
+    def weights(source: str, target: str, synapses: Synapses) -> Synapses:
+        chain = [(name, nodes[name]) for name in wired.ways[source, target] or ()]
+        found = weights_of(chain, shape_of(nodes[source]))
+        assert found is not None  # as when it was wired
+        is_listed = synapses.window is None and found[1] is not None
+        renewed = replace(synapses, weight=found[0], window=found[1])
+        return renewed.listed() if is_listed else renewed
+
+    def bias(target: str, before: Floats) -> Floats:
+        found = biases.get(target)
+        return before if found is None else np.asarray(sum(found[1:], found[0]))
+
+    def tap(target: str, term: ReadoutTerm) -> ReadoutTerm:
+        if term.weight is None and not wired.ways[term.layer, target]:
+            return term
+        plain = Synapses(term.layer, np.zeros((0, 0)), 0)
+        return replace(term, weight=weights(term.layer, target, plain).listed().weight)
+
+    return replace(
+        wired,
+        synapses={
+            layer: tuple(weights(s.source, layer, s) for s in synapses)
+            for layer, synapses in wired.synapses.items()
+        },
+        bias={layer: bias(layer, before) for layer, before in wired.bias.items()},
+        outlets=tuple(
+            replace(
+                outlet,
+                taps=tuple(tap(outlet.port.name, term) for term in outlet.taps),
+                bias=bias(outlet.port.name, outlet.bias),
+            )
+            for outlet in wired.outlets
+        ),
     )
 
 
@@ -199,6 +257,7 @@ class _Matrices:
             for name, found in self._sources.items()
         }
         self._bytes = self._visited = 0
+        self.ways: dict[tuple[str, str], tuple[str, ...] | None] = {}
 
     def block(self, target: str) -> _Block:
         """The block before a target."""
@@ -215,9 +274,11 @@ class _Matrices:
 
     def between(self, source: str, block: _Block) -> list[Synapses]:
         """The synapses from a source to the target of a block; delays are what they take."""
+        self.ways[source, block.target] = None
         if (way := self._only_way(block, source)) is not None:
             chain = [(name, self.graph.nodes[name]) for name in way]
             if found := weights_of(chain, shape_of(self.graph.nodes[source])):
+                self.ways[source, block.target] = tuple(way)
                 self._check_size(block.target, found[0].nbytes)
                 self._bytes += found[0].nbytes
                 lag = self._lag([source, *way, block.target])

@@ -1,0 +1,442 @@
+"""What a torch module computes in a timestep, as a network of maps and neurons.
+
+`network_from_torch` runs the module on an example and records which leaf modules and torch
+functions made each tensor from which. So it takes `nn.Sequential`, a `forward` that computes one
+timestep with states inside or passed in and out, and one that loops over timesteps. The parameters
+of the network are those of the module. `torch_neurons` says what neurons of other libraries mean.
+"""
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import nir
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.overrides import TorchFunctionMode
+
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.graph.shapes import Shape
+from spikedeploy.trainers.network import Delay, Edge, Fixed, Map, Neurons, TorchNetwork, Weights
+from spikedeploy.trainers.torch_neurons import TorchNeurons, neurons_of
+
+_WEIGHTS = (nn.Linear, nn.Conv1d, nn.Conv2d)
+_NORMS = (nn.BatchNorm1d, nn.BatchNorm2d)
+_NOTHING = (nn.Dropout, nn.Dropout1d, nn.Dropout2d, nn.Identity)  # in deployment
+# timesteps of the example for a forward that loops over the first axis of its input
+_TIMESTEPS = 3
+_BATCH = 2
+
+
+@dataclass(frozen=True)
+class _Value:
+    """Where a tensor comes from: the sum of what nodes put out in some of their calls.
+
+    terms: (node, call) of each, call counted from 0
+    membrane_of: node of neurons whose membrane it is, which no map can read; empty for spikes
+    """
+
+    terms: tuple[tuple[str, int], ...] = ()
+    membrane_of: str = ""
+
+
+class _TimeAxis(Exception):
+    """The module indexes the first axis of its input: it loops over timesteps itself."""
+
+
+def network_from_torch(module: nn.Module, takes: Shape) -> tuple[TorchNetwork, list[TorchNeurons]]:
+    """Return the network of a module, and its neurons, which say their convention.
+
+    takes: shape of the input without batch and time
+
+    Raises ConfigError with the name of the module, where something has no place on a chip.
+    """
+    with _unchanged(module), torch.no_grad():
+        try:
+            tracer, puts = _run(module, takes, timesteps=None)
+        except _TimeAxis:
+            tracer, puts = _run(module, takes, timesteps=_TIMESTEPS)
+    return tracer.network(takes, puts)
+
+
+@contextmanager
+def _unchanged(module: nn.Module) -> Iterator[None]:
+    """Evaluate the module, and put back its buffers, states and mode afterwards."""
+    training = {each: each.training for each in module.modules()}
+    kept = {each: dict(each._buffers) for each in module.modules()}
+    states = {each: dict(vars(each)) for each in module.modules()}
+    module.eval()
+    try:
+        yield
+    finally:
+        for each in module.modules():
+            vars(each).update(states[each])
+            each._buffers.update(kept[each])
+            each.training = training[each]
+
+
+def _run(module: nn.Module, takes: Shape, timesteps: int | None) -> "tuple[_Tracer, _Value]":
+    """Run the module on zeros; return what was recorded, and its output.
+
+    timesteps: of the example where the module loops over them; None for one timestep, in which the
+        module runs twice, so that states inside it show what they were made of
+    """
+    tracer = _Tracer(module, takes, timesteps is not None)
+    handles = tracer.watch()
+    try:
+        with tracer:
+            if timesteps is not None:
+                return tracer, tracer.output(module(tracer.example((timesteps, _BATCH, *takes))))
+            found = module(tracer.example((_BATCH, *takes)), *tracer.others(module, None))
+            if tracer.is_single():
+                others = tracer.others(module, found)
+                found = module(tracer.example((_BATCH, *takes)), *others)
+            return tracer, tracer.output(found)
+    finally:
+        for handle in handles:
+            handle.remove()
+
+
+class _Tracer(TorchFunctionMode):
+    """Records which nodes each tensor comes from, while a module runs."""
+
+    def __init__(self, root: nn.Module, takes: Shape, loops: bool) -> None:
+        super().__init__()
+        self._root, self._takes, self._loops = root, takes, loops
+        # by identity; the tensors are kept, so that none takes the place of another
+        self._values: dict[int, tuple[Tensor, _Value]] = {}
+        self.nodes: dict[str, Map | Neurons] = {}
+        self.arrived: dict[str, list[_Value]] = {}
+        self._inputs: list[Tensor] = []
+        self._inside = 0
+        self._unknown: dict[int, tuple[Tensor, str]] = {}
+
+    # what a run gives
+
+    def example(self, shape: Shape) -> Tensor:
+        """Return an input of zeros, which is known as such."""
+        x = torch.zeros(shape)
+        self._inputs.append(x)
+        self._know(x, _Value(((TorchNetwork.INPUT, len(self._inputs) - 1),)))
+        return x
+
+    def others(self, module: nn.Module, outputs: object) -> list[Any]:
+        """Return the arguments besides the input: the states that the call before returned.
+
+        None for each in the first call, and where the module returns another number of values.
+        """
+        if isinstance(module, nn.Sequential):
+            return []
+        kinds = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
+        parameters = list(inspect.signature(module.forward).parameters.values())[1:]
+        wanted = [p for p in parameters if p.kind in kinds]
+        states = list(outputs)[1:] if isinstance(outputs, tuple) else []
+        if states and len(states) == len(wanted):
+            return states
+        return [None for p in wanted if p.default is inspect.Parameter.empty]
+
+    def is_single(self) -> bool:
+        """Return True if all neurons were called once."""
+        return all(len(calls) == 1 for n, calls in self.arrived.items() if self._is_neurons(n))
+
+    def output(self, found: object) -> _Value:
+        """Return where the first output comes from; of a list or stack, the last timestep's."""
+        for each in _tensors(found):
+            value = self._value(each)
+            if value is not None and (value.terms or value.membrane_of):
+                return value
+        raise ConfigError(
+            f"{_name_of(self._root)}: its output does not come from its layers alone, or is not a "
+            "tensor. Return the spikes of the last layer, or a list or stack of them; sum and "
+            "softmax belong to the loss."
+        )
+
+    # while it runs
+
+    def watch(self) -> list[Any]:
+        """Hook the leaf modules; return the handles."""
+        handles = []
+        for name, module in _leaves(self._root):
+            name = name or type(module).__name__.lower()
+            handles += [
+                module.register_forward_pre_hook(self._enter),
+                module.register_forward_hook(self._leave(name, module)),
+            ]
+        return handles
+
+    def _enter(self, module: nn.Module, arguments: tuple[Any, ...]) -> Any:  # noqa: ANN401
+        self._inside += 1
+        first = arguments[0] if arguments else None
+        # neurons of snnTorch return states beside their spikes, which nn.Sequential passes on
+        return (first[0], *arguments[1:]) if isinstance(first, tuple) else None
+
+    def _leave(self, name: str, module: nn.Module) -> Callable[[Any, Any, Any], None]:
+        def leave(_: nn.Module, arguments: tuple[Any, ...], result: object) -> None:
+            if self._inside == 1:
+                arriving = self._arriving(name, module, arguments[0])
+                values = [arriving]
+                if not isinstance(module, _NOTHING):
+                    node = self._call(name, module, tuple(arguments[0].shape[1:]), arriving)
+                    spikes = _Value(((node, len(self.arrived[node]) - 1),))
+                    values = [spikes, *[_Value(membrane_of=node)] * len(_tensors(result))]
+                self._know_all(result, values)
+            self._inside -= 1
+
+        return leave
+
+    def __torch_function__(
+        self,
+        function: Callable[..., Any],
+        types: Any,  # noqa: ANN401
+        arguments: Sequence[Any] = (),
+        options: Mapping[str, Any] | None = None,
+    ) -> Any:  # noqa: ANN401
+        """Call the function; note where its result comes from."""
+        result = function(*arguments, **(options or {}))
+        if not self._inside and _tensors(result):
+            self._note(getattr(function, "__name__", str(function)), arguments, result)
+        return result
+
+    def _note(self, function: str, arguments: Sequence[Any], result: object) -> None:
+        known = [self._value(each) for each in _tensors(arguments)]
+        terms = [each for each in known if each is not None]
+        if not terms:
+            return
+        first = arguments[0]
+        if function in _SAME and len(terms) == 1:
+            self._know_all(result, terms)
+        elif function in _INDEXING and any(first is x for x in self._inputs):
+            if not self._loops:
+                raise _TimeAxis
+            self._at_timesteps(function, arguments, result)
+        elif function in _ADDING and len(terms) == len(known):
+            self._know_all(result, [_Value(tuple(t for each in terms for t in each.terms))])
+        elif function in _STACKING:
+            self._know_all(result, [terms[-1]])
+        elif function in _RESHAPING and isinstance(first, Tensor) and isinstance(result, Tensor):
+            self._know_all(result, [self._reshaped(function, first, result, terms[0])])
+        else:
+            for each in _tensors(result):
+                self._unknown[id(each)] = each, function
+
+    def _at_timesteps(self, function: str, arguments: Sequence[Any], result: object) -> None:
+        if function == "__getitem__":
+            place = arguments[1]
+        else:
+            place = arguments[2] if len(arguments) > 2 else 0
+        each = [result] if isinstance(result, Tensor) else _tensors(result)
+        start = place if isinstance(place, int) and isinstance(result, Tensor) else 0
+        if not isinstance(place, int):
+            raise ConfigError(
+                f"{_name_of(self._root)}: its forward indexes its input by {place!r}; a network on "
+                "a chip takes one timestep after another. Index timesteps by whole numbers, or "
+                "write a forward of one timestep."
+            )
+        for t, tensor in enumerate(each, start):
+            self._know(tensor, _Value(((TorchNetwork.INPUT, t),)))
+
+    def _reshaped(self, function: str, before: Tensor, after: Tensor, value: _Value) -> _Value:
+        takes, puts = tuple(before.shape[1:]), tuple(after.shape[1:])
+        if before.shape == after.shape:
+            return value
+        if before.shape[0] != after.shape[0] or len(puts) != 1:
+            raise ConfigError(
+                f"{_name_of(self._root)}: {function} makes {tuple(after.shape)} of "
+                f"{tuple(before.shape)}; between layers a network on a chip can only flatten all "
+                "axes but the batch. Use nn.Flatten()."
+            )
+        node = nir.Flatten({"input": np.array(takes)}, 0, -1)
+        flat = Fixed(node, _flatten, takes)
+        name = "+".join(name for name, _ in value.terms) + ".flatten"
+        return self._pass(name, flat, value)
+
+    def _pass(self, name: str, node: Map | Neurons, arriving: _Value) -> _Value:
+        self.nodes.setdefault(name, node)
+        self.arrived.setdefault(name, []).append(arriving)
+        return _Value(((name, len(self.arrived[name]) - 1),))
+
+    def _call(self, name: str, module: nn.Module, takes: Shape, arriving: _Value) -> str:
+        if isinstance(module, _NORMS):
+            return self._folded(name, module, arriving)
+        if name not in self.nodes:
+            self.nodes[name] = _node_of(name, module, takes)
+        self.arrived.setdefault(name, []).append(arriving)
+        return name
+
+    def _folded(self, name: str, norm: nn.Module, arriving: _Value) -> str:
+        """Fold a normalisation into the weights before it; return their name."""
+        (source, _), *others = arriving.terms or (("", 0),)
+        before = self.nodes.get(source)
+        if others or not isinstance(before, Weights) or before.norm not in (None, norm):
+            raise ConfigError(
+                f"{name}: {type(norm).__name__} on a chip is folded into the weights before it. Put "
+                "it directly behind one Linear or convolution."
+            )
+        before.norm = norm  # type: ignore[assignment]
+        return source
+
+    def _arriving(self, name: str, module: nn.Module, tensor: object) -> _Value:
+        """Return where the input of a leaf comes from."""
+        if not isinstance(tensor, Tensor):
+            raise ConfigError(f"{name}: its input is {type(tensor).__name__} and no tensor.")
+        value = self._value(tensor)
+        if value is not None and value.membrane_of:
+            raise ConfigError(
+                f"{name}: it receives the membranes of {value.membrane_of}; between layers of a "
+                "chip go spikes alone. Pass on the spikes, the first value that neurons return."
+            )
+        if value is not None:
+            return value
+        if not tensor.any() and id(tensor) not in self._unknown:
+            return _Value()  # spikes before the first timestep
+        function = self._unknown.get(id(tensor), (tensor, "a constant"))[1]
+        raise ConfigError(
+            f"{name}: it receives what {function} makes, which has no place between the layers of a "
+            "chip. Possible are sums, flattening, Linear, Conv1d, Conv2d, AvgPool2d, BatchNorm and "
+            "neurons."
+        )
+
+    def _is_neurons(self, name: str) -> bool:
+        return isinstance(self.nodes[name], Neurons)
+
+    def _value(self, tensor: Tensor) -> _Value | None:
+        found = self._values.get(id(tensor))
+        return None if found is None else found[1]
+
+    def _know(self, tensor: Tensor, value: _Value) -> None:
+        self._values[id(tensor)] = tensor, value
+
+    def _know_all(self, result: object, values: Sequence[_Value]) -> None:
+        for tensor, value in zip(_tensors(result), values, strict=False):
+            self._know(tensor, value)
+
+    # what it comes to
+
+    def network(self, takes: Shape, output: _Value) -> tuple[TorchNetwork, list[TorchNeurons]]:
+        """Return the network whose last recorded timestep this is."""
+        if not any(isinstance(node, Neurons) for node in self.nodes.values()):
+            raise ConfigError(
+                f"{_name_of(self._root)}: it has no neurons that are known: snnTorch's Leaky, "
+                "Synaptic, RLeaky, RSynaptic, Lapicque; Norse's LIFCell, LIFBoxCell, LICell; "
+                "sinabs' IAF, LIF, ExpLeak; SpikingJelly's IFNode, LIFNode, ParametricLIFNode."
+            )
+        nodes: dict[str, Map | Neurons | Delay] = dict(self.nodes)
+        edges: set[Edge] = set()
+        late: set[Edge] = set()
+        for target, calls in self.arrived.items():
+            for source, call in calls[-1].terms:
+                edges.add((source, target))
+                if source != TorchNetwork.INPUT and len(calls) - 1 > call:
+                    late.add((source, target))
+        if output.membrane_of:
+            last = nodes[output.membrane_of]
+            assert isinstance(last, TorchNeurons)
+            last.read_membrane()
+            ends = [output.membrane_of]
+        else:
+            ends = [source for source, _ in output.terms]
+        edges |= {(end, TorchNetwork.OUTPUT) for end in ends}
+        for name, node in list(nodes.items()):
+            if isinstance(node, TorchNeurons) and (recurrent := node.recurrent()) is not None:
+                nodes[f"{name}.recurrent"] = recurrent
+                edges |= {(name, f"{name}.recurrent"), (f"{name}.recurrent", name)}
+        for source, target in sorted(late):
+            if not _leads(target, source, edges):  # in a loop NIR delivers a timestep late anyway
+                steps = np.ones(nodes[source].puts, np.int64)
+                nodes[f"{source}.delay"] = Delay(steps)
+                edges.remove((source, target))
+                edges |= {(source, f"{source}.delay"), (f"{source}.delay", target)}
+        puts = nodes[ends[0]].puts
+        neurons = [node for node in nodes.values() if isinstance(node, TorchNeurons)]
+        return TorchNetwork(nodes, sorted(edges), takes, puts), neurons
+
+
+_SAME = {"detach", "clone", "contiguous", "float", "to", "dropout", "requires_grad_"}
+_INDEXING = {"__getitem__", "unbind", "select", "__iter__"}
+_ADDING = {"add", "__add__", "__radd__", "__iadd__", "add_"}
+_STACKING = {"stack", "cat"}
+_RESHAPING = {"flatten", "view", "reshape", "unflatten", "squeeze", "unsqueeze"}
+
+
+def _leads(start: str, end: str, edges: set[Edge]) -> bool:
+    """Return True if edges lead from one node to another."""
+    seen, waiting = {start}, [start]
+    while waiting:
+        here = waiting.pop()
+        if here == end:
+            return True
+        new = {target for source, target in edges if source == here} - seen
+        seen |= new
+        waiting += new
+    return False
+
+
+def _flatten(x: Tensor) -> Tensor:
+    return x.flatten(1)
+
+
+def _leaves(root: nn.Module) -> list[tuple[str, nn.Module]]:
+    """Return the modules that are taken as one node, by name; those inside them are not."""
+    found: list[tuple[str, nn.Module]] = []
+    inside: list[str] = []
+    for name, module in root.named_modules():
+        if any(name.startswith(f"{each}.") for each in inside):
+            continue
+        is_leaf = not any(module.children()) or neurons_of(module, ()) is not None
+        if is_leaf:
+            found.append((name, module))
+            inside.append(name)
+    return found
+
+
+def _node_of(name: str, module: nn.Module, takes: Shape) -> Map | Neurons:
+    """Return the node of a leaf module; ConfigError where it has no place on a chip."""
+    if (neurons := neurons_of(module, takes)) is not None:
+        return neurons
+    if isinstance(module, _WEIGHTS):
+        return Weights(module, takes)
+    if isinstance(module, nn.Flatten):
+        if (module.start_dim, module.end_dim) != (1, -1):
+            raise ConfigError(f"{name}: Flatten flattens some axes; use nn.Flatten().")
+        return Fixed(nir.Flatten({"input": np.array(takes)}, 0, -1), _flatten, takes)
+    if isinstance(module, nn.AvgPool2d):
+        return _average(name, module, takes)
+    instead = _INSTEAD.get(type(module).__name__, "take it out, or put neurons in its place")
+    raise ConfigError(f"{name}: {type(module).__name__} has no place on a chip: {instead}.")
+
+
+_INSTEAD = {
+    "MaxPool2d": "use nn.AvgPool2d, whose mean is a sum of spikes with equal weights",
+    "ReLU": "neurons take its place",
+    "Softmax": "it belongs to the loss",
+    "LayerNorm": "use nn.BatchNorm, which is folded into the weights",
+}
+
+
+def _average(name: str, module: nn.AvgPool2d, takes: Shape) -> Fixed:
+    if module.ceil_mode or not module.count_include_pad or module.divisor_override:
+        raise ConfigError(f"{name}: AvgPool2d with ceil_mode, or another divisor than its kernel.")
+    kernel, stride, padding = (
+        tuple(n) if isinstance(n, tuple | list) else (int(n), int(n))
+        for n in (module.kernel_size, module.stride, module.padding)
+    )
+    node = nir.AvgPool2d(np.array(kernel), np.array(stride), np.array(padding))
+    return Fixed(node, module, takes)
+
+
+def _tensors(found: object) -> list[Tensor]:
+    """Return the tensors in nested tuples, lists and dicts, in order."""
+    if isinstance(found, Tensor):
+        return [found]
+    if isinstance(found, Mapping):
+        found = tuple(found.values())
+    if isinstance(found, tuple | list):
+        return [tensor for each in found for tensor in _tensors(each)]
+    return []
+
+
+def _name_of(module: nn.Module) -> str:
+    return type(module).__name__

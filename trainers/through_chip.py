@@ -1,0 +1,535 @@
+"""Any network, trained through the integers of a chip.
+
+`ChipModule` is a torch module whose forward pass is the chip's program: the present numbers are
+written as NIR, compiled, and run by the fastest backend of the chip. The backward pass goes through
+the difference equations in float, at the currents, membranes and spikes that the chip had, with a
+surrogate for the derivative of a spike (Neftci et al. 2019), and straight through the rounding of
+numbers (Esser et al. 2016):
+
+    dL/dV[t]  = s'(V[t] - threshold) dL/ds[t] + dV'/dV dL/dV'[t]     V' the membrane after the reset
+    dL/dV'[t] = b dL/dV[t+1]
+    dL/dI[t]  = dL/dV[t] + a dL/dI[t+1]
+
+where dV'/dV = (1 - s) - V s' if a spike resets to zero, and 1 - threshold s' if it subtracts the
+threshold, as in snnTorch's neurons with reset_delay=False.
+"""
+
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
+
+from spikedeploy.runtime.artifact.artifact import Artifact, save
+from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.codec.codec import Codec
+from spikedeploy.runtime.compiler.compile import Recompiler
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.convention import Convention, Floor, Reset, Spikes
+from spikedeploy.runtime.emulator.backend import Recording
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.errors import ConfigError, ObservationError
+from spikedeploy.runtime.families.numba_kernels import jit
+from spikedeploy.runtime.graph.order import Timing, timing
+from spikedeploy.trainers.from_torch import network_from_torch
+from spikedeploy.trainers.network import Delay, Equation, Neurons, TorchNetwork, network_of
+from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
+
+Array = NDArray[np.floating[Any]]
+
+
+def on_chip(
+    network: nn.Module | Artifact,
+    chip_name: str,
+    input_shape: Sequence[int] | None = None,
+    *,
+    dt: float = 1e-3,
+    limits: bool = True,
+    surrogate_name: str | None = None,
+    surrogate_width: float | None = None,
+) -> "ChipModule":
+    """Return a network as a module whose forward pass is a chip; its parameters are the network's.
+
+    network: a torch module with neurons of a library (from_torch), or an artifact
+    chip_name: as the command line takes it, such as "loihi1" or "int:weight_bits=2"
+    input_shape: of a timestep of one sample, of a torch module
+    dt: [s] of a timestep, of a torch module
+    limits: refuse what breaks a design rule of the chip; False trains what does not fit
+    surrogate_name, surrogate_width: of the derivative of a spike; by default the network's own
+
+    Raises ConfigError where the module has no form on a chip, RuleError where it does not fit. A
+    neuron that the chip does not have is trained as the nearest that it has; a warning says so.
+    """
+    target = chip(chip_name)
+    if isinstance(network, Artifact):
+        nodes, stated, codec = network_of(network), network.convention, network.codec
+        wanted, described = stated.reset, "the file's neurons"
+    else:
+        if input_shape is None:
+            raise ConfigError(
+                "a torch module does not say the shape of its input: give input_shape, of a "
+                "timestep of one sample, as in input_shape=(64,)"
+            )
+        nodes, neurons = network_from_torch(network, tuple(input_shape))
+        meanings = {each.meaning.reset: each.meaning.described for each in neurons}
+        meanings = {r: d for r, d in meanings.items() if r != "none"} or meanings
+        if len(meanings) > 1:
+            raise ConfigError(
+                "the neurons reset in several ways, and a network on a chip in one: "
+                f"{'; '.join(meanings.values())}. Choose one for all layers."
+            )
+        ((wanted, described),) = meanings.items()
+        stated, codec = Convention(dt, source="as trained"), None
+    convention = _convention_on(target, stated, wanted)
+    if convention.reset != wanted and wanted != "none":
+        warnings.warn(
+            f"{described} resets by {wanted!r}, which {target.name} does not; trained is the "
+            f"nearest that it does, reset {convention.reset!r} in the timestep of the spike",
+            stacklevel=2,
+        )
+    return ChipModule(
+        nodes, target, convention, codec, limits, surrogate_name, surrogate_width
+    )
+
+
+def _convention_on(target: Chip, stated: Convention, wanted: Reset) -> Convention:
+    """Return the convention of the chip's neurons that is nearest to what is wanted."""
+    arithmetic = target.arithmetic
+    nearest: Reset = "subtract" if wanted.startswith("subtract") else "zero"
+    reset = nearest if nearest in target.resets else target.resets[0]
+    spikes: Spikes = "reached" if arithmetic.spikes_at_threshold else "above"
+    if arithmetic.spikes_max > 1 and reset == "subtract":
+        spikes = "many"
+    floor: Floor = "zero" if getattr(arithmetic, "floor", None) == 0 else "none"
+    # files of ours state decay factors by forward Euler
+    return replace(stated, reset=reset, spikes=spikes, floor=floor, integrator="euler", delay=0)
+
+
+class ChipModule(nn.Module):
+    """A network on a chip: spikes (T, B, *takes) in, what leaves the chip (T, B, *puts) out.
+
+    network: its parameters are these
+    target: the datasheet of the chip
+    convention: of the network, and of the files that `save` writes
+    codec: of the files that `save` writes, where the network drives a robot
+    limits: refuse what breaks a design rule of the chip
+    surrogate_name, surrogate_width: of the derivative of a spike, as in policies.neurons; by
+        default that of each neuron, else atan
+    spikes: name -> (T, B, *shape) of each layer in the last forward pass with gradients; membranes
+        of layers that do not spike
+    """
+
+    def __init__(
+        self,
+        network: TorchNetwork,
+        target: Chip,
+        convention: Convention,
+        codec: Codec | None = None,
+        limits: bool = True,
+        surrogate_name: str | None = None,
+        surrogate_width: float | None = None,
+    ) -> None:
+        super().__init__()
+        self.network, self.target, self.codec, self.limits = network, target, codec, limits
+        self.convention = convention
+        self.spikes: dict[str, Tensor] = {}
+        self._is_chosen = surrogate_name is not None or surrogate_width is not None
+        self._surrogate = surrogate(surrogate_name or "atan", surrogate_width)
+        self._compiler = Recompiler(self.artifact(), target, limits=limits)
+        self._compiled = self._numbers(), self._compiler.first
+        # of shapes, edges and the clock, which stay
+        clocked = self._compiler.first.convention
+        self._timing = timing(self.network.artifact(clocked).graph, clocked)
+
+    def forward(self, spikes: Tensor) -> Tensor:
+        """Return the output (T, B, *puts) of the chip for spikes (T, B, *takes).
+
+        Where gradients are recorded, those of the output lead to parameters and spikes.
+        """
+        program, puts = self.program(), self.network.puts
+        differentiable = torch.is_grad_enabled()
+        machine = Machine(program, None, "none", trace=differentiable, backend="auto")
+        output = machine.infer(self._raster(spikes))
+        found = _time_first(output, spikes).reshape(*spikes.shape[:2], *puts)
+        if not differentiable:
+            return found
+        run = self._by_timesteps if self._timing.loops else self._by_layers
+        through = run(spikes, _Records(program, machine.recordings))
+        return _exactly(found, through)
+
+    def artifact(self) -> Artifact:
+        """Return the present numbers as an artifact, which every command runs."""
+        return self.network.artifact(self.convention, self.codec)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the present numbers as a NIR file with its convention; return its path."""
+        save(self.artifact(), path)
+        return Path(path)
+
+    def program(self) -> Program:
+        """Return the chip's program of the present numbers."""
+        # fused optimisers do not count versions of tensors, so their numbers are compared
+        if (held := self._numbers()) != self._compiled[0]:
+            for name, tensor in self.network.named_parameters():
+                if not bool(tensor.isfinite().all()):
+                    raise ConfigError(
+                        f"parameter {name} holds {_first_infinite(tensor):g} after an update: the "
+                        "loss was not finite, or the learning rate is too large"
+                    )
+            self._compiled = held, self._compiler.program(self.artifact())
+        return self._compiled[1]
+
+    def _numbers(self) -> bytes:
+        tensors = (*self.network.parameters(), *self.network.buffers())
+        return b"".join(each.detach().numpy().tobytes() for each in tensors)
+
+    def _raster(self, spikes: Tensor) -> NDArray[np.uint8]:
+        """Return the spikes as the chip takes them, (B, T, M)."""
+        takes = self.network.takes
+        if tuple(spikes.shape[2:]) != takes or spikes.ndim < 2:
+            wanted = ", ".join(["T", "B", *map(str, takes)])
+            raise ObservationError(
+                f"the spikes have shape {tuple(spikes.shape)}; this network takes ({wanted}), "
+                "timesteps first."
+            )
+        values = spikes.detach()
+        counts = values.to(torch.uint8)
+        if not torch.equal(counts.to(values.dtype), values):
+            raise ObservationError(
+                f"the input holds numbers from {float(values.min()):g} to {float(values.max()):g}; "
+                "a chip takes whole spikes. Encode it first, as rates or latencies."
+            )
+        return np.ascontiguousarray(counts.flatten(2).numpy().swapaxes(0, 1))
+
+    @property
+    def _sources(self) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = {}
+        for source, target in sorted(self.network.edges):
+            found.setdefault(target, []).append(source)
+        return found
+
+    def _by_layers(self, spikes: Tensor, records: "_Records") -> Tensor:
+        """Return the output (T, B, *puts), node after node over all timesteps."""
+        nodes, before, late = self.network.nodes, self._sources, self._timing.late
+        values = {TorchNetwork.INPUT: spikes}
+        for name in self._timing.names:
+            if name == TorchNetwork.INPUT:
+                continue
+            arriving = _sum(delayed(values[s], int((s, name) in late)) for s in before[name])
+            node = nodes.get(name)
+            if node is None or isinstance(node, Delay):
+                values[name] = arriving if node is None else node(arriving)
+            elif isinstance(node, Neurons):
+                rows = self._layer(name, node, arriving.flatten(2), records)
+                values[name] = rows.unflatten(2, node.takes)
+            else:
+                values[name] = node(arriving.flatten(0, 1)).unflatten(0, spikes.shape[:2])
+        self.spikes = {n: values[n] for n, node in nodes.items() if isinstance(node, Neurons)}
+        return values[TorchNetwork.OUTPUT]
+
+    def _by_timesteps(self, spikes: Tensor, records: "_Records") -> Tensor:
+        """Return the output (T, B, *puts), timestep after timestep, as loops need it."""
+        nodes, before, late = self.network.nodes, self._sources, self._timing.late
+        steps = {
+            name: _Step(node.equation(), records.of(name, spikes), self._derivative(node))
+            for name, node in nodes.items()
+            if isinstance(node, Neurons)
+        }
+        rows: dict[str, list[Tensor]] = {name: [] for name in self._timing.names}
+        waiting: dict[str, list[Tensor]] = {name: [] for name in self._timing.names}
+        for t, arrived in enumerate(spikes.unbind()):
+            for name in self._timing.names:
+                if name == TorchNetwork.INPUT:
+                    rows[name].append(arrived)
+                    continue
+                found = [
+                    rows[s][t - 1] if (s, name) in late else rows[s][t]
+                    for s in before[name]
+                    if t or (s, name) not in late
+                ]
+                node = nodes.get(name)
+                takes = self.network.puts if node is None else node.takes
+                arriving = _sum(found) if found else arrived.new_zeros(len(arrived), *takes)
+                if isinstance(node, Delay):
+                    waiting[name].append(arriving)
+                    rows[name].append(node.at(waiting[name]))
+                elif isinstance(node, Neurons):
+                    arriving = steps[name].advance(arriving.flatten(1), t)
+                    rows[name].append(arriving.unflatten(1, node.takes))
+                else:
+                    rows[name].append(arriving if node is None else node(arriving))
+        self.spikes = {name: torch.stack(rows[name]) for name in steps}
+        return torch.stack(rows[TorchNetwork.OUTPUT])
+
+    def _layer(self, name: str, node: Neurons, arriving: Tensor, records: "_Records") -> Tensor:
+        """Return spikes or membranes (T, B, N) of a layer for what arrives (T, B, N)."""
+        equation, seen = node.equation(), records.of(name, arriving)
+        drive = arriving * equation.gain
+        if seen is None or equation.threshold is None:
+            membranes = _integrate(drive, equation)
+            return membranes if seen is None else _exactly(seen.behind, membranes)
+        found: Tensor = _ChipLayer.apply(  # type: ignore[no-untyped-call]
+            drive,
+            equation.current_decay,
+            equation.membrane_decay,
+            equation.threshold,
+            equation.leak,
+            replace(seen, before=seen.told(drive.detach(), equation)),
+            self._derivative(node),
+        )
+        return found
+
+    def _derivative(self, node: Neurons) -> Surrogate:
+        own = None if self._is_chosen else node.derivative
+        return self._surrogate if own is None else own
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What the neurons of a layer did on the chip, (T, B, N) in float units.
+
+    before, behind: membranes before and after a reset; NaN before where the chip cannot tell
+    threshold: (N,) as the chip has it
+    subtracts: True where a spike subtracts the threshold, False where it sets the membrane to 0
+    several: True where a neuron may spike several times in a timestep
+    """
+
+    current: Tensor
+    before: Tensor
+    behind: Tensor
+    spikes: Tensor
+    threshold: Tensor
+    subtracts: bool
+    several: bool
+
+    def told(self, drive: Tensor, equation: Equation) -> Tensor:
+        """Return the membranes before a reset; where unknown, by the equation from those behind."""
+        unknown = self.before.isnan()
+        if not bool(unknown.any()):
+            return self.before
+        arriving = drive if equation.current_decay is None else self.current
+        found = equation.membrane_decay.detach() * delayed(self.behind, 1) + arriving
+        if equation.leak is not None:
+            found = found + equation.leak.detach()
+        return torch.where(unknown, found, self.before)
+
+
+class _Records:
+    """The recordings of a program's layers as tensors."""
+
+    def __init__(self, program: Program, recordings: Mapping[str, Recording]) -> None:
+        self._program, self._recordings = program, recordings
+
+    def of(self, name: str, like: Tensor) -> _Seen | None:
+        """Return what a layer did, in the type of `like`; None where the host integrates it."""
+        if (recorded := self._recordings.get(name)) is None:
+            return None
+        program, layer = self._program, self._program.layer(name)
+        arithmetic, convention = program.chip.arithmetic, program.convention
+        before = arithmetic.before_reset(
+            layer, convention, recorded.current, recorded.membrane, recorded.spikes
+        )
+        last = name == program.output
+        most = getattr(arithmetic, "output_spikes_max", arithmetic.spikes_max)
+        return _Seen(
+            _time_first(recorded.current * layer.scale, like),
+            _time_first(before * layer.scale, like),
+            _time_first(recorded.membrane * layer.scale, like),
+            _time_first(recorded.spikes, like),
+            torch.from_numpy(np.asarray(layer.threshold * layer.scale, np.float64)).to(like.dtype),
+            convention.reset == "subtract",
+            (most if last else arithmetic.spikes_max) > 1,
+        )
+
+
+class _ChipLayer(torch.autograd.Function):
+    """The spikes (T, B, N) of a layer on the chip; the gradient at what was recorded there."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,  # noqa: ANN401
+        drive: Tensor,
+        current_decay: Tensor | None,
+        membrane_decay: Tensor,
+        threshold: Tensor,
+        leak: Tensor | None,
+        seen: _Seen,
+        derivative: Surrogate,
+    ) -> Tensor:
+        ctx.constants = current_decay, membrane_decay, threshold, seen, derivative
+        ctx.has_leak = leak is not None
+        return seen.spikes
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
+        a, b, threshold, seen, derivative = ctx.constants
+        slope = _slope(seen, threshold, derivative)
+        to_drive, to_numbers = _backpropagate(upstream, slope, seen, a, b, threshold)
+        to_a, to_b, to_threshold, to_leak = to_numbers.unbind()
+        return (
+            to_drive,
+            None if a is None else to_a,
+            to_b,
+            to_threshold,
+            to_leak if ctx.has_leak else None,
+            None,
+            None,
+        )
+
+
+class _Step:
+    """A layer that is advanced by one timestep after another, with torch's own gradients.
+
+    It is what `_ChipLayer` does for all timesteps at once, and what loops need.
+    """
+
+    def __init__(self, equation: Equation, seen: _Seen | None, derivative: Surrogate) -> None:
+        self._equation, self._seen, self._derivative = equation, seen, derivative
+        self._current: Tensor | None = None
+        self._membrane: Tensor | None = None
+
+    def advance(self, arriving: Tensor, t: int) -> Tensor:
+        """Return the spikes or membranes (B, N) of timestep t for what arrives (B, N)."""
+        equation, seen = self._equation, self._seen
+        drive = arriving * equation.gain
+        # I = a I + x ; V = b V + I + leak
+        if equation.current_decay is not None:
+            if self._current is not None:
+                drive = equation.current_decay * self._current + drive
+            self._current = drive if seen is None else _exactly(seen.current[t], drive)
+            drive = self._current
+        membrane = drive if equation.leak is None else drive + equation.leak
+        if self._membrane is not None:
+            membrane = membrane + equation.membrane_decay * self._membrane
+        if seen is None or equation.threshold is None:
+            self._membrane = membrane if seen is None else _exactly(seen.behind[t], membrane)
+            return self._membrane
+        unknown = seen.before[t].isnan()
+        membrane = _exactly(torch.where(unknown, membrane.detach(), seen.before[t]), membrane)
+        slope = _slope(
+            replace(seen, before=membrane.detach()), equation.threshold, self._derivative
+        )
+        spikes = _exactly(seen.spikes[t], (membrane - equation.threshold) * slope)
+        if seen.subtracts:
+            behind = membrane - equation.threshold * spikes
+        else:
+            behind = membrane - membrane * spikes.clamp(max=1)
+        self._membrane = _exactly(seen.behind[t], behind)
+        return spikes
+
+
+def _slope(seen: _Seen, threshold: Tensor, derivative: Surrogate) -> Tensor:
+    """Return the derivative of spikes by membranes before the reset, of the shape of `before`."""
+    slope = derivative(seen.before - seen.threshold)
+    if seen.several:  # s = floor(V / threshold): on average one more for each threshold
+        slope = torch.where(seen.before > seen.threshold, 1 / threshold.detach(), slope)
+    return slope
+
+
+def _backpropagate(
+    upstream: Tensor, slope: Tensor, seen: _Seen, a: Tensor | None, b: Tensor, threshold: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return gradients of the drive (T, B, N), and of a, b, threshold and leak (4, N)."""
+    rows = [
+        each.contiguous().numpy()
+        for each in (upstream, slope, seen.before, seen.behind, seen.current, seen.spikes)
+    ]
+    none = torch.zeros_like(b) if a is None else a
+    constants = torch.stack([none, b, threshold]).numpy()
+    to_drive = np.empty_like(rows[0])
+    to_numbers = np.zeros((4, len(b)), constants.dtype)
+    later = np.zeros((2, *rows[0].shape[1:]), constants.dtype)
+    _differentiate(*rows, constants, seen.subtracts, later, to_drive, to_numbers)
+    return torch.from_numpy(to_drive), torch.from_numpy(to_numbers)
+
+
+@jit
+def _differentiate(
+    upstream: Array,
+    slope: Array,
+    before: Array,
+    behind: Array,
+    current: Array,
+    spikes: Array,
+    constants: Array,
+    subtracts: bool,
+    later: Array,
+    to_drive: Array,
+    to_numbers: Array,
+) -> None:
+    """Write gradients of the drive (T, B, N), and add up those of the numbers (4, N).
+
+    constants: (3, N) a, b and threshold
+    later: (2, B, N) gradients of the current and of the membrane behind the reset, 0 at first
+    """
+    zero = constants[0, 0] - constants[0, 0]
+    for t in range(upstream.shape[0] - 1, -1, -1):
+        for n_b in range(upstream.shape[1]):
+            for n in range(upstream.shape[2]):
+                a, b, threshold = constants[0, n], constants[1, n], constants[2, n]
+                g, v, s = slope[t, n_b, n], before[t, n_b, n], spikes[t, n_b, n]
+                after = later[1, n_b, n]
+                if subtracts:
+                    to_spike = upstream[t, n_b, n] - threshold * after
+                    to_membrane = g * to_spike + after
+                    to_numbers[2, n] -= g * to_spike + s * after
+                else:
+                    to_spike = upstream[t, n_b, n] - v * after
+                    to_membrane = g * to_spike + (after if s == zero else zero)
+                    to_numbers[2, n] -= g * to_spike
+                to_current = to_membrane + a * later[0, n_b, n]
+                to_drive[t, n_b, n] = to_current
+                to_numbers[3, n] += to_membrane
+                if t:
+                    to_numbers[0, n] += to_current * current[t - 1, n_b, n]
+                    to_numbers[1, n] += to_membrane * behind[t - 1, n_b, n]
+                later[0, n_b, n] = to_current
+                later[1, n_b, n] = b * to_membrane
+
+
+def _integrate(drive: Tensor, equation: Equation) -> Tensor:
+    """Return membranes (T, B, N) of neurons that do not spike."""
+    current, membrane = torch.zeros_like(drive[0]), torch.zeros_like(drive[0])
+    found = []
+    for x in drive.unbind():
+        # I = a I + x ; V = b V + I + leak
+        current = x if equation.current_decay is None else equation.current_decay * current + x
+        membrane = equation.membrane_decay * membrane + current
+        membrane = membrane if equation.leak is None else membrane + equation.leak
+        found.append(membrane)
+    return torch.stack(found)
+
+
+def delayed(rows: Tensor, lag: int) -> Tensor:
+    """Return rows (T, ...) as they arrive `lag` timesteps later, zeros first."""
+    return torch.cat([torch.zeros_like(rows[:lag]), rows[: len(rows) - lag]]) if lag else rows
+
+
+def _first_infinite(tensor: Tensor) -> float:
+    return float(tensor.detach()[~tensor.detach().isfinite()][0])
+
+
+def _sum(parts: Iterable[Tensor]) -> Tensor:
+    first, *others = parts
+    for each in others:
+        first = first + each
+    return first
+
+
+def _exactly(value: Tensor, through: Tensor) -> Tensor:
+    """Return the value exactly, whose gradient is that of another tensor."""
+    # x - x is 0, so that no rounding is added
+    return value + (through - through.detach())
+
+
+def _time_first(values: NDArray[Any], like: Tensor) -> Tensor:
+    """Return (B, T, N), or the sum of K currents (B, T, K, N), as a tensor (T, B, N)."""
+    summed = values.sum(axis=2) if values.ndim == 4 else values
+    return torch.from_numpy(np.ascontiguousarray(summed.swapaxes(0, 1))).to(like.dtype)
