@@ -56,9 +56,15 @@ def network_from_torch(module: nn.Module, takes: Shape) -> tuple[TorchNetwork, l
     """
     with _unchanged(module), torch.no_grad():
         try:
-            tracer, puts = _run(module, takes, timesteps=None)
-        except _TimeAxis:
-            tracer, puts = _run(module, takes, timesteps=_TIMESTEPS)
+            try:
+                tracer, puts = _run(module, takes, timesteps=None)
+            except _TimeAxis:
+                tracer, puts = _run(module, takes, timesteps=_TIMESTEPS)
+        except (RuntimeError, TypeError, IndexError, ValueError, AttributeError) as error:
+            raise ConfigError(
+                f"{_name_of(module)}: its forward failed on zeros of a batch of {_BATCH} and shape "
+                f"{takes}: {error}. Give the shape of one timestep of one sample as input_shape."
+            ) from error
     return tracer.network(takes, puts)
 
 
@@ -201,10 +207,13 @@ class _Tracer(TorchFunctionMode):
         return result
 
     def _note(self, function: str, arguments: Sequence[Any], result: object) -> None:
+        for each in _tensors(arguments):
+            if id(each) in self._unknown:
+                return self._forget(result, self._unknown[id(each)][1])
         known = [self._value(each) for each in _tensors(arguments)]
         terms = [each for each in known if each is not None]
         if not terms:
-            return
+            return None
         first = arguments[0]
         if function in _SAME and len(terms) == 1:
             self._know_all(result, terms)
@@ -219,8 +228,14 @@ class _Tracer(TorchFunctionMode):
         elif function in _RESHAPING and isinstance(first, Tensor) and isinstance(result, Tensor):
             self._know_all(result, [self._reshaped(function, first, result, terms[0])])
         else:
-            for each in _tensors(result):
-                self._unknown[id(each)] = each, function
+            self._forget(result, function)
+        return None
+
+    def _forget(self, result: object, function: str) -> None:
+        """Note which function made tensors that no node can make."""
+        for each in _tensors(result):
+            self._values.pop(id(each), None)
+            self._unknown[id(each)] = each, function
 
     def _at_timesteps(self, function: str, arguments: Sequence[Any], result: object) -> None:
         if function == "__getitem__":

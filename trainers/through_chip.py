@@ -93,9 +93,7 @@ def on_chip(
             f"nearest that it does, reset {convention.reset!r} in the timestep of the spike",
             stacklevel=2,
         )
-    return ChipModule(
-        nodes, target, convention, codec, limits, surrogate_name, surrogate_width
-    )
+    return ChipModule(nodes, target, convention, codec, limits, surrogate_name, surrogate_width)
 
 
 def _convention_on(target: Chip, stated: Convention, wanted: Reset) -> Convention:

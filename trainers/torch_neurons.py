@@ -76,7 +76,9 @@ class SnnTorchNeurons(TorchNeurons):
         super().__init__(module, takes, Meaning(reset, "above", f"snnTorch's {kind}({settings})"))
         for name, plain in (("inhibition", False), ("state_quant", False)):
             if getattr(module, name, plain):
-                raise ConfigError(f"snnTorch's {kind}: {name} has no place on a chip; leave it out.")
+                raise ConfigError(
+                    f"snnTorch's {kind}: {name} has no place on a chip; leave it out."
+                )
         if float(torch.as_tensor(getattr(module, "graded_spikes_factor", 1.0)).max()) != 1:
             raise ConfigError(
                 f"snnTorch's {kind}: graded_spikes_factor is no 1; spikes of a chip are. Put the "
