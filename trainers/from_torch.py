@@ -9,7 +9,7 @@ of the network are those of the module. `torch_neurons` says what neurons of oth
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any
 
 import nir
@@ -43,7 +43,7 @@ class _Value:
     membrane_of: str = ""
 
 
-class _TimeAxis(Exception):
+class _TimeAxisError(Exception):
     """The module indexes the first axis of its input: it loops over timesteps itself."""
 
 
@@ -58,7 +58,7 @@ def network_from_torch(module: nn.Module, takes: Shape) -> tuple[TorchNetwork, l
         try:
             try:
                 tracer, puts = _run(module, takes, timesteps=None)
-            except _TimeAxis:
+            except _TimeAxisError:
                 tracer, puts = _run(module, takes, timesteps=_TIMESTEPS)
         except (RuntimeError, TypeError, IndexError, ValueError, AttributeError) as error:
             raise ConfigError(
@@ -219,7 +219,7 @@ class _Tracer(TorchFunctionMode):
             self._know_all(result, terms)
         elif function in _INDEXING and any(first is x for x in self._inputs):
             if not self._loops:
-                raise _TimeAxis
+                raise _TimeAxisError
             self._at_timesteps(function, arguments, result)
         elif function in _ADDING and len(terms) == len(known):
             self._know_all(result, [_Value(tuple(t for each in terms for t in each.terms))])
@@ -287,8 +287,8 @@ class _Tracer(TorchFunctionMode):
         before = self.nodes.get(source)
         if others or not isinstance(before, Weights) or before.norm not in (None, norm):
             raise ConfigError(
-                f"{name}: {type(norm).__name__} on a chip is folded into the weights before it. Put "
-                "it directly behind one Linear or convolution."
+                f"{name}: {type(norm).__name__} is folded into the weights before it. Put it "
+                "directly behind one Linear or convolution."
             )
         before.norm = norm  # type: ignore[assignment]
         return source
@@ -309,7 +309,7 @@ class _Tracer(TorchFunctionMode):
             return _Value()  # spikes before the first timestep
         function = self._unknown.get(id(tensor), (tensor, "a constant"))[1]
         raise ConfigError(
-            f"{name}: it receives what {function} makes, which has no place between the layers of a "
+            f"{name}: it receives what {function} makes, which has no place between layers of a "
             "chip. Possible are sums, flattening, Linear, Conv1d, Conv2d, AvgPool2d, BatchNorm and "
             "neurons."
         )

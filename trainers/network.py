@@ -89,7 +89,8 @@ class Weights(Map):
         layer = self.layer
         if isinstance(layer, nn.Linear):
             return nn.functional.linear(x, weight, bias)
-        return layer._conv_forward(x, weight, bias)
+        found: Tensor = layer._conv_forward(x, weight, bias)
+        return found
 
     def node(self) -> nir.NIRNode:
         """Return Linear, Affine, Conv1d or Conv2d."""

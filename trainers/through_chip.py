@@ -18,7 +18,7 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -36,7 +36,7 @@ from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.families.numba_kernels import jit
-from spikedeploy.runtime.graph.order import Timing, timing
+from spikedeploy.runtime.graph.order import timing
 from spikedeploy.trainers.from_torch import network_from_torch
 from spikedeploy.trainers.network import Delay, Equation, Neurons, TorchNetwork, network_of
 from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
@@ -100,7 +100,7 @@ def _convention_on(target: Chip, stated: Convention, wanted: Reset) -> Conventio
     """Return the convention of the chip's neurons that is nearest to what is wanted."""
     arithmetic = target.arithmetic
     nearest: Reset = "subtract" if wanted.startswith("subtract") else "zero"
-    reset = nearest if nearest in target.resets else target.resets[0]
+    reset = nearest if nearest in target.resets else cast("Reset", target.resets[0])
     spikes: Spikes = "reached" if arithmetic.spikes_at_threshold else "above"
     if arithmetic.spikes_max > 1 and reset == "subtract":
         spikes = "many"
@@ -225,7 +225,7 @@ class ChipModule(nn.Module):
                 values[name] = arriving if node is None else node(arriving)
             elif isinstance(node, Neurons):
                 rows = self._layer(name, node, arriving.flatten(2), records)
-                values[name] = rows.unflatten(2, node.takes)
+                values[name] = rows.reshape(*spikes.shape[:2], *node.takes)
             else:
                 values[name] = node(arriving.flatten(0, 1)).unflatten(0, spikes.shape[:2])
         self.spikes = {n: values[n] for n, node in nodes.items() if isinstance(node, Neurons)}
@@ -259,7 +259,7 @@ class ChipModule(nn.Module):
                     rows[name].append(node.at(waiting[name]))
                 elif isinstance(node, Neurons):
                     arriving = steps[name].advance(arriving.flatten(1), t)
-                    rows[name].append(arriving.unflatten(1, node.takes))
+                    rows[name].append(arriving.reshape(-1, *node.takes))
                 else:
                     rows[name].append(arriving if node is None else node(arriving))
         self.spikes = {name: torch.stack(rows[name]) for name in steps}
@@ -444,12 +444,14 @@ def _backpropagate(
     to_drive = np.empty_like(rows[0])
     to_numbers = np.zeros((4, len(b)), constants.dtype)
     later = np.zeros((2, *rows[0].shape[1:]), constants.dtype)
-    _differentiate(*rows, constants, seen.subtracts, later, to_drive, to_numbers)
+    arrays = (*rows, constants, later, to_drive, to_numbers)
+    _differentiate(seen.subtracts, *arrays)
     return torch.from_numpy(to_drive), torch.from_numpy(to_numbers)
 
 
 @jit
 def _differentiate(
+    subtracts: bool,
     upstream: Array,
     slope: Array,
     before: Array,
@@ -457,7 +459,6 @@ def _differentiate(
     current: Array,
     spikes: Array,
     constants: Array,
-    subtracts: bool,
     later: Array,
     to_drive: Array,
     to_numbers: Array,

@@ -98,10 +98,10 @@ def _prepared(
 
 
 class Recompiler:
-    """Compiles a network again whenever its numbers have changed, as training through a chip does.
+    """Compiles a network again when its numbers have changed, as training through a chip does.
 
-    The edges of the graph are followed once. Rules on capacity are judged once, by `compile_program`
-    of the first numbers; what the arithmetic cannot compute is refused each time.
+    The edges of the graph are followed once. Rules on capacity are judged once, of the first
+    numbers; what the arithmetic cannot compute is refused each time.
 
     artifact: the network with its first numbers.
     chip, quantisation, clock, limits: as in `compile_program`.

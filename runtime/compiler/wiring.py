@@ -137,7 +137,7 @@ def rewired(wired: LayerGraph, graph: nir.NIRGraph, convention: Convention) -> L
         renewed = replace(synapses, weight=found[0], window=found[1])
         return renewed.listed() if is_listed else renewed
 
-    def bias(target: str, before: Floats) -> Floats:
+    def bias_of(target: str, before: Floats) -> Floats:
         found = biases.get(target)
         return before if found is None else np.asarray(sum(found[1:], found[0]))
 
@@ -153,12 +153,12 @@ def rewired(wired: LayerGraph, graph: nir.NIRGraph, convention: Convention) -> L
             layer: tuple(weights(s.source, layer, s) for s in synapses)
             for layer, synapses in wired.synapses.items()
         },
-        bias={layer: bias(layer, before) for layer, before in wired.bias.items()},
+        bias={layer: bias_of(layer, before) for layer, before in wired.bias.items()},
         outlets=tuple(
             replace(
                 outlet,
                 taps=tuple(tap(outlet.port.name, term) for term in outlet.taps),
-                bias=bias(outlet.port.name, outlet.bias),
+                bias=bias_of(outlet.port.name, outlet.bias),
             )
             for outlet in wired.outlets
         ),

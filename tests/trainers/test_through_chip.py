@@ -1,4 +1,4 @@
-"""Networks that are trained through a chip: what goes forward is the chip, what goes back snnTorch."""
+"""Networks trained through a chip: forward goes the chip, backward what snnTorch differentiates."""
 
 import warnings
 
@@ -18,7 +18,7 @@ from spikedeploy.runtime.chips.chip import chip  # noqa: E402
 from spikedeploy.runtime.compiler.compile import compile_program  # noqa: E402
 from spikedeploy.runtime.convention import Convention  # noqa: E402
 from spikedeploy.runtime.emulator.machine import Machine  # noqa: E402
-from spikedeploy.runtime.errors import ConfigError, ObservationError, RuleError  # noqa: E402
+from spikedeploy.runtime.errors import ConfigError, ObservationError  # noqa: E402
 from spikedeploy.trainers.through_chip import on_chip  # noqa: E402
 
 
@@ -101,11 +101,9 @@ def test_the_forward_pass_is_the_program_of_the_saved_file(name, kind, tmp_path)
     neurons = neurons_for(name)
     shape = (2, 8, 8) if kind == "convolutional" else (8,)
     net = {"dense": dense, "convolutional": convolutional, "recurrent": Recurrent}[kind](neurons)
-    try:
-        module = on_chip(net, name, shape, limits=False)
-    except RuleError as error:
-        assert kind == "recurrent" or "leak" not in str(error)
-        pytest.skip(f"{name} has no such network: {error}")
+    if (name, kind) == ("spiker", "recurrent"):
+        pytest.skip("its spikes come back a timestep late, and this network has no time for that")
+    module = on_chip(net, name, shape, limits=False)
     with torch.no_grad():  # after an update
         for parameter in net.parameters():
             parameter.add_(0.05 * torch.randn(parameter.shape))
@@ -323,13 +321,13 @@ def test_a_module_that_is_no_network_on_a_chip_is_refused(net, words):
 
 
 def test_a_neuron_that_no_chip_has_is_trained_as_the_nearest_and_this_is_said():
-    with pytest.warns(UserWarning, match="the nearest that it does, reset 'zero'"):
+    with pytest.warns(UserWarning, match=r"the nearest that it does, reset 'zero'"):
         on_chip(dense(lambda: snn.Leaky(beta=0.9)), "loihi1", (8,))
 
 
 def test_inputs_that_are_no_spikes_are_refused():
     module = on_chip(dense(leaky), "loihi1", (8,))
-    with pytest.raises(ObservationError, match="from 0.5 to 0.5"):
+    with pytest.raises(ObservationError, match=r"from 0\.5 to 0\.5"):
         module(torch.full((4, 2, 8), 0.5))
     with pytest.raises(ObservationError, match=r"takes \(T, B, 8\)"):
         module(torch.zeros(4, 8))
