@@ -47,8 +47,10 @@ if TYPE_CHECKING:
         LoadedNetwork,
         NetworkRun,
         compare,
+        export,
         load,
         make,
+        on_chip,
         train,
     )
 
@@ -60,8 +62,10 @@ __all__ = [
     "NetworkRun",
     "__version__",
     "compare",
+    "export",
     "load",
     "make",
+    "on_chip",
     "train",
 ]
 

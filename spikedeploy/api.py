@@ -1,4 +1,4 @@
-"""Three lines of Python: a network from a file, on a chip, run; and policies compared.
+"""Three lines of Python: a network from a file, on a chip, run or trained; policies compared.
 
     import spikedeploy as sd
 
@@ -37,8 +37,10 @@ from spikedeploy.seeds import EVALUATION
 if TYPE_CHECKING:
     import gymnasium
     from matplotlib.figure import Figure
+    from torch import nn
 
     from spikedeploy.reports.table import Table
+    from spikedeploy.trainers.through_chip import ChipModule
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,6 +319,49 @@ def _named(policy: "str | Path | LoadedNetwork") -> str:
             "file says: save the artifact with spikedeploy.runtime.save, and compare that file"
         )
     return str(policy.path)
+
+
+def on_chip(
+    network: "nn.Module | LoadedNetwork | Artifact | str | Path",
+    chip: str,
+    input_shape: Sequence[int] | None = None,
+    **options: Any,  # noqa: ANN401
+) -> "ChipModule":
+    """A network as a torch module whose forward pass is the chip; its parameters are the network's.
+
+    network      a torch module with neurons of snnTorch, or a `.nir` file
+    input_shape  of a torch module: of one timestep of one sample, as in (64,) or (2, 34, 34)
+    options      of trainers.through_chip.on_chip: dt, limits, surrogate_name, surrogate_width
+    """
+    from spikedeploy.trainers import through_chip
+
+    if isinstance(network, str | Path):
+        network = load(network)
+    of_file = network.artifact if isinstance(network, LoadedNetwork) else network
+    return through_chip.on_chip(of_file, chip, input_shape, **options)
+
+
+def export(
+    network: "nn.Module | ChipModule",
+    path: str | Path,
+    input_shape: Sequence[int] | None = None,
+    dt: float = 1e-3,
+) -> LoadedNetwork:
+    """A torch module as a NIR file with its convention, which every command takes; loaded again.
+
+    network      with neurons of snnTorch; or what `on_chip` made of one
+    input_shape  of one timestep of one sample, where `on_chip` did not have it
+    dt           [s] of a timestep
+    """
+    from spikedeploy.trainers.from_torch import artifact_from_torch
+    from spikedeploy.trainers.through_chip import ChipModule
+
+    if isinstance(network, ChipModule):
+        artifact = network.artifact()
+    else:
+        artifact = artifact_from_torch(network, input_shape, dt)
+    files.save(artifact, path)
+    return load(path)
 
 
 def train(recipe: str | None, **options: Any) -> Path:  # noqa: ANN401

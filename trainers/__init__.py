@@ -17,6 +17,9 @@ sac/             soft actor-critic
 ppo.py           proximal policy optimisation
 distill/         distillation of a teacher by DAgger
 sparse/          imitation through whole walks, pruned by operations; then reward
+through_chip.py  any network as a torch module whose forward pass is a chip
+from_torch.py    what a torch module computes in a timestep; torch_neurons.py: neurons of snnTorch
+network.py       NIR nodes whose numbers are torch parameters
 policies/        torch policies: MLP, PopSAN, spiking MLP, event-driven and pruned ones
 
 An algorithm is a subclass of Runner and a line in ALGORITHMS; a recipe is an entry in recipes.toml.

@@ -18,10 +18,12 @@ import torch
 from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
 from spikedeploy.trainers.network import Delay, Edge, Fixed, Map, Neurons, TorchNetwork, Weights
-from spikedeploy.trainers.torch_neurons import TorchNeurons, neurons_of
+from spikedeploy.trainers.torch_neurons import Meaning, TorchNeurons, neurons_of
 
 _WEIGHTS = (nn.Linear, nn.Conv1d, nn.Conv2d)
 _NORMS = (nn.BatchNorm1d, nn.BatchNorm2d)
@@ -66,6 +68,44 @@ def network_from_torch(module: nn.Module, takes: Shape) -> tuple[TorchNetwork, l
                 f"{takes}: {error}. Give the shape of one timestep of one sample as input_shape."
             ) from error
     return tracer.network(takes, puts)
+
+
+def artifact_from_torch(
+    module: nn.Module, takes: Sequence[int] | None, dt: float = 1e-3
+) -> Artifact:
+    """Return a module as an artifact, as its own library computes it.
+
+    takes: shape of a timestep of one sample
+    dt: [s] of a timestep
+    """
+    network, neurons = network_from_torch(module, given_shape(takes))
+    meaning = common_meaning(neurons)
+    reset = meaning.reset if meaning.reset != "none" else "zero"
+    stated = Convention(dt, reset, spikes=meaning.spikes, source=f"{meaning.described}")
+    return network.artifact(stated)
+
+
+def given_shape(takes: Sequence[int] | None) -> Shape:
+    """Return the shape of an input; ConfigError where there is none."""
+    if takes is None:
+        raise ConfigError(
+            "a torch module does not say the shape of its input: give input_shape, of a timestep "
+            "of one sample, as in input_shape=(64,)"
+        )
+    return tuple(int(n) for n in takes)
+
+
+def common_meaning(neurons: Sequence[TorchNeurons]) -> Meaning:
+    """Return what all spiking neurons mean; ConfigError where layers reset in several ways."""
+    found = {each.meaning.reset: each.meaning for each in neurons}
+    spiking = {reset: meaning for reset, meaning in found.items() if reset != "none"} or found
+    if len(spiking) > 1:
+        raise ConfigError(
+            "the neurons reset in several ways, and a network on a chip in one: "
+            f"{'; '.join(m.described for m in spiking.values())}. Choose one for all layers."
+        )
+    (meaning,) = spiking.values()
+    return meaning
 
 
 @contextmanager

@@ -37,7 +37,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.families.numba_kernels import jit
 from spikedeploy.runtime.graph.order import timing
-from spikedeploy.trainers.from_torch import network_from_torch
+from spikedeploy.trainers.from_torch import common_meaning, given_shape, network_from_torch
 from spikedeploy.trainers.network import Delay, Equation, Neurons, TorchNetwork, network_of
 from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
 
@@ -71,20 +71,9 @@ def on_chip(
         nodes, stated, codec = network_of(network), network.convention, network.codec
         wanted, described = stated.reset, "the file's neurons"
     else:
-        if input_shape is None:
-            raise ConfigError(
-                "a torch module does not say the shape of its input: give input_shape, of a "
-                "timestep of one sample, as in input_shape=(64,)"
-            )
-        nodes, neurons = network_from_torch(network, tuple(input_shape))
-        meanings = {each.meaning.reset: each.meaning.described for each in neurons}
-        meanings = {r: d for r, d in meanings.items() if r != "none"} or meanings
-        if len(meanings) > 1:
-            raise ConfigError(
-                "the neurons reset in several ways, and a network on a chip in one: "
-                f"{'; '.join(meanings.values())}. Choose one for all layers."
-            )
-        ((wanted, described),) = meanings.items()
+        nodes, neurons = network_from_torch(network, given_shape(input_shape))
+        meaning = common_meaning(neurons)
+        wanted, described = meaning.reset, meaning.described
         stated, codec = Convention(dt, source="as trained"), None
     convention = _convention_on(target, stated, wanted)
     if convention.reset != wanted and wanted != "none":

@@ -55,6 +55,10 @@ class TorchNeurons(Neurons):
         self._reads_membrane = True
 
 
+# V = (1 - r) (beta V + I): a late reset takes the input of that timestep with it; Leaky keeps it
+_LOSE_THEIR_INPUT = ("RLeaky", "Lapicque")
+
+
 class SnnTorchNeurons(TorchNeurons):
     """snnTorch 1.0.0: Leaky, RLeaky, Synaptic, RSynaptic, Lapicque.
 
@@ -63,7 +67,8 @@ class SnnTorchNeurons(TorchNeurons):
 
     def __init__(self, module: Any, takes: Shape) -> None:  # noqa: ANN401
         kind = type(module).__name__
-        late = getattr(module, "reset_delay", True)
+        # RSynaptic throws away what reset_delay=False subtracts; Lapicque has no such choice
+        late = getattr(module, "reset_delay", True) or kind == "RSynaptic"
         wanted = module.reset_mechanism
         resets: dict[tuple[str, bool], Reset] = {
             ("zero", False): "zero",
@@ -91,6 +96,8 @@ class SnnTorchNeurons(TorchNeurons):
         module: Any = self.module
         beta = torch.as_tensor(module.beta)
         alpha = getattr(module, "alpha", None)
+        if self.meaning.reset == "zero-delayed" and type(module).__name__ in _LOSE_THEIR_INPUT:
+            alpha = torch.zeros(())  # a current that forgets at once: as of CubaLIF, V = 0 then
         gain = torch.ones((), dtype=beta.dtype)
         if hasattr(module, "R"):  # Lapicque: V = (1 - dt / RC) V + dt / C I
             gain = module.time_step / module.C

@@ -12,6 +12,7 @@ snn = pytest.importorskip("snntorch")
 from snntorch import utils  # noqa: E402
 from torch import nn  # noqa: E402
 
+import spikedeploy as sd  # noqa: E402
 from spikedeploy.runtime.artifact.artifact import Artifact, load  # noqa: E402
 from spikedeploy.runtime.chips import CHIPS  # noqa: E402
 from spikedeploy.runtime.chips.chip import chip  # noqa: E402
@@ -227,6 +228,39 @@ def test_training_through_few_bits_learns_what_rounding_destroys(name):
         optimiser.step()
         losses.append(loss.item())
     assert losses[-1] < 0.75 * losses[0]
+
+
+NEURONS = {
+    "Leaky": lambda **how: snn.Leaky(beta=0.8, **how),
+    "Synaptic": lambda **how: snn.Synaptic(alpha=0.6, beta=0.8, **how),
+    "RLeaky": lambda **how: snn.RLeaky(beta=0.8, linear_features=6, **how),
+    "RSynaptic": lambda **how: snn.RSynaptic(alpha=0.6, beta=0.8, linear_features=6, **how),
+    "Lapicque": lambda reset_delay, **how: snn.Lapicque(beta=0.8, **how),
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "late"),  # RSynaptic has no reset_delay=False: snnTorch 1.0.0 divides None by a tensor
+    [(kind, late) for kind in NEURONS for late in (True, False) if late or kind != "RSynaptic"],
+)
+@pytest.mark.parametrize("reset", ["zero", "subtract"])
+def test_an_exported_module_computes_in_float_what_snntorch_does(kind, reset, late, tmp_path):
+    torch.manual_seed(2)
+    neurons = NEURONS[kind](reset_mechanism=reset, reset_delay=late)
+    net = nn.Sequential(nn.Linear(8, 6), neurons)
+    with torch.no_grad():  # Lapicque's input counts dt / C = -log(beta) times
+        net[0].weight.mul_(12 if kind == "Lapicque" else 3)
+    x, expected = raster(8, timesteps=40), []
+    states = [torch.zeros(3, 6) for _ in neurons.reset_mem()] if kind[0] == "R" else []
+    for row in x:
+        found = neurons(net[0](row), *states)
+        # recurrent neurons take their spikes back, others their states alone
+        states = found if kind[0] == "R" else found[1:]
+        expected.append(found[0])
+    expected = torch.stack(expected).detach()
+    run = sd.export(net, tmp_path / "net.nir", (8,)).run(x.numpy().swapaxes(0, 1).astype(np.uint8))
+    assert 20 < expected.sum() < expected.numel() - 20
+    np.testing.assert_array_equal(run.outputs["output"].swapaxes(0, 1), expected.numpy())
 
 
 class Passed(nn.Module):
