@@ -159,10 +159,7 @@ def test_emulate_without_an_output_counts_and_writes_nothing(command, tmp_path):
 @pytest.mark.parametrize(
     ("array", "message"),
     [
-        (
-            np.zeros((2, 3, 4)),
-            (np.zeros((2, 3, 4)), r"shape \(1, 2, 3, 4\) with its batch; node 'input' takes"),
-        ),
+        (np.zeros((2, 3, 4)), r"shape \(1, 2, 3, 4\) with its batch; node 'input' takes"),
         (np.full((5, 30), 2), "0 or 1"),
         (np.array([{}], dtype=object), "not a .npy or .npz file with plain arrays"),
     ],
