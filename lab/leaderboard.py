@@ -44,7 +44,6 @@ UNKNOWN = "not reported"
 # a chip's own prices, and those that float networks have too
 _SHOWN = ("davies2018", "horowitz45-int8")
 _INT8 = "horowitz45-int8"
-_TUNED = "-tuned"  # recipes that go on with reward
 _SOURCE = "spikedeploy, [cards](../spikedeploy/zoo), [clocks](../results/clocks.md)"
 
 
@@ -78,8 +77,6 @@ def own_rows() -> Iterator[tuple[str, LeaderboardRow]]:
         card = zoo.card(f"{task}/sparse")
         reference = zoo.card(str(zoo.teacher(task)))
         (row,) = (each for each in card["evaluation"] if each["chip"] not in (None, "float"))
-        rewarded = card["recipe"].endswith(_TUNED)
-        kind = clocks.KINDS["pipelined, with reward" if rewarded else "pipelined"]
         name = f"{task}/sparse"
         evidence = {
             "command": f"spikedeploy run {name} --chip {row['chip']} --episodes {row['episodes']}",
@@ -97,7 +94,7 @@ def own_rows() -> Iterator[tuple[str, LeaderboardRow]]:
             {
                 "source": _SOURCE,
                 "rival": _rival(task),
-                "over_trainings": _over_trainings(task, kind, over),
+                "over_trainings": _over_trainings(task, clocks.shipped_kind(card), over),
                 "without_hidden": hidden.get(name, {}).get("kept"),
                 "note": "Share over all trainings; operations and energy of the shipped one.",
             },
@@ -135,7 +132,7 @@ def _rival(task: str) -> dict[str, Any]:
     """The cheapest float policy with 98 % of the teacher's score, as results/energy.csv has it.
 
     Of karts the share is of mean returns, and has no interval: their scores are finishes. Success
-    of walkers was not recorded, nor how many karts stalled.
+    on the command task was not recorded, nor how many karts stalled.
     """
     pair = _pair(task)
     table = fronts.read_table(RESULTS / "pareto" / f"{task}.csv")
@@ -155,7 +152,7 @@ def _rival(task: str) -> dict[str, Any]:
         "return_mean": earned,
         "share": earned / teacher["return_mean"] if races else of.mean,
         "share_ci95": None if races else list(of.ci95),
-        "success_rate": float(np.mean([row["scores"] for row in point.rows])) if races else None,
+        "success_rate": clocks.succeeded(task, point),
         "failure_rate": None if races else point.mean("falls"),
         "risk": risk([row["returns" if races else "scores"] for row in point.rows]),
         "training_seeds": len(point.rows),
@@ -200,11 +197,14 @@ def _table(rows: Sequence[LeaderboardRow]) -> str:
     return markdown_text([list(_COLUMNS), *([cell(r) for cell in _COLUMNS.values()] for r in rows)])
 
 
-def _linear(kept: float | None) -> str:
-    """What stands after the name of a policy that hardly needs its hidden neurons."""
-    if kept is None or not hidden_neurons.is_linear(kept):
+def _without_hidden(row: LeaderboardRow) -> str:
+    """What stands after the name of a policy that was tried with all hidden neurons dead."""
+    if row.without_hidden is None:
         return ""
-    return f", linear in events ({kept:.1%} of its return with all hidden neurons dead)"
+    measured, files = hidden_neurons.read(), row.evidence.sha256 if row.evidence else ()
+    found = [measured[name] for file in files if (name := file.removesuffix(".nir")) in measured]
+    label = "linear in events, " if any(map(hidden_neurons.is_linear, found)) else ""
+    return f", {label}{row.without_hidden:.1%} of its return with all hidden neurons dead"
 
 
 def _share(policy: PolicyEntry, reference: str | None) -> str:
@@ -239,7 +239,7 @@ def _success(row: LeaderboardRow) -> str:
     return "; ".join(words)
 
 
-def _failures(row: LeaderboardRow) -> str:
+def _ended_early(row: LeaderboardRow) -> str:
     of = row.over_trainings
     return _over_or_own(of.failure_rate if of else None, row.spiking.failure_rate, "{:.1%}", of)
 
@@ -316,7 +316,7 @@ def _rival_cell(row: LeaderboardRow) -> str:
         worst = rival.risk / earned if rival.risk is not None and earned else None
         outcomes = {
             "succeeds": rival.success_rate,
-            "fails": rival.failure_rate,
+            "ended early": rival.failure_rate,
             "worst 5 %": worst,
         }
         words[1:1] = [f"{name} {x:.1%}" for name, x in outcomes.items() if x is not None]
@@ -333,11 +333,11 @@ def _source_cell(row: LeaderboardRow) -> str:
 
 _COLUMNS: Mapping[str, Callable[[LeaderboardRow], str]] = {
     "task": lambda row: row.task.removeprefix("spikedeploy/"),
-    "policy": lambda row: escape_markdown(row.spiking.name) + _linear(row.without_hidden),
+    "policy": lambda row: escape_markdown(row.spiking.name) + _without_hidden(row),
     "chip": lambda row: row.chip or UNKNOWN,
     "return": _earned,
     "success": _success,
-    "failures": _failures,
+    "ended early": _ended_early,
     "worst 5 %": _worst,
     "operations": lambda row: _operations(row.spiking),
     "neuron updates": lambda row: _number(row.spiking.neuron_updates, ",.1f"),

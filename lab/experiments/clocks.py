@@ -22,6 +22,7 @@ import numpy as np
 from lab.experiments import DESIGNS, fronts
 from lab.experiments.pages import render
 from lab.experiments.training import Record, read_rows, write_exactly
+from spikedeploy import zoo
 from spikedeploy.comparison.comparison import Row
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
@@ -32,6 +33,7 @@ from spikedeploy.comparison.statistics import (
     stratified_bootstrap,
     t_interval,
 )
+from spikedeploy.envs.hexapod.env import HexapodEnv
 from spikedeploy.files import write_text
 from spikedeploy.policies import costs
 from spikedeploy.policies.registry import find
@@ -91,7 +93,7 @@ def _result(task: str, kind: str, rows: Sequence[Row], reference: Row) -> Record
 
     share: of the reference's return in the same episodes, and its 95 % interval over trainings and
         episodes.
-    failed, worst: episodes that failed (Rollout.failed), mean return of the worst 5 %.
+    failed, worst: episodes that ended early (Rollout.failed), mean return of the worst 5 %.
     seconds: mean duration of a lap over that of the reference's; NaN of walkers.
     clock: nothing of a float policy.
     sops, updates, macs: of a control step; MACs with an input that is not 0, as `sops` have.
@@ -132,16 +134,38 @@ def share_over_trainings(row: Mapping[str, Any]) -> Estimate | None:
 
 
 def failed(row: Mapping[str, Any]) -> float | None:
-    """Share of the episodes that failed; none where all succeeded, None where it is not known."""
+    """Share of the episodes that ended early: 0 where all succeeded, None where it is unknown."""
     share: float | None = row["failed"]
     return 0.0 if share is None and row["succeeded"] == 1 else share
+
+
+def worst_of_shipped(row: Mapping[str, Any]) -> float | None:
+    """The worst 5 % of the file that is shipped, in the episodes of its card.
+
+    Of a row of one training that is the file itself; of several, the one of them that is shipped.
+    None of those that are not, or that their card has in another clock.
+    """
+    kind, clock = row["kind"], (row["clock"] or "").removesuffix(", assumed")
+    chip = {"": None, "pipelined": "loihi1"}.get(clock, f"loihi1:clock={clock}")
+    name = "sparse" if kind.startswith("trained") else kind
+    if zoo.path(f"{row['task']}/{name}") is None:
+        return None
+    card = zoo.card(f"{row['task']}/{name}")
+    if name == "sparse" and kind != shipped_kind(card):
+        return None
+    return next((each["risk"] for each in card["evaluation"] if each["chip"] == chip), None)
+
+
+def shipped_kind(card: Mapping[str, Any]) -> str:
+    """Of which trainings a task's `sparse` is, by its card."""
+    return KINDS["pipelined, with reward" if card["recipe"].endswith("-tuned") else "pipelined"]
 
 
 def pruned(task: str) -> Iterator[Record]:
     """Rows of the float networks of results/pareto/ that are pruned, as the spiking ones are.
 
-    Those of several trainings with LEAST of the teacher's score. Of walkers nothing says which
-    episodes succeeded, of karts how many failed.
+    Those of several trainings with LEAST of the teacher's score. Of the command task nothing says
+    which episodes succeeded, of karts how many ended early.
     """
     table = fronts.read_table(RESULTS / "pareto" / f"{task}.csv")
     beside = fronts.reference_rows(table)
@@ -163,11 +187,21 @@ def _pruned_row(task: str, point: fronts.Point, reference: Record) -> Record:
         task, f"{point.label}, pruned to {macs:.0f} MACs", "", len(point.rows), returns.shape[1],
         earned.mean, *earned.ci95, of.mean if of else earned.mean / reference["return_mean"],
         *(of.ci95 if of else (None, None)),
-        float(np.mean([row["scores"] for row in point.rows])) if races else None,
+        succeeded(task, point),
         None if races else point.mean("falls"), risk(returns), math.nan, 0.0, 0.0, macs,
         " ".join(f"{mean:.6g}" for mean in returns.mean(axis=1)),
     )  # fmt: skip
     return dict(zip(COLUMNS, values, strict=True))
+
+
+def succeeded(task: str, point: fronts.Point) -> float | None:
+    """Share of the episodes that succeed; None where returns and falls do not say it."""
+    scores = np.array([row["scores"] for row in point.rows])
+    if "kart" in task:
+        return float(np.mean(scores))
+    if task != "hexapod" or any(row["falls"] for row in point.rows):
+        return None
+    return float(np.mean(scores >= HexapodEnv.SUCCESS_RETURN))
 
 
 def page(found: Sequence[Record], episodes: int) -> str:
@@ -179,7 +213,8 @@ def page(found: Sequence[Record], episodes: int) -> str:
     ]
     return render(
         "clocks", rows=[(row, share_over_trainings(row)) for row in rows],
-        name_of=name_of, failed=failed, episodes=episodes, first=FIRST_SEED,
+        name_of=name_of, failed=failed, worst_of_shipped=worst_of_shipped,
+        episodes=episodes, first=FIRST_SEED,
         missing=dict.fromkeys(row["task"] for row in found if row["worst"] is None),
     )  # fmt: skip
 

@@ -5,9 +5,10 @@
 A sparse policy has two ways from events to actions: through spiking neurons, and past them, from
 events straight into integrating readouts. The second alone is a linear policy of events. Here all
 hidden neurons are dead (the fault `dead-neurons`, level 1), in the episodes of the policy's card,
-whose returns stand beside. A policy that keeps LEAST of its return so is called linear in events,
-with the share that it keeps. That hidden neurons spike, by the ledger, says nothing of this: those
-of all policies here do.
+whose returns stand beside. A policy is called linear in events that keeps LEAST of its return so,
+and whose success is not shown to change: the 95 % interval of the difference, paired by episode,
+holds 0. Its neurons are needed where that interval is below 0; else nothing is said but the shares.
+That hidden neurons spike, by the ledger, says nothing of this: those of all policies here do.
 
 --write puts the rows into results/hidden-neurons.json and onto the cards, of the policies that are
 named; others keep theirs. With --no-play the cards are written of the rows that are there.
@@ -38,7 +39,7 @@ POLICIES = tuple(
     for name in ("sparse", "sparse-gated")
 )
 FAULT = "dead-neurons=1"
-LEAST = 0.9  # of the return
+LEAST = 0.98  # of the return
 
 
 def read(path: Path = TABLE) -> dict[str, Any]:
@@ -82,16 +83,18 @@ def row_of(policy: str, intact: Mapping[str, Any], dead: Row, first: int) -> dic
     }
 
 
-def is_linear(kept: float | None) -> bool:
-    """Whether a policy that keeps such a share is called linear in events; not if untried."""
-    return kept is not None and kept >= LEAST
+def is_linear(row: Mapping[str, Any]) -> bool:
+    """Whether the policy of a row is called linear in events."""
+    low, high = row["success_difference_ci95"]
+    return bool(row["kept"] >= LEAST and low <= 0 <= high)
 
 
 def describe(row: Mapping[str, Any]) -> str:
     """`linear in events: with all hidden neurons dead it keeps 100.5% of its return and …`."""
-    verdict = "linear in events" if is_linear(row["kept"]) else "needed"
+    verdict = "needed: " if row["success_difference_ci95"][1] < 0 else ""
     return (
-        f"{verdict}: with all hidden neurons dead it keeps {row['kept']:.1%} of its return and "
+        f"{'linear in events: ' if is_linear(row) else verdict}"
+        f"with all hidden neurons dead it keeps {row['kept']:.1%} of its return and "
         f"succeeds in {row['success_rate_dead']:.0%} of {row['episodes']} episodes, intact in "
         f"{row['success_rate']:.0%} (`{row['command']}`)"
     )

@@ -20,6 +20,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, ClassVar
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -215,6 +216,8 @@ class StudentsDesign(Design):
         rows = read_rows(table, _TEXT)
         by = dict(grouped(rows, "task", "role"))
         tasks = [_facts(task, by) for task in TASKS if (task, TEACHER) in by]
+        # where the student keeps enough, too
+        compared = [each["energy"] for each in tasks if each["kept"] and each["energy"]]
         page, shown = pages.write_page(
             results / "students.md",
             {},
@@ -226,6 +229,8 @@ class StudentsDesign(Design):
             tasks=tasks,
             count={name: sum(each[name] for each in tasks) for name in ("kept", "surely")},
             fewer=np.sum([each["fewer"] for each in tasks], axis=0),
+            spent=[(min(by), max(by)) for by in zip(*compared, strict=True)],
+            compared=len(compared),
             unknown=_unknown(rows),
             lost=_LOST,
             rows=[row for each in tasks for row in each["rows"]],
@@ -289,13 +294,14 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
     roles = {role: by[task, role] for role in ROLES if (task, role) in by}
     # of the way from what no policy earns to what the teacher does
     zero = max(random, -np.inf if idle is None else idle)
+    solved = _threshold(task)
     policies = {
-        role: _policy(rows, np.asarray(taught), zero)
+        role: _policy(rows, np.asarray(taught), zero, solved)
         for role, rows in roles.items()
         if role not in (RANDOM, IDLE)
     }
     student = policies.get(STUDENT)
-    floats = [policies[role] for role in (FLOAT, LINEAR) if role in policies]
+    floats = [policies[role] for role in (FLOAT, LINEAR, *REGULATORS) if role in policies]
     cheapest = _cheapest(floats)
     energy = []
     for price in (TABLES[name].joules for name in PRICES if student and cheapest[0] < math.inf):
@@ -306,6 +312,7 @@ def _facts(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:
         "earned": earned,
         "random": random,
         "idle": idle,
+        "solved": solved,
         "policies": policies,
         "rows": [_line(task, role, each, energy) for role, each in policies.items()],
         "energy": energy,
@@ -322,10 +329,22 @@ def _unknown(rows: Sequence[Record]) -> str:
     """How many trainings have no record of their validation; nothing where all have."""
     trained = [row for row in rows if row["role"] in (STUDENT, FLOAT, LINEAR)]
     lacking = sum(row["validation"] is None for row in trained)
-    return f"{lacking} of {len(trained)}" if lacking else ""
+    if not lacking:
+        return ""
+    if lacking == len(trained):
+        return f"No training here was chosen by validation: none of the {lacking} recorded it"
+    return f"Of {len(trained)} trainings {lacking} recorded no validation"
 
 
-def _policy(rows: Sequence[Record], taught: NDArray[np.float64], zero: float) -> Record:
+def _threshold(task: str) -> float | None:
+    """The return from which gymnasium calls an episode solved; None of tasks that have none."""
+    env = TASKS[task]["env"]
+    return None if ":" in env else gymnasium.spec(env).reward_threshold
+
+
+def _policy(
+    rows: Sequence[Record], taught: NDArray[np.float64], zero: float, solved: float | None
+) -> Record:
     """Facts of the trainings of a policy: returns, operations, and which keep enough."""
     scores = np.asarray([row["scores"] for row in rows])
     share_of = nested_ratio(scores - zero, taught - zero)
@@ -336,6 +355,7 @@ def _policy(rows: Sequence[Record], taught: NDArray[np.float64], zero: float) ->
         "kept": share_of.mean >= WANTED,
         "each": each.tolist(),
         "lost": (scores < zero + _LOST * (taught.mean() - zero)).sum(1).tolist(),
+        "solved": [] if solved is None else (scores >= solved).mean(1).tolist(),
         "worst": float(np.mean([risk(each) for each in scores])),
         "earned": float(scores.mean()),
         "operations": [row.get("operations") for row in rows],
@@ -349,9 +369,9 @@ def _policy(rows: Sequence[Record], taught: NDArray[np.float64], zero: float) ->
 def _cheapest(policies: Sequence[Record]) -> tuple[float, float]:
     """Fewest operations with which policies keep enough; infinite where none does.
 
-    By the median of a policy's trainings, of those policies whose mean keeps it; and of the best
-    training, of those that kept it in validation. Which episodes are shown decides about none of
-    them. Of trainings whose validation nobody recorded the policy's mean has to keep it.
+    By the median of a policy's trainings, of those policies whose mean in the episodes that are
+    shown keeps enough; and of the cheapest training: of those whose validation is recorded, that
+    decides, and of others the policy's mean.
     """
     medians = [median(each["operations"]) for each in policies if each["kept"]]
     best = [
@@ -385,6 +405,7 @@ def _line(task: str, role: str, of: Record, energy: Sequence[float]) -> list[str
         ABSENT if alone else share(of["share"]),
         percent(t_interval(of["each"]), 1) if several else ABSENT,
         _counts(of["each"], ".1%") if several else ABSENT,
+        _counts(of["solved"], ".0%"),
         _counts(of["lost"]),
         f"{of['worst']:,.4g}",
         _counts(of["operations"]),

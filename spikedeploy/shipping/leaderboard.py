@@ -95,7 +95,7 @@ class OverTrainings(_Entry):
         None, description="that of Student's t over the trainings; null of one training"
     )
     success_rate: Share | None = Field(None, description="share of all episodes that succeed")
-    failure_rate: Share | None = Field(None, description="share of all episodes that fail")
+    failure_rate: Share | None = Field(None, description="share of all episodes that ended early")
     worst_share: FiniteFloat | None = Field(
         None, description="mean return of the worst 5 % of all, over the reference's mean"
     )

@@ -54,25 +54,41 @@ COLUMNS = leaderboard._COLUMNS
 
 
 @pytest.mark.parametrize("name", [name for name in ROWS if name.startswith(leaderboard.OWN)])
-def test_success_failures_and_the_worst_episodes_stand_beside_every_return(name):
+def test_success_early_ends_and_the_worst_episodes_stand_beside_every_return(name):
     row = ROWS[name]
-    for column in ("success", "failures", "worst 5 %"):
+    for column in ("success", "ended early", "worst 5 %"):
         assert "%" in COLUMNS[column](row)
     assert f"{row.over_trainings.success_rate:.1%}; {row.reference} " in COLUMNS["success"](row)
     assert row.spiking.success_rate + row.spiking.failure_rate <= 1
     assert row.spiking.risk <= row.spiking.return_mean
 
 
-def test_a_policy_that_hardly_needs_its_hidden_neurons_is_called_linear_in_events():
-    kept = {name: row["kept"] for name, row in hidden_neurons.read().items()}
-    told = {row.task: "linear in events" in COLUMNS["policy"](row) for row in ROWS.values()}
+def test_a_policy_that_does_not_need_its_hidden_neurons_is_called_linear_in_events():
+    linear = {name: hidden_neurons.is_linear(row) for name, row in hidden_neurons.read().items()}
+    told = {row.task: COLUMNS["policy"](row) for row in ROWS.values()}
     for task in ("kart-grid", "kart-steer", "kart-gazebo"):
         name = f"{task}/sparse"
-        assert told[spec(task).id] is (kept[name] >= hidden_neurons.LEAST)
+        assert ("linear in events" in told[spec(task).id]) is linear[name]
+        assert "of its return with all hidden neurons dead" in told[spec(task).id]
         page = zoo.path(name).with_suffix(".md").read_text("utf-8")
-        assert ("linear in events" in page) is told[spec(task).id]
-    assert kept["kart-grid/sparse"] > 1 > kept["kart-steer/sparse"] > 0.9
-    assert kept["kart-gazebo/sparse"] < 0.2
+        assert ("linear in events" in page) is linear[name]
+    assert [name for name, of in linear.items() if of] == ["kart-grid/sparse"]
+
+
+@pytest.mark.parametrize(
+    ("kept", "interval", "begins"),
+    [
+        (1.0, (0.0, 0.03), "linear in events: with"),
+        (0.98, (-0.02, 0.01), "linear in events: with"),
+        (0.979, (-0.02, 0.01), "with"),  # of the return too little, of success nothing is shown
+        (0.99, (-0.12, -0.01), "needed: with"),  # success falls
+        (0.1, (-0.95, -0.84), "needed: with"),
+    ],
+)
+def test_neurons_are_needed_where_success_falls_without_them(kept, interval, begins):
+    row = hidden_neurons.read()["kart-steer/sparse"]
+    row |= {"kept": kept, "success_difference_ci95": list(interval)}
+    assert hidden_neurons.describe(row).startswith(f"{begins} all hidden neurons dead")
 
 
 @pytest.mark.parametrize("policy", hidden_neurons.read())

@@ -145,6 +145,24 @@ def test_the_cheapest_training_is_one_that_kept_enough_in_validation():
     assert found["fewer"] == [True, False]  # 7 of the student against 6
 
 
+def test_a_regulator_that_keeps_enough_is_a_float_policy_of_the_rule():
+    found = facts(**{**SCORES, "LQR": [([10.0], 4.0)], "LQR,_late": [([1.0], 2.0)]})
+    assert found["fewer"] == [False, False]
+    assert found["energy"][0] == pytest.approx((7 * 1.35 + 9 * 26.5) / (4 * 1.55))
+
+
+def test_episodes_are_solved_from_the_registered_return_on(monkeypatch):
+    rows = [{"scores": [199.9, 200.0, 300.0, -5.0]}]
+    monkeypatch.setattr(
+        students, "TASKS", {"lander": {"env": "LunarLanderContinuous-v3"}, "a": REACH}
+    )
+    solved = students._threshold("lander")
+    found = students._policy(rows, np.full(4, 250.0), 0.0, solved)
+    assert found["solved"] == [0.5]
+    assert students._threshold("a") is None  # nothing is registered
+    assert students._policy(rows, np.full(4, 250.0), 0.0, None)["solved"] == []
+
+
 def test_episodes_below_half_of_the_way_are_lost():
     scores = {
         "teacher": [([10.0, 10.0, 10.0, 10.0], 64.0)],

@@ -98,7 +98,7 @@ def test_rows_of_karts_tell_of_finishes_laps_and_crashes():
     titles = list(tables(rows))
     assert titles[0] == "Does the kart still finish?"
     heads = [column.title for column in tables(rows)[titles[0]]]
-    assert heads[:4] == ["policy", "finished", "failures", "crashes"]
+    assert heads[:4] == ["policy", "finished", "ended early", "crashes"]
     assert "CoT" not in heads
 
 
