@@ -9,18 +9,19 @@
 Other spaces, pictures, and actions without bounds are refused, and so is what is no number, and a
 wrapper of gymnasium's that goes on measuring from episode to episode. Nothing is imported but the
 module that a target names. The current folder is searched, after the installed packages, for
-targets alone. The code of the environment runs in the user's process.
+targets alone. The code of the environment runs in the user's process; what it prints goes to
+stderr, as stdout is for results.
 """
 
 from __future__ import annotations
 
 import difflib
 import importlib
-import math
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
 from functools import partial
 from pathlib import Path
 from traceback import walk_tb
@@ -37,6 +38,8 @@ from spikedeploy.envs import drawing
 from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.event_camera_wrapper import EventCameraWrapper, control_period
 from spikedeploy.envs.returned import (
+    find_flag,
+    is_unknown,
     numbers_in,
     read_flag,
     read_info,
@@ -55,6 +58,7 @@ _WIDEST = 2.0**24
 _MOST_CHOICES = 2**16  # of Discrete
 _SPACES = ("observation_space", "action_space")
 _LONGEST = 100_000  # control steps of an episode: without a time limit it might never end
+_FLAG = "success is True or False, or 0 or 1: give a flag, such as info[{!r}] = error < 0.1"
 
 
 class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
@@ -65,6 +69,7 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
     given       options that make it again
     one_hot     whether it observes one of several
     CONTROL_DT  time of a control step [s]; None where it is not known
+    remark      on what it said of success that is neither true nor false; "" where nothing was
     """
 
     def __init__(
@@ -79,12 +84,14 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         self.metadata, self.render_mode = inner.metadata, inner.render_mode
         self.spec = Registration("Adapted-v0")
         self.spec.id = name  # not above: gymnasium parses names, not targets
-        self._spaces = {each: getattr(inner, each) for each in _SPACES}
         space, self._from_inner = _observation_map(name, inner.observation_space)
         self.observation_space: gymnasium.Space[Any] = space
         self.action_space, self._to_inner = _action_map(name, inner.action_space)
+        # copies, since an environment may change the bounds in place
+        spaces = {each: getattr(inner, each) for each in _SPACES}
+        self._spaces = {each: (str(space), _bounds(space)) for each, space in spaces.items()}
         self.CONTROL_DT = control_period(inner)
-        self._key = success
+        self._key, self.remark = success, ""
         self._threshold = inner.spec.reward_threshold if inner.spec else None
         self._total, self._steps = 0.0, 0
 
@@ -94,13 +101,14 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         """Start an episode."""
         self._total, self._steps = 0.0, 0
         observation, info = self._ask("reset", 2, seed=seed, options=options)
-        self._check_spaces()
+        self._check_spaces("reset()")
         return self._seen(observation), numbers_in(info)
 
     def step(self, action: Any) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:  # noqa: ANN401
         """Take an action (act,) in [-1, 1], or an index from 0."""
         found, gain, terminated, truncated, info = self._ask("step", 5, self._to_inner(action))
         self._steps += 1
+        self._check_spaces(f"step {self._steps}")
         of = f"{self.name}: {{}} of step {self._steps}".format
         reward = read_number(of("reward"), gain)
         ends = read_flag(of("terminated"), terminated), read_flag(of("truncated"), truncated)
@@ -117,7 +125,8 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         if hasattr(self.inner.unwrapped, "mujoco_renderer"):
             drawing.check_variable()
         try:
-            return self.inner.render()
+            with contained(self.name, "render()"):
+                return self.inner.render()
         except Exception as error:
             if _is_of_renderer(error):
                 raise drawing.explain(error) from error
@@ -125,12 +134,15 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
 
     def close(self) -> None:
         """Close the environment."""
-        self.inner.close()
+        with contained(self.name, "close()"):
+            self.inner.close()
 
     def _ask(self, method: str, values: int, *given: Any, **options: Any) -> tuple[Any, ...]:  # noqa: ANN401
         """The values of `reset` or `step`; EnvError where they are of gym's API before 0.26."""
+        doing = "reset()" if method == "reset" else f"step {self._steps + 1}"
         try:
-            found = getattr(self.inner, method)(*given, **options)
+            with contained(self.name, doing):
+                found = getattr(self.inner, method)(*given, **options)
         except (TypeError, ValueError) as error:
             if not _is_of_old_api(error):
                 raise
@@ -142,13 +154,15 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         what = f"{len(found)} values" if several else f"a {type(found).__name__}"
         raise EnvError(f"{self.name}: {method} returns {what}; {_TODAY}")
 
-    def _check_spaces(self) -> None:
+    def _check_spaces(self, when: str) -> None:
         """Refuse spaces that are others than when it was made: a policy has one size and scale."""
-        for name, before in self._spaces.items():
+        for name, (shown, before) in self._spaces.items():
             now = getattr(self.inner, name)
-            if now is not before and now != before:
+            if not all(map(np.array_equal, _bounds(now), before)):
+                # a Box has its text from when it was made
+                now = Box(now.low, now.high, dtype=now.dtype) if isinstance(now, Box) else now
                 raise EnvError(
-                    f"{self.name}: its {name} is {now} after reset(), and was {before}: policies "
+                    f"{self.name}: its {name} is {now} after {when}, and was {shown}: policies "
                     "have one, so make it with the widest"
                 )
 
@@ -165,21 +179,54 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         if self._key is None and self._threshold is not None:
             return {**found, "success": self._total >= self._threshold}
         if self._key is None:
-            said = [found.pop(word) for word in ("success", "is_success") if word in found]
-            known = [bool(each) for each in said if not math.isnan(each)]
+            said = {word: info[word] for word in ("success", "is_success") if word in info}
+            flags = {word: find_flag(value) for word, value in said.items()}
+            for word, value in said.items():
+                found.pop(word, None)
+                if flags[word] is None and not is_unknown(value) and not self.remark:
+                    self.remark = (
+                        f"{self.name}: {word} in the info of step {self._steps} is {show(value)}, "
+                        f"so that success is not known: {_FLAG.format(word)}"
+                    )
+            known = [flag for flag in flags.values() if flag is not None]
             return {**found, "success": known[0]} if known else found
         if over and self._key not in info:
             raise EnvError(
                 f"{self.name}: --success {self._key}: the info of the last step has no such key; "
                 f"it has {', '.join(map(str, info)) or 'none'}"
             )
-        reached = found.get(self._key, False)
-        if over and (self._key not in found or math.isnan(reached)):
+        value = info.get(self._key)
+        reached = find_flag(value)
+        if reached is None and (over or not is_unknown(value)):
             raise EnvError(
-                f"{self.name}: --success {self._key}: the info of the last step has "
-                f"{show(info[self._key])} there, neither true nor false"
+                f"{self.name}: --success {self._key}: the info of "
+                f"{'the last step' if over else f'step {self._steps}'} has {show(value)} there, "
+                f"neither true nor false; {_FLAG.format(self._key)}"
             )
-        return {**found, "success": bool(reached) and not math.isnan(reached)}
+        return {**found, "success": bool(reached)}
+
+
+@contextmanager
+def contained(name: str, doing: str) -> Iterator[None]:
+    """Code of other people: its prints go to stderr, and a sys.exit of it is an EnvError."""
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    except SystemExit as stop:
+        *_, (frame, _) = walk_tb(stop.__traceback__)
+        if str(frame.f_globals.get("__name__")).startswith("spikedeploy."):
+            raise  # our own end of a worker, on a signal
+        raise EnvError(
+            f"{name} ended the process in {doing}, with sys.exit or a function that calls it: take "
+            "that out"
+        ) from stop
+
+
+def _bounds(space: gymnasium.Space[Any]) -> tuple[Any, Any]:
+    """Copies of the lowest and the highest value; of choices the first, and how many they are."""
+    if isinstance(space, Box):
+        return space.low.copy(), space.high.copy()
+    return getattr(space, "start", None), getattr(space, "n", None)
 
 
 def _is_of_renderer(error: Exception) -> bool:
@@ -327,12 +374,15 @@ def make_foreign(name: str, options: Mapping[str, Any], success: str | None = No
     if camera := given.get("event_camera"):
         made["render_mode"] = "rgb_array"
     try:
-        world = gymnasium.make(_registration(name), disable_env_checker=True, **made)
+        registered = _registration(name)
+        with contained(name, "its making"):
+            world = gymnasium.make(registered, disable_env_checker=True, **made)
     except TypeError as error:
         raise _explain(name, error) from error
     _check_wrappers(name, world)
     if camera:
-        world = _seen_by_events(world, camera)
+        with contained(name, "render()"):
+            world = _seen_by_events(world, camera)
     shown = given if success is None else {**given, "success": success}
     return AdaptedEnv(world, name, shown, success)
 
@@ -393,7 +443,8 @@ def import_target(
     if here not in sys.path:
         sys.path.append(here)
     try:
-        return importlib.import_module(module)
+        with contained(name, f"the import of {module}"):
+            return importlib.import_module(module)
     except ModuleNotFoundError as error:
         if not f"{module}.".startswith(f"{error.name}."):
             raise EnvError(f"{name}: importing {module} needs {error.name}: install it") from error

@@ -24,6 +24,8 @@ _Step = dict[str, Any]
 def check_repeats(name: str, options: Mapping[str, Any]) -> str:
     """Refuse an environment with a memory; return a remark on one that never repeats, else "".
 
+    What it says of success that is neither true nor false is in the remark, too.
+
     What shows only later than in 20 episodes is not found. Those of ours are known to repeat.
     """
     if not envs.spec(name).foreign:
@@ -34,6 +36,7 @@ def check_repeats(name: str, options: Mapping[str, Any]) -> str:
         _play(env, seed, _FEW)
     later = _difference(first, _play(env, 0, _STEPS))
     env.close()
+    unread = str(getattr(env.unwrapped, "remark", ""))
     env = envs.make(name, **options)
     anew = _difference(first, _play(env, 0, _STEPS))
     env.close()
@@ -46,13 +49,13 @@ def check_repeats(name: str, options: Mapping[str, Any]) -> str:
             "does not set. Or freeze it, or leave the wrapper out"
         )
     if not anew:
-        return ""
+        return unread
     when = "each time" if later else "in each instance"
     return (
         f"{name} plays another episode {when}: with seed 0 and the same actions, {anew}. Policies "
         "meet other episodes, and results are others in each run and with other --workers. Draw "
         "all that is random in reset() and step() from self.np_random, which reset(seed=…) sets, "
-        "and share nothing between instances"
+        "and share nothing between instances" + f". {unread}" * bool(unread)
     )
 
 

@@ -6,6 +6,7 @@ refused with what was found.
 
 from __future__ import annotations
 
+import math
 import numbers
 from collections.abc import Mapping
 from typing import Any, TypeAlias
@@ -30,10 +31,25 @@ def read_number(what: str, value: object) -> float:
 
 def read_flag(what: str, value: object) -> bool:
     """True or false, of 0 and 1 and of an array or tensor of one element too."""
+    found = find_flag(value)
+    if found is None:
+        raise EnvError(f"{what} is {show(value)}: give True or False")
+    return found
+
+
+def find_flag(value: object) -> bool | None:
+    """True or false as `read_flag` reads it; None where it is neither."""
     found = _numbers(value)
     if found is None or found.size != 1 or found.reshape(()) not in (0.0, 1.0):
-        raise EnvError(f"{what} is {show(value)}: give True or False")
+        return None
     return bool(found.reshape(()))
+
+
+def is_unknown(value: object) -> bool:
+    """Whether a value says that there is none yet: None, nan, or a masked one."""
+    found = _scalar(value)
+    is_nan = isinstance(found, float) and math.isnan(found)
+    return found is None or found is np.ma.masked or is_nan
 
 
 def read_vector(what: str, value: object, shape: tuple[int, ...]) -> FloatArray:
@@ -64,6 +80,13 @@ def read_info(what: str, value: object, remedy: str) -> Mapping[str, Any]:
     return value
 
 
+def is_masked(value: object) -> bool:
+    """Whether any of it is masked, of which NumPy would give what is behind the mask."""
+    if isinstance(value, list | tuple):
+        return any(map(is_masked, value))
+    return isinstance(value, np.ma.MaskedArray) and bool(np.ma.getmaskarray(value).any())
+
+
 def numbers_in(info: Mapping[str, Any]) -> dict[str, bool | int | float]:
     """The numbers in an info by name, arrays of one element among them."""
     plain = {str(key): _scalar(value) for key, value in info.items()}
@@ -79,6 +102,8 @@ def show(value: object) -> str:
 
 def _scalar(value: Any) -> Any:  # noqa: ANN401
     """The Python scalar of a number, or of an array or tensor of one; else the value."""
+    if is_masked(value):
+        return np.ma.masked
     if isinstance(value, np.generic | np.ndarray) or hasattr(value, "detach"):
         return value.item() if getattr(value, "size", None) == 1 or _is_single(value) else value
     return value
@@ -89,7 +114,9 @@ def _is_single(value: Any) -> bool:  # noqa: ANN401
 
 
 def _numbers(value: Any) -> FloatArray | None:  # noqa: ANN401
-    """A copy in float64; None where it is not made of real numbers."""
+    """A copy in float64; None where it is not made of real numbers, or some are masked."""
+    if is_masked(value):
+        return None
     if isinstance(value, numbers.Number) and not isinstance(value, np.generic):
         value = _real(value)
     if hasattr(value, "detach"):  # a tensor of torch

@@ -167,6 +167,8 @@ def run_policy(
             done()
     if first and foreign and loop is None and len(episodes) > 1:
         _say_whether_it_repeats(world, first)
+    if remark := getattr(world.unwrapped, "remark", ""):
+        say(remark)
     world.close()
     rows, disturb = [Row(entry, episodes)], disturbed_by(options)
     if loop is not None:  # it may have played more

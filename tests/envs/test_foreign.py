@@ -14,6 +14,7 @@ from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.foreign import AdaptedEnv
 from spikedeploy.envs.repeats import check_repeats
 from spikedeploy.envs.rollout import rollout
+from spikedeploy.jobs.pool import SerialBackend, _leave
 from spikedeploy.trainers.distill.teacher import OwnSpaces
 from tests import own_env
 from tests.paths import ROOT
@@ -170,14 +171,23 @@ def test_is_success_of_other_libraries_is_success_where_that_is_absent(monkeypat
     Told.said = {"is_success": True, "success": False}
     assert rollout(env, Middle(), seed=1).success is False
     assert "is_success" not in rollout(env, Middle(), seed=1).info  # one word for one thing
-    for said in ("yes", None, np.nan, np.array([True, False])):
+    assert env.remark == ""
+    for said in (None, np.nan, np.ma.masked, "yes", np.array([True, False]), 0.3, -1, 2):
         Told.said = {"is_success": said}
+        env = envs.make("tests.own_env:Told")
         assert rollout(env, Middle(), seed=1).success is None
+        is_known = "so that success is not known: success is True or False" in env.remark
+        assert is_known is not (said is None or said is np.nan or said is np.ma.masked)
+    assert "is_success in the info of step 1 is 2 (int)" in check_repeats("tests.own_env:Told", {})
     Told.said = {"is_success": np.array([True]), "success": np.nan}
     assert rollout(env, Middle(), seed=1).success is True
-    Told.said = {"is_success": "yes"}
-    with pytest.raises(EnvError, match=r"--success is_success: .* has 'yes' \(str\) there"):
-        rollout(envs.make("tests.own_env:Told", success="is_success"), Middle(), seed=1)
+    for said in ("yes", 0.3, -1, np.nan, [1, 1]):
+        Told.said = {"is_success": said}
+        with pytest.raises(EnvError, match=r"--success is_success: .* there, neither true nor fal"):
+            rollout(envs.make("tests.own_env:Told", success="is_success"), Middle(), seed=1)
+    Told.said = {"is_success": [True]}
+    env = envs.make("tests.own_env:Told", success="is_success")
+    assert rollout(env, Middle(), seed=1).success is True
 
 
 def returning(monkeypatch, observation=None, **changed):
@@ -208,11 +218,60 @@ def test_a_reward_is_one_number_in_whatever_it_comes(monkeypatch, reward):
 
 @pytest.mark.parametrize(
     "reward",
-    [None, np.nan, np.inf, "1.0", [1.0, 2.0], np.zeros(0), torch.zeros(2), {}, 1j, np.array("1")],
-)
+    [None, np.nan, np.inf, "1.0", [1.0, 2.0], np.zeros(0), torch.zeros(2), {}, 1j, np.array("1"),
+     np.ma.masked, np.ma.array(1.0, mask=True), [np.ma.array(1.0, mask=True)]],
+)  # fmt: skip
 def test_a_reward_that_is_no_number_is_refused_with_what_it_was(monkeypatch, reward):
     with pytest.raises(EnvError, match=r"Odd: reward of step 1 is .*: give one finite number"):
         returning(monkeypatch, reward=reward)
+
+
+def _exits(*given, **options):
+    sys.exit()
+
+
+@pytest.mark.parametrize(
+    ("method", "doing"),
+    [("__init__", "its making"), ("reset", r"reset\(\)"), ("step", "step 1"),
+     ("render", r"render\(\)"), ("close", r"close\(\)")],
+)  # fmt: skip
+def test_an_environment_that_ends_the_process_is_an_error(monkeypatch, method, doing):
+    monkeypatch.setattr(own_env, "Ends", _old(**{method: _exits}), raising=False)
+
+    def play():
+        env = envs.make("tests.own_env:Ends", render_mode="rgb_array")
+        rollout(env, Middle(), seed=0)
+        env.render()
+        env.close()
+
+    with pytest.raises(EnvError, match=f"Ends ended the process in {doing}, with sys.exit"):
+        SerialBackend().in_order(lambda _: play(), [0], list)
+
+
+def test_a_signal_that_ends_a_worker_in_a_step_still_ends_it(monkeypatch):
+    env = _old(step=lambda self, action: _leave(15, None))
+    monkeypatch.setattr(own_env, "Ends", env, raising=False)
+    with pytest.raises(SystemExit, match="143"):
+        rollout(envs.make("tests.own_env:Ends"), Middle(), seed=0)
+
+
+def test_what_an_environment_prints_leaves_stdout_for_results(monkeypatch, capsys):
+    def printing(name):
+        def method(self, *given, **options):
+            print(name)
+            return getattr(own_env.Reach, name)(self, *given, **options)
+
+        return method
+
+    names = ("__init__", "reset", "step", "render", "close")
+    monkeypatch.setattr(own_env, "Says", _old(**{n: printing(n) for n in names}), raising=False)
+    env = envs.make("tests.own_env:Says", render_mode="rgb_array")
+    rollout(env, Middle(), seed=0)
+    env.render()
+    env.close()
+    found = capsys.readouterr()
+    assert found.out == ""
+    assert set(found.err.split()) == set(names)
 
 
 @pytest.mark.parametrize("said", [True, 1, np.bool_(True), np.array([True]), torch.tensor(True)])
@@ -221,7 +280,7 @@ def test_an_end_is_true_or_false_in_whatever_it_comes(monkeypatch, said):
     assert returning(monkeypatch, truncated=said)[2:4] == (False, True)
 
 
-@pytest.mark.parametrize("said", [None, "False", 2, np.nan, np.zeros(2, bool), []])
+@pytest.mark.parametrize("said", [None, "False", 2, np.nan, np.zeros(2, bool), [], np.ma.masked])
 @pytest.mark.parametrize("name", ["terminated", "truncated"])
 def test_an_end_that_is_neither_is_refused(monkeypatch, name, said):
     with pytest.raises(EnvError, match=rf"Odd: {name} of step 1 is .*: give True or False"):
@@ -234,6 +293,7 @@ def test_no_info_is_an_empty_one_and_another_type_is_named(monkeypatch):
         returning(monkeypatch, info=[1])
     found = returning(monkeypatch, info={"a": np.array([2.0]), "b": torch.tensor(3), "c": [4]})[4]
     assert found == {"a": 2.0, "b": 3}
+    assert returning(monkeypatch, info={"a": np.ma.array([2.0], mask=True)})[4] == {}
 
 
 @pytest.mark.parametrize(
@@ -256,6 +316,8 @@ def test_an_observation_is_numbers_in_whatever_they_come(monkeypatch, given):
         (lambda seen: {"a": seen}, r"\(dict\): give numbers"),
         (lambda seen: seen.astype(str), "give numbers"),
         (lambda seen: np.full((2, 2), None), "give numbers"),
+        (lambda seen: np.ma.array(seen, mask=[[1, 0], [0, 0]]), "give numbers"),
+        (lambda seen: list(np.ma.array(seen, mask=[[1, 0], [0, 0]])), "give numbers"),
         (lambda seen: np.array([[0.0, -np.inf], [np.nan, 0.0]]), r"has -inf, nan at \[1, 2\]"),
         (lambda seen: np.full((2, 2), 1e39), "1e.39.* no finite number of float32"),
     ],
@@ -310,15 +372,35 @@ def test_many_choices_and_spaces_that_change_are_refused(monkeypatch):
             envs.make("tests.own_env:refused", kind=kind, space=spaces.Discrete(10**7))
 
     class Grows(own_env.Reach):
+        later = False
+
+        def __init__(self):
+            super().__init__()
+            self.action_space = spaces.Box(-1.0, 1.0, (2, 1), np.float32)
+
         def reset(self, **given):
-            self.action_space = spaces.Box(-2.0, 2.0, (2, 1), np.float32)
+            None if self.later else self._grow()
             return super().reset(**given)
 
-    monkeypatch.setattr(own_env, "Grows", Grows, raising=False)
-    with pytest.raises(
-        EnvError, match=r"its action_space is Box\(-2\.0, .* after reset\(\), and was"
-    ):
-        envs.make("tests.own_env:Grows").reset(seed=0)
+        def step(self, action):
+            self._grow()
+            return super().step(np.array([[0.0], [6.0]], np.float32))
+
+        def _grow(self):
+            self.action_space = spaces.Box(-2.0, 9.0, (2, 1), np.float32)
+
+    class InPlace(Grows):
+        def _grow(self):
+            self.action_space.low[:] = -2.0
+            self.action_space.high[:] = 9.0
+
+    for kind in (Grows, InPlace):
+        monkeypatch.setattr(own_env, "Grows", kind, raising=False)
+        for later, when in ((False, r"reset\(\)"), (True, "step 1")):
+            monkeypatch.setattr(Grows, "later", later)
+            said = rf"its action_space is Box\(-2\.0, 9.* after {when}, and was Box\(-1\.0, 1\.0"
+            with pytest.raises(EnvError, match=said):
+                rollout(envs.make("tests.own_env:Grows"), Middle(), seed=0)
 
 
 @pytest.mark.parametrize("kind", ["NormalizeObservation", "NormalizeReward"])

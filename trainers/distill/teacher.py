@@ -14,6 +14,7 @@ from torch.nn import functional
 
 from spikedeploy import envs
 from spikedeploy.envs.foreign import AdaptedEnv
+from spikedeploy.envs.returned import is_masked
 from spikedeploy.runtime.errors import ConfigError
 
 FloatArray = NDArray[np.float64]
@@ -133,9 +134,9 @@ class OwnSpaces:
         """
         found = np.asarray(given)
         numeric = found.dtype.kind in "fiub" and found.size and found.size % robots == 0
-        if not numeric or not np.isfinite(found).all():
+        if not numeric or is_masked(given) or not np.isfinite(found).all():
             raise ConfigError(
-                f"the teacher {teacher} gave no finite numbers for {robots} observations: {found}"
+                f"the teacher {teacher} gave no finite numbers for {robots} observations: {given}"
             )
         rows = found.reshape(robots, -1).astype(np.float64)
         if isinstance(self.action, Discrete):

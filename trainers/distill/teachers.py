@@ -13,7 +13,7 @@ from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
 
 from spikedeploy import envs
-from spikedeploy.envs.foreign import attribute, import_target, is_target
+from spikedeploy.envs.foreign import attribute, contained, import_target, is_target
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.files import suffix
 from spikedeploy.runtime.errors import ConfigError
@@ -38,10 +38,12 @@ def own_function(name: str, spaces: OwnSpaces, units: Units) -> Teacher:
     vectorised = bool(getattr(act, "vectorised", False))
 
     def act_all(observation: FloatArray) -> FloatArray:
-        if vectorised:
-            given = act(np.stack([np.asarray(spaces.observed(vector)) for vector in observation]))
-        else:
-            given = [act(spaces.observed(vector)) for vector in observation]
+        with contained(name, "a call"):
+            if vectorised:
+                rows = [np.asarray(spaces.observed(vector)) for vector in observation]
+                given = act(np.stack(rows))
+            else:
+                given = [act(spaces.observed(vector)) for vector in observation]
         return spaces.labels(name, given, len(observation), units)
 
     return Teacher(act_all, spaces.observations, spaces.actions)

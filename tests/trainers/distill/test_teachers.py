@@ -73,13 +73,15 @@ def test_a_function_chooses_as_its_environment_counts_or_gives_logits(name):
         ("between", LEVELS, r"gave \[0\.5\]"),
         ("nothing", REACH, "gave no finite numbers"),
         ("lost", REACH, "gave no finite numbers"),
+        ("masked", REACH, "gave no finite numbers"),
         ("empty", LEVELS, "gave no finite numbers"),
+        ("leaves", REACH, r"own_teachers:leaves ended the process in a call"),
     ],
 )
 def test_what_a_function_gives_is_checked(name, env, message):
     found = teacher(f"tests.own_teachers:{name}", env)
     seen = np.eye(3)[:1] if env == LEVELS else np.zeros((1, 4))
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises((ConfigError, EnvError), match=message):
         found.act_all(seen)
 
 
