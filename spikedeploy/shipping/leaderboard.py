@@ -466,11 +466,11 @@ def _of_policy(whose: str, policy: PolicyEntry) -> Iterator[str]:
 
 
 def _outcomes(whose: str, of: PolicyEntry | OverTrainings) -> Iterator[str]:
-    """No episode both succeeds and fails."""
+    """No episode both succeeds and ends early without success."""
     if (of.success_rate or 0) + (of.failure_rate or 0) > 1 + _EQUAL:
         yield (
-            f"{whose}: {of.success_rate:g} of the episodes succeed and {of.failure_rate:g} fail, "
-            "more than all"
+            f"{whose}: {of.success_rate:g} of the episodes succeed and {of.failure_rate:g} end "
+            "early without success, more than all"
         )
 
 

@@ -102,7 +102,7 @@ def test_a_row_that_a_report_gives_is_right(document, made):
         (("spiking", "energy", 0, "with_static_j"), 0.0, "is less than"),
         (("spiking", "return_mean"), 1.0, "outside of its interval"),
         (("spiking", "share"), 2.0, "outside of its interval"),
-        (("spiking", "failure_rate"), 0.5, "0.99 of the episodes succeed and 0.5 fail"),
+        (("spiking", "failure_rate"), 0.5, "0.99 of the episodes succeed and 0.5 end early"),
         (("spiking", "risk"), 1e9, "spiking.risk is 1e.09, above the mean"),
         (("rival", "effective_macs"), 1e9, "more than all weights have"),
         (("rival",), None, "rival is null"),
