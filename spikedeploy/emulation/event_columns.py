@@ -23,6 +23,8 @@ NAMES = {
 # numbers of falling and of rising light
 _CODINGS = ({0, 1}, {-1, 1})
 _SHOWN = 6  # numbers of a wrong coding that are named
+LATEST = 1 << 62  # [us], so that sums of two times are whole numbers of 64 bits
+_COARSEST = 1e-5  # [s] between numbers that a type can hold where times are
 
 
 def named_columns(names: Iterable[str]) -> tuple[dict[str, str], list[str]]:
@@ -30,6 +32,17 @@ def named_columns(names: Iterable[str]) -> tuple[dict[str, str], list[str]]:
     there = set(names)
     found = {key: next((n for n in known if n in there), "") for key, known in NAMES.items()}
     return {key: name for key, name in found.items() if name}, [k for k in NAMES if not found[k]]
+
+
+def check_names(path: Path, names: Iterable[str]) -> None:
+    """Refuse two names for one column, of which the other would be left out unseen."""
+    there = set(names)
+    for key, known in NAMES.items():
+        if len(found := [name for name in known if name in there]) > 1:
+            raise ObservationError(
+                f"{path} holds {' and '.join(found)}, each of which is a name for {key}; which of "
+                "them is it? Leave the others out, or give them other names."
+            )
 
 
 def check_kinds(path: Path, kinds: Sequence[np.dtype[Any]], seconds: bool = False) -> None:
@@ -80,7 +93,29 @@ def microseconds(path: Path, seconds: NDArray[Any]) -> NDArray[np.int64]:
             "times in seconds have parts of a second, so that the unit is not known. Write t in "
             "microseconds, as whole numbers."
         )
+    return to_microseconds(path, seconds)
+
+
+def to_microseconds(path: Path, seconds: NDArray[Any]) -> NDArray[np.int64]:
+    """Times [us] of finite times [s]; ObservationError where their type is too coarse for them."""
+    latest = np.abs(seconds).max(initial=0)
+    if (step := float(np.spacing(latest))) > _COARSEST:
+        raise ObservationError(
+            f"{path} holds times of up to {latest:.10g} s in {seconds.dtype}, which has one number "
+            f"each {step:.3g} s there: when the events were is lost. Write t in microseconds, as "
+            "whole numbers, from what it was rounded from."
+        )
     return np.rint(seconds.astype(np.float64) * 1e6).astype(np.int64)
+
+
+def whole_times(path: Path, t: NDArray[Any]) -> NDArray[np.int64]:
+    """Times [us] in 64 bits; ObservationError where one is too late for that."""
+    if (t >= LATEST).any():
+        raise ObservationError(
+            f"{path} has an event at t = {t[t >= LATEST][0]} us; times are less than 2^62 us. "
+            "Count them from the recording's beginning."
+        )
+    return t.astype(np.int64)
 
 
 class Polarity:

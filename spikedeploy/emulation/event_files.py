@@ -7,7 +7,7 @@ recording.
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +19,11 @@ from spikedeploy.emulation.event_columns import (
     Polarity,
     Size,
     check_kinds,
+    check_names,
     check_shapes,
     named_columns,
     whole_pixels,
+    whole_times,
 )
 from spikedeploy.emulation.event_hdf5 import hdf5_recording
 from spikedeploy.events import EVENT, MOST_PIXELS, Events
@@ -35,8 +37,14 @@ KINDS = f"HDF5, NumPy structured arrays (.npy), {', '.join(_FAERY)}"
 # [us] after which a counter of 32 bits begins anew, and by how much it then falls at least, unless
 # the camera was silent for nine minutes
 _WRAP, _FALL = 1 << 32, 7 << 29
+# [us] from the end and from the beginning of such a counter, between which times fall that are
+# stored in more bits
+_NEAR = 1 << 26
 # what a size of faery means that no header gave: .raw and .dat have at most 14 bits for x and y
 _UNKNOWN = (1 << 14, 1 << 14)
+_BEGAN_ANEW = (
+    "times that fall by almost 2^32 us are read as a counter of 32 bits that began anew: they go on"
+)
 _SORT = "Sort the events by time and write them anew"
 
 
@@ -47,27 +55,35 @@ class Recording:
     path: of the file.
     size: (height, width) of the camera [pixels]; None where nothing says it.
     parts: reads x, y, t [us] and p of some events after another, unchecked.
-    remarks: on how the file is read, where that is not plain; sentences.
+    remarks: on how the file is read, where that is not plain; sentences. Reading it adds to them.
+    counter: whether times are known to be a counter of 32 bits, however they are stored.
     """
 
     path: Path
     size: Size | None
     parts: Callable[[], Iterator[Columns]]
-    remarks: tuple[str, ...] = ()
+    remarks: list[str] = field(default_factory=list)
+    counter: bool = False
 
     def events(self) -> Iterator[Events]:
         """Events (E,) in the order of time, part by part; ObservationError where any is none.
 
-        A time that falls by almost 2**32 us is a counter of 32 bits that began anew: it goes on.
+        A time of 32 bits that falls by almost 2**32 us is a counter that began anew: it goes on.
         """
         count, wraps, last, stored = 0, 0, 0, 0
         height, width = self.size or (MOST_PIXELS, MOST_PIXELS)
         polarity = Polarity(self.path)
         for x, y, t, p in self._parts():
             x, y = whole_pixels(self.path, "x", x), whole_pixels(self.path, "y", y)
-            t = t.astype(np.int64)
-            falls = np.diff(t, prepend=stored if count else t[0]) < -_FALL
-            offset = _WRAP * (wraps + np.cumsum(falls & (t < _WRAP)))
+            is_counter = self.counter or t.dtype.itemsize == 4
+            t = whole_times(self.path, t)
+            ahead = np.concatenate([[stored if count else t[0]], t[:-1]])
+            falls = (t - ahead < -_FALL) & (t < _WRAP)
+            if not is_counter:
+                falls &= (ahead >= _WRAP - _NEAR) & (ahead < _WRAP) & (t < _NEAR)
+            if falls.any():
+                self._add_remark(_BEGAN_ANEW)
+            offset = _WRAP * (wraps + np.cumsum(falls))
             found, wraps, stored = t + offset, int(offset[-1]) // _WRAP, int(t[-1])
             before = np.concatenate([[last if count else found[0]], found[:-1]])
             outside = (x < 0) | (x >= width) | (y < 0) | (y >= height)
@@ -88,6 +104,10 @@ class Recording:
             events["p"] = polarity.rising(p)
             count, last = count + len(t), int(found[-1])
             yield events
+
+    def _add_remark(self, text: str) -> None:
+        if text not in self.remarks:  # it is read more than once
+            self.remarks.append(text)
 
     def _parts(self) -> Iterator[Columns]:
         """The parts that hold events; ObservationError where the file is damaged."""
@@ -141,7 +161,9 @@ def open_recording(
             f"{path} says that its camera has {found[0]}x{found[1]} pixels (height x width), "
             f"--camera {camera[0]}x{camera[1]}. Leave --camera out."
         )
-    return Recording(path, camera or found or fallback, parts, remarks)
+    return Recording(
+        path, camera or found or fallback, parts, list(remarks), counter=form == ".dat"
+    )
 
 
 def _damaged(path: Path, error: Exception) -> ObservationError:
@@ -166,6 +188,7 @@ def _numpy_parts(path: Path) -> Callable[[], Iterator[Columns]]:
             f"array with the fields x, y, t [us] and p, and {missing[0]!r} is missing. Rasters go "
             "to --input."
         )
+    check_names(path, names)
     check_kinds(path, [array.dtype[fields[name]] for name in "xytp"])
     check_shapes(path, [array.shape])
 

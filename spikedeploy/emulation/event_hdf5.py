@@ -18,13 +18,17 @@ import h5py
 import numpy as np
 
 from spikedeploy.emulation.event_columns import (
+    LATEST,
     PART,
     Columns,
     Size,
     check_kinds,
+    check_names,
     check_shapes,
     microseconds,
     named_columns,
+    to_microseconds,
+    whole_times,
 )
 from spikedeploy.runtime.artifact.hdf5 import check_container, open_member
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
@@ -84,15 +88,20 @@ def hdf5_recording(path: Path, camera: Size | None) -> tuple[Size | None, Parts,
         offset = _offset(path, file, layout)
         if columns.in_seconds:
             remarks.append(f"times are read as seconds, as {layout.name} writes them")
-        if (other := layout.place.replace("left", "right")) != layout.place and other in file:
-            remarks.append(f"read is {layout.place}; {other} is there too")
+        if others := _others(file, layout):
+            more = " ..." * (len(others) > _MOST_NAMES)
+            shown = f"{', '.join(others[:_MOST_NAMES])}{more}"
+            verb = "is" if len(others) == 1 else "are"
+            remarks.append(f"read is {layout.place or 'x, y, t, p'}; {shown} {verb} there too")
     return size, lambda: columns.parts(offset), tuple(remarks)
 
 
 def _layout_of(path: Path, file: h5py.File) -> _Layout:
     """The layout of a file; ObservationError where it has none that is known."""
     for layout in _LAYOUTS:
-        if _is_there(path, file, layout):
+        if _is_there(file, layout):
+            if layout.order and not layout.seconds:
+                _check_table(path, file[layout.place])
             return layout
     places = [name for name, member in _members(file) if _has_fields(member)]
     if len(places) == 1:
@@ -109,31 +118,42 @@ def _layout_of(path: Path, file: h5py.File) -> _Layout:
     )
 
 
-def _is_there(path: Path, file: h5py.File, layout: _Layout) -> bool:
+def _others(file: h5py.File, layout: _Layout) -> list[str]:
+    """Where else in a file columns of events are than where a layout has them."""
+    read = file[layout.place or "/"]
+    known = {each.place: file[each.place or "/"] for each in _LAYOUTS if _is_there(file, each)}
+    leaves = dict(_members(file))
+    groups = {name.rpartition("/")[0]: file[name.rpartition("/")[0] or "/"] for name in leaves}
+    fields = {name: each for name, each in leaves.items() if _has_fields(each)}
+    columns = {name: each for name, each in groups.items() if not named_columns(_names(each))[1]}
+    found = {**known, **fields, **columns}
+    return [name or "x, y, t, p" for name, each in found.items() if each != read]
+
+
+def _is_there(file: h5py.File, layout: _Layout) -> bool:
     member = file.get(layout.place) if layout.place else file
-    if isinstance(member, h5py.Dataset):
-        if layout.order:
-            is_table = member.ndim == 2 and member.shape[1] == 4 and member.dtype.kind in "biuf"
-            return is_table and (layout.seconds or _whole_table(path, member))
-        return _has_fields(member)
+    if isinstance(member, h5py.Dataset) and layout.order:
+        return member.ndim == 2 and member.shape[1] == 4 and member.dtype.kind in "biuf"
     return not layout.order and not named_columns(_names(member))[1]
 
 
-def _whole_table(path: Path, table: h5py.Dataset) -> bool:
-    """Whether a table holds whole numbers, as v2e's does."""
+def _check_table(path: Path, table: h5py.Dataset) -> None:
+    """Refuse a table that does not hold whole numbers, as v2e's does."""
     if table.dtype.kind == "f":
         raise ObservationError(
             f"{path} holds {table.name.strip('/')} {table.shape} of {table.dtype}, which is no "
             "layout that is known: v2e writes t [us], x, y, p in whole numbers. Write them so."
         )
-    return True
 
 
 def _has_fields(member: object) -> bool:
-    return isinstance(member, h5py.Dataset) and not named_columns(member.dtype.names or ())[1]
+    return isinstance(member, h5py.Dataset) and not named_columns(_names(member))[1]
 
 
 def _names(member: object) -> list[str]:
+    """Names of the members of a group, or of the fields of a dataset."""
+    if isinstance(member, h5py.Dataset):
+        return list(member.dtype.names or ())
     return list(member) if isinstance(member, h5py.Group) else []
 
 
@@ -169,7 +189,10 @@ class _Source:
 
     def check(self, file: h5py.File) -> None:
         """Refuse what cannot be read; nothing else in the file is looked at."""
-        path, members = self._path, self._open(file)
+        path, place = self._path, file[self._layout.place or "/"]
+        if not self._layout.order:
+            check_names(path, _names(place))
+        members = self._open(file)
         for member in {each.name: each for each in members}.values():
             _check_column(path, member)
         if len(members) == 4:
@@ -186,7 +209,7 @@ class _Source:
         seconds = self._layout.seconds
         if not self._layout.order and seconds:
             # of t nothing says the unit
-            seconds = named_columns(_names(file[self._layout.place or "/"]))[0]["t"] == "ts"
+            seconds = named_columns(_names(place))[0]["t"] == "ts"
         check_kinds(path, kinds, seconds)
         self.in_seconds = kinds[2].kind == "f"
 
@@ -197,8 +220,8 @@ class _Source:
             members = self._open(file)
             for first in range(0, len(members[0]), PART):
                 x, y, t, p = self._columns(members, slice(first, first + PART))
-                us = microseconds(path, t) if self.in_seconds else t.astype(np.int64)
-                yield x, y, us + offset, p
+                us = microseconds(path, t) if self.in_seconds else t
+                yield x, y, whole_times(path, us) + offset if offset else us, p
 
     def _open(self, file: h5py.File) -> list[h5py.Dataset]:
         """The four columns, or the one dataset that holds all of them."""
@@ -259,7 +282,12 @@ def _offset(path: Path, file: h5py.File, layout: _Layout) -> int:
                     f"{path} has a t_offset of {found.dtype} {found.shape}; it must be one whole "
                     "number [us]. Correct it."
                 )
-            return int(found.ravel()[0])
+            if abs(offset := int(found.ravel()[0])) >= LATEST:
+                raise ObservationError(
+                    f"{path} has a t_offset of {offset} us; it must be less than 2^62 us, either "
+                    "way. Correct it."
+                )
+            return offset
     return 0
 
 
@@ -337,7 +365,7 @@ def _nir_parts(path: Path, file: h5py.File, camera: Size | None) -> Parts:
                         "the events."
                     )
                 there = neuron >= 0  # samples of fewer events are filled with -1
-                neuron, us = neuron[there], np.rint(at[there] * 1e6).astype(np.int64)
+                neuron, us = neuron[there], to_microseconds(path, at[there])
                 # of one channel every event is one of rising light
                 p = neuron // pixels if neurons > pixels else np.ones(len(neuron), np.int64)
                 yield neuron % width, neuron % pixels // width, us, p

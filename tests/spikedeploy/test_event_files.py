@@ -78,14 +78,14 @@ def write_table(place, order, kind):
     return write
 
 
-def write_compound(place):
+def write_compound(place, **names):
     """Fields of one dataset, compressed, beside others that are no events."""
 
     def write(path, events):
-        kind = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
-        rows = np.zeros(len(events), kind)
+        kinds = {"x": "<u2", "y": "<u2", "p": "<i2", "t": "<i8"}
+        rows = np.zeros(len(events), [(names.get(name, name), kinds[name]) for name in kinds])
         for name in "xytp":
-            rows[name] = events[name]
+            rows[names.get(name, name)] = events[name]
         with h5py.File(path, "w") as file:
             file.create_dataset(place, data=rows, compression="gzip")
             file["EXT_TRIGGER/events"] = np.zeros(3, [("p", "<i2"), ("t", "<i8"), ("id", "<i2")])
@@ -158,6 +158,8 @@ WRITERS = {
     "cd.hdf5": write_compound("CD/events"),
     "linked.hdf5": write_linked,
     "fields.h5": write_compound("recording/all"),
+    "fields-events.h5": write_compound("events"),
+    "fields-named.h5": write_compound("events", t="timestamp", p="polarity"),
     "v2e.h5": write_table("events", "txyp", "u4"),
     "mvsec.hdf5": write_table("davis/left/events", "xytp", "f8"),
     "m3ed.h5": write_m3ed,
@@ -210,8 +212,29 @@ def test_a_counter_of_32_bits_that_wraps_goes_on(kind, tmp_path):
     path, events = tmp_path / "a.npy", drawn(8)
     events["t"] = np.iinfo(kind).max - 30 + 10 * np.arange(8)
     np.save(path, events.astype([(n, kind if n == "t" else EVENT[n]) for n in EVENT.names]))
-    (found,) = open_recording(path, SIZE).events()
-    np.testing.assert_array_equal(found, events)
+    recording = open_recording(path, SIZE)
+    for _ in range(2):  # it is read twice, and said once
+        (found,) = recording.events()
+        np.testing.assert_array_equal(found, events)
+    (said,) = recording.remarks
+    assert "read as a counter of 32 bits that began anew" in said
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "is_wrap"),
+    [(2**32 - 10, 5, True), (4_100_000_000, 5, False), (2**32 - 10, 10**8, False),
+     (2**32 + 10, 5, False), (1 << 40, 5, False)],
+)  # fmt: skip
+def test_times_of_64_bits_begin_anew_near_the_end_of_32_alone(before, after, is_wrap, tmp_path):
+    events = drawn(2).astype([(n, "i8" if n == "t" else EVENT[n]) for n in EVENT.names])
+    events["t"] = before, after
+    write_columns(tmp_path / "a.h5", events)
+    recording = open_recording(tmp_path / "a.h5", SIZE)
+    if is_wrap:
+        assert next(recording.events())["t"].tolist() == [before, after + 2**32]
+        return
+    with pytest.raises(ObservationError, match="before the one ahead of it"):
+        list(recording.events())
 
 
 # polarity of events -> what is said; None where it is a coding that is known
@@ -290,6 +313,16 @@ def test_what_was_assumed_of_a_layout_is_a_remark(tmp_path):
     for name, words in said.items():
         WRITERS[name](tmp_path / name, drawn(9))
         assert any(words in each for each in open_recording(tmp_path / name).remarks)
+    columns = {f"other__{name}": FIELDS[name] for name in "xytp"}
+    for name, members, words in (
+        ("a.h5", {"CD__events": FIELDS, "events": FIELDS}, "read is CD/events; events is there"),
+        ("b.h5", {"events": FIELDS, "deep__er": FIELDS}, "read is events; deep/er is there too"),
+        ("c.h5", {"events": FIELDS, **columns}, "read is events; other is there too"),
+    ):
+        hdf5(tmp_path / name, **members)
+        assert open_recording(tmp_path / name).remarks == [f"{words.removesuffix(' too')} too"]
+    WRITERS["linked.hdf5"](tmp_path / "linked.h5", drawn(9))
+    assert not open_recording(tmp_path / "linked.h5").remarks
     write_numpy(tmp_path / "a.npy", drawn(9))
     assert not open_recording(tmp_path / "a.npy").remarks
 
@@ -329,6 +362,41 @@ INTACT = {
     "rectified": (
         lambda path: hdf5(path, xs=[1.5], ys=[1], ts=[0.1], ps=[1]),
         "at x = 1.5; events are at whole pixels",
+    ),
+    "coarse": (
+        lambda path: hdf5(
+            path, xs=[1, 1], ys=[1, 1], ts=np.float32([1.7e9, 1.7e9]), ps=[1, 1], dtype=[0]
+        ),
+        "1700000000 s in float32, which has one number each 128 s",
+    ),
+    "coarse table": (
+        lambda path: hdf5(path, davis__left__events=np.float32([[1, 1, 5000.1, 1]])),
+        "in float32, which has one number each 0.000488 s",
+    ),
+    "two times": (
+        lambda path: hdf5(path, xs=[1], ys=[1], ts=[0.1], ps=[1], t=[7]),
+        "holds t and ts, each of which is a name for t; which of them is it",
+    ),
+    "two polarities": (
+        lambda path: hdf5(path, events=np.zeros(3, [*FIELDS.dtype.descr, ("on", "?")])),
+        "holds p and on, each of which is a name for p",
+    ),
+    "late": (
+        lambda path: hdf5(
+            path, events__x=[1], events__y=[1], events__t=np.uint64([2**63]), events__p=[1]
+        ),
+        "t = 9223372036854775808 us; times are less than 2.62 us",
+    ),
+    "late offset": (
+        lambda path: hdf5(
+            path,
+            events__x=[1],
+            events__y=[1],
+            events__t=[1],
+            events__p=[1],
+            t_offset=np.uint64(2**64 - 5),
+        ),
+        "t_offset of 18446744073709551611 us; it must be less than 2.62 us",
     ),
     "offset": (
         lambda path: hdf5(
