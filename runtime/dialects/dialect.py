@@ -79,6 +79,7 @@ class Writer:
     translate: (name, node, convention) to the node that it is in the tool.
     source: the code in which that can be seen.
     default_timestep: the dt [s] where no node states one, and words for it; None where it must.
+        Without words it is the dt of all its files.
     tolerance: relative, within which nodes agree on dt.
     contradiction: why no other dt than the stated one can be given.
     fixed: options of Convention that are the same in all its files.

@@ -86,13 +86,20 @@ def read_as_written(
     nodes, edges = dict(graph.nodes), set(graph.edges)
     with refusals(tool.tool, "Name the tool that wrote the file, or read it without --from."):
         _check_kinds(nodes, tool.kinds, "writes")
-        dt, assumed = _timestep(tool, nodes, options.pop("dt", None))
+        gains_say = _stated_timestep(tool, nodes)
+        dt, assumed = _timestep(tool, gains_say, options.pop("dt", None))
         assumed += [each.words for option, each in tool.open.items() if option not in options]
         defaults = {option: each.choices[0] for option, each in tool.open.items()}
         convention = Convention(dt, **{**tool.fixed, **defaults, **options})
         nodes = {each: tool.translate(each, node, convention) for each, node in nodes.items()}
         convention = tool.wire(nodes, edges, convention)
     source = f"as {tool.tool} writes it"
+    default, words = tool.default_timestep or (dt, "")
+    if gains_say is not None and not words and not np.isclose(dt, default, rtol=1e-3):
+        source += (
+            f", but for gains that say dt = {dt:g} s, where it writes {default:g} s into all its "
+            "files: was the file written by another tool?"
+        )
     if assumed := [*assumed, *tool.always]:
         source += f"; not in the file, so assumed: {'; '.join(assumed)}"
     stated = replace(convention, source=source)
@@ -127,9 +134,8 @@ def _check_options(tool: Writer, options: Mapping[str, Any]) -> None:
             )
 
 
-def _timestep(tool: Writer, nodes: Nodes, given: float | None) -> tuple[float, list[str]]:
-    """The dt [s] of a file, and what was assumed for it."""
-    stated = _stated_timestep(tool, nodes)
+def _timestep(tool: Writer, stated: float | None, given: float | None) -> tuple[float, list[str]]:
+    """The dt [s] of a file, of which its nodes may state one, and what was assumed for it."""
     if stated is not None:
         if given is not None and not np.isclose(given, stated, rtol=1e-3):
             raise ConventionError(
@@ -148,13 +154,19 @@ def _timestep(tool: Writer, nodes: Nodes, given: float | None) -> tuple[float, l
 
 def _stated_timestep(tool: Writer, nodes: Nodes) -> float | None:
     """The dt [s] on which the nodes agree; None where none states it."""
-    stated = {name: tool.timestep(name, node) for name, node in sorted(nodes.items())}
+    with np.errstate(divide="ignore", invalid="ignore"):  # of gains of 0
+        stated = {name: tool.timestep(name, node) for name, node in sorted(nodes.items())}
     found = {name: float64(np.ravel(dt)) for name, dt in stated.items() if dt is not None}
     if not found:
         return None
+    for name, dt in found.items():
+        for none in dt[~(np.isfinite(dt) & (dt > 0))][:1]:
+            gains = f"writes one dt above 0 into all gains; here they say {none:g} s"
+            require(False, name, gains)
     middle = float(np.median(np.concatenate(list(found.values()))))
     for name, dt in found.items():
-        near = np.isfinite(dt) & (np.abs(dt / middle - 1) <= tool.tolerance) & (dt > 0)
-        one = f"writes one dt into all gains; here it is {dt[0]:g} s, not {middle:g} s as elsewhere"
-        require(near, name, one)
+        far = np.abs(dt / middle - 1) > tool.tolerance
+        for other in dt[far][:1]:
+            one = f"writes one dt into all gains; here it is {other:g} s, not {middle:g} s as "
+            require(False, name, f"{one}elsewhere")
     return rounded_timestep(middle, tool.tolerance)

@@ -38,6 +38,12 @@ def compare_with_recording(path: Path, recorded: Path, **options: Any) -> Verifi
         raise type(error)(f"{error}{hint}") from error
     inputs, outputs, unread = read_recorded(recorded, artifact)
     first = find_difference(artifact, inputs, outputs)
+    if first is None and not outputs.any():
+        raise ObservationError(
+            f"{recorded}: all {outputs.size:,} outputs are 0, and ours are: equal, which says "
+            "nothing, as most readings of a network are silent alike. Record it with an input at "
+            "which it puts something out."
+        )
     lines = [artifact.convention.describe()]
     if unread:
         lines.append(f"not compared: {', '.join(unread)}")
@@ -151,6 +157,6 @@ def _writer_hint(path: Path, given: Options, recorded: Path) -> str:
             if (read := read_with(graph, given, changes)) is not None:
                 artifact, words = read
                 inputs, outputs, _ = read_recorded(recorded, artifact)
-                if find_difference(artifact, inputs, outputs) is None:
+                if outputs.any() and find_difference(artifact, inputs, outputs) is None:
                     return f" With {' '.join(words)} your framework = our float: equal."
     return ""

@@ -113,6 +113,11 @@ def against_activity(
     for name, rows in wanted.items():
         found.append(_beside(recording, chip, name, rows, spikes, remarks))
         remarks = ()
+    if not any(each.record["recorded"] or each.record["emulated"] for each in found):
+        raise ObservationError(
+            f"{recording}: no neuron spikes, neither recorded nor emulated: equal, which says "
+            "nothing. Record the chip with an input at which its neurons spike."
+        )
     return found
 
 

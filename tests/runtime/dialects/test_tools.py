@@ -401,6 +401,16 @@ REFUSED = [
     (read_like, "lava", cuba(1, dt=1e-3), "needs r = tau_mem/dt"),
     (read_as_written, "snntorch", nir.IF(*full(1, 1)), "writes no IF, but a Leaky"),
     (read_as_written, "snntorch", lif(1, v_leak=1.0), "writes v_leak = 0"),
+    *(
+        (read_as_written, tool, node, f"writes one dt above 0 into all gains; here they say {said}")
+        for tool, node, said in (
+            ("snntorch", lif(1, r=0.0), "inf s"),
+            ("snntorch", nir.CubaLIF(*full(1, 1, 0, 0, 1)), "inf s"),
+            ("snntorch", lif(1, r=-1.0), "-"),
+            ("spikingjelly", lif(1, r=0.0), "inf s"),
+            ("lava", nir.CubaLIF(*full(1, 1, 0, 0, 1)), "inf s"),
+        )
+    ),
     (read_as_written, "norse", lif(1, r=10.0), "writes r = 1"),
     (read_as_written, "spikingjelly", nir.LIF(*full(1, 1, 0.5, 1)), "writes v_leak = v_reset"),
     (read_as_written, "sinabs", lif(1, r=2.0), "writes r = 1"),
@@ -423,6 +433,13 @@ def test_layers_that_a_tool_treats_differently_cannot_be_mixed():
     whole = chain(cuba(1, dt=1e-4), cuba(1, dt=1e-3), cuba(1, dt=1e-3), width=1, act=1)
     with pytest.raises(ConventionError, match=r"'n1': snnTorch 1\.0\.0 writes one dt into all"):
         read_as_written(whole, "snntorch")
+
+
+def test_a_dt_that_snntorch_never_writes_is_said():
+    for dt, is_said in ((1e-4, False), (1e-3, True)):
+        _, convention = read_as_written(chain(cuba(1, dt=dt), width=1, act=1), "snntorch")
+        said = f"but for gains that say dt = {dt:g} s, where it writes 0.0001 s"
+        assert (said in convention.source) is is_said
 
 
 @pytest.mark.parametrize(

@@ -38,6 +38,19 @@ def test_an_equal_recording_is_said_to_be_equal():
     assert "assumed: reset by subtraction, delayed" in found.stdout
 
 
+def test_a_recording_of_silence_proves_nothing(tmp_path):
+    nir.write(tmp_path / "a.nir", chain(lif(3), width=3, act=3))
+    rows = np.zeros((40, 3))
+    for inputs, said in (
+        (0, "all 120 outputs are 0, and ours are"),
+        (1e9, "your framework 0, our"),
+    ):
+        np.savez(tmp_path / "a.npz", input=rows + inputs, output=rows)
+        found = check(tmp_path / "a.nir", "--dt", 1e-3, "--against", tmp_path / "a.npz")
+        assert found.exit_code == 1  # the runner's, of any exception
+        assert said in f"{found.stdout}{found.exception}"
+
+
 @pytest.mark.parametrize(
     ("network", "recording", "words", "cause"),
     [

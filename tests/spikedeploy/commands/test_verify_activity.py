@@ -57,6 +57,10 @@ def test_spikes_of_a_layer_equal_those_of_the_emulated_chip(command, braille, tm
     assert "layer 'lif1.lif' on spinnaker2, 40 timesteps of 9 neurons: 360 of 360 num" in out
     assert f"{seen.sum()} spikes recorded, {seen.sum()} emulated, {seen.sum()} the same" in out
     assert seen.any()
+    source = saved(tmp_path / "none.npy", 0 * raster)
+    code, _, said = verify(command, saved(tmp_path / "a.npy", read(0 * seen)), network, source)
+    assert code == 2
+    assert "no neuron spikes, neither recorded nor emulated: equal, which says nothing" in said
 
 
 def test_a_missing_and_an_added_spike_are_counted_and_the_first_is_named(
@@ -131,7 +135,7 @@ def test_a_shape_of_two_layers_needs_a_name(command, tmp_path):
     code, _, err = verify(command, *words)
     assert code == 2
     assert "--layer" in err
-    assert verify(command, *words, "--layer", "b")[0] == 0
+    assert "no neuron spikes" in verify(command, *words, "--layer", "b")[2]
     assert "'c'" in verify(command, *words, "--layer", "c")[2]
 
 
