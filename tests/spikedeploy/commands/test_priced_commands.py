@@ -32,7 +32,7 @@ def test_emulate_measures_what_neurobench_does_and_counts_by_layer(command, emul
     assert sum(layer["sop"] for layer in found["events"].values()) == found["sops"]
     assert found["latency_s"].keys() == {"davies2018", "sanafe"}
     assert found["static_energy_j"]["sanafe"] == pytest.approx(0.104 * found["latency_s"]["sanafe"])
-    out = command(*emulate)[1]
+    out = command(*emulate, "--tables", "all")[1]
     for name in ("Effective_ACs", "ConnectionSparsity", "MembraneUpdates", "Footprint_packed"):
         assert name in out
 
