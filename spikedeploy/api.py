@@ -109,7 +109,8 @@ class LoadedNetwork:
         )
 
     def __repr__(self) -> str:
-        return f"<{self.path.name} on {self.chip}: {self._size()}>"
+        read = self.artifact.convention.describe()
+        return f"<{self.path.name} on {self.chip}: {self._size()}; {read}>"
 
     def _repr_html_(self) -> str:
         """A short card, for notebooks."""

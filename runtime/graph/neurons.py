@@ -27,6 +27,7 @@ two, rounded down; here the unit is the threshold, to the nearest (after O'Conno
 NIR has no such node. A tool that does not read the metadata sees the integrator alone.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
@@ -145,6 +146,19 @@ def float64(values: NDArray[Any]) -> Array:
 
 
 _DEFAULT = "the file does not say: NIR's usual"
+_SNNTORCH_DT = 1e-4  # [s] what snnTorch 1.0.0 writes, whatever was meant
+
+
+def _unsaid(dt: float, given: Mapping[str, Any]) -> str:
+    """Source of what a file does not say; and how to say it, unless a reset was given."""
+    if "reset" in given:
+        return _DEFAULT
+    asked = (
+        "this dt is that of snnTorch: if it wrote the file, --from snntorch"
+        if math.isclose(dt, _SNNTORCH_DT, rel_tol=1e-6)
+        else "if snnTorch, Norse … wrote the file: --from TOOL"
+    )
+    return f"{_DEFAULT}; {asked}"
 
 
 class _InferredTimestep(NamedTuple):
@@ -200,7 +214,7 @@ def infer_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Conventio
     Raises ArtifactError where dt is neither given nor implied by the gains.
     """
     if "dt" in given:
-        return Convention(given["dt"], source=_DEFAULT).with_options(given)
+        return Convention(given["dt"], source=_unsaid(given["dt"], given)).with_options(given)
     evidence = infer_timestep(graph)
     if evidence.dt is None:
         raise ArtifactError(
@@ -208,7 +222,8 @@ def infer_convention(graph: nir.NIRGraph, given: Mapping[str, Any]) -> Conventio
             "Give the dt in seconds of the tool that wrote the file, or name that tool with "
             "--from."
         )
-    return Convention(evidence.dt, source=f"{evidence.reason}; {_DEFAULT}").with_options(given)
+    source = f"{evidence.reason}; {_unsaid(evidence.dt, given)}"
+    return Convention(evidence.dt, source=source).with_options(given)
 
 
 def _candidates(node: nir.NIRNode) -> Array:

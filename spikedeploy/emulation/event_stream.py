@@ -6,6 +6,7 @@ over all timesteps (tests/spikedeploy/commands/test_emulate_events.py), where a 
 later is listened to from its start on.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice, repeat
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.emulation.event_files import Recording
 from spikedeploy.emulation.event_input import EventView, Survey, TimeSteps, count_rows
-from spikedeploy.emulation.open_loop import SILENT
+from spikedeploy.emulation.open_loop import SILENT, several_remark
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
@@ -220,6 +221,8 @@ def emulate_events(
             f"{tally.clipped:,} of {found.seen:,} events found their neuron with as many as the "
             f"chip takes in a timestep already, and are lost: a shorter --time-step loses fewer"
         )
+    if steps and on is not None:
+        remarks += several_remark(tally.several, artifact, chip)
     if view.shape[0] == 1:
         remarks.append("the network has one channel, which takes events of both polarities")
     if isinstance(network, Machine) and network.program.chip.arithmetic.by_events:
@@ -255,11 +258,13 @@ class _Tally:
 
     spikes: node -> how many.
     clipped: events that were too many for a timestep.
+    several: node -> how often a neuron sent several spikes at once; not of graded ones.
     """
 
     def __init__(self, artifact: Artifact, network: RunningNetwork | EventMachine) -> None:
         self._artifact, self._ports = artifact, ports(artifact.graph.outputs)
         self.spikes: dict[str, int] = {}
+        self.several: Counter[str] = Counter()
         self.clipped = 0
         program = None if isinstance(network, FloatMachine) else network.program
         self._layers = program.layers if program else ()
@@ -281,7 +286,9 @@ class _Tally:
     ) -> None:
         """Add spikes up; graded ones of any size are one each."""
         if name not in self._artifact.graph.inputs:
-            sent = len(neurons) if name in self._artifact.sigma_delta else int(counts.sum())
+            is_graded = name in self._artifact.sigma_delta
+            sent = len(neurons) if is_graded else int(counts.sum())
+            self.several[name] += 0 if is_graded else int((counts > 1).sum())
             self.spikes[name] = self.spikes.get(name, 0) + sent
         if name == self._output:
             size = int(np.prod(node_shape(self._artifact, name)))

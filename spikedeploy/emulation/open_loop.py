@@ -46,6 +46,21 @@ SILENT = (
 )
 
 
+def several_remark(several: Mapping[str, int], artifact: Artifact, chip: str) -> list[str]:
+    """A remark on neurons that sent several spikes in a timestep, where the file's send one.
+
+    several  node -> how often
+    """
+    found = [f"{count:,} times in {name!r}" for name, count in several.items() if count]
+    if not found or artifact.convention.spikes == "many":
+        return []
+    return [
+        f"neurons of {chip} sent several spikes in one timestep, {', '.join(found)}; those of the "
+        "file send one. Larger thresholds beside the weights make it rarer, and sd.on_chip trains "
+        "with it (docs/own-network.md)"
+    ]
+
+
 @dataclass(frozen=True)
 class Measures:
     """Measurements of one inference.
@@ -268,7 +283,10 @@ def emulate_artifact(
     }
     unlimited = on is not None and not limits and on.limits is not None
     silent = bool(spikes) and not any(rows.any() for rows in spikes.values())
-    remarks = (*network.remarks, *[_UNLIMITED] * unlimited, *[SILENT] * silent)
+    sent = {n: seen for n, seen in network.spikes.items() if n not in artifact.sigma_delta}
+    several = {name: int((seen > 1).sum()) for name, seen in sent.items()} if on else {}
+    often = several_remark(several, artifact, chip)
+    remarks = (*network.remarks, *often, *[_UNLIMITED] * unlimited, *[SILENT] * silent)
     clock = "" if on is None else network.program.describe_clock()
     batch = len(next(iter(rows.values()))) if batched else None
     emulation = Emulation(

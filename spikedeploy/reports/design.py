@@ -19,7 +19,9 @@ from spikedeploy.runtime.compiler.mapping import (
     mapping_utilisation,
     placement_utilisation,
 )
+from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.compiler.rules import RuleResult, format_value, spiking_kinds
+from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IN_TIMESTEPS
 
 LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"
 _MARKS = {"pass": "✓", "fail": "✗", "unknown": "?", "not applicable": "·"}
@@ -71,7 +73,7 @@ def print_report(report: DesignReport, everything: bool = True) -> None:
     if not alone:
         _print_remedies(report)
     if not (everything and alone):  # which prints all notes
-        _print_outliers(report)
+        _print_remarks(report)
     _print_neurons(report)
     if not everything:
         print("All rules: --rules" + "; why a chip cannot: --chip NAME" * (not alone))
@@ -83,14 +85,19 @@ def _print_remedies(report: DesignReport) -> None:
         print_text(line)
 
 
-def _print_outliers(report: DesignReport) -> None:
-    """Print what is said of layers that one large number makes coarse, with the chips where so."""
+def _print_remarks(report: DesignReport) -> None:
+    """Print what is said of coarse layers and of timesteps, with the chips where so."""
     chips: dict[str, list[str]] = {}
     for each in report.checks:
-        for remark in each.program.outliers if each.program else ():
+        for remark in _remarks(each.program) if each.program else ():
             chips.setdefault(remark, []).append(each.chip.name)
     for remark, names in chips.items():
         print_text(remark if len(report.checks) == 1 else f"{', '.join(names)}: {remark}")
+
+
+def _remarks(program: Program) -> list[str]:
+    """The remarks that a verdict does not go without."""
+    return [each for each in program.remarks if each in (*program.outliers, IN_TIMESTEPS)]
 
 
 def _print_neurons(report: DesignReport) -> None:

@@ -265,6 +265,10 @@ _BY_EVENTS = (
     "events go from layer to layer one by one, no neuron sends more than {most} for an event, and "
     "those of one event leave in the order {order!r}, which is assumed"
 )
+IN_TIMESTEPS = (
+    "in timesteps, as the vendor's tools compute it; the chip itself works event by event: "
+    "queue=on, and --step event where --events are its input (docs/speck.md)"
+)
 _SOONER = "; those of recurrent neurons one timestep sooner than in the file"
 
 
@@ -341,6 +345,8 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         if self.by_events:
             most = 1 if self.event_spikes == "single" else self.spikes_max
             return [_BY_EVENTS.format(most=most, order=self.event_order)]
+        if self.event_order != "none":
+            return [IN_TIMESTEPS]
         inside = [s for layer in layers for s in layer.synapses if s.source != network_input]
         if not (self.queue_entries and inside):
             return []

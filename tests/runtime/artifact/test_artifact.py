@@ -101,6 +101,21 @@ def test_the_timestep_of_a_foreign_file_is_inferred_with_its_reason(artifact, pa
     assert (back.codec, back.provenance) == (None, None)
 
 
+@pytest.mark.parametrize(
+    ("dt", "given", "asked"),
+    [
+        (1e-3, {}, "if snnTorch, Norse … wrote the file: --from TOOL"),
+        (1e-3, {"dt": 1e-3}, "wrote the file: --from TOOL"),
+        (1e-4, {}, "this dt is that of snnTorch: if it wrote the file, --from snntorch"),
+        (1e-4, {"reset": "zero"}, ""),
+    ],
+)
+def test_a_file_that_says_no_convention_is_asked_for_its_tool(dt, given, asked, path):
+    said = load(foreign(path, chain(cuba(4, dt=dt), width=4, act=4)), **given).convention.source
+    assert asked in said
+    assert ("--from" in said) == bool(asked)
+
+
 def test_float32_gains_give_a_clean_timestep_and_a_gain_of_one(path):
     network = chain(cuba(4, alpha=0.8, beta=0.95, dt=1e-4, dtype=np.float32), width=4, act=4)
     back = load(foreign(path, network))

@@ -114,6 +114,45 @@ def test_what_runs_beyond_the_limits_of_a_chip_says_so(emulate):
     assert "limits off: `spikedeploy check` says" in out
 
 
+@pytest.mark.parametrize(
+    ("chip", "reset", "spikes", "several"),
+    [
+        ("odin", "zero", "above", "2 times in 'n2'"),
+        ("odin:queue=on", "zero", "above", "2 times in 'n2'"),
+        ("tinyodin", "zero", "above", "2 times in 'n2'"),
+        ("odin", "zero", "many", ""),  # as the file says
+        ("speck2f", "subtract", "above", "2 times in 'n2'"),
+        ("speck2f", "zero", "above", ""),
+        ("loihi1", "zero", "above", ""),
+        ("float", "subtract", "many", ""),
+    ],
+)
+def test_several_spikes_in_a_timestep_where_the_file_means_one_are_said(
+    chip, reset, spikes, several, emulate
+):
+    # each of two inputs is above the threshold by itself
+    neuron = nir.IF(np.full(1, 1000.0), np.full(1, 0.9), np.zeros(1))
+    network = chain(nir.Linear(np.ones((1, 2))), neuron, width=2, act=1)
+    rows = np.array([[1, 1], [0, 1], [1, 1]], np.uint8)
+    words = ("--dt", 1e-3, "--reset", reset, "--spikes", spikes, "--chip", chip)
+    code, arrays, out, err = emulate(network, rows, *words)
+    assert not code, err
+    assert ("several spikes in one timestep" in out, several in out) == (bool(several), True)
+    if several:
+        assert (arrays["n2"] > 1).sum() == 2
+
+
+@pytest.mark.parametrize(("chip", "said"), [("speck2f", True), ("speck2f:queue=on", False)])
+def test_speck_in_timesteps_says_that_the_chip_goes_event_by_event(chip, said, emulate, command):
+    file = "tests/golden/exports/sinabs_conv.nir"
+    _, checked, _ = command("check", file, "--from", "sinabs", "--chip", chip)
+    network = chain(nir.Linear(np.ones((1, 2))), nir.IF(*full(1e3, 2.5, 0.0)), width=2, act=1)
+    words = ("--dt", 1e-3, "--reset", "subtract", "--chip", chip)
+    _, _, ran, _ = emulate(network, np.ones((3, 2), np.uint8), *words)
+    for out in (checked, ran):
+        assert ("queue=on, and --step event" in " ".join(out.split())) == said
+
+
 @pytest.mark.parametrize("name", ["speck2f", "loihi1", "int", "ideal"])
 def test_convolutions_of_128_by_128_fit_and_advance_a_timestep(name, emulate, command, tmp_path):
     artifact = for_speck(name)
