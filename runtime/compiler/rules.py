@@ -174,6 +174,21 @@ def _choose(node: str, found: str, possible: Sequence[str], remedy: str) -> Rule
 # rules on single nodes: kinds, resets, decays, thresholds, weights, kernels
 
 
+_REPLACE = "Replace the node, or run the network in float."
+_NO_LEAK = (
+    "Its neurons have no exponential leak and no synaptic current: train with beta=1 "
+    "(integrate-and-fire, in snnTorch Leaky), or run the network in float."
+)
+
+
+def _leaks_in_vain(design: PlacedNetwork, name: str | None = None) -> bool:
+    """True where a neuron, or that of this name, leaks or has a current, as none of the chip's."""
+    kinds, nodes = design.limits.primitives, design.artifact.graph.nodes
+    has_none = "IF" in kinds and not {"LIF", "CubaLIF"} & {*kinds}
+    found = nodes.values() if name is None else [nodes[name]]
+    return has_none and any(isinstance(node, nir.LIF | nir.CubaLIF) for node in found)
+
+
 def _primitive(design: PlacedNetwork) -> Iterator[RuleResult]:
     """Each node is of a kind that the chip has; what the host computes may be any."""
     for name, node in design.nodes:
@@ -185,7 +200,8 @@ def _primitive(design: PlacedNetwork) -> Iterator[RuleResult]:
         if kind in READOUTS and not spikes and design.network.leaving(name):
             kind = f"{kind} before neurons"
             possible = tuple(each for each in possible if each not in READOUTS)
-        yield _choose(name, kind, possible, "Replace the node, or run the network in float.")
+        remedy = _NO_LEAK if _leaks_in_vain(design, name) else _REPLACE
+        yield _choose(name, kind, possible, remedy)
 
 
 def _reset(design: PlacedNetwork) -> Iterator[RuleResult]:
@@ -201,6 +217,10 @@ def _reset(design: PlacedNetwork) -> Iterator[RuleResult]:
             yield _result(name, "fail", found, "v_reset 0", "", remedy)
         else:
             remedy = reset_remedy(reset, kinds, resets)
+            if _leaks_in_vain(design):  # the leak has to go first
+                remedy = reset_remedy(reset, {"IF"}, resets)
+                if reset == "subtract-delayed" and "subtract" in resets:
+                    remedy = "With beta=1 it passes as well, as snnTorch's default."
             if trained_for := design.artifact.trained_for:
                 remedy = f"Run it on {trained_for}, for which it was trained."
             yield _choose(name, f"reset {reset!r}", [f"reset {r!r}" for r in resets], remedy)
@@ -221,7 +241,7 @@ def reset_remedy(reset: str, kinds: Collection[str], resets: Sequence[str]) -> s
     integrates = {*kinds} == {"IF"}
     if reset == "zero-delayed" and "CubaLIF" not in kinds:
         return "Give --reset zero, with which these neurons spike alike."
-    if reset == "subtract-delayed" and integrates:
+    if reset == "subtract-delayed" and integrates and "subtract" in resets:
         return "Give --reset subtract, with which neurons without a leak spike alike."
     if reset in ("zero", "subtract"):
         return (
@@ -359,14 +379,19 @@ def _axon_signs(design: PlacedNetwork) -> Iterator[RuleResult]:
     """Sources excite all that they reach, or inhibit all, where a chip keeps signs by source."""
     if not design.limits.axon_signs:
         return
-    unit = "sources with weights of both signs"
-    remedy = "Train with sources of one sign, or double them."
+    remedy = (
+        "Train with weights of one sign for each source, a column of Linear.weight in snnTorch; or "
+        "double each source: one neuron with the positive weights, one with the negative."
+    )
     for name in (*design.network.inputs, *(p.name for p in design.network.populations)):
         found = design.network.leaving(name)
         if weights := [each.weight for each in found if each.weight is not None]:
             up = np.any([(weight > 0).any(axis=1) for weight in weights], axis=0)
             down = np.any([(weight < 0).any(axis=1) for weight in weights], axis=0)
-            yield _compare(name, int((up & down).sum()), 0, unit, remedy)
+            mixed, found = int((up & down).sum()), "sources with weights of one sign each"
+            if mixed:
+                found = f"{mixed:,} of {up.size:,} sources with both positive and negative weights"
+            yield _result(name, _verdict(not mixed), found, "one sign for a source", "", remedy)
 
 
 def _weight_values(design: PlacedNetwork) -> Iterator[tuple[str, int]]:
@@ -430,7 +455,8 @@ def _decay_range(design: PlacedNetwork) -> Iterator[RuleResult]:
         if any(held is not None and not _holds(held, loss) for loss, held in losses.values()):
             status = "fail"
         found = "a loss of " + ", ".join(f"{s} {_span(loss)}" for s, (loss, _) in losses.items())
-        unit, remedy = "of 1 in a timestep", "Choose another time constant."
+        unit = "of 1 in a timestep"
+        remedy = _NO_LEAK if _leaks_in_vain(design, name) else "Choose another time constant."
         yield _result(name, status, found, ", ".join(ranges) or None, unit, remedy)
 
 
@@ -655,7 +681,8 @@ NODE_RULES: dict[str, Rule] = {
 _NETWORK_RULES: dict[str, Rule] = {
     "inputs": _at_most(
         "inputs",
-        "Give the network fewer inputs, for example fewer neurons in its code.",
+        "Give the network fewer inputs: pool or choose features before they become spikes, or "
+        "take fewer neurons in its codec, where it has one.",
         "inputs",
         lambda design: [(None, sum(design.network.inputs.values()))],
     ),

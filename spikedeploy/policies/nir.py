@@ -213,7 +213,14 @@ def adopt(
     if artifact.codec is not None:
         raise ConfigError(f"{file} states its codec: leave --codec out")
     found, bounds = _read_codec(codec)
-    policy = replace(artifact, codec=found, provenance=_ADOPTED)
+    try:
+        policy = replace(artifact, codec=found, provenance=_ADOPTED)
+    except ArtifactError as error:  # written by hand
+        what = str(error).removesuffix(" Export the policy again.")
+        raise ArtifactError(
+            f"--codec {codec}: {what} Change the encoder, or give a network with "
+            f"{found.encoder.width} inputs."
+        ) from error
     if bounds is not None:
         policy = with_actions(policy, *bounds, f"--codec {codec}: actions")
     check_output("--from", target, (file, codec), force, _is_adopted)

@@ -107,7 +107,10 @@ def _print_neurons(report: DesignReport) -> None:
     # an integrator's own default is a reset of chips
     is_leaky = spiking_kinds(artifact) != {"IF"} and not artifact.trained_for
     is_snntorch = convention.reset not in ("zero", "subtract") or "snnTorch" in convention.source
-    if is_leaky and is_snntorch and any("reset" in _broken(each) for each in report.checks):
+    # where the leak breaks too, neurons with a leak are no advice
+    broken = [{*_broken(each)} for each in report.checks]
+    is_asked = any("reset" in e and not {"primitive", "decay-range"} & e for e in broken)
+    if is_leaky and is_snntorch and is_asked:
         print_text("\nNeurons of snnTorch that reset in the timestep of a spike, as chips do:\n")
         print(textwrap.indent(NEURONS_OF_CHIPS, "    "))
         print_text(READ_SO)

@@ -151,6 +151,7 @@ def test_a_strange_codec_is_refused_in_a_sentence(text, says, tmp_path, command)
     (("distill", "bad.onnx", "--env", "CartPole-v1"), "is not an ONNX file that can be run"),
     (("distill", "bad.zip", "--env", "CartPole-v1"), "cannot be read as a model of Stable-B"),
     (("distill", "mine:number", "--env", "CartPole-v1"), "is no function of an observation, but 3"),
+    (("distill", "mine:Actor", "--env", "CartPole-v1"), "mine:Actor is a class: name a function"),
     (("distill", "mine:absent", "--env", "CartPole-v1"), "has no 'absent'"),
     (("distill", "nowhere_at_all:f", "--env", "CartPole-v1"), "there is no module nowhere_at_all"),
 ])  # fmt: skip
@@ -159,7 +160,7 @@ def test_broken_cards_and_teachers_are_refused(words, says, tmp_path, command, m
     monkeypatch.syspath_prepend(str(tmp_path))
     for name in ("card.json", "bad.onnx", "bad.zip"):
         (tmp_path / name).write_text("[" * 100_000)
-    (tmp_path / "mine.py").write_text("number = 3\n")
+    (tmp_path / "mine.py").write_text("number = 3\nclass Actor: pass\n")
     sys.modules.pop("mine", None)
     refused(command(*words), says)
     assert not [*tmp_path.glob("runs/*")]

@@ -35,6 +35,11 @@ def own_function(name: str, spaces: OwnSpaces, units: Units) -> Teacher:
     act = attribute(name, import_target(name, module, "a teacher is module:function"), within)
     if not callable(act):
         raise ConfigError(f"the teacher {name} is no function of an observation, but {act!r}")
+    if isinstance(act, type):
+        raise ConfigError(
+            f"the teacher {name} is a class: name a function of an observation, such as a method "
+            "of an instance that the module makes"
+        )
     vectorised = bool(getattr(act, "vectorised", False))
 
     def act_all(observation: FloatArray) -> FloatArray:

@@ -352,6 +352,22 @@ def test_every_node_of_a_shipped_policy_is_judged_by_every_rule(policy, name):
             assert "/sparse" in policy or policy in ("kart-eye/snn", "hexapod-tiles/legs-snn")
 
 
+@pytest.mark.parametrize("name", ["speck2f", "odin", "tinyodin", "truenorth"])
+def test_a_leak_that_a_chip_has_not_is_answered_with_beta_1(name):
+    leaky = one(neurons=lif(2), reset="subtract-delayed")
+    found = {each.rule: each for each in check(leaky, chip(name)).rulings if each.failed}
+    assert all("beta=1" in found[rule].remedy for rule in ("primitive", "decay-range"))
+    # snnTorch's default reset is the chip's where nothing leaks, if it subtracts
+    subtracts = "subtract" in chip(name).resets
+    assert ("With beta=1 it passes" in found["reset"].remedy) == subtracts
+
+
+def test_sources_of_both_signs_are_counted_in_words():
+    (found,) = (e for e in check(signed([[1, -1], [2, 1]]), chip("odin")).rulings if e.failed)
+    assert found.found == "1 of 2 sources with both positive and negative weights"
+    assert "double each source: one neuron with the positive weights" in found.remedy
+
+
 @settings(max_examples=60)
 @given(graphs(), st.sampled_from(list(CHIPS)), st.sampled_from(["zero", "subtract"]))
 def test_a_generated_graph_is_judged_or_refused_by_our_errors(network, name, reset):

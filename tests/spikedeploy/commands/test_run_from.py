@@ -70,11 +70,21 @@ def test_a_network_of_another_tool_drives_and_spikes_as_its_author_meant(
             ("--from", "snntorch", "--codec", "short.json"),
             "incomplete; docs/own-network",
         ),
+        (
+            ("--from", "snntorch", "--codec", "narrow.json"),
+            "makes 2 spike trains, node 'input' takes 12. Change the encoder, or give a network "
+            "with 2 inputs.",
+        ),
     ],
 )
 def test_what_is_missing_is_asked_for(words, said, here, command):
     (here / "list.json").write_text("[1]")
     (here / "short.json").write_text('{"timesteps": 4}')
+    narrow = {
+        "normaliser": {"mean": [0] * 2, "std": [1.0] * 2, "clip": 3},
+        "encoder": {**CODEC["encoder"], "low": [-1] * 2, "high": [1] * 2},
+    }
+    (here / "narrow.json").write_text(json.dumps({**CODEC, **narrow}))
     code, out, err = command("run", "snntorch_leaky.nir", *ENV, *words)
     assert code == 2
     assert out == ""
