@@ -1,6 +1,7 @@
 """The convention: the choices of discretisation that NIR leaves open and on which spikes depend."""
 
 import math
+import numbers
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
@@ -15,6 +16,16 @@ Spikes = Literal["above", "reached", "many"]
 Floor = Literal["none", "zero", "threshold"]
 Clock = Literal["gated", "pipelined", "free"]
 CLOCKS: tuple[Clock, ...] = get_args(Clock)
+
+
+def check_timestep(dt: object) -> None:
+    """Raise ConventionError where a dt is no duration [s]."""
+    seconds = float(dt) if isinstance(dt, numbers.Real) else math.nan
+    if not (math.isfinite(seconds) and seconds > 0):
+        raise ConventionError(
+            f"dt must be a finite number of seconds above 0, found {dt!r}. "
+            "Give the timestep that the network was trained with."
+        )
 
 
 @dataclass(frozen=True)
@@ -55,11 +66,7 @@ class Convention(Stored):
     clock: Literal["gated", "pipelined"] = field(default="gated", metadata=OPTIONAL)
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.dt) and self.dt > 0):
-            raise ConventionError(
-                f"dt must be a finite number of seconds above 0, found {self.dt}. "
-                "Give the timestep that the network was trained with."
-            )
+        check_timestep(self.dt)
         super().__post_init__()
         if self.delay not in (0, 1):
             raise self.unknown("delay", self.delay, (0, 1))

@@ -30,7 +30,7 @@ from spikedeploy.runtime.codec.codec import GIVE_CODEC
 from spikedeploy.runtime.convention import Floor, Integrator, Reset, Spikes, State
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.network import chip_or_float
-from spikedeploy.runtime.errors import ArtifactError, RuleError
+from spikedeploy.runtime.errors import ArtifactError, ConfigError, RuleError
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.seeds import EVALUATION
 
@@ -255,6 +255,11 @@ def load(
     like        the tool as whose import reads it
     dt          [s]; like what follows an option of Convention, and precedes the file
     """
+    if not isinstance(path, str | Path):
+        raise ConfigError(
+            f"load takes the path of a file, or the name of a shipped policy; found a "
+            f"{type(path).__name__}. Write a graph with nir.write(path, graph) first."
+        )
     file = network_path(str(path))
     reading: dict[str, Any] = {
         "written_by": written_by,

@@ -15,7 +15,15 @@ import numpy as np
 from spikedeploy.files import replacing
 from spikedeploy.runtime.artifact.hdf5 import read_graph, write_graph
 from spikedeploy.runtime.codec.codec import Codec
-from spikedeploy.runtime.convention import Convention, Floor, Integrator, Reset, Spikes, State
+from spikedeploy.runtime.convention import (
+    Convention,
+    Floor,
+    Integrator,
+    Reset,
+    Spikes,
+    State,
+    check_timestep,
+)
 from spikedeploy.runtime.dialects.reading import finite_nodes, read_as_written, read_like
 from spikedeploy.runtime.dialects.rewriting import rewrite_for
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
@@ -186,6 +194,8 @@ def interpret(graph: nir.NIRGraph, options: Mapping[str, Any]) -> Artifact:
     """
     given = {name: value for name, value in options.items() if value is not None}
     like, written_by = given.pop("like", None), given.pop("written_by", None)
+    if "dt" in given:
+        check_timestep(given["dt"])
     if like is not None and written_by is not None:
         raise ConventionError(
             f"--like {like} is how a tool reads the file, --from {written_by} how a tool wrote "

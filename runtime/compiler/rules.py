@@ -388,10 +388,9 @@ def _axon_signs(design: PlacedNetwork) -> Iterator[RuleResult]:
         if weights := [each.weight for each in found if each.weight is not None]:
             up = np.any([(weight > 0).any(axis=1) for weight in weights], axis=0)
             down = np.any([(weight < 0).any(axis=1) for weight in weights], axis=0)
-            mixed, found = int((up & down).sum()), "sources with weights of one sign each"
-            if mixed:
-                found = f"{mixed:,} of {up.size:,} sources with both positive and negative weights"
-            yield _result(name, _verdict(not mixed), found, "one sign for a source", "", remedy)
+            mixed = int((up & down).sum())
+            said = f"{mixed:,} of {up.size:,} sources with both positive and negative weights"
+            yield _result(name, _verdict(not mixed), said, "one sign for a source", "", remedy)
 
 
 def _weight_values(design: PlacedNetwork) -> Iterator[tuple[str, int]]:

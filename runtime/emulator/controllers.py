@@ -107,7 +107,7 @@ class SpikingController(Copied):
         """Hits of the chip's faults, those over time since the controller was made."""
         return self._machine.damage if self._machine else ()
 
-    def reset(self, seed: int, each: Sequence[int] = ()) -> None:
+    def reset(self, seed: int = 0, each: Sequence[int] = ()) -> None:
         """Start an episode: forget every state; what is random in it comes from the seed.
 
         each: seeds of the B robots of a batch, of which each has upsets of its own.

@@ -34,6 +34,13 @@ EVENTS = (
 )
 
 
+def _column(event: str) -> int:
+    """The place of an event in EVENTS; ConfigError for others."""
+    if event not in EVENTS:
+        raise ConfigError(f"event {event!r} is unknown. Choose one of {', '.join(EVENTS)}.")
+    return EVENTS.index(event)
+
+
 @dataclass(frozen=True, eq=False)
 class Ledger:
     """Counts of events.
@@ -65,7 +72,7 @@ class Ledger:
 
     def total(self, event: str) -> int:
         """All events of a kind, over steps and layers."""
-        return int(self.counts[:, :, EVENTS.index(event)].sum())
+        return int(self.counts[:, :, _column(event)].sum())
 
     def per_inference(self, event: str) -> float:
         """Mean number of events of a kind in an inference."""
@@ -73,7 +80,7 @@ class Ledger:
 
     def by_layer(self, event: str) -> dict[str, int]:
         """All events of a kind, of each layer."""
-        totals = self.counts[:, :, EVENTS.index(event)].sum(axis=0)
+        totals = self.counts[:, :, _column(event)].sum(axis=0)
         return dict(zip(self.layers, totals.tolist(), strict=True))
 
     def of_layer(self, name: str) -> "Ledger":

@@ -119,6 +119,13 @@ def _emulate_events(
             writer = write_spikes(output, artifact, found, steps)
             listeners.append(stack.enter_context(writer))
         run = emulate_events(artifact, chip, recording, view, found, steps, listeners, **options)
+    convention = artifact.convention
+    if steps and camera.time_step is None and "snnTorch" in convention.source:
+        remark = (
+            f"timesteps of {convention.dt * 1e3:g} ms, as snnTorch writes whatever was meant: "
+            "--time-step gives those in which the network was trained"
+        )
+        run = replace(run, remarks=(*run.remarks, remark))
     run = replace(run, tables=tables)
     if camera.page:
         html = event_page(file.stem, run, listeners[0])

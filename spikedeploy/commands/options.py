@@ -220,6 +220,12 @@ class World:
         """Options of `make_env`."""
         from spikedeploy.make_env import parse_options
 
+        for text in self.set_ or ():
+            if (name := text.partition("=")[0]) in ("success", "disturb"):
+                raise ConfigError(
+                    f"--set {text}: {name} is given with --{name}. An argument of this name of an "
+                    "environment is set in a function of yours, named as module:function."
+                )
         return parse_options(self.set_ or (), self.disturb or (), self.success)
 
 

@@ -86,6 +86,15 @@ class DesignReport:
             return any(each.passed for each in self.checks if each.chip.limits is not None)
         return all(each.passed for each in self.checks)
 
+    def __str__(self) -> str:
+        """The verdicts, a line for each chip, and the rules that are broken."""
+        lines = [f"{self.file}: {self.artifact.convention.describe()}"]
+        for each in self.checks:
+            broken = [ruling for ruling in each.rulings if ruling.failed]
+            lines.append(f"{'✗' if broken else '✓'} {each.chip.name}")
+            lines += [f"  {ruling.describe(each.chip.name)}" for ruling in broken]
+        return "\n".join(lines)
+
     def as_json(self) -> dict[str, Any]:
         """Every rule result and mapping, as plain data."""
         return {

@@ -106,4 +106,9 @@ def in_batch(rasters: Raster | Mapping[str, Raster]) -> Raster | dict[str, Raste
 def as_raster(found: object) -> Raster:
     """The raster (T, *shape) that an array is, in the type that a file of it would have."""
     check_unmasked(found)
+    if getattr(found, "requires_grad", False):
+        raise ObservationError(
+            "the raster is a tensor that requires grad, which a run does not compute. Give "
+            "raster.detach(); sd.on_chip has gradients."
+        )
     return _checked("the raster", np.asarray(found))

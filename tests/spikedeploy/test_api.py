@@ -2,9 +2,11 @@
 
 import importlib
 import json
+import re
 
 import numpy as np
 import pytest
+import torch
 
 import spikedeploy as sd
 from spikedeploy.emulation.open_loop import emulate_artifact
@@ -17,6 +19,7 @@ from spikedeploy.runtime.errors import (
     ConfigError,
     ObservationError,
     RuleError,
+    SpikedeployError,
 )
 from spikedeploy.trainers.config import PopsanConfig
 from tests import toy_stroll_env
@@ -227,3 +230,33 @@ def test_events_that_were_not_counted_are_an_error_where_they_are_used():
     with pytest.raises(RuleError, match=r"no total: events cannot be counted"):
         out.ledger.total("sop")
     assert "not counted" in repr(out)
+
+
+MINE = ROOT / "tests/golden/exports/snntorch_leaky.nir"
+
+
+@pytest.mark.parametrize(
+    ("ask", "said"),
+    [
+        (lambda net: sd.load(net.artifact.graph), "found a NIRGraph. Write a graph with nir.write"),
+        (lambda net: sd.load(MINE, dt="1ms"), "dt must be a finite number of seconds"),
+        (lambda net: sd.load(MINE, dt="1ms", written_by="snntorch"), "above 0, found '1ms'"),
+        (lambda net: ran(net).ledger.total("sops"), "event 'sops' is unknown. Choose one of spike"),
+        (lambda net: ran(net).ledger.per_inference("foo"), "event 'foo' is unknown"),
+        (lambda net: ran(net).ledger.by_layer("foo"), "event 'foo' is unknown"),
+        (lambda net: net.run(torch.ones(3, 12, requires_grad=True)), "Give raster.detach()"),
+    ],
+)
+def test_a_slip_in_python_is_a_sentence(ask, said):
+    net = sd.load(MINE, written_by="snntorch", reset="zero").on("loihi1")
+    with pytest.raises(SpikedeployError, match=re.escape(said)):
+        ask(net)
+
+
+def ran(net):
+    return net.run(np.ones((3, 12), np.uint8))
+
+
+def test_a_report_prints_its_verdicts():
+    said = str(sd.load(MINE, written_by="snntorch").check("loihi1", "ideal"))
+    assert "✗ loihi1\n  rule reset: node " in said

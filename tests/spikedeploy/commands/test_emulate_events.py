@@ -171,6 +171,22 @@ def test_a_timestep_into_a_chip_that_goes_event_by_event_is_remarked(files, emul
     assert "in the order of their neurons" not in said["event"]
 
 
+def test_timesteps_as_snntorch_writes_them_are_remarked(files, tmp_path, command):
+    graph = nir.read(tmp_path / "net.nir")
+    for node in graph.nodes.values():
+        if isinstance(node, nir.IF):
+            node.r = np.full(node.r.shape, 1e4)
+    nir.write(tmp_path / "mine.nir", graph)
+    words = ("emulate", tmp_path / "mine.nir", "--events", tmp_path / "rec.h5", "--downsample", 2)
+    for more, is_said in (((), True), (("--time-step", "1ms"), False)):
+        given = ("--from", "snntorch", "--chip", "speck2f", *more, "--json")
+        code, out, err = command(*words, *given)
+        assert code == 0, err
+        remarks = " ".join(json.loads(out)["remarks"])
+        assert ("timesteps of 0.1 ms, as snnTorch writes" in remarks) == is_said
+        assert "several spikes in one timestep" in remarks or more == ()
+
+
 def test_polarities_that_are_merged_are_remarked(files, emulate, tmp_path):
     write_network(tmp_path / "one.nir", channels=1)
     code, out, err = emulate("--downsample", "2", "--chip", "speck2f", "--json", network="one.nir")

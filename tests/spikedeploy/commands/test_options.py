@@ -69,3 +69,10 @@ def test_options_stand_in_few_panels_of_few(verb):
     if verb in ("run", "compare", "emulate", "drift"):
         assert sizes["Output"] >= 4
         assert sizes[None] <= 10
+
+
+@pytest.mark.parametrize("name", ["success", "disturb"])
+def test_set_does_not_take_what_has_an_option_of_its_own(name, command):
+    code, _, err = command("run", "kart-grid/snn", "--set", f"{name}=np", "--episodes", 1)
+    assert code == 2
+    assert f"{name} is given with --{name}" in err
