@@ -160,7 +160,7 @@ def test_the_progress_bar_fits_the_terminal(width):
     assert any("120,000 / 1,000,000" in line and "12 %" in line for line in lines)
     assert any(line.startswith("return 3,000  validation 3,100") for line in lines)
     if width == 160:
-        assert any(line.endswith("phase 2  340 walks  1,234 operations") for line in lines)
+        assert any(line.endswith("phase 2  340 walks  about 1,234 operations") for line in lines)
 
 
 def test_without_a_terminal_progress_comes_in_lines(capsys, monkeypatch):
