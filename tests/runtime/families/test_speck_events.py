@@ -35,7 +35,9 @@ def test_a_trace_of_sinabs_and_of_events_is_equal(path):
     verdict = verify(path)
     assert verdict.difference is None
     assert verdict.compared > 14_000
-    assert (verdict.unread, verdict.remarks) == ((), ())
+    assert verdict.unread == ()
+    # the networks have no biases, and their traces do not say so
+    assert all("so taken as speck2f has it: bias 0" in each for each in verdict.remarks)
 
 
 def test_the_json_alone_is_compared_where_its_arrays_are_missing(tmp_path):
@@ -43,7 +45,7 @@ def test_the_json_alone_is_compared_where_its_arrays_are_missing(tmp_path):
     verdict = verify(tmp_path / TRACES[1].name)
     assert verdict.equal
     assert verdict.compared == 2 * 4 * (102 + 43) + 400 + 150
-    assert "is not there" in verdict.remarks[0]
+    assert any("is not there" in each for each in verdict.remarks)
 
 
 @pytest.mark.parametrize(
