@@ -242,8 +242,13 @@ class _Tracer(TorchFunctionMode):
     ) -> Any:  # noqa: ANN401
         """Call the function; note where its result comes from."""
         result = function(*arguments, **(options or {}))
-        if not self._inside and _tensors(result):
-            self._note(getattr(function, "__name__", str(function)), arguments, result)
+        if not self._inside:
+            name = getattr(function, "__name__", str(function))
+            if name == "__setitem__":  # it changes a tensor and returns none
+                if self._value(arguments[0]) is not None:
+                    self._forget(arguments[0], name)
+            elif _tensors(result):
+                self._note(name, arguments, result)
         return result
 
     def _note(self, function: str, arguments: Sequence[Any], result: object) -> None:
@@ -263,8 +268,8 @@ class _Tracer(TorchFunctionMode):
             self._at_timesteps(function, arguments, result)
         elif function in _ADDING and len(terms) == len(known):
             self._know_all(result, [_Value(tuple(t for each in terms for t in each.terms))])
-        elif function in _STACKING:
-            self._know_all(result, [terms[-1]])
+        elif function in _STACKING and len({_nodes(each) for each in known}) == 1:
+            self._know_all(result, [terms[-1]])  # timesteps of one node
         elif function in _RESHAPING and isinstance(first, Tensor) and isinstance(result, Tensor):
             self._know_all(result, [self._reshaped(function, first, result, terms[0])])
         else:
@@ -370,6 +375,40 @@ class _Tracer(TorchFunctionMode):
 
     # what it comes to
 
+    def _sources(self, target: str) -> set[tuple[str, int]]:
+        """Return the sources of a node, and by how many timesteps each is late, 0 or 1.
+
+        Raises ConfigError where the node is not called once a timestep, or from elsewhere in some.
+        """
+        timesteps = max(len(c) for name, c in self.arrived.items() if self._is_neurons(name))
+        calls = self.arrived[target]
+        # of a static input once, in front of the loop
+        if len(calls) not in (1 if not self._is_neurons(target) else timesteps, timesteps):
+            raise ConfigError(
+                f"{target}: it is called {len(calls)} times in {timesteps} timesteps; on a chip a "
+                "layer works once in each. Make a layer of its own for each place."
+            )
+        found = [
+            {(s, 0 if self._is_static(s) else at - call) for s, call in value.terms}
+            for at, value in enumerate(calls)
+        ]
+        wanted = found[-1]
+        prompt = {(source, lag) for source, lag in wanted if not lag}
+        if any(each != wanted for each in found[1:]) or found[0] != (
+            prompt if len(found) > 1 else wanted
+        ):
+            raise ConfigError(
+                f"{target}: its inputs are not the same in every timestep. Write a forward of one "
+                "timestep, or one loop."
+            )
+        if any(lag not in (0, 1) for _, lag in wanted):
+            raise ConfigError(f"{target}: it receives what is several timesteps old.")
+        return wanted
+
+    def _is_static(self, source: str) -> bool:
+        """Return True for the input, and for what was called once in front of a loop."""
+        return source == TorchNetwork.INPUT or len(self.arrived[source]) == 1
+
     def network(self, takes: Shape, output: _Value) -> tuple[TorchNetwork, list[TorchNeurons]]:
         """Return the network whose last recorded timestep this is."""
         if not any(isinstance(node, Neurons) for node in self.nodes.values()):
@@ -381,10 +420,10 @@ class _Tracer(TorchFunctionMode):
         nodes: dict[str, Map | Neurons | Delay] = dict(self.nodes)
         edges: set[Edge] = set()
         late: set[Edge] = set()
-        for target, calls in self.arrived.items():
-            for source, call in calls[-1].terms:
+        for target in self.arrived:
+            for source, lag in self._sources(target):
                 edges.add((source, target))
-                if source != TorchNetwork.INPUT and len(calls) - 1 > call:
+                if lag:
                     late.add((source, target))
         if output.membrane_of:
             last = nodes[output.membrane_of]
@@ -414,6 +453,11 @@ _INDEXING = {"__getitem__", "unbind", "select", "__iter__"}
 _ADDING = {"add", "__add__", "__radd__", "__iadd__", "add_"}
 _STACKING = {"stack", "cat"}
 _RESHAPING = {"flatten", "view", "reshape", "unflatten", "squeeze", "unsqueeze"}
+
+
+def _nodes(value: _Value | None) -> tuple[str, ...]:
+    """Return the names of the nodes that a tensor comes from."""
+    return () if value is None else (value.membrane_of, *(name for name, _ in value.terms))
 
 
 def _leads(start: str, end: str, edges: set[Edge]) -> bool:

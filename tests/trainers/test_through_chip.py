@@ -286,8 +286,9 @@ class Static(Passed):
 
     def forward(self, x):
         mem1, mem2, seen = self.lif1.reset_mem(), self.lif2.reset_mem(), []
+        current = self.norm(self.fc1(x.view(x.size(0), -1)))
         for _ in range(4):
-            spikes, mem1 = self.lif1(self.norm(self.fc1(x.view(x.size(0), -1))), mem1)
+            spikes, mem1 = self.lif1(current, mem1)
             out, mem2 = self.lif2(self.fc2(self.drop(spikes)), mem2)
             seen.append(out)
         return torch.stack(seen, dim=0), mem2
@@ -339,9 +340,39 @@ def test_what_no_chip_computes_between_layers_is_named(between, found):
         on_chip(Pooled(between), "loihi1", (1, 8, 8))
 
 
+class Shared(Passed):
+    """A layer that works at two places of a timestep."""
+
+    def __init__(self):
+        super().__init__()
+        self.same = nn.Linear(12, 12)
+
+    def forward(self, x):
+        first, _ = self.lif1(self.fc1(x))
+        out, _ = self.lif2(self.fc2(self.same(first) + self.same(self.same(first))))
+        return out
+
+
+class Joined(Passed):
+    def forward(self, x):
+        hidden, _ = self.lif1(self.fc1(x))
+        out, _ = self.lif2(self.fc2(hidden))
+        return torch.cat([hidden, out], dim=1)
+
+
+class Written(Passed):
+    def forward(self, x):
+        hidden, _ = self.lif1(self.fc1(x))
+        hidden[:, 0] = 0
+        return self.lif2(self.fc2(hidden))
+
+
 @pytest.mark.parametrize(
     ("net", "words"),
     [
+        (Shared(), "same: it is called 6 times in 2 timesteps"),
+        (Joined(), "its output does not come from its layers alone"),
+        (Written(), "what __setitem__ makes"),
         (nn.Sequential(nn.Linear(8, 2), nn.ReLU()), "1: ReLU has no place on a chip"),
         (nn.Sequential(nn.Linear(8, 2)), "no neurons that are known"),
         (nn.Sequential(nn.Linear(7, 2), leaky()), "forward failed"),
