@@ -32,8 +32,8 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.policies.vision import SIGNS
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder
+from spikedeploy.trainers.sparse.controllers import FloatController
 from spikedeploy.trainers.sparse.pool import BatchController, Stateless
-from spikedeploy.trainers.sparse.student import FloatController
 from spikedeploy.trainers.sparse.vision import EyeEpisodes
 
 _BESIDE = "cnn"  # the network whose finishes are 100 %

@@ -40,8 +40,8 @@ from spikedeploy.trainers.policies import Policy, PrunedGruPolicy, PrunedMlpPoli
 from spikedeploy.trainers.policies.policy import PrunedWeight, in_bits
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse import pool
+from spikedeploy.trainers.sparse.controllers import FloatController
 from spikedeploy.trainers.sparse.pool import BatchController, Episodes, Stateless, Walk
-from spikedeploy.trainers.sparse.student import FloatController
 
 FLOAT = "float"  # the place of a float network that computes as it was trained
 DELTA = "delta "  # followed by the threshold of the delta network as which one runs

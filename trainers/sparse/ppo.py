@@ -42,13 +42,12 @@ from spikedeploy.trainers.progress import Journal
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder
 from spikedeploy.trainers.runner import Critic, Learner, Runner, adam, descend, set_rate
 from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.controllers import FloatController, controller_of
 from spikedeploy.trainers.sparse.pool import Earned, Episodes, WalkPool, Windows, mean_outcome
 from spikedeploy.trainers.sparse.student import (
     DeltaStudent,
-    FloatController,
     GruStudent,
     imitation,
-    on_chip,
     operations,
     round_for_chip,
     student,
@@ -254,8 +253,8 @@ class SparsePpo(Runner[SparsePpoConfig]):
         return round_for_chip(self.policy, self._chip, source.rounding, source.bits)
 
     def _evaluate(self) -> dict[str, float]:
-        seeds, controller = self._config.validation.seeds, on_chip(self._deployed(), self._chip)
-        _, returns, infos = self._episodes.play(seeds, controller)
+        controller = controller_of(self._deployed(), self._chip)
+        _, returns, infos = self._episodes.play(self._config.validation.seeds, controller)
         row = mean_outcome(returns, infos)
         return row | {
             "eval_operations": controller.operations(self._episodes.lengths),

@@ -29,6 +29,7 @@ from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder, with_prefix
 from spikedeploy.trainers.runner import Learner, Runner, adam, descend, set_rate
 from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.controllers import FloatController, controller_of
 from spikedeploy.trainers.sparse.phases import (
     Ended,
     Phase,
@@ -51,14 +52,12 @@ from spikedeploy.trainers.sparse.pool import (
     save_walks,
 )
 from spikedeploy.trainers.sparse.student import (
-    FloatController,
     MlpStudent,
     Student,
     binary_columns,
     check_rounding,
     choose_steps,
     choose_thresholds,
-    on_chip,
     operations,
     prune,
     remove_neuron,
@@ -308,7 +307,7 @@ class Sparse(Runner[SparseConfig]):
     def _measure(
         self, policy: Policy, seeds: list[int], references: tuple[float, float]
     ) -> dict[str, float]:
-        controller = on_chip(policy, self._chip)
+        controller = controller_of(policy, self._chip)
         _, returns, infos = self._episodes.play(seeds, controller)
         row = mean_outcome(returns, infos)
         earned, (teacher, none) = row["eval_return"], references

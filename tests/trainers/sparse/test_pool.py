@@ -9,6 +9,7 @@ from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.policies import PrunedGruPolicy
 from spikedeploy.trainers.runner import _metrics as runner_metrics
+from spikedeploy.trainers.sparse.controllers import FloatController, controller_of
 from spikedeploy.trainers.sparse.pool import (
     Episodes,
     Stateless,
@@ -18,7 +19,6 @@ from spikedeploy.trainers.sparse.pool import (
     mean_outcome,
     save_walks,
 )
-from spikedeploy.trainers.sparse.student import FloatController, on_chip
 from tests import toy_race_env, toy_stroll_env
 from tests.delta_policies import delta_policy, pruned_mlp, walk
 
@@ -178,7 +178,7 @@ def label(observation):
 
 def test_episodes_side_by_side_are_those_one_after_another():
     # in integers: the sums of a matrix product in floats may depend on the number of its rows
-    policy = on_chip(delta_policy(obs=3), chip("loihi1"))
+    policy = controller_of(delta_policy(obs=3), chip("loihi1"))
     together = episodes(3).play([1, 2, 3, 4, 5], policy, label)
     alone = episodes(1).play([1, 2, 3, 4, 5], policy, label)
     for one, other in zip(together[0], alone[0], strict=True):
@@ -215,7 +215,7 @@ def test_an_end_that_is_no_success_is_a_crash(monkeypatch):
 def test_a_policy_walks_on_the_chip_as_in_float_or_nearly(target):
     policy, played = delta_policy(obs=3, left=1.0), episodes()
     by_torch = played.play([1, 2, 3], FloatController(policy), label)[0]
-    by_chip = played.play([1, 2, 3], on_chip(policy, chip(target)), label)[0]
+    by_chip = played.play([1, 2, 3], controller_of(policy, chip(target)), label)[0]
     tolerance = 1e-5 if target == "ideal" else 0.2
     for one, other in zip(by_torch, by_chip, strict=True):
         np.testing.assert_allclose(one.observation, other.observation, atol=tolerance)
@@ -234,12 +234,12 @@ def test_operations_are_those_of_each_robot_until_its_episode_ends(policy):
     seen, lengths = np.random.default_rng(0).normal(size=(9, 3, 3)), [9, 2, 5, 4, 7]
     alone = 0.0
     for robot, steps in enumerate(lengths):
-        counted = on_chip(policy, chip("loihi1"))
+        counted = controller_of(policy, chip("loihi1"))
         counted.reset(1)
         for row in seen[:steps, robot % 3]:
             counted.act_batch(row[None])
         alone += steps * counted.operations([steps])
-    together = on_chip(policy, chip("loihi1"))
+    together = controller_of(policy, chip("loihi1"))
     for first, count in ((0, 3), (3, 2)):
         together.reset(count)
         for row in seen[: max(lengths[first : first + count])]:

@@ -15,10 +15,10 @@ from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sac.learner import SacConfig
 from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.controllers import controller_of
 from spikedeploy.trainers.sparse.phases import Ended, target
 from spikedeploy.trainers.sparse.pool import Episodes, Stateless, Walk, load_walks, save_walks
 from spikedeploy.trainers.sparse.sparse import Sparse, with_budget
-from spikedeploy.trainers.sparse.student import on_chip
 from spikedeploy.trainers.train import train
 from tests import toy_race_env, toy_stroll_env
 from tests.trainers.sparse.toy import settings
@@ -292,7 +292,10 @@ def test_a_search_keeps_the_policy_of_the_lowest_level_that_keeps_its_share(stro
     assert best["eval_share"] >= wanted
     # what decides are episodes on which no checkpoint was chosen
     assert not set(config.confirming) & set(config.validation.seeds)
-    policy, played = on_chip(run.policy("best"), chip(config.chip)), Episodes(config.env, 3, None)
+    policy, played = (
+        controller_of(run.policy("best"), chip(config.chip)),
+        Episodes(config.env, 3, None),
+    )
     _, returns, _ = played.play(config.confirming, policy)
     # by the ledger, not by what training expected
     assert best["eval_operations"] == policy.operations(played.lengths)
