@@ -29,6 +29,7 @@ COMMANDS = {
     "realtime": "lab.bench.realtime",
     "runtime": "lab.bench.runtime",
     "sweep": "lab.bench.sweep",
+    "updates": "lab.bench.updates",
     "versions": "lab.bench.versions",
     "firmware": "lab.firmware.policies",
     "firmware-integers": "lab.firmware.integers",

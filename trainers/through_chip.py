@@ -143,7 +143,7 @@ class ChipModule(nn.Module):
         differentiable = torch.is_grad_enabled()
         machine = Machine(program, None, "none", trace=differentiable, backend="auto")
         output = machine.infer(self._raster(spikes))
-        found = _time_first(output, spikes).reshape(*spikes.shape[:2], *puts)
+        found = _time_first(output, spikes, 1.0).reshape(*spikes.shape[:2], *puts)
         if not differentiable:
             return found
         run = self._by_timesteps if self._timing.loops else self._by_layers
@@ -185,14 +185,14 @@ class ChipModule(nn.Module):
                 f"the spikes have shape {tuple(spikes.shape)}; this network takes ({wanted}), "
                 "timesteps first."
             )
-        values = spikes.detach()
-        counts = values.to(torch.uint8)
-        if not torch.equal(counts.to(values.dtype), values):
+        values = spikes.detach().flatten(2).numpy()
+        counts = np.empty((values.shape[1], len(values), values.shape[2]), np.uint8)
+        if not _count(values, counts):
             raise ObservationError(
-                f"the input holds numbers from {float(values.min()):g} to {float(values.max()):g}; "
+                f"the input holds numbers from {values.min():g} to {values.max():g}; "
                 "a chip takes whole spikes. Encode it first, as rates or latencies."
             )
-        return np.ascontiguousarray(counts.flatten(2).numpy().swapaxes(0, 1))
+        return counts
 
     @property
     def _sources(self) -> dict[str, list[str]]:
@@ -224,9 +224,10 @@ class ChipModule(nn.Module):
         """Return the output (T, B, *puts), timestep after timestep, as loops need it."""
         nodes, before, late = self.network.nodes, self._sources, self._timing.late
         steps = {
-            name: _Step(node.equation(), records.of(name, spikes), self._derivative(node))
+            name: _Step(equation, records.of(name, spikes, equation), self._derivative(node))
             for name, node in nodes.items()
             if isinstance(node, Neurons)
+            for equation in [node.equation()]
         }
         rows: dict[str, list[Tensor]] = {name: [] for name in self._timing.names}
         waiting: dict[str, list[Tensor]] = {name: [] for name in self._timing.names}
@@ -256,7 +257,8 @@ class ChipModule(nn.Module):
 
     def _layer(self, name: str, node: Neurons, arriving: Tensor, records: "_Records") -> Tensor:
         """Return spikes or membranes (T, B, N) of a layer for what arrives (T, B, N)."""
-        equation, seen = node.equation(), records.of(name, arriving)
+        equation = node.equation()
+        seen = records.of(name, arriving, equation)
         drive = arriving * equation.gain
         if seen is None or equation.threshold is None:
             membranes = _integrate(drive, equation)
@@ -267,7 +269,7 @@ class ChipModule(nn.Module):
             equation.membrane_decay,
             equation.threshold,
             equation.leak,
-            replace(seen, before=seen.told(drive.detach(), equation)),
+            seen.told(drive.detach(), equation),
             self._derivative(node),
         )
         return found
@@ -285,6 +287,7 @@ class _Seen:
     threshold: (N,) as the chip has it
     subtracts: True where a spike subtracts the threshold, False where it sets the membrane to 0
     several: True where a neuron may spike several times in a timestep
+    tells: False where `before` holds NaN
     """
 
     current: Tensor
@@ -294,17 +297,18 @@ class _Seen:
     threshold: Tensor
     subtracts: bool
     several: bool
+    tells: bool
 
-    def told(self, drive: Tensor, equation: Equation) -> Tensor:
-        """Return the membranes before a reset; where unknown, by the equation from those behind."""
-        unknown = self.before.isnan()
-        if not bool(unknown.any()):
-            return self.before
+    def told(self, drive: Tensor, equation: Equation) -> "_Seen":
+        """Return it with membranes before a reset; where unknown, by the equation."""
+        if self.tells:
+            return self
+        before = self.before.numpy().copy()
         arriving = drive if equation.current_decay is None else self.current
-        found = equation.membrane_decay.detach() * delayed(self.behind, 1) + arriving
-        if equation.leak is not None:
-            found = found + equation.leak.detach()
-        return torch.where(unknown, found, self.before)
+        leak = torch.zeros_like(equation.membrane_decay) if equation.leak is None else equation.leak
+        constants = torch.stack([equation.membrane_decay, leak]).detach()
+        _tell(before, self.behind.numpy(), arriving.contiguous().numpy(), constants.numpy())
+        return replace(self, before=torch.from_numpy(before), tells=True)
 
 
 class _Records:
@@ -313,7 +317,7 @@ class _Records:
     def __init__(self, program: Program, recordings: Mapping[str, Recording]) -> None:
         self._program, self._recordings = program, recordings
 
-    def of(self, name: str, like: Tensor) -> _Seen | None:
+    def of(self, name: str, like: Tensor, equation: Equation) -> _Seen | None:
         """Return what a layer did, in the type of `like`; None where the host integrates it."""
         if (recorded := self._recordings.get(name)) is None:
             return None
@@ -324,14 +328,19 @@ class _Records:
         )
         last = name == program.output
         most = getattr(arithmetic, "output_spikes_max", arithmetic.spikes_max)
+        behind = _time_first(recorded.membrane, like, layer.scale)
         return _Seen(
-            _time_first(recorded.current * layer.scale, like),
-            _time_first(before * layer.scale, like),
-            _time_first(recorded.membrane * layer.scale, like),
-            _time_first(recorded.spikes, like),
+            # which the equation has no use for where it has no current
+            behind
+            if equation.current_decay is None
+            else _time_first(recorded.current, like, layer.scale),
+            behind if before is recorded.membrane else _time_first(before, like, layer.scale),
+            behind,
+            _time_first(recorded.spikes, like, 1.0),
             torch.from_numpy(np.asarray(layer.threshold * layer.scale, np.float64)).to(like.dtype),
             convention.reset == "subtract",
             (most if last else arithmetic.spikes_max) > 1,
+            before.dtype.kind != "f" or not np.isnan(before).any(),
         )
 
 
@@ -517,7 +526,47 @@ def _exactly(value: Tensor, through: Tensor) -> Tensor:
     return value + (through - through.detach())
 
 
-def _time_first(values: NDArray[Any], like: Tensor) -> Tensor:
-    """Return (B, T, N), or the sum of K currents (B, T, K, N), as a tensor (T, B, N)."""
+def _time_first(values: NDArray[Any], like: Tensor, scale: float | Array) -> Tensor:
+    """Return (B, T, N), or the sum of K currents (B, T, K, N), times (N,) as (T, B, N)."""
     summed = values.sum(axis=2) if values.ndim == 4 else values
-    return torch.from_numpy(np.ascontiguousarray(summed.swapaxes(0, 1))).to(like.dtype)
+    found = torch.empty(summed.shape[1], len(summed), summed.shape[2], dtype=like.dtype)
+    _scale(summed, np.broadcast_to(np.float64(scale), summed.shape[2:]).copy(), found.numpy())
+    return found
+
+
+@jit
+def _scale(values: Array, scale: Array, found: Array) -> None:
+    """Write (B, T, N) times (N,) as (T, B, N)."""
+    for b in range(values.shape[0]):
+        for t in range(values.shape[1]):
+            for n in range(values.shape[2]):
+                found[t, b, n] = values[b, t, n] * scale[n]
+
+
+@jit
+def _tell(before: Array, behind: Array, arriving: Array, constants: Array) -> None:
+    """Write V = b V' + I + leak where a membrane (T, B, N) before its reset is NaN.
+
+    constants: (2, N) b and leak
+    """
+    for t in range(before.shape[0]):
+        for b in range(before.shape[1]):
+            for n in range(before.shape[2]):
+                if np.isnan(before[t, b, n]):
+                    v = arriving[t, b, n] + constants[1, n]
+                    if t:
+                        v += constants[0, n] * behind[t - 1, b, n]
+                    before[t, b, n] = v
+
+
+@jit
+def _count(values: Array, counts: NDArray[np.uint8]) -> bool:
+    """Write whole numbers (T, B, M) as counts (B, T, M); False if there are others."""
+    others = 0
+    for t in range(values.shape[0]):
+        for b in range(values.shape[1]):
+            for m in range(values.shape[2]):
+                held = np.uint8(min(max(values[t, b, m], 0), 255))
+                others += held != values[t, b, m]
+                counts[b, t, m] = held
+    return others == 0

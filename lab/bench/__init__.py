@@ -4,6 +4,7 @@ latency      one action, against snnTorch's loop
 convolutions convolutions on Speck and Loihi, against sinabs, snnTorch and Norse
 runtime      batches of one and of many, against snnTorch, Norse, SpikingJelly and xylosim
 nets, peers  the networks that `runtime` runs, and the libraries that run them
+updates      training updates through each chip, against snnTorch's own
 versions     this tree against another one
 parity       torch = NumPy = `ideal` on recorded observations
 realtime     start-up, and closed loops against the robot's clock

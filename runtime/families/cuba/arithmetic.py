@@ -141,10 +141,17 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         spikes: Numbers,
     ) -> Numbers:
         """Membranes (B, T, N) before a spike reset them, computed once more [state units]."""
+        # without a spike, and out of a refractory period, nothing was reset
+        at = spikes.nonzero() if self.refractory == 1 else np.ones_like(spikes).nonzero()
+        bias, factor = (
+            np.broadcast_to(each, membrane.shape[2:])[at[2]].astype(np.int64)
+            for each in (layer.voltage_bias, layer.membrane_decay)
+        )
         # v = b v + (u + bias)      each as its register holds it
-        push = self.push.fit(current + layer.voltage_bias)
-        factor = layer.membrane_decay.astype(np.int64)
-        return self.membrane.fit(decay(_one_step_later(membrane), factor, self.decay_bits) + push)
+        kept = decay(_one_step_before(membrane, at), factor, self.decay_bits)
+        before = membrane.copy()
+        before[at] = self.membrane.fit(kept + self.push.fit(current[at] + bias))
+        return before
 
     def describe(self) -> Description:
         """Neurons, weights and membrane in a few words each."""
@@ -173,9 +180,10 @@ class CubaGradedSpikes(CubaFixedPoint):
         return super().update(network, layer, presynaptic, state)
 
 
-def _one_step_later(states: NDArray[Any]) -> NDArray[Any]:
-    """States (B, T, N) of the timestep before, from zero."""
-    return np.concatenate([np.zeros_like(states[:, :1]), states[:, :-1]], axis=1)
+def _one_step_before(states: Numbers, at: tuple[NDArray[np.intp], ...]) -> Numbers:
+    """States (B, T, N) in the timestep before some places (3, K); zero before the first."""
+    b, t, n = at
+    return np.where(t > 0, states[b, np.maximum(t - 1, 0), n], 0)
 
 
 # float64, which the kernels compute in, holds every product of such a state and such a decay
@@ -319,9 +327,15 @@ class CubaFloat64(ArithmeticDefaults):
         spikes: Numbers,
     ) -> Numbers:
         """Membranes (B, T, N) before a spike reset them, computed once more [state units]."""
+        at = spikes.nonzero()
+        bias, factor = (
+            np.broadcast_to(each, membrane.shape[2:])[at[2]]
+            for each in (layer.voltage_bias, layer.membrane_decay)
+        )
         # V = b V + I + bias
-        before = _one_step_later(membrane)
-        return np.asarray(layer.membrane_decay * before + current + layer.voltage_bias)
+        before = membrane.copy()
+        before[at] = factor * _one_step_before(membrane, at) + current[at] + bias
+        return before
 
     def describe(self) -> Description:
         """Neurons, weights and membrane in a few words each."""
