@@ -335,7 +335,8 @@ def on_chip(
 ) -> "ChipModule":
     """A network as a torch module whose forward pass is the chip; its parameters are the network's.
 
-    network      a torch module with neurons of snnTorch, or a `.nir` file
+    network      a torch module with neurons of snnTorch, Norse, sinabs or SpikingJelly, or a `.nir`
+                 file
     input_shape  of a torch module: of one timestep of one sample, as in (64,) or (2, 34, 34)
     options      of trainers.through_chip.on_chip: dt, limits, surrogate_name, surrogate_width
     """
@@ -355,7 +356,7 @@ def export(
 ) -> LoadedNetwork:
     """A torch module as a NIR file with its convention, which every command takes; loaded again.
 
-    network      with neurons of snnTorch; or what `on_chip` made of one
+    network      with neurons as `on_chip` takes them; or what `on_chip` made of one
     input_shape  of one timestep of one sample, where `on_chip` did not have it
     dt           [s] of a timestep
     """

@@ -2,11 +2,13 @@
 
 `network_from_torch` runs the module on an example and records which leaf modules and torch
 functions made each tensor from which. So it takes `nn.Sequential`, a `forward` that computes one
-timestep with states inside or passed in and out, and one that loops over timesteps. The parameters
-of the network are those of the module. `torch_neurons` says what neurons of other libraries mean.
+timestep with states inside or passed in and out, one that loops over timesteps, and layers that
+take all timesteps at once. The parameters of the network are those of the module. `torch_neurons`
+says what neurons of other libraries mean.
 """
 
 import inspect
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,14 +24,26 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.network import Delay, Edge, Fixed, Map, Neurons, TorchNetwork, Weights
-from spikedeploy.trainers.torch_neurons import Meaning, TorchNeurons, neurons_of
+from spikedeploy.trainers.network import (
+    Delay,
+    Edge,
+    Fixed,
+    Map,
+    Neurons,
+    TorchNetwork,
+    Weights,
+    pool_of,
+)
+from spikedeploy.trainers.torch_neurons import KNOWN, is_neurons, neurons_of
+from spikedeploy.trainers.torch_neurons.neurons import Meaning, TorchNeurons
 
 _WEIGHTS = (nn.Linear, nn.Conv1d, nn.Conv2d)
 _NORMS = (nn.BatchNorm1d, nn.BatchNorm2d)
 _NOTHING = (nn.Dropout, nn.Dropout1d, nn.Dropout2d, nn.Identity)  # in deployment
-# timesteps of the example for a forward that loops over the first axis of its input
-_TIMESTEPS = 3
+# SpikingJelly's, which are not torch's
+_NOTHING_NAMED = ("spikingjelly.activation_based.layer.dropout",)
+# timesteps of the example for a forward that takes all; more where it counts them itself
+_TIMESTEPS = (3, 30, 300)
 _BATCH = 2
 
 
@@ -46,7 +60,11 @@ class _Value:
 
 
 class _TimeAxisError(Exception):
-    """The module indexes the first axis of its input: it loops over timesteps itself."""
+    """The module indexes an axis of its input, or a layer takes one more: that of timesteps."""
+
+
+# of a forward that was given another shape than it takes
+_FAILURES = (RuntimeError, TypeError, IndexError, ValueError, AttributeError)
 
 
 def network_from_torch(module: nn.Module, takes: Shape) -> tuple[TorchNetwork, list[TorchNeurons]]:
@@ -57,17 +75,38 @@ def network_from_torch(module: nn.Module, takes: Shape) -> tuple[TorchNetwork, l
     Raises ConfigError with the name of the module, where something has no place on a chip.
     """
     with _unchanged(module), torch.no_grad():
-        try:
-            try:
-                tracer, puts = _run(module, takes, timesteps=None)
-            except _TimeAxisError:
-                tracer, puts = _run(module, takes, timesteps=_TIMESTEPS)
-        except (RuntimeError, TypeError, IndexError, ValueError, AttributeError) as error:
-            raise ConfigError(
-                f"{_name_of(module)}: its forward failed on zeros of a batch of {_BATCH} and shape "
-                f"{takes}: {error}. Give the shape of one timestep of one sample as input_shape."
-            ) from error
+        tracer, puts = _traced(module, takes)
     return tracer.network(takes, puts)
+
+
+def _traced(module: nn.Module, takes: Shape) -> "tuple[_Tracer, _Value]":
+    """Run the module on one timestep, and where that fails on several; return as `_run` does."""
+    failed: Exception | None = None
+    for timesteps in (None, *_TIMESTEPS):
+        found = _attempt(module, takes, timesteps)
+        if not isinstance(found, Exception):
+            return found
+        if isinstance(found, _TimeAxisError):
+            failed = None
+            continue
+        failed = failed or found
+        if timesteps is not None and not isinstance(found, IndexError):
+            break
+    if isinstance(failed, ConfigError):
+        raise failed
+    raise ConfigError(
+        f"{_name_of(module)}: its forward failed on zeros of a batch of {_BATCH} and shape "
+        f"{takes}: {failed}. Give the shape of one timestep of one sample as input_shape."
+    ) from failed
+
+
+def _attempt(
+    module: nn.Module, takes: Shape, timesteps: int | None
+) -> "tuple[_Tracer, _Value] | Exception":
+    try:
+        return _run(module, takes, timesteps)
+    except (_TimeAxisError, ConfigError, *_FAILURES) as error:
+        return error
 
 
 def artifact_from_torch(
@@ -81,7 +120,9 @@ def artifact_from_torch(
     network, neurons = network_from_torch(module, given_shape(takes))
     meaning = common_meaning(neurons)
     reset = meaning.reset if meaning.reset != "none" else "zero"
-    stated = Convention(dt, reset, spikes=meaning.spikes, source=f"{meaning.described}")
+    stated = Convention(
+        dt, reset, spikes=meaning.spikes, floor=meaning.floor, source=meaning.described
+    )
     return network.artifact(stated)
 
 
@@ -97,13 +138,15 @@ def given_shape(takes: Sequence[int] | None) -> Shape:
 
 def common_meaning(neurons: Sequence[TorchNeurons]) -> Meaning:
     """Return what all spiking neurons mean; ConfigError where layers reset in several ways."""
-    found = {each.meaning.reset: each.meaning for each in neurons}
-    spiking = {reset: meaning for reset, meaning in found.items() if reset != "none"} or found
+    found = {(m.reset, m.spikes, m.floor): m for m in (each.meaning for each in neurons)}
+    spiking = {how: meaning for how, meaning in found.items() if how[0] != "none"}
     if len(spiking) > 1:
         raise ConfigError(
-            "the neurons reset in several ways, and a network on a chip in one: "
+            "the neurons spike or reset in several ways, and a network on a chip in one: "
             f"{'; '.join(m.described for m in spiking.values())}. Choose one for all layers."
         )
+    if not spiking:  # by any convention
+        return next(iter(found.values()))
     (meaning,) = spiking.values()
     return meaning
 
@@ -114,6 +157,10 @@ def _unchanged(module: nn.Module) -> Iterator[None]:
     training = {each: each.training for each in module.modules()}
     kept = {each: dict(each._buffers) for each in module.modules()}
     states = {each: dict(vars(each)) for each in module.modules()}
+    for held in states.values():
+        if "_memories" in held:  # of SpikingJelly, changed in place
+            held["_memories"] = dict(held["_memories"])
+    drawn = torch.get_rng_state()
     module.eval()
     try:
         yield
@@ -122,12 +169,13 @@ def _unchanged(module: nn.Module) -> Iterator[None]:
             vars(each).update(states[each])
             each._buffers.update(kept[each])
             each.training = training[each]
+        torch.set_rng_state(drawn)
 
 
 def _run(module: nn.Module, takes: Shape, timesteps: int | None) -> "tuple[_Tracer, _Value]":
     """Run the module on zeros; return what was recorded, and its output.
 
-    timesteps: of the example where the module loops over them; None for one timestep, in which the
+    timesteps: of the example where the module takes all; None for one timestep, in which the
         module runs twice, so that states inside it show what they were made of
     """
     tracer = _Tracer(module, takes, timesteps is not None)
@@ -136,14 +184,25 @@ def _run(module: nn.Module, takes: Shape, timesteps: int | None) -> "tuple[_Trac
         with tracer:
             if timesteps is not None:
                 return tracer, tracer.output(module(tracer.example((timesteps, _BATCH, *takes))))
-            found = module(tracer.example((_BATCH, *takes)), *tracer.others(module, None))
+            rows = _BATCH * _rows(module)
+            found = module(tracer.example((rows, *takes)), *tracer.others(module, None))
             if tracer.is_single():
                 others = tracer.others(module, found)
-                found = module(tracer.example((_BATCH, *takes)), *others)
+                found = module(tracer.example((rows, *takes)), *others)
             return tracer, tracer.output(found)
     finally:
         for handle in handles:
             handle.remove()
+
+
+def _rows(module: nn.Module) -> int:
+    """Return by what number of rows a batch must be divisible, for layers that split it in time."""
+    sizes = [
+        (getattr(each, "batch_size", 1), getattr(each, "num_timesteps", 1))
+        for each in module.modules()
+        if type(each).__name__.endswith("Squeeze")
+    ]
+    return math.lcm(1, *(abs(batch * timesteps) for batch, timesteps in sizes))
 
 
 class _Tracer(TorchFunctionMode):
@@ -151,7 +210,7 @@ class _Tracer(TorchFunctionMode):
 
     def __init__(self, root: nn.Module, takes: Shape, loops: bool) -> None:
         super().__init__()
-        self._root, self._takes, self._loops = root, takes, loops
+        self._root, self._given, self._loops = root, takes, loops
         # by identity; the tensors are kept, so that none takes the place of another
         self._values: dict[int, tuple[Tensor, _Value]] = {}
         self.nodes: dict[str, Map | Neurons] = {}
@@ -164,7 +223,8 @@ class _Tracer(TorchFunctionMode):
 
     def example(self, shape: Shape) -> Tensor:
         """Return an input of zeros, which is known as such."""
-        x = torch.zeros(shape)
+        kinds = [p.dtype for p in self._root.parameters() if p.is_floating_point()]
+        x = torch.zeros(shape, dtype=kinds[0] if kinds else None)
         self._inputs.append(x)
         self._know(x, _Value(((TorchNetwork.INPUT, len(self._inputs) - 1),)))
         return x
@@ -223,11 +283,18 @@ class _Tracer(TorchFunctionMode):
         def leave(_: nn.Module, arguments: tuple[Any, ...], result: object) -> None:
             if self._inside == 1:
                 arriving = self._arriving(name, module, arguments[0])
+                found = _tensors(result)
                 values = [arriving]
-                if not isinstance(module, _NOTHING):
-                    node = self._call(name, module, tuple(arguments[0].shape[1:]), arriving)
+                if not self._is_nothing(module, arguments[0], found[0]):
+                    takes = self._takes(name, arguments[0], arriving)
+                    node = self._call(name, module, takes, arriving)
+                    self._check_axes(name, arguments[0], takes, found[0])
+                    membrane = _Value(membrane_of=node)
+                    self._know_all(result, [membrane] * len(found))
+                    # the output last, which states may hold again
+                    has_spikes = getattr(self.nodes[node], "has_spikes", True)
                     spikes = _Value(((node, len(self.arrived[node]) - 1),))
-                    values = [spikes, *[_Value(membrane_of=node)] * len(_tensors(result))]
+                    values = [spikes if has_spikes else membrane]
                 self._know_all(result, values)
             self._inside -= 1
 
@@ -245,11 +312,27 @@ class _Tracer(TorchFunctionMode):
         if not self._inside:
             name = getattr(function, "__name__", str(function))
             if name == "__setitem__":  # it changes a tensor and returns none
-                if self._value(arguments[0]) is not None:
-                    self._forget(arguments[0], name)
+                self._written(arguments[0], arguments[2])
             elif _tensors(result):
                 self._note(name, arguments, result)
         return result
+
+    def _written(self, target: Tensor, source: object) -> None:
+        """Note that a tensor was written to: it may collect timesteps, as `stack` does."""
+        value = self._value(source) if isinstance(source, Tensor) else None
+        before = self._value(target)
+        if value is None and before is None:
+            return
+        collects = isinstance(source, Tensor) and target.shape[1:] == source.shape
+        if (
+            value is not None
+            and collects
+            and id(target) not in self._unknown
+            and (before is None or _nodes(before) == _nodes(value))
+        ):
+            self._know(target, value)
+        else:
+            self._forget(target, "__setitem__")
 
     def _note(self, function: str, arguments: Sequence[Any], result: object) -> None:
         for each in _tensors(arguments):
@@ -260,7 +343,8 @@ class _Tracer(TorchFunctionMode):
         if not terms:
             return None
         first = arguments[0]
-        if function in _SAME and len(terms) == 1:
+        arranges = function in _ARRANGING and self._is_arranged(first, result)
+        if (function in _SAME or arranges) and len(terms) == 1:
             self._know_all(result, terms)
         elif function in _INDEXING and any(first is x for x in self._inputs):
             if not self._loops:
@@ -285,6 +369,10 @@ class _Tracer(TorchFunctionMode):
     def _at_timesteps(self, function: str, arguments: Sequence[Any], result: object) -> None:
         if function == "__getitem__":
             place = arguments[1]
+            if isinstance(place, tuple):  # x[t, :, :], or x[:, t] of an input that has batch first
+                numbers = [n for n in place[:2] if isinstance(n, int)]
+                rest = [n for n in place if not isinstance(n, int) and n not in (slice(None), ...)]
+                place = numbers[0] if len(numbers) == 1 and not rest else place
         else:
             place = arguments[2] if len(arguments) > 2 else 0
         each = [result] if isinstance(result, Tensor) else _tensors(result)
@@ -299,10 +387,11 @@ class _Tracer(TorchFunctionMode):
             self._know(tensor, _Value(((TorchNetwork.INPUT, t),)))
 
     def _reshaped(self, function: str, before: Tensor, after: Tensor, value: _Value) -> _Value:
-        takes, puts = tuple(before.shape[1:]), tuple(after.shape[1:])
-        if before.shape == after.shape:
+        takes = self._shape(value, before)
+        if self._is_arranged(before, after):
             return value
-        if before.shape[0] != after.shape[0] or len(puts) != 1:
+        flattens = after.shape[-1:] == (math.prod(takes),)
+        if not flattens or before.shape[len(before.shape) - len(takes) :] != takes:
             raise ConfigError(
                 f"{_name_of(self._root)}: {function} makes {tuple(after.shape)} of "
                 f"{tuple(before.shape)}; between layers a network on a chip can only flatten all "
@@ -323,8 +412,71 @@ class _Tracer(TorchFunctionMode):
             return self._folded(name, module, arriving)
         if name not in self.nodes:
             self.nodes[name] = _node_of(name, module, takes)
+        node = self.nodes[name]
+        inputs = node.inputs() if isinstance(node, TorchNeurons) else None
+        if inputs is not None:
+            arriving = self._pass(f"{name}.input", inputs, arriving)
         self.arrived.setdefault(name, []).append(arriving)
         return name
+
+    def _shape(self, value: _Value | None, tensor: Tensor) -> Shape:
+        """Return the shape of a value without batch and time."""
+        for source in _nodes(value):
+            if source == TorchNetwork.INPUT:
+                return self._given
+            if source:
+                return self.nodes[source].puts
+        return tuple(tensor.shape[1:])
+
+    def _is_arranged(self, before: object, after: object) -> bool:
+        """Return True if only batch and time have other axes after a function than before."""
+        if not isinstance(before, Tensor) or not isinstance(after, Tensor):
+            return False
+        n = len(self._shape(self._value(before), before))
+        old, new = (
+            list(zip(each.shape, each.stride(), strict=True))[max(each.ndim - n, 0) :]
+            for each in (before, after)
+        )
+        # neither reshaped nor moved
+        return [each for each in old if each[0] > 1] == [each for each in new if each[0] > 1]
+
+    def _is_nothing(self, module: nn.Module, before: Tensor, after: Tensor) -> bool:
+        """Return True for a layer that a network on a chip does without."""
+        if isinstance(module, _NOTHING) or type(module).__module__ in _NOTHING_NAMED:
+            return True
+        arranges = isinstance(module, nn.Flatten | nn.Unflatten)
+        arranges |= type(module).__name__ == "UnflattenTime"  # of sinabs
+        return arranges and self._is_arranged(before, after)
+
+    def _takes(self, name: str, tensor: Tensor, arriving: _Value) -> Shape:
+        """Return the shape of a leaf's input without batch and time."""
+        takes = self._shape(arriving, tensor)
+        if tensor.shape[len(tensor.shape) - len(takes) :] != takes:
+            raise ConfigError(
+                f"{name}: its input has shape {tuple(tensor.shape)}, and what arrives has {takes} "
+                "in a timestep of a sample. Flatten all axes but batch and time, or none."
+            )
+        return takes
+
+    def _check_axes(self, name: str, tensor: Tensor, takes: Shape, result: Tensor) -> None:
+        """Refuse neurons for which an axis of timesteps is one of the batch, or the reverse."""
+        node = self.nodes.get(name)
+        if not isinstance(node, TorchNeurons):
+            return
+        axes = tensor.ndim - len(takes)
+        if axes < 2 and node.takes_time:
+            if not self._loops:
+                raise _TimeAxisError
+            raise ConfigError(
+                f"{name}: {node.meaning.described} takes all timesteps at once, and receives one. "
+                "Take its form of one timestep, or call the layer once with all."
+            )
+        if axes > 1 and not node.takes_time:
+            raise ConfigError(
+                f"{name}: {node.meaning.described} takes one timestep, and receives an axis more "
+                "than the batch. Call it once in each timestep, or take the form that takes all: "
+                "SpikingJelly's step_mode='m', Norse's LIF."
+            )
 
     def _folded(self, name: str, norm: nn.Module, arriving: _Value) -> str:
         """Fold a normalisation into the weights before it; return their name."""
@@ -413,9 +565,7 @@ class _Tracer(TorchFunctionMode):
         """Return the network whose last recorded timestep this is."""
         if not any(isinstance(node, Neurons) for node in self.nodes.values()):
             raise ConfigError(
-                f"{_name_of(self._root)}: it has no neurons that are known: snnTorch's Leaky, "
-                "Synaptic, RLeaky, RSynaptic, Lapicque; Norse's LIFCell, LIFBoxCell, LICell; "
-                "sinabs' IAF, LIF, ExpLeak; SpikingJelly's IFNode, LIFNode, ParametricLIFNode."
+                f"{_name_of(self._root)}: it has no neurons that are known. Known are {KNOWN}."
             )
         nodes: dict[str, Map | Neurons | Delay] = dict(self.nodes)
         edges: set[Edge] = set()
@@ -449,6 +599,8 @@ class _Tracer(TorchFunctionMode):
 
 
 _SAME = {"detach", "clone", "contiguous", "float", "to", "dropout", "requires_grad_"}
+# of batch and time, which come first
+_ARRANGING = {"repeat", "expand", "transpose", "permute", "movedim", "swapaxes"}
 _INDEXING = {"__getitem__", "unbind", "select", "__iter__"}
 _ADDING = {"add", "__add__", "__radd__", "__iadd__", "add_"}
 _STACKING = {"stack", "cat"}
@@ -484,8 +636,7 @@ def _leaves(root: nn.Module) -> list[tuple[str, nn.Module]]:
     for name, module in root.named_modules():
         if any(name.startswith(f"{each}.") for each in inside):
             continue
-        is_leaf = not any(module.children()) or neurons_of(module, ()) is not None
-        if is_leaf:
+        if not any(module.children()) or is_neurons(module) or _lifted(module) is not None:
             found.append((name, module))
             inside.append(name)
     return found
@@ -493,16 +644,28 @@ def _leaves(root: nn.Module) -> list[tuple[str, nn.Module]]:
 
 def _node_of(name: str, module: nn.Module, takes: Shape) -> Map | Neurons:
     """Return the node of a leaf module; ConfigError where it has no place on a chip."""
-    if (neurons := neurons_of(module, takes)) is not None:
+    if (lifted := _lifted(module)) is not None:
+        node = _node_of(name, lifted, takes)
+        if isinstance(node, TorchNeurons):
+            node.takes_time = True
+        return node
+    if (neurons := neurons_of(name, module, takes)) is not None:
         return neurons
     if isinstance(module, _WEIGHTS):
+        axes = module.weight.ndim - 1
+        if len(takes) != axes:
+            raise ConfigError(
+                f"{name}: {type(module).__name__} receives {takes} in a timestep of a sample; on a "
+                f"chip it takes {axes} {'axis' if axes == 1 else 'axes'}. Flatten in front of it, "
+                "or give another input_shape."
+            )
         return Weights(module, takes)
     if isinstance(module, nn.Flatten):
-        if (module.start_dim, module.end_dim) != (1, -1):
+        if module.end_dim not in (-1, len(takes)):
             raise ConfigError(f"{name}: Flatten flattens some axes; use nn.Flatten().")
         return Fixed(nir.Flatten({"input": np.array(takes)}, 0, -1), _flatten, takes)
-    if isinstance(module, nn.AvgPool2d):
-        return _average(name, module, takes)
+    if isinstance(module, nn.AvgPool2d | nn.LPPool2d):
+        return _pool(name, module, takes)
     instead = _INSTEAD.get(type(module).__name__, "take it out, or put neurons in its place")
     raise ConfigError(f"{name}: {type(module).__name__} has no place on a chip: {instead}.")
 
@@ -515,15 +678,26 @@ _INSTEAD = {
 }
 
 
-def _average(name: str, module: nn.AvgPool2d, takes: Shape) -> Fixed:
-    if module.ceil_mode or not module.count_include_pad or module.divisor_override:
-        raise ConfigError(f"{name}: AvgPool2d with ceil_mode, or another divisor than its kernel.")
+def _lifted(module: nn.Module) -> nn.Module | None:
+    """Return the layer that Norse's Lift calls in each timestep."""
+    found = getattr(module, "lifted_module", None)
+    return found if type(module).__name__ == "Lift" and isinstance(found, nn.Module) else None
+
+
+def _pool(name: str, module: nn.AvgPool2d | nn.LPPool2d, takes: Shape) -> Fixed:
+    """Return a mean, or the sum that sinabs makes of LPPool2d."""
+    sums = isinstance(module, nn.LPPool2d)
+    if module.ceil_mode or (sums and module.norm_type != 1):
+        raise ConfigError(f"{name}: {type(module).__name__} with ceil_mode, or powers.")
+    if not sums and (not module.count_include_pad or module.divisor_override):
+        raise ConfigError(f"{name}: AvgPool2d with another divisor than its kernel.")
+    settings = (module.kernel_size, module.stride, getattr(module, "padding", 0))
+    # without a stride, LPPool2d takes its kernel
     kernel, stride, padding = (
-        tuple(n) if isinstance(n, tuple | list) else (int(n), int(n))
-        for n in (module.kernel_size, module.stride, module.padding)
+        np.broadcast_to(module.kernel_size if n is None else n, 2).astype(int) for n in settings
     )
-    node = nir.AvgPool2d(np.array(kernel), np.array(stride), np.array(padding))
-    return Fixed(node, module, takes)
+    node = (nir.SumPool2d if sums else nir.AvgPool2d)(kernel, stride, padding)
+    return Fixed(node, pool_of(name, node), takes)
 
 
 def _tensors(found: object) -> list[Tensor]:

@@ -67,7 +67,7 @@ class Weights(Map):
         super().__init__()
         self.layer, self.norm, self.takes = layer, norm, takes
         with torch.no_grad():
-            self.puts = tuple(self(torch.zeros(1, *takes)).shape[1:])
+            self.puts = tuple(self(layer.weight.new_zeros(1, *takes)).shape[1:])
 
     def numbers(self) -> tuple[Tensor, Tensor | None]:
         """Return weight and bias as they are deployed, before rounding."""
@@ -197,9 +197,12 @@ class Neurons(nn.Module):
         """Return the fields of Equation, tensors that broadcast to the shape of the layer."""
         raise NotImplementedError
 
-    def equation(self) -> Equation:
+    def equation(self, dtype: torch.dtype) -> Equation:
         """Return the present numbers, with their gradients."""
-        found = (None if n is None else n.expand(self.takes).reshape(-1) for n in self.numbers())
+        found = (
+            None if n is None else n.to(dtype).expand(self.takes).reshape(-1)
+            for n in self.numbers()
+        )
         return Equation(*found)  # type: ignore[arg-type]
 
     def node(self, dt: float) -> nir.NIRNode:
@@ -338,7 +341,7 @@ def _module_of(name: str, node: nir.NIRNode, artifact: Artifact) -> Map | Neuron
     if isinstance(node, nir.Conv1d | nir.Conv2d):
         return Weights(_filled(_convolution(name, node), node), takes)
     if isinstance(node, nir.SumPool2d | nir.AvgPool2d):
-        return Fixed(node, _pool(name, node), takes)
+        return Fixed(node, pool_of(name, node), takes)
     if isinstance(node, nir.Flatten):
         puts = shape_of(node)
         return Fixed(node, lambda x: x.reshape(len(x), *puts), takes)
@@ -377,7 +380,8 @@ def _filled(layer: Any, node: nir.NIRNode) -> Any:  # noqa: ANN401
     return layer
 
 
-def _pool(name: str, node: nir.NIRNode) -> Callable[[Tensor], Tensor]:
+def pool_of(name: str, node: nir.NIRNode) -> Callable[[Tensor], Tensor]:
+    """Return what a pool computes of (R, *takes)."""
     window = window_of(name, node)
     padding = tuple(before for before, _ in window.padding)
     # NIR's sum pool is the mean times the elements of the kernel, padding included

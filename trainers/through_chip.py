@@ -227,7 +227,7 @@ class ChipModule(nn.Module):
             name: _Step(equation, records.of(name, spikes, equation), self._derivative(node))
             for name, node in nodes.items()
             if isinstance(node, Neurons)
-            for equation in [node.equation()]
+            for equation in [node.equation(spikes.dtype)]
         }
         rows: dict[str, list[Tensor]] = {name: [] for name in self._timing.names}
         waiting: dict[str, list[Tensor]] = {name: [] for name in self._timing.names}
@@ -257,7 +257,7 @@ class ChipModule(nn.Module):
 
     def _layer(self, name: str, node: Neurons, arriving: Tensor, records: "_Records") -> Tensor:
         """Return spikes or membranes (T, B, N) of a layer for what arrives (T, B, N)."""
-        equation = node.equation()
+        equation = node.equation(arriving.dtype)
         seen = records.of(name, arriving, equation)
         drive = arriving * equation.gain
         if seen is None or equation.threshold is None:

@@ -36,6 +36,7 @@ else:
 ROOT = Path(__file__).parents[2]
 FAMILIES, METRICS = "tests/runtime/families", "tests/runtime/metrics"
 PRESETS, EXPORTS = "tests/runtime/test_peers.py", "tests/runtime/test_peer_exports.py"
+ADAPTERS = "tests/trainers/test_other_libraries.py"
 INTEROP = "tests/lab/interop/test_peer_process.py"
 EXAMPLES = "tests/spikedeploy/commands/test_check_against.py"
 RANDOM_NETWORKS = 10
@@ -62,15 +63,15 @@ class Peer:
 
 PEERS = (
     Peer("snntorch", (PRESETS, EXPORTS, EXAMPLES, INTEROP, "-k", "snntorch")),
-    Peer("norse", (PRESETS, EXPORTS, EXAMPLES, INTEROP, "-k", "norse")),
-    Peer("spikingjelly", (PRESETS, EXPORTS, EXAMPLES, INTEROP, "-k", "spikingjelly")),
+    Peer("norse", (PRESETS, EXPORTS, EXAMPLES, ADAPTERS, INTEROP, "-k", "norse")),
+    Peer("spikingjelly", (PRESETS, EXPORTS, EXAMPLES, ADAPTERS, INTEROP, "-k", "spikingjelly")),
     Peer("nengo", (PRESETS, "-k", "nengo")),
     Peer("neurobench", (f"{METRICS}/test_neurobench_peer.py",)),
     Peer("sanafe", (f"{METRICS}/test_sanafe.py",), traces="sanafe"),
     Peer("xylosim", (f"{FAMILIES}/test_xylosim.py",), traces="xylosim", kits=True),
     Peer(
         "sinabs",
-        (f"{FAMILIES}/test_sinabs_peer.py",),
+        (f"{FAMILIES}/test_sinabs_peer.py", ADAPTERS, "-k", "sinabs"),
         kits=True,
         options=("--no-deps", "sinabs==3.1.3", "nirtorch==2.6", "pbr"),
     ),

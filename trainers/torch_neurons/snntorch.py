@@ -1,59 +1,17 @@
-"""Neurons of other libraries as difference equations: what each class means by its settings."""
+"""Neurons of snnTorch."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from spikedeploy.runtime.convention import Reset, Spikes
+from spikedeploy.runtime.convention import Reset
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.network import Map, Neurons, Weights
+from spikedeploy.trainers.network import Map, Weights
 from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
-
-
-@dataclass(frozen=True)
-class Meaning:
-    """What a library's neurons do that decides the convention of a file.
-
-    reset: as in Convention
-    spikes: likewise
-    described: the neuron in its library's words
-    """
-
-    reset: Reset
-    spikes: Spikes
-    described: str
-
-
-class TorchNeurons(Neurons):
-    """Neurons whose numbers are those of a module of the user.
-
-    module: of another library
-    meaning: what it does
-    """
-
-    def __init__(self, module: nn.Module, takes: Shape, meaning: Meaning) -> None:
-        super().__init__(takes)
-        self.module, self.meaning = module, meaning
-        self._reads_membrane = False
-
-    def recurrent(self) -> Map | None:
-        """Return the connections of the layer onto itself, or None."""
-        return None
-
-    def read_membrane(self) -> None:
-        """Take the layer for a readout, whose membranes are the output and which never spikes."""
-        if self.meaning.reset != "none":
-            raise ConfigError(
-                f"the output is the membranes of {self.meaning.described}, which spikes; chips put "
-                "out spikes, or membranes of neurons that do not spike. Return the spikes, or set "
-                "reset_mechanism='none' in the last layer."
-            )
-        self._reads_membrane = True
-
+from spikedeploy.trainers.torch_neurons.neurons import Meaning, Numbers, TorchNeurons, derivative_of
 
 # V = (1 - r) (beta V + I): a late reset takes the input of that timestep with it; Leaky keeps it
 _LOSE_THEIR_INPUT = ("RLeaky", "Lapicque")
@@ -79,21 +37,19 @@ class SnnTorchNeurons(TorchNeurons):
         reset = resets.get((wanted, late), "none")
         settings = f"reset_mechanism={wanted!r}, reset_delay={late}"
         super().__init__(module, takes, Meaning(reset, "above", f"snnTorch's {kind}({settings})"))
-        for name, plain in (("inhibition", False), ("state_quant", False)):
-            if getattr(module, name, plain):
-                raise ConfigError(
-                    f"snnTorch's {kind}: {name} has no place on a chip; leave it out."
-                )
+        for name in ("inhibition", "state_quant"):
+            if getattr(module, name, False):
+                raise self.refused(f"{name} has no place on a chip", "Leave it out.")
         if float(torch.as_tensor(getattr(module, "graded_spikes_factor", 1.0)).max()) != 1:
-            raise ConfigError(
-                f"snnTorch's {kind}: graded_spikes_factor is no 1; spikes of a chip are. Put the "
-                "factor into the weights behind it."
+            raise self.refused(
+                "graded_spikes_factor is no 1; spikes of a chip are",
+                "Put the factor into the weights behind it.",
             )
-        self.derivative = _derivative_of(module.spike_grad)
+        self.derivative = _slope(module.spike_grad)
 
-    def numbers(self) -> tuple[Tensor | None, Tensor, Tensor | None, Tensor | None, Tensor]:
+    def numbers(self) -> Numbers:
         """Return alpha, beta, threshold, no leak, and the gain."""
-        module: Any = self.module
+        module = self.module
         beta = torch.as_tensor(module.beta)
         alpha = getattr(module, "alpha", None)
         if self.meaning.reset == "zero-delayed" and type(module).__name__ in _LOSE_THEIR_INPUT:
@@ -128,39 +84,14 @@ class SnnTorchNeurons(TorchNeurons):
         return Weights(layer, self.takes)
 
 
-# snnTorch's that are among ours; both hold the width alone
+# those that are among ours; both hold the width alone
 _SURROGATES = {"atan.<locals>.inner": "atan", "fast_sigmoid.<locals>.inner": "fast-sigmoid"}
 
 
-def _derivative_of(function: Callable[[Tensor], Tensor]) -> Surrogate:
-    """Return the derivative of a surrogate of the user, by torch's own differentiation.
-
-    That takes several times as long as the formula, which stands for the ones that are known.
-    """
+def _slope(function: Callable[[Tensor], Tensor]) -> Surrogate:
+    """Return the derivative of a surrogate; by its formula, which is faster, where it is known."""
     known = _SURROGATES.get(getattr(function, "__qualname__", ""))
     if known and getattr(function, "__module__", "") == "snntorch.surrogate":
         (width,) = (cell.cell_contents for cell in getattr(function, "__closure__", ()))
         return surrogate(known, float(width))
-
-    def derivative(excess: Tensor) -> Tensor:
-        with torch.enable_grad():
-            x = excess.detach().requires_grad_()
-            (found,) = torch.autograd.grad(function(x).sum(), x)
-        return found
-
-    return derivative
-
-
-_KINDS: dict[tuple[str, str], Callable[[Any, Shape], TorchNeurons]] = {
-    ("snntorch", kind): SnnTorchNeurons
-    for kind in ("Leaky", "RLeaky", "Synaptic", "RSynaptic", "Lapicque")
-}
-
-
-def neurons_of(module: nn.Module, takes: Shape) -> TorchNeurons | None:
-    """Return the neurons of a module; None where it is none that is known."""
-    for kind in type(module).__mro__:
-        library = kind.__module__.partition(".")[0]
-        if (make := _KINDS.get((library, kind.__name__))) is not None:
-            return make(module, takes)
-    return None
+    return derivative_of(function)
