@@ -42,9 +42,10 @@ _NORMS = (nn.BatchNorm1d, nn.BatchNorm2d)
 _NOTHING = (nn.Dropout, nn.Dropout1d, nn.Dropout2d, nn.Identity)  # in deployment
 # SpikingJelly's, which are not torch's
 _NOTHING_NAMED = ("spikingjelly.activation_based.layer.dropout",)
-# timesteps of the example for a forward that takes all; more where it counts them itself
-_TIMESTEPS = (3, 30, 300)
 _BATCH = 2
+# first axes of the example for a forward that takes all timesteps: more where it counts them
+# itself, in either order
+_ALL_TIMESTEPS = ((3, _BATCH), (30, _BATCH), (_BATCH, 30), (300, _BATCH), (_BATCH, 300))
 
 
 @dataclass(frozen=True)
@@ -82,15 +83,16 @@ def network_from_torch(module: nn.Module, takes: Shape) -> tuple[TorchNetwork, l
 def _traced(module: nn.Module, takes: Shape) -> "tuple[_Tracer, _Value]":
     """Run the module on one timestep, and where that fails on several; return as `_run` does."""
     failed: Exception | None = None
-    for timesteps in (None, *_TIMESTEPS):
-        found = _attempt(module, takes, timesteps)
+    for axes in (None, *_ALL_TIMESTEPS):
+        found = _attempt(module, takes, axes)
         if not isinstance(found, Exception):
             return found
         if isinstance(found, _TimeAxisError):
             failed = None
             continue
-        failed = failed or found
-        if timesteps is not None and not isinstance(found, IndexError):
+        if failed is None or isinstance(failed, IndexError):  # which another example may mend
+            failed = found
+        if axes is not None and not isinstance(found, IndexError):
             break
     if isinstance(failed, ConfigError):
         raise failed
@@ -101,10 +103,10 @@ def _traced(module: nn.Module, takes: Shape) -> "tuple[_Tracer, _Value]":
 
 
 def _attempt(
-    module: nn.Module, takes: Shape, timesteps: int | None
+    module: nn.Module, takes: Shape, axes: Shape | None
 ) -> "tuple[_Tracer, _Value] | Exception":
     try:
-        return _run(module, takes, timesteps)
+        return _run(module, takes, axes)
     except (_TimeAxisError, ConfigError, *_FAILURES) as error:
         return error
 
@@ -157,8 +159,9 @@ def _unchanged(module: nn.Module) -> Iterator[None]:
     training = {each: each.training for each in module.modules()}
     kept = {each: dict(each._buffers) for each in module.modules()}
     states = {each: dict(vars(each)) for each in module.modules()}
-    for held in states.values():
-        if "_memories" in held:  # of SpikingJelly, changed in place
+    for held in states.values():  # what is changed in place: recordings, states of SpikingJelly
+        held.update({name: list(each) for name, each in held.items() if type(each) is list})
+        if "_memories" in held:
             held["_memories"] = dict(held["_memories"])
     drawn = torch.get_rng_state()
     module.eval()
@@ -172,18 +175,19 @@ def _unchanged(module: nn.Module) -> Iterator[None]:
         torch.set_rng_state(drawn)
 
 
-def _run(module: nn.Module, takes: Shape, timesteps: int | None) -> "tuple[_Tracer, _Value]":
+def _run(module: nn.Module, takes: Shape, axes: Shape | None) -> "tuple[_Tracer, _Value]":
     """Run the module on zeros; return what was recorded, and its output.
 
-    timesteps: of the example where the module takes all; None for one timestep, in which the
-        module runs twice, so that states inside it show what they were made of
+    axes: timesteps and batch of the example, in either order, where the module takes all; None for
+        one timestep, in which the module runs twice, so that states inside it show what they were
+        made of
     """
-    tracer = _Tracer(module, takes, timesteps is not None)
+    tracer = _Tracer(module, takes, axes is not None)
     handles = tracer.watch()
     try:
         with tracer:
-            if timesteps is not None:
-                return tracer, tracer.output(module(tracer.example((timesteps, _BATCH, *takes))))
+            if axes is not None:
+                return tracer, tracer.output(module(tracer.example((*axes, *takes))))
             rows = _BATCH * _rows(module)
             found = module(tracer.example((rows, *takes)), *tracer.others(module, None))
             if tracer.is_single():

@@ -40,6 +40,7 @@ from spikedeploy.runtime.graph.order import timing
 from spikedeploy.trainers.from_torch import common_meaning, given_shape, network_from_torch
 from spikedeploy.trainers.network import Delay, Equation, Neurons, TorchNetwork, network_of
 from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
+from spikedeploy.trainers.torch_neurons.neurons import Meaning
 
 Array = NDArray[np.floating[Any]]
 
@@ -69,28 +70,41 @@ def on_chip(
     target = chip(chip_name)
     if isinstance(network, Artifact):
         nodes, stated, codec = network_of(network), network.convention, network.codec
-        wanted, described = stated.reset, "the file's neurons"
+        meaning = Meaning(stated.reset, stated.spikes, "the file's neurons", stated.floor)
     else:
         nodes, neurons = network_from_torch(network, given_shape(input_shape))
         meaning = common_meaning(neurons)
-        wanted, described = meaning.reset, meaning.described
         stated, codec = Convention(dt, source="as trained"), None
-    convention = _convention_on(target, stated, wanted)
-    if convention.reset != wanted and wanted != "none":
-        warnings.warn(
-            f"{described} resets by {wanted!r}, which {target.name} does not; trained is the "
-            f"nearest that it does, reset {convention.reset!r} in the timestep of the spike",
-            stacklevel=2,
-        )
+    convention = _convention_on(target, stated, meaning)
+    if others := _others(target, convention, meaning):
+        warnings.warn(f"{meaning.described} {others}", stacklevel=2)
     return ChipModule(nodes, target, convention, codec, limits, surrogate_name, surrogate_width)
 
 
-def _convention_on(target: Chip, stated: Convention, wanted: Reset) -> Convention:
+def _others(target: Chip, found: Convention, wanted: Meaning) -> str:
+    """Return in what the neurons of a chip are others than those that are wanted."""
+    parts = []
+    if wanted.reset not in (found.reset, "none"):
+        parts.append(
+            f"resets by {wanted.reset!r}, which {target.name} does not; trained is the nearest "
+            f"that it does, reset {found.reset!r} in the timestep of the spike"
+        )
+    if wanted.spikes == "many" and wanted.reset != "none" and found.spikes != "many":
+        parts.append(
+            f"puts out as many spikes as fit, and {target.name} one in a timestep; trained is "
+            "the nearest, one spike"
+        )
+    return "; ".join(parts)
+
+
+def _convention_on(target: Chip, stated: Convention, wanted: Meaning) -> Convention:
     """Return the convention of the chip's neurons that is nearest to what is wanted."""
     arithmetic = target.arithmetic
-    nearest: Reset = "subtract" if wanted.startswith("subtract") else "zero"
+    nearest: Reset = "subtract" if wanted.reset.startswith("subtract") else "zero"
     reset = nearest if nearest in target.resets else cast("Reset", target.resets[0])
-    spikes: Spikes = "reached" if arithmetic.spikes_at_threshold else "above"
+    # without rounding both are exact
+    at_threshold = wanted.spikes == "reached" and not arithmetic.rounds
+    spikes: Spikes = "reached" if arithmetic.spikes_at_threshold or at_threshold else "above"
     if arithmetic.spikes_max > 1 and reset == "subtract":
         spikes = "many"
     floor: Floor = "zero" if getattr(arithmetic, "floor", None) == 0 else "none"

@@ -37,6 +37,7 @@ ROOT = Path(__file__).parents[2]
 FAMILIES, METRICS = "tests/runtime/families", "tests/runtime/metrics"
 PRESETS, EXPORTS = "tests/runtime/test_peers.py", "tests/runtime/test_peer_exports.py"
 ADAPTERS = "tests/trainers/test_other_libraries.py"
+MODELS = "tests/trainers/test_public_models.py"
 INTEROP = "tests/lab/interop/test_peer_process.py"
 EXAMPLES = "tests/spikedeploy/commands/test_check_against.py"
 RANDOM_NETWORKS = 10
@@ -63,7 +64,7 @@ class Peer:
 
 PEERS = (
     Peer("snntorch", (PRESETS, EXPORTS, EXAMPLES, INTEROP, "-k", "snntorch")),
-    Peer("norse", (PRESETS, EXPORTS, EXAMPLES, ADAPTERS, INTEROP, "-k", "norse")),
+    Peer("norse", (PRESETS, EXPORTS, EXAMPLES, ADAPTERS, MODELS, INTEROP, "-k", "norse")),
     Peer("spikingjelly", (PRESETS, EXPORTS, EXAMPLES, ADAPTERS, INTEROP, "-k", "spikingjelly")),
     Peer("nengo", (PRESETS, "-k", "nengo")),
     Peer("neurobench", (f"{METRICS}/test_neurobench_peer.py",)),
