@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from torch import nn
 
     from spikedeploy.reports.table import Table
+    from spikedeploy.trainers.adapt import Adaptation
+    from spikedeploy.trainers.progress import Interrupt
     from spikedeploy.trainers.through_chip import ChipModule
 
 
@@ -342,10 +344,62 @@ def on_chip(
     """
     from spikedeploy.trainers import through_chip
 
+    return through_chip.on_chip(_network_of(network), chip, input_shape, **options)
+
+
+def adapt(
+    network: "nn.Module | LoadedNetwork | Artifact | str | Path",
+    chip: str,
+    raster: "Raster | Mapping[str, Raster] | str | Path",
+    labels: "Raster | str | Path | None" = None,
+    *,
+    input_shape: Sequence[int] | None = None,
+    limits: bool = True,
+    checkpoint: str | Path | None = None,
+    resume: bool = False,
+    interrupt: "Interrupt | None" = None,
+    quiet: bool = False,
+    **settings: Any,  # noqa: ANN401
+) -> "Adaptation":
+    """A network trained on through a chip's integers, and its scores before and after.
+
+    network      a `.nir` file, or a torch module, which has the best numbers afterwards
+    raster       (B, T, *shape) spikes
+    labels       (B,) whole numbers; without them it is trained towards its float twin's outputs
+    input_shape  of a torch module, of one timestep of one sample
+    limits       refuse what breaks a design rule of the chip
+    checkpoint   file that is written while it is trained; `resume` goes on from it
+    interrupt    that requests a stop, for a caller who catches signals itself
+    settings     of trainers.adapt.Settings: epochs, batch, rate, patience, held_out, seed
+    """
+    from spikedeploy.trainers import adapt as adapting
+
+    rows = read_rasters(Path(raster)) if isinstance(raster, str | Path) else raster
+    if isinstance(rows, Mapping):
+        if len(rows) != 1:
+            raise ConfigError(
+                f"the raster has arrays for {', '.join(sorted(rows))}; a network is trained with "
+                "one input. Give the array of this input."
+            )
+        (rows,) = rows.values()
+    classes = read_rasters(Path(labels)) if isinstance(labels, str | Path) else labels
+    if isinstance(classes, Mapping):
+        raise ConfigError("the labels are several arrays: give one, (B,), as .npy")
+    return adapting.adapt(
+        _network_of(network), chip, as_raster(rows),
+        None if classes is None else np.asarray(classes), input_shape=input_shape, limits=limits,
+        settings=adapting.Settings(**settings), resume=resume, interrupt=interrupt, quiet=quiet,
+        checkpoint=None if checkpoint is None else Path(checkpoint),
+    )  # fmt: skip
+
+
+def _network_of(
+    network: "nn.Module | LoadedNetwork | Artifact | str | Path",
+) -> "nn.Module | Artifact":
+    """The torch module, or what a file holds."""
     if isinstance(network, str | Path):
         network = load(network)
-    of_file = network.artifact if isinstance(network, LoadedNetwork) else network
-    return through_chip.on_chip(of_file, chip, input_shape, **options)
+    return network.artifact if isinstance(network, LoadedNetwork) else network
 
 
 def export(

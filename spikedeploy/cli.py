@@ -30,6 +30,7 @@ COMMANDS = {
         "train": "training",
         "tune": "training",
         "distill": "training",
+        "adapt": "adapting",
         "export": "exporting",
         "publish": "exporting",
         "sweep": "training",

@@ -18,6 +18,7 @@ ppo.py           proximal policy optimisation
 distill/         distillation of a teacher by DAgger
 sparse/          imitation through whole walks, pruned by operations; then reward
 through_chip.py  any network as a torch module whose forward pass is a chip
+adapt.py         a network trained on through a chip, towards labels or its float twin
 from_torch.py    what a torch module computes in a timestep; torch_neurons/: neurons
 network.py       NIR nodes whose numbers are torch parameters
 policies/        torch policies: MLP, PopSAN, spiking MLP, event-driven and pruned ones

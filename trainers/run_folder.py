@@ -127,16 +127,10 @@ class RunFolder:
         tensors: "Mapping[str, Tensor] | None" = None,
     ) -> None:
         """Write a checkpoint: the policy, its state as JSON, and more tensors."""
-        from safetensors.torch import save_file
-
         weights = {f"policy.{key}": value for key, value in policy.state_dict().items()}
-        named = {key: value.contiguous() for key, value in {**weights, **(tensors or {})}.items()}
         record = {"policy": policy.spec(), **state}
-        record["sha256"] = _digest(record, named)
-        with write_errors(self.checkpoint(name)) as path, replacing(path) as part:
-            # the state is part of the same file, so that the two always belong together
-            save_file(named, part, metadata={"state": json.dumps(record)})
-        self.write_numbers(name, record)
+        path = self.checkpoint(name)
+        self.write_numbers(name, write_checkpoint(path, record, {**weights, **(tensors or {})}))
 
     @property
     def levels(self) -> dict[float, str]:
@@ -154,23 +148,11 @@ class RunFolder:
 
     def load(self, name: str) -> "tuple[dict[str, Any], dict[str, Tensor]]":
         """Return state and tensors of a checkpoint."""
-        from safetensors import SafetensorError, safe_open
-
         path = self.checkpoint(name)
         if not path.is_file():
             self.check_weights(name)
             raise ConfigError(f"{self.path} has no checkpoint '{name}' yet")
-        try:
-            with safe_open(path, "pt") as file:
-                state: dict[str, Any] = json.loads(file.metadata()["state"])
-                tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-            if state["sha256"] != _digest(state, tensors):
-                raise ValueError("its content does not have its checksum")
-        except (SafetensorError, OSError, KeyError, TypeError, AttributeError, ValueError) as error:
-            raise ConfigError(
-                f"{path} is not a valid checkpoint: {error}. {self._remedy(name)}"
-            ) from error
-        return state, tensors
+        return read_checkpoint(path, self._remedy(name))
 
     def check_weights(self, name: str) -> None:
         """Refuse a checkpoint of which only the numbers to read were kept."""
@@ -304,6 +286,37 @@ def runs_in(folder: Path) -> list[Path]:
 
 
 # -- writing and checksums
+
+
+def write_checkpoint(
+    path: Path, state: Mapping[str, Any], tensors: "Mapping[str, Tensor]"
+) -> dict[str, Any]:
+    """Write tensors and a state, as JSON, to one file; return the state with the checksum."""
+    from safetensors.torch import save_file
+
+    named = {key: value.contiguous() for key, value in tensors.items()}
+    record = {**state, "sha256": _digest(state, named)}
+    with write_errors(path), replacing(path) as part:
+        # the state is part of the same file, so that the two always belong together
+        save_file(named, part, metadata={"state": json.dumps(record)})
+    return record
+
+
+def read_checkpoint(
+    path: Path, remedy: str = "Put the file back, or begin anew."
+) -> "tuple[dict[str, Any], dict[str, Tensor]]":
+    """Return state and tensors of a checkpoint; ConfigError where it is damaged."""
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, "pt") as file:
+            state: dict[str, Any] = json.loads(file.metadata()["state"])
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        if state["sha256"] != _digest(state, tensors):
+            raise ValueError("its content does not have its checksum")
+    except (SafetensorError, OSError, KeyError, TypeError, AttributeError, ValueError) as error:
+        raise ConfigError(f"{path} is not a valid checkpoint: {error}. {remedy}") from error
+    return state, tensors
 
 
 @contextmanager

@@ -9,6 +9,7 @@ closed_loop  run, compare, reproduce, demo, serve: policies in their environment
 open_loop    emulate, drift, check, verify: networks without an environment
 training     train, distill, tune, sweep, runs, visualize
 distillation recipe and settings that `distill` means, and what came of it
+adapting     adapt: a network trained on through a chip
 exporting    export, publish
 submitting   submit: rows of the public table
 windows      play, replay, draw

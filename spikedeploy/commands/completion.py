@@ -74,6 +74,8 @@ WORDS: dict[str, Callable[[str], list[str]] | None] = {
     "run": policies,
     "runs": None,
     "resume": run_names,
+    "adapt.file": networks,
+    "adapt.resume": None,
     "emulate.file": networks,
     "verify.network": networks,
     "draw.file": None,

@@ -20,7 +20,7 @@ PAGES = [
 NOT_RUN = {
     r"test\b": "this suite itself",
     r"demo\b": "a minute of episodes and films",
-    r"(train|tune|distill)\b": "trains for minutes or hours",
+    r"(train|tune|distill|adapt)\b": "trains for minutes or hours",
     r"export last\b": "needs a training",
     r"(play|draw)\b": "opens a window",
     r"replay\b": "opens a window, or films what a training left",

@@ -34,11 +34,12 @@ OUTPUTS = {
     ("run", "video"), ("run", "output"), ("sweep", "output"), ("compare", "output"),
     ("emulate", "output"), ("export", "output"), ("publish", "output"), ("visualize", "output"),
     ("play", "record"), ("replay", "video"),
-    ("check", "output"), ("drift", "output"), ("drift", "tuned"), ("submit", "output"),
+    ("adapt", "output"), ("check", "output"), ("drift", "output"), ("drift", "tuned"),
+    ("submit", "output"),
 }  # fmt: skip
 # paths that are read, edited by design, or in which a new folder is made, or a build
 OTHERS = {"file", "input_", "against", "codec", "traces", "config", "runs", "source", "folder",
-          "spec", "network", "raster", "via", "report", "check"}  # fmt: skip
+          "spec", "network", "raster", "via", "report", "check", "labels"}  # fmt: skip
 
 
 def test_every_option_that_names_a_file_to_write_is_guarded_and_has_force():
