@@ -14,6 +14,7 @@ COMMANDS = {
     "experiment": "lab.experiments.runner",
     "chip-policies": "lab.experiments.chip_policies",
     "clocks": "lab.experiments.clocks",
+    "digits": "lab.experiments.digits",
     "drift": "lab.experiments.drift",
     "energy-ratio": "lab.experiments.energy_ratio",
     "eye-events": "lab.experiments.eye_events",

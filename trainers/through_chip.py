@@ -11,7 +11,9 @@ numbers (Esser et al. 2016):
     dL/dI[t]  = dL/dV[t] + a dL/dI[t+1]
 
 where dV'/dV = (1 - s) - V s' if a spike resets to zero, and 1 - threshold s' if it subtracts the
-threshold, as in snnTorch's neurons with reset_delay=False.
+threshold, as in snnTorch's neurons with reset_delay=False. Of neurons that spike several times in a
+timestep and then are 0, V is the sum of all that arrived in it, so that V s' would grow without
+bounds from timestep to timestep: no gradient goes through that reset.
 """
 
 import warnings
@@ -430,7 +432,8 @@ class _Step:
         if seen.subtracts:
             behind = membrane - equation.threshold * spikes
         else:
-            behind = membrane - membrane * spikes.clamp(max=1)
+            reset = spikes.detach() if seen.several else spikes
+            behind = membrane - membrane * reset.clamp(max=1)
         self._membrane = _exactly(seen.behind[t], behind)
         return spikes
 
@@ -457,13 +460,14 @@ def _backpropagate(
     to_numbers = np.zeros((4, len(b)), constants.dtype)
     later = np.zeros((2, *rows[0].shape[1:]), constants.dtype)
     arrays = (*rows, constants, later, to_drive, to_numbers)
-    _differentiate(seen.subtracts, *arrays)
+    _differentiate(seen.subtracts, seen.several, *arrays)
     return torch.from_numpy(to_drive), torch.from_numpy(to_numbers)
 
 
 @jit
 def _differentiate(
     subtracts: bool,
+    several: bool,
     upstream: Array,
     slope: Array,
     before: Array,
@@ -492,7 +496,7 @@ def _differentiate(
                     to_membrane = g * to_spike + after
                     to_numbers[2, n] -= g * to_spike + s * after
                 else:
-                    to_spike = upstream[t, n_b, n] - v * after
+                    to_spike = upstream[t, n_b, n] - (zero if several else v * after)
                     to_membrane = g * to_spike + (after if s == zero else zero)
                     to_numbers[2, n] -= g * to_spike
                 to_current = to_membrane + a * later[0, n_b, n]

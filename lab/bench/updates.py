@@ -9,8 +9,9 @@ turns, and the medians are compared. Neurons and resets are the nearest that snn
 of each chip; design rules are off. Memory is what the resident set of a fresh process grows by
 during an update.
 
-Weights are those that torch draws times GAIN, for which hidden neurons spike in about a tenth of
-timesteps; inputs are independent spikes, in a fifth of timesteps.
+Weights are those that torch draws times GAIN, or LESS for chips whose membranes forget inhibition,
+for which hidden neurons spike in about a tenth of timesteps; inputs are independent spikes, in a
+fifth of timesteps.
 """
 
 import os
@@ -38,6 +39,7 @@ CHIPS = (
     "tinyodin", "ideal",
 )  # fmt: skip
 RATE, GAIN, CLASSES = 0.2, 3.0, 10
+LESS = {"odin": 1.0, "tinyodin": 2.0}
 
 
 class Size(NamedTuple):
@@ -138,7 +140,7 @@ def module(size: str, chip_name: str) -> nn.Sequential:
     made = nn.Sequential(*layers)
     with torch.no_grad():
         for parameter in made.parameters():
-            parameter.mul_(GAIN)
+            parameter.mul_(LESS.get(chip_name, GAIN))
     return made
 
 

@@ -25,6 +25,7 @@ Other tables of results/ have a script each:
 
 chip_policies   a policy for every chip
 clocks          sparse policies by the clock of their layers
+digits          scanned digits on every chip, before and after training through it
 drift           the cost of quantisation
 eye_events      events of kart-eye by control rate and quiet
 energy_ratio    energy of spiking policies over that of float ones

@@ -89,9 +89,9 @@ def _narrowed(numbers: Integers, program: Program, rules: IntegrateAndFireRules)
 
 
 def _are_alike(numbers: Integers) -> bool:
-    """Return whether the neurons of a layer have one threshold and one floor."""
+    """Return whether the neurons of a layer have one threshold, one floor and one reset."""
     neurons = Neurons(*numbers)
-    return bool(np.ptp(neurons.fires) == 0 and np.ptp(neurons.floor) == 0)
+    return not any(np.ptp(each) for each in (neurons.fires, neurons.floor, neurons.reset))
 
 
 def _numbers(rules: IntegrateAndFireRules, convention: Convention, layer: Layer) -> Integers:

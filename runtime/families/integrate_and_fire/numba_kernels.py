@@ -51,7 +51,8 @@ Array = Any  # the compiler sees the types
 Number = Any
 
 # columns of Constants.layers behind those of all families: whether its biases are an event, while
-# the bias axon spikes and while it does not; whether its neurons have one threshold and floor
+# the bias axon spikes and while it does not; whether its neurons have one threshold,
+# floor and reset
 HEARD_BIAS, UNHEARD_BIAS, ALIKE = range(len(LAYER), len(LAYER) + 3)
 # entries of Constants.rules, as in IntegrateAndFireRules; of spikes AT_ONCE where the threshold is
 # looked at once; a register holds LOWEST to HIGHEST
@@ -304,14 +305,23 @@ def _add_events(
         wire = constants.wires[k]
         axons, counts = sent(constants.sources[wire[SOURCE]], memory, row - wire[LAG])
         for axon in axons:
+            at = wire[WEIGHT] + axon * size
             for _ in range(counts[axon]):
                 if wire[IS_WINDOW]:
                     lost += _arrive_through(constants, wire, axon, neurons, after, spikes, arrived)
+                elif rules[OVERFLOW] < WRAP:
+                    row_of = weights[at : at + size]
+                    lost += _arrive_row(
+                        rules, neurons, about[ALIKE], row_of, after, memory.wide[1, :size]
+                    )
                 else:
-                    at = wire[WEIGHT] + axon * size
                     for n in range(size):
                         weight = weights[at + n]
                         lost += _arrive(rules, neurons, n, weight, after, spikes, arrived)
+            if not wire[IS_WINDOW] and rules[OVERFLOW] < WRAP and call.counting:
+                for n in range(size):
+                    arrived[n] |= weights[at + n] != 0
+        lost += _sum_spikes(rules, memory.wide[1, :size], spikes)
     heard = is_heard(about, row, call.timesteps)
     if about[HEARD_BIAS if heard else UNHEARD_BIAS]:
         for n in range(size):
@@ -348,6 +358,67 @@ def _arrive_through(
                     n = first + feature * places + y * wire[TARGET_X] + x
                     weight = weights[at + (i * wire[KERNEL_X] + j) * features + feature]
                     lost += _arrive(rules, neurons, n, weight, membranes, spikes, arrived)
+    return lost
+
+
+@jit
+def _arrive_row(
+    rules: Array, neurons: Array, alike: Number, row: Array, membranes: Array, fired: Array
+) -> Number:
+    """An event that reaches neurons by a row of weights; how many numbers did not fit.
+
+    fired: (N,) to which their spikes are added. Of neurons that are alike, numbers stay in the type
+        of the membranes, and few arrays are read: so the compiler makes vector instructions.
+    """
+    whole = membranes.dtype.type
+    lost = whole(0)
+    lowest, highest = whole(rules[LOWEST]), whole(rules[HIGHEST])
+    floor, fires, reset = neurons.floor[0], neurons.fires[0], neurons.reset[0]
+    threshold = neurons.threshold[0]
+    if not alike:
+        for n in range(len(row)):
+            raised = membranes[n] + row[n]
+            held = min(max(raised, rules[LOWEST]), rules[HIGHEST])
+            lost = whole(lost + (held != raised))
+            membranes[n] = max(held, neurons.floor[n])
+            if rules[CHECKS_EVENTS] and membranes[n] >= neurons.fires[n]:
+                membranes[n] = _after_spike(rules, neurons, n, membranes[n])
+                fired[n] += 1
+    elif not rules[CHECKS_EVENTS]:
+        for n in range(len(row)):
+            raised = whole(membranes[n] + row[n])
+            held = min(max(raised, lowest), highest)
+            lost = whole(lost + whole(held != raised))
+            membranes[n] = max(held, floor)
+    elif rules[SUBTRACT]:
+        for n in range(len(row)):
+            raised = whole(membranes[n] + row[n])
+            held = min(max(raised, lowest), highest)
+            lost = whole(lost + whole(held != raised))
+            v = max(held, floor)
+            spikes = v >= fires
+            membranes[n] = whole(v - threshold) if spikes else v
+            fired[n] = whole(fired[n] + whole(spikes))
+    else:
+        for n in range(len(row)):
+            raised = whole(membranes[n] + row[n])
+            held = min(max(raised, lowest), highest)
+            lost = whole(lost + whole(held != raised))
+            v = max(held, floor)
+            spikes = v >= fires
+            membranes[n] = reset if spikes else v
+            fired[n] = whole(fired[n] + whole(spikes))
+    return lost
+
+
+@jit
+def _sum_spikes(rules: Array, fired: Array, spikes: Array) -> Number:
+    """Add up spikes of events, and clear them; how many are more than can be counted."""
+    most, lost = rules[SPIKES_MAX], 0
+    for n in range(len(spikes)):
+        total = spikes[n] + fired[n]
+        lost += max(total - most, 0)
+        spikes[n], fired[n] = min(total, most), 0
     return lost
 
 

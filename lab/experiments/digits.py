@@ -1,0 +1,341 @@
+"""Handwritten digits on every chip: float, float weights on the chip, trained through the chip.
+
+    python -m lab digits [--only loihi1] [--seeds 3] [--page]
+
+The data are the 1,797 scans of 8 x 8 pixels that scikit-learn ships (Alpaydin and Kaynak 1998, test
+set): 1,300 for training, 497 unseen. A pixel spikes in each of T timesteps with the probability of
+its grey level; the class is the output neuron with most spikes. Networks are snnTorch modules of
+64-96-10 neurons, with the reset that the chip has. Where a chip takes fewer inputs, pixels are
+averaged in squares of 2 x 2; where it has fewer outputs, only as many digits are told apart; float
+then has the same task.
+
+`float` is the network in float64 (chip `ideal`), trained from random weights. `on the chip` are its
+weights as they are. `trained` goes on from them through the chip (`on_chip`), whose weights are
+clipped from the start: few bits have few levels, and what the largest weight takes of them is lost
+for all others. The clip, a part of a layer's largest weight, is the one of CLIPS with the best
+accuracy on the training images before training. No choice is made on unseen images.
+
+Design rules of the chip are on, unless they refuse the network: then the row names the rule. Rows
+that results/digits.csv has stay; the page is made of them.
+"""
+
+import argparse
+import copy
+import csv
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, fields
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from lab.experiments.pages import ROOT
+from spikedeploy.files import replacing, write_text
+from spikedeploy.reports.table import markdown_text
+from spikedeploy.runtime.chips import CHIPS as EVERY_CHIP
+from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.families.xylo import XyloArithmetic
+from spikedeploy.trainers.through_chip import ChipModule, on_chip
+
+TABLE, PAGE = ROOT / "results" / "digits.csv", ROOT / "results" / "digits.md"
+FEW_BITS = ("int:weight_bits=2", "loihi1:weight_bits=1", "int:weight_bits=3")
+CHIPS = (*FEW_BITS, *(name for name in EVERY_CHIP if name != "ideal"))
+TRAINED_ON, HIDDEN, TIMESTEPS, BATCH = 1300, 96, 12, 64
+FLOAT_EPOCHS, CHIP_EPOCHS = 25, 15
+FLOAT_RATE, CHIP_RATE = 3e-3, 1e-3
+CLIPS = (1.0, 0.7, 0.5, 0.35, 0.25)  # of a layer's largest weight
+SHARPNESS = 10.0  # of the softmax of mean spikes
+
+
+@dataclass(frozen=True)
+class Row:
+    """A training of a seed on a chip.
+
+    inputs, classes: of the task
+    limits: "on", or the rule that refuses the network
+    on_float, on_chip, trained: share of unseen images that are told right
+    differ: share of unseen images that float and its weights on the chip tell otherwise
+    clip: of CLIPS
+    """
+
+    chip: str
+    seed: int
+    inputs: int
+    classes: int
+    limits: str
+    on_float: float
+    on_chip: float
+    differ: float
+    trained: float
+    clip: float
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Images (R, M) in 0 to 1 and labels (R,), those for training first."""
+
+    images: Tensor
+    labels: Tensor
+    classes: int
+
+    @property
+    def split(self) -> int:
+        """The number of images for training."""
+        return round(len(self.labels) * TRAINED_ON / 1797)
+
+
+@lru_cache
+def task_of(inputs: int, classes: int) -> Task:
+    """The task with 64 or 16 inputs and the first classes."""
+    from sklearn.datasets import load_digits
+
+    data = load_digits()
+    images = torch.from_numpy(data.images / 16.0).to(torch.float32)
+    if inputs == 16:
+        images = nn.functional.avg_pool2d(images[:, None], 2)
+    order = np.random.default_rng(0).permutation(len(data.target))
+    labels = torch.from_numpy(data.target[order])
+    kept = labels < classes
+    return Task(images[order].flatten(1)[kept], labels[kept], classes)
+
+
+def main() -> None:
+    """Make the rows that are missing, and the page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", help="chips whose name begins so")
+    parser.add_argument("--seeds", type=int, default=3, help="trainings of each chip")
+    parser.add_argument("--page", action="store_true", help="write the page alone")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    warnings.simplefilter("ignore")  # on_chip says where resets differ from snnTorch's
+    rows = stored()
+    for seed in range(0 if arguments.page else arguments.seeds):
+        for name in CHIPS:
+            if (name, seed) in rows or not name.startswith(arguments.only or ""):
+                continue
+            rows[name, seed] = made = run(name, seed)
+            print(made, flush=True)
+            write(rows)
+    write_text(PAGE, page(rows))
+
+
+def stored() -> dict[tuple[str, int], Row]:
+    """The rows of results/digits.csv by chip and seed."""
+    if not TABLE.exists():
+        return {}
+    with TABLE.open(newline="", encoding="utf-8") as file:
+        found = [_parse(line) for line in csv.DictReader(file)]
+    return {(row.chip, row.seed): row for row in found}
+
+
+def _parse(line: dict[str, str]) -> Row:
+    kinds: dict[str, Callable[[str], Any]] = {"chip": str, "limits": str}
+    whole = ("seed", "inputs", "classes")
+    return Row(
+        **{
+            field.name: kinds.get(field.name, int if field.name in whole else float)(
+                line[field.name]
+            )
+            for field in fields(Row)
+        }
+    )
+
+
+def write(rows: dict[tuple[str, int], Row]) -> None:
+    """Write results/digits.csv in the order of CHIPS."""
+    known = {name: place for place, name in enumerate(CHIPS)}
+    ordered = sorted(rows.values(), key=lambda row: (known.get(row.chip, 99), row.seed))
+    with replacing(TABLE) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [field.name for field in fields(Row)], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(
+            {
+                name: f"{value:.4f}" if isinstance(value, float) else value
+                for name, value in asdict(row).items()
+            }
+            for row in ordered
+        )
+
+
+def run(name: str, seed: int) -> Row:
+    """Train a seed in float, and through a chip."""
+    target = chip(name)
+    most = target.limits
+    few = most is not None and most.inputs is not None and most.inputs < 64
+    outputs = None if most is None else getattr(most, "outputs", None)
+    task = task_of(16 if few else 64, min(10, outputs or 10))
+    network = _trained_in_float(_kind(target), task.images.shape[1], task.classes, seed)
+    ideal = _through(network, "ideal", False)
+    limits, refused = True, "on"
+    try:
+        _through(network, name, True)
+    except RuleError as error:
+        limits, refused = False, str(error).partition(":")[0].removeprefix("rule ")
+    in_float, on_the_chip = answers(ideal, task), answers(_through(network, name, limits), task)
+    clip = max(CLIPS, key=lambda part: _accuracy_in_training(network, name, limits, part, task))
+    trained = copy.deepcopy(network)
+    clamp = clipping(trained, clip)
+    module = _through(trained, name, limits)
+    fit(module, task, CHIP_EPOCHS, CHIP_RATE, seed, clamp)
+    labels = task.labels[task.split :]
+    return Row(
+        name,
+        seed,
+        task.images.shape[1],
+        task.classes,
+        refused,
+        *(
+            float(each.to(torch.float64).mean())
+            for each in (
+                in_float == labels,
+                on_the_chip == labels,
+                in_float != on_the_chip,
+                answers(module, task) == labels,
+            )
+        ),
+        clip,
+    )
+
+
+def _kind(target: Chip) -> tuple[str, str, float]:
+    """Neurons of snnTorch that are nearest to the chip's: class, reset and beta."""
+    reset = "zero" if "zero" in target.resets else "subtract"
+    leaks = target.limits is None or target.limits.membrane_loss != (0.0, 0.0)
+    kind = "Synaptic" if isinstance(target.arithmetic, XyloArithmetic) else "Leaky"
+    return kind, reset, (0.9375 if kind == "Synaptic" else 0.9) if leaks else 1.0
+
+
+@lru_cache(maxsize=16)
+def _trained_in_float(
+    kind: tuple[str, str, float], inputs: int, classes: int, seed: int
+) -> nn.Sequential:
+    """The network of a seed, trained in float; shared by chips with the same neurons."""
+    import snntorch
+
+    name, reset, beta = kind
+    current = {"alpha": 0.5} if name == "Synaptic" else {}
+    neurons = partial(
+        getattr(snntorch, name), beta=beta, reset_mechanism=reset, reset_delay=False, **current
+    )
+    torch.manual_seed(seed)
+    made = nn.Sequential(
+        nn.Linear(inputs, HIDDEN, bias=False),
+        neurons(),
+        nn.Linear(HIDDEN, classes, bias=False),
+        neurons(),
+    )
+    ideal = _through(made, "ideal", False)
+    fit(ideal, task_of(inputs, classes), FLOAT_EPOCHS, FLOAT_RATE, seed, lambda: None)
+    return made
+
+
+def _through(network: nn.Sequential, name: str, limits: bool) -> ChipModule:
+    inputs = network[0].in_features
+    assert isinstance(inputs, int)
+    return on_chip(network, name, (inputs,), limits=limits)
+
+
+def clipping(network: nn.Sequential, part: float) -> Callable[[], None]:
+    """Clip weights at a part of each layer's largest; return what does so again."""
+    bounds = [(weight, part * float(weight.abs().max())) for weight in network.parameters()]
+
+    @torch.no_grad()
+    def clamp() -> None:
+        for weight, bound in bounds:
+            weight.clamp_(-bound, bound)
+
+    clamp()
+    return clamp
+
+
+def _accuracy_in_training(
+    network: nn.Sequential, name: str, limits: bool, part: float, task: Task
+) -> float:
+    clipped = copy.deepcopy(network)
+    clipping(clipped, part)
+    found = answers(_through(clipped, name, limits), task, unseen=False)
+    return float((found == task.labels[: task.split]).to(torch.float64).mean())
+
+
+def fit(
+    module: ChipModule,
+    task: Task,
+    epochs: int,
+    rate: float,
+    seed: int,
+    after: Callable[[], None],
+) -> None:
+    """Train by cross-entropy of mean spikes and Adam, whose rate falls to 0 by a cosine."""
+    generator = torch.Generator().manual_seed(seed)
+    optimiser = torch.optim.Adam(module.parameters(), rate)
+    batches = list(_batches(task, epochs, generator))
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, len(batches))
+    for rows in batches:
+        optimiser.zero_grad()
+        mean = module(encode(task.images[rows], generator)).mean(dim=0)
+        nn.functional.cross_entropy(SHARPNESS * mean, task.labels[rows]).backward()
+        optimiser.step()
+        schedule.step()
+        after()
+
+
+def _batches(task: Task, epochs: int, generator: torch.Generator) -> Iterator[Tensor]:
+    for _ in range(epochs):
+        yield from torch.randperm(task.split, generator=generator).split(BATCH)
+
+
+def encode(images: Tensor, generator: torch.Generator) -> Tensor:
+    """Spikes (T, B, M) of pixels (B, M), each with the probability of its grey level."""
+    return (torch.rand(TIMESTEPS, *images.shape, generator=generator) < images).to(images.dtype)
+
+
+@torch.no_grad()
+def answers(module: ChipModule, task: Task, unseen: bool = True) -> Tensor:
+    """Classes (R,) of the unseen images, or of those for training; spikes as in every call."""
+    part = slice(task.split, None) if unseen else slice(task.split)
+    spikes = encode(task.images[part], torch.Generator().manual_seed(1))
+    return module(spikes).sum(dim=0).argmax(dim=1)
+
+
+def page(rows: dict[tuple[str, int], Row]) -> str:
+    """Return results/digits.md."""
+    seeds = sorted({seed for _, seed in rows})
+    heads = ["chip", "inputs, classes", "float", "on the chip", "differ", "trained", "limits"]
+    table = [heads]
+    for name in CHIPS:
+        of = [rows[name, seed] for seed in seeds if (name, seed) in rows]
+        if of:
+            table.append(
+                [
+                    f"`{name}`",
+                    f"{of[0].inputs}, {of[0].classes}",
+                    *(
+                        _percent([getattr(row, field) for row in of])
+                        for field in ("on_float", "on_chip", "differ", "trained")
+                    ),
+                    "on" if of[0].limits == "on" else f"off: {of[0].limits}",
+                ]
+            )
+    return "\n".join(
+        [
+            "# Digits on every chip\n",
+            f"Unseen images told right [%], mean of {len(seeds)} trainings (least to most), of "
+            "a network with 96 hidden neurons. `float` has the same inputs, classes and neurons "
+            "without rounding; `on the chip` its weights as they are, of which `differ` says how "
+            "many images they tell otherwise; `trained` went on through the chip for "
+            f"{CHIP_EPOCHS} epochs. `limits` off: that design rule refuses the network.\n",
+            markdown_text(table),
+            "\nMade by `python -m lab digits`; all rows in `digits.csv`.\n",
+        ]
+    )
+
+
+def _percent(values: list[float]) -> str:
+    low, high, mean = (100 * float(each(values)) for each in (min, max, np.mean))
+    return f"{mean:.1f} ({low:.1f} to {high:.1f})"
