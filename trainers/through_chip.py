@@ -72,7 +72,7 @@ def on_chip(
     target = chip(chip_name)
     if isinstance(network, Artifact):
         nodes, stated, codec = network_of(network), network.convention, network.codec
-        meaning = Meaning(stated.reset, stated.spikes, "the file's neurons", stated.floor)
+        meaning = Meaning(stated.reset, stated.spikes, "a neuron of the file", stated.floor)
     else:
         nodes, neurons = network_from_torch(network, given_shape(input_shape))
         meaning = common_meaning(neurons)

@@ -1,6 +1,9 @@
 """`adapt`: a network whose accuracy fell on a chip, trained on through the chip's integers."""
 
 import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,7 +59,7 @@ def adapt(
     }  # fmt: skip
     interrupt = Interrupt()
     busy = f"{written} is being made by another process: wait for its end, or stop it"
-    with interrupt, locked(checkpoint.with_suffix(".lock"), busy):
+    with interrupt, locked(checkpoint.with_suffix(".lock"), busy), _sayings():
         from spikedeploy.api import adapt as train
 
         try:
@@ -66,7 +69,7 @@ def adapt(
                 checkpoint=checkpoint, resume=resume, interrupt=interrupt, quiet=json, **settings,
             )  # fmt: skip
         except KeyboardInterrupt:
-            _stop(interrupt.exit_code, "stopped at once", checkpoint)
+            _stop(interrupt.exit_code, "stopped", checkpoint)
         if not found.finished:
             after = f"stopped after {found.updates:,} updates"
             _stop(interrupt.exit_code, after, checkpoint)
@@ -82,6 +85,15 @@ def adapt(
         print_report(report, everything=False)
         typer.echo(f"wrote {written}")
     raise typer.Exit(0 if report.passed else 1)
+
+
+@contextmanager
+def _sayings() -> Iterator[None]:
+    """Let warnings, such as of a neuron that the chip lacks, be lines for the user."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = lambda message, *_, **__: say(str(message))
+        yield
 
 
 def _is_ours(path: Path) -> bool:

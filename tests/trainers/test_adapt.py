@@ -3,6 +3,7 @@
 import warnings
 from dataclasses import replace
 
+import nir
 import numpy as np
 import pytest
 
@@ -12,7 +13,8 @@ snn = pytest.importorskip("snntorch")
 from torch import nn  # noqa: E402
 
 import spikedeploy as sd  # noqa: E402
-from spikedeploy.runtime.artifact.artifact import digest  # noqa: E402
+from spikedeploy.runtime.artifact.artifact import Artifact, digest  # noqa: E402
+from spikedeploy.runtime.convention import Convention  # noqa: E402
 from spikedeploy.runtime.errors import ConfigError, ObservationError, RuleError  # noqa: E402
 from spikedeploy.trainers import adapt as adapting  # noqa: E402
 from spikedeploy.trainers.progress import Interrupt  # noqa: E402
@@ -206,6 +208,30 @@ def test_a_loss_that_is_not_a_number_ends_it_with_a_smaller_rate(artifact, monke
 def test_a_network_with_codec_stays_a_policy(artifact):
     found = sd.adapt(replace(artifact, tuned=""), "loihi1", RASTER, epochs=1, quiet=True)
     assert found.artifact.codec is artifact.codec
+
+
+@pytest.mark.parametrize("outputs", [1, 3])
+def test_membranes_of_a_last_layer_that_does_not_spike_come_back(outputs):
+    rng = np.random.default_rng(0)
+    shape = {"tau": 5e-3, "r": 5.0, "v_leak": 0.0}
+    nodes = {
+        "input": nir.Input({"input": np.array([16])}),
+        "1": nir.Linear(rng.normal(0, 0.5, (12, 16))),
+        "2": nir.LIF(**{name: np.full(12, each) for name, each in shape.items()},
+                     v_threshold=np.ones(12), v_reset=np.zeros(12)),
+        "3": nir.Linear(rng.normal(0, 0.5, (outputs, 12))),
+        "4": nir.LI(**{name: np.full(outputs, each) for name, each in shape.items()}),
+        "output": nir.Output({"output": np.array([outputs])}),
+    }  # fmt: skip
+    edges = [("input", "1"), ("1", "2"), ("2", "3"), ("3", "4"), ("4", "output")]
+    convention = Convention(1e-3, source="given")
+    made = Artifact(nir.NIRGraph(nodes, edges, type_check=False), None, convention)
+    found = sd.adapt(made, CHIP, RASTER, quiet=True, **QUICK)
+    assert (found.before.agreement is None) == (outputs == 1)
+    assert found.after.loss < found.before.loss
+    if outputs == 1:
+        with pytest.raises(ObservationError, match="has one output"):
+            sd.adapt(made, CHIP, RASTER, LABELS * 0)
 
 
 def test_a_neuron_that_the_chip_lacks_is_trained_as_the_nearest(artifact):

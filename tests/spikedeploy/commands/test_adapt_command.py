@@ -13,6 +13,7 @@ from spikedeploy.trainers import adapt as adapting  # noqa: E402
 from tests.paths import ROOT  # noqa: E402
 
 NET = ROOT / "examples" / "net.nir"
+NEAREST = "a neuron of the file resets by 'subtract', which loihi1 does not; trained is the nearest"
 QUICK = ("--dt", "1e-3", "--epochs", "2", "--batch", "8")
 
 
@@ -120,6 +121,12 @@ def test_what_does_not_fit_is_named_before_training_and_trained_with_limits_off(
     assert code in (1, 2)
     assert len(err.strip().splitlines()) == 1
     assert not list(folder.glob("net.*.nir"))
+
+
+def test_a_reset_that_the_chip_lacks_is_named_in_a_line_of_its_own(folder, command):
+    code, _, err = adapt(command, "--reset", "subtract")
+    assert code == 0
+    assert "\n" + NEAREST in "\n" + err
 
 
 def test_resume_without_a_checkpoint_is_a_sentence(folder, command):
