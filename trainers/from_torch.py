@@ -32,7 +32,7 @@ from spikedeploy.trainers.network import (
     Neurons,
     TorchNetwork,
     Weights,
-    pool_of,
+    flatten,
 )
 from spikedeploy.trainers.torch_neurons import KNOWN, is_neurons, neurons_of
 from spikedeploy.trainers.torch_neurons.neurons import Meaning, TorchNeurons
@@ -401,8 +401,7 @@ class _Tracer(TorchFunctionMode):
                 f"{tuple(before.shape)}; between layers a network on a chip can only flatten all "
                 "axes but the batch. Use nn.Flatten()."
             )
-        node = nir.Flatten({"input": np.array(takes)}, 0, -1)
-        flat = Fixed(node, _flatten, takes)
+        flat = flatten(takes)
         name = "+".join(name for name, _ in value.terms) + ".flatten"
         return self._pass(name, flat, value)
 
@@ -629,10 +628,6 @@ def _leads(start: str, end: str, edges: set[Edge]) -> bool:
     return False
 
 
-def _flatten(x: Tensor) -> Tensor:
-    return x.flatten(1)
-
-
 def _leaves(root: nn.Module) -> list[tuple[str, nn.Module]]:
     """Return the modules that are taken as one node, by name; those inside them are not."""
     found: list[tuple[str, nn.Module]] = []
@@ -667,7 +662,7 @@ def _node_of(name: str, module: nn.Module, takes: Shape) -> Map | Neurons:
     if isinstance(module, nn.Flatten):
         if module.end_dim not in (-1, len(takes)):
             raise ConfigError(f"{name}: Flatten flattens some axes; use nn.Flatten().")
-        return Fixed(nir.Flatten({"input": np.array(takes)}, 0, -1), _flatten, takes)
+        return flatten(takes)
     if isinstance(module, nn.AvgPool2d | nn.LPPool2d):
         return _pool(name, module, takes)
     instead = _INSTEAD.get(type(module).__name__, "take it out, or put neurons in its place")
@@ -700,8 +695,7 @@ def _pool(name: str, module: nn.AvgPool2d | nn.LPPool2d, takes: Shape) -> Fixed:
     kernel, stride, padding = (
         np.broadcast_to(module.kernel_size if n is None else n, 2).astype(int) for n in settings
     )
-    node = (nir.SumPool2d if sums else nir.AvgPool2d)(kernel, stride, padding)
-    return Fixed(node, pool_of(name, node), takes)
+    return Fixed((nir.SumPool2d if sums else nir.AvgPool2d)(kernel, stride, padding), takes)
 
 
 def _tensors(found: object) -> list[Tensor]:

@@ -3,14 +3,15 @@
 A `TorchNetwork` is a graph of two kinds of nodes: maps without a memory, which torch computes
 (`Map`), and neurons (`Neurons`), which a chip computes. `artifact` writes the present numbers as
 NIR; `network_of` makes a network of an artifact. What a torch module becomes is in `from_torch`.
+`detached` makes a network whose numbers are its own, and `spec` what checkpoints say of its graph.
 
 Neurons are the difference equation of `runtime.graph.neurons`, with gains that stay as they are:
 
     I[t] = a I[t-1] + gain x[t]        V[t] = b V[t-1] + I[t] + leak
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
 import nir
@@ -26,6 +27,8 @@ from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.graph.neurons import NEURONS, DiscreteNeuron
 from spikedeploy.runtime.graph.shapes import Shape, shape_of, window_of
 from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.config import require_known
+from spikedeploy.trainers.fitting import Fitting
 from spikedeploy.trainers.policies.neurons import Surrogate
 from spikedeploy.trainers.policies.policy import to_array
 
@@ -50,12 +53,21 @@ class Map(nn.Module):
         """Return the NIR node of the present numbers."""
         raise NotImplementedError
 
+    def detached(self) -> "Map":
+        """Return the node with numbers of its own, equal to the present ones."""
+        return self
+
+    def spec(self) -> dict[str, Any]:
+        """Return what makes an equal node with numbers to be loaded, for JSON."""
+        raise NotImplementedError
+
 
 class Weights(Map):
     """A matrix or convolution of a torch layer, with the normalisation behind it folded in.
 
     layer: nn.Linear, nn.Conv1d or nn.Conv2d
     norm: nn.BatchNorm behind it, at its running statistics, or None
+    fitting: what makes the weights fit the axons of a chip, or None
     """
 
     def __init__(
@@ -63,14 +75,25 @@ class Weights(Map):
         layer: nn.Linear | nn.Conv1d | nn.Conv2d,
         takes: Shape,
         norm: nn.BatchNorm1d | nn.BatchNorm2d | None = None,
+        fitting: Fitting | None = None,
     ) -> None:
         super().__init__()
         self.layer, self.norm, self.takes = layer, norm, takes
+        self.fitting = fitting
         with torch.no_grad():
             self.puts = tuple(self(layer.weight.new_zeros(1, *takes)).shape[1:])
 
     def numbers(self) -> tuple[Tensor, Tensor | None]:
         """Return weight and bias as they are deployed, before rounding."""
+        weight, bias = self._folded()
+        return weight if self.fitting is None else self.fitting(weight), bias
+
+    def settle(self) -> None:
+        """Bring weights that an update moved away from what fits back to it."""
+        if self.fitting is not None and self.norm is None:
+            self.fitting.settle(self.layer.weight)
+
+    def _folded(self) -> tuple[Tensor, Tensor | None]:
         weight, bias, norm = self.layer.weight, self.layer.bias, self.norm
         if norm is None:
             return weight, bias
@@ -113,29 +136,124 @@ class Weights(Map):
             bias=np.zeros(len(weight)) if bias is None else bias,
         )
 
+    def detached(self) -> "Weights":
+        """Return the same weights in a layer of their own, without a normalisation."""
+        weight, bias = self._folded()
+        layer = _layer(type(self.layer).__name__, **_settings(self.layer, bias is not None))
+        for own, number in ((layer.weight, weight), (layer.bias, bias)):
+            if own is not None and number is not None:
+                own.data = number.detach().clone()
+                own.requires_grad_(number.requires_grad)
+        return Weights(layer, self.takes, fitting=self.fitting)
+
+    def spec(self) -> dict[str, Any]:
+        """Return kind, settings, shape and what is trained."""
+        layer = self.layer
+        return {
+            "kind": type(layer).__name__,
+            "takes": list(self.takes),
+            "settings": _settings(layer, layer.bias is not None),
+            "trained": [name for name, p in layer.named_parameters() if p.requires_grad],
+            "fitting": None if self.fitting is None else self.fitting.spec(),
+        }
+
+    @classmethod
+    def from_spec(
+        cls,
+        kind: str,
+        takes: Sequence[int],
+        settings: Mapping[str, Any],
+        trained: Collection[str],
+        fitting: Mapping[str, Any] | None,
+    ) -> "Weights":
+        """Return weights of this shape, with numbers to be loaded."""
+        layer = _layer(kind, **settings)
+        for name, parameter in layer.named_parameters():
+            parameter.requires_grad_(name in trained)
+        fits = None if fitting is None else Fitting.from_spec(**fitting)
+        return cls(layer, tuple(takes), fitting=fits)
+
+
+_LAYERS: dict[str, Any] = {"Linear": nn.Linear, "Conv1d": nn.Conv1d, "Conv2d": nn.Conv2d}
+
+
+def _layer(kind: str, **settings: Any) -> Any:  # noqa: ANN401
+    return _LAYERS[kind](**settings)
+
+
+def _settings(layer: nn.Module, bias: bool) -> dict[str, Any]:
+    """Return the arguments that make an equal layer, for JSON."""
+    names = ["in_features", "out_features"]
+    if not isinstance(layer, nn.Linear):
+        names = [
+            "in_channels", "out_channels", "kernel_size", "stride", "padding", "dilation", "groups",
+        ]  # fmt: skip
+    found = {name: getattr(layer, name) for name in names}
+    return {
+        **{name: list(n) if isinstance(n, tuple) else n for name, n in found.items()},
+        "bias": bias,
+    }
+
 
 class Fixed(Map):
     """A node without parameters of torch: a pool, Flatten, Scale.
 
     made: the NIR node
-    function: what it computes of (R, *takes)
     """
 
-    def __init__(
-        self, made: nir.NIRNode, function: Callable[[Tensor], Tensor], takes: Shape
-    ) -> None:
+    def __init__(self, made: nir.NIRNode, takes: Shape) -> None:
         super().__init__()
-        self.made, self.function, self.takes = made, function, takes
+        self.made, self.takes = made, takes
+        self._function = _function_of(made)
         with torch.no_grad():
-            self.puts = tuple(function(torch.zeros(1, *takes)).shape[1:])
+            self.puts = tuple(self(torch.zeros(1, *takes)).shape[1:])
 
     def forward(self, x: Tensor) -> Tensor:
         """Return (R, *puts)."""
-        return self.function(x)
+        return self._function(x)
 
     def node(self) -> nir.NIRNode:
         """Return the node."""
         return self.made
+
+    def spec(self) -> dict[str, Any]:
+        """Return kind, shape and fields of the node."""
+        held = {each.name for each in fields(self.made)} - {"input_type", "output_type", "metadata"}
+        found = {name: np.asarray(getattr(self.made, name)).tolist() for name in sorted(held)}
+        return {"kind": type(self.made).__name__, "takes": list(self.takes), "fields": found}
+
+    @classmethod
+    def from_spec(cls, kind: str, takes: Sequence[int], fields: Mapping[str, Any]) -> "Fixed":
+        """Return the node of these fields."""
+        if kind == "Flatten":
+            made = nir.Flatten({"input": np.array(takes)}, **fields)
+        else:
+            arrays = {name: np.asarray(value) for name, value in fields.items()}
+            made = getattr(nir, require_known(kind, _FIXED, "kind of node"))(**arrays)
+        return cls(made, tuple(takes))
+
+
+_FIXED = ("Flatten", "AvgPool2d", "SumPool2d", "Scale")
+
+
+def flatten(takes: Shape) -> Fixed:
+    """Return the node that makes one axis of all but the rows."""
+    return Fixed(nir.Flatten({"input": np.array(takes)}, 0, -1), takes)
+
+
+def _function_of(node: nir.NIRNode) -> Callable[[Tensor], Tensor]:
+    """Return what a node computes of (R, *takes)."""
+    if isinstance(node, nir.Flatten):
+        puts = shape_of(node)
+        return lambda x: x.reshape(len(x), *puts)
+    if isinstance(node, nir.Scale):
+        scale = _tensor(node.scale)
+        return lambda x: x * scale
+    window = window_of(type(node).__name__, node)
+    padding = tuple(before for before, _ in window.padding)
+    # NIR's sum pool is the mean times the elements of the kernel, padding included
+    factor = 1.0 if isinstance(node, nir.AvgPool2d) else float(np.prod(window.kernel))
+    return lambda x: nn.functional.avg_pool2d(x, window.kernel, window.stride, padding) * factor
 
 
 class Delay(nn.Module):
@@ -148,6 +266,19 @@ class Delay(nn.Module):
         super().__init__()
         self.steps, self.takes = steps, steps.shape
         self.puts = self.takes
+
+    def detached(self) -> "Delay":
+        """Return the delay, which has no numbers that are trained."""
+        return self
+
+    def spec(self) -> dict[str, Any]:
+        """Return kind, shape and timesteps."""
+        return {"kind": "Delay", "takes": list(self.takes), "steps": self.steps.tolist()}
+
+    @classmethod
+    def from_spec(cls, takes: Sequence[int], steps: Any) -> "Delay":  # noqa: ANN401
+        """Return the delay of these timesteps."""
+        return cls(np.array(steps, np.int64).reshape(tuple(takes)))
 
     def forward(self, rows: Tensor) -> Tensor:
         """Return (T, B, *takes) of all timesteps, late."""
@@ -228,25 +359,70 @@ class Neurons(nn.Module):
         kind = nir.CubaLI if threshold is None else nir.CubaLIF
         return kind(tau_mem=dt / lost, tau_syn=dt * synaptic, w_in=synaptic, **rest)
 
+    def detached(self) -> "FreeNeurons":
+        """Return neurons with numbers of their own, of which those are trained that are here."""
+        found = zip(_NUMBERS, self.numbers(), strict=True)
+        given = {name: number for name, number in found if number is not None}
+        trained = [name for name, number in given.items() if number.requires_grad]
+        numbers = {name: number.detach().clone() for name, number in given.items()}
+        return FreeNeurons(self.takes, numbers, trained)
+
+
+_NUMBERS = ("current_decay", "membrane_decay", "threshold", "leak", "gain")  # as in Equation
+
 
 class FreeNeurons(Neurons):
-    """Neurons whose decay factors, thresholds and leaks are parameters of their own."""
+    """Neurons whose numbers are tensors of their own.
 
+    numbers: by the names of Equation's fields, broadcasting to the shape of the layer
+    trained: names of those that are parameters; the gain is none
+    """
+
+    current_decay: Tensor | None
+    membrane_decay: Tensor
+    threshold: Tensor | None
+    leak: Tensor | None
     gain: Tensor
 
-    def __init__(self, made: DiscreteNeuron) -> None:
-        super().__init__(made.gain.shape)
-        self.current_decay = _parameter(made.current_decay)
-        self.membrane_decay = nn.Parameter(_tensor(made.membrane_decay))
-        self.threshold = _parameter(made.threshold)
-        self.leak = _parameter(made.leak if made.leak.any() else None)
-        self.register_buffer("gain", _tensor(made.gain))
+    def __init__(
+        self, shape: Shape, numbers: Mapping[str, Tensor], trained: Collection[str]
+    ) -> None:
+        super().__init__(shape)
+        for name in _NUMBERS:
+            value = numbers.get(name)
+            if value is not None and name in trained and name != "gain":
+                self.register_parameter(name, nn.Parameter(value))
+            else:
+                self.register_buffer(name, value)
+
+    @classmethod
+    def of(cls, made: DiscreteNeuron) -> "FreeNeurons":
+        """Return neurons of a file, all of whose numbers are trained."""
+        leak = made.leak if made.leak.any() else None
+        found = {name: getattr(made, name) for name in _NUMBERS} | {"leak": leak}
+        numbers = {name: _tensor(value) for name, value in found.items() if value is not None}
+        return cls(made.gain.shape, numbers, _NUMBERS)
 
     def numbers(self) -> tuple[Tensor | None, Tensor, Tensor | None, Tensor | None, Tensor]:
-        """Return the parameters, decay factors from 0 to 1."""
+        """Return the tensors, decay factors from 0 to 1."""
         current = self.current_decay
         bounded = None if current is None else current.clamp(0, 1)
         return bounded, self.membrane_decay.clamp(0, 1), self.threshold, self.leak, self.gain
+
+    def spec(self) -> dict[str, Any]:
+        """Return the shapes of all numbers, and which are trained."""
+        held = {name: getattr(self, name) for name in _NUMBERS}
+        shapes = {name: list(value.shape) for name, value in held.items() if value is not None}
+        trained = [name for name, _ in self.named_parameters()]
+        return {"kind": "neurons", "takes": list(self.takes), "shapes": shapes, "trained": trained}
+
+    @classmethod
+    def from_spec(
+        cls, takes: Sequence[int], shapes: Mapping[str, Sequence[int]], trained: Collection[str]
+    ) -> "FreeNeurons":
+        """Return neurons of these shapes, with numbers to be loaded."""
+        ones = {name: torch.ones(tuple(shape)) for name, shape in shapes.items()}
+        return cls(tuple(takes), ones, trained)
 
 
 class TorchNetwork(nn.Module):
@@ -276,6 +452,74 @@ class TorchNetwork(nn.Module):
         """Return the nodes by name."""
         return dict(zip(self.names, self.listed, strict=True))  # type: ignore[arg-type]
 
+    @property
+    def spiking(self) -> int:
+        """Number of layers that spike."""
+        layers = (node for node in self.nodes.values() if isinstance(node, Neurons))
+        return sum(node.numbers()[2] is not None for node in layers)
+
+    def detached(self) -> "TorchNetwork":
+        """Return the network with numbers of its own, which no module of the user shares."""
+        nodes = {name: node.detached() for name, node in self.nodes.items()}
+        return TorchNetwork(nodes, self.edges, self.takes, self.puts)
+
+    def spec(self) -> dict[str, Any]:
+        """Return the graph and its shapes without numbers, for JSON; of a detached network."""
+        return {
+            "nodes": {name: node.spec() for name, node in self.nodes.items()},  # type: ignore[operator]
+            "edges": [list(edge) for edge in self.edges],
+            "takes": list(self.takes),
+            "puts": list(self.puts),
+        }
+
+    @classmethod
+    def from_spec(
+        cls,
+        nodes: Mapping[str, Mapping[str, Any]],
+        edges: Sequence[Sequence[str]],
+        takes: Sequence[int],
+        puts: Sequence[int],
+    ) -> "TorchNetwork":
+        """Return the network of a spec, with numbers to be loaded."""
+        made = {name: _from_spec(spec) for name, spec in nodes.items()}
+        pairs = [(source, target) for source, target in edges]
+        network = cls(made, pairs, tuple(takes), tuple(puts))
+        for first, *others in network.arriving_together():
+            for each in others:
+                if each.fitting is not None and first.fitting is not None:
+                    each.fitting.values = first.fitting.values  # one crossbar
+        return network
+
+    def heard_together(self) -> list[list[Weights]]:
+        """Return the weights in groups that hear the same neurons, or the input."""
+        groups: list[tuple[set[str], list[Weights]]] = []
+        for name, node in self.nodes.items():
+            if isinstance(node, Weights):
+                heard, together = self._origins(name), [node]
+                for group in [each for each in groups if each[0] & heard]:
+                    groups.remove(group)
+                    heard, together = heard | group[0], [*group[1], *together]
+                groups.append((heard, together))
+        return [together for _, together in groups]
+
+    def arriving_together(self) -> list[list[Weights]]:
+        """Return the weights in groups that lead to the same neurons."""
+        nodes, groups = self.nodes, {}
+        for source, target in self.edges:
+            node = nodes.get(source)
+            if isinstance(node, Weights) and isinstance(nodes.get(target), Neurons):
+                groups.setdefault(target, []).append(node)
+        return list(groups.values())
+
+    def _origins(self, name: str) -> set[str]:
+        """Return the neurons, or the input, whose spikes reach a node without other weights."""
+        found: set[str] = set()
+        for source in (source for source, target in self.edges if target == name):
+            node = self.nodes.get(source)
+            is_between = isinstance(node, Fixed | Delay)
+            found |= self._origins(source) if is_between else {source}
+        return found
+
     def artifact(
         self,
         convention: Convention,
@@ -296,6 +540,16 @@ class TorchNetwork(nn.Module):
                 nodes[name] = node.node()
         graph = nir.NIRGraph(nodes, list(self.edges), type_check=False)
         return Artifact(graph, codec, convention, provenance)
+
+
+def _from_spec(spec: Mapping[str, Any]) -> Map | Neurons | Delay:
+    settings = dict(spec)
+    kind = settings.pop("kind")
+    if kind == "neurons":
+        return FreeNeurons.from_spec(**settings)
+    if kind == "Delay":
+        return Delay.from_spec(**settings)
+    return (Weights if kind in _LAYERS else Fixed).from_spec(kind, **settings)
 
 
 def network_of(artifact: Artifact) -> TorchNetwork:
@@ -333,21 +587,15 @@ def _module_of(name: str, node: nir.NIRNode, artifact: Artifact) -> Map | Neuron
                 f"node {name!r}: v_reset goes to {made.v_reset.max():g}; on a chip a spike resets "
                 "the membrane to 0. Shift it."
             )
-        return FreeNeurons(made)
+        return FreeNeurons.of(made)
     if isinstance(node, nir.Linear | nir.Affine) and node.weight.ndim == 2:
         outputs, inputs = node.weight.shape
         linear = nn.Linear(inputs, outputs, bias=isinstance(node, nir.Affine))
         return Weights(_filled(linear, node), takes)
     if isinstance(node, nir.Conv1d | nir.Conv2d):
         return Weights(_filled(_convolution(name, node), node), takes)
-    if isinstance(node, nir.SumPool2d | nir.AvgPool2d):
-        return Fixed(node, pool_of(name, node), takes)
-    if isinstance(node, nir.Flatten):
-        puts = shape_of(node)
-        return Fixed(node, lambda x: x.reshape(len(x), *puts), takes)
-    if isinstance(node, nir.Scale):
-        scale = _tensor(node.scale)
-        return Fixed(node, lambda x: x * scale, takes)
+    if type(node).__name__ in _FIXED:
+        return Fixed(node, takes)
     if isinstance(node, nir.Delay):
         steps = np.rint(node.delay.astype(np.float64) / artifact.convention.dt)
         return Delay(steps.astype(np.int64))
@@ -380,23 +628,5 @@ def _filled(layer: Any, node: nir.NIRNode) -> Any:  # noqa: ANN401
     return layer
 
 
-def pool_of(name: str, node: nir.NIRNode) -> Callable[[Tensor], Tensor]:
-    """Return what a pool computes of (R, *takes)."""
-    window = window_of(name, node)
-    padding = tuple(before for before, _ in window.padding)
-    # NIR's sum pool is the mean times the elements of the kernel, padding included
-    factor = 1.0 if isinstance(node, nir.AvgPool2d) else float(np.prod(window.kernel))
-
-    def pool(x: Tensor) -> Tensor:
-        mean = nn.functional.avg_pool2d(x, window.kernel, window.stride, padding)
-        return mean * factor
-
-    return pool
-
-
 def _tensor(values: NDArray[Any]) -> Tensor:
     return torch.from_numpy(np.array(values, np.float32))
-
-
-def _parameter(values: NDArray[Any] | None) -> nn.Parameter | None:
-    return None if values is None else nn.Parameter(_tensor(values))

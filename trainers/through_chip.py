@@ -13,7 +13,8 @@ numbers (Esser et al. 2016):
 where dV'/dV = (1 - s) - V s' if a spike resets to zero, and 1 - threshold s' if it subtracts the
 threshold, as in snnTorch's neurons with reset_delay=False. Of neurons that spike several times in a
 timestep and then are 0, V is the sum of all that arrived in it, so that V s' would grow without
-bounds from timestep to timestep: no gradient goes through that reset.
+bounds from timestep to timestep: no gradient goes through that reset. With `detach_reset` none goes
+through any, as by SpikingJelly's option of this name (Zenke and Vogels 2021).
 """
 
 import warnings
@@ -39,8 +40,16 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.families.numba_kernels import jit
 from spikedeploy.runtime.graph.order import timing
+from spikedeploy.trainers.fitting import fit
 from spikedeploy.trainers.from_torch import common_meaning, given_shape, network_from_torch
-from spikedeploy.trainers.network import Delay, Equation, Neurons, TorchNetwork, network_of
+from spikedeploy.trainers.network import (
+    Delay,
+    Equation,
+    Neurons,
+    TorchNetwork,
+    Weights,
+    network_of,
+)
 from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
 from spikedeploy.trainers.torch_neurons.neurons import Meaning
 
@@ -56,6 +65,7 @@ def on_chip(
     limits: bool = True,
     surrogate_name: str | None = None,
     surrogate_width: float | None = None,
+    detach_reset: bool = False,
 ) -> "ChipModule":
     """Return a network as a module whose forward pass is a chip; its parameters are the network's.
 
@@ -63,8 +73,10 @@ def on_chip(
     chip_name: as the command line takes it, such as "loihi1" or "int:weight_bits=2"
     input_shape: of a timestep of one sample, of a torch module
     dt: [s] of a timestep, of a torch module
-    limits: refuse what breaks a design rule of the chip; False trains what does not fit
+    limits: refuse what breaks a design rule of the chip; weights fit its axons (trainers.fitting).
+        False trains what does not fit
     surrogate_name, surrogate_width: of the derivative of a spike; by default the network's own
+    detach_reset: let no gradient through the reset
 
     Raises ConfigError where the module has no form on a chip, RuleError where it does not fit. A
     neuron that the chip does not have is trained as the nearest that it has; a warning says so.
@@ -77,14 +89,17 @@ def on_chip(
         nodes, neurons = network_from_torch(network, given_shape(input_shape))
         meaning = common_meaning(neurons)
         stated, codec = Convention(dt, source="as trained"), None
-    convention = _convention_on(target, stated, meaning)
-    if others := _others(target, convention, meaning):
-        warnings.warn(f"{meaning.described} {others}", stacklevel=2)
-    return ChipModule(nodes, target, convention, codec, limits, surrogate_name, surrogate_width)
+    convention = convention_on(target, stated, meaning)
+    if limits:
+        fit(nodes, target)
+    if remark := nearest_remark(target, convention, meaning):
+        warnings.warn(remark, stacklevel=2)
+    chosen = surrogate_name, surrogate_width
+    return ChipModule(nodes, target, convention, codec, limits, *chosen, detach_reset)
 
 
-def _others(target: Chip, found: Convention, wanted: Meaning) -> str:
-    """Return in what the neurons of a chip are others than those that are wanted."""
+def nearest_remark(target: Chip, found: Convention, wanted: Meaning) -> str:
+    """Return in what the neurons of a chip are others than those that are wanted; empty if not."""
     parts = []
     if wanted.reset not in (found.reset, "none"):
         parts.append(
@@ -96,10 +111,10 @@ def _others(target: Chip, found: Convention, wanted: Meaning) -> str:
             f"puts out as many spikes as fit, and {target.name} one in a timestep; trained is "
             "the nearest, one spike"
         )
-    return "; ".join(parts)
+    return f"{wanted.described} {'; '.join(parts)}" if parts else ""
 
 
-def _convention_on(target: Chip, stated: Convention, wanted: Meaning) -> Convention:
+def convention_on(target: Chip, stated: Convention, wanted: Meaning) -> Convention:
     """Return the convention of the chip's neurons that is nearest to what is wanted."""
     arithmetic = target.arithmetic
     nearest: Reset = "subtract" if wanted.reset.startswith("subtract") else "zero"
@@ -124,9 +139,13 @@ class ChipModule(nn.Module):
     limits: refuse what breaks a design rule of the chip
     surrogate_name, surrogate_width: of the derivative of a spike, as in policies.neurons; by
         default that of each neuron, else atan
+    detach_reset: let no gradient through the reset
+    records: keep `spikes` where no gradients are recorded, too
     spikes: name -> (T, B, *shape) of each layer in the last forward pass with gradients; membranes
         of layers that do not spike
     """
+
+    records = False
 
     def __init__(
         self,
@@ -137,8 +156,10 @@ class ChipModule(nn.Module):
         limits: bool = True,
         surrogate_name: str | None = None,
         surrogate_width: float | None = None,
+        detach_reset: bool = False,
     ) -> None:
         super().__init__()
+        self.detach_reset = detach_reset
         self.network, self.target, self.codec, self.limits = network, target, codec, limits
         self.convention = convention
         self.spikes: dict[str, Tensor] = {}
@@ -155,16 +176,21 @@ class ChipModule(nn.Module):
 
         Where gradients are recorded, those of the output lead to parameters and spikes.
         """
-        program, puts = self.program(), self.network.puts
         differentiable = torch.is_grad_enabled()
-        machine = Machine(program, None, "none", trace=differentiable, backend="auto")
+        if differentiable:
+            for node in self.network.nodes.values():
+                if isinstance(node, Weights):
+                    node.settle()
+        program, puts = self.program(), self.network.puts
+        traced = differentiable or self.records
+        machine = Machine(program, None, "none", trace=traced, backend="auto")
         output = machine.infer(self._raster(spikes))
         found = _time_first(output, spikes, 1.0).reshape(*spikes.shape[:2], *puts)
-        if not differentiable:
+        if not traced:
             return found
         run = self._by_timesteps if self._timing.loops else self._by_layers
         through = run(spikes, _Records(program, machine.recordings))
-        return _exactly(found, through)
+        return _exactly(found, through) if differentiable else found
 
     def artifact(self) -> Artifact:
         """Return the present numbers as an artifact, which every command runs."""
@@ -240,7 +266,12 @@ class ChipModule(nn.Module):
         """Return the output (T, B, *puts), timestep after timestep, as loops need it."""
         nodes, before, late = self.network.nodes, self._sources, self._timing.late
         steps = {
-            name: _Step(equation, records.of(name, spikes, equation), self._derivative(node))
+            name: _Step(
+                equation,
+                records.of(name, spikes, equation),
+                self._derivative(node),
+                self.detach_reset,
+            )
             for name, node in nodes.items()
             if isinstance(node, Neurons)
             for equation in [node.equation(spikes.dtype)]
@@ -287,6 +318,7 @@ class ChipModule(nn.Module):
             equation.leak,
             seen.told(drive.detach(), equation),
             self._derivative(node),
+            self.detach_reset,
         )
         return found
 
@@ -373,8 +405,10 @@ class _ChipLayer(torch.autograd.Function):
         leak: Tensor | None,
         seen: _Seen,
         derivative: Surrogate,
+        detach_reset: bool,
     ) -> Tensor:
         ctx.constants = current_decay, membrane_decay, threshold, seen, derivative
+        ctx.detach_reset = detach_reset
         ctx.has_leak = leak is not None
         return seen.spikes
 
@@ -383,7 +417,8 @@ class _ChipLayer(torch.autograd.Function):
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
         a, b, threshold, seen, derivative = ctx.constants
         slope = _slope(seen, threshold, derivative)
-        to_drive, to_numbers = _backpropagate(upstream, slope, seen, a, b, threshold)
+        through_reset = _passes(seen, ctx.detach_reset)
+        to_drive, to_numbers = _backpropagate(upstream, slope, seen, a, b, threshold, through_reset)
         to_a, to_b, to_threshold, to_leak = to_numbers.unbind()
         return (
             to_drive,
@@ -391,6 +426,7 @@ class _ChipLayer(torch.autograd.Function):
             to_b,
             to_threshold,
             to_leak if ctx.has_leak else None,
+            None,
             None,
             None,
         )
@@ -402,8 +438,15 @@ class _Step:
     It is what `_ChipLayer` does for all timesteps at once, and what loops need.
     """
 
-    def __init__(self, equation: Equation, seen: _Seen | None, derivative: Surrogate) -> None:
+    def __init__(
+        self,
+        equation: Equation,
+        seen: _Seen | None,
+        derivative: Surrogate,
+        detach_reset: bool = False,
+    ) -> None:
         self._equation, self._seen, self._derivative = equation, seen, derivative
+        self._detach_reset = detach_reset
         self._current: Tensor | None = None
         self._membrane: Tensor | None = None
 
@@ -429,13 +472,18 @@ class _Step:
             replace(seen, before=membrane.detach()), equation.threshold, self._derivative
         )
         spikes = _exactly(seen.spikes[t], (membrane - equation.threshold) * slope)
+        resetting = spikes if _passes(seen, self._detach_reset) else spikes.detach()
         if seen.subtracts:
-            behind = membrane - equation.threshold * spikes
+            behind = membrane - equation.threshold * resetting
         else:
-            reset = spikes.detach() if seen.several else spikes
-            behind = membrane - membrane * reset.clamp(max=1)
+            behind = membrane - membrane * resetting.clamp(max=1)
         self._membrane = _exactly(seen.behind[t], behind)
         return spikes
+
+
+def _passes(seen: _Seen, detach_reset: bool) -> bool:
+    """Return whether gradients go through the reset of a layer."""
+    return not detach_reset and (seen.subtracts or not seen.several)
 
 
 def _slope(seen: _Seen, threshold: Tensor, derivative: Surrogate) -> Tensor:
@@ -447,7 +495,13 @@ def _slope(seen: _Seen, threshold: Tensor, derivative: Surrogate) -> Tensor:
 
 
 def _backpropagate(
-    upstream: Tensor, slope: Tensor, seen: _Seen, a: Tensor | None, b: Tensor, threshold: Tensor
+    upstream: Tensor,
+    slope: Tensor,
+    seen: _Seen,
+    a: Tensor | None,
+    b: Tensor,
+    threshold: Tensor,
+    through_reset: bool,
 ) -> tuple[Tensor, Tensor]:
     """Return gradients of the drive (T, B, N), and of a, b, threshold and leak (4, N)."""
     rows = [
@@ -460,14 +514,14 @@ def _backpropagate(
     to_numbers = np.zeros((4, len(b)), constants.dtype)
     later = np.zeros((2, *rows[0].shape[1:]), constants.dtype)
     arrays = (*rows, constants, later, to_drive, to_numbers)
-    _differentiate(seen.subtracts, seen.several, *arrays)
+    _differentiate(seen.subtracts, through_reset, *arrays)
     return torch.from_numpy(to_drive), torch.from_numpy(to_numbers)
 
 
 @jit
 def _differentiate(
     subtracts: bool,
-    several: bool,
+    through_reset: bool,
     upstream: Array,
     slope: Array,
     before: Array,
@@ -491,12 +545,13 @@ def _differentiate(
                 a, b, threshold = constants[0, n], constants[1, n], constants[2, n]
                 g, v, s = slope[t, n_b, n], before[t, n_b, n], spikes[t, n_b, n]
                 after = later[1, n_b, n]
+                reset = after if through_reset else zero
                 if subtracts:
-                    to_spike = upstream[t, n_b, n] - threshold * after
+                    to_spike = upstream[t, n_b, n] - threshold * reset
                     to_membrane = g * to_spike + after
                     to_numbers[2, n] -= g * to_spike + s * after
                 else:
-                    to_spike = upstream[t, n_b, n] - (zero if several else v * after)
+                    to_spike = upstream[t, n_b, n] - v * reset
                     to_membrane = g * to_spike + (after if s == zero else zero)
                     to_numbers[2, n] -= g * to_spike
                 to_current = to_membrane + a * later[0, n_b, n]
