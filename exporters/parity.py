@@ -41,24 +41,23 @@ from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.onnx_session import infer, rest, session
 from spikedeploy.trainers.policies import (
-    ChipSnnPolicy,
     DeltaSnnPolicy,
     FloatVisionPolicy,
+    NetworkPolicy,
     Policy,
     PopsanPolicy,
     PrunedGruPolicy,
-    SpikingMlpPolicy,
     SpikingVisionPolicy,
 )
 from spikedeploy.trainers.policies.delta import event_channels, live_layers
-from spikedeploy.trainers.policies.spiking import TorchRateEncoder
+from spikedeploy.trainers.policies.spiking import CodedPolicy, TorchRateEncoder
 
 _Kept = DeltaSnnPolicy | SpikingVisionPolicy  # policies that keep their states
 # (B, T) -> random bytes (B, T, M), as the methods of Xorshift
 RandomBytes = Callable[[int, int], NDArray[np.uint8]]
 
 
-def input_spikes_of(policy: SpikingMlpPolicy, observation: Tensor, rng: RandomBytes) -> Tensor:
+def input_spikes_of(policy: CodedPolicy, observation: Tensor, rng: RandomBytes) -> Tensor:
     """Return the input spikes (T, B, M) for the observations (B, obs)."""
     encoder = policy.encoder
     if not (isinstance(encoder, TorchRateEncoder) and encoder.mode == "bernoulli"):
@@ -131,8 +130,8 @@ def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -
     codec = stated.codec
     if codec is None:
         raise ArtifactError(f"{path} has no codec: it was written by another tool. Export again.")
-    is_chip, is_episode = isinstance(policy, ChipSnnPolicy), isinstance(policy, _Kept)
-    on = policy.target if isinstance(policy, ChipSnnPolicy) else chip("ideal")
+    is_chip, is_episode = isinstance(policy, NetworkPolicy), isinstance(policy, _Kept)
+    on = policy.target if isinstance(policy, NetworkPolicy) else chip("ideal")
     sends_many = isinstance(policy, SpikingVisionPolicy) and policy.neuron == "if"
     graph, program = FloatGraph(stated), None if sends_many else compiled(stated, on)
     double, single = deepcopy(policy).double(), deepcopy(policy).float()

@@ -23,18 +23,20 @@ from spikedeploy.runtime.convention import Convention, State
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies import (
-    ChipSnnPolicy,
     DeltaSnnPolicy,
+    NetworkPolicy,
     Policy,
     PopsanPolicy,
     SpikingMlpPolicy,
     SpikingVisionPolicy,
 )
-from spikedeploy.trainers.policies.chip_snn import codec_of
 from spikedeploy.trainers.policies.delta import delta_artifact
+from spikedeploy.trainers.policies.network import codec_of
+from spikedeploy.trainers.policies.spiking import CodedPolicy
 from spikedeploy.trainers.policies.vision import vision_artifact
 
-SpikingPolicy: TypeAlias = PopsanPolicy | SpikingMlpPolicy
+SpikingPolicy: TypeAlias = PopsanPolicy | CodedPolicy
+_Layered: TypeAlias = PopsanPolicy | SpikingMlpPolicy
 
 _DT = 1e-3  # [s] one timestep; the policy has no unit of time, and chips run near this value
 
@@ -63,7 +65,7 @@ def artifact(
     policy: Policy, origin: Provenance, dt: float = _DT, state: State | None = None
 ) -> Artifact:
     """Return the policy as an artifact, every number in float64."""
-    if isinstance(policy, ChipSnnPolicy):
+    if isinstance(policy, NetworkPolicy):
         _only_reset(policy, state)
         return deepcopy(policy).double().artifact(origin, dt)
     if isinstance(policy, DeltaSnnPolicy | SpikingVisionPolicy):
@@ -91,9 +93,9 @@ def _only_reset(policy: Policy, state: State | None) -> None:
         )
 
 
-def _spiking(policy: Policy) -> SpikingPolicy:
+def _spiking(policy: Policy) -> _Layered:
     """Return the policy if it spikes."""
-    if not isinstance(policy, SpikingPolicy):
+    if not isinstance(policy, _Layered):
         raise ConfigError(
             f"a policy of kind {policy.kind!r} has no spikes, and NIR describes spiking networks: "
             "export it with --to onnx"
@@ -101,7 +103,7 @@ def _spiking(policy: Policy) -> SpikingPolicy:
     return policy
 
 
-def _graph(policy: SpikingPolicy, dt: float) -> nir.NIRGraph:
+def _graph(policy: _Layered, dt: float) -> nir.NIRGraph:
     layers = [_affine(layer) for layer in policy.layers]
     width = layers[0].weight.shape[1]
     nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([width])})}
@@ -117,7 +119,7 @@ def _affine(layer: nn.Module) -> nir.Affine:
     return nir.Affine(_array(layer.get_parameter("weight")), _array(layer.get_parameter("bias")))
 
 
-def _neurons(policy: SpikingPolicy, size: int, dt: float) -> nir.CubaLIF | nir.LIF:
+def _neurons(policy: _Layered, size: int, dt: float) -> nir.CubaLIF | nir.LIF:
     """Return neurons whose gains are 1, so that dt can be inferred from them."""
     # tau = dt / (1 - decay) ; r = tau_mem / dt ; w_in = tau_syn / dt
     tau_mem = dt / (1.0 - _below_one("beta", policy.beta))
@@ -138,7 +140,7 @@ def _neurons(policy: SpikingPolicy, size: int, dt: float) -> nir.CubaLIF | nir.L
     )
 
 
-def _readout(policy: SpikingPolicy) -> nir.Affine:
+def _readout(policy: _Layered) -> nir.Affine:
     """Return the decoder as an affine map; of a PopSAN block-diagonal, a population per action."""
     if isinstance(policy, SpikingMlpPolicy):
         return _affine(policy.readout)

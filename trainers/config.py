@@ -105,8 +105,34 @@ class SpikingMlpConfig(_Section):
     surrogate_width: Rate | None = None  # None: 25 for fast-sigmoid, others as in PopsanConfig
 
 
+class NetworkConfig(_Section):
+    """A network of the user on a chip, between a code and a linear readout; see policies.network.
+
+    network: module:Class of a torch module, or a .nir file, whose numbers training begins with; one
+        with a codec brings its own code, timesteps and readout
+    chip: name of a datasheet, with options as on the command line
+    coding, reach: as in SpikingMlpConfig
+    populations: likewise; None for as many as the network has inputs for, at most 8 where it is
+        made for any number
+    score: what of the output over the timesteps is read: its "mean", or its "last" value
+    limits: refuse what breaks a design rule of the chip
+    """
+
+    kind: Literal["network"] = "network"
+    network: str = ""
+    chip: str = "ideal"
+    coding: Literal["regular", "bernoulli", "population"] = "population"
+    populations: Positive | None = None
+    reach: Rate = 2.0
+    timesteps: Timesteps = 8
+    score: Literal["mean", "last"] = "mean"
+    limits: bool = True
+    surrogate: Literal["fast-sigmoid", "atan", "rectangular"] = "atan"
+    surrogate_width: Rate | None = None
+
+
 class ChipSnnConfig(_Section):
-    """Layers of a chip's neurons, trained in its integers; see policies.chip_snn.
+    """Layers of a chip's neurons, trained in its integers: `chain` of policies.network.
 
     chip: name of a datasheet, with options as on the command line
     outputs: neurons of the last layer, whose rates are read out; an 8th is what every chip has
@@ -310,6 +336,7 @@ PolicyConfig = Annotated[
     | PopsanConfig
     | SpikingMlpConfig
     | ChipSnnConfig
+    | NetworkConfig
     | DeltaSnnConfig
     | DeltaMlpConfig
     | PrunedMlpConfig
@@ -321,12 +348,15 @@ PolicyConfig = Annotated[
 
 
 def spiking_layers(policy: PolicyConfig) -> int:
-    """Return the number of a policy's spiking layers, graded ones included; without its encoder."""
+    """Return the number of a policy's spiking layers whose sparsity validation measures.
+
+    Graded ones count, the encoder does not. Networks on a chip are validated without records.
+    """
     if isinstance(policy, DeltaSnnConfig | DeltaMlpConfig):
         return int(policy.hidden > 0)
     if isinstance(policy, VisionSnnConfig):
         return len(policy.channels) + 1
-    if isinstance(policy, PopsanConfig | ChipSnnConfig):  # whose last layer codes the actions
+    if isinstance(policy, PopsanConfig):  # whose last layer codes the actions
         return len(policy.hidden) + 1
     return len(policy.hidden) if isinstance(policy, SpikingMlpConfig) else 0
 

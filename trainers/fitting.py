@@ -118,10 +118,10 @@ def typed_values(weight: Tensor, types: int, limit: float | None = None) -> Tens
     share = _SPREAD**places
     if limit is not None:
         return (sign * limit * share).repeat(len(weight), 1) * _varied(len(weight), types)
-    found = torch.stack([(s * weight).relu() for s in (1.0, -1.0)])  # (2, N, M)
-    mean = found.sum(-1) / (found > 0).sum(-1).clamp(min=1)
-    # the two types of a sign together have its mean
-    each = mean[torch.arange(types) % 2].T * share / share.unique().mean()
+    of_sign = torch.stack([(s * weight).relu() for s in (1.0, -1.0)])  # (2, N, M)
+    mean = of_sign.sum(-1) / (of_sign > 0).sum(-1).clamp(min=1)
+    # types of a sign together have its mean
+    each: Tensor = mean[torch.arange(types) % 2].T * share / share[::2].mean()
     return sign * each.clamp(min=1e-6)
 
 

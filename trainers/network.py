@@ -390,10 +390,11 @@ class FreeNeurons(Neurons):
         super().__init__(shape)
         for name in _NUMBERS:
             value = numbers.get(name)
-            if value is not None and name in trained and name != "gain":
-                self.register_parameter(name, nn.Parameter(value))
+            own = None if value is None else value.clone()  # layers of a checkpoint share none
+            if own is not None and name in trained and name != "gain":
+                self.register_parameter(name, nn.Parameter(own))
             else:
-                self.register_buffer(name, value)
+                self.register_buffer(name, own)
 
     @classmethod
     def of(cls, made: DiscreteNeuron) -> "FreeNeurons":
@@ -504,7 +505,7 @@ class TorchNetwork(nn.Module):
 
     def arriving_together(self) -> list[list[Weights]]:
         """Return the weights in groups that lead to the same neurons."""
-        nodes, groups = self.nodes, {}
+        nodes, groups = self.nodes, dict[str, list[Weights]]()
         for source, target in self.edges:
             node = nodes.get(source)
             if isinstance(node, Weights) and isinstance(nodes.get(target), Neurons):

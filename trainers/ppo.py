@@ -299,10 +299,11 @@ class PpoLearner(Learner):
 
     def __init__(self, config: PpoConfig, policy: Policy) -> None:
         self._config, self.policy = config, policy
-        last = [module for module in policy.modules() if isinstance(module, nn.Linear)][-1]
-        with torch.no_grad():
-            last.weight.mul_(_SMALL)
-            last.bias.zero_()
+        if not policy.started:
+            last = [module for module in policy.modules() if isinstance(module, nn.Linear)][-1]
+            with torch.no_grad():
+                last.weight.mul_(_SMALL)
+                last.bias.zero_()
         self.head: CategoricalHead | GaussianHead
         if policy.head == "discrete":
             self.head = CategoricalHead()

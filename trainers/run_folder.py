@@ -127,7 +127,8 @@ class RunFolder:
         tensors: "Mapping[str, Tensor] | None" = None,
     ) -> None:
         """Write a checkpoint: the policy, its state as JSON, and more tensors."""
-        weights = {f"policy.{key}": value for key, value in policy.state_dict().items()}
+        # clones, as safetensors refuses tensors that share memory, as a crossbar's are
+        weights = {f"policy.{key}": value.clone() for key, value in policy.state_dict().items()}
         record = {"policy": policy.spec(), **state}
         path = self.checkpoint(name)
         self.write_numbers(name, write_checkpoint(path, record, {**weights, **(tensors or {})}))

@@ -19,7 +19,9 @@ through any, as by SpikingJelly's option of this name (Zenke and Vogels 2021).
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -39,7 +41,7 @@ from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.families.numba_kernels import jit
-from spikedeploy.runtime.graph.order import timing
+from spikedeploy.runtime.graph.order import Timing, timing
 from spikedeploy.trainers.fitting import fit
 from spikedeploy.trainers.from_torch import common_meaning, given_shape, network_from_torch
 from spikedeploy.trainers.network import (
@@ -95,7 +97,9 @@ def on_chip(
     if remark := nearest_remark(target, convention, meaning):
         warnings.warn(remark, stacklevel=2)
     chosen = surrogate_name, surrogate_width
-    return ChipModule(nodes, target, convention, codec, limits, *chosen, detach_reset)
+    module = ChipModule(nodes, target, convention, codec, limits, *chosen, detach_reset)
+    module.program()  # what does not fit is refused here
+    return module
 
 
 def nearest_remark(target: Chip, found: Convention, wanted: Meaning) -> str:
@@ -165,11 +169,9 @@ class ChipModule(nn.Module):
         self.spikes: dict[str, Tensor] = {}
         self._is_chosen = surrogate_name is not None or surrogate_width is not None
         self._surrogate = surrogate(surrogate_name or "atan", surrogate_width)
-        self._compiler = Recompiler(self.artifact(), target, limits=limits)
-        self._compiled = self._numbers(), self._compiler.first
-        # of shapes, edges and the clock, which stay
-        clocked = self._compiler.first.convention
-        self._timing = timing(self.network.artifact(clocked).graph, clocked)
+        # made when they are first needed, as a network of a checkpoint has no numbers before
+        self._compiler: Recompiler | None = None
+        self._compiled: tuple[bytes, Program] | None = None
 
     def forward(self, spikes: Tensor) -> Tensor:
         """Return the output (T, B, *puts) of the chip for spikes (T, B, *takes).
@@ -204,15 +206,34 @@ class ChipModule(nn.Module):
     def program(self) -> Program:
         """Return the chip's program of the present numbers."""
         # fused optimisers do not count versions of tensors, so their numbers are compared
-        if (held := self._numbers()) != self._compiled[0]:
+        held = self._numbers()
+        if self._compiled is None or held != self._compiled[0]:
             for name, tensor in self.network.named_parameters():
                 if not bool(tensor.isfinite().all()):
                     raise ConfigError(
                         f"parameter {name} holds {_first_infinite(tensor):g} after an update: the "
                         "loss was not finite, or the learning rate is too large"
                     )
-            self._compiled = held, self._compiler.program(self.artifact())
+            if self._compiler is None:
+                self._compiler = Recompiler(self.artifact(), self.target, limits=self.limits)
+                program = self._compiler.first
+            else:
+                program = self._compiler.program(self.artifact())
+            self._compiled = held, program
         return self._compiled[1]
+
+    @cached_property
+    def _timing(self) -> Timing:
+        """The order of the nodes, of shapes, edges and the clock, which stay."""
+        clocked = self.program().convention
+        return timing(self.network.artifact(clocked).graph, clocked)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "ChipModule":
+        """Return a module with a copy of the network, which compiles its own program."""
+        copied = (deepcopy(self.network, memo), self.target, self.convention, self.codec)
+        copy = ChipModule(*copied, self.limits, detach_reset=self.detach_reset)
+        copy._is_chosen, copy._surrogate = self._is_chosen, self._surrogate
+        return copy
 
     def _numbers(self) -> bytes:
         tensors = (*self.network.parameters(), *self.network.buffers())

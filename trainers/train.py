@@ -22,7 +22,7 @@ from spikedeploy.files import write_json
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS, metrics
 from spikedeploy.trainers.config import C, RunConfig, amend, require_known, resolve
-from spikedeploy.trainers.policies import Policy
+from spikedeploy.trainers.policies import NetworkPolicy, Policy
 from spikedeploy.trainers.progress import Interrupt, Journal, ProgressBar
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import RunFolder, is_beginning, write_errors
@@ -176,6 +176,12 @@ def _check_sizes(path: Path, state: Mapping[str, Any], policy: Policy) -> None:
                 f"a resumed run keeps its network, and in {path} it has {began} {name}; with these "
                 f"settings of env there are {now}"
             )
+    is_network = bool(state) and isinstance(policy, NetworkPolicy)
+    if is_network and state["policy"].get("network") != policy.spec()["network"]:
+        raise ConfigError(
+            f"a resumed run keeps its network, and that of policy.network is another now than in "
+            f"{path}: bring its module or file back as it was"
+        )
 
 
 @contextmanager

@@ -55,6 +55,37 @@ def student_settings(
     return "distill-snn", settings
 
 
+def own_student_settings(
+    teacher: str | None,
+    network: str,
+    chip: str | None,
+    encoder: str | None,
+    timesteps: int | None,
+    size: str | None,
+    budget: str | None,
+    dense: bool,
+) -> tuple[str, list[str]]:
+    """Return the recipe and the overrides of a student that is a network of the user.
+
+    network: module:Class, or a .nir file
+    size, budget, dense: refused, as its own network has a size and is not pruned
+    """
+    for name, given in (("--size", size), ("--budget", budget), ("--dense", dense or None)):
+        if given is not None:
+            raise ConfigError(f"{name} and --network: a network of yours is trained as it is")
+    if encoder == "delta":
+        raise ConfigError("--encoder delta is of sparse students: leave --network out")
+    settings = {
+        "teacher": teacher,
+        "policy.network": network,
+        "policy.chip": chip,
+        "policy.coding": encoder and _CODINGS[encoder],
+        "policy.timesteps": timesteps,
+    }
+    found = [f"{k}={json.dumps(value)}" for k, value in settings.items() if value is not None]
+    return "distill-network", found
+
+
 def is_sparse(dense: bool, chip: str | None, encoder: str | None, budget: str | None) -> bool:
     """Return whether a student sends events and is pruned: unless options say otherwise."""
     if budget is not None:

@@ -27,6 +27,7 @@ def train(
     *,
     what: str | None = None,
     recipe: str | None = None,
+    network: str | None = None,
     chip: str | None = None,
     config: Path | None = None,
     set_: list[str] | None = None,
@@ -42,14 +43,24 @@ def train(
     """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on."""
     if what is None and (resume is None or recipe is not None):
         raise typer.BadParameter("name a RECIPE, an ENV with --recipe, or a run with --resume")
-    if chip is not None:
+    own: list[str] = []
+    if network is not None:
+        if what is None or resume is not None:
+            raise typer.BadParameter(
+                "--network goes with an ENV, as in train CartPole-v1 --network my_module:Net; a "
+                "resumed run keeps its network"
+            )
+        recipe, own = recipe or "ppo-network", network_settings(network, chip)
+    elif chip is not None:
         if what is None or recipe is not None:
-            raise typer.BadParameter("--for goes with an ENV alone: train CartPole-v1 --for odin")
-        recipe = "for-chip"
+            raise typer.BadParameter(
+                "--for goes with an ENV alone, train CartPole-v1 --for odin, or with --network"
+            )
+        recipe, own = "for-chip", _for_chip(what, chip, set_ or [])
     settings: dict[str, Any] = {
         "env": what if recipe else None,
         "config_file": config,
-        "overrides": [*_for_chip(what, chip, set_ or []), *(set_ or ())],
+        "overrides": [*own, *(set_ or ())],
         "budget": budget,
     }
     if several is not None:
@@ -63,10 +74,14 @@ def train(
     )
 
 
-def _for_chip(env: str | None, chip: str | None, given: list[str]) -> list[str]:
+def network_settings(network: str, chip: str | None) -> list[str]:
+    """Settings that name a network of the user, and the chip in whose integers it is trained."""
+    on = [] if chip is None else [f"policy.chip={dumps(chip)}"]
+    return [f"policy.network={dumps(network)}", *on]
+
+
+def _for_chip(env: str, chip: str, given: list[str]) -> list[str]:
     """Settings that name the chip, and the shipped teacher of the environment unless one is."""
-    if env is None or chip is None:
-        return []
     settings = [f"policy.chip={dumps(chip)}"]
     if not any(each.replace(" ", "").startswith("teacher=") for each in given):
         from spikedeploy import envs, zoo
@@ -240,6 +255,7 @@ def distill(
     budget: str | None = None,
     dense: bool = False,
     rival: bool = True,
+    network: str | None = None,
     chip: str | None = None,
     set_: list[str] | None = None,
     seed: int | None = None,
@@ -251,14 +267,20 @@ def distill(
     if resume is None and (teacher is None or env is None):
         raise typer.BadParameter("name a TEACHER and --env ENV, or a run with --resume")
     own = {"--size": size, "--encoder": encoder, "--timesteps": timesteps, "--for": chip}
+    own["--network"] = network
     named = [name for name, value in {**own, "--dense": dense or None}.items() if value is not None]
     if resume is not None and named:
         raise typer.BadParameter(f"a resumed run keeps its network: leave {', '.join(named)} out")
     from spikedeploy.commands import distillation as made
     from spikedeploy.trainers.run_folder import RunFolder
 
-    sparse = made.is_sparse(dense, chip, encoder, budget)
-    recipe, settings = made.student_settings(teacher, size, encoder, timesteps, sparse, chip)
+    if network is None:
+        sparse = made.is_sparse(dense, chip, encoder, budget)
+        recipe, settings = made.student_settings(teacher, size, encoder, timesteps, sparse, chip)
+    else:
+        recipe, settings = made.own_student_settings(
+            teacher, network, chip, encoder, timesteps, size, budget, dense
+        )
     run = _learn(
         recipe if resume is None else None, json, env=env, overrides=[*settings, *(set_ or ())],
         budget=budget, seed=seed, resume=resume, runs=runs, verb="distill",

@@ -81,13 +81,14 @@ class TorchController(Player):
 
     def _scores(self, batch: "Tensor") -> "Tensor":
         from spikedeploy.exporters.parity import input_spikes_of
-        from spikedeploy.trainers.policies import SpikingMlpPolicy, StatefulPolicy
+        from spikedeploy.trainers.policies import StatefulPolicy
+        from spikedeploy.trainers.policies.spiking import CodedPolicy
 
         policy = self.policy
         if isinstance(policy, StatefulPolicy):
             advance: Any = policy.advance  # each takes the state that its own `rest` returned
             return self._torch.cat([advance(row[None], self._state)[0] for row in batch])
-        if isinstance(policy, SpikingMlpPolicy):
+        if isinstance(policy, CodedPolicy):
             spikes = input_spikes_of(policy, batch, self._rng.draw_sequence)
             return policy.forward_spikes(spikes).mean
         return policy.scores(batch)

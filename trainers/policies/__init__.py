@@ -6,7 +6,7 @@ the spec in a checkpoint.
 policy.py      Policy, what it computes before an action; normalisation; weights with masks
 mlp.py         float multilayer perceptron or linear map, its inputs; a pruned one, with a skip
 spiking.py     several timesteps an inference: encoders, PopSAN, spiking MLP
-chip_snn.py    the same in the integers of a chip, from code to output neurons
+network.py     a network on a chip between code and readout: the user's, or a chip's own neurons
 vision.py      counts of an event camera: convolutions with a GRU, or spiking ones
 copies.py      networks that serve several parts of a body with the same weights
 gru.py         a pruned float policy with a memory
@@ -20,12 +20,17 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import PolicyConfig, require_known
-from spikedeploy.trainers.policies.chip_snn import ChipSnnPolicy
+from spikedeploy.trainers.config import (
+    ChipSnnConfig,
+    NetworkConfig,
+    PolicyConfig,
+    require_known,
+)
 from spikedeploy.trainers.policies.copies import Copies
 from spikedeploy.trainers.policies.delta import DeltaMlpPolicy, DeltaSnnPolicy
 from spikedeploy.trainers.policies.gru import PrunedGruPolicy
 from spikedeploy.trainers.policies.mlp import Features, MlpPolicy, PrunedMlpPolicy, features
+from spikedeploy.trainers.policies.network import NetworkPolicy, chain_policy, network_policy
 from spikedeploy.trainers.policies.policy import Head, Latent, Policy
 from spikedeploy.trainers.policies.spiking import PopsanPolicy, SpikingMlpPolicy
 from spikedeploy.trainers.policies.vision import (
@@ -35,13 +40,13 @@ from spikedeploy.trainers.policies.vision import (
 )
 
 __all__ = [
-    "ChipSnnPolicy",
     "DeltaMlpPolicy",
     "DeltaSnnPolicy",
     "FloatVisionPolicy",
     "Head",
     "Latent",
     "MlpPolicy",
+    "NetworkPolicy",
     "Policy",
     "PopsanPolicy",
     "PrunedGruPolicy",
@@ -62,7 +67,7 @@ _POLICIES: dict[str, Callable[..., Policy]] = {
     "mlp": MlpPolicy,
     "popsan": PopsanPolicy,
     "spiking-mlp": SpikingMlpPolicy,
-    "chip-snn": ChipSnnPolicy,
+    "network": NetworkPolicy,
     "vision": FloatVisionPolicy,
     "vision-snn": SpikingVisionPolicy,
 }
@@ -94,6 +99,10 @@ def from_config(
     head: Head = "continuous",
 ) -> Policy:
     """Return an untrained policy as configured; `columns` is the environment's OBSERVATION."""
+    if isinstance(config, ChipSnnConfig):
+        return chain_policy(config, observations, actions, clip, head)
+    if isinstance(config, NetworkConfig):
+        return network_policy(config, observations, actions, clip, head)
     spec = {**config.model_dump(), "observations": observations, "actions": actions, "clip": clip}
     if "features" in spec:
         spec["features"] = features(spec["features"], observations, columns).spec()

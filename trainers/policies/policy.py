@@ -37,6 +37,7 @@ class Policy(nn.Module):
     head: "continuous", actions (B, act) in [-1, 1], or "discrete", the index (B,) of an action
     normalizer: shift, scale and clip of the observations, part of the policy
     latent_size: width H of `Latent.hidden`
+    started: whether its weights are those of a trained file, which training goes on from
     """
 
     kind: str
@@ -45,6 +46,7 @@ class Policy(nn.Module):
     latent_size: int
     normalizer: "TorchNormaliser"  # the name is that of its tensors in checkpoints
     head: Head = "continuous"
+    started = False
 
     @abstractmethod
     def latent(self, observation: Tensor) -> Latent:

@@ -1,7 +1,8 @@
 """Spiking policies of several timesteps an inference: encoders, PopSAN, spiking MLP."""
 
 import math
-from collections.abc import Sequence
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Literal
 
@@ -153,15 +154,86 @@ class PopsanPolicy(Policy):
     def trace(self, observation: Tensor) -> dict[str, Tensor]:
         """Return spikes (B, T, N) under "input", "lif1", "lif2" ..., and the "action" (B, act)."""
         rasters = self.spikes(observation)
-        return {**_named(rasters), "action": torch.tanh(self.decode(firing_rates(rasters[-1])))}
+        names = ["input", *(f"lif{k}" for k in range(1, len(rasters)))]
+        named = _batch_first(dict(zip(names, rasters, strict=True)))
+        return {**named, "action": torch.tanh(self.decode(firing_rates(rasters[-1])))}
 
 
-class SpikingMlpPolicy(Policy):
+class CodedPolicy(Policy):
+    """Spikes that code the observation, layers of neurons, and a linear readout of the last ones.
+
+    encoder: from normalised observations to spikes
+    coding: its kind
+    timesteps: T of an inference, which starts from states of 0
+    readout: nn.Linear from what the last layer puts out, on average over T, to `Latent.mean`
+    """
+
+    encoder: nn.Module
+    coding: Coding
+    timesteps: int
+    readout: nn.Linear
+
+    def _add_code(self, observations: int, populations: int, reach: float, clip: float) -> int:
+        """Add normaliser and encoder; return the width of the code."""
+        self.normalizer = TorchNormaliser(observations, clip)
+        if self.coding == "population":
+            self.encoder = TorchPopulationEncoder(observations, populations, reach)
+        else:
+            self.encoder = TorchRateEncoder(observations, self.coding, -reach, reach)
+        return observations * (populations if self.coding == "population" else 1)
+
+    def encode(self, observation: Tensor) -> Tensor:
+        """Return the input spikes (T, B, M); a random code draws them anew at every call."""
+        spikes: Tensor = self.encoder(self.normalizer(observation), self.timesteps)
+        return spikes
+
+    @abstractmethod
+    def layers_of(self, raster: Tensor) -> dict[str, Tensor]:
+        """Return the spikes (T, B, N) of every layer by its name, for input spikes (T, B, M)."""
+
+    def spikes(self, raster: Tensor) -> list[Tensor]:
+        """Return the spikes (T, B, N) of every layer for input spikes (T, B, M)."""
+        return list(self.layers_of(raster).values())
+
+    def forward_spikes(self, raster: Tensor) -> Latent:
+        """Return the output for input spikes (T, B, M)."""
+        layers = self.spikes(raster)
+        rates = firing_rates(layers[-1])
+        return Latent(self.readout(rates), rates, tuple(mean_rate(layer) for layer in layers))
+
+    def sample_encoding(self, observation: Tensor) -> Tensor:
+        """Return input spikes (B, T, M) drawn by a random code; else the observation."""
+        if self.coding != "bernoulli":
+            return observation
+        return self.encode(observation).transpose(0, 1).to(torch.uint8)
+
+    def forward_encoded(self, encoded: Tensor) -> Latent:
+        """Return the output for what sample_encoding returned."""
+        if self.coding != "bernoulli":
+            return self.latent(encoded)
+        return self.forward_spikes(encoded.transpose(0, 1).to(self.readout.weight.dtype))
+
+    def latent(self, observation: Tensor) -> Latent:
+        """Return mean, output rates and the layers' mean rates."""
+        return self.forward_spikes(self.encode(observation))
+
+    def trace(self, observation: Tensor, raster: Tensor | None = None) -> dict[str, Tensor]:
+        """Return spikes (B, T, N) of "input" and of layers by name, and the "action".
+
+        raster: (B, T, M) replaces the encoder's spikes
+        """
+        inputs = self.encode(observation) if raster is None else raster.transpose(0, 1)
+        # spikes have the weights' type, which checks in float64 rely on
+        inputs = inputs.to(self.readout.weight.dtype)
+        layers = self.layers_of(inputs)
+        action = self.decide(self.forward_spikes(inputs).mean)
+        return {**_batch_first({"input": inputs, **layers}), "action": action}
+
+
+class SpikingMlpPolicy(CodedPolicy):
     """Layers of LIF neurons with a linear readout of the last layer's firing rates.
 
-    encoder: from normalised observations to spikes, as `coding` says
     layers: nn.Linear into each spiking layer
-    readout: nn.Linear from the last layer's rates to `Latent.mean`
     beta, threshold: decay factor and threshold of every membrane, which a spike sets to zero
     surrogate, surrogate_width: see `policies.neurons`
     """
@@ -190,13 +262,7 @@ class SpikingMlpPolicy(Policy):
         self.timesteps, self.beta, self.threshold = timesteps, beta, threshold
         self.surrogate, self.surrogate_width = surrogate, surrogate_width
         self.head = head
-        self.normalizer = TorchNormaliser(observations, clip)
-        self.encoder: nn.Module
-        if coding == "population":
-            self.encoder = TorchPopulationEncoder(observations, populations, reach)
-        else:
-            self.encoder = TorchRateEncoder(observations, coding, -reach, reach)
-        inputs = observations * (populations if coding == "population" else 1)
+        inputs = self._add_code(observations, populations, reach, clip)
         self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairwise((inputs, *hidden)))
         for layer in self.layers:
             # (He et al. 2015); without it, deep layers do not spike at first
@@ -205,57 +271,17 @@ class SpikingMlpPolicy(Policy):
         self.readout = nn.Linear(hidden[-1], actions)
         self.latent_size = hidden[-1]
 
-    def encode(self, observation: Tensor) -> Tensor:
-        """Return the input spikes (T, B, M); a random code draws them anew at every call."""
-        spikes: Tensor = self.encoder(self.normalizer(observation), self.timesteps)
-        return spikes
-
-    def spikes(self, raster: Tensor) -> list[Tensor]:
-        """Return the spikes (T, B, N) of every layer for input spikes (T, B, M)."""
+    def layers_of(self, raster: Tensor) -> dict[str, Tensor]:
+        """Return the spikes (T, B, N) of "lif1", "lif2" ... for input spikes (T, B, M)."""
         gradient = surrogate(self.surrogate, self.surrogate_width)
-        rasters = [raster]
-        for layer in self.layers:
-            drive = layer(rasters[-1])
-            rasters.append(cuba_lif(drive, 0.0, self.beta, self.threshold, gradient))
-        return rasters[1:]
-
-    def forward_spikes(self, raster: Tensor) -> Latent:
-        """Return the output for input spikes (T, B, M)."""
-        layers = self.spikes(raster)
-        rates = firing_rates(layers[-1])
-        return Latent(self.readout(rates), rates, tuple(mean_rate(layer) for layer in layers))
-
-    def sample_encoding(self, observation: Tensor) -> Tensor:
-        """Return input spikes (B, T, M) drawn by a random code; else the observation."""
-        if self.coding != "bernoulli":
-            return observation
-        return self.encode(observation).transpose(0, 1).to(torch.uint8)
-
-    def forward_encoded(self, encoded: Tensor) -> Latent:
-        """Return the output for what sample_encoding returned."""
-        if self.coding != "bernoulli":
-            return self.latent(encoded)
-        return self.forward_spikes(encoded.transpose(0, 1).to(self.readout.weight.dtype))
-
-    def latent(self, observation: Tensor) -> Latent:
-        """Return mean, output rates and the layers' mean rates."""
-        return self.forward_spikes(self.encode(observation))
-
-    def trace(self, observation: Tensor, raster: Tensor | None = None) -> dict[str, Tensor]:
-        """Return spikes (B, T, N) under "input", "lif1", "lif2" ..., and the "action".
-
-        raster: (B, T, M) replaces the encoder's spikes
-        """
-        inputs = self.encode(observation) if raster is None else raster.transpose(0, 1)
-        # spikes have the weights' type, which checks in float64 rely on
-        rasters = [inputs.to(self.readout.weight.dtype)]
-        rasters += self.spikes(rasters[0])
-        action = self.decide(self.readout(firing_rates(rasters[-1])))
-        return {**_named(rasters), "action": action}
+        found: dict[str, Tensor] = {}
+        for number, layer in enumerate(self.layers, start=1):
+            drive = layer(raster)
+            raster = cuba_lif(drive, 0.0, self.beta, self.threshold, gradient)
+            found[f"lif{number}"] = raster
+        return found
 
 
-def _named(rasters: list[Tensor]) -> dict[str, Tensor]:
-    """Return spikes (T, B, N) of input and layers as (B, T, N), by name."""
-    names = ["input", *(f"lif{k}" for k in range(1, len(rasters)))]
-    each = (raster.transpose(0, 1).to(torch.uint8) for raster in rasters)
-    return dict(zip(names, each, strict=True))
+def _batch_first(rasters: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return spikes (T, B, N) as (B, T, N), by name."""
+    return {name: raster.transpose(0, 1).to(torch.uint8) for name, raster in rasters.items()}
