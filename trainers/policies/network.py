@@ -47,6 +47,7 @@ from spikedeploy.trainers.policies.spiking import (
     TorchRateEncoder,
 )
 from spikedeploy.trainers.through_chip import ChipModule, convention_on, nearest_remark
+from spikedeploy.trainers.torch_neurons.neurons import Meaning
 
 if TYPE_CHECKING:
     from spikedeploy.trainers.config import ChipSnnConfig, NetworkConfig
@@ -66,6 +67,7 @@ class NetworkPolicy(CodedPolicy):
     network: its numbers are parameters of the policy
     chip: name of a datasheet, with options as on the command line
     reset: of the neurons: "subtract" or "zero", or the one that the chip has
+    at_threshold: whether neurons spike at the threshold already, where the chip leaves a choice
     readout: nn.Linear from the network's output, spikes or membranes, to `Latent.mean`
     score: what of the output over the timesteps is read: its "mean", or its "last" value
     limits: refuse what breaks a design rule of the chip
@@ -80,7 +82,7 @@ class NetworkPolicy(CodedPolicy):
         network: TorchNetwork | Mapping[str, Any],
         chip: str = "ideal",
         reset: Reset = "subtract",
-        spikes: Spikes = "above",
+        at_threshold: bool = False,
         coding: Coding = "population",
         populations: int = _FIELDS,
         reach: float = 2.0,
@@ -99,9 +101,9 @@ class NetworkPolicy(CodedPolicy):
         self.surrogate, self.surrogate_width = surrogate, surrogate_width
         made = network if isinstance(network, TorchNetwork) else TorchNetwork.from_spec(**network)
         self.target = _datasheet(chip)
-        wanted = Meaning(reset, spikes, "")
+        wanted = Meaning(reset, "reached" if at_threshold else "above", "")
         stated = convention_on(self.target, Convention(DT, source="as trained"), wanted)
-        self.reset, self.spikes_at = stated.reset, stated.spikes
+        self.reset, self.at_threshold = stated.reset, at_threshold
         width = self._add_code(observations, populations, reach, clip)
         if isinstance(self.encoder, TorchPopulationEncoder):
             # few fields: wide enough that no number between two of them is unseen
@@ -341,7 +343,8 @@ def _of_module(
 ) -> NetworkPolicy:
     name = config.network
     module, _, within = name.partition(":")
-    found = attribute(name, import_target(name, module, "a network is module:Class"), within)
+    with torch.random.fork_rng():  # an import may draw, in the first training of a process alone
+        found = attribute(name, import_target(name, module, "a network is module:Class"), within)
     settings = _settings(config, observations, None)
     if isinstance(found, nn.Module):
         made = deepcopy(found)
@@ -360,16 +363,15 @@ def _of_module(
         )
     network, neurons = network_from_torch(made, takes)
     meaning = common_meaning(neurons)
-    policy = _policy(network.detached(), meaning.reset, observations, actions, clip, head, settings)
-    convention = policy.module.convention
-    if remark := nearest_remark(meaning.described, meaning.reset, convention, policy.target):
+    policy = _policy(network.detached(), meaning, observations, actions, clip, head, settings)
+    if remark := nearest_remark(policy.target, policy.module.convention, meaning):
         print(remark, file=sys.stderr)
     return policy
 
 
 def _policy(
     network: TorchNetwork,
-    reset: Reset,
+    meaning: Meaning,
     observations: int,
     actions: int,
     clip: float,
@@ -379,7 +381,14 @@ def _policy(
     if settings["limits"]:
         fit(network, _datasheet(settings["chip"]))
     policy = NetworkPolicy(
-        observations, actions, network, reset=reset, clip=clip, head=head, **settings
+        observations,
+        actions,
+        network,
+        reset=meaning.reset,
+        at_threshold=meaning.spikes == "reached",
+        clip=clip,
+        head=head,
+        **settings,
     )
     policy.module.program()  # what does not fit is refused here
     return policy
@@ -420,12 +429,16 @@ def _of_file(
             "file that exists"
         )
     artifact = load(path)
-    network, reset = network_of(artifact), artifact.convention.reset
+    network, meaning = network_of(artifact), _meaning_of(artifact)
     if artifact.codec is None:
         inputs = math.prod(network.takes)
         settings = _settings(config, observations, inputs)
-        return _policy(network, reset, observations, actions, clip, head, settings)
+        return _policy(network, meaning, observations, actions, clip, head, settings)
     return _gone_on(config, artifact, network, (observations, actions), head)
+
+
+def _meaning_of(artifact: Artifact) -> Meaning:
+    return Meaning(artifact.convention.reset, artifact.convention.spikes, "the file's neurons")
 
 
 def _gone_on(
@@ -459,7 +472,7 @@ def _gone_on(
         "timesteps": codec.timesteps,
         "score": codec.score,
     }
-    policy = _policy(rest, artifact.convention.reset, *sizes, codec.normaliser.clip, head, settings)
+    policy = _policy(rest, _meaning_of(artifact), *sizes, codec.normaliser.clip, head, settings)
     with torch.no_grad():
         policy.readout.load_state_dict(readout.layer.state_dict())
         policy.normalizer.mean.copy_(torch.from_numpy(codec.normaliser.mean))
