@@ -4,15 +4,10 @@ Some chips keep a sign for each source (ODIN), others a weight for each type of 
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor, nn
-
-from spikedeploy.runtime.chips.chip import Chip
-
-if TYPE_CHECKING:
-    from spikedeploy.trainers.network import TorchNetwork, Weights
 
 _SPREAD = 0.5  # of initial types of axons: the smaller weight over the larger one
 
@@ -134,39 +129,7 @@ def signs_by_turns(weight: Tensor) -> Tensor:
     return _turns(weight.shape[1])
 
 
-def _signs_by_majority(weights: Sequence[Tensor]) -> Tensor:
+def signs_by_majority(weights: Sequence[Tensor]) -> Tensor:
     """Return for each source (M,) the sign of the sum of its weights, 1 where it is 0."""
     total = torch.stack([w.transpose(0, 1).flatten(1).sum(1) for w in weights]).sum(0)
     return torch.where(total < 0, -1.0, 1.0)
-
-
-def fit(network: "TorchNetwork", target: Chip) -> None:
-    """Make the weights of a network fit the axons of a chip, where it asks for more than few bits.
-
-    Sources get the sign of most of their weights; axons are of types by turns. Where several layers
-    of another shape hear a source, or a convolution would need types, nothing is done, and the
-    design rule of the chip says so.
-    """
-    signed = target.limits is not None and target.limits.axon_signs
-    own = target.arithmetic.own_weights
-    types = 0 if own else int(getattr(target.arithmetic, "axon_types", 0))
-    if signed:
-        for heard in network.heard_together():
-            weights = [each.layer.weight.detach() for each in heard]
-            if len({(w.ndim, w.shape[1]) for w in weights}) == 1 and not _grouped(heard):
-                signs = _signs_by_majority(weights)
-                for each in heard:
-                    each.fitting = Fitting(signs=signs.clone())
-    if types:
-        for together in network.arriving_together():
-            if any(each.layer.weight.ndim > 2 for each in together):
-                continue
-            whole = torch.cat([each.layer.weight.detach() for each in together], 1)
-            values = nn.Parameter(typed_values(whole, types))
-            for each in together:
-                each.fitting = Fitting(values=values)
-
-
-def _grouped(weights: Sequence["Weights"]) -> bool:
-    """Return whether a convolution is of groups, whose weights do not say their source."""
-    return any(getattr(each.layer, "groups", 1) > 1 for each in weights)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError
@@ -28,9 +29,8 @@ from spikedeploy.runtime.graph.neurons import NEURONS, DiscreteNeuron
 from spikedeploy.runtime.graph.shapes import Shape, shape_of, window_of
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import require_known
-from spikedeploy.trainers.fitting import Fitting
-from spikedeploy.trainers.policies.neurons import Surrogate
-from spikedeploy.trainers.policies.policy import to_array
+from spikedeploy.trainers.fitting import Fitting, signs_by_majority, typed_values
+from spikedeploy.trainers.neurons import Surrogate
 
 Edge: TypeAlias = tuple[str, str]
 Array: TypeAlias = NDArray[np.float64]
@@ -38,6 +38,12 @@ Array: TypeAlias = NDArray[np.float64]
 # of a neuron that never forgets beside ones that do, in a node with a time constant for each:
 # 1 - b is this, far below what any chip's decay factor resolves
 _SLOWEST = 1e-12
+
+
+def to_array(tensor: Tensor) -> NDArray[np.float64]:
+    """Return a tensor in float64."""
+    array: NDArray[np.float64] = tensor.detach().cpu().numpy().astype(np.float64)
+    return array
 
 
 class Map(nn.Module):
@@ -490,6 +496,30 @@ class TorchNetwork(nn.Module):
                 if each.fitting is not None and first.fitting is not None:
                     each.fitting.values = first.fitting.values  # one crossbar
         return network
+
+    def fit(self, target: Chip) -> None:
+        """Make weights fit the axons of a chip, where these ask for more than few bits.
+
+        Sources get the sign of most of their weights; axons are of types by turns. Where layers of
+        several shapes hear a source, or a convolution would need types, nothing is done, and the
+        design rule of the chip says so.
+        """
+        limits, arithmetic = target.limits, target.arithmetic
+        for heard in self.heard_together() if limits and limits.axon_signs else ():
+            weights = [each.layer.weight.detach() for each in heard]
+            shapes = {(w.ndim, w.shape[1]) for w in weights}
+            # of groups, a weight does not say its source
+            if len(shapes) == 1 and all(getattr(w.layer, "groups", 1) == 1 for w in heard):
+                signs = signs_by_majority(weights)
+                for each in heard:
+                    each.fitting = Fitting(signs=signs.clone())
+        types = 0 if arithmetic.own_weights else int(getattr(arithmetic, "axon_types", 0))
+        for together in self.arriving_together() if types else ():
+            if all(each.layer.weight.ndim == 2 for each in together):
+                whole = torch.cat([each.layer.weight.detach() for each in together], 1)
+                values = nn.Parameter(typed_values(whole, types))
+                for each in together:
+                    each.fitting = Fitting(values=values)
 
     def heard_together(self) -> list[list[Weights]]:
         """Return the weights in groups that hear the same neurons, or the input."""

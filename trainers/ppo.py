@@ -31,8 +31,8 @@ from spikedeploy.trainers.config import (
 )
 from spikedeploy.trainers.env_batch import Steps
 from spikedeploy.trainers.metrics import Metrics
+from spikedeploy.trainers.neurons import excess_rate
 from spikedeploy.trainers.policies import Policy, from_config
-from spikedeploy.trainers.policies.neurons import excess_rate
 from spikedeploy.trainers.progress import Journal
 from spikedeploy.trainers.run_folder import RunFolder, write_errors
 from spikedeploy.trainers.runner import Critic, EnvRunner, Learner, adam, descend, set_rate

@@ -42,7 +42,6 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.families.numba_kernels import jit
 from spikedeploy.runtime.graph.order import Timing, timing
-from spikedeploy.trainers.fitting import fit
 from spikedeploy.trainers.from_torch import common_meaning, given_shape, network_from_torch
 from spikedeploy.trainers.network import (
     Delay,
@@ -52,7 +51,7 @@ from spikedeploy.trainers.network import (
     Weights,
     network_of,
 )
-from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
+from spikedeploy.trainers.neurons import Surrogate, surrogate
 from spikedeploy.trainers.torch_neurons.neurons import Meaning
 
 Array = NDArray[np.floating[Any]]
@@ -93,7 +92,7 @@ def on_chip(
         stated, codec = Convention(dt, source="as trained"), None
     convention = convention_on(target, stated, meaning)
     if limits:
-        fit(nodes, target)
+        nodes.fit(target)
     if remark := nearest_remark(target, convention, meaning):
         warnings.warn(remark, stacklevel=2)
     chosen = surrogate_name, surrogate_width
@@ -141,7 +140,7 @@ class ChipModule(nn.Module):
     convention: of the network, and of the files that `save` writes
     codec: of the files that `save` writes, where the network drives a robot
     limits: refuse what breaks a design rule of the chip
-    surrogate_name, surrogate_width: of the derivative of a spike, as in policies.neurons; by
+    surrogate_name, surrogate_width: of the derivative of a spike, as in trainers.neurons; by
         default that of each neuron, else atan
     detach_reset: let no gradient through the reset
     records: keep `spikes` where no gradients are recorded, too

@@ -11,7 +11,6 @@ vision.py      counts of an event camera: convolutions with a GRU, or spiking on
 copies.py      networks that serve several parts of a body with the same weights
 gru.py         a pruned float policy with a memory
 delta.py       one timestep a control step: delta code, LIF or sigma-delta neurons, NIR graphs
-neurons.py     LIF and CuBa-LIF layers with surrogate gradients, compiled, and firing rates
 """
 
 from collections.abc import Callable, Mapping

@@ -53,15 +53,15 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.neurons import SigmaDelta
 from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.network import to_array
+from spikedeploy.trainers.neurons import spike, surrogate
 from spikedeploy.trainers.policies.copies import Copies, weights_between
-from spikedeploy.trainers.policies.neurons import spike, surrogate
 from spikedeploy.trainers.policies.policy import (
     Head,
     Latent,
     Policy,
     PrunedWeight,
     TorchNormaliser,
-    to_array,
 )
 
 Array = NDArray[np.float64]

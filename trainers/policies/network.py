@@ -33,12 +33,12 @@ from spikedeploy.runtime.convention import Convention, Reset
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.xylo import XyloArithmetic
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.fitting import Fitting, fit, signs_by_turns, typed_values
+from spikedeploy.trainers.fitting import Fitting, signs_by_turns, typed_values
 from spikedeploy.trainers.from_torch import common_meaning, network_from_torch
-from spikedeploy.trainers.network import FreeNeurons, TorchNetwork, Weights, network_of
+from spikedeploy.trainers.network import FreeNeurons, TorchNetwork, Weights, network_of, to_array
+from spikedeploy.trainers.neurons import mean_rate
 from spikedeploy.trainers.policies.delta import DT
-from spikedeploy.trainers.policies.neurons import mean_rate
-from spikedeploy.trainers.policies.policy import Head, Latent, to_array
+from spikedeploy.trainers.policies.policy import Head, Latent
 from spikedeploy.trainers.policies.spiking import (
     CodedPolicy,
     Coding,
@@ -379,7 +379,7 @@ def _policy(
     settings: Mapping[str, Any],
 ) -> NetworkPolicy:
     if settings["limits"]:
-        fit(network, _datasheet(settings["chip"]))
+        network.fit(_datasheet(settings["chip"]))
     policy = NetworkPolicy(
         observations,
         actions,

@@ -108,12 +108,6 @@ def full_precision(layer: nn.Module, hidden: Tensor) -> Tensor:
     return output
 
 
-def to_array(tensor: Tensor) -> NDArray[np.float64]:
-    """Return a tensor in float64."""
-    array: NDArray[np.float64] = tensor.detach().cpu().numpy().astype(np.float64)
-    return array
-
-
 class TorchNormaliser(nn.Module):
     """Shifts, scales and clips observations; part of every policy.
 

@@ -9,7 +9,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from spikedeploy.trainers.policies.neurons import (
+from spikedeploy.trainers.neurons import (
     cuba_lif,
     firing_rates,
     integrate_and_fire,
@@ -96,7 +96,7 @@ class PopsanPolicy(Policy):
     layers: nn.Linear into each spiking layer; the last has P neurons for every action
     decoder_weight, decoder_bias: (act, P), (act,) from output rates to the action before tanh
     alpha, beta, threshold: decay factors of current and membrane, and threshold, of all neurons
-    surrogate, surrogate_width: see `policies.neurons`
+    surrogate, surrogate_width: see `trainers.neurons`
     """
 
     kind = "popsan"
@@ -235,7 +235,7 @@ class SpikingMlpPolicy(CodedPolicy):
 
     layers: nn.Linear into each spiking layer
     beta, threshold: decay factor and threshold of every membrane, which a spike sets to zero
-    surrogate, surrogate_width: see `policies.neurons`
+    surrogate, surrogate_width: see `trainers.neurons`
     """
 
     kind = "spiking-mlp"

@@ -42,8 +42,9 @@ from spikedeploy.runtime.codec.events import EventEncoder
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.network import to_array
+from spikedeploy.trainers.neurons import integrate_many, lif, spike, surrogate
 from spikedeploy.trainers.policies.delta import DT
-from spikedeploy.trainers.policies.neurons import integrate_many, lif, spike, surrogate
 from spikedeploy.trainers.policies.policy import (
     Head,
     Latent,
@@ -51,7 +52,6 @@ from spikedeploy.trainers.policies.policy import (
     PrunedKernel,
     PrunedWeight,
     TorchNormaliser,
-    to_array,
 )
 
 SIGNS = 3  # none, left, right: of the second head

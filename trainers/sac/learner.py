@@ -29,7 +29,7 @@ from spikedeploy.trainers.config import (
     Share,
     Width,
 )
-from spikedeploy.trainers.policies.neurons import excess_rate
+from spikedeploy.trainers.neurons import excess_rate
 from spikedeploy.trainers.policies.policy import Latent, Moments, Policy, full_precision
 from spikedeploy.trainers.run_folder import file_sha256, write_errors
 from spikedeploy.trainers.runner import Critic, Learner, adam

@@ -11,7 +11,7 @@ from spikedeploy.runtime.convention import Floor, Reset, Spikes
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
 from spikedeploy.trainers.network import Map, Neurons
-from spikedeploy.trainers.policies.neurons import Surrogate
+from spikedeploy.trainers.neurons import Surrogate
 
 # of Neurons.numbers: current decay, membrane decay, threshold, leak, gain
 Numbers: TypeAlias = tuple[Tensor | None, Tensor, Tensor | None, Tensor | None, Tensor]

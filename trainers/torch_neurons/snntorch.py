@@ -10,7 +10,7 @@ from spikedeploy.runtime.convention import Reset
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
 from spikedeploy.trainers.network import Map, Weights
-from spikedeploy.trainers.policies.neurons import Surrogate, surrogate
+from spikedeploy.trainers.neurons import Surrogate, surrogate
 from spikedeploy.trainers.torch_neurons.neurons import Meaning, Numbers, TorchNeurons, derivative_of
 
 # V = (1 - r) (beta V + I): a late reset takes the input of that timestep with it; Leaky keeps it

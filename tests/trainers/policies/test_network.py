@@ -130,6 +130,23 @@ def test_a_chip_with_too_few_inputs_is_refused_in_a_sentence():
         from_config(ChipSnnConfig(), 4, 2)
 
 
+def test_a_chip_that_runs_a_pipeline_is_trained_in_its_own_clock(tmp_path):
+    name = "loihi1:clock=pipelined"
+    student = policy(name, timesteps=12)
+    path = to_nir(student, Provenance("", "for-chip"), tmp_path / "policy.nir")
+    seen = np.random.default_rng(1).normal(0, 1, (40, 3))
+    controller = SpikingController(load(path), chip(name))
+    acted, double = controller.act_batch(seen), copy.deepcopy(student).double()
+    with torch.no_grad():
+        np.testing.assert_allclose(acted, double(torch.from_numpy(seen)).numpy(), atol=1e-12)
+    free = policy("loihi1", timesteps=12)
+    free.load_state_dict(student.state_dict())
+    with torch.no_grad():
+        assert (
+            free(torch.from_numpy(seen).float()) != student(torch.from_numpy(seen).float())
+        ).any()
+
+
 def test_the_recipe_trains_a_run_that_is_validated_on_the_chip(tmp_path):
     settings = [
         'policy.chip="tinyodin"', 'teacher="tests.own_teachers:level_logits"', "policy.hidden=[6]",

@@ -4,12 +4,12 @@ import torch
 from snntorch import surrogate as snn_surrogate
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.policies import build, neurons
-from spikedeploy.trainers.policies.neurons import (
+from spikedeploy.trainers.neurons import (
     cuba_lif,
     integrate_and_fire,
     surrogate,
 )
+from spikedeploy.trainers.policies import build, neurons
 from spikedeploy.trainers.policies.spiking import TorchRateEncoder
 
 ALPHA, BETA, THRESHOLD = 0.9, 0.8, 0.5
