@@ -19,7 +19,9 @@
     campaign     sweeps of evaluations, searches for settings, seeds of a training
     play         windows: drive, replay, draw a track
 
-    api          three lines of Python: load, compare, train, make
+    api          a few lines of Python: load, on_chip, adapt, train, distill, compare, export, make
+    objects      Python objects by the names that commands take
+    training_settings  recipe and settings of what train and distill are asked for
     cli          starts a command
     console      tables and JSON on stdout, progress on stderr
     errors       the errors that every package may raise
@@ -48,6 +50,7 @@ if TYPE_CHECKING:
         NetworkRun,
         adapt,
         compare,
+        distill,
         export,
         load,
         make,
@@ -64,6 +67,7 @@ __all__ = [
     "__version__",
     "adapt",
     "compare",
+    "distill",
     "export",
     "load",
     "make",

@@ -11,11 +11,11 @@ Each name does what a command does, by the same functions: `run` what `emulate` 
 """
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias, overload
 
 import numpy as np
 
@@ -43,6 +43,9 @@ if TYPE_CHECKING:
     from spikedeploy.trainers.adapt import Adaptation
     from spikedeploy.trainers.progress import Interrupt
     from spikedeploy.trainers.through_chip import ChipModule
+
+    # a class, a function that makes one, or an instance
+    EnvLike: TypeAlias = Callable[..., "gymnasium.Env[Any, Any]"] | gymnasium.Env[Any, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,8 +254,9 @@ def load(
     spikes: Spikes | None = None,
     floor: Floor | None = None,
 ) -> LoadedNetwork:
-    """The network of a `.nir` file, or a shipped policy that spikes, in float.
+    """The network of a `.nir` file, a run folder, or a shipped policy that spikes, in float.
 
+    path        of the file; a run folder or "last" is exported first
     written_by  the tool that exported the file, as whose author meant it: `--from`
     like        the tool as whose import reads it
     dt          [s]; like what follows an option of Convention, and precedes the file
@@ -262,7 +266,9 @@ def load(
             f"load takes the path of a file, or the name of a shipped policy; found a "
             f"{type(path).__name__}. Write a graph with nir.write(path, graph) first."
         )
-    file = network_path(str(path))
+    from spikedeploy.shipping.exported_run import runnable
+
+    file = network_path(runnable(str(path)))
     reading: dict[str, Any] = {
         "written_by": written_by,
         "like": like,
@@ -278,9 +284,10 @@ def load(
 
 
 def compare(
-    env: str,
+    env: "str | EnvLike",
     policies: Sequence[str | Path | LoadedNetwork] = (),
     *,
+    teacher: object = None,
     chips: Sequence[str] = (),
     episodes: int = 20,
     seed: int = EVALUATION,
@@ -289,7 +296,9 @@ def compare(
 ) -> ComparedPolicies:
     """Policies on the same seeds; the float ANN, built-in players and controls are added.
 
+    env       a name, a class, a function that makes one, or an instance
     policies  names of shipped ones, files, run folders or "last"; all that are shipped by default
+    teacher   beside them, as of `distill`
     chips     for those that spike; by default those of loaded networks, else what each was trained
               for, else loihi1
     seed      the first; from 10,000 on, which no training uses
@@ -298,16 +307,20 @@ def compare(
     """
     from spikedeploy.comparison.evaluation import compare_policies
     from spikedeploy.comparison.lineup import line_up
+    from spikedeploy.objects import env_target, teacher_target
+    from spikedeploy.policies.scripts import teacher_candidate
     from spikedeploy.reports import comparison as report
     from spikedeploy.shipping.exported_run import runnable
 
-    names = [runnable(_named(policy)) for policy in policies]
+    env, names = env_target(env), [runnable(_named(policy)) for policy in policies]
+    taught = None if teacher is None else teacher_candidate(runnable(teacher_target(teacher)))
     networks = [policy for policy in policies if isinstance(policy, LoadedNetwork)]
     chips = chips or tuple(dict.fromkeys(each.chip for each in networks if each.chip != FLOAT))
-    entries = line_up(env, names, tuple(chips) or None)
+    entries = line_up(env, names, tuple(chips) or None, taught)
     comparison = compare_policies(env, entries, range(seed, seed + episodes), workers, options)
     words = ["spikedeploy", "compare", env, *names]
     words += ["--chip", ",".join(chips)] if chips else []
+    words += ["--teacher", teacher_target(teacher)] if taught else []
     words += ["--episodes", str(episodes), "--seed", str(seed)]
     words += [word for name, value in options.items() for word in ("--set", f"{name}={value}")]
     return ComparedPolicies({**report.document(comparison), "command": shlex.join(words)})
@@ -402,18 +415,51 @@ def _network_of(
     return network.artifact if isinstance(network, LoadedNetwork) else network
 
 
+@overload
 def export(
     network: "nn.Module | ChipModule",
     path: str | Path,
     input_shape: Sequence[int] | None = None,
     dt: float = 1e-3,
-) -> LoadedNetwork:
-    """A torch module as a NIR file with its convention, which every command takes; loaded again.
+) -> LoadedNetwork: ...
+@overload
+def export(
+    network: str | Path | LoadedNetwork,
+    path: str | Path | None = None,
+    *,
+    to: str,
+    **options: Any,  # noqa: ANN401
+) -> Path: ...
+def export(
+    network: "nn.Module | ChipModule | LoadedNetwork | str | Path",
+    path: str | Path | None = None,
+    input_shape: Sequence[int] | None = None,
+    dt: float = 1e-3,
+    to: str | None = None,
+    **options: Any,
+) -> LoadedNetwork | Path:
+    """A torch module as a NIR file, loaded again; or a run folder or file in another format.
 
-    network      with neurons as `on_chip` takes them; or what `on_chip` made of one
+    network      with neurons as `on_chip` takes them, or what `on_chip` made of one; or a run
+                 folder, "last", a `.nir` file
+    path         of the file, or of the folder of c, verilog and program
     input_shape  of one timestep of one sample, where `on_chip` did not have it
     dt           [s] of a timestep
+    to           of a run or file: "nir", "onnx", "c", "verilog", "program" or "xylo"
+    options      of the export: chip, env, force, and those of docs/export.md
+
+    Raises ConfigError where the written file does not do what the policy does.
     """
+    if isinstance(network, str | Path | LoadedNetwork):
+        from spikedeploy.shipping.any_export import export_as
+
+        name = _named(network) if isinstance(network, LoadedNetwork) else str(network)
+        return export_as(name, to, None if path is None else Path(path), **options)
+    if path is None or to not in (None, "nir"):
+        raise ConfigError(
+            "a torch module is exported as a .nir file: name it, as in "
+            "sd.export(net, 'net.nir', input_shape=(64,)); other formats are made of that file"
+        )
     from spikedeploy.trainers.from_torch import artifact_from_torch
     from spikedeploy.trainers.through_chip import ChipModule
 
@@ -425,14 +471,77 @@ def export(
     return load(path)
 
 
-def train(recipe: str | None, **options: Any) -> Path:  # noqa: ANN401
-    """Train a recipe; return the run folder.
+def train(
+    what: "str | EnvLike | None",
+    *,
+    recipe: str | None = None,
+    network: "str | Path | nn.Module | type[nn.Module] | None" = None,
+    chip: str | None = None,
+    overrides: "Mapping[str, Any] | Sequence[str]" = (),
+    **options: Any,  # noqa: ANN401
+) -> Path:
+    """Train a policy, as the command `train` does; return the run folder.
 
-    options  of trainers.train.train: seed, overrides, budget, resume, runs, quiet
+    what       a recipe; with `recipe`, `network` or `chip` the environment: a name, a class, a
+               function that makes one, or an instance
+    recipe     for any environment; with a network "ppo-network" by default
+    network    of yours: a torch module, its class, or a `.nir` file; docs/own-policy.md
+    chip       in whose integers it is trained; without a network a policy that fits it
+    overrides  settings: {"steps": 50_000, "policy": {"timesteps": 4}}, or text as `--set` takes it
+    options    of trainers.train.train: seed, budget, resume, runs, quiet
     """
+    from spikedeploy.objects import env_target, overrides_of, target
     from spikedeploy.trainers import train as training
+    from spikedeploy.training_settings import chip_student, own_network
 
-    return training.train(recipe, **options)
+    given = overrides_of(overrides)
+    if network is not None:
+        recipe, given = recipe or "ppo-network", [*own_network(target(network), chip), *given]
+    elif chip is not None:
+        if what is None or recipe is not None:
+            raise ConfigError("chip goes with an environment alone, or with a network")
+        recipe, given = "for-chip", [*chip_student(env_target(what), chip, given), *given]
+    if recipe is None and not isinstance(what, str | None):
+        raise ConfigError("an environment of yours needs a recipe, such as recipe='ppo-snn'")
+    if recipe is not None and what is not None:
+        options["env"] = env_target(what)
+    return training.train(recipe or what, overrides=given, **options)  # type: ignore[arg-type]
+
+
+def distill(
+    env: "str | EnvLike",
+    teacher: object,
+    *,
+    network: "str | Path | nn.Module | type[nn.Module] | None" = None,
+    chip: str | None = None,
+    size: str | None = None,
+    encoder: str | None = None,
+    timesteps: int | None = None,
+    budget: str | None = None,
+    dense: bool = False,
+    overrides: "Mapping[str, Any] | Sequence[str]" = (),
+    **options: Any,  # noqa: ANN401
+) -> Path:
+    """Train a spiking student that imitates a teacher, as the command does; return the run folder.
+
+    env        a name, a class, a function that makes one, or an instance
+    teacher    a file, a run folder, a shipped policy, a function of an observation, or a model of
+               Stable-Baselines3
+    network    of yours, the student: a torch module, its class, or a `.nir` file
+    chip       in whose integers it is trained
+    size, encoder, timesteps, budget, dense  as on the command line
+    overrides, options  as of `train`
+    """
+    from spikedeploy.objects import env_target, overrides_of, target, teacher_target
+    from spikedeploy.trainers import train as training
+    from spikedeploy.training_settings import student
+
+    own = None if network is None else target(network)
+    recipe, settings = student(
+        teacher_target(teacher), own, chip, size, encoder, timesteps, budget, dense
+    )
+    given = [*settings, *overrides_of(overrides)]
+    return training.train(recipe, env=env_target(env), overrides=given, budget=budget, **options)
 
 
 def make(env: str, **options: Any) -> "gymnasium.Env[Any, Any]":  # noqa: ANN401

@@ -37,7 +37,7 @@ from lab.experiments.pages import ROOT, grouped, mean, number, percent, share
 from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows, write_exactly
 from spikedeploy import envs, zoo
-from spikedeploy.commands.distillation import FLOAT, RIVAL, SPARSE, STUDENT
+from spikedeploy.commands.distillation import FLOAT, RIVAL, STUDENT
 from spikedeploy.comparison.statistics import nested_ratio, risk, t_interval
 from spikedeploy.envs.foreign import attribute, import_target
 from spikedeploy.files import replacing
@@ -48,6 +48,7 @@ from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.pool import BatchController, Stateless
+from spikedeploy.training_settings import SPARSE
 
 TEACHER, RANDOM, IDLE, LINEAR = "teacher", "random", "no action", "float linear"
 # role -> whether it is shown its last action, and whether it acts a control step late

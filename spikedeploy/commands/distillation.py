@@ -1,4 +1,4 @@
-"""Recipe and settings of the command `distill`, its float rival, and what came of both."""
+"""The float rival of the command `distill`, and what came of both."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -6,108 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import differences
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder, runs_in
 from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.training_settings import SPARSE
 
-_CODINGS = {"population": "population", "rate": "regular"}
-SPARSE, RIVAL = "distill-sparse", "distill-small-mlp"  # recipes
+RIVAL = "distill-small-mlp"  # recipe
 _ENOUGH = 0.90  # of the teacher; below it a student is said to have learned too little
 STUDENT, FLOAT = "spiking student", "float MLP"
 _UNITS = {STUDENT: "SOPs", FLOAT: "MACs"}
 FRONT = "front.png"  # in the run folder of the student
-
-
-def student_settings(
-    teacher: str | None,
-    size: str | None,
-    encoder: str | None,
-    timesteps: int | None,
-    sparse: bool,
-    chip: str | None = None,
-) -> tuple[str, list[str]]:
-    """Return the recipe and the overrides of a student; what is None stays the recipe's.
-
-    size: neurons of the hidden layers, "64,64"
-    encoder: "population", "rate" or "delta"
-    sparse: whether the student sends events and is pruned
-    chip: in whose integers it is trained; None in float
-    """
-    settings = [] if teacher is None else [f"teacher={json.dumps(teacher)}"]
-    steps = [] if timesteps is None else [f"policy.timesteps={timesteps}"]
-    if size is not None:
-        settings.append(f"policy.hidden={_hidden(size, sparse)}")
-    if sparse:
-        if encoder not in (None, "delta"):
-            raise ConfigError(
-                f"--encoder {encoder}: a student with --budget sends events by the delta code; "
-                "leave one of the two out"
-            )
-        return SPARSE, [*settings, *steps]
-    if encoder == "delta":
-        raise ConfigError("--encoder delta is of sparse students: leave --dense and --for out")
-    if encoder is not None:
-        settings.append(f"policy.coding={_CODINGS[encoder]}")
-    settings += steps
-    if chip is not None:
-        return "for-chip", [*settings, f"policy.chip={json.dumps(chip)}"]
-    return "distill-snn", settings
-
-
-def own_student_settings(
-    teacher: str | None,
-    network: str,
-    chip: str | None,
-    encoder: str | None,
-    timesteps: int | None,
-    size: str | None,
-    budget: str | None,
-    dense: bool,
-) -> tuple[str, list[str]]:
-    """Return the recipe and the overrides of a student that is a network of the user.
-
-    network: module:Class, or a .nir file
-    size, budget, dense: refused, as its own network has a size and is not pruned
-    """
-    for name, given in (("--size", size), ("--budget", budget), ("--dense", dense or None)):
-        if given is not None:
-            raise ConfigError(f"{name} and --network: a network of yours is trained as it is")
-    if encoder == "delta":
-        raise ConfigError("--encoder delta is of sparse students: leave --network out")
-    settings = {
-        "teacher": teacher,
-        "policy.network": network,
-        "policy.chip": chip,
-        "policy.coding": encoder and _CODINGS[encoder],
-        "policy.timesteps": timesteps,
-    }
-    found = [f"{k}={json.dumps(value)}" for k, value in settings.items() if value is not None]
-    return "distill-network", found
-
-
-def is_sparse(dense: bool, chip: str | None, encoder: str | None, budget: str | None) -> bool:
-    """Return whether a student sends events and is pruned: unless options say otherwise."""
-    if budget is not None:
-        if dense or chip is not None:
-            other = "--dense" if dense else "--for"
-            raise ConfigError(f"{other} and --budget: such students are not pruned")
-        return True
-    return not dense and chip is None and encoder in (None, "delta")
-
-
-def _hidden(size: str, sparse: bool) -> str:
-    """Return the neurons of hidden layers as a setting."""
-    parts = size.split(",")
-    if not all(part.strip().isascii() and part.strip().isdigit() for part in parts):
-        raise ConfigError(f"--size {size}: neurons of the hidden layers, as in --size 64,64")
-    if sparse and len(parts) > 1:
-        raise ConfigError(
-            f"--size {size}: a sparse student has one hidden layer, as in --size 32; --dense has "
-            "several"
-        )
-    numbers = [int(part) for part in parts]
-    return str(numbers[0] if sparse else numbers)
 
 
 def is_searched(run: Path) -> bool:

@@ -3,7 +3,6 @@
 import shlex
 from collections.abc import Sequence
 from contextlib import suppress
-from json import dumps
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,7 +17,6 @@ from spikedeploy.console import (
     program_name,
     say,
 )
-from spikedeploy.errors import ConfigError
 
 _RUNS = Path("runs")
 
@@ -43,6 +41,8 @@ def train(
     """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on."""
     if what is None and (resume is None or recipe is not None):
         raise typer.BadParameter("name a RECIPE, an ENV with --recipe, or a run with --resume")
+    from spikedeploy.training_settings import chip_student, own_network
+
     own: list[str] = []
     if network is not None:
         if what is None or resume is not None:
@@ -50,13 +50,13 @@ def train(
                 "--network goes with an ENV, as in train CartPole-v1 --network my_module:Net; a "
                 "resumed run keeps its network"
             )
-        recipe, own = recipe or "ppo-network", network_settings(network, chip)
+        recipe, own = recipe or "ppo-network", own_network(network, chip)
     elif chip is not None:
         if what is None or recipe is not None:
             raise typer.BadParameter(
                 "--for goes with an ENV alone, train CartPole-v1 --for odin, or with --network"
             )
-        recipe, own = "for-chip", _for_chip(what, chip, set_ or [])
+        recipe, own = "for-chip", chip_student(what, chip, set_ or [])
     settings: dict[str, Any] = {
         "env": what if recipe else None,
         "config_file": config,
@@ -72,34 +72,6 @@ def train(
     _run_training(
         recipe or what, json, seed=seed, resume=resume, runs=runs, films=films, **settings
     )
-
-
-def network_settings(network: str, chip: str | None) -> list[str]:
-    """Settings that name a network of the user, and the chip in whose integers it is trained."""
-    on = [] if chip is None else [f"policy.chip={dumps(chip)}"]
-    return [f"policy.network={dumps(network)}", *on]
-
-
-def _for_chip(env: str, chip: str, given: list[str]) -> list[str]:
-    """Settings that name the chip, and the shipped teacher of the environment unless one is."""
-    settings = [f"policy.chip={dumps(chip)}"]
-    if not any(each.replace(" ", "").startswith("teacher=") for each in given):
-        from spikedeploy import envs, zoo
-        from spikedeploy.envs.foreign import check_target, is_target
-
-        envs.spec(env)  # refuses a name that none has, before it asks for a teacher
-        if is_target(env):
-            check_target(env)
-        teacher = zoo.teacher(env)
-        if teacher is None:
-            raise ConfigError(
-                f"no float teacher of {env} is shipped: give one with --set teacher=PATH, such as "
-                f"the run of `spikedeploy train {env} --recipe ppo-mlp`, or imitate a Python "
-                f"function of yours: `spikedeploy distill my_module:pilot --env {env} --for "
-                f"{shlex.quote(chip)}`"
-            )
-        settings.append(f"teacher={dumps(teacher)}")
-    return settings
 
 
 def _run_training(
@@ -273,14 +245,9 @@ def distill(
         raise typer.BadParameter(f"a resumed run keeps its network: leave {', '.join(named)} out")
     from spikedeploy.commands import distillation as made
     from spikedeploy.trainers.run_folder import RunFolder
+    from spikedeploy.training_settings import student
 
-    if network is None:
-        sparse = made.is_sparse(dense, chip, encoder, budget)
-        recipe, settings = made.student_settings(teacher, size, encoder, timesteps, sparse, chip)
-    else:
-        recipe, settings = made.own_student_settings(
-            teacher, network, chip, encoder, timesteps, size, budget, dense
-        )
+    recipe, settings = student(teacher, network, chip, size, encoder, timesteps, budget, dense)
     run = _learn(
         recipe if resume is None else None, json, env=env, overrides=[*settings, *(set_ or ())],
         budget=budget, seed=seed, resume=resume, runs=runs, verb="distill",
