@@ -9,11 +9,10 @@ from spikedeploy.commands.distillation import (
     Level,
     describe,
     front,
-    is_sparse,
-    student_settings,
 )
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.training_settings import student
 from tests.paths import ROOT
 
 REACH, LEVELS = "tests.own_env:Reach", "tests.own_env:Levels"
@@ -154,25 +153,31 @@ def test_what_is_missing_is_asked_for(here, command):
 
 
 def test_a_budget_asks_for_the_event_driven_student():
-    assert student_settings("a.zip", None, None, None, sparse=False) == (
-        "distill-snn",
-        ['teacher="a.zip"'],
-    )
-    recipe, found = student_settings("a.zip", "16", "delta", 1, sparse=True)
+    assert student("a.zip", dense=True) == ("distill-snn", ['teacher="a.zip"'])
+    recipe, found = student("a.zip", size="16", encoder="delta", timesteps=1)
     assert recipe == "distill-sparse"
     assert found == ['teacher="a.zip"', "policy.hidden=16", "policy.timesteps=1"]
-    recipe, found = student_settings("a", "16", None, 4, sparse=False, chip="odin")
+    recipe, found = student("a", chip="odin", size="16", timesteps=4)
     assert recipe == "for-chip"
     assert found[1:] == ["policy.hidden=[16]", "policy.timesteps=4", 'policy.chip="odin"']
-    assert is_sparse(False, None, None, None)
-    assert is_sparse(False, None, "delta", "sops=20")
-    for dense, *others in ((True, None, None), (False, "odin", None)):
-        assert not is_sparse(dense, *others, None)
+    assert student("a", budget="sops=20")[0] == "distill-sparse"
+    for dense, chip in ((True, None), (False, "odin")):
         with pytest.raises(ConfigError, match="such students are not pruned"):
-            is_sparse(dense, *others, "sops=20")
-    assert not is_sparse(False, None, "rate", None)
-    _, found = student_settings("a", None, "population", 2, sparse=False)
+            student("a", chip=chip, dense=dense, budget="sops=20")
+    _, found = student("a", encoder="population", timesteps=2)
     assert found[1:] == ["policy.coding=population", "policy.timesteps=2"]
+
+
+def test_a_network_of_the_user_is_a_student_as_it_is():
+    recipe, found = student("a", "mine:Net", "odin", encoder="rate", timesteps=4)
+    assert recipe == "distill-network"
+    assert found == [
+        'teacher="a"', 'policy.network="mine:Net"', 'policy.chip="odin"',
+        'policy.coding="regular"', "policy.timesteps=4",
+    ]  # fmt: skip
+    for refused in ({"size": "16"}, {"budget": "sops=20"}, {"dense": True}):
+        with pytest.raises(ConfigError, match="a network of yours is trained as it is"):
+            student("a", "mine:Net", **refused)
 
 
 @pytest.mark.parametrize(("before", "said"), [(84.0, True), (130.0, False)])
@@ -191,14 +196,13 @@ def test_a_budget_that_does_not_bind_is_said(before, said, tmp_path, monkeypatch
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        (("64x64", None, None, False), r"--size 64x64: .* as in --size 64,64"),
-        (("64,", None, None, False), r"--size 64,:"),
-        ((None, "delta", None, False), "leave --dense and --for out"),
-        (("64,64", None, None, True), "has one hidden layer, as in --size 32; --dense"),
-        ((None, "population", None, True), "sends events by the delta code"),
+        ({"size": "64x64", "dense": True}, r"--size 64x64: .* as in --size 64,64"),
+        ({"size": "64,", "dense": True}, r"--size 64,:"),
+        ({"encoder": "delta", "dense": True}, "leave --dense and --for out"),
+        ({"size": "64,64"}, "a sparse student has one hidden layer"),
+        ({"encoder": "rate", "budget": "sops=20"}, "leave one of the two out"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(asked, message):
-    *options, sparse = asked
     with pytest.raises(ConfigError, match=message):
-        student_settings("a.zip", *options, sparse)
+        student("a.zip", **asked)
