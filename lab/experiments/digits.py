@@ -1,5 +1,6 @@
 """Handwritten digits on every chip: float, float weights on the chip, trained through the chip.
 
+    pip install '.[digits]'
     python -m lab digits [--only loihi1] [--seeds 3] [--page]
 
 The data are the 1,797 scans of 8 x 8 pixels that scikit-learn ships (Alpaydin and Kaynak 1998, test
@@ -185,22 +186,21 @@ def run(name: str, seed: int) -> Row:
     fit(module, task, CHIP_EPOCHS, CHIP_RATE, seed, clamp)
     labels = task.labels[task.split :]
     return Row(
-        name,
-        seed,
-        task.images.shape[1],
-        task.classes,
-        refused,
-        *(
-            float(each.to(torch.float64).mean())
-            for each in (
-                in_float == labels,
-                on_the_chip == labels,
-                in_float != on_the_chip,
-                answers(module, task) == labels,
-            )
-        ),
-        clip,
+        chip=name,
+        seed=seed,
+        inputs=task.images.shape[1],
+        classes=task.classes,
+        limits=refused,
+        on_float=_share(in_float == labels),
+        on_chip=_share(on_the_chip == labels),
+        differ=_share(in_float != on_the_chip),
+        trained=_share(answers(module, task) == labels),
+        clip=clip,
     )
+
+
+def _share(holds: Tensor) -> float:
+    return float(holds.to(torch.float64).mean())
 
 
 def _kind(target: Chip) -> tuple[str, str, float]:
@@ -260,7 +260,7 @@ def _accuracy_in_training(
     clipped = copy.deepcopy(network)
     clipping(clipped, part)
     found = answers(_through(clipped, name, limits), task, unseen=False)
-    return float((found == task.labels[: task.split]).to(torch.float64).mean())
+    return _share(found == task.labels[: task.split])
 
 
 def fit(
@@ -279,7 +279,8 @@ def fit(
     for rows in batches:
         optimiser.zero_grad()
         mean = module(encode(task.images[rows], generator)).mean(dim=0)
-        nn.functional.cross_entropy(SHARPNESS * mean, task.labels[rows]).backward()
+        loss = nn.functional.cross_entropy(SHARPNESS * mean, task.labels[rows])
+        loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
         schedule.step()
         after()
@@ -287,7 +288,8 @@ def fit(
 
 def _batches(task: Task, epochs: int, generator: torch.Generator) -> Iterator[Tensor]:
     for _ in range(epochs):
-        yield from torch.randperm(task.split, generator=generator).split(BATCH)
+        order = torch.randperm(task.split, generator=generator)
+        yield from (order[at : at + BATCH] for at in range(0, task.split, BATCH))
 
 
 def encode(images: Tensor, generator: torch.Generator) -> Tensor:
@@ -300,7 +302,8 @@ def answers(module: ChipModule, task: Task, unseen: bool = True) -> Tensor:
     """Classes (R,) of the unseen images, or of those for training; spikes as in every call."""
     part = slice(task.split, None) if unseen else slice(task.split)
     spikes = encode(task.images[part], torch.Generator().manual_seed(1))
-    return module(spikes).sum(dim=0).argmax(dim=1)
+    found: Tensor = module(spikes).sum(dim=0).argmax(dim=1)
+    return found
 
 
 def page(rows: dict[tuple[str, int], Row]) -> str:
@@ -325,13 +328,15 @@ def page(rows: dict[tuple[str, int], Row]) -> str:
     return "\n".join(
         [
             "# Digits on every chip\n",
+            "Written by `python -m lab digits`; digits.csv has every training.\n",
             f"Unseen images told right [%], mean of {len(seeds)} trainings (least to most), of "
             "a network with 96 hidden neurons. `float` has the same inputs, classes and neurons "
             "without rounding; `on the chip` its weights as they are, of which `differ` says how "
             "many images they tell otherwise; `trained` went on through the chip for "
-            f"{CHIP_EPOCHS} epochs. `limits` off: that design rule refuses the network.\n",
+            f"{CHIP_EPOCHS} epochs, weights clipped where that told most images of the training "
+            "right. `limits` off: that design rule refuses the network.\n",
             markdown_text(table),
-            "\nMade by `python -m lab digits`; all rows in `digits.csv`.\n",
+            "",
         ]
     )
 

@@ -223,6 +223,12 @@ class NumbaPipeline(Uncopied, ABC):
         """One window of every layer; False where the input held too many spikes."""
 
     @staticmethod
+    def both(states: Numbers) -> tuple[Numbers, Numbers]:
+        """Current and membrane; neurons without a current have one of 0."""
+        current = states[0] if len(states) > 1 else np.zeros_like(states[0])
+        return current, states[-1]
+
+    @staticmethod
     def obstacle(program: Program) -> str | None:
         """The reason why it cannot compute the program; None where it can."""
         if obstacle := unsupported_synapses(program):
@@ -260,7 +266,7 @@ class NumbaPipeline(Uncopied, ABC):
         for k, name in enumerate(self._names):
             # (B, T + 1, states, N) to (states, B, T, N)
             states = self._states(k)[:, 1:].transpose(2, 0, 1, 3).astype(np.int64)
-            recordings[name] = Recording(*_both(states), self._rows(k + 1).copy())
+            recordings[name] = Recording(*self.both(states), self._rows(k + 1).copy())
         return recordings
 
     def membranes(self, layer: str) -> Numbers:
@@ -275,7 +281,7 @@ class NumbaPipeline(Uncopied, ABC):
         """Current and membrane (B, N) of each layer."""
         now = [self._states(k)[:, 0].astype(np.int64) for k in range(len(self._names))]
         return {
-            name: _both(states.swapaxes(0, 1))
+            name: self.both(states.swapaxes(0, 1))
             for name, states in zip(self._names, now, strict=True)
         }
 
@@ -316,12 +322,6 @@ class NumbaPipeline(Uncopied, ABC):
         size, past, at, _ = self._sources[source]
         rows = past + self.schedule.timesteps
         return array[:, at : at + rows * size].reshape(self._batch, rows, size)
-
-
-def _both(states: Numbers) -> tuple[Numbers, Numbers]:
-    """Current and membrane; neurons without a current have one of 0."""
-    current = states[0] if len(states) > 1 else np.zeros_like(states[0])
-    return current, states[-1]
 
 
 def _compute_offsets(sizes: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:

@@ -19,7 +19,7 @@ the hidden scale, and recurrent weights once more where the outputs' thresholds 
 `channel_quantize` leaves biases unscaled where neurons have one synapse.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
@@ -86,6 +86,9 @@ class XyloArithmetic(ArithmeticDefaults):
     spikes_max: int
     output_spikes_max: int
     read: Read = "output"
+    backends: ClassVar[Mapping[str, str]] = {
+        "numba": "spikedeploy.runtime.families.numba_xylo:XyloPipeline",
+    }
     choices: ClassVar[tuple[str, ...]] = ("granularity", "rounding")
     time_model: ClassVar[str | None] = "xylo-clocks"
 
