@@ -22,6 +22,7 @@ COMMANDS = {
     "tiles-trainings": "lab.experiments.tiles_trainings",
     "hidden-neurons": "lab.experiments.hidden_neurons",
     "kart-trainings": "lab.experiments.kart_trainings",
+    "own-networks": "lab.experiments.own_networks",
     "phase-table": "lab.experiments.phase_table",
     "convolutions": "lab.bench.convolutions",
     "envs": "lab.bench.envs",

@@ -30,6 +30,7 @@ drift           the cost of quantisation
 eye_events      events of kart-eye by control rate and quiet
 energy_ratio    energy of spiking policies over that of float ones
 hidden_neurons  shipped spiking policies with all hidden neurons dead
+own_networks    networks of one's own as policies
 phase_table     a table of the gait's phases as a baseline
 """
 
