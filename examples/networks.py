@@ -7,6 +7,8 @@ whether a chip has a neuron is the leak, the reset, and whether the reset comes 
 the spike (reset_delay=False); docs/own-policy.md has the table.
 """
 
+from itertools import pairwise
+
 import snntorch as snn
 from torch import Tensor, nn
 
@@ -16,7 +18,7 @@ HIDDEN, OUTPUTS = (32, 16), 8
 def _layers(inputs: int, neurons: type[nn.Module], bias: bool, **settings: object) -> nn.Sequential:
     widths = (inputs, *HIDDEN, OUTPUTS)
     layers: list[nn.Module] = []
-    for before, after in zip(widths, widths[1:], strict=False):
+    for before, after in pairwise(widths):
         layers += [
             nn.Linear(before, after, bias=bias),
             neurons(init_hidden=True, reset_delay=False, **settings),
