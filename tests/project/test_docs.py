@@ -113,7 +113,9 @@ def test_every_exception_is_needed(pattern):
 
 
 def test_the_readmes_python_lets_the_robot_walk(checkout, capsys):
-    (example,) = blocks(PAGES[0], "python")
+    own_network, example = blocks(PAGES[0], "python")
+    exec(own_network, {})
+    assert Path("trained.nir").is_file()
     exec(example, {})
     total, sops = map(float, capsys.readouterr().out.split())
     assert total > 2500
