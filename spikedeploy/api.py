@@ -285,10 +285,10 @@ def load(
 
 def compare(
     env: "str | EnvLike",
-    policies: Sequence[str | Path | LoadedNetwork] = (),
+    policies: "str | Path | LoadedNetwork | Sequence[str | Path | LoadedNetwork]" = (),
     *,
     teacher: object = None,
-    chips: Sequence[str] = (),
+    chips: str | Sequence[str] = (),
     episodes: int = 20,
     seed: int = EVALUATION,
     workers: int = 1,
@@ -297,7 +297,8 @@ def compare(
     """Policies on the same seeds; the float ANN, built-in players and controls are added.
 
     env       a name, a class, a function that makes one, or an instance
-    policies  names of shipped ones, files, run folders or "last"; all that are shipped by default
+    policies  one or several: names of shipped ones, files, run folders or "last"; all that are
+              shipped by default
     teacher   beside them, as of `distill`
     chips     for those that spike; by default those of loaded networks, else what each was trained
               for, else loihi1
@@ -312,6 +313,8 @@ def compare(
     from spikedeploy.reports import comparison as report
     from spikedeploy.shipping.exported_run import runnable
 
+    policies = [policies] if isinstance(policies, str | Path | LoadedNetwork) else policies
+    chips = chips.split(",") if isinstance(chips, str) else chips
     env, names = env_target(env), [runnable(_named(policy)) for policy in policies]
     taught = None if teacher is None else teacher_candidate(runnable(teacher_target(teacher)))
     networks = [policy for policy in policies if isinstance(policy, LoadedNetwork)]
@@ -451,8 +454,11 @@ def export(
     Raises ConfigError where the written file does not do what the policy does.
     """
     if isinstance(network, str | Path | LoadedNetwork):
+        from spikedeploy.objects import env_target
         from spikedeploy.shipping.any_export import export_as
 
+        if options.get("env") is not None:
+            options["env"] = env_target(options["env"])
         name = _named(network) if isinstance(network, LoadedNetwork) else str(network)
         return export_as(name, to, None if path is None else Path(path), **options)
     if path is None or to not in (None, "nir"):

@@ -34,6 +34,11 @@ def target(thing: object) -> str:
     return f"{__name__}:{key}"
 
 
+def is_of_process(name: str) -> bool:
+    """True for a name that means something in one process alone, a script's or a notebook's."""
+    return name.partition(":")[0] in (__name__, "__main__")
+
+
 def env_target(env: "str | type | Callable[..., Any] | gymnasium.Env[Any, Any]") -> str:
     """The name of an environment: a name, a class, a function that makes one, or an instance.
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from spikedeploy import zoo
 from spikedeploy.envs.foreign import is_target
 from spikedeploy.files import suffix
+from spikedeploy.objects import is_of_process
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.copies import Uncopied
@@ -188,9 +189,12 @@ def open_policy(candidate: Candidate, chip: str | None, env: Env, sampled: bool 
 
 
 def check_fit(candidate: Candidate, env: Env) -> None:
-    """Refuse an environment that the candidate was not made for."""
+    """Refuse an environment that the candidate was not made for.
+
+    A name that one process alone knows tells nothing of the environment; the sizes do.
+    """
     made_for, here = candidate.env, env.spec.id if env.spec else None
-    if made_for not in (None, here):
+    if made_for not in (None, here) and not (is_of_process(made_for) or is_of_process(here or "")):
         raise ConfigError(f"{candidate.path} was made for {made_for}, not for {here}")
     sizes = {
         "observes": (candidate.observed, env.observation_space),
