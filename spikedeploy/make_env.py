@@ -21,7 +21,7 @@ def confirm(found: str, named: str | None, source: str) -> None:
     if is_target(found) and found != named:
         raise ConfigError(
             f"{source} was made for {found}, whose code is not run because a file names it: name "
-            f"it yourself, with --env {found}"
+            f"it yourself, with --env {found} (in Python env=, the class too)"
         )
 
 

@@ -128,14 +128,14 @@ def artifact_from_torch(
     return network.artifact(stated)
 
 
-def given_shape(takes: Sequence[int] | None) -> Shape:
-    """Return the shape of an input; ConfigError where there is none."""
+def given_shape(takes: Sequence[int] | int | None) -> Shape:
+    """Return the shape of an input, a number for one axis; ConfigError where there is none."""
     if takes is None:
         raise ConfigError(
             "a torch module does not say the shape of its input: give input_shape, of a timestep "
             "of one sample, as in input_shape=(64,)"
         )
-    return tuple(int(n) for n in takes)
+    return (takes,) if isinstance(takes, int) else tuple(int(n) for n in takes)
 
 
 def common_meaning(neurons: Sequence[TorchNeurons]) -> Meaning:

@@ -276,6 +276,11 @@ def _read(path: Path) -> nir.NIRGraph:
     """The graph in the file, in one level."""
     if not path.is_file():
         raise ArtifactError("there is no such file. Check the path.")
+    if path.suffix in (".pt", ".pth", ".ckpt"):
+        raise ArtifactError(
+            "a file of torch, not NIR. Load the module in Python, and export it: "
+            "spikedeploy.export(module, 'net.nir', input_shape=(64,))."
+        )
     if not h5py.is_hdf5(path):
         raise ArtifactError(
             "not an HDF5 file, so not NIR. Give the .nir file that `spikedeploy export` or another "

@@ -246,8 +246,9 @@ def reset_remedy(reset: str, kinds: Collection[str], resets: Sequence[str]) -> s
     if reset in ("zero", "subtract"):
         return (
             f"Train with reset {' or '.join(map(repr, resets))} (docs/own-network.md says how in "
-            "snnTorch), or run the network in float. Given as an option "
-            f"({' or '.join(f'--reset {each}' for each in resets)}), it makes another network."
+            "snnTorch; `spikedeploy adapt` does it), or run the network in float. Given as an "
+            f"option ({' or '.join(f'--reset {each}' for each in resets)}), it makes another "
+            "network."
         )
     ways = []
     if integrates and "subtract" in resets:
@@ -264,7 +265,8 @@ def reset_remedy(reset: str, kinds: Collection[str], resets: Sequence[str]) -> s
     )
     return (
         f"{is_on_none}. Train with {', or '.join(ways)} (docs/own-network.md, Neurons of snnTorch "
-        "for chips, has working lines), or run the network in float."
+        "for chips, has working lines), go on from this network with the chip's reset, as "
+        "`spikedeploy adapt` does, or run the network in float."
     )
 
 
@@ -741,10 +743,13 @@ def evaluate(design: PlacedNetwork, names: Collection[str] = tuple(RULES)) -> li
 
 
 def refuse(design: PlacedNetwork, names: Collection[str]) -> None:
-    """Refuse a network that breaks one of these rules of the chip, by the first that it breaks."""
-    for result in evaluate(design, names):
-        if result.failed:
-            raise RuleError(
-                f"{result.describe(design.chip.name)} Or emulate the arithmetic alone with "
-                "--limits off (limits=False)."
-            )
+    """Refuse a network that breaks one of these rules of the chip; the first is described."""
+    broken = [result for result in evaluate(design, names) if result.failed]
+    if not broken:
+        return
+    others = list(dict.fromkeys(each.rule for each in broken if each.rule != broken[0].rule))
+    also = f" It breaks {', '.join(others)} too, which `check` describes." if others else ""
+    raise RuleError(
+        f"{broken[0].describe(design.chip.name)}{also} Or emulate the arithmetic alone with "
+        "--limits off (limits=False)."
+    )

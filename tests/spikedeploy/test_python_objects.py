@@ -72,7 +72,7 @@ def test_a_network_is_distilled_from_a_function_compared_and_exported(tmp_path, 
     assert (firmware / "policy.c").is_file()
     # an instance has a name in this process alone, and sizes decide whether the policy fits it
     assert sd.compare(Levels(), run, chips="loihi1", episodes=1).rows
-    with pytest.raises(ConfigError, match="observ|puts out"):
+    with pytest.raises(ConfigError, match=r"observes|puts out"):
         sd.compare(gymnasium.make("Pendulum-v1"), policy, episodes=1)
     with pytest.raises(ConfigError, match="unknown format 'rust'"):
         sd.export(run, to="rust")

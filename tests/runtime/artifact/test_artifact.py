@@ -162,6 +162,12 @@ def test_a_file_that_is_no_hdf5_is_refused(path, content):
         load(path)
 
 
+def test_a_file_of_torch_is_refused_with_the_export(tmp_path):
+    (tmp_path / "net.pt").write_bytes(b"PK")
+    with pytest.raises(ArtifactError, match=r"a file of torch, not NIR.*spikedeploy\.export"):
+        load(tmp_path / "net.pt")
+
+
 def test_hdf5_that_is_no_graph_is_refused(path, tmp_path):
     nir.write(path, cuba(3))
     with h5py.File(tmp_path / "other.nir", "w") as file:

@@ -302,6 +302,11 @@ def test_what_breaks_a_rule_is_refused_by_its_name_with_the_limit_and_the_way_ou
     assert program.layers[0].synapses[0].weight.shape == (4096, 2)
 
 
+def test_all_rules_that_a_network_breaks_are_named():
+    with pytest.raises(RuleError, match=r"^rule inputs: .* It breaks outputs too, which `check`"):
+        compile_program(one(fan_in=17, size=9, reset="subtract"), chip("xylo-a2"))
+
+
 def test_a_network_of_several_chips_passes_with_a_remark_where_chips_can_be_joined():
     few = {"neurons_per_core": 1, "cores": 2, "input_cores": False}
     (found,) = check(one(size=5), limited(**few)).of("chips")
