@@ -22,8 +22,9 @@ from lab.experiments.training import Record, read_rows, write_exactly
 from spikedeploy import envs
 from spikedeploy.files import write_text
 from spikedeploy.reports.table import markdown_text
-from spikedeploy.runtime import SpikingController, load
+from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.exported_run import runnable
 

@@ -149,7 +149,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         )
         # v = b v + (u + bias)      each as its register holds it
         kept = decay(_one_step_before(membrane, at), factor, self.decay_bits)
-        before = membrane.copy()
+        before: Numbers = membrane.copy()
         before[at] = self.membrane.fit(kept + self.push.fit(current[at] + bias))
         return before
 
@@ -333,7 +333,7 @@ class CubaFloat64(ArithmeticDefaults):
             for each in (layer.voltage_bias, layer.membrane_decay)
         )
         # V = b V + I + bias
-        before = membrane.copy()
+        before: Numbers = membrane.copy()
         before[at] = factor * _one_step_before(membrane, at) + current[at] + bias
         return before
 
