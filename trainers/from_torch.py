@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from operator import index
 from typing import Any
 
 import nir
@@ -64,10 +65,6 @@ class _TimeAxisError(Exception):
     """The module indexes an axis of its input, or a layer takes one more: that of timesteps."""
 
 
-# of a forward that was given another shape than it takes
-_FAILURES = (RuntimeError, TypeError, IndexError, ValueError, AttributeError)
-
-
 def network_from_torch(module: nn.Module, takes: Shape) -> tuple[TorchNetwork, list[TorchNeurons]]:
     """Return the network of a module, and its neurons, which say their convention.
 
@@ -75,6 +72,10 @@ def network_from_torch(module: nn.Module, takes: Shape) -> tuple[TorchNetwork, l
 
     Raises ConfigError with the name of the module, where something has no place on a chip.
     """
+    if not isinstance(module, nn.Module):
+        raise ConfigError(
+            f"a network is a torch.nn.Module, or a .nir file; found {_described(module)}"
+        )
     with _unchanged(module), torch.no_grad():
         tracer, puts = _traced(module, takes)
     return tracer.network(takes, puts)
@@ -98,7 +99,8 @@ def _traced(module: nn.Module, takes: Shape) -> "tuple[_Tracer, _Value]":
         raise failed
     raise ConfigError(
         f"{_name_of(module)}: its forward failed on zeros of a batch of {_BATCH} and shape "
-        f"{takes}: {failed}. Give the shape of one timestep of one sample as input_shape."
+        f"{takes}: {type(failed).__name__}: {failed}. Give the shape of one timestep of one sample "
+        "as input_shape."
     ) from failed
 
 
@@ -107,7 +109,7 @@ def _attempt(
 ) -> "tuple[_Tracer, _Value] | Exception":
     try:
         return _run(module, takes, axes)
-    except (_TimeAxisError, ConfigError, *_FAILURES) as error:
+    except Exception as error:  # of a forward that was given another shape than it takes
         return error
 
 
@@ -135,7 +137,12 @@ def given_shape(takes: Sequence[int] | int | None) -> Shape:
             "a torch module does not say the shape of its input: give input_shape, of a timestep "
             "of one sample, as in input_shape=(64,)"
         )
-    return (takes,) if isinstance(takes, int) else tuple(int(n) for n in takes)
+    try:
+        return (index(takes),) if isinstance(takes, int) else tuple(index(n) for n in takes)
+    except TypeError:
+        raise ConfigError(
+            f"input_shape is {takes!r}; it is a tuple of whole numbers, as in input_shape=(64,)"
+        ) from None
 
 
 def common_meaning(neurons: Sequence[TorchNeurons]) -> Meaning:
@@ -269,8 +276,12 @@ class _Tracer(TorchFunctionMode):
     def watch(self) -> list[Any]:
         """Hook the leaf modules; return the handles."""
         handles = []
+        taken = {TorchNetwork.INPUT, TorchNetwork.OUTPUT}  # of the graph's ends
         for name, module in _leaves(self._root):
             name = name or type(module).__name__.lower()
+            while name in taken:
+                name += "_"
+            taken.add(name)
             handles += [
                 module.register_forward_pre_hook(self._enter),
                 module.register_forward_hook(self._leave(name, module)),
@@ -318,7 +329,7 @@ class _Tracer(TorchFunctionMode):
             if name == "__setitem__":  # it changes a tensor and returns none
                 self._written(arguments[0], arguments[2])
             elif _tensors(result):
-                self._note(name, arguments, result)
+                self._note(name, arguments, options or {}, result)
         return result
 
     def _written(self, target: Tensor, source: object) -> None:
@@ -338,7 +349,9 @@ class _Tracer(TorchFunctionMode):
         else:
             self._forget(target, "__setitem__")
 
-    def _note(self, function: str, arguments: Sequence[Any], result: object) -> None:
+    def _note(
+        self, function: str, arguments: Sequence[Any], options: Mapping[str, Any], result: object
+    ) -> None:
         for each in _tensors(arguments):
             if id(each) in self._unknown:
                 return self._forget(result, self._unknown[id(each)][1])
@@ -354,9 +367,13 @@ class _Tracer(TorchFunctionMode):
             if not self._loops:
                 raise _TimeAxisError
             self._at_timesteps(function, arguments, result)
-        elif function in _ADDING and len(terms) == len(known):
+        elif function in _ADDING and len(terms) == len(known) and _adds(arguments, options, terms):
             self._know_all(result, [_Value(tuple(t for each in terms for t in each.terms))])
-        elif function in _STACKING and len({_nodes(each) for each in known}) == 1:
+        elif (
+            function in _STACKING
+            and len({_nodes(each) for each in known}) == 1
+            and self._stacks(_tensors(arguments)[0], result, terms[0])
+        ):
             self._know_all(result, [terms[-1]])  # timesteps of one node
         elif function in _RESHAPING and isinstance(first, Tensor) and isinstance(result, Tensor):
             self._know_all(result, [self._reshaped(function, first, result, terms[0])])
@@ -430,6 +447,13 @@ class _Tracer(TorchFunctionMode):
             if source:
                 return self.nodes[source].puts
         return tuple(tensor.shape[1:])
+
+    def _stacks(self, before: Tensor, after: object, value: _Value) -> bool:
+        """Return True if tensors of a node are put one behind the other in batch or time."""
+        shape = self._shape(value, before)
+        return isinstance(after, Tensor) and (
+            after.ndim > before.ndim or after.shape[after.ndim - len(shape) :] == shape
+        )
 
     def _is_arranged(self, before: object, after: object) -> bool:
         """Return True if only batch and time have other axes after a function than before."""
@@ -596,6 +620,11 @@ class _Tracer(TorchFunctionMode):
                 nodes[f"{source}.delay"] = Delay(steps)
                 edges.remove((source, target))
                 edges |= {(source, f"{source}.delay"), (f"{source}.delay", target)}
+        if TorchNetwork.INPUT in ends:
+            raise ConfigError(
+                "its input is added to its output; what leaves a chip comes from its layers. Put "
+                "neurons, or a layer, between them."
+            )
         puts = nodes[ends[0]].puts
         neurons = [node for node in nodes.values() if isinstance(node, TorchNeurons)]
         return TorchNetwork(nodes, sorted(edges), takes, puts), neurons
@@ -608,6 +637,14 @@ _INDEXING = {"__getitem__", "unbind", "select", "__iter__"}
 _ADDING = {"add", "__add__", "__radd__", "__iadd__", "add_"}
 _STACKING = {"stack", "cat"}
 _RESHAPING = {"flatten", "view", "reshape", "unflatten", "squeeze", "unsqueeze"}
+
+
+def _adds(arguments: Sequence[Any], options: Mapping[str, Any], values: Sequence[_Value]) -> bool:
+    """Return True if a sum adds tensors of several nodes, or 0 as Python's `sum` does."""
+    constants = [each for each in arguments if not isinstance(each, Tensor)]
+    nodes = [term for each in values for term in each.terms]
+    # an edge of NIR counts once
+    return not options and all(each == 0 for each in constants) and len({*nodes}) == len(nodes)
 
 
 def _nodes(value: _Value | None) -> tuple[str, ...]:
@@ -707,6 +744,13 @@ def _tensors(found: object) -> list[Tensor]:
     if isinstance(found, tuple | list):
         return [tensor for each in found for tensor in _tensors(each)]
     return []
+
+
+def _described(thing: object) -> str:
+    """Return what is no module, and what to do with a class."""
+    if isinstance(thing, type):
+        return f"the class {thing.__name__}: give an instance, as in {thing.__name__}()"
+    return f"a {type(thing).__name__}"
 
 
 def _name_of(module: nn.Module) -> str:

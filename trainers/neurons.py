@@ -18,6 +18,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.numba_kernels import jit
 from spikedeploy.trainers.config import require_known
 
@@ -60,6 +61,8 @@ def surrogate(name: str, width: float | None = None) -> Surrogate:
         [membrane]; None for that of its paper
     """
     function, usual = _SURROGATES[require_known(name, _SURROGATES, "surrogate")]
+    if width is not None and not 0 < width < math.inf:
+        raise ConfigError(f"the width of the surrogate is {width:g}; it is above 0 and finite")
     return partial(function, width=usual if width is None else width)
 
 

@@ -39,7 +39,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention, Floor, Reset, Spikes
 from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.errors import ConfigError, ObservationError
+from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
 from spikedeploy.runtime.families.numba_kernels import jit
 from spikedeploy.runtime.graph.order import Timing, timing
 from spikedeploy.trainers.from_torch import common_meaning, given_shape, network_from_torch
@@ -135,7 +135,7 @@ def convention_on(target: Chip, stated: Convention, wanted: Meaning) -> Conventi
 class ChipModule(nn.Module):
     """A network on a chip: spikes (T, B, *takes) in, what leaves the chip (T, B, *puts) out.
 
-    network: its parameters are these
+    network: its parameters are these, and where axons have types, their weights
     target: the datasheet of the chip
     convention: of the network, and of the files that `save` writes
     codec: of the files that `save` writes, where the network drives a robot
@@ -177,6 +177,7 @@ class ChipModule(nn.Module):
 
         Where gradients are recorded, those of the output lead to parameters and spikes.
         """
+        spikes = self._given(spikes)
         differentiable = torch.is_grad_enabled()
         if differentiable:
             for node in self.network.nodes.values():
@@ -207,19 +208,35 @@ class ChipModule(nn.Module):
         # fused optimisers do not count versions of tensors, so their numbers are compared
         held = self._numbers()
         if self._compiled is None or held != self._compiled[0]:
-            for name, tensor in self.network.named_parameters():
-                if not bool(tensor.isfinite().all()):
-                    raise ConfigError(
-                        f"parameter {name} holds {_first_infinite(tensor):g} after an update: the "
-                        "loss was not finite, or the learning rate is too large"
-                    )
+            self._check_finite()
             if self._compiler is None:
                 self._compiler = Recompiler(self.artifact(), self.target, limits=self.limits)
                 program = self._compiler.first
             else:
-                program = self._compiler.program(self.artifact())
+                try:
+                    program = self._compiler.program(self.artifact())
+                except (RuleError, ArtifactError) as error:
+                    raise type(error)(
+                        f"{error} It fitted before the last update: train more slowly, at a "
+                        "smaller learning rate."
+                    ) from error
             self._compiled = held, program
         return self._compiled[1]
+
+    def _check_finite(self) -> None:
+        for node, module in self.network.nodes.items():
+            for name, tensor in module.named_parameters():
+                if not bool(tensor.isfinite().all()):
+                    cause = (
+                        "as the network was given. Correct it"
+                        if self._compiled is None
+                        else "after an update: the loss was not finite, or the learning rate is "
+                        "too large"
+                    )
+                    raise ConfigError(
+                        f"parameter {name.rpartition('.')[2]} of {node!r} holds "
+                        f"{_first_infinite(tensor):g} {cause}"
+                    )
 
     @cached_property
     def _timing(self) -> Timing:
@@ -238,6 +255,16 @@ class ChipModule(nn.Module):
         tensors = (*self.network.parameters(), *self.network.buffers())
         return b"".join(each.detach().numpy().tobytes() for each in tensors)
 
+    def _given(self, spikes: Tensor) -> Tensor:
+        """Return the spikes in the type of the network's numbers."""
+        if not isinstance(spikes, Tensor):
+            raise ObservationError(
+                f"the spikes are a {type(spikes).__name__}, and the module takes tensors, as of "
+                "torch.from_numpy(spikes)"
+            )
+        kinds = [p.dtype for p in self.network.parameters() if p.is_floating_point()]
+        return spikes.to(kinds[0] if kinds else torch.float32)
+
     def _raster(self, spikes: Tensor) -> NDArray[np.uint8]:
         """Return the spikes as the chip takes them, (B, T, M)."""
         takes = self.network.takes
@@ -246,6 +273,11 @@ class ChipModule(nn.Module):
             raise ObservationError(
                 f"the spikes have shape {tuple(spikes.shape)}; this network takes ({wanted}), "
                 "timesteps first."
+            )
+        if not all(spikes.shape[:2]):
+            raise ObservationError(
+                f"the spikes have shape {tuple(spikes.shape)}: give at least one timestep and one "
+                "sample"
             )
         values = spikes.detach().flatten(2).numpy()
         counts = np.empty((values.shape[1], len(values), values.shape[2]), np.uint8)

@@ -19,7 +19,7 @@ from spikedeploy.runtime.chips.chip import chip  # noqa: E402
 from spikedeploy.runtime.compiler.compile import compile_program  # noqa: E402
 from spikedeploy.runtime.convention import Convention  # noqa: E402
 from spikedeploy.runtime.emulator.machine import Machine  # noqa: E402
-from spikedeploy.runtime.errors import ConfigError, ObservationError  # noqa: E402
+from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError  # noqa: E402
 from spikedeploy.trainers.through_chip import on_chip  # noqa: E402
 
 
@@ -385,6 +385,85 @@ def test_a_module_that_is_no_network_on_a_chip_is_refused(net, words):
         on_chip(net, "loihi1", (8,))
 
 
+class Between(Passed):
+    """Something of the user between a layer's input and its neurons."""
+
+    def __init__(self, between):
+        super().__init__()
+        self.between = between
+
+    def forward(self, x):
+        hidden, _ = self.lif1(self.between(x, self.fc1(x)))
+        out, _ = self.lif2(self.fc2(hidden))
+        return out
+
+
+@pytest.mark.parametrize(
+    ("between", "words"),
+    [
+        (lambda _, y: y + 1.0, "lif1: it receives what add makes"),
+        (lambda _, y: y + y, "what add makes"),
+        (lambda _, y: torch.add(y, y, alpha=3), "what add makes"),
+        (lambda _, y: torch.cat([y[:, :6], y[:, 6:]], 1), "__getitem__"),
+        (lambda x, _: 1 / 0, "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_constants_factors_and_errors_of_a_forward_are_refused(between, words):
+    """None of them is left out of the network in silence."""
+    with pytest.raises(ConfigError, match=words):
+        on_chip(Between(between), "loihi1", (8,))
+
+
+class Named(nn.Module):
+    """Layers by the names that a graph has for its ends."""
+
+    def __init__(self):
+        super().__init__()
+        self.input, self.output = nn.Linear(8, 6), leaky()
+
+    def forward(self, x):
+        return self.output(self.input(x))[0]
+
+
+def test_layers_may_be_called_input_and_output():
+    assert on_chip(Named(), "loihi1", (8,))(raster(8)).shape == (7, 3, 6)
+
+
+@pytest.mark.parametrize(
+    ("net", "shape", "words"),
+    [
+        (Named, (8,), "the class Named: give an instance"),
+        (3, (8,), "found a int"),
+        (Named(), "ab", "input_shape is 'ab'; it is a tuple"),
+        (Named(), (8.5,), "it is a tuple of whole numbers"),
+    ],
+)
+def test_what_is_no_module_or_shape_is_refused(net, shape, words):
+    with pytest.raises(ConfigError, match=words):
+        on_chip(net, "loihi1", shape)
+
+
+def test_a_surrogate_without_a_width_is_refused():
+    with pytest.raises(ConfigError, match="width of the surrogate is -1"):
+        on_chip(dense(leaky), "loihi1", (8,), surrogate_width=-1.0)
+
+
+def test_spikes_of_every_type_are_those_of_the_networks_numbers():
+    module, spikes = on_chip(dense(leaky), "loihi1", (8,)), raster(8)
+    wanted = module(spikes)
+    for kind in (torch.bool, torch.uint8, torch.float64, torch.float16):
+        assert torch.equal(module(spikes.to(kind)), wanted)
+
+
+def test_numbers_that_no_longer_fit_say_that_they_did():
+    net = dense(lambda: leaky(learn_threshold=True))
+    module = on_chip(net, "loihi1", (8,))
+    with torch.no_grad():
+        net[1].threshold.fill_(-1.0)
+    with pytest.raises(ArtifactError, match="It fitted before the last update"):
+        module(raster(8))
+
+
 def test_a_neuron_that_no_chip_has_is_trained_as_the_nearest_and_this_is_said():
     with pytest.warns(UserWarning, match=r"the nearest that it does, reset 'zero'"):
         on_chip(dense(lambda: snn.Leaky(beta=0.9)), "loihi1", (8,))
@@ -396,6 +475,10 @@ def test_inputs_that_are_no_spikes_are_refused():
         module(torch.full((4, 2, 8), 0.5))
     with pytest.raises(ObservationError, match=r"takes \(T, B, 8\)"):
         module(torch.zeros(4, 8))
+    with pytest.raises(ObservationError, match="at least one timestep and one sample"):
+        module(torch.zeros(0, 2, 8))
+    with pytest.raises(ObservationError, match="a ndarray, and the module takes tensors"):
+        module(np.zeros((4, 2, 8)))
 
 
 def test_weights_that_are_no_numbers_are_named():
@@ -403,5 +486,7 @@ def test_weights_that_are_no_numbers_are_named():
     module = on_chip(net, "loihi1", (8,))
     with torch.no_grad():
         net[2].weight[0, 0] = float("nan")
-    with pytest.raises(ConfigError, match="holds nan"):
+    with pytest.raises(ConfigError, match="weight of '2' holds nan after an update"):
         module(raster(8))
+    with pytest.raises(ConfigError, match="holds nan as the network was given"):
+        on_chip(net, "loihi1", (8,))
