@@ -26,7 +26,13 @@ from torch import Tensor, nn
 
 from spikedeploy.runtime.artifact.artifact import Artifact, digest, load, save
 from spikedeploy.runtime.emulator.network import run_network
-from spikedeploy.runtime.errors import ConfigError, ObservationError, RuleError, SpikedeployError
+from spikedeploy.runtime.errors import (
+    ArtifactError,
+    ConfigError,
+    ObservationError,
+    RuleError,
+    SpikedeployError,
+)
 from spikedeploy.runtime.graph.shapes import Shape
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.from_torch import artifact_from_torch
@@ -49,6 +55,7 @@ _MOST_HALVINGS = 10  # of the learning rate, beyond which numbers that a chip la
 # bytes of a neuron or input in a timestep of a sample in an update: 22 to 26 measured, of dense and
 # convolutional networks on loihi1, odin and ideal
 _STATE = 40
+_NO_NUMBERS = (RuleError, ArtifactError)  # that a chip or a file holds, as thresholds below 0
 _UNKNOWN_MEMORY = 1 << 32
 
 
@@ -72,9 +79,10 @@ class Settings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "batch", "patience"):
-            if (found := getattr(self, name)) < 1:
-                raise ConfigError(f"{name} is {found}; the least is 1.")
+        for name, least in (("epochs", 1), ("batch", 1), ("patience", 1), ("seed", 0)):
+            found = getattr(self, name)
+            if not isinstance(found, int | np.integer) or found < least:
+                raise ConfigError(f"{name} is {found!r}; it is a whole number, at least {least}.")
         if not 0 < self.rate < math.inf:
             raise ConfigError(f"rate is {self.rate:g}; it must be above 0 and finite.")
         if not 0 < self.held_out <= 0.5:
@@ -189,6 +197,12 @@ def adapt(
     twin = network if isinstance(network, Artifact) else artifact_from_torch(network, input_shape)
     module = on_chip(network, chip_name, input_shape, limits=limits)
     settings = settings or Settings()
+    if resume and checkpoint is None:
+        raise ConfigError("resume goes on from a checkpoint: give the one that was written")
+    if not any(each.requires_grad for each in module.network.parameters()):
+        raise ConfigError(
+            "no number of the network is trained: set requires_grad of those that may change"
+        )
     samples = _samples(raster, module.network.takes)
     classes = None if labels is None else _classes(labels, len(samples), module.network.puts)
     _check_memory(module, settings.batch, samples.shape[1])
@@ -299,7 +313,12 @@ class _Training(Learner):
             bar.at(self.update, total)
             if self.update % every and self.update < total:
                 continue
-            self._validated(self.validate())
+            try:
+                score = self.validate()
+            except _NO_NUMBERS:
+                self._go_back()
+                score = self.validate()
+            self._validated(score)
             self.save(checkpoint, origin)
             name = "error" if self.classes is None else "accuracy"
             row = {"train_loss": float(np.nanmean(losses)), **{
@@ -318,11 +337,8 @@ class _Training(Learner):
         self.update += 1
         try:
             loss = self.loss(self.outputs(rows), rows)
-        except RuleError:  # numbers that no integers of the chip stand for: go back, more slowly
-            if self.halvings >= _MOST_HALVINGS:
-                raise
-            self.module.network.load_state_dict(self.policy.state_dict())
-            self.halvings += 1
+        except _NO_NUMBERS:
+            self._go_back()
             return math.nan
         if not math.isfinite(loss.item()):
             raise ConfigError(
@@ -335,6 +351,13 @@ class _Training(Learner):
         descend(adam_, self.module.network, loss, _GRADIENT_NORM)
         self._limit()
         return loss.item()
+
+    def _go_back(self) -> None:
+        """Return to the best numbers, to go on more slowly; called in an `except`."""
+        if self.halvings >= _MOST_HALVINGS:
+            raise
+        self.module.network.load_state_dict(self.policy.state_dict())
+        self.halvings += 1
 
     def _validated(self, score: Score) -> None:
         self.latest = score
@@ -395,11 +418,12 @@ class _Training(Learner):
     def _clip(self) -> None:
         """Choose the largest weight of each layer, one after the other, twice."""
         rows = np.random.default_rng(self.settings.seed).permutation(self.trained)[:_CLIP_SAMPLES]
-        named = dict(self.module.network.named_parameters())
+        # layers that share a matrix have one name; what the user froze stays
+        named = {n: p for n, p in self.module.network.named_parameters() if p.requires_grad}
         layers = [
             [f"listed.{k}.layer.weight", f"listed.{k}.layer.bias"]
             for k, node in enumerate(self.module.network.listed)
-            if isinstance(node, Weights)
+            if isinstance(node, Weights) and f"listed.{k}.layer.weight" in named
         ]
         least = self._loss_of(rows)
         first = {
@@ -425,7 +449,7 @@ class _Training(Learner):
     def _loss_of(self, rows: NDArray[np.int64]) -> float:
         try:
             return float(self.loss(self._all_outputs(rows), rows))
-        except RuleError:  # such as where every weight becomes 0
+        except _NO_NUMBERS:  # such as where every weight becomes 0
             return math.inf
 
     def _limit(self) -> None:

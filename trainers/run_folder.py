@@ -295,7 +295,13 @@ def write_checkpoint(
     """Write tensors and a state, as JSON, to one file; return the state with the checksum."""
     from safetensors.torch import save_file
 
-    named = {key: value.contiguous() for key, value in tensors.items()}
+    named: dict[str, Tensor] = {}
+    places: set[int] = set()
+    for key, value in tensors.items():
+        whole = value.contiguous()
+        # of layers that share a matrix each holds a copy, as the format has no references
+        named[key] = whole.clone() if whole.data_ptr() in places else whole
+        places.add(whole.data_ptr())
     record = {**state, "sha256": _digest(state, named)}
     with write_errors(path), replacing(path) as part:
         # the state is part of the same file, so that the two always belong together
@@ -311,9 +317,12 @@ def read_checkpoint(
 
     try:
         with safe_open(path, "pt") as file:
-            state: dict[str, Any] = json.loads(file.metadata()["state"])
+            held = file.metadata() or {}
+            if "state" not in held:
+                raise ValueError("it holds no state of a training")
+            state: dict[str, Any] = json.loads(held["state"])
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-        if state["sha256"] != _digest(state, tensors):
+        if state.get("sha256") != _digest(state, tensors):
             raise ValueError("its content does not have its checksum")
     except (SafetensorError, OSError, KeyError, TypeError, AttributeError, ValueError) as error:
         raise ConfigError(f"{path} is not a valid checkpoint: {error}. {remedy}") from error

@@ -177,9 +177,62 @@ def test_a_slip_is_refused_before_training_with_what_was_found(given, says, arti
 
 
 def test_settings_out_of_range_are_refused(artifact):
-    for wrong in ({"epochs": 0}, {"batch": 0}, {"rate": float("nan")}, {"held_out": 1.0}):
+    wrongs = (
+        {"epochs": 0}, {"batch": 0}, {"batch": 2.5}, {"seed": -1}, {"rate": float("nan")},
+        {"held_out": 1.0},
+    )  # fmt: skip
+    for wrong in wrongs:
         with pytest.raises(ConfigError, match=next(iter(wrong))):
             sd.adapt(artifact, CHIP, RASTER, **wrong)
+
+
+def test_resuming_asks_for_a_checkpoint(artifact):
+    with pytest.raises(ConfigError, match="give the one that was written"):
+        sd.adapt(artifact, CHIP, RASTER, resume=True, quiet=True)
+
+
+class Tied(nn.Module):
+    """Two layers with one matrix, thresholds that are learnt, and a layer that is not trained."""
+
+    def __init__(self):
+        super().__init__()
+        has = {"beta": 0.9, "init_hidden": True, "reset_mechanism": "zero", "reset_delay": False}
+        self.fc1, self.lif1 = nn.Linear(16, 8), snn.Leaky(**has)
+        self.fc2, self.lif2 = nn.Linear(8, 8), snn.Leaky(**has, learn_threshold=True)
+        self.fc3, self.lif3 = nn.Linear(8, 8), snn.Leaky(**has)
+        self.fc3.weight = self.fc2.weight
+        self.fc1.weight.requires_grad_(False)
+
+    def forward(self, x):
+        return self.lif3(self.fc3(self.lif2(self.fc2(self.lif1(self.fc1(x))))))
+
+
+def test_layers_that_share_a_matrix_are_clipped_once_and_frozen_weights_stay(tmp_path):
+    torch.manual_seed(0)
+    net, path = Tied(), tmp_path / "checkpoint.safetensors"
+    frozen, shared = net.fc1.weight.clone(), net.fc2.weight
+    more = {**QUICK, "input_shape": (16,), "quiet": True, "checkpoint": path}
+    found = sd.adapt(net, CHIP, RASTER, LABELS, **more)
+    assert torch.equal(net.fc1.weight, frozen)
+    assert net.fc3.weight is shared
+    nodes = found.artifact.graph.nodes
+    assert np.array_equal(nodes["fc2"].weight, nodes["fc3"].weight)
+
+
+def test_a_network_of_which_nothing_is_trained_is_refused():
+    net = Tied().requires_grad_(False)
+    with pytest.raises(ConfigError, match="no number of the network is trained"):
+        sd.adapt(net, CHIP, RASTER, LABELS, input_shape=(16,), quiet=True)
+
+
+def test_thresholds_that_leave_their_range_go_back_to_the_best_numbers():
+    torch.manual_seed(0)
+    more = {**QUICK, "input_shape": (16,), "quiet": True}
+    found = sd.adapt(Tied(), CHIP, RASTER, LABELS, **{**more, "rate": 1.0})
+    assert found.finished
+    assert found.after.rank >= found.before.rank
+    with pytest.raises(RuleError, match=r"fitted before the last update.*smaller learning rate"):
+        sd.adapt(Tied(), CHIP, RASTER, LABELS, **{**more, "rate": 1e30})
 
 
 def test_a_chip_without_room_is_named_before_training_and_limits_off_trains(artifact):
