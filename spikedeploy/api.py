@@ -466,6 +466,11 @@ def export(
             "a torch module is exported as a .nir file: name it, as in "
             "sd.export(net, 'net.nir', input_shape=(64,)); other formats are made of that file"
         )
+    if options:
+        raise ConfigError(
+            f"{', '.join(options)} of a torch module: they are of other formats, which are made of "
+            "the .nir file"
+        )
     from spikedeploy.trainers.from_torch import artifact_from_torch
     from spikedeploy.trainers.through_chip import ChipModule
 

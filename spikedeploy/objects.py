@@ -11,6 +11,8 @@ from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from spikedeploy.runtime.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -98,5 +100,16 @@ def overrides_of(settings: Mapping[str, Any] | Sequence[str]) -> list[str]:
         if isinstance(value, Mapping):
             found += [f"{key}.{inner}" for inner in overrides_of(value)]
         else:
-            found.append(f"{key}={dumps(value)}")
+            found.append(f"{key}={dumps(value, default=_plain)}")
     return found
+
+
+def _plain(value: object) -> object:
+    """A number, array or path as JSON has them."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    raise ConfigError(
+        f"a setting is a {type(value).__name__}, {value!r}; it is text, a number, a list or a dict"
+    )

@@ -57,3 +57,25 @@ class Greedy(nn.Module):
 
 def nothing():
     return torch.zeros(1)
+
+
+class Subtracts(Net):
+    """The same, whose spikes subtract the threshold."""
+
+    def __init__(self, inputs, actions):
+        super().__init__(inputs, actions)
+        for each in (self.lif1, self.lif2):
+            each.reset_mechanism = "subtract"
+
+
+class Tied(nn.Module):
+    """Two layers with one matrix."""
+
+    def __init__(self, inputs):
+        super().__init__()
+        self.fc1, self.lif1 = nn.Linear(inputs, inputs), leaky()
+        self.fc2, self.lif2 = nn.Linear(inputs, inputs), leaky()
+        self.fc2.weight = self.fc1.weight
+
+    def forward(self, x):
+        return self.lif2(self.fc2(self.lif1(self.fc1(x))))

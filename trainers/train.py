@@ -170,14 +170,17 @@ def _network(config: RunConfig) -> dict[str, Any]:
 def _check_sizes(path: Path, state: Mapping[str, Any], policy: Policy) -> None:
     """Refuse a run to be resumed in an environment whose observations or actions are others."""
     for name in ("observations", "actions") if state else ():
-        began, now = state["policy"].get(name), getattr(policy, name)
-        if began not in (None, now):
+        began, found = state["policy"].get(name), getattr(policy, name)
+        if began not in (None, found):
             raise ConfigError(
                 f"a resumed run keeps its network, and in {path} it has {began} {name}; with these "
-                f"settings of env there are {now}"
+                f"settings of env there are {found}"
             )
-    is_network = bool(state) and isinstance(policy, NetworkPolicy)
-    if is_network and state["policy"].get("network") != policy.spec()["network"]:
+    if not state or not isinstance(policy, NetworkPolicy):
+        return
+    # numbers that are not trained are those of the checkpoint
+    now = policy.spec()
+    if any(state["policy"].get(name) != now[name] for name in ("network", "reset", "at_threshold")):
         raise ConfigError(
             f"a resumed run keeps its network, and that of policy.network is another now than in "
             f"{path}: bring its module or file back as it was"

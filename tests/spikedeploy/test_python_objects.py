@@ -1,5 +1,7 @@
 """Python objects where commands take names: environments, teachers, networks, settings."""
 
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 import pytest
@@ -99,3 +101,11 @@ def test_an_instance_of_a_network_is_trained_by_reward(tmp_path):
     assert (network.fc1.weight == before).all()  # a run trains a copy
     with pytest.raises(ConfigError, match="needs a recipe"):
         sd.train(Levels)
+
+
+def test_settings_are_numbers_of_numpy_arrays_and_paths_too():
+    given = {"steps": np.int64(2), "policy": {"hidden": np.arange(2), "network": Path("x.nir")}}
+    wanted = ["steps=2", "policy.hidden=[0, 1]", 'policy.network="x.nir"']
+    assert overrides_of(given) == wanted
+    with pytest.raises(ConfigError, match="a setting is a set"):
+        overrides_of({"steps": {1}})

@@ -362,6 +362,11 @@ def _of_module(
             "argument inputs"
         )
     network, neurons = network_from_torch(made, takes)
+    if shared := shared_weights(network):
+        print(
+            f"{name}: layers {' and '.join(shared)} share weights; from here on each has its own",
+            file=sys.stderr,
+        )
     meaning = common_meaning(neurons)
     policy = _policy(network.detached(), meaning, observations, actions, clip, head, settings)
     if remark := nearest_remark(policy.target, policy.module.convention, meaning):
@@ -411,6 +416,13 @@ def _made(name: str, maker: Any, sizes: tuple[int, int]) -> nn.Module:  # noqa: 
     if not isinstance(made, nn.Module):
         raise ConfigError(f"{name} makes {type(made).__name__}, and no torch.nn.Module")
     return made
+
+
+def shared_weights(network: TorchNetwork) -> list[str]:
+    """Return the nodes whose matrix is that of another one, too."""
+    weights = {n: id(w.layer.weight) for n, w in network.nodes.items() if isinstance(w, Weights)}
+    held = list(weights.values())
+    return [name for name, weight in weights.items() if held.count(weight) > 1]
 
 
 def _inputs_of(module: nn.Module) -> int | None:

@@ -19,6 +19,7 @@ from spikedeploy.trainers.config import ChipSnnConfig, NetworkConfig
 from spikedeploy.trainers.network import Weights
 from spikedeploy.trainers.policies import build, from_config
 from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.train import _check_sizes as check_sizes
 from spikedeploy.trainers.train import train
 from tests.trainers.test_resume import After
 
@@ -276,3 +277,23 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_bits(recipe, tmp_path):
         (_, one), (_, other) = (RunFolder(run).load(name) for run in (whole, part))
         assert one.keys() == other.keys()
         assert all(torch.equal(one[key].nan_to_num(), other[key].nan_to_num()) for key in one)
+
+
+def test_a_network_that_resets_otherwise_is_no_network_to_be_resumed(tmp_path):
+    (student, other) = (
+        from_config(NetworkConfig(network=f"tests.own_networks:{name}", chip="spinnaker2"), 3, 2)
+        for name in ("Net", "Subtracts")
+    )
+    state = {"policy": student.spec()}
+    assert state["policy"]["network"] == other.spec()["network"]
+    check_sizes(tmp_path, state, student)
+    with pytest.raises(ConfigError, match="another now than in"):
+        check_sizes(tmp_path, state, other)
+
+
+def test_layers_that_share_a_matrix_have_one_each_and_it_is_said(capsys):
+    student = from_config(NetworkConfig(network="tests.own_networks:Tied", chip="loihi1"), 3, 2)
+    assert "layers fc1 and fc2 share weights" in capsys.readouterr().err
+    first, second = matrices(student)
+    assert torch.equal(first.layer.weight, second.layer.weight)
+    assert first.layer.weight is not second.layer.weight
