@@ -462,7 +462,8 @@ class _ChipLayer(torch.autograd.Function):
         ctx.constants = current_decay, membrane_decay, threshold, seen, derivative
         ctx.detach_reset = detach_reset
         ctx.has_leak = leak is not None
-        return seen.spikes
+        # another tensor than ctx holds: a cycle through the graph would never be freed
+        return seen.spikes.detach()
 
     @staticmethod
     @once_differentiable

@@ -1,6 +1,8 @@
 """Networks trained through a chip: forward goes the chip, backward what snnTorch differentiates."""
 
+import gc
 import warnings
+import weakref
 
 import nir
 import numpy as np
@@ -490,3 +492,12 @@ def test_weights_that_are_no_numbers_are_named():
         module(raster(8))
     with pytest.raises(ConfigError, match="holds nan as the network was given"):
         on_chip(net, "loihi1", (8,))
+
+
+def test_an_update_leaves_no_tensors_behind():
+    module = on_chip(dense(leaky), "loihi1", (8,))
+    module(raster(8)).sum().backward()
+    held = weakref.ref(next(iter(module.spikes.values())))
+    module.spikes = {}
+    gc.collect()
+    assert held() is None
