@@ -558,19 +558,22 @@ class TorchNetwork(nn.Module):
         provenance: Provenance | None = None,
     ) -> Artifact:
         """Return the present numbers as an artifact, in float64."""
+        return Artifact(self.graph(convention.dt), codec, convention, provenance)
+
+    def graph(self, dt: float) -> nir.NIRGraph:
+        """Return the present numbers as a graph, in float64, for timesteps of dt seconds."""
         nodes: dict[str, nir.NIRNode] = {
             self.INPUT: nir.Input({"input": np.array(self.takes)}),
             self.OUTPUT: nir.Output({"output": np.array(self.puts)}),
         }
         for name, node in self.nodes.items():
             if isinstance(node, Neurons):
-                nodes[name] = node.node(convention.dt)
+                nodes[name] = node.node(dt)
             elif isinstance(node, Delay):
-                nodes[name] = nir.Delay(node.steps * convention.dt)
+                nodes[name] = nir.Delay(node.steps * dt)
             else:
                 nodes[name] = node.node()
-        graph = nir.NIRGraph(nodes, list(self.edges), type_check=False)
-        return Artifact(graph, codec, convention, provenance)
+        return nir.NIRGraph(nodes, list(self.edges), type_check=False)
 
 
 def _from_spec(spec: Mapping[str, Any]) -> Map | Neurons | Delay:

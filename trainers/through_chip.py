@@ -40,7 +40,7 @@ from spikedeploy.runtime.convention import Convention, Floor, Reset, Spikes
 from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
-from spikedeploy.runtime.families.numba_kernels import jit
+from spikedeploy.runtime.families.numba_kernels import kept_on_disk
 from spikedeploy.runtime.graph.order import Timing, timing
 from spikedeploy.trainers.from_torch import common_meaning, given_shape, network_from_torch
 from spikedeploy.trainers.network import (
@@ -214,7 +214,7 @@ class ChipModule(nn.Module):
                 program = self._compiler.first
             else:
                 try:
-                    program = self._compiler.program(self.artifact())
+                    program = self._compiler.program(self.network.graph(self.convention.dt))
                 except (RuleError, ArtifactError) as error:
                     raise type(error)(
                         f"{error} It fitted before the last update: train more slowly, at a "
@@ -571,7 +571,7 @@ def _backpropagate(
     return torch.from_numpy(to_drive), torch.from_numpy(to_numbers)
 
 
-@jit
+@kept_on_disk
 def _differentiate(
     subtracts: bool,
     through_reset: bool,
@@ -654,13 +654,17 @@ def _exactly(value: Tensor, through: Tensor) -> Tensor:
 
 def _time_first(values: NDArray[Any], like: Tensor, scale: float | Array) -> Tensor:
     """Return (B, T, N), or the sum of K currents (B, T, K, N), times (N,) as (T, B, N)."""
-    summed = values.sum(axis=2) if values.ndim == 4 else values
+    summed = values
+    if values.ndim == 4:
+        summed = values[:, :, 0] if values.shape[2] == 1 else values.sum(axis=2)
     found = torch.empty(summed.shape[1], len(summed), summed.shape[2], dtype=like.dtype)
-    _scale(summed, np.broadcast_to(np.float64(scale), summed.shape[2:]).copy(), found.numpy())
+    each = np.empty(summed.shape[2])
+    each[:] = scale
+    _scale(summed, each, found.numpy())
     return found
 
 
-@jit
+@kept_on_disk
 def _scale(values: Array, scale: Array, found: Array) -> None:
     """Write (B, T, N) times (N,) as (T, B, N)."""
     for b in range(values.shape[0]):
@@ -669,7 +673,7 @@ def _scale(values: Array, scale: Array, found: Array) -> None:
                 found[t, b, n] = values[b, t, n] * scale[n]
 
 
-@jit
+@kept_on_disk
 def _tell(before: Array, behind: Array, arriving: Array, constants: Array) -> None:
     """Write V = b V' + I + leak where a membrane (T, B, N) before its reset is NaN.
 
@@ -685,7 +689,7 @@ def _tell(before: Array, behind: Array, arriving: Array, constants: Array) -> No
                     before[t, b, n] = v
 
 
-@jit
+@kept_on_disk
 def _count(values: Array, counts: NDArray[np.uint8]) -> bool:
     """Write whole numbers (T, B, M) as counts (B, T, M); False if there are others."""
     others = 0

@@ -6,8 +6,8 @@ One process, one thread. An update is the forward pass, cross-entropy of the sum
 backward pass and a step of Adam. Both train the same torch module: snnTorch by its own loop over
 timesteps, in float; ours through `on_chip`, whose forward pass is the chip's integers. They take
 turns, and the medians are compared. Neurons and resets are the nearest that snnTorch has to those
-of each chip; design rules are off. Memory is what the resident set of a fresh process grows by
-during an update.
+of each chip; design rules are off, but convolutions run only where a chip has some. Memory is what
+the resident set of a fresh process grows by during an update.
 
 Weights are those that torch draws times GAIN, or LESS for chips whose membranes forget inhibition,
 for which hidden neurons spike in about a tenth of timesteps; inputs are independent spikes, in a
@@ -71,9 +71,17 @@ def main() -> None:
     for size in arguments.networks.split(","):
         result[size] = {}
         for name in arguments.chips.split(","):
+            if not holds(size, name):
+                continue
             result[size][name] = compare(size, name, arguments.rounds)
             print(f"  {size} {name}: {result[size][name]['time']:.2f}", file=sys.stderr, flush=True)
     report(result, arguments, table)
+
+
+def holds(size: str, chip_name: str) -> bool:
+    """Return whether the chip has convolutions, where the network has."""
+    limits = chip(chip_name).limits
+    return len(NETWORKS[size].takes) == 1 or limits is None or "Conv2d" in limits.primitives
 
 
 def compare(size: str, chip_name: str, rounds: int) -> dict[str, Any]:

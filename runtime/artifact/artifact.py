@@ -44,7 +44,12 @@ from spikedeploy.runtime.graph.normal_form import (
 )
 from spikedeploy.runtime.graph.order import Timing, delay_timesteps, timing
 from spikedeploy.runtime.graph.shapes import check_size
-from spikedeploy.runtime.graph.validate import DERIVED_FIELDS, check_graph, check_nodes
+from spikedeploy.runtime.graph.validate import (
+    DERIVED_FIELDS,
+    check_graph,
+    check_neurons,
+    check_nodes,
+)
 from spikedeploy.runtime.metadata import Provenance, Record, Tree
 
 _SCHEMA = 1
@@ -119,6 +124,17 @@ class Artifact:
         other = copy.copy(self)
         other.__dict__.pop("timing", None)
         object.__setattr__(other, "convention", convention)
+        other._discretise()
+        return other
+
+    def with_numbers(self, graph: nir.NIRGraph) -> "Artifact":
+        """The artifact with other numbers at the same nodes, of which only neurons are checked."""
+        other = copy.copy(self)
+        other.__dict__.pop("timing", None)
+        object.__setattr__(other, "graph", graph)
+        for name, node in graph.nodes.items():
+            if isinstance(node, NEURONS):
+                check_neurons(name, node)
         other._discretise()
         return other
 

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
+import nir
 import numpy as np
 
 from spikedeploy.runtime.artifact.artifact import Artifact
@@ -118,13 +119,13 @@ class Recompiler:
         self.first = compile_program(artifact, chip, quantisation, clock, limits)
         self._quantisation, self._limits = quantisation, limits
         artifact, self._chip, self._clock = _prepared(artifact, chip, clock, limits)
-        self._convention = artifact.convention
+        self._artifact = artifact
         self._graph = wiring(artifact.graph, artifact.convention)
 
-    def program(self, artifact: Artifact) -> Program:
-        """The program of the same network with other numbers."""
-        artifact, chip = artifact.with_convention(self._convention), self._chip
-        graph = rewired(self._graph, artifact.graph, self._convention)
+    def program(self, numbers: nir.NIRGraph) -> Program:
+        """The program of the same network with the numbers of a graph of the same nodes."""
+        artifact, chip = self._artifact.with_numbers(numbers), self._chip
+        graph = rewired(self._graph, numbers, artifact.convention)
         program = float_program(artifact, chip, graph, self._clock)
         rows = _rows(artifact, program)
         layers = chip.arithmetic.quantise(

@@ -152,9 +152,11 @@ class NumbaPipeline(Uncopied, ABC):
     """A program as a Backend, in memory for windows of T timesteps of B.
 
     states_of_neuron: its membrane is the last.
+    recorded: number type of recordings.
     """
 
     states_of_neuron: ClassVar[int]
+    recorded: ClassVar[DTypeLike] = np.int64
     instead = "Copy the Machine."
 
     def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
@@ -265,7 +267,7 @@ class NumbaPipeline(Uncopied, ABC):
         recordings = {}
         for k, name in enumerate(self._names):
             # (B, T + 1, states, N) to (states, B, T, N)
-            states = self._states(k)[:, 1:].transpose(2, 0, 1, 3).astype(np.int64)
+            states = self._states(k)[:, 1:].transpose(2, 0, 1, 3).astype(self.recorded, "C")
             recordings[name] = Recording(*self.both(states), self._rows(k + 1).copy())
         return recordings
 
@@ -279,7 +281,7 @@ class NumbaPipeline(Uncopied, ABC):
 
     def states(self) -> dict[str, tuple[Numbers, Numbers]]:
         """Current and membrane (B, N) of each layer."""
-        now = [self._states(k)[:, 0].astype(np.int64) for k in range(len(self._names))]
+        now = [self._states(k)[:, 0].astype(self.recorded) for k in range(len(self._names))]
         return {
             name: self.both(states.swapaxes(0, 1))
             for name, states in zip(self._names, now, strict=True)

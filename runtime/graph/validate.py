@@ -145,7 +145,7 @@ def _check_node(name: str, node: nir.NIRNode) -> None:
     if isinstance(node, CONVOLUTIONS):
         _check_convolution(name, node)
     if isinstance(node, NEURONS):
-        _check_neurons(name, node)
+        check_neurons(name, node)
     if isinstance(node, nir.Delay) and node.delay.min() < 0:
         raise _fault(name, f"delay holds {node.delay.min():g} s; a delay must be 0 or more")
 
@@ -166,7 +166,8 @@ def _check_convolution(name: str, node: nir.NIRNode) -> None:
     _check_shape(name, "bias", node.bias.shape, node.weight.shape[:1])
 
 
-def _check_neurons(name: str, node: nir.NIRNode) -> None:
+def check_neurons(name: str, node: nir.NIRNode) -> None:
+    """Raise ArtifactError where parameters of neurons have two shapes, or are none of neurons."""
     for field in sorted(set(vars(node)) - set(DERIVED_FIELDS)):
         _check_shape(name, field, getattr(node, field).shape, node.r.shape)
     taus = ("tau",) if isinstance(node, LEAKY) else ("tau_syn", "tau_mem")

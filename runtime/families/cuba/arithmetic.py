@@ -142,15 +142,16 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
     ) -> Numbers:
         """Membranes (B, T, N) before a spike reset them, computed once more [state units]."""
         # without a spike, and out of a refractory period, nothing was reset
-        at = spikes.nonzero() if self.refractory == 1 else np.ones_like(spikes).nonzero()
+        at = np.flatnonzero(spikes) if self.refractory == 1 else np.arange(spikes.size)
         bias, factor = (
-            np.broadcast_to(each, membrane.shape[2:])[at[2]].astype(np.int64)
+            np.broadcast_to(each, membrane.shape[2:])[at % layer.size].astype(np.int64)
             for each in (layer.voltage_bias, layer.membrane_decay)
         )
         # v = b v + (u + bias)      each as its register holds it
         kept = decay(_one_step_before(membrane, at), factor, self.decay_bits)
         before: Numbers = membrane.copy()
-        before[at] = self.membrane.fit(kept + self.push.fit(current[at] + bias))
+        push = self.push.fit(current.reshape(-1)[at] + bias)
+        before.reshape(-1)[at] = self.membrane.fit(kept + push)
         return before
 
     def describe(self) -> Description:
@@ -180,10 +181,11 @@ class CubaGradedSpikes(CubaFixedPoint):
         return super().update(network, layer, presynaptic, state)
 
 
-def _one_step_before(states: Numbers, at: tuple[NDArray[np.intp], ...]) -> Numbers:
-    """States (B, T, N) in the timestep before some places (3, K); zero before the first."""
-    b, t, n = at
-    return np.where(t > 0, states[b, np.maximum(t - 1, 0), n], 0)
+def _one_step_before(states: Numbers, at: NDArray[np.intp]) -> Numbers:
+    """States (B, T, N) in the timestep before some places (K,) in C order; at first 0."""
+    timesteps, neurons = states.shape[1:]
+    begins = at // neurons % timesteps == 0
+    return np.where(begins, 0, states.reshape(-1)[np.maximum(at - neurons, 0)])
 
 
 # float64, which the kernels compute in, holds every product of such a state and such a decay
@@ -327,14 +329,15 @@ class CubaFloat64(ArithmeticDefaults):
         spikes: Numbers,
     ) -> Numbers:
         """Membranes (B, T, N) before a spike reset them, computed once more [state units]."""
-        at = spikes.nonzero()
+        at = np.flatnonzero(spikes)
         bias, factor = (
-            np.broadcast_to(each, membrane.shape[2:])[at[2]]
+            np.broadcast_to(each, membrane.shape[2:])[at % layer.size]
             for each in (layer.voltage_bias, layer.membrane_decay)
         )
         # V = b V + I + bias
         before: Numbers = membrane.copy()
-        before[at] = factor * _one_step_before(membrane, at) + current[at] + bias
+        driven = factor * _one_step_before(membrane, at) + current.reshape(-1)[at]
+        before.reshape(-1)[at] = driven + bias
         return before
 
     def describe(self) -> Description:
@@ -349,6 +352,9 @@ class CubaFloat32(ArithmeticDefaults):
     weight_bits: of a weight, with the sign; the lowest number is not used.
     """
 
+    backends: ClassVar[Mapping[str, str]] = {
+        "numba": "spikedeploy.runtime.families.cuba.numba_float:FloatPipeline",
+    }
     weight_bits: int
     spikes_max: ClassVar[int] = 1
     state_bits: ClassVar[tuple[int, ...]] = (32, 32)

@@ -183,26 +183,32 @@ def _mantissas_per_unit(
     layer: Layer, registers: CubaRegisters, granularity: Granularity, clip_ratio: float
 ) -> Scale:
     """As many as the weights, the threshold and the bias allow."""
-    one_each = granularity == "channel"
     widest_bias = (
         registers.bias_mantissa_max << registers.bias_exponent_max >> registers.mantissa_shift
     )
+    widest = registers.weight_max * max(clip_ratio, 1.0)
+    if granularity != "channel":
+        largest = (
+            (widest, max(magnitude(a) for a in (*(s.weight for s in layer.synapses), layer.bias))),
+            (registers.threshold_max, magnitude(layer.threshold) if layer.spiking else 0.0),
+            (widest_bias, magnitude(layer.voltage_bias)),
+        )
+        with np.errstate(over="ignore"):  # what is so small that no float is its scale bounds none
+            least = min((np.divide(limit, each) for limit, each in largest if each > 0), default=1)
+        return float(least if np.isfinite(least) else 1.0) * min(clip_ratio, 1.0)
     limits = (
-        (registers.weight_max * max(clip_ratio, 1.0), [*map(_largest_weights, layer.synapses)]),
-        (registers.weight_max * max(clip_ratio, 1.0), [layer.bias]),
+        (widest, [*map(_largest_weights, layer.synapses)]),
+        (widest, [layer.bias]),
         (registers.threshold_max, [layer.threshold if layer.spiking else 0 * layer.bias]),
         (widest_bias, [layer.voltage_bias]),
     )
     scale = np.full(layer.size, np.inf)
     for limit, arrays in limits:
         found = np.abs(np.concatenate([np.atleast_2d(a) for a in arrays])).max(axis=0, initial=0.0)
-        found = found if one_each else np.full(layer.size, magnitude(found))
-        with np.errstate(over="ignore"):  # what is so small that no float is its scale bounds none
+        with np.errstate(over="ignore"):
             scale = np.minimum(scale, np.divide(limit, found, out=scale.copy(), where=found > 0))
     # a neuron of zeros has no largest number
     scale = np.where(np.isfinite(scale), scale, 1.0) * min(clip_ratio, 1.0)
-    if not one_each:
-        return float(scale.min(initial=np.inf))
     for window in (s.window for s in layer.synapses if s.window is not None):
         # neurons that share a kernel share its scale
         channels = scale.reshape(window.target[0], -1)

@@ -77,7 +77,7 @@ def test_what_the_kernels_do_not_know_runs_all_the_same(name, backend):
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("xylo_A_ff", "chip 'xylo-a2' computes with XyloArithmetic"),
+        ("xylo_B_two_syn_bias_rec", "layer .*: neurons with several currents"),
         ("lava_own_exponent_mixed", "layer 'layer0': its weights have a negative exponent"),
     ],
 )
