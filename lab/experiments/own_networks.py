@@ -21,7 +21,6 @@ from lab.experiments.pages import ROOT, share
 from lab.experiments.training import Record, read_rows, write_exactly
 from spikedeploy import envs
 from spikedeploy.files import write_text
-from spikedeploy.reports.table import markdown_text
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
@@ -117,7 +116,8 @@ def page(rows: Mapping[Key, Record]) -> str:
         "from 10,000 on, which no training saw. A share is the return over the teacher's; where "
         "that is negative, of the way from random actions to the teacher. Brackets are 95 % "
         "bootstrap intervals over trainings and episodes; of three trainings they are too narrow. "
-        f"✓: the whole interval is at least {WANTED:.0%}; ≈: it contains that; ✗: below.",
+        f"✓: the whole interval is at least {WANTED:.0%}; ≈: it contains that; ✗: below. Tasks and "
+        "trainings that are not here were not run.",
         "",
         "| task | network | chip | inputs | T | SOPs a control step | trainings | of the teacher |",
         "|---|---|---|---|---|---|---|---|",
@@ -133,7 +133,7 @@ def page(rows: Mapping[Key, Record]) -> str:
                 found = share_of_teacher([row["scores"] for row in own], taught, at_random)
                 sops = ", ".join(f"{row['sops']:,.0f}" for row in own)
                 lines.append(
-                    f"| {markdown_text(task)} | `{network}` | `{name}` | {own[0]['inputs']:.0f} | "
+                    f"| `{task}` | `{network}` | `{name}` | {own[0]['inputs']:.0f} | "
                     f"{own[0]['timesteps']:.0f} | {sops} | {len(own)} | "
                     f"{share(found)} {found.mark(WANTED)} |"
                 )
