@@ -9,7 +9,8 @@ from spikedeploy.trainers.neurons import (
     integrate_and_fire,
     surrogate,
 )
-from spikedeploy.trainers.policies import build, neurons
+from spikedeploy.trainers import neurons
+from spikedeploy.trainers.policies import build
 from spikedeploy.trainers.policies.spiking import TorchRateEncoder
 
 ALPHA, BETA, THRESHOLD = 0.9, 0.8, 0.5
