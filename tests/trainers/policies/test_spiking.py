@@ -4,12 +4,12 @@ import torch
 from snntorch import surrogate as snn_surrogate
 
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers import neurons
 from spikedeploy.trainers.neurons import (
     cuba_lif,
     integrate_and_fire,
     surrogate,
 )
-from spikedeploy.trainers import neurons
 from spikedeploy.trainers.policies import build
 from spikedeploy.trainers.policies.spiking import TorchRateEncoder
 
