@@ -129,7 +129,7 @@ class Polarity:
         """(E,) whether light rose; ObservationError where these are of another coding."""
         self._seen |= set(np.unique(p).tolist())
         if not any(self._seen <= coding for coding in _CODINGS):
-            found = sorted(self._seen)
+            found = sorted(self._seen, key=lambda p: (p != p, p))  # nan last: a set has no order
             shown = ", ".join(f"{int(n) if n == n and n % 1 == 0 else n}" for n in found[:_SHOWN])
             raise ObservationError(
                 f"{self._path} has the polarities {shown}{' ...' * (len(found) > _SHOWN)}; known "

@@ -13,7 +13,9 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.versions import own
 
 # kinds of policies that are exported as NIR
-SPIKING = ("popsan", "spiking-mlp", "network", "delta-snn", "delta-mlp", "vision-snn")
+SPIKING = (
+    "popsan", "spiking-mlp", "chip-snn", "network", "delta-snn", "delta-mlp", "vision-snn",
+)  # fmt: skip
 
 
 def settings(run: Path) -> dict[str, Any]:
