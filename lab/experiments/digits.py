@@ -14,7 +14,9 @@ then has the same task.
 weights as they are. `trained` goes on from them through the chip (`on_chip`), whose weights are
 clipped from the start: few bits have few levels, and what the largest weight takes of them is lost
 for all others. The clip, a part of a layer's largest weight, is the one of CLIPS with the best
-accuracy on the training images before training. No choice is made on unseen images.
+accuracy on the training images before training. No choice is made on unseen
+images, but for two that were made with them in view before: the learning rate through the chip, and
+the range of CLIPS.
 
 Design rules of the chip are on, unless they refuse the network: then the row names the rule. Rows
 that results/digits.csv has stay; the page is made of them.
@@ -334,7 +336,8 @@ def page(rows: dict[tuple[str, int], Row]) -> str:
             "without rounding; `on the chip` its weights as they are, of which `differ` says how "
             "many images they tell otherwise; `trained` went on through the chip for "
             f"{CHIP_EPOCHS} epochs, weights clipped where that told most images of the training "
-            "right. `limits` off: that design rule refuses the network.\n",
+            "right; the learning rate and the range of clips were chosen with unseen images in view. "
+            "`limits` off: that design rule refuses the network.\n",
             markdown_text(table),
             "",
         ]
