@@ -336,8 +336,8 @@ def page(rows: dict[tuple[str, int], Row]) -> str:
             "without rounding; `on the chip` its weights as they are, of which `differ` says how "
             "many images they tell otherwise; `trained` went on through the chip for "
             f"{CHIP_EPOCHS} epochs, weights clipped where that told most images of the training "
-            "right; the learning rate and the range of clips were chosen with unseen images in view. "
-            "`limits` off: that design rule refuses the network.\n",
+            "right; the learning rate and the range of clips were chosen with unseen images in "
+            "view. `limits` off: that design rule refuses the network.\n",
             markdown_text(table),
             "",
         ]
