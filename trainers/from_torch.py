@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from operator import index
 from typing import Any
 
-import nir
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -28,17 +27,16 @@ from spikedeploy.runtime.graph.shapes import Shape
 from spikedeploy.trainers.network import (
     Delay,
     Edge,
-    Fixed,
     Map,
     Neurons,
     TorchNetwork,
     Weights,
     flatten,
 )
-from spikedeploy.trainers.torch_neurons import KNOWN, is_neurons, neurons_of
+from spikedeploy.trainers.torch_layers import leaves, node_of
+from spikedeploy.trainers.torch_neurons import KNOWN
 from spikedeploy.trainers.torch_neurons.neurons import Meaning, TorchNeurons
 
-_WEIGHTS = (nn.Linear, nn.Conv1d, nn.Conv2d)
 _NORMS = (nn.BatchNorm1d, nn.BatchNorm2d)
 _NOTHING = (nn.Dropout, nn.Dropout1d, nn.Dropout2d, nn.Identity)  # in deployment
 # SpikingJelly's, which are not torch's
@@ -277,7 +275,7 @@ class _Tracer(TorchFunctionMode):
         """Hook the leaf modules; return the handles."""
         handles = []
         taken = {TorchNetwork.INPUT, TorchNetwork.OUTPUT}  # of the graph's ends
-        for name, module in _leaves(self._root):
+        for name, module in leaves(self._root):
             name = name or type(module).__name__.lower()
             while name in taken:
                 name += "_"
@@ -431,7 +429,7 @@ class _Tracer(TorchFunctionMode):
         if isinstance(module, _NORMS):
             return self._folded(name, module, arriving)
         if name not in self.nodes:
-            self.nodes[name] = _node_of(name, module, takes)
+            self.nodes[name] = node_of(name, module, takes)
         node = self.nodes[name]
         inputs = node.inputs() if isinstance(node, TorchNeurons) else None
         if inputs is not None:
@@ -663,76 +661,6 @@ def _leads(start: str, end: str, edges: set[Edge]) -> bool:
         seen |= new
         waiting += new
     return False
-
-
-def _leaves(root: nn.Module) -> list[tuple[str, nn.Module]]:
-    """Return the modules that are taken as one node, by name; those inside them are not."""
-    found: list[tuple[str, nn.Module]] = []
-    inside: list[str] = []
-    for name, module in root.named_modules():
-        if any(name.startswith(f"{each}.") for each in inside):
-            continue
-        if not any(module.children()) or is_neurons(module) or _lifted(module) is not None:
-            found.append((name, module))
-            inside.append(name)
-    return found
-
-
-def _node_of(name: str, module: nn.Module, takes: Shape) -> Map | Neurons:
-    """Return the node of a leaf module; ConfigError where it has no place on a chip."""
-    if (lifted := _lifted(module)) is not None:
-        node = _node_of(name, lifted, takes)
-        if isinstance(node, TorchNeurons):
-            node.takes_time = True
-        return node
-    if (neurons := neurons_of(name, module, takes)) is not None:
-        return neurons
-    if isinstance(module, _WEIGHTS):
-        axes = module.weight.ndim - 1
-        if len(takes) != axes:
-            raise ConfigError(
-                f"{name}: {type(module).__name__} receives {takes} in a timestep of a sample; on a "
-                f"chip it takes {axes} {'axis' if axes == 1 else 'axes'}. Flatten in front of it, "
-                "or give another input_shape."
-            )
-        return Weights(module, takes)
-    if isinstance(module, nn.Flatten):
-        if module.end_dim not in (-1, len(takes)):
-            raise ConfigError(f"{name}: Flatten flattens some axes; use nn.Flatten().")
-        return flatten(takes)
-    if isinstance(module, nn.AvgPool2d | nn.LPPool2d):
-        return _pool(name, module, takes)
-    instead = _INSTEAD.get(type(module).__name__, "take it out, or put neurons in its place")
-    raise ConfigError(f"{name}: {type(module).__name__} has no place on a chip: {instead}.")
-
-
-_INSTEAD = {
-    "MaxPool2d": "use nn.AvgPool2d, whose mean is a sum of spikes with equal weights",
-    "ReLU": "neurons take its place",
-    "Softmax": "it belongs to the loss",
-    "LayerNorm": "use nn.BatchNorm, which is folded into the weights",
-}
-
-
-def _lifted(module: nn.Module) -> nn.Module | None:
-    """Return the layer that Norse's Lift calls in each timestep."""
-    found = getattr(module, "lifted_module", None)
-    return found if type(module).__name__ == "Lift" and isinstance(found, nn.Module) else None
-
-
-def _pool(name: str, module: nn.AvgPool2d | nn.LPPool2d, takes: Shape) -> Fixed:
-    """Return a mean, or the sum that sinabs makes of LPPool2d."""
-    sums = isinstance(module, nn.LPPool2d)
-    if module.ceil_mode or (sums and module.norm_type != 1):
-        raise ConfigError(f"{name}: {type(module).__name__} with ceil_mode, or powers.")
-    if not sums and (not module.count_include_pad or module.divisor_override):
-        raise ConfigError(f"{name}: AvgPool2d with another divisor than its kernel.")
-    settings = (module.kernel_size, module.stride, getattr(module, "padding", 0))
-    # without a stride, LPPool2d takes its kernel
-    kernel, stride, padding = (
-        np.broadcast_to(module.kernel_size if n is None else n, 2).astype(int) for n in settings
-    )
-    return Fixed((nir.SumPool2d if sums else nir.AvgPool2d)(kernel, stride, padding), takes)
 
 
 def _tensors(found: object) -> list[Tensor]:

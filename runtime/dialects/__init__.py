@@ -4,7 +4,8 @@ NIR leaves dt, reset, integrator and delays open. Each tool fills them in on its
 parameters, and may write other ones than it reads: Norse misreads its own files.
 
 dialect          what is known of a tool, and the steps that tools share
-tools            Lava, Nengo, Norse, Rockpool, sinabs, snnTorch, SpikingJelly; the tables of them
+tools            Lava, Nengo, Norse, Rockpool, sinabs, SpikingJelly; the tables of all tools
+snntorch         snnTorch
 reading          a file as a tool reads it, or as the tool that wrote it means it
 rewriting        a network in the scaling that the import of a tool accepts
 """
