@@ -102,22 +102,24 @@ def _turns(count: int) -> Tensor:
     return 1.0 - 2.0 * (torch.arange(count) % 2)
 
 
-def typed_values(weight: Tensor, types: int, limit: float | None = None) -> Tensor:
+def typed_values(weights: Sequence[Tensor], types: int, limit: float | None = None) -> Tensor:
     """Return initial weights (N, K) of K types of axons, excitatory and inhibitory by turns.
 
-    Of two types with a sign the second is smaller.
-
-    limit: magnitude of the larger ones; None for the mean of the weights (N, M) of their sign
+    weights: (N, M) of each layer that leads to the neurons
+    limit: magnitude of the larger of two types with a sign; None for the mean of the weights that
+        have the sign of the type, over the axons of the type
     """
     sign, places = _turns(types), torch.div(torch.arange(types), 2, rounding_mode="floor")
     share = _SPREAD**places
     if limit is not None:
-        return (sign * limit * share).repeat(len(weight), 1) * _varied(len(weight), types)
-    of_sign = torch.stack([(s * weight).relu() for s in (1.0, -1.0)])  # (2, N, M)
-    mean = of_sign.sum(-1) / (of_sign > 0).sum(-1).clamp(min=1)
-    # types of a sign together have its mean
-    each: Tensor = mean[torch.arange(types) % 2].T * share / share[::2].mean()
-    return sign * each.clamp(min=1e-6)
+        neurons = len(weights[0])
+        return (sign * limit * share).repeat(neurons, 1) * _varied(neurons, types)
+    of_type = [
+        torch.cat([(s * weight[:, k::types]).relu() for weight in weights], 1)
+        for k, s in enumerate(sign.tolist())
+    ]
+    means = torch.stack([w.sum(1) / (w > 0).sum(1).clamp(min=1) for w in of_type], 1)
+    return sign * means.clamp(min=1e-6)
 
 
 def _varied(neurons: int, types: int) -> Tensor:

@@ -38,6 +38,7 @@ Array: TypeAlias = NDArray[np.float64]
 # of a neuron that never forgets beside ones that do, in a node with a time constant for each:
 # 1 - b is this, far below what any chip's decay factor resolves
 _SLOWEST = 1e-12
+_SAME = 1e-6  # of the sum of weights, by which they may differ after they were fitted
 
 
 def to_array(tensor: Tensor) -> NDArray[np.float64]:
@@ -497,14 +498,14 @@ class TorchNetwork(nn.Module):
                     each.fitting.values = first.fitting.values  # one crossbar
         return network
 
-    def fit(self, target: Chip) -> None:
-        """Make weights fit the axons of a chip, where these ask for more than few bits.
+    def fit(self, target: Chip) -> str:
+        """Make weights fit the axons of a chip; return what that changes, empty where nothing.
 
         Sources get the sign of most of their weights; axons are of types by turns. Where layers of
         several shapes hear a source, or a convolution would need types, nothing is done, and the
         design rule of the chip says so.
         """
-        limits, arithmetic = target.limits, target.arithmetic
+        limits, arithmetic, fitted = target.limits, target.arithmetic, list[Weights]()
         for heard in self.heard_together() if limits and limits.axon_signs else ():
             weights = [each.layer.weight.detach() for each in heard]
             shapes = {(w.ndim, w.shape[1]) for w in weights}
@@ -513,13 +514,16 @@ class TorchNetwork(nn.Module):
                 signs = signs_by_majority(weights)
                 for each in heard:
                     each.fitting = Fitting(signs=signs.clone())
+                fitted += heard
         types = 0 if arithmetic.own_weights else int(getattr(arithmetic, "axon_types", 0))
         for together in self.arriving_together() if types else ():
             if all(each.layer.weight.ndim == 2 for each in together):
-                whole = torch.cat([each.layer.weight.detach() for each in together], 1)
-                values = nn.Parameter(typed_values(whole, types))
+                weights = [each.layer.weight.detach() for each in together]
+                values = nn.Parameter(typed_values(weights, types))
                 for each in together:
                     each.fitting = Fitting(values=values)
+                fitted += together
+        return _changed_by(fitted, target.name, types)
 
     def heard_together(self) -> list[list[Weights]]:
         """Return the weights in groups that hear the same neurons, or the input."""
@@ -574,6 +578,23 @@ class TorchNetwork(nn.Module):
             else:
                 nodes[name] = node.node()
         return nir.NIRGraph(nodes, list(self.edges), type_check=False)
+
+
+@torch.no_grad()
+def _changed_by(fitted: Sequence[Weights], chip_name: str, types: int) -> str:
+    """Return a sentence on what the axons of a chip make of weights; empty if they stay."""
+    moved, whole = 0.0, 0.0
+    for each in fitted:
+        weight, deployed = each.layer.weight, each.numbers()[0]
+        moved += float((deployed - weight).abs().sum()) if each.norm is None else 0.0
+        whole += float(weight.abs().sum())
+    if moved <= _SAME * whole:
+        return ""
+    axons = f"{types} weights for each neuron" if types else "one sign for each source"
+    return (
+        f"{chip_name} has {axons}: {100 * moved / whole:.0f} % of the weights, by magnitude, "
+        "change for it, and the network computes something else until it is trained"
+    )
 
 
 def _from_spec(spec: Mapping[str, Any]) -> Map | Neurons | Delay:

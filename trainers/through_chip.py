@@ -91,9 +91,8 @@ def on_chip(
         meaning = common_meaning(neurons)
         stated, codec = Convention(dt, source="as trained"), None
     convention = convention_on(target, stated, meaning)
-    if limits:
-        nodes.fit(target)
-    if remark := nearest_remark(target, convention, meaning):
+    fitted = nodes.fit(target) if limits else ""
+    for remark in filter(None, (nearest_remark(target, convention, meaning), fitted)):
         warnings.warn(remark, stacklevel=2)
     chosen = surrogate_name, surrogate_width
     module = ChipModule(nodes, target, convention, codec, limits, *chosen, detach_reset)

@@ -29,7 +29,8 @@ MADE_FOR = {
 }
 
 
-@pytest.mark.filterwarnings("ignore:.*the nearest:UserWarning")  # snnTorch's own subtraction
+# snnTorch's own subtraction; axons with signs or types
+@pytest.mark.filterwarnings("ignore:.*(the nearest|until it is trained):UserWarning")
 @pytest.mark.parametrize(
     ("make", "name"), [(make, name) for make, names in MADE_FOR.items() for name in names]
 )

@@ -22,6 +22,7 @@ from spikedeploy.runtime.compiler.compile import compile_program  # noqa: E402
 from spikedeploy.runtime.convention import Convention  # noqa: E402
 from spikedeploy.runtime.emulator.machine import Machine  # noqa: E402
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError  # noqa: E402
+from spikedeploy.trainers.network import Weights  # noqa: E402
 from spikedeploy.trainers.through_chip import on_chip  # noqa: E402
 
 
@@ -501,3 +502,18 @@ def test_an_update_leaves_no_tensors_behind():
     module.spikes = {}
     gc.collect()
     assert held() is None
+
+
+@pytest.mark.parametrize("name", ["odin", "truenorth"])
+def test_axons_change_a_network_once_and_say_so(name, tmp_path):
+    with pytest.warns(UserWarning, match=f"{name} has .* % of the weights, by magnitude, change"):
+        module = on_chip(dense(lambda: leaky(1.0)), name, (8,))
+    with torch.no_grad():
+        for node in module.network.nodes.values():  # an update
+            if isinstance(node, Weights):
+                node.layer.weight.add_(0.02 * torch.randn(node.layer.weight.shape))
+    expected = module(raster(8))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        again = on_chip(load(module.save(tmp_path / "net.nir")), name)
+    assert torch.equal(again(raster(8)), expected)

@@ -289,7 +289,7 @@ def chain(
         nn.init.uniform_(layer.weight, -limit, limit)
         signs = values = None
         if types:
-            values = typed_values(layer.weight.detach(), types, limit)
+            values = typed_values([layer.weight.detach()], types, limit)
         elif limits is not None and limits.axon_signs:
             signs = signs_by_turns(layer.weight)
             with torch.no_grad():
@@ -363,15 +363,17 @@ def _of_module(
         )
     network, neurons = network_from_torch(made, takes)
     if shared := shared_weights(network):
-        print(
-            f"{name}: layers {' and '.join(shared)} share weights; from here on each has its own",
-            file=sys.stderr,
-        )
+        _say(f"{name}: layers {' and '.join(shared)} share weights; from here on each has its own")
     meaning = common_meaning(neurons)
     policy = _policy(network.detached(), meaning, observations, actions, clip, head, settings)
-    if remark := nearest_remark(policy.target, policy.module.convention, meaning):
-        print(remark, file=sys.stderr)
+    _say(nearest_remark(policy.target, policy.module.convention, meaning))
     return policy
+
+
+def _say(remark: str) -> None:
+    """Print what the user should know of the network, on stderr."""
+    if remark:
+        print(remark, file=sys.stderr)
 
 
 def _policy(
@@ -383,8 +385,10 @@ def _policy(
     head: Head,
     settings: Mapping[str, Any],
 ) -> NetworkPolicy:
+    if settings["chip"] == "ideal":
+        _say("the network is trained on 'ideal', which rounds nothing: --for CHIP names a chip")
     if settings["limits"]:
-        network.fit(_datasheet(settings["chip"]))
+        _say(network.fit(_datasheet(settings["chip"])))
     policy = NetworkPolicy(
         observations,
         actions,
