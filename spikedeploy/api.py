@@ -386,7 +386,7 @@ def adapt(
     limits       refuse what breaks a design rule of the chip
     checkpoint   file that is written while it is trained; `resume` goes on from it
     interrupt    that requests a stop, for a caller who catches signals itself
-    settings     of trainers.adapt.Settings: epochs, batch, rate, patience, held_out, seed
+    settings     of trainers.adapt.AdaptationSettings: epochs, batch, rate, patience, held_out, seed
     """
     from spikedeploy.trainers import adapt as adapting
 
@@ -404,8 +404,8 @@ def adapt(
     return adapting.adapt(
         _network_of(network), chip, as_raster(rows),
         None if classes is None else np.asarray(classes), input_shape=input_shape, limits=limits,
-        settings=adapting.Settings(**settings), resume=resume, interrupt=interrupt, quiet=quiet,
-        checkpoint=None if checkpoint is None else Path(checkpoint),
+        settings=adapting.AdaptationSettings(**settings), resume=resume, interrupt=interrupt,
+        quiet=quiet, checkpoint=None if checkpoint is None else Path(checkpoint),
     )  # fmt: skip
 
 

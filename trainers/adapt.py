@@ -60,7 +60,7 @@ _UNKNOWN_MEMORY = 1 << 32
 
 
 @dataclass(frozen=True)
-class Settings:
+class AdaptationSettings:
     """How it is trained.
 
     epochs: most passes over the samples
@@ -90,7 +90,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Score:
+class AdaptationScore:
     """How good outputs, summed over time, are on the samples held out.
 
     accuracy: share whose largest output is the label's; None without labels
@@ -130,9 +130,9 @@ class Adaptation:
     trained: int
     held_out: int
     updates: int
-    float_twin: Score
-    before: Score
-    after: Score
+    float_twin: AdaptationScore
+    before: AdaptationScore
+    after: AdaptationScore
     finished: bool
 
     def save(self, path: str | Path) -> Path:
@@ -167,7 +167,7 @@ def adapt(
     *,
     input_shape: Sequence[int] | None = None,
     limits: bool = True,
-    settings: Settings | None = None,
+    settings: AdaptationSettings | None = None,
     checkpoint: Path | None = None,
     resume: bool = False,
     interrupt: Interrupt | None = None,
@@ -196,7 +196,7 @@ def adapt(
     # of the untouched numbers, as those of a module will be others soon
     twin = network if isinstance(network, Artifact) else artifact_from_torch(network, input_shape)
     module = on_chip(network, chip_name, input_shape, limits=limits)
-    settings = settings or Settings()
+    settings = settings or AdaptationSettings()
     if resume and checkpoint is None:
         raise ConfigError("resume goes on from a checkpoint: give the one that was written")
     if not any(each.requires_grad for each in module.network.parameters()):
@@ -255,7 +255,7 @@ class _Training(Learner):
         twin: Artifact,
         samples: NDArray[np.uint8],
         classes: Tensor | None,
-        settings: Settings,
+        settings: AdaptationSettings,
         stopped: Callable[[], bool],
     ) -> None:
         self.module, self.samples, self.classes = module, samples, classes
@@ -359,13 +359,13 @@ class _Training(Learner):
         self.module.network.load_state_dict(self.policy.state_dict())
         self.halvings += 1
 
-    def _validated(self, score: Score) -> None:
+    def _validated(self, score: AdaptationScore) -> None:
         self.latest = score
         self.since = 0 if self._keep_if_better(score) else self.since + 1
         if self.since and self.since % max(self.settings.patience // 2, 1) == 0:
             self.halvings += 1
 
-    def _keep_if_better(self, score: Score) -> bool:
+    def _keep_if_better(self, score: AdaptationScore) -> bool:
         if score.rank <= self.best.rank:
             return False
         self.best = score
@@ -390,15 +390,15 @@ class _Training(Learner):
             scores.log_softmax(1), wanted.log_softmax(1), reduction="batchmean", log_target=True
         )
 
-    def validate(self) -> Score:
+    def validate(self) -> AdaptationScore:
         """Return the score of the present numbers."""
         return self.score(self._all_outputs(self.held_out), self.held_out)
 
-    def score(self, outputs: Tensor, rows: NDArray[np.int64]) -> Score:
+    def score(self, outputs: Tensor, rows: NDArray[np.int64]) -> AdaptationScore:
         """Return the score of outputs (R, N)."""
         twin, largest = self.targets[rows], outputs.argmax(1)
         labels = None if self.classes is None else self.classes[rows]
-        return Score(
+        return AdaptationScore(
             None if labels is None else _share(largest == labels),
             _share(largest == twin.argmax(1)) if self._chooses else None,
             float((outputs - twin).square().mean().sqrt()) / self.spread,
@@ -486,7 +486,10 @@ class _Training(Learner):
         self.load(tensors)
         self.update, self.since = state["update"], state["since"]
         self.halvings, self.bounds = state["halvings"], state["bounds"]
-        self.before, self.best = Score(**state["before"]), Score(**state["best"])
+        self.before, self.best = (
+            AdaptationScore(**state["before"]),
+            AdaptationScore(**state["best"]),
+        )
 
 
 def is_adapted(path: Path) -> bool:
@@ -496,7 +499,7 @@ def is_adapted(path: Path) -> bool:
     return False
 
 
-def shown(score: Score) -> str:
+def shown(score: AdaptationScore) -> str:
     """Return accuracy, or agreement and error, in words."""
     if score.accuracy is not None:
         return f"{score.accuracy:.1%}"

@@ -14,7 +14,7 @@ from spikedeploy.console import print_json, say
 from spikedeploy.errors import ConfigError
 
 if TYPE_CHECKING:
-    from spikedeploy.trainers.adapt import Adaptation, Score
+    from spikedeploy.trainers.adapt import Adaptation, AdaptationScore
 
 
 def adapt(
@@ -125,7 +125,7 @@ def _print(found: "Adaptation", has_labels: bool) -> None:
 
     several = found.before.agreement is not None
 
-    def row(name: str, score: "Score") -> tuple[str, ...]:
+    def row(name: str, score: "AdaptationScore") -> tuple[str, ...]:
         shares = [score.accuracy] * has_labels + [score.agreement] * several
         return (name, *(f"{share:.1%}" for share in shares if share is not None),
                 f"{score.error:.3f}")  # fmt: skip

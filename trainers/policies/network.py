@@ -14,7 +14,7 @@ from copy import deepcopy
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
@@ -28,6 +28,7 @@ from spikedeploy.runtime.codec.codec import (
     Normaliser,
     PopulationEncoder,
     RateEncoder,
+    Score,
 )
 from spikedeploy.runtime.convention import Convention, Reset
 from spikedeploy.runtime.errors import ConfigError
@@ -57,8 +58,6 @@ READOUT = "readout"  # node of the file
 _OVERLAP = 0.6  # initial width of a receptive field, over the distance to the next
 _FIELDS = 8  # of an observation, unless the chip has too few inputs
 _LARGEST = 0.5  # weight [thresholds]
-
-Score = Literal["mean", "last"]
 
 
 class NetworkPolicy(CodedPolicy):
