@@ -92,11 +92,11 @@ def on_chip(
         stated, codec = Convention(dt, source="as trained"), None
     convention = convention_on(target, stated, meaning)
     fitted = nodes.fit(target) if limits else ""
-    for remark in filter(None, (nearest_remark(target, convention, meaning), fitted)):
-        warnings.warn(remark, stacklevel=2)
     chosen = surrogate_name, surrogate_width
     module = ChipModule(nodes, target, convention, codec, limits, *chosen, detach_reset)
     module.program()  # what does not fit is refused here
+    for remark in filter(None, (nearest_remark(target, convention, meaning), fitted)):
+        warnings.warn(remark, stacklevel=2)
     return module
 
 

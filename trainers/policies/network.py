@@ -384,10 +384,7 @@ def _policy(
     head: Head,
     settings: Mapping[str, Any],
 ) -> NetworkPolicy:
-    if settings["chip"] == "ideal":
-        _say("the network is trained on 'ideal', which rounds nothing: --for CHIP names a chip")
-    if settings["limits"]:
-        _say(network.fit(_datasheet(settings["chip"])))
+    fitted = network.fit(_datasheet(settings["chip"])) if settings["limits"] else ""
     policy = NetworkPolicy(
         observations,
         actions,
@@ -399,6 +396,9 @@ def _policy(
         **settings,
     )
     policy.module.program()  # what does not fit is refused here
+    _say(fitted)
+    if settings["chip"] == "ideal":
+        _say("the network is trained on 'ideal', which rounds nothing: --for CHIP names a chip")
     return policy
 
 
