@@ -55,6 +55,10 @@ class Greedy(nn.Module):
         super().__init__()
 
 
+def broken(inputs):
+    return nn.Linear(inputs, "eight")
+
+
 def nothing():
     return torch.zeros(1)
 

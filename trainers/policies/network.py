@@ -415,7 +415,14 @@ def _made(name: str, maker: Any, sizes: tuple[int, int]) -> nn.Module:  # noqa: 
             f"{name} asks for {names}: its constructor is given the number of inputs, and of "
             "actions, in this order, if it takes them. Give the others defaults."
         )
-    made = maker(*sizes[: len(required)])
+    try:
+        made = maker(*sizes[: len(required)])
+    except Exception as error:  # of the user's code
+        raise ConfigError(
+            f"{name}: making it failed with {type(error).__name__}: {error}. It was given "
+            f"{', '.join(map(str, sizes[: len(required)])) or 'nothing'}: the number of inputs, "
+            "and of actions, as far as it asks for them"
+        ) from error
     if not isinstance(made, nn.Module):
         raise ConfigError(f"{name} makes {type(made).__name__}, and no torch.nn.Module")
     return made

@@ -229,6 +229,7 @@ def test_a_file_with_a_codec_is_gone_on_from(tmp_path):
         ("", "--network my_module:Net"),
         ("tests.own_networks:Missing", "has no 'Missing'"),
         ("tests.own_networks:Greedy", "asks for inputs, actions, hidden"),
+        ("tests.own_networks:broken", "making it failed with TypeError: .* It was given 24"),
         ("tests.own_networks:nothing", "makes Tensor, and no torch.nn.Module"),
         ("nowhere.nir", "there is no network nowhere.nir"),
     ],
