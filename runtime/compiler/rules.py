@@ -750,6 +750,6 @@ def refuse(design: PlacedNetwork, names: Collection[str]) -> None:
     others = list(dict.fromkeys(each.rule for each in broken if each.rule != broken[0].rule))
     also = f" It breaks {', '.join(others)} too, which `check` describes." if others else ""
     raise RuleError(
-        f"{broken[0].describe(design.chip.name)}{also} Or emulate the arithmetic alone with "
+        f"{broken[0].describe(design.chip.name)}{also} Or compute with its arithmetic alone: "
         "--limits off (limits=False)."
     )

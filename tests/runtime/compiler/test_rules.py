@@ -294,7 +294,7 @@ def test_what_breaks_a_rule_is_refused_by_its_name_with_the_limit_and_the_way_ou
     artifact = feed(BIASED, cuba(2), width=4096, act=2)
     message = (
         "rule axons-in: node 'n2' has 4,097 sources of a core; loihi1 has at most 4,096. .*"
-        "Or emulate the arithmetic alone with --limits off"
+        "Or compute with its arithmetic alone: --limits off"
     )
     with pytest.raises(RuleError, match=message):
         compile_program(artifact, LOIHI)
