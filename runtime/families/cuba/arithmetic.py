@@ -142,9 +142,9 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
     ) -> Numbers:
         """Membranes (B, T, N) before a spike reset them, computed once more [state units]."""
         # without a spike, and out of a refractory period, nothing was reset
-        at = np.flatnonzero(spikes) if self.refractory == 1 else np.arange(spikes.size)
+        at = _places(spikes) if self.refractory == 1 else np.arange(spikes.size)
         bias, factor = (
-            np.broadcast_to(each, membrane.shape[2:])[at % layer.size].astype(np.int64)
+            _of_neurons(each, at, layer.size).astype(np.int64)
             for each in (layer.voltage_bias, layer.membrane_decay)
         )
         # v = b v + (u + bias)      each as its register holds it
@@ -179,6 +179,18 @@ class CubaGradedSpikes(CubaFixedPoint):
             weights = sum_arriving(layer, presynaptic)
             return sigma_delta(self, _GRADED_BITS, layer, weights, state)
         return super().update(network, layer, presynaptic, state)
+
+
+def _places(spikes: Numbers) -> NDArray[np.intp]:
+    """Places (K,) of the spikes in C order."""
+    # of booleans ten times as fast as of bytes
+    return np.flatnonzero(spikes.reshape(-1) != 0)
+
+
+def _of_neurons(values: Numbers, at: NDArray[np.intp], size: int) -> Numbers:
+    """Values (N,) or () at places (K,) of (B, T, N) in C order; one where all are the same."""
+    first = values.reshape(-1)[:1]
+    return first if (values == first).all() else values[at % size]
 
 
 def _one_step_before(states: Numbers, at: NDArray[np.intp]) -> Numbers:
@@ -329,10 +341,9 @@ class CubaFloat64(ArithmeticDefaults):
         spikes: Numbers,
     ) -> Numbers:
         """Membranes (B, T, N) before a spike reset them, computed once more [state units]."""
-        at = np.flatnonzero(spikes)
+        at = _places(spikes)
         bias, factor = (
-            np.broadcast_to(each, membrane.shape[2:])[at % layer.size]
-            for each in (layer.voltage_bias, layer.membrane_decay)
+            _of_neurons(each, at, layer.size) for each in (layer.voltage_bias, layer.membrane_decay)
         )
         # V = b V + I + bias
         before: Numbers = membrane.copy()
