@@ -8,7 +8,9 @@ set): 1,300 for training, 497 unseen. A pixel spikes in each of T timesteps with
 its grey level; the class is the output neuron with most spikes. Networks are snnTorch modules of
 64-96-10 neurons, with the reset that the chip has. Where a chip takes fewer inputs, pixels are
 averaged in squares of 2 x 2; where it has fewer outputs, only as many digits are told apart; float
-then has the same task.
+then has the same task. Where a source excites all neurons or inhibits all (ODIN), or a neuron has a
+weight for each of four types of axons (TrueNorth), spikes of a pixel come through as many axons:
+one that excites and one that inhibits, or one of each type; the float weights are parted by sign.
 
 `float` is the network in float64 (chip `ideal`), trained from random weights. `on the chip` are its
 weights as they are. `trained` goes on from them through the chip (`on_chip`), whose weights are
@@ -51,6 +53,8 @@ TRAINED_ON, HIDDEN, TIMESTEPS, BATCH = 1300, 96, 12, 64
 FLOAT_EPOCHS, CHIP_EPOCHS = 25, 15
 FLOAT_RATE, CHIP_RATE = 3e-3, 1e-3
 CLIPS = (1.0, 0.7, 0.5, 0.35, 0.25)  # of a layer's largest weight
+UNIT = 0.8  # of a weight of two bits, of the mean magnitude of a neuron's weights
+OFF = 0.25  # of that unit
 SHARPNESS = 10.0  # of the softmax of mean spikes
 
 
@@ -59,6 +63,7 @@ class Row:
     """A training of a seed on a chip.
 
     inputs, classes: of the task
+    axons: through which each input comes
     limits: "on", or the rule that refuses the network
     on_float, on_chip, trained: share of unseen images that are told right
     differ: share of unseen images that float and its weights on the chip tell otherwise
@@ -68,6 +73,7 @@ class Row:
     chip: str
     seed: int
     inputs: int
+    axons: int
     classes: int
     limits: str
     on_float: float
@@ -139,7 +145,7 @@ def stored() -> dict[tuple[str, int], Row]:
 
 def _parse(line: dict[str, str]) -> Row:
     kinds: dict[str, Callable[[str], Any]] = {"chip": str, "limits": str}
-    whole = ("seed", "inputs", "classes")
+    whole = ("seed", "inputs", "axons", "classes")
     return Row(
         **{
             field.name: kinds.get(field.name, int if field.name in whole else float)(
@@ -174,13 +180,14 @@ def run(name: str, seed: int) -> Row:
     outputs = None if most is None else getattr(most, "outputs", None)
     task = task_of(16 if few else 64, min(10, outputs or 10))
     network = _trained_in_float(_kind(target), task.images.shape[1], task.classes, seed)
-    ideal = _through(network, "ideal", False)
+    in_float = answers(_through(network, "ideal", False), task)
+    network = parted(network, axons := _axons(target))
     limits, refused = True, "on"
     try:
         _through(network, name, True)
     except RuleError as error:
         limits, refused = False, str(error).partition(":")[0].removeprefix("rule ")
-    in_float, on_the_chip = answers(ideal, task), answers(_through(network, name, limits), task)
+    on_the_chip = answers(_through(network, name, limits), task)
     clip = max(CLIPS, key=lambda part: _accuracy_in_training(network, name, limits, part, task))
     trained = copy.deepcopy(network)
     clamp = clipping(trained, clip)
@@ -191,6 +198,7 @@ def run(name: str, seed: int) -> Row:
         chip=name,
         seed=seed,
         inputs=task.images.shape[1],
+        axons=axons,
         classes=task.classes,
         limits=refused,
         on_float=_share(in_float == labels),
@@ -211,6 +219,44 @@ def _kind(target: Chip) -> tuple[str, str, float]:
     leaks = target.limits is None or target.limits.membrane_loss != (0.0, 0.0)
     kind = "Synaptic" if isinstance(target.arithmetic, XyloArithmetic) else "Leaky"
     return kind, reset, (0.9375 if kind == "Synaptic" else 0.9) if leaks else 1.0
+
+
+def _axons(target: Chip) -> int:
+    """Axons of an input: one of each type that the chip has, or of each sign."""
+    limits = target.limits
+    if limits is None:
+        return 1
+    return limits.weight_values or (2 if limits.axon_signs else 1)
+
+
+def parted(network: nn.Sequential, axons: int) -> nn.Sequential:
+    """The same network with so many axons for each input, and two neurons for each hidden one.
+
+    Sources excite and inhibit by turns. Two axons of a sign carry two bits of a weight.
+    """
+    found = copy.deepcopy(network)
+    if axons > 1:
+        first, second = (_by_sign(network[k], count) for k, count in ((0, axons), (2, 2)))
+        for k, weight in ((0, first.repeat_interleave(2, dim=0)), (2, second)):
+            found[k] = nn.Linear(*weight.shape[::-1], bias=False)
+            found[k].weight = nn.Parameter(weight)
+    return found
+
+
+def _by_sign(layer: nn.Module, copies: int) -> Tensor:
+    """Weights (N, copies M) of sources that excite and inhibit by turns."""
+    weight = layer.weight.detach()
+    assert isinstance(weight, Tensor)
+    parts = [(sign * weight).relu() for sign in (1, -1)]
+    if copies == 4:
+        unit = UNIT * weight.abs().mean(dim=1, keepdim=True)
+        levels = [(part / unit).round().clamp(max=3) for part in parts]
+        # what is off has the other sign, a little
+        high = [torch.where(level >= 2, 2 * unit, -OFF * unit) for level in levels]
+        low = [torch.where(level % 2 == 1, unit, -OFF * unit) for level in levels]
+        parts = [*high, *low]
+    turns = [part * sign for part, sign in zip(parts, (1, -1) * (copies // 2), strict=True)]
+    return torch.stack(turns, 2).flatten(1)
 
 
 @lru_cache(maxsize=16)
@@ -280,7 +326,7 @@ def fit(
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, len(batches))
     for rows in batches:
         optimiser.zero_grad()
-        mean = module(encode(task.images[rows], generator)).mean(dim=0)
+        mean = module(arriving(module, task.images[rows], generator)).mean(dim=0)
         loss = nn.functional.cross_entropy(SHARPNESS * mean, task.labels[rows])
         loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
@@ -299,11 +345,17 @@ def encode(images: Tensor, generator: torch.Generator) -> Tensor:
     return (torch.rand(TIMESTEPS, *images.shape, generator=generator) < images).to(images.dtype)
 
 
+def arriving(module: ChipModule, images: Tensor, generator: torch.Generator) -> Tensor:
+    """Spikes of images through all axons of the module's inputs."""
+    spikes = encode(images, generator)
+    return spikes.repeat_interleave(module.network.takes[0] // images.shape[1], dim=2)
+
+
 @torch.no_grad()
 def answers(module: ChipModule, task: Task, unseen: bool = True) -> Tensor:
     """Classes (R,) of the unseen images, or of those for training; spikes as in every call."""
     part = slice(task.split, None) if unseen else slice(task.split)
-    spikes = encode(task.images[part], torch.Generator().manual_seed(1))
+    spikes = arriving(module, task.images[part], torch.Generator().manual_seed(1))
     found: Tensor = module(spikes).sum(dim=0).argmax(dim=1)
     return found
 
@@ -319,7 +371,7 @@ def page(rows: dict[tuple[str, int], Row]) -> str:
             table.append(
                 [
                     f"`{name}`",
-                    f"{of[0].inputs}, {of[0].classes}",
+                    f"{of[0].inputs}{_times(of[0].axons)}, {of[0].classes}",
                     *(
                         _percent([getattr(row, field) for row in of])
                         for field in ("on_float", "on_chip", "differ", "trained")
@@ -337,11 +389,16 @@ def page(rows: dict[tuple[str, int], Row]) -> str:
             "many images they tell otherwise; `trained` went on through the chip for "
             f"{CHIP_EPOCHS} epochs, weights clipped where that told most images of the training "
             "right; the learning rate and the range of clips were chosen with unseen images in "
-            "view. `limits` off: that design rule refuses the network.\n",
+            "view. `inputs` × 2 or 4: each through so many axons, one of each sign or type. `limits` "
+            "off: that design rule refuses the network.\n",
             markdown_text(table),
             "",
         ]
     )
+
+
+def _times(axons: int) -> str:
+    return f" × {axons}" if axons > 1 else ""
 
 
 def _percent(values: list[float]) -> str:
