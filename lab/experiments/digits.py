@@ -238,15 +238,15 @@ def parted(network: nn.Sequential, axons: int) -> nn.Sequential:
     if axons > 1:
         first, second = (_by_sign(network[k], count) for k, count in ((0, axons), (2, 2)))
         for k, weight in ((0, first.repeat_interleave(2, dim=0)), (2, second)):
-            found[k] = nn.Linear(*weight.shape[::-1], bias=False)
+            found[k] = nn.Linear(weight.shape[1], len(weight), bias=False)
             found[k].weight = nn.Parameter(weight)
     return found
 
 
 def _by_sign(layer: nn.Module, copies: int) -> Tensor:
     """Weights (N, copies M) of sources that excite and inhibit by turns."""
+    assert isinstance(layer, nn.Linear)
     weight = layer.weight.detach()
-    assert isinstance(weight, Tensor)
     parts = [(sign * weight).relu() for sign in (1, -1)]
     if copies == 4:
         unit = UNIT * weight.abs().mean(dim=1, keepdim=True)
@@ -389,8 +389,8 @@ def page(rows: dict[tuple[str, int], Row]) -> str:
             "many images they tell otherwise; `trained` went on through the chip for "
             f"{CHIP_EPOCHS} epochs, weights clipped where that told most images of the training "
             "right; the learning rate and the range of clips were chosen with unseen images in "
-            "view. `inputs` × 2 or 4: each through so many axons, one of each sign or type. `limits` "
-            "off: that design rule refuses the network.\n",
+            "view. `inputs` × 2 or 4: each through so many axons, one of each sign or type. "
+            "`limits` off: that design rule refuses the network.\n",
             markdown_text(table),
             "",
         ]
