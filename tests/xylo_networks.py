@@ -4,13 +4,16 @@ from itertools import pairwise
 
 import nir
 import numpy as np
+from hypothesis import reject
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.errors import RuleError
 from tests.networks import lif
 
 
@@ -57,12 +60,12 @@ def network(rng, sizes, kinds, *, loops=(), biased=False, skip=False, delay=0):
 
 @st.composite
 def random_networks(draw):
-    """A graph for Xylo."""
+    """A graph for Xylo, of which no layer's weights, and no threshold, become 0."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     sizes = draw(st.lists(st.sampled_from([1, 2, 5, 12]), min_size=3, max_size=5))
     hidden = len(sizes) - 2
     kinds = draw(st.tuples(*[st.sampled_from(["cuba", "leaking", "lif"])] * (hidden + 1)))
-    return network(
+    found = network(
         rng,
         sizes,
         kinds,
@@ -71,6 +74,11 @@ def random_networks(draw):
         skip=draw(st.booleans()),
         delay=draw(st.sampled_from([0, 0, 1])),
     )
+    try:
+        compile_program(found, chip("xylo-a2"), limits=False)
+    except RuleError:
+        reject()
+    return found
 
 
 @st.composite
