@@ -231,27 +231,40 @@ def _behind(membrane: Tensor) -> Tensor:
     return membrane * (membrane <= 1)
 
 
-def integrate_many(drive: Tensor, membrane: Tensor) -> tuple[Tensor, Tensor]:
+def integrate_many(
+    drive: Tensor, membrane: Tensor, seen: tuple[Tensor, Tensor] | None = None
+) -> tuple[Tensor, Tensor]:
     """Return spikes (T, B, N) of integrate-and-fire neurons with states, and membranes (B, N).
 
     drive: (T, B, N) weighted input of each timestep
     membrane: (B, N) before the first timestep
+    seen: spikes, and membranes behind each timestep, (T, B, N) each, that a chip had; they take the
+        place of what is computed here, so that gradients alone are those of timesteps
 
     A membrane sends as many spikes in a timestep as the threshold 1 fits into it, which is
     subtracted as often, and does not fall below -1, as sinabs' IAF layers with MultiSpike.
     Straight-through gradient, of a rectified sum: above 0 a spike more for 1 more of the membrane,
     which that spike takes away again; below 0 the membrane is carried on.
     """
-    found: tuple[Tensor, Tensor] = _IntegrateMany.apply(drive, membrane)  # type: ignore[no-untyped-call]
+    found: tuple[Tensor, Tensor] = _IntegrateMany.apply(drive, membrane, seen)  # type: ignore[no-untyped-call]
     return found
 
 
 class _IntegrateMany(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, drive: Tensor, membrane: Tensor) -> tuple[Tensor, Tensor]:  # noqa: ANN401
+    def forward(
+        ctx: Any,  # noqa: ANN401
+        drive: Tensor,
+        membrane: Tensor,
+        seen: tuple[Tensor, Tensor] | None,
+    ) -> tuple[Tensor, Tensor]:
         above = torch.empty(drive.shape, dtype=drive.dtype)  # membranes before the reset
         kept = membrane.clone()
-        if usable(drive):
+        if seen is not None:
+            spikes, behind = seen
+            torch.add(drive.detach(), torch.cat([membrane[None], behind[:-1]]), out=above)
+            kept = behind[-1].clone()
+        elif usable(drive):
             kept = kept.contiguous()
             x = drive.detach().contiguous().numpy()
             _integrate_counts(x, kept.numpy(), above.numpy(), _one(drive))
@@ -262,7 +275,7 @@ class _IntegrateMany(torch.autograd.Function):
                 kept = (v - v.floor().clamp(min=0)).clamp(min=-1)
         ctx.save_for_backward(above)
         ctx.mark_non_differentiable(kept)
-        return above.floor().clamp_(min=0), kept
+        return above.floor().clamp_(min=0) if seen is None else spikes.clone(), kept
 
     @staticmethod
     @once_differentiable
@@ -277,7 +290,7 @@ class _IntegrateMany(torch.autograd.Function):
                 v = above[t]
                 later = torch.where(v > 0, to_drive[t], later * (v > -1))
                 to_drive[t] = later
-        return to_drive, None
+        return to_drive, None, None
 
 
 def integrate_and_fire(drive: Tensor, threshold: float, timesteps: int) -> Tensor:

@@ -435,9 +435,16 @@ class SpikingVisionPolicy(VisionPolicy):
         return int(np.prod(matrix.target)) if isinstance(matrix, PrunedKernel) else self.hidden
 
     def unrolled(
-        self, counts: Tensor, weights: Mapping[str, Tensor], state: Sequence[Tensor]
+        self,
+        counts: Tensor,
+        weights: Mapping[str, Tensor],
+        state: Sequence[Tensor],
+        seen: Mapping[str, tuple[Tensor, Tensor]] | None = None,
     ) -> Unrolled:
-        """Return what windows of counts (B, L, C·Y·X) give, from a state on."""
+        """Return what windows of counts (B, L, C·Y·X) give, from a state on.
+
+        seen: of "if", spikes and membranes (L, B, N) that layers had on a chip, by their names
+        """
         batch, length = counts.shape[:2]
         layers = self.spiking
         count = len(layers)
@@ -453,7 +460,8 @@ class SpikingVisionPolicy(VisionPolicy):
             drive = self.matrix(name).drive(inputs[-1], weights[name]).view(length, batch, -1)
             before = sent[k]
             if self.neuron == "if":
-                rows, membranes[k] = integrate_many(drive, membranes[k])
+                on_chip = None if seen is None else seen[name]
+                rows, membranes[k] = integrate_many(drive, membranes[k], on_chip)
             elif name == "hidden":
                 rows, membranes[k], current = self._hidden_spikes(
                     drive, membranes[k], current, weights.get("back"), before

@@ -59,7 +59,9 @@ class SparseConfig(RunConfig):
         "never", or "before-polish", which leaves the encoder as it is in the rounds of polish
     prune_every, prune_until: updates between two prunings, and the share of a level with prunings
     neuron_cost: operations that an update of a neuron counts for when neurons are removed
-    chip: on which policies are validated, and for whose weights they are rounded in training
+    chip: on which policies are validated, and for whose weights they are rounded in training; one
+        that works event by event (speck2f:queue=on) also computes the spikes that policies that see
+        learn from, and their walks
     rounding: whether the forward pass computes with the chip's rounded weights after pruning began
     bits: of float networks: to integers of how many bits it rounds their weights from then on; None
         leaves them in float32

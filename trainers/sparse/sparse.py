@@ -213,7 +213,9 @@ class Sparse(Runner[SparseConfig]):
         # what is validated is what walks: with the chip's numbers, once training computes with them
         rounded = not isinstance(self._student, MlpStudent) and self._student.offsets
         walking = self._deployed() if rounded else self.policy
-        self._collect(FloatController(walking), self._config.walks)
+        by_events = isinstance(self._student, VisionStudent) and self._student.by_events
+        walker = controller_of(walking, self._chip) if by_events else FloatController(walking)
+        self._collect(walker, self._config.walks)
         polished = self._phases[self.phase + 1].polish
         when = ("always",) if polished else ("always", "before-polish")
         if self._config.retune in when and isinstance(self.policy, DeltaSnnPolicy):

@@ -17,7 +17,8 @@ from torch.nn.functional import cross_entropy
 
 from spikedeploy.envs.eye.batch import STEERING, EyeBatch, EyeOptions
 from spikedeploy.runtime.chips.chip import Chip, chip
-from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.compiler.compile import Recompiler, compile_program
+from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.distill.teacher import compute_cross_entropy
@@ -117,8 +118,16 @@ class VisionStudent:
         self.guide = _guide(config.guide, policy) if config.guide else None
         self._guided: list[Single] = []  # labels of the guide, walk by walk
         self.offsets: Mapping[str, Tensor] = {}
+        target = chip(config.chip)
+        by_events = getattr(target.arithmetic, "by_events", False)
+        self._events = EventsOnChip(target) if by_events else None
         widths = [policy.inputs(name) for name in policy.synapses]
         self._rates = [torch.full((width,), 0.1) for width in widths]
+
+    @property
+    def by_events(self) -> bool:
+        """Whether the forward pass is that of a chip that works event by event."""
+        return self._events is not None
 
     def prepare(self, pool: WalkPool) -> None:
         """Let windows hold counts as they are, and what the guide says of them as labels."""
@@ -156,7 +165,12 @@ class VisionStudent:
         """Return the error of windows, and the operations in a control step, with a gradient."""
         c, windows = self._config, self._sample(pool, rng)
         seen, labels = mirrored(windows, torch.from_numpy(rng.random(c.batch) < 0.5), self.policy)
-        done = self.policy.unrolled(seen, self.weights(), self.policy.rest(c.batch))
+        state = self.policy.rest(c.batch)
+        if self._events is not None and isinstance(self.policy, SpikingVisionPolicy):
+            on_chip = self._events.seen(self.policy, seen)
+            done = self.policy.unrolled(seen, self.weights(), state, on_chip)
+        else:
+            done = self.policy.unrolled(seen, self.weights(), state)
         wanted, hint = labels[..., 0, :-SIGNS], labels[..., 0, -SIGNS:].argmax(-1)
         # what the burn-in saw counts where an episode begins
         counted = torch.arange(c.window)[None] >= c.burn_in
@@ -230,6 +244,37 @@ class VisionStudent:
         """Restore what `tensors` returned."""
         self._rates = [named[f"rate{number}"] for number in range(len(self._rates))]
         self.offsets = with_prefix("offsets", named)
+
+
+class EventsOnChip:
+    """What the spiking layers of a policy do on a chip that works event by event.
+
+    Its gradients are those of timesteps (trainers.neurons.integrate_many), at these spikes.
+    """
+
+    def __init__(self, target: Chip) -> None:
+        self._target = target
+        self._compiler: Recompiler | None = None
+
+    @torch.no_grad()
+    def seen(self, policy: SpikingVisionPolicy, counts: Tensor) -> dict[str, tuple[Tensor, Tensor]]:
+        """Return spikes and membranes (L, B, N) of each layer for counts (B, L, C·Y·X)."""
+        artifact = vision_artifact(policy)
+        if self._compiler is None:
+            self._compiler = Recompiler(artifact, self._target, limits=False)
+        program = self._compiler.program(artifact.graph)
+        batch, length = counts.shape[:2]
+        raster = policy.encode(counts.flatten(0, 1)).view(batch, length, -1)
+        machine = Machine(program, None, "none", trace=True, backend="auto")
+        machine.infer(raster.numpy().astype(np.uint8))
+        found = {}
+        for number, name in enumerate(policy.spiking, start=1):
+            recorded, layer = machine.recordings[f"lif{number}"], program.layer(f"lif{number}")
+            behind = recorded.membrane * layer.scale
+            rows = (torch.from_numpy(each).float() for each in (recorded.spikes, behind))
+            spikes, membranes = (each.transpose(0, 1).contiguous() for each in rows)
+            found[name] = spikes, membranes
+        return found
 
 
 def kernels(policy: VisionPolicy) -> list[str]:

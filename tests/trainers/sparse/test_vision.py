@@ -16,12 +16,18 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import VisionConfig, VisionSnnConfig, resolve
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import from_config
-from spikedeploy.trainers.policies.vision import vision_artifact
+from spikedeploy.trainers.policies.vision import SIGNS, vision_artifact
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.controllers import controller_of
 from spikedeploy.trainers.sparse.phases import planned
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool, Windows
-from spikedeploy.trainers.sparse.vision import VisionStudent, mirrored, rounding_of_kernels
+from spikedeploy.trainers.sparse.vision import (
+    EventsOnChip,
+    VisionStudent,
+    mirrored,
+    rounding_of_kernels,
+)
 from spikedeploy.trainers.train import train
 from tests.trainers.test_resume import After, resumed
 
@@ -219,3 +225,30 @@ def test_windows_hold_what_was_seen_and_nothing_outside_of_a_walk():
     np.testing.assert_array_equal(windows.seen[1], [*second[4:], *[second[0] * 0] * 3])
     assert windows.moved.shape == (2, 8, 0)
     assert windows.begins.tolist() == [True, False]
+
+
+def test_a_student_of_a_chip_that_works_event_by_event_learns_from_what_it_does_there():
+    settings = ['chip="speck2f:queue=on"', "batch=3", "window=9", "burn_in=2"]
+    config = resolve(SparseConfig, "kart-eye-if", overrides=settings)
+    policy = from_config(config.policy, 1024, 7, 4.0, None, "discrete")
+    student = VisionStudent(policy, config)
+    rng = np.random.default_rng(0)
+    counts = rng.poisson(0.4, (3, 9, 1024)).astype(np.float64)
+    with torch.no_grad():
+        policy.normalise(torch.from_numpy(counts).float())
+        policy.synapses["out"].weight.mul_(5)
+    seen = EventsOnChip(chip(config.chip)).seen(policy, torch.from_numpy(counts).float())
+    given = torch.from_numpy(counts).float(), policy.weights(), policy.rest(3)
+    by_events, by_timesteps = policy.unrolled(*given, seen), policy.unrolled(*given)
+    assert not torch.equal(by_events.mean, by_timesteps.mean)
+    controller = controller_of(policy, chip(config.chip))
+    controller.reset(3)
+    acted = [controller.act_batch(rows) for rows in counts.transpose(1, 0, 2)]
+    np.testing.assert_array_equal(by_events.mean.argmax(-1).T, np.stack(acted))
+    walk = Walk(counts[0].astype(np.uint8), np.zeros((9, 7 + SIGNS), np.float32), False)
+    pool = WalkPool()
+    pool.add([walk])
+    student.prepare(pool)
+    error, _ = student.loss(pool, rng)
+    error.backward()
+    assert all(policy.matrix(name).weight.grad.abs().sum() > 0 for name in policy.synapses)
