@@ -1,7 +1,7 @@
 """Handwritten digits on every chip: float, float weights on the chip, trained through the chip.
 
     pip install '.[digits]'
-    python -m lab digits [--only loihi1] [--seeds 3] [--page]
+    python -m lab digits [--only loihi1] [--seeds 3] [--brevitas] [--page]
 
 The data are the 1,797 scans of 8 x 8 pixels that scikit-learn ships (Alpaydin and Kaynak 1998, test
 set): 1,300 for training, 497 unseen. A pixel spikes in each of T timesteps with the probability of
@@ -20,6 +20,10 @@ accuracy on the training images before training. No choice is made on unseen
 images, but for two that were made with them in view before: the learning rate through the chip, and
 the range of CLIPS.
 
+With `--brevitas` (pip install --no-deps brevitas unfoldNd dependencies==2.0.1) chips with few bits
+get a rival: the same weights, clipped alike, go on for as many epochs with Brevitas' rounding of
+weights alone and snnTorch's float neurons, and are then played on the chip.
+
 Design rules of the chip are on, unless they refuse the network: then the row names the rule. Rows
 that results/digits.csv has stay; the page is made of them.
 """
@@ -27,11 +31,12 @@ that results/digits.csv has stay; the page is made of them.
 import argparse
 import copy
 import csv
+import math
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -68,6 +73,8 @@ class Row:
     on_float, on_chip, trained: share of unseen images that are told right
     differ: share of unseen images that float and its weights on the chip tell otherwise
     clip: of CLIPS
+    weights_only, weights_only_on_chip: share told right by the network of Brevitas, with float
+        neurons and on the chip; NaN where that was not run
     """
 
     chip: str
@@ -81,6 +88,8 @@ class Row:
     differ: float
     trained: float
     clip: float
+    weights_only: float = math.nan
+    weights_only_on_chip: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +128,7 @@ def main() -> None:
     )
     parser.add_argument("--only", help="chips whose name begins so")
     parser.add_argument("--seeds", type=int, default=3, help="trainings of each chip")
+    parser.add_argument("--brevitas", action="store_true", help="the rival of chips with few bits")
     parser.add_argument("--page", action="store_true", help="write the page alone")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
@@ -129,6 +139,11 @@ def main() -> None:
             if (name, seed) in rows or not name.startswith(arguments.only or ""):
                 continue
             rows[name, seed] = made = run(name, seed)
+            print(made, flush=True)
+            write(rows)
+    for key, row in rows.items() if arguments.brevitas else ():
+        if row.chip in FEW_BITS and math.isnan(row.weights_only):
+            rows[key] = made = with_weights_only(row)
             print(made, flush=True)
             write(rows)
     write_text(PAGE, page(rows))
@@ -145,15 +160,9 @@ def stored() -> dict[tuple[str, int], Row]:
 
 def _parse(line: dict[str, str]) -> Row:
     kinds: dict[str, Callable[[str], Any]] = {"chip": str, "limits": str}
-    whole = ("seed", "inputs", "axons", "classes")
-    return Row(
-        **{
-            field.name: kinds.get(field.name, int if field.name in whole else float)(
-                line[field.name]
-            )
-            for field in fields(Row)
-        }
-    )
+    kinds |= dict.fromkeys(("seed", "inputs", "axons", "classes"), int)
+    names = (field.name for field in fields(Row) if line.get(field.name))
+    return Row(**{name: kinds.get(name, float)(line[name]) for name in names})
 
 
 def write(rows: dict[tuple[str, int], Row]) -> None:
@@ -167,6 +176,7 @@ def write(rows: dict[tuple[str, int], Row]) -> None:
             {
                 name: f"{value:.4f}" if isinstance(value, float) else value
                 for name, value in asdict(row).items()
+                if not (isinstance(value, float) and math.isnan(value))
             }
             for row in ordered
         )
@@ -207,6 +217,49 @@ def run(name: str, seed: int) -> Row:
         trained=_share(answers(module, task) == labels),
         clip=clip,
     )
+
+
+def with_weights_only(row: Row) -> Row:
+    """The row with what Brevitas' rounding of weights alone comes to."""
+    from brevitas.nn import QuantLinear
+
+    task, target = task_of(row.inputs, row.classes), chip(row.chip)
+    plain = copy.deepcopy(_trained_in_float(_kind(target), row.inputs, row.classes, row.seed))
+    clipping(plain, row.clip)
+    bits = 2 if row.chip == "loihi1:weight_bits=1" else int(row.chip[-1])  # with the sign
+    rounded, pairs = copy.deepcopy(plain), []
+    for k in (0, 2):
+        of = cast("nn.Linear", plain[k])
+        rounding = QuantLinear(of.in_features, of.out_features, bias=False, weight_bit_width=bits)
+        rounding.weight = nn.Parameter(of.weight.detach().clone())
+        rounded[k] = rounding
+        pairs.append((of, rounding))
+    fit(_ByTimesteps(rounded), task, CHIP_EPOCHS, CHIP_RATE, row.seed, lambda: None)
+    with torch.no_grad():
+        for of, rounding in pairs:
+            of.weight.copy_(rounding.quant_weight().value)
+    labels = task.labels[task.split :]
+    found = (answers(_through(plain, name, True), task) for name in ("ideal", row.chip))
+    in_float, on_the_chip = (_share(each == labels) for each in found)
+    return replace(row, weights_only=in_float, weights_only_on_chip=on_the_chip)
+
+
+class _ByTimesteps(nn.Module):
+    """Linear maps and Leaky neurons by turns, over time: spikes (T, B, M) in, (T, B, N) out."""
+
+    def __init__(self, network: nn.Sequential) -> None:
+        super().__init__()
+        self.layers = nn.ModuleList(network)
+
+    def forward(self, spikes: Tensor) -> Tensor:
+        """Return the output spikes of each timestep."""
+        rows = list(spikes.unbind())
+        layers = list(self.layers)
+        for through, neurons in zip(layers[::2], layers[1::2], strict=True):
+            membrane = cast("Any", neurons).reset_mem()
+            for t, row in enumerate(rows):
+                rows[t], membrane = neurons(through(row), membrane)
+        return torch.stack(rows)
 
 
 def _share(holds: Tensor) -> float:
@@ -312,7 +365,7 @@ def _accuracy_in_training(
 
 
 def fit(
-    module: ChipModule,
+    module: nn.Module,
     task: Task,
     epochs: int,
     rate: float,
@@ -345,9 +398,11 @@ def encode(images: Tensor, generator: torch.Generator) -> Tensor:
     return (torch.rand(TIMESTEPS, *images.shape, generator=generator) < images).to(images.dtype)
 
 
-def arriving(module: ChipModule, images: Tensor, generator: torch.Generator) -> Tensor:
+def arriving(module: nn.Module, images: Tensor, generator: torch.Generator) -> Tensor:
     """Spikes of images through all axons of the module's inputs."""
     spikes = encode(images, generator)
+    if not isinstance(module, ChipModule):
+        return spikes
     return spikes.repeat_interleave(module.network.takes[0] // images.shape[1], dim=2)
 
 
@@ -392,9 +447,29 @@ def page(rows: dict[tuple[str, int], Row]) -> str:
             "view. `inputs` × 2 or 4: each through so many axons, one of each sign or type. "
             "`limits` off: that design rule refuses the network.\n",
             markdown_text(table),
+            *_beside_weights_only(rows, seeds),
             "",
         ]
     )
+
+
+def _beside_weights_only(rows: dict[tuple[str, int], Row], seeds: list[int]) -> list[str]:
+    """Lines on Brevitas, where it was run."""
+    table = [["chip", "float", "through the chip", "Brevitas, float neurons", "on the chip"]]
+    for name in FEW_BITS:
+        of = [rows[name, seed] for seed in seeds if (name, seed) in rows]
+        if of and not any(math.isnan(row.weights_only) for row in of):
+            names = ("on_float", "trained", "weights_only", "weights_only_on_chip")
+            columns = (_percent([getattr(row, field) for row in of]) for field in names)
+            table.append([f"`{name}`", *columns])
+    if len(table) == 1:
+        return []
+    said = (
+        "\nBrevitas rounds weights alone. `python -m lab digits --brevitas` trains the same "
+        f"clipped weights for as many epochs, at the same learning rate of {CHIP_RATE:g}. Where, "
+        "as here, registers are wide and only weights are short, that is as good.\n"
+    )
+    return [said, markdown_text(table)]
 
 
 def _times(axons: int) -> str:
