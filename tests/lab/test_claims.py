@@ -41,8 +41,8 @@ def test_where_speck_is_recommended_stands_what_its_policies_do_event_by_event(p
         assert f"{100 * np.mean(stepped):.1f} %" in text
 
 
-def test_the_card_of_the_policy_for_speck_says_both():
-    card = zoo.card("kart-eye/speck")
+def test_the_card_of_the_integrators_says_both():
+    card = zoo.card("kart-eye/if")
     level, seed = card["checkpoint"], card["seed"]
     (stepped,), (events,) = (finishes(level, way, seed) for way in ("speck2f", "speck2f:queue=on"))
     assert f"{round(200 * stepped)} of the 200" in card["note"]
