@@ -108,6 +108,12 @@ def measure(key: Key, runs: Path, episodes: int) -> Record:
     }
 
 
+def _settings_said() -> str:
+    further = {task: settings for task, (_, settings) in TASKS.items()} | _LONGER
+    parts = [f"{name}: `{' '.join(each)}`" for name, each in further.items() if each]
+    return "; ".join([*parts, f"Xylo with more than eight observations: `{' '.join(_FEW_INPUTS)}`"])
+
+
 def page(rows: Mapping[Key, Record]) -> str:
     """Return the table as Markdown."""
     lines = [
@@ -122,6 +128,8 @@ def page(rows: Mapping[Key, Record]) -> str:
         "bootstrap intervals over trainings and episodes; of three trainings they are too narrow. "
         f"✓: the whole interval is at least {WANTED:.0%}; ≈: it contains that; ✗: below. Tasks and "
         "trainings that are not here were not run.",
+        "",
+        f"Beside the recipe's defaults: {_settings_said()}.",
         "",
         "| task | network | chip | inputs | T | SOPs a control step | trainings | of the teacher |",
         "|---|---|---|---|---|---|---|---|",
