@@ -129,7 +129,8 @@ def page(rows: Mapping[Key, Record]) -> str:
         f"✓: the whole interval is at least {WANTED:.0%}; ≈: it contains that; ✗: below. Tasks and "
         "trainings that are not here were not run.",
         "",
-        f"Beside the recipe's defaults: {_settings_said()}.",
+        f"Beside the recipe's defaults: {_settings_said()}. Longer trainings were chosen after a "
+        "first training of the defaults had been played on these seeds.",
         "",
         "| task | network | chip | inputs | T | SOPs a control step | trainings | of the teacher |",
         "|---|---|---|---|---|---|---|---|",
