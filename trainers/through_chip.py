@@ -186,7 +186,7 @@ class ChipModule(nn.Module):
         traced = differentiable or self.records
         machine = Machine(program, None, "none", trace=traced, backend="auto")
         output = machine.infer(self._raster(spikes))
-        found = _time_first(output, spikes, 1.0).reshape(*spikes.shape[:2], *puts)
+        found = time_first(output, spikes, 1.0).reshape(*spikes.shape[:2], *puts)
         if not traced:
             return found
         run = self._by_timesteps if self._timing.loops else self._by_layers
@@ -427,15 +427,15 @@ class _Records:
         )
         last = name == program.output
         most = getattr(arithmetic, "output_spikes_max", arithmetic.spikes_max)
-        behind = _time_first(recorded.membrane, like, layer.scale)
+        behind = time_first(recorded.membrane, like, layer.scale)
         return _Seen(
             # which the equation has no use for where it has no current
             behind
             if equation.current_decay is None
-            else _time_first(recorded.current, like, layer.scale),
-            behind if before is recorded.membrane else _time_first(before, like, layer.scale),
+            else time_first(recorded.current, like, layer.scale),
+            behind if before is recorded.membrane else time_first(before, like, layer.scale),
             behind,
-            _time_first(recorded.spikes, like, 1.0),
+            time_first(recorded.spikes, like, 1.0),
             torch.from_numpy(np.asarray(layer.threshold * layer.scale, np.float64)).to(like.dtype),
             convention.reset == "subtract",
             (most if last else arithmetic.spikes_max) > 1,
@@ -651,7 +651,7 @@ def _exactly(value: Tensor, through: Tensor) -> Tensor:
     return value + (through - through.detach())
 
 
-def _time_first(values: NDArray[Any], like: Tensor, scale: float | Array) -> Tensor:
+def time_first(values: NDArray[Any], like: Tensor, scale: float | Array) -> Tensor:
     """Return (B, T, N), or the sum of K currents (B, T, K, N), times (N,) as (T, B, N)."""
     summed = values
     if values.ndim == 4:

@@ -29,13 +29,13 @@ from spikedeploy.runtime.dialects.dialect import (
 )
 from spikedeploy.runtime.graph.neurons import SPIKING, float64
 
-_SNNTORCH_TOOL = "snnTorch 1.0.0"
-_SNNTORCH_RATE = 1e4  # 1/dt of its export [1/s]
-_SNNTORCH_ENDLESS = 2.0**60 / _SNNTORCH_RATE  # [s], whose decay factor rounds to 1 in float64
-_SNNTORCH_MAPS = (nir.Affine, nir.Linear, nir.Conv2d, nir.Flatten, nir.AvgPool2d)
+_TOOL = "snnTorch 1.0.0"
+_RATE = 1e4  # 1/dt of its export [1/s]
+_ENDLESS = 2.0**60 / _RATE  # [s], whose decay factor rounds to 1 in float64
+_MAPS = (nir.Affine, nir.Linear, nir.Conv2d, nir.Flatten, nir.AvgPool2d)
 
 
-def _snntorch_reads(name: str, node: nir.NIRNode, convention: Convention) -> nir.NIRNode:
+def _reads(name: str, node: nir.NIRNode, convention: Convention) -> nir.NIRNode:
     """The neuron with a gain of 1; another gain of the file divides the threshold instead."""
     if isinstance(node, nir.Flatten):
         return with_batch_axis(node)
@@ -60,13 +60,13 @@ def _snntorch_reads(name: str, node: nir.NIRNode, convention: Convention) -> nir
     return with_zero_reset(with_gain(node, convention), v_threshold=threshold)
 
 
-def _snntorch_means(name: str, node: nir.NIRNode, convention: Convention) -> nir.NIRNode:
+def _means(name: str, node: nir.NIRNode, convention: Convention) -> nir.NIRNode:
     """The neuron with time constants [s] of exactly its decay factors in float32."""
     if not isinstance(node, (nir.IF, nir.LIF, nir.CubaLIF)):
         return node
     require_values(name, node, "writes", v_leak=0, v_reset=0)
     if isinstance(node, nir.IF):
-        require(node.r == _SNNTORCH_RATE, name, "writes no IF, but a Leaky of beta = 1")
+        require(node.r == _RATE, name, "writes no IF, but a Leaky of beta = 1")
         return with_gain(node, convention)
     dt, exact = convention.dt, {}
     for field in ("tau",) if isinstance(node, nir.LIF) else ("tau_syn", "tau_mem"):
@@ -76,13 +76,11 @@ def _snntorch_means(name: str, node: nir.NIRNode, convention: Convention) -> nir
         rounding = np.finfo(getattr(node, field).dtype).eps
         beta = np.where(np.abs(single - beta) <= rounding, single, beta)
         with np.errstate(divide="ignore"):
-            exact[field] = np.minimum(
-                dt / (1 - np.where(beta <= rounding, 0, beta)), _SNNTORCH_ENDLESS
-            )
+            exact[field] = np.minimum(dt / (1 - np.where(beta <= rounding, 0, beta)), _ENDLESS)
     return with_gain(with_parameters(node, **exact), convention)
 
 
-def _snntorch_finite(node: nir.NIRNode) -> nir.NIRNode:
+def _finite(node: nir.NIRNode) -> nir.NIRNode:
     """The neuron without the infinite tau and r of a decay factor of 1, or negative ones beyond 1.
 
     An IF where all neurons of a Leaky have it, else time constants that do not decay in float64.
@@ -102,15 +100,15 @@ def _snntorch_finite(node: nir.NIRNode) -> nir.NIRNode:
         if not endless.any():
             continue
         if tau == "tau" and endless.all() and not node.v_leak.any():
-            return nir.IF(np.full(gains.shape, _SNNTORCH_RATE), node.v_threshold, node.v_reset)
-        finite[tau] = np.where(endless, _SNNTORCH_ENDLESS, times)
-        finite[gain] = np.where(endless, _SNNTORCH_ENDLESS * _SNNTORCH_RATE, gains)
+            return nir.IF(np.full(gains.shape, _RATE), node.v_threshold, node.v_reset)
+        finite[tau] = np.where(endless, _ENDLESS, times)
+        finite[gain] = np.where(endless, _ENDLESS * _RATE, gains)
     return with_parameters(node, **finite) if finite else node
 
 
-def _snntorch_wires(nodes: Nodes, edges: Edges, convention: Convention) -> Convention:
+def _wires(nodes: Nodes, edges: Edges, convention: Convention) -> Convention:
     """What the options mean for these nodes, some of which are replaced."""
-    loops = _snntorch_recurrent(nodes, edges)
+    loops = _recurrent(nodes, edges)
     recurrent = {name for name in loops if isinstance(nodes[name], nir.CubaLIF)}
     current_based = {name for name, node in nodes.items() if isinstance(node, nir.CubaLIF)}
     reset = convention.reset
@@ -137,7 +135,7 @@ def _snntorch_wires(nodes: Nodes, edges: Edges, convention: Convention) -> Conve
     for name in loops - recurrent:
         # an RLeaky loses the input of that timestep, as a CubaLIF does: one without a current
         node = nodes[name]
-        tau = node.tau if isinstance(node, nir.LIF) else np.full(node.r.shape, _SNNTORCH_ENDLESS)
+        tau = node.tau if isinstance(node, nir.LIF) else np.full(node.r.shape, _ENDLESS)
         unit = np.full(node.r.shape, convention.dt)
         nodes[name] = with_gain(
             nir.CubaLIF(unit, tau, unit, 0 * unit, node.v_threshold, node.v_reset, unit), convention
@@ -147,7 +145,7 @@ def _snntorch_wires(nodes: Nodes, edges: Edges, convention: Convention) -> Conve
     return convention if late_matters else replace(convention, reset="zero")
 
 
-def _snntorch_recurrent(nodes: Nodes, edges: Edges) -> set[str]:
+def _recurrent(nodes: Nodes, edges: Edges) -> set[str]:
     """Neurons of RLeaky and RSynaptic: those in a loop with a node of weights."""
     return {
         source
@@ -164,7 +162,7 @@ def _all_integrate(nodes: Nodes) -> bool:
     )
 
 
-def _snntorch_arrange(nodes: Nodes, edges: EdgeList) -> tuple[Nodes, EdgeList]:
+def _arrange(nodes: Nodes, edges: EdgeList) -> tuple[Nodes, EdgeList]:
     """The graph with a node more, which changes nothing, in each loop of a neuron and weights.
 
     snnTorch 1.0.0 wraps such loops, and nirtorch 2.6 cannot run what comes of it; it runs a loop of
@@ -182,23 +180,23 @@ def _snntorch_arrange(nodes: Nodes, edges: EdgeList) -> tuple[Nodes, EdgeList]:
 
 
 SNNTORCH = Preset(
-    tool=_SNNTORCH_TOOL,
-    kinds=(*_SNNTORCH_MAPS, nir.IF, nir.LIF, nir.CubaLIF),
+    tool=_TOOL,
+    kinds=(*_MAPS, nir.IF, nir.LIF, nir.CubaLIF),
     convention=lambda nodes: Convention(1e-4),
-    translate=_snntorch_reads,
+    translate=_reads,
     source="snntorch 1.0.0, import_nir.py: dt, reset_mechanism and reset_delay are constants there",
 )
 SNNTORCH_WRITER = Writer(
-    tool=_SNNTORCH_TOOL,
-    kinds=(*_SNNTORCH_MAPS, nir.IF, nir.LIF, nir.CubaLIF),
+    tool=_TOOL,
+    kinds=(*_MAPS, nir.IF, nir.LIF, nir.CubaLIF),
     # its neurons have decay factors and no dt; its export writes r = tau/dt with 1e-4
     timestep=tau_over_r,
     default_timestep=(1e-4, ""),
-    contradiction=f", which {_SNNTORCH_TOOL} writes whatever its network was trained with; its "
+    contradiction=f", which {_TOOL} writes whatever its network was trained with; its "
     "decays count timesteps",
-    translate=_snntorch_means,
-    wire=_snntorch_wires,
-    finite=_snntorch_finite,
+    translate=_means,
+    wire=_wires,
+    finite=_finite,
     source="snntorch 1.0.0, export_nir.py, _neurons/leaky.py and _neurons/synaptic.py",
     open={
         "reset": Assumption(
@@ -210,4 +208,4 @@ SNNTORCH_WRITER = Writer(
     always=("graded_spikes_factor 1, no inhibition and no state_quant",),
 )
 
-SNNTORCH_IMPORTER = Importer(arrange=_snntorch_arrange)
+SNNTORCH_IMPORTER = Importer(arrange=_arrange)

@@ -37,6 +37,7 @@ from spikedeploy.trainers.sparse.pool import (
     WalkPool,
     Windows,
 )
+from spikedeploy.trainers.through_chip import time_first
 
 _WIDTH = 0.12  # of the bell of targets around the teacher's steering [full steering]
 _UNKNOWN = 0.4  # weight of control steps in which no sign was readable yet
@@ -120,7 +121,8 @@ class VisionStudent:
         self.offsets: Mapping[str, Tensor] = {}
         target = chip(config.chip)
         by_events = getattr(target.arithmetic, "by_events", False)
-        self._events = EventsOnChip(target) if by_events else None
+        spiking = isinstance(policy, SpikingVisionPolicy)
+        self._events = EventsOnChip(target) if by_events and spiking else None
         widths = [policy.inputs(name) for name in policy.synapses]
         self._rates = [torch.full((width,), 0.1) for width in widths]
 
@@ -270,10 +272,8 @@ class EventsOnChip:
         found = {}
         for number, name in enumerate(policy.spiking, start=1):
             recorded, layer = machine.recordings[f"lif{number}"], program.layer(f"lif{number}")
-            behind = recorded.membrane * layer.scale
-            rows = (torch.from_numpy(each).float() for each in (recorded.spikes, behind))
-            spikes, membranes = (each.transpose(0, 1).contiguous() for each in rows)
-            found[name] = spikes, membranes
+            behind = time_first(recorded.membrane, counts, layer.scale)
+            found[name] = time_first(recorded.spikes, counts, 1.0), behind
         return found
 
 
