@@ -444,8 +444,9 @@ def page(rows: dict[tuple[str, int], Row]) -> str:
             "many images they tell otherwise; `trained` went on through the chip for "
             f"{CHIP_EPOCHS} epochs, weights clipped where that told most images of the training "
             "right; the learning rate and the range of clips were chosen with unseen images in "
-            "view. `inputs` × 2 or 4: each through so many axons, one of each sign or type. "
-            "`limits` off: that design rule refuses the network.\n",
+            "view. `inputs` × 2 or 4: each through so many axons, one of each sign or type, and "
+            "on the chip two neurons for each hidden one, so that the chip has more of both than "
+            "float. `limits` off: that design rule refuses the network.\n",
             markdown_text(table),
             *_beside_weights_only(rows, seeds),
             "",
@@ -466,8 +467,8 @@ def _beside_weights_only(rows: dict[tuple[str, int], Row], seeds: list[int]) -> 
         return []
     said = (
         "\nBrevitas rounds weights alone. `python -m lab digits --brevitas` trains the same "
-        f"clipped weights for as many epochs, at the same learning rate of {CHIP_RATE:g}. Where, "
-        "as here, registers are wide and only weights are short, that is as good.\n"
+        f"clipped weights for as many epochs, at the same learning rate of {CHIP_RATE:g}. On "
+        "these chips, whose registers are wide, that is as good; no rate was searched for it.\n"
     )
     return [said, markdown_text(table)]
 

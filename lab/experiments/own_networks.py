@@ -108,6 +108,11 @@ def measure(key: Key, runs: Path, episodes: int) -> Record:
     }
 
 
+def _worst(scores: Sequence[float]) -> float:
+    """Return the mean of the worst twentieth."""
+    return float(np.sort(scores)[: max(1, len(scores) // 20)].mean())
+
+
 def _settings_said() -> str:
     further = {task: settings for task, (_, settings) in TASKS.items()} | _LONGER
     parts = [f"{name}: `{' '.join(each)}`" for name, each in further.items() if each]
@@ -132,8 +137,12 @@ def page(rows: Mapping[Key, Record]) -> str:
         f"Beside the recipe's defaults: {_settings_said()}. Longer trainings were chosen after a "
         "first training of the defaults had been played on these seeds.",
         "",
-        "| task | network | chip | inputs | T | SOPs a control step | trainings | of the teacher |",
-        "|---|---|---|---|---|---|---|---|",
+        "Worst 5 %: mean return of that share of the episodes, of all trainings, and of the "
+        "teacher. No float network of this size was trained beside these.",
+        "",
+        "| task | network | chip | inputs | T | SOPs a control step | trainings | of the teacher "
+        "| worst 5 % | teacher's |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for task in TASKS:
         if (task, "random", "", 0) not in rows or (task, "teacher", "", 0) not in rows:
@@ -148,7 +157,9 @@ def page(rows: Mapping[Key, Record]) -> str:
                 lines.append(
                     f"| `{task}` | `{network}` | `{name}` | {own[0]['inputs']:.0f} | "
                     f"{own[0]['timesteps']:.0f} | {sops} | {len(own)} | "
-                    f"{share(found)} {found.mark(WANTED)} |"
+                    f"{share(found)} {found.mark(WANTED)} | "
+                    f"{_worst([s for row in own for s in row['scores']]):,.1f} | "
+                    f"{_worst(taught):,.1f} |"
                 )
     return "\n".join([*lines, ""])
 
