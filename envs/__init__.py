@@ -33,7 +33,7 @@ from typing import Any
 import gymnasium
 
 from spikedeploy.envs import drawing
-from spikedeploy.envs.errors import EnvError
+from spikedeploy.runtime.errors import EnvError
 
 drawing.choose()
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from spikedeploy.envs.errors import EnvError
-from spikedeploy.files import replacing
+from spikedeploy.runtime.errors import EnvError
+from spikedeploy.runtime.files import replacing
 
 # bytes that an archive may unpack to for each of its own, and besides those
 _MAX_EXPANSION = 100

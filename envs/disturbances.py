@@ -30,10 +30,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.foreign import AdaptedEnv, make_foreign
-from spikedeploy.files import read_toml
-from spikedeploy.requests import Request, Scale, parse_requests
+from spikedeploy.runtime.errors import EnvError
+from spikedeploy.runtime.files import read_toml
+from spikedeploy.runtime.requests import Request, Scale, parse_requests
 
 if TYPE_CHECKING:
     from spikedeploy.envs import EnvSpec

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from spikedeploy.envs.errors import EnvError
+from spikedeploy.runtime.errors import EnvError
 
 _NONE = ("disable", "disabled", "off", "false", "0")
 _LIBRARIES = {

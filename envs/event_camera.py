@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spikedeploy.envs.errors import EnvError
-from spikedeploy.events import EVENT, Events
+from spikedeploy.runtime.camera_events import EVENT, Events
+from spikedeploy.runtime.errors import EnvError
 
 Float32 = NDArray[np.float32]
 Places = NDArray[np.intp]

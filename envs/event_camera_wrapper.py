@@ -19,9 +19,9 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from spikedeploy.envs.drawing import explain, load_renderer
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.event_camera import CameraParameters, EventCamera, Float32, lin_log
-from spikedeploy.events import EVENT, Events, EventWriter, write_events
+from spikedeploy.runtime.camera_events import EVENT, Events, EventWriter, write_events
+from spikedeploy.runtime.errors import EnvError
 
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # of R, G, B (ITU-R BT.601, as v2e by OpenCV)
 _FINER = 4  # of MuJoCo's pictures than the camera along each axis, so that edges are smooth
@@ -41,7 +41,7 @@ class EventCameraWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
     """An environment that is seen by an event camera.
 
     Observation (2, H, W) uint16: how many ON and OFF events each pixel sent in the control step.
-    The info has "events" (E,) of type spikedeploy.events.EVENT, in the order of time, which runs
+    The info has "events" (E,), of type camera_events.EVENT, in the order of time, which runs
     on over episodes. After a reset the camera has new pixels, drawn from its seed, and no events.
 
     env         made with render_mode="rgb_array"

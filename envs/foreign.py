@@ -35,7 +35,6 @@ from gymnasium.wrappers import NormalizeObservation, NormalizeReward
 from numpy.typing import NDArray
 
 from spikedeploy.envs import drawing
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.event_camera_wrapper import EventCameraWrapper, control_period
 from spikedeploy.envs.returned import (
     find_flag,
@@ -47,6 +46,7 @@ from spikedeploy.envs.returned import (
     read_vector,
     show,
 )
+from spikedeploy.runtime.errors import EnvError
 
 FloatArray: TypeAlias = NDArray[np.float64]
 _TODAY = (

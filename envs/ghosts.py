@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs import archive
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout
+from spikedeploy.runtime.errors import EnvError
 
 POSE = ("x", "y", "heading", "speed")
 _VERSION = 1  # of the file layout

@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 
 from spikedeploy import envs
-from spikedeploy.envs.errors import EnvError
+from spikedeploy.runtime.errors import EnvError
 
 _STEPS = 200  # of the episode that is repeated, at most
 _OTHERS, _FEW = 20, 10  # episodes in between, and steps of each at most

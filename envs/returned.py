@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.errors import EnvError
+from spikedeploy.runtime.errors import EnvError
 
 FloatArray: TypeAlias = NDArray[np.float64]
 _LARGEST = float(np.finfo(np.float32).max)  # policies compute in float32

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs import archive
-from spikedeploy.envs.errors import EnvError
+from spikedeploy.runtime.errors import EnvError
 
 FloatArray = NDArray[np.float64]
 _VERSION = 1  # of the file layout

@@ -28,7 +28,6 @@ from spikedeploy.exporters import spiking_onnx
 from spikedeploy.exporters.check import LargestDifference, MismatchCounter, ParityCheck, batches
 from spikedeploy.exporters.spiking_onnx import OBSERVATION, OUTPUTS
 from spikedeploy.exporters.to_nir import SpikingPolicy, artifact
-from spikedeploy.files import suffix
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import Codec
@@ -37,6 +36,7 @@ from spikedeploy.runtime.compiler.compile import compile_program as compiled
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError
+from spikedeploy.runtime.files import suffix
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.onnx_session import infer, rest, session

@@ -23,7 +23,6 @@ from onnx import helper, numpy_helper
 
 from spikedeploy.exporters.c.plan import Plan
 from spikedeploy.exporters.check import LargestDifference, ParityCheck
-from spikedeploy.files import replacing
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Layer
@@ -34,6 +33,7 @@ from spikedeploy.runtime.codec.rate import LEVELS, RateEncoder
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.network import FloatMachine
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import replacing
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.onnx_session import NEXT, infer, rest, session
 

@@ -30,8 +30,8 @@ from torch import Tensor, cat
 
 from spikedeploy.exporters.spiking_onnx import OBSERVATION, OUTPUTS, OnnxGraph, spiking_to_onnx
 from spikedeploy.exporters.to_nir import artifact
-from spikedeploy.files import replacing
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import replacing
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.onnx_session import NEXT
 from spikedeploy.trainers.policies import (

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.files import read_toml
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec
 from spikedeploy.runtime.compiler.mapping import CoreMapping
@@ -28,6 +27,7 @@ from spikedeploy.runtime.convention import State
 from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.programs import program_record
+from spikedeploy.runtime.files import read_toml
 from spikedeploy.runtime.traces.verify import QUANTITIES
 
 MARK = "spikedeploy export --to program"

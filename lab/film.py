@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from lab.experiments.pages import ROOT
-from spikedeploy.files import replacing
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import find
 from spikedeploy.recordings import last_inference, ledger_of, open_with_traces
+from spikedeploy.runtime.files import replacing
 from spikedeploy.seeds import EVALUATION
 
 SHOWN = ("hexapod/sparse@hexapod", "examples/quadrotor.nir@examples.quadrotor:Quadrotor")

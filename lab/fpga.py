@@ -31,7 +31,6 @@ from spikedeploy import zoo
 from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.console import say
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.errors import ConfigError
 from spikedeploy.exporters.verilog.bench import record
 from spikedeploy.exporters.verilog.boards import board, board_names
 from spikedeploy.exporters.verilog.image import CoreImage, core_image
@@ -43,14 +42,14 @@ from spikedeploy.exporters.verilog.simulation import (
     image_process,
 )
 from spikedeploy.exporters.verilog.tools import make_variables, missing_tools
-from spikedeploy.files import read_json, write_json, write_text
 from spikedeploy.make_env import make_env
 from spikedeploy.reports.table import ABSENT, markdown_text
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.errors import ConfigError, RuleError
+from spikedeploy.runtime.files import read_json, write_json, write_text
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.export_verilog import export_verilog, program_for, use_of_board
 from spikedeploy.shipping.hardware_run import driver

@@ -24,9 +24,9 @@ from lab.fpga import put
 from spikedeploy import zoo
 from spikedeploy.comparison.statistics import risk
 from spikedeploy.envs import spec
-from spikedeploy.errors import ConfigError
-from spikedeploy.files import write_text
 from spikedeploy.reports.table import escape_markdown, format_si, markdown_text
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import write_text
 from spikedeploy.runtime.metrics.energy_tables import TABLES
 from spikedeploy.shipping import leaderboard
 from spikedeploy.shipping.leaderboard import (

@@ -27,8 +27,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from spikedeploy.files import write_text
 from spikedeploy.reports.table import ABSENT, markdown_text
+from spikedeploy.runtime.files import write_text
 
 ROOT = Path(__file__).resolve().parents[1]
 _BLOCK = re.compile(r"(<!-- table: ([^>]*?) -->\n\n)((?:\|.*\n)*)(\n?<!-- end of table -->)")

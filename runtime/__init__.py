@@ -3,7 +3,12 @@
 Needs numpy, nir and h5py alone; numba is optional. EXPORTS is the public interface; a name is
 imported when it is first used, so that importing this package loads nothing heavy.
 
-errors           errors that a user can act on
+errors           the errors that every package may raise
+files            atomic writes, JSON, locks
+schema           data from files, checked
+requests         requests such as noise:2 or payload=0.4
+requirements     packages that are needed, and the sentence for one that is missing
+camera_events    events of cameras, and the file they are recorded to
 copies           copies of what holds states
 metadata         metadata of a `.nir` file, and the provenance of a policy
 convention       dt, reset, integrator, delay: what NIR leaves open
@@ -25,7 +30,7 @@ traces/          recorded traces of chips and simulators, compared with the emul
 from functools import cache
 from importlib import import_module
 
-from spikedeploy.requirements import check_requirements
+from spikedeploy.runtime.requirements import check_requirements
 
 EXPORTS = {
     # the file

@@ -1,17 +1,16 @@
-"""Errors of networks, chips and files, beside those of every package in spikedeploy.errors."""
+"""The errors that every package may raise.
 
-from spikedeploy.errors import ConfigError, SpikedeployError
+A message names what, what was found, the limit, and the remedy. The command line prints it without
+a traceback and exits with 2. Any other exception is a bug.
+"""
 
-__all__ = [
-    "ArtifactError",
-    "ChipError",
-    "ConfigError",
-    "ConventionError",
-    "ObservationError",
-    "RuleError",
-    "SpikedeployError",
-    "TraceError",
-]
+
+class SpikedeployError(Exception):
+    """Any error that a user can act on."""
+
+
+class ConfigError(SpikedeployError):
+    """A configuration, option, name or file that does not exist or cannot be used."""
 
 
 class ArtifactError(SpikedeployError):
@@ -32,6 +31,10 @@ class RuleError(SpikedeployError):
 
 class ObservationError(SpikedeployError):
     """An observation or raster of the wrong shape, or with NaN or infinity in it."""
+
+
+class EnvError(SpikedeployError):
+    """An environment, an option, an action or a file of one that is not valid."""
 
 
 class TraceError(SpikedeployError):

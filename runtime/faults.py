@@ -15,12 +15,12 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.files import read_toml
-from spikedeploy.requests import Request, Scale, parse_requests
 from spikedeploy.runtime.chips.damage import Damage, Upset, Upsets
 from spikedeploy.runtime.chips.layer import NEVER, Layer, Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import read_toml
+from spikedeploy.runtime.requests import Request, Scale, parse_requests
 
 Integers = NDArray[np.int64]
 Mask = NDArray[np.bool_]

@@ -24,11 +24,6 @@
     training_settings  recipe and settings of what train and distill are asked for
     cli          starts a command
     console      tables and JSON on stdout, progress on stderr
-    errors       the errors that every package may raise
-    files        atomic writes, JSON, locks
-    requests     requests such as noise:2 or payload=0.4
-    requirements packages that are needed, and the sentence for one that is missing
-    schema       data from files, checked
     outputs      the guard of every file that a command writes
     make_env     environments with options, as the command line asks for them
     tested_set   versions that the tests ran with
@@ -85,7 +80,7 @@ if not TYPE_CHECKING:  # a type checker reads the imports above
             from spikedeploy.trainers.versions import own
 
             return own()
-        from spikedeploy.requirements import check_requirements
+        from spikedeploy.runtime.requirements import check_requirements
 
         check_requirements()
         from spikedeploy import api

@@ -9,7 +9,7 @@ import typer
 
 from spikedeploy.commands.options import one_word, with_groups
 from spikedeploy.console import discard_output, name_program, prepare_streams
-from spikedeploy.requirements import check_requirements
+from spikedeploy.runtime.requirements import check_requirements
 from spikedeploy.user_errors import BAD_INPUT, exit_code, one_line
 
 # panel of the help -> command -> its module in spikedeploy/commands

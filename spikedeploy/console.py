@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from spikedeploy.files import as_text
+from spikedeploy.runtime.files import as_text
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from tempfile import TemporaryFile
 
-from spikedeploy.files import suffix
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import suffix
 
 # what training leaves in a run folder; anything else there is an export or a picture
 _OF_RUNS = ("config.json", "versions.json", "metrics.csv", "curve.png", "replay.safetensors")

@@ -3,8 +3,8 @@
 import errno
 import sys
 
-from spikedeploy.errors import SpikedeployError
-from spikedeploy.requirements import is_required, wrong_requirements
+from spikedeploy.runtime.errors import SpikedeployError
+from spikedeploy.runtime.requirements import is_required, wrong_requirements
 
 # package that a command may need -> the extra of pyproject.toml that installs it
 EXTRAS = {

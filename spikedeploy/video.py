@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.files import replacing
+from spikedeploy.runtime.files import replacing
 
 if TYPE_CHECKING:
     from av.container import OutputContainer

@@ -12,9 +12,9 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from spikedeploy.files import read_toml
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.schema import validate
+from spikedeploy.runtime.files import read_toml
+from spikedeploy.runtime.schema import validate
 from spikedeploy.trainers.recipes import RECIPES, merge
 
 EVALUATION_SEEDS = 10_000  # and above: no training and no choice of checkpoints uses them

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.files import flush, replacing
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import flush, replacing
 from spikedeploy.trainers.run_folder import write_errors
 
 _CURVES = {"episode_return": "training", "eval_return": "validation"}

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.files import read_toml
+from spikedeploy.runtime.files import read_toml
 
 Settings = dict[str, Any]
 

@@ -26,9 +26,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spikedeploy import files
-from spikedeploy.files import read_json, replacing, write_json
+from spikedeploy.runtime import files
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import read_json, replacing, write_json
 from spikedeploy.trainers.versions import versions
 
 if TYPE_CHECKING:  # reports look at runs where torch and pydantic are not installed
@@ -106,7 +106,7 @@ class RunFolder:
 
     def config(self, model: "type[C]") -> "C":
         """Return the configuration."""
-        from spikedeploy.schema import validate
+        from spikedeploy.runtime.schema import validate
 
         return validate(model, self.settings(), str(self.path))
 

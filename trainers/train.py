@@ -18,8 +18,8 @@ import torch
 
 from spikedeploy.envs.foreign import is_target
 from spikedeploy.envs.repeats import check_repeats
-from spikedeploy.files import write_json
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import write_json
 from spikedeploy.trainers import ALGORITHMS, metrics
 from spikedeploy.trainers.config import C, RunConfig, amend, require_known, resolve
 from spikedeploy.trainers.policies import NetworkPolicy, Policy

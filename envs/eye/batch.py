@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.event_camera import CameraParameters, EventCamera
 from spikedeploy.envs.eye.course import (
     GATE_AT,
@@ -31,6 +30,7 @@ from spikedeploy.envs.eye.course import (
 )
 from spikedeploy.envs.eye.signs import BLURS, COLUMNS, ROWS, Signs
 from spikedeploy.envs.eye.view import EYE, View
+from spikedeploy.runtime.errors import EnvError
 
 Floats = NDArray[np.float64]
 

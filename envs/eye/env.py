@@ -10,8 +10,8 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.eye.batch import STEERING, EyeBatch, EyeOptions, nearest_action
+from spikedeploy.runtime.errors import EnvError
 
 Floats = NDArray[np.float64]
 

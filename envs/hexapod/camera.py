@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.drawing import explain, load_renderer, without_renderer
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.hexapod.robot import Robot
+from spikedeploy.runtime.errors import EnvError
 
 with without_renderer():
     import mujoco

@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.errors import EnvError, all_finite
+from spikedeploy.envs.finite import all_finite
 from spikedeploy.envs.hexapod.camera import Camera, CameraWindow, Mark
 from spikedeploy.envs.hexapod.robot import (
     GRAVITY,
@@ -23,6 +23,7 @@ from spikedeploy.envs.hexapod.robot import (
     Robot,
     Terrain,
 )
+from spikedeploy.runtime.errors import EnvError
 
 Range = float | tuple[float, float]
 

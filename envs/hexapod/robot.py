@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.drawing import without_renderer
-from spikedeploy.envs.errors import EnvError, all_finite
+from spikedeploy.envs.finite import all_finite
+from spikedeploy.runtime.errors import EnvError
 
 with without_renderer():
     import mujoco

@@ -11,7 +11,6 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.hexapod.camera import Mark
 from spikedeploy.envs.hexapod.env import (
     BODY,
@@ -26,6 +25,7 @@ from spikedeploy.envs.hexapod.env import (
 )
 from spikedeploy.envs.hexapod.legs import NEUTRAL
 from spikedeploy.envs.hexapod.robot import Field, Motion
+from spikedeploy.runtime.errors import EnvError
 
 View = Literal["around", "ahead"]
 

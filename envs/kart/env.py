@@ -17,10 +17,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart.lidar import Lidar, LidarOptions
 from spikedeploy.envs.kart.track import Track, corridor, length_of, load
 from spikedeploy.envs.kart.world import KartState, KartWorld
+from spikedeploy.runtime.errors import EnvError
 
 _STALL = 120  # [steps] without progress after which a kart has stalled
 _PROGRESS = 20.0  # [px] by which the remaining path must become shorter to count

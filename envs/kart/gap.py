@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.errors import EnvError
+from spikedeploy.runtime.errors import EnvError
 
 FloatArray = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 import gymnasium
 import numpy as np
 
-from spikedeploy.envs.errors import EnvError, all_finite
+from spikedeploy.envs.finite import all_finite
 from spikedeploy.envs.kart.env import (
     CONTROL_DT,
     ClassicLimits,
@@ -18,6 +18,7 @@ from spikedeploy.envs.kart.env import (
     check_choice,
 )
 from spikedeploy.envs.kart.world import KartState
+from spikedeploy.runtime.errors import EnvError
 
 _PUSH = 30.0  # [px/s] added to the velocity by one push
 _GRID_TOP = 400.0  # [px/s] speed at which pushes have no effect, not even braking ones

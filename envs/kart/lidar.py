@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.errors import EnvError
+from spikedeploy.runtime.errors import EnvError
 
 FloatArray = NDArray[np.float64]
 

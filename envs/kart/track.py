@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.errors import EnvError
-from spikedeploy.files import suffix
+from spikedeploy.runtime.errors import EnvError
+from spikedeploy.runtime.files import suffix
 
 FloatArray = NDArray[np.float64]
 RADIUS = 19.2  # [px] of a kart, for which all tracks are drawn

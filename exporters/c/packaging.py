@@ -9,7 +9,7 @@ from typing import Any
 from spikedeploy.exporters.c import int16
 from spikedeploy.exporters.c.declarations import Declarations, render
 from spikedeploy.exporters.c.int16 import Int16Observations, Integers
-from spikedeploy.files import replacing
+from spikedeploy.runtime.files import replacing
 
 MARK = "exported by spikedeploy as C"
 MAKEFILE, RECORD = "Makefile", "interface.json"

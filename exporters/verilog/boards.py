@@ -7,8 +7,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.files import read_toml
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import read_toml
 
 _FILE = Path(__file__).with_name("boards.toml")
 # [seconds] of silence that end a request; a host that is held up for longer repeats it

@@ -11,9 +11,9 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.errors import ConfigError
 from spikedeploy.exporters.verilog.image import CoreImage, Output
 from spikedeploy.exporters.verilog.model import FORGET, STEP
+from spikedeploy.runtime.errors import ConfigError
 
 PROGRAM = "policy_sim"
 _PROBED = np.dtype([("current", "<i8"), ("membrane", "<i8"), ("spike", "u1")])

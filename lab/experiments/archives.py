@@ -15,7 +15,7 @@ from pathlib import Path
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile, ZipInfo
 
 from lab.experiments.training import TrainingJob
-from spikedeploy.files import replacing
+from spikedeploy.runtime.files import replacing
 from spikedeploy.trainers.run_folder import LEVEL
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"

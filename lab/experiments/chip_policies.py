@@ -30,11 +30,11 @@ from lab.experiments.pages import ROOT, render, share
 from lab.experiments.training import Record, read_rows, write_exactly
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.statistics import stratified_bootstrap
-from spikedeploy.files import as_text, replacing, write_text
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips import CHIPS as EVERY_CHIP
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.files import as_text, replacing, write_text
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.export_run import export_run
 from spikedeploy.shipping.publish_run import describe

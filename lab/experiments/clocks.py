@@ -34,9 +34,9 @@ from spikedeploy.comparison.statistics import (
     t_interval,
 )
 from spikedeploy.envs.hexapod.env import HexapodEnv
-from spikedeploy.files import write_text
 from spikedeploy.policies import costs
 from spikedeploy.policies.registry import find
+from spikedeploy.runtime.files import write_text
 
 FIRST_SEED = 80_000
 RESULTS = Path(__file__).resolve().parents[2] / "results"

@@ -43,12 +43,12 @@ import torch
 from torch import Tensor, nn
 
 from lab.experiments.pages import ROOT
-from spikedeploy.files import replacing, write_text
 from spikedeploy.reports.table import markdown_text
 from spikedeploy.runtime.chips import CHIPS as EVERY_CHIP
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.xylo import XyloArithmetic
+from spikedeploy.runtime.files import replacing, write_text
 from spikedeploy.trainers.through_chip import ChipModule, on_chip
 
 TABLE, PAGE = ROOT / "results" / "digits.csv", ROOT / "results" / "digits.md"

@@ -25,7 +25,6 @@ from lab.experiments.runner import command_line
 from spikedeploy.comparison.statistics import paired_difference
 from spikedeploy.emulation.drift import DriftInputs, observed_inputs
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.files import write_text
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.registry import Candidate, find
 from spikedeploy.reports.drift import ABLATION_STEPS
@@ -39,6 +38,7 @@ from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.files import write_text
 from spikedeploy.seeds import EVALUATION, VALIDATION
 
 POLICIES = "hexapod/popsan,kart-grid/snn,kart-gazebo/snn,kart-steer/snn"

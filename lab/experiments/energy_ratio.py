@@ -30,9 +30,9 @@ from lab.experiments.gymnasium import points as task_points
 from lab.experiments.gymnasium import read_table as read_tasks
 from lab.experiments.pareto_page import NEARLY
 from lab.experiments.training import Record
-from spikedeploy.files import write_text
 from spikedeploy.reports.plots import BLUE, VERMILION, save
 from spikedeploy.reports.table import write_rows
+from spikedeploy.runtime.files import write_text
 from spikedeploy.runtime.metrics.energy import (
     INSTRUCTION,
     addition_energy,

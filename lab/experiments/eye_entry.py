@@ -27,8 +27,8 @@ from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows, 
 from lab.experiments.vision import FIRST_SEED, drive, make_controller
 from spikedeploy import zoo
 from spikedeploy.comparison.statistics import Estimate, nested_ratio, share, stratified_bootstrap
-from spikedeploy.files import read_json
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import read_json
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.policies.vision import SIGNS
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder

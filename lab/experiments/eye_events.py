@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from spikedeploy.envs.eye.batch import RATES, SPEED, EyeBatch, nearest_action
-from spikedeploy.files import write_text
 from spikedeploy.reports.table import markdown_text
+from spikedeploy.runtime.files import write_text
 from spikedeploy.seeds import EVALUATION
 
 QUIET = (0.0, 0.5, 0.8, 0.95)

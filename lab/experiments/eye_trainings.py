@@ -18,8 +18,8 @@ from tempfile import TemporaryDirectory
 from lab.experiments.archives import files_left, kept_levels
 from lab.experiments.eye_entry import EyeEntryDesign
 from lab.experiments.training import TrainingJob, counters
-from spikedeploy.files import replacing
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import replacing
 from spikedeploy.trainers.run_folder import file_sha256
 
 KEPT = kept_levels("kart-eye")

@@ -27,10 +27,10 @@ from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, TrainingJob, read_rows
 from spikedeploy import zoo
 from spikedeploy.comparison.statistics import Estimate, stratified_bootstrap
-from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.reports.plots import BLUE, VERMILION, save
 from spikedeploy.reports.table import write_rows
 from spikedeploy.runtime.errors import ConfigError, RuleError
+from spikedeploy.runtime.files import as_text, read_json, write_text
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig
 

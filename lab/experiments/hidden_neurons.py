@@ -27,9 +27,9 @@ from spikedeploy.comparison.comparison import Row
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.statistics import paired_difference
-from spikedeploy.files import read_json, write_json, write_text
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.faults import faults
+from spikedeploy.runtime.files import read_json, write_json, write_text
 from spikedeploy.shipping import cards
 
 TABLE = Path(__file__).resolve().parents[2] / "results" / "hidden-neurons.json"

@@ -28,7 +28,6 @@ from lab.experiments.runner import Design, Part
 from lab.experiments.training import Record, StoredRow, TrainingJob, counters, results
 from spikedeploy import envs, zoo
 from spikedeploy.envs.kart.gap import GapDriver
-from spikedeploy.files import read_json, replacing
 from spikedeploy.jobs.pool import cores
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.run_record import checked_record
@@ -36,6 +35,7 @@ from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
+from spikedeploy.runtime.files import read_json, replacing
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig, amend
 from spikedeploy.trainers.metrics import read

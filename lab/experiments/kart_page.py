@@ -42,10 +42,10 @@ from lab.experiments.runner import command_line
 from lab.experiments.training import Record
 from spikedeploy.comparison.statistics import Estimate, nested_ratio
 from spikedeploy.comparison.statistics import share as wilson
-from spikedeploy.files import read_json
 from spikedeploy.policies.registry import FLOAT
 from spikedeploy.reports.plots import BLUE, VERMILION, save
 from spikedeploy.reports.table import ABSENT, format_si
+from spikedeploy.runtime.files import read_json
 from spikedeploy.trainers.ppo import HOLDS
 from spikedeploy.trainers.versions import own
 

@@ -25,9 +25,9 @@ from lab.experiments.runner import Design, Part, command_line
 from lab.experiments.training import NUMBER, Record, StoredRow, TrainingJob, read_rows
 from spikedeploy import zoo
 from spikedeploy.comparison.statistics import nested_ratio, stratified_bootstrap, t_interval
-from spikedeploy.files import read_json
 from spikedeploy.reports.table import write_rows
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import read_json
 from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.trainers.recipes import RECIPES
 

@@ -20,10 +20,10 @@ from lab.experiments.networks import float_actions, is_discrete, random_actions,
 from lab.experiments.pages import ROOT, share
 from lab.experiments.training import Record, read_rows, write_exactly
 from spikedeploy import envs
-from spikedeploy.files import write_text
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.files import write_text
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.exported_run import runnable
 

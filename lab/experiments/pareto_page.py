@@ -28,9 +28,9 @@ from lab.experiments.pages import estimate, grouped, pico
 from lab.experiments.pareto import ENVS, LABELS, LAST, STUDENTS, ParetoDesign
 from lab.experiments.training import Record
 from spikedeploy.comparison import statistics
-from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.reports.plots import BLUE, VERMILION, save
 from spikedeploy.reports.table import ABSENT
+from spikedeploy.runtime.files import as_text, read_json, write_text
 from spikedeploy.runtime.metrics.energy_tables import TABLES
 
 if TYPE_CHECKING:

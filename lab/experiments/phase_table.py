@@ -28,8 +28,8 @@ from spikedeploy import envs, zoo
 from spikedeploy.comparison.statistics import nested_ratio, stratified_bootstrap
 from spikedeploy.envs.hexapod.env import BODY, layout
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.files import write_text
 from spikedeploy.policies.onnx import OnnxController
+from spikedeploy.runtime.files import write_text
 from spikedeploy.seeds import EVALUATION
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -26,20 +26,19 @@ from spikedeploy import envs, zoo
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.envs.disturbances import Kind, kinds_of
 from spikedeploy.envs.disturbances import row as row_of
-from spikedeploy.envs.errors import EnvError
-from spikedeploy.files import as_text, read_json, write_text
 from spikedeploy.make_env import make_env, parse_options
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.registry import BUILT_IN, check_fit, find
 from spikedeploy.reports.plots import BLUE, VERMILION, save
 from spikedeploy.reports.table import ABSENT, write_rows
-from spikedeploy.requests import LEVELS
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.damage import Damage, sum_damage
 from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError, EnvError
 from spikedeploy.runtime.faults import FAULTS, faults
+from spikedeploy.runtime.files import as_text, read_json, write_text
+from spikedeploy.runtime.requests import LEVELS
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.trainers.config import EnvConfig

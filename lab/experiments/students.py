@@ -40,8 +40,8 @@ from spikedeploy import envs, zoo
 from spikedeploy.commands.distillation import FLOAT, RIVAL, STUDENT
 from spikedeploy.comparison.statistics import nested_ratio, risk, t_interval
 from spikedeploy.envs.foreign import attribute, import_target
-from spikedeploy.files import replacing
 from spikedeploy.reports.table import ABSENT
+from spikedeploy.runtime.files import replacing
 from spikedeploy.runtime.metrics.energy import TABLES
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.config import EnvConfig

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.files import as_text, locked, read_json, replacing, write_text
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import as_text, locked, read_json, replacing, write_text
 from spikedeploy.trainers.config import RunConfig, differences, parse_override, resolve
 from spikedeploy.trainers.recipes import RECIPES, merge
 from spikedeploy.trainers.run_folder import RunFolder

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from jinja2 import Environment
 
-from spikedeploy.files import write_text
 from spikedeploy.reports.table import ABSENT
+from spikedeploy.runtime.files import write_text
 
 PAGE = Path(__file__).parents[2] / "docs/firmware.md"
 # places of the tables on the page

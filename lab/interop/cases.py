@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from spikedeploy import zoo
 from spikedeploy.exporters.check import random_spikes
-from spikedeploy.files import as_text, write_text
 from spikedeploy.runtime.artifact.artifact import Artifact, for_importer, load, save
 from spikedeploy.runtime.dialects.rewriting import arguments
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
+from spikedeploy.runtime.files import as_text, write_text
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import ports
 

@@ -22,9 +22,9 @@ from lab.interop.cases import (
 )
 from spikedeploy import zoo
 from spikedeploy.console import print_json, say
-from spikedeploy.files import write_text
 from spikedeploy.outputs import check_output, has_text
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import write_text
 
 _LONGEST = 110  # characters of a message
 _TEMPLATE = Path(__file__).with_name("template.md")

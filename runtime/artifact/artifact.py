@@ -12,7 +12,6 @@ import h5py
 import nir
 import numpy as np
 
-from spikedeploy.files import replacing
 from spikedeploy.runtime.artifact.hdf5 import read_graph, write_graph
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.convention import (
@@ -27,6 +26,7 @@ from spikedeploy.runtime.convention import (
 from spikedeploy.runtime.dialects.reading import finite_nodes, read_as_written, read_like
 from spikedeploy.runtime.dialects.rewriting import rewrite_for
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
+from spikedeploy.runtime.files import replacing
 from spikedeploy.runtime.graph.neurons import (
     NEURONS,
     DiscreteNeuron,

@@ -35,12 +35,12 @@ from typing import Any, Literal, cast, get_args, get_origin
 
 import numpy as np
 
-from spikedeploy.files import MOST_TOML, read_toml, suffix
 from spikedeploy.runtime.chips import ARITHMETICS, CHIPS
 from spikedeploy.runtime.chips.arithmetic import Arithmetic
 from spikedeploy.runtime.chips.registers import OVERFLOWS, Register
 from spikedeploy.runtime.convention import CLOCKS, Clock
 from spikedeploy.runtime.errors import ChipError
+from spikedeploy.runtime.files import MOST_TOML, read_toml, suffix
 
 __all__ = ["CHIPS", "Chip", "chip"]
 

@@ -24,7 +24,6 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.files import suffix
 from spikedeploy.runtime.chips.chip import CHIPS, Chip
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.chips.layer import NEVER, Layer, Synapses
@@ -34,6 +33,7 @@ from spikedeploy.runtime.errors import ConfigError, ConventionError, RuleError, 
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint, CubaFloat32
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 from spikedeploy.runtime.families.xylo import XyloArithmetic
+from spikedeploy.runtime.files import suffix
 from spikedeploy.runtime.traces.fields import Fields, Integers, Work, read_json
 from spikedeploy.runtime.traces.verify import PROSE, QUANTITIES, TraceFile, nothing_to_compare
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.files import read_toml
+from spikedeploy.runtime.files import read_toml
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.files import read_text
 from spikedeploy.runtime.errors import TraceError
+from spikedeploy.runtime.files import read_text
 
 Integers = NDArray[np.int64]
 

@@ -25,13 +25,13 @@ from spikedeploy.comparison.comparison import Comparison, Row
 from spikedeploy.comparison.episodes import EpisodeJob, period_of, play
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.console import progress, say
-from spikedeploy.errors import ConfigError
-from spikedeploy.files import as_text, locked, write_json
 from spikedeploy.jobs.pool import JobBackend, JobResult, sigterm_as_interrupt
 from spikedeploy.outputs import check_folder, has_text, mark
 from spikedeploy.policies.registry import Candidate, find
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import faults
+from spikedeploy.runtime.files import as_text, locked, write_json
 from spikedeploy.user_errors import one_line
 
 _EVERY = 30.0  # [s] between two pages while jobs run,

@@ -20,14 +20,14 @@ from spikedeploy.comparison.metrics import checked_metrics
 from spikedeploy.console import say
 from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.envs.repeats import check_repeats
-from spikedeploy.errors import ConfigError
-from spikedeploy.files import read_toml
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.registry import BUILT_IN, DEFAULT_CHIP, FLOAT, Candidate, check_fit, find
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import faults
-from spikedeploy.schema import validate
+from spikedeploy.runtime.files import read_toml
+from spikedeploy.runtime.schema import validate
 from spikedeploy.seeds import EVALUATION, listed_numbers
 from spikedeploy.trainers.config import require_known
 from spikedeploy.trainers.versions import installed_version

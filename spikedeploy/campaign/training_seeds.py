@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from spikedeploy.comparison.statistics import Estimate, bootstrap
-from spikedeploy.files import read_json, write_text
 from spikedeploy.jobs import resumable
 from spikedeploy.jobs.resumable import Job, JobEnd
 from spikedeploy.policies.run_record import describe_progress
+from spikedeploy.runtime.files import read_json, write_text
 
 _PERFORM = "spikedeploy.campaign.training_seeds:perform"
 

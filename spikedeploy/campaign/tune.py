@@ -28,10 +28,10 @@ from spikedeploy.campaign.tune_results import (
 )
 from spikedeploy.comparison.episodes import EpisodeJob, play
 from spikedeploy.comparison.lineup import make_entries
-from spikedeploy.errors import ConfigError
-from spikedeploy.files import as_text, locked
 from spikedeploy.jobs.resumable import Job, JobEnd, run
 from spikedeploy.policies.registry import DEFAULT_CHIP, find
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import as_text, locked
 from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.trainers import metrics
 from spikedeploy.trainers.progress import Interrupt

@@ -12,9 +12,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from spikedeploy.errors import ConfigError
-from spikedeploy.files import read_toml
 from spikedeploy.reports.runs import flatten
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import read_toml
 from spikedeploy.trainers.config import RunConfig, amend, require_known, resolve, spiking_layers
 from spikedeploy.trainers.recipes import RECIPES
 

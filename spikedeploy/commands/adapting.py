@@ -11,7 +11,7 @@ import typer
 
 from spikedeploy.commands.options import Reading, Switch
 from spikedeploy.console import print_json, say
-from spikedeploy.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError
 
 if TYPE_CHECKING:
     from spikedeploy.trainers.adapt import Adaptation, AdaptationScore
@@ -43,9 +43,9 @@ def adapt(
     """
     from spikedeploy.emulation.design_report import report_of
     from spikedeploy.emulation.rasters import read_inputs
-    from spikedeploy.files import locked
     from spikedeploy.outputs import check_output
     from spikedeploy.runtime.artifact.artifact import load
+    from spikedeploy.runtime.files import locked
     from spikedeploy.trainers.progress import Interrupt
 
     named = re.sub(r"[^\w.-]+", "-", chip)

@@ -24,7 +24,7 @@ from spikedeploy.commands.options import (
     with_groups,
 )
 from spikedeploy.console import print_json, print_result, say
-from spikedeploy.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError
 
 if TYPE_CHECKING:
     from spikedeploy.comparison.comparison import Comparison

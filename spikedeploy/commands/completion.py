@@ -7,7 +7,7 @@ WORDS is the table of the parameters, by name or by command and name. `spikedepl
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from spikedeploy.files import suffix
+from spikedeploy.runtime.files import suffix
 
 _RUNS = Path("runs")
 

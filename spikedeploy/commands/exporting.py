@@ -8,8 +8,8 @@ import typer
 
 from spikedeploy.commands.options import AfterSpike, Granularity, States
 from spikedeploy.console import print_json, print_result, say
-from spikedeploy.errors import ConfigError
-from spikedeploy.files import suffix
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import suffix
 
 if TYPE_CHECKING:
     from spikedeploy.exporters.check import CheckedFile

@@ -202,7 +202,7 @@ def _versions() -> Iterator[DoctorFinding]:
 
 def _wrong() -> Iterator[DoctorFinding]:
     """A finding for each package that is missing or of a version that is not supported."""
-    from spikedeploy.requirements import wrong_requirements
+    from spikedeploy.runtime.requirements import wrong_requirements
 
     for sentence in wrong_requirements(extras=True):
         yield DoctorFinding("version", False, sentence)

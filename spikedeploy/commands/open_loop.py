@@ -8,8 +8,8 @@ import typer
 from spikedeploy import seeds
 from spikedeploy.commands.options import FromCamera, OnChip, Reading, TablesChoice
 from spikedeploy.console import print_json, print_result
-from spikedeploy.errors import ConfigError
-from spikedeploy.files import suffix
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import suffix
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

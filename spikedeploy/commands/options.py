@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 import typer
 
 from spikedeploy.commands.completion import words_of
-from spikedeploy.errors import ConfigError
-from spikedeploy.files import read_toml
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import read_toml
 
 if TYPE_CHECKING:
     from spikedeploy.runtime.chips.quantisation import Quantisation

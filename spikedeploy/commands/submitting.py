@@ -5,8 +5,8 @@ from pathlib import Path
 import typer
 
 from spikedeploy.console import print_result
-from spikedeploy.errors import ConfigError
-from spikedeploy.files import suffix
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import suffix
 
 
 def submit(

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from spikedeploy import zoo
 from spikedeploy.emulation.rasters import Raster, in_batch, read_inputs
-from spikedeploy.files import suffix
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import CHIPS, chip, split_names
 from spikedeploy.runtime.compiler.compile import COMPILE, DesignCheck
@@ -19,6 +18,7 @@ from spikedeploy.runtime.compiler.compile import check as check_on
 from spikedeploy.runtime.compiler.mapping import mapping_utilisation, placement_utilisation
 from spikedeploy.runtime.compiler.rules import RULES, RuleResult, Status
 from spikedeploy.runtime.errors import ConfigError, ConventionError, SpikedeployError
+from spikedeploy.runtime.files import suffix
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import by_port, ports
 

@@ -26,10 +26,10 @@ from spikedeploy.emulation.event_columns import (
     whole_times,
 )
 from spikedeploy.emulation.event_hdf5 import hdf5_recording
-from spikedeploy.events import EVENT, MOST_PIXELS, Events
-from spikedeploy.files import suffix
 from spikedeploy.runtime.artifact.nir_data import is_nir_data
+from spikedeploy.runtime.camera_events import EVENT, MOST_PIXELS, Events
 from spikedeploy.runtime.errors import ObservationError
+from spikedeploy.runtime.files import suffix
 
 # by the ending of a file, in small letters, the type by which faery reads it
 _FAERY = {".aedat4": "aedat", ".raw": "evt", ".dat": "dat", ".es": "es"}

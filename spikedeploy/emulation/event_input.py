@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from spikedeploy.emulation.event_columns import Size
 from spikedeploy.emulation.event_files import Recording
-from spikedeploy.events import Events
 from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.camera_events import Events
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.graph.ports import ports
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from spikedeploy.emulation.event_input import Survey, TimeSteps
 from spikedeploy.emulation.event_stream import Listener, node_shape
 from spikedeploy.emulation.open_loop import LARGEST, NIR_DATA
-from spikedeploy.files import replacing, suffix
 from spikedeploy.outputs import mark
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.artifact.nir_data import EventDataWriter
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import replacing, suffix
 
 
 @contextmanager

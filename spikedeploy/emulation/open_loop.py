@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.emulation.rasters import Raster, in_batch
-from spikedeploy.files import replacing, suffix
 from spikedeploy.outputs import mark
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.runtime.artifact.artifact import Artifact
@@ -20,6 +19,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.runtime.emulator.network import RunningNetwork, chip_or_float, run_network
 from spikedeploy.runtime.errors import ArtifactError, ObservationError, RuleError
+from spikedeploy.runtime.files import replacing, suffix
 from spikedeploy.runtime.graph.ports import by_port, ports, split
 from spikedeploy.runtime.metrics.energy import (
     STATIC,

@@ -7,7 +7,7 @@ resumable    trainings of hours: processes with a log each, which checkpoint whe
 
 from typing import TYPE_CHECKING
 
-from spikedeploy.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError
 
 if TYPE_CHECKING:
     from spikedeploy.jobs.pool import JobBackend

@@ -23,7 +23,7 @@ from multiprocessing import get_context, parent_process
 from types import FrameType, TracebackType
 from typing import Any, TypeVar
 
-from spikedeploy.errors import SpikedeployError
+from spikedeploy.runtime.errors import SpikedeployError
 
 # Workers do not render, and one thread each is faster than many threads in all.
 WORKER_ENVIRONMENT = {

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any
 
-from spikedeploy.errors import ConfigError
 from spikedeploy.jobs.pool import (
     WORKER_ENVIRONMENT,
     Function,
@@ -20,6 +19,7 @@ from spikedeploy.jobs.pool import (
     lost,
     run_job,
 )
+from spikedeploy.runtime.errors import ConfigError
 
 _AHEAD = 2  # jobs for each core, one that runs and one that waits
 _RETRIES = 2  # of a job, by Ray

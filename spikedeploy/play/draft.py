@@ -8,10 +8,9 @@ from math import dist, isfinite
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart.track import Track, check, load, parse
-from spikedeploy.files import suffix, write_text
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError, EnvError
+from spikedeploy.runtime.files import suffix, write_text
 
 Point = tuple[float, float]
 Line = tuple[Point, ...]

@@ -9,7 +9,6 @@ import numpy as np
 import pygame
 from numpy.typing import ArrayLike, NDArray
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart.picture import KART, NIGHT, WALL, draw_kart, thick_line
 from spikedeploy.play.draft import (
     History,
@@ -35,6 +34,7 @@ from spikedeploy.play.theme import (
     write,
 )
 from spikedeploy.play.window import App
+from spikedeploy.runtime.errors import EnvError
 
 _REACH = 12.0  # [screen px] within which a click snaps to an existing point
 _TURN = pi / 12  # [rad] of the start with each key press

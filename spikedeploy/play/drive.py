@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from spikedeploy import envs, zoo
 from spikedeploy.envs.foreign import AdaptedEnv
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
-from spikedeploy.files import suffix
 from spikedeploy.make_env import make_env
 from spikedeploy.play.spikes import WIDTH as SPIKES_WIDTH
 from spikedeploy.play.spikes import WINDOW, InferenceTrace, draw_inference, last_scores
@@ -45,6 +44,7 @@ from spikedeploy.policies.registry import Candidate, Player, find
 from spikedeploy.recordings import Inference, costs_of_each, ledger_of, open_with_traces
 from spikedeploy.reports.columns import quoted_among
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import suffix
 
 Floats = NDArray[np.float64]
 _UNKNOWN = 1 / 30  # [s] control step where an environment does not say

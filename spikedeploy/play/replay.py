@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from spikedeploy import envs
 from spikedeploy.envs.ghosts import Ghost, Ghosts
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.files import suffix
 from spikedeploy.make_env import make_env
 from spikedeploy.outputs import mark
 from spikedeploy.play.ghosts import COLOURS, Facts, GhostView
@@ -39,6 +38,7 @@ from spikedeploy.play.window import App
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import check_fit, find
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import suffix
 from spikedeploy.video import Frame, gif, mp4
 
 Floats = NDArray[np.float64]

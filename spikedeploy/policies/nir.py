@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from spikedeploy.console import say
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.files import read_text
 from spikedeploy.outputs import check_output
 from spikedeploy.policies.costs import Costs, policy_costs
 from spikedeploy.policies.registry import (
@@ -46,6 +45,7 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.network import chip_or_float
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, SpikedeployError
+from spikedeploy.runtime.files import read_text
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.metadata import Provenance, Record
 from spikedeploy.runtime.metrics.traffic import placed_messages

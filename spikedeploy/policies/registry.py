@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from spikedeploy import zoo
 from spikedeploy.envs.foreign import is_target
-from spikedeploy.files import suffix
 from spikedeploy.objects import is_of_process
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.codec.codec import observed_numbers
@@ -25,6 +24,7 @@ from spikedeploy.runtime.copies import Uncopied
 from spikedeploy.runtime.emulator.backend import BackendMaker, BackendName
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import NONE, Faults
+from spikedeploy.runtime.files import suffix
 
 if TYPE_CHECKING:
     import gymnasium

@@ -6,9 +6,9 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.files import read_json
 from spikedeploy.policies.registry import env_id
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import read_json
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.versions import own
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from spikedeploy.envs.foreign import is_target
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.files import suffix
 from spikedeploy.policies.costs import NOTHING, UNCOUNTED, Costs, float_costs
 from spikedeploy.policies.counting import count_operations
 from spikedeploy.policies.registry import Candidate, Env, Floats, Player, check_fit, find
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import suffix
 from spikedeploy.trainers.onnx_session import has_policy_metadata, session
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ from typing import Any
 
 from spikedeploy.comparison.metrics import drives, metrics_of
 from spikedeploy.comparison.summary import describe_episodes, has_few_episodes
-from spikedeploy.files import read_toml
 from spikedeploy.reports.table import (
     ABSENT,
     Cell,
@@ -20,6 +19,7 @@ from spikedeploy.reports.table import (
     price_cell,
 )
 from spikedeploy.runtime.chips.chip import CHIPS
+from spikedeploy.runtime.files import read_toml
 from spikedeploy.runtime.metrics.energy_tables import STATIC
 
 COMMON_TABLE = "horowitz45-int8"  # the one that prices a chip and a float network alike

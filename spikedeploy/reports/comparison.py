@@ -12,7 +12,6 @@ from spikedeploy import envs, zoo
 from spikedeploy.comparison.comparison import Comparison
 from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.disturbances import disturbances
-from spikedeploy.files import as_text, write_text
 from spikedeploy.outputs import has_text
 from spikedeploy.policies.registry import Candidate
 from spikedeploy.recordings import of_comparison
@@ -40,6 +39,7 @@ from spikedeploy.reports.plots import energy_figure, returns_figure, save, svg
 from spikedeploy.reports.table import Column, Row, Table, escape_markdown
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.quantisation import PLAIN
+from spikedeploy.runtime.files import as_text, write_text
 from spikedeploy.runtime.metrics.energy import describe_table, energy_table
 from spikedeploy.trainers.versions import own, versions
 

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-from spikedeploy.files import as_text, write_text
 from spikedeploy.outputs import has_text
 from spikedeploy.reports.plots import svg
 from spikedeploy.reports.table import Table
+from spikedeploy.runtime.files import as_text, write_text
 from spikedeploy.trainers.versions import own
 
 if TYPE_CHECKING:

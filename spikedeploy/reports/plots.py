@@ -16,10 +16,10 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from spikedeploy.comparison.summary import has_few_episodes
-from spikedeploy.files import replacing
 from spikedeploy.reports.columns import format_return, label
 from spikedeploy.reports.table import Row
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import replacing
 from spikedeploy.trainers.metrics import read
 
 if TYPE_CHECKING:

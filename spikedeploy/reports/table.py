@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup
 
 from spikedeploy.console import console
-from spikedeploy.files import replacing
+from spikedeploy.runtime.files import replacing
 
 if TYPE_CHECKING:
     import rich.console

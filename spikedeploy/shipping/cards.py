@@ -16,16 +16,16 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.errors import ConfigError
-from spikedeploy.files import as_text, read_json, replacing, suffix
 from spikedeploy.outputs import check_output
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import BUILT_IN, FLOAT, find
 from spikedeploy.reports.columns import markdown_tables
 from spikedeploy.reports.table import escape_markdown
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import NONE, Faults
-from spikedeploy.schema import validate
+from spikedeploy.runtime.files import as_text, read_json, replacing, suffix
+from spikedeploy.runtime.schema import validate
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL

@@ -9,7 +9,6 @@ from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.summary import smallest_baseline
 from spikedeploy.console import say
-from spikedeploy.files import write_text
 from spikedeploy.outputs import check_output, check_output_folder, has_text
 from spikedeploy.policies.registry import DEFAULT_CHIP
 from spikedeploy.reports import comparison as report
@@ -18,6 +17,7 @@ from spikedeploy.reports.headline import ann_row, headline, main_row, verdict
 from spikedeploy.reports.page import render
 from spikedeploy.reports.table import Row
 from spikedeploy.reports.terminal import print_comparison, print_headline
+from spikedeploy.runtime.files import write_text
 from spikedeploy.seeds import EVALUATION
 
 FOLDER = Path("reports/demo")

@@ -11,12 +11,10 @@ import numpy as np
 
 from spikedeploy import zoo
 from spikedeploy.console import say
-from spikedeploy.errors import ConfigError
 from spikedeploy.exporters.c.int8 import quantise, read_onnx
 from spikedeploy.exporters.c.packaging import MAKEFILE, MARK, RECORD, file_names, write_texts
 from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.exporters.c.to_c import mlp_in_c, policy_in_c
-from spikedeploy.files import suffix
 from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.artifact.artifact import load
@@ -25,6 +23,8 @@ from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.codec.codec import GIVE_CODEC
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.convention import CLOCKS
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import suffix
 from spikedeploy.shipping.sources import (
     Observations,
     chip_of,

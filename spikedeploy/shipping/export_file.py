@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spikedeploy import zoo
-from spikedeploy.errors import ConfigError
 from spikedeploy.exporters.check import CheckedFile, MismatchCounter, ParityCheck, random_spikes
 from spikedeploy.exporters.to_xylo import Specification, check_chip, places, specification
-from spikedeploy.files import suffix, write_json
 from spikedeploy.outputs import check_output, has_text
 from spikedeploy.runtime.artifact.artifact import Artifact, for_importer, load, save
 from spikedeploy.runtime.chips.chip import chip
@@ -21,8 +19,9 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.dialects.rewriting import arguments
 from spikedeploy.runtime.emulator.interpreter import trace
-from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.families.xylo_traces import xylo_trace
+from spikedeploy.runtime.files import suffix, write_json
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.runtime.traces.fields import Fields

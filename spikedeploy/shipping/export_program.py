@@ -33,7 +33,6 @@ from spikedeploy.exporters.to_program import (
     script,
     tool_of,
 )
-from spikedeploy.files import write_text
 from spikedeploy.make_env import confirm, make_env
 from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.runtime.artifact.artifact import Artifact, load
@@ -45,6 +44,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.compiler.rules import PlacedNetwork
 from spikedeploy.runtime.convention import Clock
 from spikedeploy.runtime.errors import ConfigError, TraceError
+from spikedeploy.runtime.files import write_text
 from spikedeploy.runtime.traces.verify import Verdict, verify
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.shipping.export_c import WrittenFolder

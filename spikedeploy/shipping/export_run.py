@@ -13,13 +13,13 @@ from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters import EXPORTERS, exporter
 from spikedeploy.exporters.check import CheckedFile
 from spikedeploy.exporters.parity import check
-from spikedeploy.files import suffix
 from spikedeploy.outputs import check_output
 from spikedeploy.policies import run_record
 from spikedeploy.policies.run import TorchController, policy_of
 from spikedeploy.policies.run_record import SPIKING
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
+from spikedeploy.runtime.files import suffix
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.trainers.onnx_session import session

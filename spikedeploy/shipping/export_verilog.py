@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from spikedeploy import zoo
-from spikedeploy.errors import ConfigError
 from spikedeploy.exporters.c.packaging import MAKEFILE
 from spikedeploy.exporters.verilog.board_files import board_files
 from spikedeploy.exporters.verilog.boards import Board, board
@@ -24,6 +23,7 @@ from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.export_c import WrittenFolder
 from spikedeploy.shipping.sources import (
     chip_of,

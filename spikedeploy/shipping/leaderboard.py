@@ -15,12 +15,12 @@ from spikedeploy import envs, zoo
 from spikedeploy.comparison.comparison import static
 from spikedeploy.comparison.statistics import nested_ratio
 from spikedeploy.comparison.summary import smallest_baseline
-from spikedeploy.errors import ConfigError, SpikedeployError
-from spikedeploy.files import read_json, suffix, write_json
 from spikedeploy.reports.headline import ann_row, main_row
 from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.errors import ConfigError, SpikedeployError
+from spikedeploy.runtime.files import read_json, suffix, write_json
 from spikedeploy.runtime.metrics.energy import TABLES, chip_terms
-from spikedeploy.schema import validate
+from spikedeploy.runtime.schema import validate
 
 Data = Mapping[str, Any]
 FORMAT = 1

@@ -12,12 +12,12 @@ from spikedeploy import envs, zoo
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import make_entries
 from spikedeploy.console import say
-from spikedeploy.files import replacing, write_json, write_text
 from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import DEFAULT_CHIP, find
 from spikedeploy.reports.plots import draw_curves, read_curve
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
+from spikedeploy.runtime.files import replacing, write_json, write_text
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.cards import evaluation_fields, markdown, training_of
 from spikedeploy.shipping.export_run import ExportedPolicy, export_run

@@ -12,8 +12,8 @@ import numpy as np
 
 from spikedeploy import zoo
 from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.files import as_text
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import as_text
 from spikedeploy.shipping.cards import RecordedEvaluation, Row, check_rewritable, write_evaluation
 from spikedeploy.trainers.versions import versions
 

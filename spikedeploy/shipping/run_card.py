@@ -6,13 +6,13 @@ Its head is that of a model card of the Hugging Face hub, so that a run folder c
 from pathlib import Path
 
 from spikedeploy import envs
-from spikedeploy.files import write_text
 from spikedeploy.outputs import check_output, has_text, mark, no_link
 from spikedeploy.policies import run_record
 from spikedeploy.reports.page import standalone_svg
 from spikedeploy.reports.plots import curves_figure, svg
 from spikedeploy.reports.runs import ALT, flatten, metrics_of, scores, write_run_page
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import write_text
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.cards import KINDS, fill, training_of
 from spikedeploy.shipping.exported_run import runnable

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from spikedeploy import envs, zoo
 from spikedeploy.console import say
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.errors import ConfigError
-from spikedeploy.files import suffix
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.registry import DEFAULT_CHIP
@@ -18,6 +16,8 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import suffix
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.shipping import exported_run
 

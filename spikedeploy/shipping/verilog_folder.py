@@ -10,18 +10,18 @@ from typing import Any, get_args
 
 from spikedeploy import zoo
 from spikedeploy.console import say
-from spikedeploy.errors import ConfigError
 from spikedeploy.exporters.c.packaging import MAKEFILE, write_texts
 from spikedeploy.exporters.verilog.board_files import MARK
 from spikedeploy.exporters.verilog.image import core_image
 from spikedeploy.exporters.verilog.simulation import PROGRAM, RtlProcess, image_process
 from spikedeploy.exporters.verilog.tools import make_variables, require_tool
-from spikedeploy.files import as_text, read_json
 from spikedeploy.outputs import has_text
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import as_text, read_json
 
 RECORD = "export.json"
 COSTS = "costs.json"  # to which make adds what it built

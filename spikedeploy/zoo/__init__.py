@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.files import read_json, suffix
+from spikedeploy.runtime.files import read_json, suffix
 
 FOLDER = Path(__file__).parent
 SUFFIXES = (".onnx", ".nir")

@@ -7,8 +7,8 @@ import pytest
 
 from spikedeploy import envs
 from spikedeploy.envs.disturbances import DISTURBANCES, disturbances, kinds_of
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout, rollout
+from spikedeploy.runtime.errors import EnvError
 
 EVERY = [(env, name) for env, spec in envs.ENVS.items() for name in kinds_of(spec.world)]
 each = pytest.mark.parametrize(("env", "name"), EVERY)

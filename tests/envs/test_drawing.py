@@ -16,7 +16,7 @@ env.step(env.action_space.sample())
 {more}
 """
 DRAW = """
-from spikedeploy.envs.errors import EnvError
+from spikedeploy.runtime.errors import EnvError
 try:
     print("drawn", env.render().shape)
 except EnvError as error:

@@ -10,7 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from spikedeploy import envs
-from spikedeploy.envs.errors import EnvError
+from spikedeploy.runtime.errors import EnvError
 from tests.paths import ROOT
 
 WALKERS = ("hexapod", "hexapod-command", "hexapod-tiles", "hexapod-tiles-ahead")

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.event_camera import PRESETS, CameraParameters, EventCamera, lin_log
-from spikedeploy.events import EVENT
+from spikedeploy.runtime.camera_events import EVENT
+from spikedeploy.runtime.errors import EnvError
 
 H, W = 5, 7
 RICH = CameraParameters(0.15, 0.25, 0.04, 40.0, 3.0, 0.1, 0.1, 8.0, 0.002)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.event_camera_wrapper import EventCameraWrapper, average
+from spikedeploy.runtime.errors import EnvError
 
 IDEAL = {"mismatch": 0.0}
 

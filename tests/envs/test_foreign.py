@@ -10,11 +10,11 @@ import torch
 from gymnasium import spaces
 
 from spikedeploy import envs
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.foreign import AdaptedEnv
 from spikedeploy.envs.repeats import check_repeats
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.jobs.pool import SerialBackend, _leave
+from spikedeploy.runtime.errors import EnvError
 from spikedeploy.trainers.distill.teacher import OwnSpaces
 from tests import own_env
 from tests.paths import ROOT

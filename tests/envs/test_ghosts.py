@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.ghosts import Ghost, GhostRecorder, Ghosts
 from spikedeploy.envs.rollout import Rollout
+from spikedeploy.runtime.errors import EnvError
 
 
 def drive(rng, steps, **more):

@@ -4,8 +4,8 @@ import gymnasium
 import numpy as np
 import pytest
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.repeats import check_repeats
+from spikedeploy.runtime.errors import EnvError
 from tests import own_env
 from tests.own_env import Reach
 

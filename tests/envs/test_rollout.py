@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout, rollout
+from spikedeploy.runtime.errors import EnvError
 from tests.toy_quadrant_env import QuadrantEnv
 
 

@@ -13,10 +13,11 @@ import pytest
 
 from tests.paths import ROOT
 
-# libraries that each package may import; `runtime` computes with NumPy alone
+# libraries that each package may import; `runtime` computes with NumPy alone, and pydantic,
+# filelock and tomli are those of its `schema` and `files`
 LIBRARIES = {
     "envs": {"numpy", "gymnasium", "mujoco", "pymunk", "pygame"},
-    "runtime": {"numpy", "nir", "h5py", "numba"},
+    "runtime": {"numpy", "nir", "h5py", "numba", "pydantic", "filelock", "tomli"},
     "trainers": {
         "numpy", "torch", "pydantic", "safetensors", "tomli", "gymnasium",
         "matplotlib", "onnxruntime", "rich",

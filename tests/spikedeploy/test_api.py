@@ -11,7 +11,6 @@ import torch
 import spikedeploy as sd
 from spikedeploy.emulation.open_loop import emulate_artifact
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.files import as_text
 from spikedeploy.runtime.artifact.artifact import load as load_artifact
 from spikedeploy.runtime.errors import (
     ArtifactError,
@@ -21,6 +20,7 @@ from spikedeploy.runtime.errors import (
     RuleError,
     SpikedeployError,
 )
+from spikedeploy.runtime.files import as_text
 from spikedeploy.trainers.config import PopsanConfig
 from tests import toy_stroll_env
 from tests.paths import ROOT

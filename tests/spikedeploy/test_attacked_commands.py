@@ -9,11 +9,10 @@ import sys
 import pytest
 
 from spikedeploy import envs
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.policies import run_record
 from spikedeploy.policies.nir import read_codec
 from spikedeploy.policies.run import policy_of
-from spikedeploy.runtime.errors import ArtifactError, ConfigError
+from spikedeploy.runtime.errors import ArtifactError, ConfigError, EnvError
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.ppo import PpoConfig

@@ -15,7 +15,6 @@ from spikedeploy import zoo
 from spikedeploy.commands.closed_loop import settings as settings_of
 from spikedeploy.emulation.open_loop import emulate_artifact
 from spikedeploy.emulation.rasters import read_inputs
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.ghosts import Ghost, Ghosts
 from spikedeploy.envs.kart import track as track_file
 from spikedeploy.envs.rollout import Rollout
@@ -24,7 +23,7 @@ from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import check
-from spikedeploy.runtime.errors import ConventionError, SpikedeployError
+from spikedeploy.runtime.errors import ConventionError, EnvError, SpikedeployError
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.runtime.traces.verify import verify
 from spikedeploy.shipping.cards import read_evaluation

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from spikedeploy.emulation.event_files import open_recording
-from spikedeploy.events import EVENT, write_events
+from spikedeploy.runtime.camera_events import EVENT, write_events
 from spikedeploy.runtime.errors import ObservationError
 
 SIZE = HEIGHT, WIDTH = 48, 64

@@ -10,12 +10,9 @@ import pytest
 from spikedeploy import zoo
 from spikedeploy.campaign.sweep_grid import read_grid
 from spikedeploy.emulation.rasters import as_raster, read_rasters
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.ghosts import Ghost, Ghosts
 from spikedeploy.envs.kart import track as track_file
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.errors import SpikedeployError
-from spikedeploy.files import read_json
 from spikedeploy.policies.nir import read_codec
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
@@ -23,7 +20,8 @@ from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import FloatMachine
-from spikedeploy.runtime.errors import ConfigError, ObservationError
+from spikedeploy.runtime.errors import ConfigError, EnvError, ObservationError, SpikedeployError
+from spikedeploy.runtime.files import read_json
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.traces.verify import verify
 from spikedeploy.trainers.config import resolve

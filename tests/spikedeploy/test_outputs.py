@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from spikedeploy.cli import COMMANDS as COMMANDS_OF_CLI
-from spikedeploy.files import write_text
 from spikedeploy.outputs import check_output, check_output_folder, has_text, mark
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import write_text
 from spikedeploy.shipping.export_run import _same_training, export_run
 from spikedeploy.shipping.publish_run import publish_run
 from tests.networks import ORIGIN, popsan

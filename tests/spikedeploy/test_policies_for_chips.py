@@ -10,13 +10,12 @@ from lab.experiments import chip_policies
 from spikedeploy import envs, zoo
 from spikedeploy.commands.training import train
 from spikedeploy.comparison.lineup import line_up, remark_on_chip
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips import CHIPS
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import check
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError, EnvError
 
 FILES = [file for file in zoo.for_chips() if file.suffix == ".nir"]
 

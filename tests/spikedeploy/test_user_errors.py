@@ -5,8 +5,9 @@ import sys
 
 import pytest
 
-from spikedeploy import requirements, runtime
-from spikedeploy.errors import ConfigError
+from spikedeploy import runtime
+from spikedeploy.runtime import requirements
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.user_errors import EXTRAS, one_line
 from tests.paths import ROOT
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from spikedeploy.comparison.evaluation import run_policy
-from spikedeploy.envs.errors import EnvError
-from spikedeploy.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError, EnvError
 from spikedeploy.video import Pace, add_caption, mp4
 from tests.own_env import Reach
 

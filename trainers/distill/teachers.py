@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from spikedeploy import envs
 from spikedeploy.envs.foreign import attribute, contained, import_target, is_target
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.files import suffix
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import suffix
 from spikedeploy.trainers.config import EnvConfig, ValidationConfig
 from spikedeploy.trainers.distill.sb3 import REMEDY, sb3_teacher
 from spikedeploy.trainers.distill.teacher import FloatArray, OwnSpaces, Teacher, Units

@@ -16,8 +16,8 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 from torch import Tensor, nn
 
-from spikedeploy.files import replacing
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import replacing
 from spikedeploy.trainers.config import (
     Batch,
     Kept,

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from spikedeploy import envs
-from spikedeploy.files import flush
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import flush
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.env_batch import Steps
 from spikedeploy.trainers.policies import from_config

@@ -13,9 +13,9 @@ from safetensors.numpy import load_file, save_file
 from torch import Tensor
 
 from spikedeploy import envs
-from spikedeploy.files import replacing
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import replacing
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.run_folder import file_sha256, write_errors
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from spikedeploy import envs
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.schema import validate
+from spikedeploy.runtime.schema import validate
 from spikedeploy.trainers.config import C, amend
 from spikedeploy.trainers.distill.teacher import Teacher
 from spikedeploy.trainers.distill.teachers import same_teacher, teacher

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.eye.batch import EyeBatch, EyeOptions, nearest_action
 from spikedeploy.envs.eye.course import draw_course
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.policies.costs import NOTHING
 from spikedeploy.policies.registry import find, open_policy
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError, EnvError
 
 
 def drive(batch, steps):

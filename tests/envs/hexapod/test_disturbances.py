@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.hexapod.env import Pushes, PushTable, check, sample
+from spikedeploy.runtime.errors import EnvError
 
 TABLE = PushTable(kick=(0.1, 0.2), spin=0.5, interval=(10, 20))
 

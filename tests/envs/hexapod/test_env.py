@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.hexapod.env import HexapodEnv
+from spikedeploy.runtime.errors import EnvError
 
 STILL = np.zeros(18)
 

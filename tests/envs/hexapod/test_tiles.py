@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.hexapod.footholds import FootholdScript, TileMap
 from spikedeploy.envs.hexapod.legs import feet, joints
 from spikedeploy.envs.hexapod.robot import LEGS, STANCE, Field
@@ -13,7 +12,7 @@ from spikedeploy.envs.hexapod.tiles import AIRTIME, SCANS, HexapodTilesEnv, Tile
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.recordings import record
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError, EnvError
 
 
 def walk(env, seed, steps=None):

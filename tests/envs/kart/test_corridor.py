@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.kart.track import check, corridor, length_of
+from spikedeploy.runtime.errors import EnvError
 
 
 def drawn(count, seeds=range(40)):

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.kart.karts import KartSteerEnv
 from spikedeploy.envs.kart.lidar import LidarOptions
 from spikedeploy.envs.kart.track import Track, segments
+from spikedeploy.runtime.errors import EnvError
 
 KARTS = ("kart-grid", "kart-gazebo", "kart-steer")
 everyone = pytest.mark.parametrize("name", KARTS)

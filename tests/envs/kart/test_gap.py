@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart.gap import WIDTH, GapDriver
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.policies.registry import find, open_policy
+from spikedeploy.runtime.errors import EnvError
 
 KARTS = [name for name, spec in envs.ENVS.items() if "gap" in spec.controls]
 FOUR = np.array([0.0, 0.5, 1.0, 1.5]) * np.pi  # ahead, right, back, left

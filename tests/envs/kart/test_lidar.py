@@ -6,9 +6,9 @@ import numpy as np
 import pymunk
 import pytest
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart import track as track_file
 from spikedeploy.envs.kart.lidar import Lidar, LidarOptions
+from spikedeploy.runtime.errors import EnvError
 
 SQUARE = np.array(
     [[[-100, -100], [100, -100]], [[100, -100], [100, 100]], [[100, 100], [-100, 100]],

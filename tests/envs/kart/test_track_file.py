@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart import track as track_file
+from spikedeploy.runtime.errors import EnvError
 
 LANE = {  # a lane 400 px long and 100 px wide, open at its right end, where the finish is
     "name": "lane",

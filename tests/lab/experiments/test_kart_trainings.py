@@ -11,8 +11,8 @@ from lab.experiments import kart_trainings as trainings
 from lab.experiments.kart import TRACKS, WORLDS, KartDesign
 from lab.experiments.kart_trainings import pack, unpack
 from lab.experiments.runner import Part
-from spikedeploy.files import write_text
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import write_text
 from spikedeploy.trainers.run_folder import RunFolder
 from tests import toy_race_env
 

@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 
 from spikedeploy.campaign.sweep_grid import SweepGrid, expand, read_grid
-from spikedeploy.envs.errors import EnvError
-from spikedeploy.runtime.errors import SpikedeployError
+from spikedeploy.runtime.errors import EnvError, SpikedeployError
 from spikedeploy.seeds import listed_numbers
 
 

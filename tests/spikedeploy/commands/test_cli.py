@@ -259,8 +259,8 @@ def test_doctor_finds_versions_threads_and_policies(command, stroll):
 
 def test_policies_that_cannot_be_opened_for_one_reason_are_one_line(command, monkeypatch):
     said = "nir 0.9.0 is installed, and spikedeploy needs nir >=1.0.8,<2"
-    monkeypatch.setattr("spikedeploy.requirements.wrong_requirements", lambda **_: iter([said]))
-    monkeypatch.setattr("spikedeploy.user_errors.wrong_requirements", lambda **_: iter([said]))
+    for module in ("runtime.requirements", "user_errors"):
+        monkeypatch.setattr(f"spikedeploy.{module}.wrong_requirements", lambda **_: iter([said]))
     monkeypatch.setattr("spikedeploy.zoo.names", lambda: ["a/one", "a/two", "a/three"])
     raised = iter([ImportError("x"), AttributeError("y"), ModuleNotFoundError("z", name="nir.z")])
 

@@ -12,8 +12,8 @@ import pytest
 
 from spikedeploy.emulation import event_replay
 from spikedeploy.emulation.event_input import EventView
-from spikedeploy.events import EVENT, write_events
 from spikedeploy.runtime.artifact.artifact import load
+from spikedeploy.runtime.camera_events import EVENT, write_events
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.families.integrate_and_fire.event_machine import EventMachine

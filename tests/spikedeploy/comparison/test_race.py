@@ -16,14 +16,13 @@ from spikedeploy.comparison.evaluation import compare_policies, run_policy
 from spikedeploy.comparison.lineup import Entry, line_up
 from spikedeploy.comparison.metrics import measure
 from spikedeploy.comparison.summary import summary
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.make_env import make_env, parse_options
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.reports import comparison as report
 from spikedeploy.reports.columns import format_success, tables
 from spikedeploy.reports.headline import verdict
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError, EnvError
 from tests import toy_race_env
 
 SEEDS = range(10_000, 10_004)

@@ -6,7 +6,6 @@ import numpy as np
 import pygame
 import pytest
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.envs.kart.track import load
 from spikedeploy.play import window
 from spikedeploy.play.draft import (
@@ -20,7 +19,7 @@ from spikedeploy.play.draft import (
 )
 from spikedeploy.play.draw import TrackEditor
 from spikedeploy.play.theme import HEIGHT
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError, EnvError
 from tests.windows import play, press
 
 BOX = ((0.0, 0.0), (400.0, 0.0), (400.0, 100.0), (0.0, 100.0), (0.0, 0.0))

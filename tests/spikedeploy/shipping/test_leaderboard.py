@@ -7,9 +7,9 @@ from copy import deepcopy
 import numpy as np
 import pytest
 
-from spikedeploy.files import read_json
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.schema import validate
+from spikedeploy.runtime.files import read_json
+from spikedeploy.runtime.schema import validate
 from spikedeploy.shipping import leaderboard
 from spikedeploy.shipping.leaderboard import LeaderboardRow, faults, plain, row_of_report
 from tests.paths import ROOT

@@ -18,9 +18,8 @@ from gymnasium.spaces import Box
 from onnx import TensorProto, helper, numpy_helper
 
 from spikedeploy import envs
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.exporters.to_onnx import to_onnx
-from spikedeploy.runtime.errors import ArtifactError, ConfigError
+from spikedeploy.runtime.errors import ArtifactError, ConfigError, EnvError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import EnvConfig, ValidationConfig
 from spikedeploy.trainers.distill import sb3

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 import torch
 
-from spikedeploy.envs.errors import EnvError
 from spikedeploy.exporters.to_onnx import to_onnx
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError, EnvError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.policies import MlpPolicy

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.errors import ConfigError
-from spikedeploy.files import replacing
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import replacing
 
 if TYPE_CHECKING:
     import h5py

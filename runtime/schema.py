@@ -5,7 +5,7 @@ from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
-from spikedeploy.errors import ConfigError, SpikedeployError
+from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 
 T = TypeVar("T")
 _SHOWN = 3  # faults in a message

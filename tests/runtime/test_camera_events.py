@@ -4,8 +4,8 @@ import h5py
 import numpy as np
 import pytest
 
-from spikedeploy.errors import ConfigError
-from spikedeploy.events import EVENT, write_events
+from spikedeploy.runtime.camera_events import EVENT, write_events
+from spikedeploy.runtime.errors import ConfigError
 
 SIZE = (6, 8)
 

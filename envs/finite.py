@@ -1,4 +1,4 @@
-"""EnvError, the exception of this package, and a check for finite numbers."""
+"""A check for numbers that are not finite."""
 
 from __future__ import annotations
 
@@ -6,12 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-
-from spikedeploy.errors import SpikedeployError
-
-
-class EnvError(SpikedeployError):
-    """An environment, an option, an action or a file that is not valid."""
 
 
 def all_finite(values: NDArray[np.float64]) -> bool:

@@ -11,11 +11,11 @@ import pytest
 from spikedeploy import zoo
 from spikedeploy.emulation.design_report import network_path
 from spikedeploy.envs.kart import track
-from spikedeploy.errors import ConfigError
-from spikedeploy.files import as_text, is_locked, locked, replacing, suffix, write_text
 from spikedeploy.policies.registry import find
 from spikedeploy.policies.scripts import teacher_candidate
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import as_text, is_locked, locked, replacing, suffix, write_text
 from spikedeploy.shipping.export_file import is_nir_file
 from spikedeploy.shipping.sources import nir_file
 from spikedeploy.trainers.distill.teachers import teacher
@@ -24,7 +24,7 @@ from tests.paths import ROOT
 HOLD = """
 import sys, time
 from pathlib import Path
-from spikedeploy.files import locked
+from spikedeploy.runtime.files import locked
 with locked(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)
@@ -58,7 +58,7 @@ def test_a_lock_is_held_against_the_own_process_too(tmp_path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from spikedeploy.files import replacing
+from spikedeploy.runtime.files import replacing
 with replacing(Path(sys.argv[1])) as part:
     part.write_text("half")
     if len(sys.argv) == 2:

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError
 
 if sys.version_info >= (3, 11):
     import tomllib

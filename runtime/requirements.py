@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, requires, version
 
-from spikedeploy.errors import ConfigError
+from spikedeploy.runtime.errors import ConfigError
 
 _LINE = re.compile(r"(?P<name>[\w.-]+)(\[.*?\])?\s*(?P<range>[^;]*)(;(?P<marker>.*))?")
 _BOUND = re.compile(r"(>=|<)\s*([\d.]+)")
