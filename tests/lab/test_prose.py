@@ -11,7 +11,6 @@ ARCHITECTURE = ROOT / "docs/architecture.md"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/**/*.md"))]
 FOLDERS = "runtime|envs|trainers|exporters|spikedeploy|lab|tests|examples"
 PATH = rf"(?<![\w/.])((?:{FOLDERS})/[\w./-]*\w/?)(?![\w*<])"
-OF_A_COMMIT = "mutation-testing.md"  # names files as they were at the commit that was measured
 
 
 def anchors(page):
@@ -25,8 +24,7 @@ def anchors(page):
 def test_paths_and_links_of_a_page_lead_somewhere(page):
     text = page.read_text("utf-8")
     named = set(re.findall(PATH, re.sub(r"spikedeploy/\w+-v\d", "", text)))
-    if page.name != OF_A_COMMIT:
-        assert sorted(path for path in named if not (ROOT / path).exists()) == []
+    assert sorted(path for path in named if not (ROOT / path).exists()) == []
     for link, anchor in re.findall(r"\]\((?!https?:|mailto:)([^)#\s]*)#?([^)\s]*)\)", text):
         target = page.parent / link if link else page
         assert target.exists(), link
