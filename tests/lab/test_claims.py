@@ -15,7 +15,7 @@ from tests.paths import ROOT
 README = (ROOT / "README.md").read_text("utf-8")
 TASKS = ("hexapod", "hexapod-command", "kart-grid", "kart-gazebo", "kart-steer")
 SPECK_PAGES = (
-    "README.md", "docs/boards.md", "docs/speck.md", "docs/chips.md", "docs/kart-eye.md",
+    "README.md", "docs/boards.md", "docs/chip-models.md", "docs/kart-eye.md",
 )  # fmt: skip
 
 

@@ -267,7 +267,7 @@ _BY_EVENTS = (
 )
 IN_TIMESTEPS = (
     "in timesteps, as the vendor's tools compute it; the chip itself works event by event: "
-    "queue=on, and --step event where --events are its input (docs/speck.md)"
+    "queue=on, and --step event where --events are its input (docs/chip-models.md#speck)"
 )
 _SOONER = "; those of recurrent neurons one timestep sooner than in the file"
 

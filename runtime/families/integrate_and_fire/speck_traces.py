@@ -1,6 +1,6 @@
 """Recorded runs of networks for Speck: sinabs in timesteps, and events in their order.
 
-A trace is a `.json` file, with the arrays of a `.npz` file of its name beside it (docs/speck.md).
+A trace is a `.json` file, with the arrays of a `.npz` file of its name beside it (docs/traces.md)
 Each recorded array has a key, and is computed again under the same key.
 """
 
@@ -90,7 +90,7 @@ class SpeckTrace:
 def speck_verdict(fields: Fields, path: Path) -> Verdict:
     """Compare everything that a trace of Speck holds with what is computed here."""
     if fields.text("format") != _FORMAT:
-        raise fields.wrong("format", "is unknown", f"Write {_FORMAT!r}, as docs/speck.md has it.")
+        raise fields.wrong("format", "is unknown", f"Write {_FORMAT!r}, as docs/traces.md has it.")
     beside = path.with_suffix(".npz")
     recorded, specs, remarks = _read(fields, _read_arrays(beside))
     if not recorded.arrays:
