@@ -73,11 +73,6 @@ class OnnxGraph:
         """Add 1.0 where a flag is true and 0.0 elsewhere; return its name."""
         return self.node("Cast", [flags], output, to=self._element)
 
-    def column(self, index: int, name: str) -> str:
-        """Add the column (B, 1) of the observation at `index`; return its name."""
-        place = self.constant(f"{name}_index", [index])
-        return self.node("Gather", [OBSERVATION, place], name, axis=1)
-
     def presynaptic(self, name: str, width: int) -> None:
         """Make the input (B, width) of a weight matrix an output, to count effective operations."""
         self._presynaptic.append(self._rows(name, width))

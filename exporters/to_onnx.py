@@ -2,8 +2,8 @@
 
 What spikes is written by spiking_onnx, with its states.
 
-observation (B, obs) -> features -> normalise, clip -> Gemm, Relu ... -> Gemm, Tanh -> action
-                                                                     -> Gemm -> logits
+observation (B, obs) -> normalise, clip -> Gemm, Relu ... -> Gemm, Tanh -> action
+                                                         -> Gemm -> logits
 
 A policy that sees by events has convolutions in place of the first matrices, and states in and
 out, as spiking_onnx names them: leaky traces of what it sees, and the memory of a GRU.
@@ -41,7 +41,6 @@ from spikedeploy.trainers.policies import (
     PrunedGruPolicy,
     PrunedMlpPolicy,
 )
-from spikedeploy.trainers.policies.mlp import Features
 from spikedeploy.trainers.policies.policy import PrunedKernel, PrunedWeight
 
 _KINDS = ("ann", "control")
@@ -86,9 +85,9 @@ def _model(policy: _Float, origin: Provenance, name: str, kind: str) -> onnx.Mod
     graph = OnnxGraph()
     more: dict[str, str] = {}
     if isinstance(policy, MlpPolicy):
-        _layers(graph, policy, _add_normaliser(graph, policy, _features(graph, policy.features)))
+        _layers(graph, policy, _add_normaliser(graph, policy))
     else:
-        seen = _add_normaliser(graph, policy, OBSERVATION)
+        seen = _add_normaliser(graph, policy)
         if isinstance(policy, FloatVisionPolicy):
             _vision_layers(graph, policy, seen)
             more = {"biases": str(_biases(policy))}
@@ -117,73 +116,7 @@ def _model(policy: _Float, origin: Provenance, name: str, kind: str) -> onnx.Mod
     return graph.model(policy.observations, policy.actions, policy.head, properties)
 
 
-def _features(graph: OnnxGraph, features: Features) -> str:
-    """Add the features of the policy; return their name."""
-    if features.name == "all":
-        return OBSERVATION
-    if features.name == "phase":
-        columns = graph.constant("phase_index", features.phase)
-        return graph.node("Gather", [OBSERVATION, columns], "features", axis=1)
-    if features.name in ("bilinear", "fourier"):
-        return _products(graph, features)
-    raise ConfigError(f"features {features.name!r} have no ONNX form; add it to {__name__}")
-
-
-def _products(graph: OnnxGraph, features: Features) -> str:
-    """Add the waves times {1, scales} without the constant; return its name."""
-    waves = graph.node("Concat", _waves(graph, features), "waves", axis=1)
-    groups = [waves]
-    for number, scale in enumerate(_scales(graph, features), start=1):
-        groups += [scale, graph.node("Mul", [scale, waves], f"modulated{number}")]
-    return graph.node("Concat", groups, "features", axis=1)
-
-
-def _scales(graph: OnnxGraph, features: Features) -> list[str]:
-    """Add commands, errors and their products (B, 1); return their names."""
-    names = [f"command{k}" for k in range(1, len(features.command) + 1)]
-    names += [f"error{k}" for k in range(1, len(features.errors) + 1)]
-    found = {
-        column: graph.column(column, name)
-        for column, name in zip(features.scales, names, strict=True)
-    }
-    pairs = [(found[one], found[other]) for one, other in features.pairs]
-    products = [graph.node("Mul", pair, f"{pair[0]}_{pair[1]}") for pair in pairs]
-    return [*found.values(), *products]
-
-
-def _waves(graph: OnnxGraph, features: Features) -> list[str]:
-    """Add sine and cosine (B, 1) of the phase, of its double and so on; return their names."""
-    sine, cosine = (
-        graph.column(k, wave) for k, wave in zip(features.phase, ("sine", "cosine"), strict=True)
-    )
-    # sin 2p = 2 sin p cos p ; cos 2p = cos^2 p - sin^2 p
-    half = graph.node("Mul", [sine, cosine], "half_sine2")
-    sine2 = graph.node("Add", [half, half], "sine2")
-    squares = [graph.node("Mul", [wave, wave], f"{wave}_squared") for wave in (cosine, sine)]
-    cosine2 = graph.node("Sub", squares, "cosine2")
-    waves = [sine, cosine, sine2, cosine2]
-    for number in range(3, features.harmonics + 1):
-        waves += _next_wave(graph, number, waves)
-    return waves
-
-
-def _next_wave(graph: OnnxGraph, number: int, waves: list[str]) -> list[str]:
-    """Add sine and cosine (B, 1) of `number` times the phase; return their names."""
-
-    def product(last: str, first: str) -> str:
-        return graph.node("Mul", [last, first], f"{last}_{first}")
-
-    # sin (k+1)p = sin kp cos p + cos kp sin p ; cos (k+1)p = cos kp cos p - sin kp sin p
-    sine, cosine, *_, last_sine, last_cosine = waves
-    parts = [product(last_sine, cosine), product(last_cosine, sine)]
-    others = [product(last_cosine, cosine), product(last_sine, sine)]
-    return [
-        graph.node("Add", parts, f"sine{number}"),
-        graph.node("Sub", others, f"cosine{number}"),
-    ]
-
-
-def _add_normaliser(graph: OnnxGraph, policy: Policy, features: str) -> str:
+def _add_normaliser(graph: OnnxGraph, policy: Policy) -> str:
     """Add the normaliser; return the name of its output."""
     normalizer = policy.normalizer
     mean = graph.constant("mean", _array(normalizer.mean))
@@ -193,7 +126,7 @@ def _add_normaliser(graph: OnnxGraph, policy: Policy, features: str) -> str:
         graph.constant("highest", normalizer.clip),
     ]
     # x = clip((obs - mean) / std)
-    shifted = graph.node("Sub", [features, mean], "shifted")
+    shifted = graph.node("Sub", [OBSERVATION, mean], "shifted")
     scaled = graph.node("Div", [shifted, std], "scaled")
     return graph.node("Clip", [scaled, *limits], "normalised")
 

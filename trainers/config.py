@@ -68,7 +68,6 @@ class MlpConfig(_Section):
 
     kind: Literal["mlp"] = "mlp"
     hidden: tuple[Width, ...] = (512, 512)
-    features: Literal["all", "phase", "bilinear", "fourier"] = "all"
 
 
 class PopsanConfig(_Section):

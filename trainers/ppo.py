@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from pydantic import Field, model_validator
+from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -19,7 +19,6 @@ from spikedeploy.trainers.config import (
     Batch,
     Count,
     EnvConfig,
-    MlpConfig,
     NormaliserConfig,
     Positive,
     Ramp,
@@ -97,12 +96,6 @@ class PpoConfig(RunConfig):
     running_total: bool = False
     ghosts: bool = True
     checkpoint_every: Positive = 50_000
-
-    @model_validator(mode="after")
-    def _observes_everything(self) -> "PpoConfig":
-        if isinstance(self.policy, MlpConfig) and self.policy.features != "all":
-            raise ValueError("ppo learns from all observations: distil policies that observe less")
-        return self
 
     def reached(self, finishes: int, held: int) -> bool:
         """Return whether training may end before its last step: every limit that is set is reached.
@@ -481,8 +474,7 @@ class Ppo(EnvRunner[PpoConfig]):
             self._log_ended(steps)
         if not frozen:
             for transition in transitions:
-                seen = self.policy.features_of(transition.observation)
-                self._moments.add(seen.double().numpy())
+                self._moments.add(transition.observation.double().numpy())
             self.policy.normalizer.adopt(self._moments)
         return transitions
 

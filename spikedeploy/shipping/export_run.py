@@ -100,14 +100,13 @@ def _same_training(origin: Provenance, path: Path) -> bool:
 
 
 def kind_of(policy: "Policy", control: bool = False) -> str:
-    """The kind for comparisons; a float network that is pruned or sees less is a control."""
+    """The kind for comparisons; a float network that is pruned or pools is a control."""
     if policy.kind in SPIKING:
         return "snn"
     if policy.kind.startswith("pruned"):
         return "control"
     spec = policy.spec()
-    sees_all = spec.get("features", {"name": "all"})["name"] == "all"
-    sees_all &= list(spec.get("pool", (1, 1))) == [1, 1]
+    sees_all = list(spec.get("pool", (1, 1))) == [1, 1]
     return "ann" if sees_all and spec["hidden"] and not control else "control"
 
 

@@ -129,11 +129,6 @@ def test_a_random_code_is_learned_from_the_spikes_that_were_acted_on():
     assert torch.equal(again, log_probability)
 
 
-def test_a_policy_that_observes_only_the_phase_is_refused():
-    with pytest.raises(ConfigError, match="ppo learns from all observations"):
-        resolve(PpoConfig, "kart-grid-ann", overrides=["policy.features=phase"])
-
-
 @pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
 def test_the_normaliser_is_updated_until_it_is_frozen(tmp_path, world):
     config = resolve(PpoConfig, "smoke-kart", overrides=[*QUICK, *SPIKING, "normaliser.finish=600"])

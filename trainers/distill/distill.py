@@ -215,7 +215,7 @@ class Distill(Runner[DistillConfig]):
         self.dataset.add(observation, label)
         self.iterations += 1
         if self.iterations == 1 or self.env_steps <= self._config.normaliser.finish:
-            seen = self.policy.features_of(self.dataset.observation.double()).numpy()
+            seen = self.dataset.observation.double().numpy()
             self.policy.normalizer.adopt(Moments.of(seen))
         return True
 

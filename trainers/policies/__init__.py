@@ -4,7 +4,7 @@ POLICIES is the table of kinds; `from_config` builds a policy from a configurati
 the spec in a checkpoint.
 
 policy.py      Policy, what it computes before an action; normalisation; weights with masks
-mlp.py         float multilayer perceptron or linear map, its inputs; a pruned one, with a skip
+mlp.py         float multilayer perceptron or linear map; a pruned one, with a skip
 spiking.py     several timesteps an inference: encoders, PopSAN, spiking MLP
 network.py     a network on a chip between code and readout: the user's, or a chip's own neurons
 vision.py      counts of an event camera: convolutions with a GRU, or spiking ones
@@ -28,7 +28,7 @@ from spikedeploy.trainers.config import (
 from spikedeploy.trainers.policies.copies import Copies
 from spikedeploy.trainers.policies.delta import DeltaMlpPolicy, DeltaSnnPolicy
 from spikedeploy.trainers.policies.gru import PrunedGruPolicy
-from spikedeploy.trainers.policies.mlp import Features, MlpPolicy, PrunedMlpPolicy, features
+from spikedeploy.trainers.policies.mlp import MlpPolicy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.network import NetworkPolicy, chain_policy, network_policy
 from spikedeploy.trainers.policies.policy import Head, Latent, Policy
 from spikedeploy.trainers.policies.spiking import PopsanPolicy, SpikingMlpPolicy
@@ -80,10 +80,6 @@ def build(spec: Mapping[str, Any]) -> Policy:
     """Return an untrained policy from the result of `Policy.spec`."""
     settings = dict(spec)
     policy = _POLICIES[require_known(settings.pop("kind"), _POLICIES, "kind of policy")]
-    if "features" in settings:
-        settings["features"] = Features(
-            observations=settings["observations"], **settings["features"]
-        )
     if settings.get("copies"):
         settings["copies"] = Copies(**settings["copies"])
     return policy(**settings)
@@ -103,8 +99,6 @@ def from_config(
     if isinstance(config, NetworkConfig):
         return network_policy(config, observations, actions, clip, head)
     spec = {**config.model_dump(), "observations": observations, "actions": actions, "clip": clip}
-    if "features" in spec:
-        spec["features"] = features(spec["features"], observations, columns).spec()
     if deep := spec.get("deep"):
         spec["hidden"] += deep  # of both layers
     if spec.pop("copies", ""):

@@ -95,10 +95,6 @@ class Policy(nn.Module):
         """Return the output for what sample_encoding returned."""
         return self.latent(encoded)
 
-    def features_of(self, observation: Tensor) -> Tensor:
-        """Return the inputs (B, F) of the normaliser for raw observations."""
-        return observation
-
 
 def full_precision(layer: nn.Module, hidden: Tensor) -> Tensor:
     """Return the layer's output, computed without autocast."""

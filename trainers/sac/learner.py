@@ -21,7 +21,6 @@ from spikedeploy.runtime.files import replacing
 from spikedeploy.trainers.config import (
     Batch,
     Kept,
-    MlpConfig,
     Positive,
     Ramp,
     Rate,
@@ -97,8 +96,6 @@ class SacConfig(RunConfig):
             )
         if self.device == "cuda" and self.precision != "float32":
             raise ValueError("device: cuda computes in float32 here: set precision=float32 as well")
-        if isinstance(self.policy, MlpConfig) and self.policy.features != "all":
-            raise ValueError("sac learns from all observations: distil policies that observe less")
         return self
 
 

@@ -21,7 +21,6 @@ from spikedeploy.trainers.config import (
     PrunedMlpConfig,
 )
 from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, from_config
-from spikedeploy.trainers.policies.mlp import Features
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sac.learner import SacConfig
 from spikedeploy.trainers.sparse.config import SparseConfig
@@ -96,13 +95,9 @@ def test_a_file_that_differs_from_its_policy_is_not_published(monkeypatch, tmp_p
     assert not (tmp_path / "zoo").exists()
 
 
-def test_what_sees_less_is_linear_or_pruned_is_a_control():
+def test_what_is_linear_or_pruned_is_a_control():
     assert kind_of(MlpPolicy(3, 2, hidden=(4,))) == "ann"
     assert kind_of(MlpPolicy(3, 2, hidden=())) == "control"
-    assert (
-        kind_of(MlpPolicy(6, 2, hidden=(4,), features=Features("phase", 6, [2, 3], [])))
-        == "control"
-    )
     assert kind_of(from_config(PrunedMlpConfig(hidden=(4,)), 3, 2)) == "control"
     assert kind_of(PopsanPolicy(3, 2, hidden=(4,))) == "snn"
 

@@ -9,7 +9,6 @@ from spikedeploy.trainers.config import (
     ChipSnnConfig,
     DeltaMlpConfig,
     DeltaSnnConfig,
-    MlpConfig,
     PopsanConfig,
     PrunedMlpConfig,
 )
@@ -20,7 +19,6 @@ from spikedeploy.trainers.policies import (
     build,
     from_config,
 )
-from spikedeploy.trainers.policies.mlp import features
 from spikedeploy.trainers.policies.policy import (
     Moments,
     PrunedWeight,
@@ -90,8 +88,6 @@ def test_encoder_starts_as_in_the_paper(popsan):
     [
         MlpPolicy(6, 3, (8, 8), clip=2.0),
         MlpPolicy(6, 3, ()),
-        MlpPolicy(6, 3, (), features("phase", 6, {"phase": slice(0, 2)})),
-        MlpPolicy(6, 3, (), features("fourier", 6, {"phase": slice(0, 2), "speed": slice(4, 5)})),
         PopsanPolicy(6, 3, **SMALL, surrogate="rectangular", threshold=0.7),
         SpikingMlpPolicy(6, 3, (8,), "population", timesteps=4, reach=2.5),
         SpikingMlpPolicy(6, 3, (8,), "regular", timesteps=4, head="discrete"),
@@ -132,47 +128,6 @@ def test_a_policy_without_hidden_layers_is_linear_before_tanh():
     a, b = torch.rand(1, 4).double(), torch.rand(1, 4).double()
     middle = policy.latent((a + b) / 2).mean
     torch.testing.assert_close(middle, (policy.latent(a).mean + policy.latent(b).mean) / 2)
-
-
-def test_phase_features_ignore_all_other_observations():
-    policy = from_config(MlpConfig(hidden=(8,), features="phase"), 6, 3, columns=COLUMNS)
-    observation = torch.randn(4, 6)
-    other = observation.clone()
-    other[:, [0, 3, 4, 5]] += 1.0
-    assert torch.equal(policy(observation), policy(other))
-
-
-COLUMNS = {"phase": slice(1, 3), "command": slice(4, 6)}
-
-
-def test_bilinear_features_are_waves_times_commands():
-    phase, command = 0.7, (0.3, -2.0)
-    row = [9.0, np.sin(phase), np.cos(phase), 9.0, *command]
-    waves = [1.0, np.sin(phase), np.cos(phase), np.sin(2 * phase), np.cos(2 * phase)]
-    expected = [scale * wave for scale in (1.0, *command) for wave in waves][1:]
-    found = features("bilinear", 6, COLUMNS)(torch.tensor([row], dtype=torch.float64))
-    np.testing.assert_allclose(found[0], expected)
-
-
-FEEDBACK = COLUMNS | {"turn_error": slice(3, 4), "speed_error": slice(0, 1), "height": slice(0, 1)}
-
-
-def test_fourier_features_are_three_harmonics_times_commands_and_errors():
-    phase, command, turn, speed = 0.7, (0.3, -2.0), 0.4, -0.6
-    row = [speed, np.sin(phase), np.cos(phase), turn, *command]
-    harmonics = [wave(k * phase) for k in (1, 2, 3) for wave in (np.sin, np.cos)]
-    products = [command[0] ** 2, command[0] * command[1], command[1] ** 2, turn**2, speed**2]
-    scales = [1.0, *command, turn, speed, *products]
-    expected = [a * b for a in scales for b in (1.0, *harmonics)][1:]
-    found = features("fourier", 6, FEEDBACK)
-    assert found.size == 69
-    seen = found(torch.tensor([row], dtype=torch.float64))
-    np.testing.assert_allclose(seen[0], expected, atol=1e-15)
-
-
-def test_features_without_a_phase_are_refused():
-    with pytest.raises(ConfigError, match="phase"):
-        features("bilinear", 6, None)
 
 
 def test_an_unknown_kind_of_policy_is_refused():
