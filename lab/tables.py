@@ -1,4 +1,4 @@
-"""Write the tables of README.md and docs/ that come from results/: `python -m lab tables`.
+"""Write the tables of pages that come from files of results/: `python -m lab tables`.
 
 A page says between which comments a table stands, which file of results/ it is taken from, and
 which part of that file is shown:
@@ -47,7 +47,8 @@ class Table(NamedTuple):
 
 def pages() -> list[Path]:
     """Pages that may hold tables of results."""
-    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    places = ("README.md", "results/closed-loop.md", "docs/**/*.md")
+    return [page for place in places for page in sorted(ROOT.glob(place))]
 
 
 def parse_tables(text: str) -> Iterator[Table]:

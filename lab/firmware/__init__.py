@@ -5,7 +5,7 @@ peers          float policies through emlearn, beside ours
 integers       float policies in integers, beside ours
 networks       networks through snn-mlir and LLVM, beside ours
 targets        building for a target, running in QEMU, counting
-table          the tables of docs/firmware.md, and the options of all commands
+table          the tables of results/firmware.md, and the options of all commands
 dense          dense networks as C, by us and by emlearn
 snn_to_linalg  the operations of snn-mlir in MLIR's own dialects
 """

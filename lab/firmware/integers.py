@@ -9,7 +9,7 @@ for five cores. Returns are those of the C, as a shared object in the environmen
 seeds; those of float networks are ONNX Runtime's. Needs what lab/firmware/peers.py needs.
 
 --rows keeps what is measured in a file, a line each, from which a later call goes on. --write puts
-the table into docs/firmware.md. A self-test that fails stops it.
+the table into results/firmware.md. A self-test that fails stops it.
 """
 
 import argparse

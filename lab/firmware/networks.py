@@ -11,7 +11,7 @@ of `snn-mlir run`, then LLVM's own optimiser, which that leaves out, then the sa
 snn-mlir needs LLVM 22 (Debian has it: llvm-22, mlir-22-tools) and snn-opt, a program that is in no
 package; lab/firmware/snn_to_linalg.py stands in for it, or give your own by --snn-opt.
 
---write puts the table into docs/firmware.md. Exits with 1 where spikes of ours or of snn-mlir's
+--write puts the table into results/firmware.md. Exits with 1 where spikes of ours or of snn-mlir's
 float32 are not those of the network.
 """
 

@@ -9,7 +9,7 @@ lab/firmware/policies.py needs, all of it, and a Python in which emlearn is inst
 
     python -m venv VENV && VENV/bin/pip install emlearn
 
---write puts the table into docs/firmware.md. Exits with 1 where C of emlearn differs from ONNX.
+--write puts the table into results/firmware.md. Exits with 1 where C of emlearn differs from ONNX.
 """
 
 import ctypes

@@ -11,7 +11,7 @@ gcc; what else is missing leaves a dash:
     apt-get install --no-install-recommends gcc-arm-none-eabi picolibc-arm-none-eabi \
         gcc-riscv64-unknown-elf picolibc-riscv64-unknown-elf qemu-system-arm qemu-system-misc
 
---write puts the table into docs/firmware.md. Exits with 1 where something differs.
+--write puts the table into results/firmware.md. Exits with 1 where something differs.
 """
 
 import ctypes

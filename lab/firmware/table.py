@@ -1,4 +1,4 @@
-"""The tables of docs/firmware.md, from tables.md, and the options of all commands."""
+"""The tables of results/firmware.md, from tables.md, and the options of all commands."""
 
 import argparse
 import json
@@ -9,7 +9,7 @@ from jinja2 import Environment
 from spikedeploy.reports.table import ABSENT
 from spikedeploy.runtime.files import write_text
 
-PAGE = Path(__file__).parents[2] / "docs/firmware.md"
+PAGE = Path(__file__).parents[2] / "results/firmware.md"
 # places of the tables on the page
 OWN, PEERS, NETWORKS, INTEGERS = "firmware", "peers", "networks", "integers"
 _TEMPLATES = Environment(trim_blocks=True, lstrip_blocks=True, autoescape=False)
@@ -31,7 +31,7 @@ def options_of(doc: str, only: str) -> argparse.ArgumentParser:
     """The options that all of the commands have."""
     parser = argparse.ArgumentParser(description=doc.splitlines()[0])
     parser.add_argument("--only", default="", help=only)
-    parser.add_argument("--write", action="store_true", help="the table into docs/firmware.md")
+    parser.add_argument("--write", action="store_true", help="the table into results/firmware.md")
     parser.add_argument("--json", action="store_true")
     return parser
 

@@ -61,7 +61,7 @@ class Artifact:
     """A network and everything that NIR leaves open; ArtifactError where they are inconsistent.
 
     graph: standard NIR nodes; nested graphs are flattened. Which tools compute the same from
-        them: docs/interop.md.
+        them: results/interop.md.
     codec: observation to spikes and output to action; None in files of other tools.
     convention: how the graph is discretised; inferred or given for files of other tools.
     provenance: where the policy comes from; None in files of other tools.

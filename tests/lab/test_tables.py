@@ -22,8 +22,10 @@ def test_the_tables_of_a_page_are_what_the_command_writes(page):
 
 
 def test_a_table_below_a_link_to_results_stands_between_markers():
-    assert {"README.md", "results.md", "sparse.md", "training.md"} <= {page.name for page in PAGES}
-    for page in (ROOT / "README.md", ROOT / "docs/results.md", ROOT / "docs/sparse.md"):
+    assert {"README.md", "closed-loop.md", "sparse.md", "training.md"} <= {
+        page.name for page in PAGES
+    }
+    for page in (ROOT / "README.md", ROOT / "results/closed-loop.md", ROOT / "docs/sparse.md"):
         assert not RESULTS.search(page.read_text("utf-8")), page
 
 

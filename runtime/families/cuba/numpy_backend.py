@@ -76,8 +76,8 @@ class Raster:
 _EXACT_FLOAT32 = 1 << 24
 EXACT_INT16 = (1 << 15) - 1
 
-# the rule, from the measurements in docs/performance.md: at batch 1, matrices of at least so many
-# weights are not multiplied whole, but
+# the rule, from measurements: at batch 1, matrices of at least so many weights are not multiplied
+# whole, but
 SMALL = 1 << 15
 # only the rows of axons that spike in the window, while those are no larger a part of all,
 FEW = 0.4

@@ -159,7 +159,7 @@ def test_the_command_writes_and_keeps_what_is_not_its_own(lab, file):
 def test_the_page_in_the_documentation_is_that_of_its_records():
     """Written by `python -m lab interop`, and not by hand."""
     root = Path(__file__).parents[3]
-    text = (root / "docs/interop.md").read_text("utf-8")
+    text = (root / "results/interop.md").read_text("utf-8")
     rows = json.loads((root / "results/interop.json").read_text("utf-8"))
     command = next(line for line in text.splitlines() if line.startswith("python -m lab interop"))
     assert page(rows, command) == text
