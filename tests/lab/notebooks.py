@@ -1,4 +1,4 @@
-"""Notebooks of tutorials, made from the pages: one text, read as a page or run cell by cell.
+"""Notebooks of tutorials, made from pages of docs/: one text, read as a page or run cell by cell.
 
 `python -m tests.lab.notebooks` writes examples/notebooks anew. What a page shows under a block
 is the output of its cell; the outputs of a run are not kept.
@@ -87,12 +87,9 @@ def _stripped(cell):
 
 
 def _linked(prose):
-    """Links from docs/tutorials as links from examples/notebooks, which lies as deep."""
-    prose = prose.replace("](../../", "](\0").replace("](../", "](../../docs/")
-    own = {page.name for page in FOLDER.glob("*.md")}
-    for page in own:
-        prose = prose.replace(f"]({page}", f"](../../docs/tutorials/{page}")
-    return prose.replace("](\0", "](../../")
+    """Links of docs/ as links of examples/notebooks/."""
+    prose = re.sub(r"\]\((?![a-z]+:|\.\./)", "](../../docs/", prose)
+    return re.sub(r"\]\(\.\./(?!\.\./)", "](../../", prose)
 
 
 if __name__ == "__main__":

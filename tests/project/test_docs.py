@@ -8,6 +8,7 @@ import pytest
 import typer
 
 from tests.paths import ROOT
+from tests.project.tutorials import END
 
 PAGES = [
     ROOT / "README.md",
@@ -40,8 +41,10 @@ NOT_RUN = {
 
 
 def blocks(page, language):
-    """Code blocks of a language, in order."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
+    """Code blocks of a language, in order; test_tutorials.py has those of tutorials."""
+    above, end, below = page.read_text("utf-8").partition(END)
+    text = below if end else above
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.M | re.S)
 
 
 def lines(page):

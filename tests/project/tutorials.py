@@ -1,4 +1,6 @@
-"""The tutorials of docs/tutorials as prose and blocks, and whether a block prints what they show.
+"""The tutorials as prose and blocks, and whether a block prints what they show.
+
+A tutorial is the part of a page of docs/ above the comment `end of the tutorial`.
 
 A block of `text` behind another shows lines of what that one prints: all in their order, maybe not
 all that there are, white space aside and numbers within 5 %. With a title it is only shown: of a
@@ -12,9 +14,10 @@ from dataclasses import dataclass
 
 from tests.paths import ROOT
 
-FOLDER = ROOT / "docs/tutorials"
-PAGES = sorted(FOLDER.glob("*.md"))
-NOTEBOOKS = ("first-chip-run", "own-network", "own-robot")
+FOLDER = ROOT / "docs"
+END = "<!-- end of the tutorial -->"
+PAGES = [page for page in sorted(FOLDER.glob("*.md")) if END in page.read_text("utf-8")]
+NOTEBOOKS = ("python", "own-network", "own-robot")
 
 TOOLS = ("make", "cc", "arm-none-eabi-gcc", "arm-none-eabi-size", "qemu-system-arm")
 _BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.M | re.S)
@@ -59,7 +62,7 @@ class Part:
 
 def parts(page):
     """Prose and blocks, in order."""
-    text, found, end = page.read_text("utf-8"), [], 0
+    text, found, end = page.read_text("utf-8").partition(END)[0], [], 0
     for block in _BLOCK.finditer(text):
         found += [
             Part("prose", text[end : block.start()]),
