@@ -4,7 +4,7 @@ A hexapod on MuJoCo and karts on pymunk, and what records their episodes. ENVS i
 environments; `make` builds one by its short name or gymnasium id, and likewise those of other
 people: any id that is registered with gymnasium, and targets such as my_module:MyEnv.
 
-hexapod/          a walking robot: on rough ground, by velocity commands, over forbidden tiles
+hexapod/          a walking robot: on rough ground, by velocity commands
 eye/              a kart that reads the signs of forks by an event camera
 kart/             three kinds of kart on tracks, with a LIDAR and a scripted driver
 event_camera.py   an event camera by v2e's model, for any frames
@@ -86,20 +86,6 @@ ENVS: dict[str, EnvSpec] = {
             remark="The reward of HexapodCommand-v0 has a peaked kernel, chosen so that it "
             "separates controls without feedback from policies with it: shares of a return are not "
             "shares of the tracking, which success and the errors measure.",
-        ),
-        EnvSpec(
-            "hexapod-tiles",
-            "spikedeploy/HexapodTiles-v0",
-            "spikedeploy.envs.hexapod.tiles:HexapodTilesEnv",
-            "walk straight ahead and step on no forbidden tile",
-            controls=("random", "footholds"),
-        ),
-        EnvSpec(
-            "hexapod-tiles-ahead",
-            "spikedeploy/HexapodTilesAhead-v0",
-            "spikedeploy.envs.hexapod.tiles:HexapodTilesAheadEnv",
-            "step on no forbidden tile, by what a strip before the body showed",
-            controls=("random", "footholds"),
         ),
         *(
             EnvSpec(

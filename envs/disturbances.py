@@ -160,7 +160,7 @@ def scale(env: gymnasium.Env[Any, Any]) -> FloatArray | float:
     return _measured[key]
 
 
-def _spread(env: AdaptedEnv) -> FloatArray:
+def _spread(env: gymnasium.Env[Any, Any]) -> FloatArray:
     """Standard deviation (obs,) under actions drawn uniformly."""
     rng, space, episode = np.random.default_rng(0), env.action_space, 0
     seen = [env.reset(seed=episode)[0]]

@@ -6,6 +6,9 @@
     reward       one number, of an array or tensor of one element too
     info         the numbers in it, and success where it is known
 
+An environment with an OBSERVATION (name of an entry -> its slice) is in these units already, and is
+played as it stands; disturbances leave its entries `previous`, `phase` and `command` alone.
+
 Other spaces, pictures, and actions without bounds are refused, and so is what is no number, and a
 wrapper of gymnasium's that goes on measuring from episode to episode. Nothing is imported but the
 module that a target names. The current folder is searched, after the installed packages, for
@@ -360,8 +363,10 @@ def nearest(name: str, ours: Iterable[str]) -> str | None:
     return known[close[0]] if close else None
 
 
-def make_foreign(name: str, options: Mapping[str, Any], success: str | None = None) -> AdaptedEnv:
-    """The environment as policies expect it.
+def make_foreign(
+    name: str, options: Mapping[str, Any], success: str | None = None
+) -> gymnasium.Env[Any, Any]:
+    """The environment as policies expect it: adapted, unless it has an OBSERVATION as ours have.
 
     name     registered id, module:Class, module:function or module:Registered-v0
     options  of its constructor, and of gymnasium.make, such as max_episode_steps; and
@@ -383,8 +388,30 @@ def make_foreign(name: str, options: Mapping[str, Any], success: str | None = No
     if camera:
         with contained(name, "render()"):
             world = _seen_by_events(world, camera)
+    if hasattr(world.unwrapped, "OBSERVATION") and not camera:
+        return _as_ours(world, name, success)
     shown = given if success is None else {**given, "success": success}
     return AdaptedEnv(world, name, shown, success)
+
+
+def _as_ours(
+    world: gymnasium.Env[Any, Any], name: str, success: str | None
+) -> gymnasium.Env[Any, Any]:
+    """The environment as it stands; its OBSERVATION says that it is in the units of policies."""
+    observed, action = world.observation_space, world.action_space
+    fits = isinstance(observed, Box) and observed.dtype == np.float64 and len(observed.shape) == 1
+    if isinstance(action, Box):
+        fits &= len(action.shape) == 1 and bool((action.low == -1).all() & (action.high == 1).all())
+    else:
+        fits &= isinstance(action, Discrete) and action.start == 0
+    if not fits:
+        raise EnvError(
+            f"{name} has an OBSERVATION and observes {observed}, acts in {action}: with it an "
+            "environment observes a vector of float64, and takes actions in [-1, 1] or from 0"
+        )
+    if success is not None:
+        raise EnvError(f"{name} defines success itself: leave --success out")
+    return world
 
 
 def _check_wrappers(name: str, world: gymnasium.Env[Any, Any]) -> None:

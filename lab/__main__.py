@@ -19,7 +19,6 @@ COMMANDS = {
     "energy-ratio": "lab.experiments.energy_ratio",
     "eye-events": "lab.experiments.eye_events",
     "eye-trainings": "lab.experiments.eye_trainings",
-    "tiles-trainings": "lab.experiments.tiles_trainings",
     "hidden-neurons": "lab.experiments.hidden_neurons",
     "kart-trainings": "lab.experiments.kart_trainings",
     "own-networks": "lab.experiments.own_networks",

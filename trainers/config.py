@@ -161,7 +161,7 @@ class DeltaSnnConfig(_Section):
 
     hidden: neurons, of each copy; 0 leaves a delta-coded linear policy
     skip: whether events also reach the readout directly
-    copies: "legs" for one network that every leg of a hexapod-tiles has a copy of
+    copies: module:function that says which parts of the body share one network; empty for none
     deep: further neurons, which read spikes of the hidden ones instead of events
     recurrent: whether these also read each other's
     integrated: whether events reach the readout through integrators that hardly decay
@@ -178,7 +178,7 @@ class DeltaSnnConfig(_Section):
     kind: Literal["delta-snn"] = "delta-snn"
     hidden: Count = 8
     skip: bool = True
-    copies: Literal["", "legs"] = ""
+    copies: str = ""
     deep: Count = 0
     recurrent: bool = False
     integrated: bool = False
@@ -215,7 +215,7 @@ class DeltaMlpConfig(_Section):
     kind: Literal["delta-mlp"] = "delta-mlp"
     hidden: Positive = 16
     skip: bool = True
-    copies: Literal["", "legs"] = ""
+    copies: str = ""
     most: Events = 3
     code: Literal["unary", "one-hot"] = "one-hot"
     clock: Literal["gated", "pipelined"] = "pipelined"
@@ -232,7 +232,7 @@ class PrunedMlpConfig(_Section):
     kind: Literal["pruned-mlp"] = "pruned-mlp"
     hidden: tuple[Width, ...] = (16,)
     skip: bool = True
-    copies: Literal["", "legs"] = ""
+    copies: str = ""
 
 
 class PrunedGruConfig(_Section):
@@ -247,7 +247,7 @@ class PrunedGruConfig(_Section):
     hidden: tuple[Width, ...] = Field(default=(64,), min_length=1)
     gru: Positive = 64
     skip: bool = True
-    copies: Literal["", "legs"] = ""
+    copies: str = ""
 
 
 Triple = tuple[Width, Width, Width]

@@ -17,9 +17,7 @@ lineup       shipped policies trained again with other seeds
 students     what the defaults of `distill` make of other people's teachers
 eye_map      where spiking costs less, by control rate and quiet; vision, eye_costs, eye_map_page
 eye_entry    kart-eye's entry test: what drives without convolutions, and what does with them
-tiles        hexapod-tiles' entry test: what places feet, and for how many operations
 eye_trainings  what its trainings left, as archives; the files of such in archives
-tiles_trainings  what those of hexapod-tiles left
 
 Other tables of results/ have a script each:
 
@@ -54,5 +52,4 @@ EXPERIMENTS = {
     "students": "lab.experiments.students:StudentsDesign",
     "kart-eye-map": "lab.experiments.eye_map:EyeMapDesign",
     "kart-eye": "lab.experiments.eye_entry:EyeEntryDesign",
-    "hexapod-tiles": "lab.experiments.tiles:TilesDesign",
 }

@@ -27,7 +27,7 @@ energy_unknown       by each table, terms that happen and that nothing prices
 energy_zero_skipping_j
                      of a float network that skips inputs of 0: effective_macs alone
 messages_placed      messages on the cores that `check` gives to each layer
-operations           of a script, by name (policies.counting); nothing prices them
+operations           of a script, by name; nothing prices them
 
 Terms of the host are those that it adds to a spiking policy: encoder, readout and resets. A term is
 unknown where nothing prices it: Gaussians of a population encoder, random bytes of a rate encoder,

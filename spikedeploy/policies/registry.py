@@ -45,7 +45,6 @@ FORMATS = {
     "random": "scripts:RandomController",
     "gap": "scripts:GapController",
     "pursuit": "scripts:PursuitController",
-    "footholds": "scripts:FootholdController",
     "teacher": "scripts:TeacherController",
     "function": "scripts:TeacherController",
 }
@@ -100,7 +99,6 @@ BUILT_IN = {
     "random": Candidate("random", "random", "random", "random"),
     "gap": Candidate("gap", "gap", "control", "gap"),
     "pursuit": Candidate("pursuit", "pursuit", "control", "pursuit"),
-    "footholds": Candidate("footholds", "footholds", "control", "footholds"),
 }
 _HINT = "`spikedeploy policies` lists what is shipped"
 UNTRAINED = (*BUILT_IN, "function")  # formats of scripts

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -12,15 +12,13 @@ from numpy.typing import NDArray
 from spikedeploy.envs.foreign import is_target
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.costs import NOTHING, UNCOUNTED, Costs, float_costs
-from spikedeploy.policies.counting import count_operations
+from spikedeploy.policies.costs import NOTHING, Costs, float_costs
 from spikedeploy.policies.registry import Candidate, Env, Floats, Player, check_fit, find
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
 from spikedeploy.trainers.onnx_session import has_policy_metadata, session
 
 if TYPE_CHECKING:
-    from spikedeploy.envs.hexapod.tiles import HexapodTilesEnv
     from spikedeploy.trainers.distill.teacher import Teacher, Units
 
 _STREAM = 1  # so that draws differ from those of an environment with the same seed
@@ -118,36 +116,6 @@ class PursuitController(Player):
         return NOTHING
 
 
-class FootholdController(Player):
-    """A script that chooses footholds between forbidden tiles, on the observations of a policy."""
-
-    def __init__(self, env: "HexapodTilesEnv") -> None:
-        from spikedeploy.envs.hexapod.footholds import FootholdScript
-
-        self._script = FootholdScript(env)
-
-    @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
-        """The script of an environment that scans the ground."""
-        if not hasattr(env.unwrapped, "view"):
-            raise ConfigError("the script footholds is for hexapod-tiles")
-        return cls(cast("HexapodTilesEnv", env.unwrapped))
-
-    def reset(self, seed: int) -> None:
-        """Forget the last episode."""
-        self._script.reset()
-
-    def act(self, observation: Floats) -> Floats:
-        """The action (act,)."""
-        return self._script.act(observation)
-
-    def costs(self, played: Rollout) -> Costs:
-        """Means of counted operations."""
-        self._script.reset()
-        counted = count_operations(self._script.act, played.observation[:-1])
-        return replace(UNCOUNTED, operations=counted)
-
-
 class TeacherController(Player):
     """A teacher of `distill` that no other format plays: a function, a file of another tool.
 
@@ -174,6 +142,10 @@ class TeacherController(Player):
         )
         check_fit(replace(candidate, observed=found.observations, actions=found.actions), env)
         return cls(found, isinstance(env.action_space, gymnasium.spaces.Discrete))
+
+    def reset(self, seed: int) -> None:
+        """Begin an episode, of a script with a memory."""
+        self._teacher.reset(seed)
 
     def replay(self, observations: Floats) -> NDArray[Any]:
         """Actions (S, act) or (S,) for the observations (S, obs) of an episode."""

@@ -13,7 +13,7 @@ from spikedeploy import envs
 from spikedeploy.runtime.errors import EnvError
 from tests.paths import ROOT
 
-WALKERS = ("hexapod", "hexapod-command", "hexapod-tiles", "hexapod-tiles-ahead")
+WALKERS = ("hexapod", "hexapod-command")
 KARTS = ("kart-grid", "kart-gazebo", "kart-steer")
 everyone = pytest.mark.parametrize("name", envs.ENVS)
 walkers = pytest.mark.parametrize("name", WALKERS)

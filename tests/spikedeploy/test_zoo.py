@@ -61,20 +61,7 @@ def test_names_are_unique():
     assert len(set(zoo.names())) == len(zoo.names())
 
 
-# where feet are placed, the float reference is a network that legs share; pruning knows it
-TILES = {
-    "hexapod-tiles": {"legs-mlp": "control", "legs-snn": "snn"},
-    "hexapod-tiles-ahead": {"legs-mlp": "control"},
-}
-
-
-@pytest.mark.parametrize("env", TILES)
-def test_over_tiles_a_float_network_is_beside_the_spiking_one_if_there_is_one(env):
-    assert {path.stem: find(str(path)).kind for path in zoo.policies(env)} == TILES[env]
-    assert {"random", "footholds"} < {entry.label for entry in line_up(env, [], ["loihi1"])}
-
-
-@pytest.mark.parametrize("env", sorted({path.parent.name for path in SHIPPED} - set(TILES)))
+@pytest.mark.parametrize("env", sorted({path.parent.name for path in SHIPPED}))
 def test_each_task_has_a_float_ann_and_a_spiking_policy_the_walkers_three_controls(env):
     kinds = {path.stem: find(str(path)).kind for path in zoo.policies(env)}
     assert {"ann", "snn"} <= set(kinds.values())

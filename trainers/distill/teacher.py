@@ -29,6 +29,7 @@ class Teacher:
     observations, actions: their numbers
     env: short name or id of its environment, empty if unknown
     widths: of a multilayer perceptron, from observations to actions; empty if unknown
+    restart: called when an episode begins, of a script with a memory
     """
 
     act_all: Callable[[FloatArray], FloatArray]
@@ -36,6 +37,7 @@ class Teacher:
     actions: int
     env: str = ""
     widths: tuple[int, ...] = ()
+    restart: Callable[[], object] | None = None
 
     def check_sizes(self, path: str, env: str, sizes: tuple[int, int]) -> None:
         """Refuse a teacher of other numbers of observations and actions than an environment's."""
@@ -46,7 +48,9 @@ class Teacher:
             )
 
     def reset(self, seed: int) -> None:
-        """Do nothing: teachers have no state."""
+        """Begin an episode."""
+        if self.restart is not None:
+            self.restart()
 
     def act(self, observation: FloatArray) -> FloatArray:
         """Return the action (act,) for one observation (obs,)."""

@@ -29,7 +29,8 @@ def own_function(name: str, spaces: OwnSpaces, units: Units) -> Teacher:
     """Return the teacher module:function, which takes the environment's own observations.
 
     It is the user's own code and runs in the user's process: the module that is named is imported.
-    Where the function has the attribute `vectorised`, and it is true, it takes a batch of them.
+    Where the function has the attribute `vectorised`, and it is true, it takes a batch of them. Its
+    `reset()`, where it has one, is called when an episode begins.
     """
     module, _, within = name.partition(":")
     act = attribute(name, import_target(name, module, "a teacher is module:function"), within)
@@ -51,7 +52,8 @@ def own_function(name: str, spaces: OwnSpaces, units: Units) -> Teacher:
                 given = [act(spaces.observed(vector)) for vector in observation]
         return spaces.labels(name, given, len(observation), units)
 
-    return Teacher(act_all, spaces.observations, spaces.actions)
+    restart = getattr(act, "reset", None)
+    return Teacher(act_all, spaces.observations, spaces.actions, restart=restart)
 
 
 _TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}

@@ -18,6 +18,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from spikedeploy.envs.foreign import attribute, contained, import_target, is_target
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import (
     ChipSnnConfig,
@@ -101,8 +102,10 @@ def from_config(
     spec = {**config.model_dump(), "observations": observations, "actions": actions, "clip": clip}
     if deep := spec.get("deep"):
         spec["hidden"] += deep  # of both layers
-    if spec.pop("copies", ""):
-        spec |= _of_legs(spec, columns or {})
+    if target := spec.pop("copies", ""):
+        copies = _shared(target, columns or {})
+        whole = {n: np.multiply(spec[n], copies.count).tolist() for n in _WIDTHS if n in spec}
+        spec |= {"copies": copies.spec(), **whole}
     if head == "discrete":
         if config.kind == "popsan":
             raise ConfigError(
@@ -113,13 +116,18 @@ def from_config(
     return build(spec)
 
 
-def _of_legs(spec: Mapping[str, Any], columns: Mapping[str, slice]) -> dict[str, Any]:
-    """Return copies for legs, and the widths of all of them together, for a spec."""
-    if not {"scan", "previous"} <= set(columns):
-        raise ConfigError("copies: legs are those of hexapod-tiles, which scans their footholds")
-    from spikedeploy.envs.hexapod.tiles import leg_inputs  # loads MuJoCo
+def _shared(target: str, columns: Mapping[str, slice]) -> Copies:
+    """Return the copies that the user's module:function makes of the environment's OBSERVATION.
 
-    inputs, signs = leg_inputs(columns)
-    copies = Copies(inputs.tolist(), signs.tolist(), np.arange(18).reshape(6, 3).tolist())
-    whole = {n: np.multiply(spec[n], copies.count).tolist() for n in _WIDTHS if n in spec}
-    return {"copies": copies.spec(), **whole}
+    It returns which observations each copy reads (K, F), their signs (K, F), and the actions (K, n)
+    that each sets.
+    """
+    if not is_target(target) or not columns:
+        raise ConfigError(
+            f"copies: {target!r} must be module:function, and the environment must have an "
+            "OBSERVATION"
+        )
+    module, _, name = target.partition(":")
+    layout = attribute(target, import_target(target, module, "copies is module:function"), name)
+    with contained(target, "a call"):
+        return Copies(*(np.asarray(each).tolist() for each in layout(columns)))

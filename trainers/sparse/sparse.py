@@ -68,7 +68,6 @@ from spikedeploy.trainers.sparse.vision import EyeEpisodes, VisionStudent
 
 _ENV_COPIES = 50  # copies of the environment
 _PRIVILEGED = "privileged"  # the teacher that knows the simulation
-_OVER_TILES = ("hexapod-tiles", "hexapod-tiles-ahead")  # where it is the script footholds
 _DENSE_BUDGET = 4_000.0  # operations for which the penalty is scaled while nothing is pruned
 
 
@@ -409,12 +408,6 @@ def _taught_episodes(config: SparseConfig, sizes: tuple[int, int]) -> tuple[Epis
             )
         eyes = EyeEpisodes(config.env, _ENV_COPIES, limit)
         return eyes, Teacher(eyes.label, *sizes, config.env.name)
-    if short in _OVER_TILES and config.teacher == _PRIVILEGED:
-        from spikedeploy.envs.hexapod.footholds import PrivilegedScript  # loads MuJoCo
-
-        episodes = Episodes(config.env, _ENV_COPIES, limit)
-        script = PrivilegedScript(episodes.worlds)
-        return episodes, Teacher(script.act_all, *sizes, config.env.name)
     own = teacher(config.teacher, config.env.name, config.env.options, config.teacher_units)
     return Episodes(config.env, _ENV_COPIES, limit), own
 

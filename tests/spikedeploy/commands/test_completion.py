@@ -50,7 +50,7 @@ def test_a_command_offers_its_words_without_loading_what_is_slow(here):
     ]
 
 
-WALKERS = ["hexapod/", "hexapod-command/", "hexapod-tiles/", "hexapod-tiles-ahead/"]
+WALKERS = ["hexapod/", "hexapod-command/"]
 
 
 def test_policies_open_folder_by_folder():
@@ -78,10 +78,8 @@ def test_files_and_runs_stand_beside_policies(here):
 def test_chips_recipes_and_environments_are_offered():
     assert completion.chips("xylo-a") == ["xylo-a2", "xylo-a3"]
     assert completion.chips("odin,tiny") == ["odin,tinyodin"]
-    assert completion.recipes("hexapod-sac") == ["hexapod-sac", "hexapod-sac-256"]
-    assert completion.environments("hexapod") == [
-        "hexapod", "hexapod-command", "hexapod-tiles", "hexapod-tiles-ahead",
-    ]  # fmt: skip
+    assert completion.recipes("hexapod-sac") == ["hexapod-sac"]
+    assert completion.environments("hexapod") == ["hexapod", "hexapod-command"]
     assert "CartPole-v1" in completion.environments("Cart")
     assert "CartPole-v1" not in completion.environments("")
     assert completion.trainings("hexapod-c")[-1] == "hexapod-command"

@@ -7,10 +7,8 @@ import pytest
 from spikedeploy import envs
 from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.envs.rollout import Rollout, rollout
-from spikedeploy.make_env import make_env
 from spikedeploy.play import window
 from spikedeploy.play.drive import CommandedPolicyDriver, DriveApp, KeyboardDriver, open_session
-from spikedeploy.play.replay import RolloutView
 from spikedeploy.runtime.errors import ConfigError
 from tests import toy_stroll_env
 from tests.windows import play, press, release
@@ -64,25 +62,6 @@ def test_arrows_command_speed_and_turn_within_bounds():
         for name in names:
             keys.handle(press(name))
         assert (keys.speed, keys.turn) == found
-
-
-def test_arrows_turn_the_course_of_a_robot_that_steps_on_tiles_and_a_replay_turns_it_again():
-    driven = open_session("hexapod-tiles", {}, "footholds", None, 10_000)
-    for _ in range(20):
-        driven.tick()
-    for name in ("LEFT", "LEFT", "RIGHT"):
-        driven.driver.handle(press(name))
-    for _ in range(20):
-        driven.tick()
-    course = driven.world.course
-    assert course == pytest.approx(np.radians(10))
-    replayed = RolloutView(make_env("hexapod-tiles", {}), driven.episode.rollout())
-    replayed.go(40)
-    assert replayed.world.course == course
-    np.testing.assert_array_equal(replayed.newest, driven.episode.observation)
-    driven.restart()
-    driven.tick()
-    assert driven.world.course == 0.0
 
 
 def test_a_closed_window_is_left():

@@ -8,11 +8,8 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from spikedeploy import make
-from spikedeploy.envs.hexapod.tiles import SCANS, leg_inputs
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import DeltaSnnConfig
 from spikedeploy.trainers.policies import (
     DeltaMlpPolicy,
@@ -20,7 +17,6 @@ from spikedeploy.trainers.policies import (
     PrunedGruPolicy,
     PrunedMlpPolicy,
     build,
-    from_config,
 )
 from spikedeploy.trainers.policies.copies import Copies, weights_between
 from spikedeploy.trainers.policies.delta import delta_artifact
@@ -109,7 +105,7 @@ def replayed(policy: DeltaSnnPolicy, burn_in: int) -> tuple[torch.Tensor, torch.
     """Means and hidden spikes of a burn-in, in which nothing is, and of the walk behind it."""
     pool = WalkPool([Walk(walk(12).astype(np.float32), np.zeros((12, 2), np.float32))])
     config = SparseConfig.model_validate(
-        {"algorithm": "sparse", "recipe": "", "env": {"name": "hexapod-tiles"}, "seed": 0,
+        {"algorithm": "sparse", "recipe": "", "env": {"name": "hexapod"}, "seed": 0,
          "policy": {"kind": "delta-snn"}}
     )  # fmt: skip
     found = DeltaStudent(policy, config)
@@ -221,29 +217,6 @@ def test_a_memory_is_the_same_step_by_step_as_in_a_window() -> None:
     assert torch.allclose(state[0], whole.memory, atol=1e-6)
 
 
-@pytest.mark.parametrize(("view", "points"), [("around", 35), ("ahead", 30)])
-def test_legs_read_their_own_part_of_the_scan_and_left_ones_its_mirror(
-    view: str, points: int
-) -> None:
-    columns = make("hexapod-tiles", view=view).unwrapped.OBSERVATION
-    inputs, signs = leg_inputs(columns)
-    assert inputs.shape == signs.shape == (6, 16 + points)
-    scan = SCANS[view][inputs[:, 16:] - columns["scan"].start]
-    assert np.allclose(scan[3:, :, 0], scan[:3, :, 0])
-    assert np.allclose(scan[3:, :, 1], -scan[:3, :, 1])
-    assert (signs[[0, 2, 4], :2] == 1).all()
-    assert (signs[[1, 3, 5], :2] == -1).all()
-
-
-def test_of_earlier_rows_legs_read_what_they_read_of_the_nearest_one() -> None:
-    columns = make("hexapod-tiles", view="ahead", delays=3).unwrapped.OBSERVATION
-    inputs, signs = leg_inputs(columns)
-    assert inputs.shape == signs.shape == (6, 16 + 30 + 3 * 5)
-    nearest = inputs[:, 16:21] - columns["scan"].start
-    earlier = inputs[:, 46:].reshape(6, 3, 5) - columns["earlier"].start
-    assert np.array_equal(earlier, nearest[:, None] + 23 * np.arange(3)[:, None])
-
-
 @pytest.mark.parametrize("reads", [True, False])
 def test_the_fan_out_of_shared_weights_is_that_of_the_whole_matrix(reads: bool) -> None:
     widths = (5, 8) if reads else (8, 2)
@@ -264,16 +237,3 @@ def test_the_fan_out_of_shared_weights_is_that_of_the_whole_matrix(reads: bool) 
 def test_deep_neurons_that_read_nothing_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         DeltaSnnConfig.model_validate(settings)
-
-
-def test_hidden_neurons_are_those_of_a_copy_and_deep_ones_come_behind_them() -> None:
-    columns = make("hexapod-tiles").unwrapped.OBSERVATION
-    config = DeltaSnnConfig(copies="legs", hidden=8, deep=4)
-    policy = from_config(config, 287, 18, columns=columns)
-    assert isinstance(policy, DeltaSnnPolicy)
-    assert (policy.hidden, policy.deep) == (6 * 12, 6 * 4)
-
-
-def test_legs_are_refused_where_no_foothold_is_scanned() -> None:
-    with pytest.raises(ConfigError, match="legs are those of hexapod-tiles"):
-        from_config(DeltaSnnConfig(copies="legs"), 77, 18, columns={"phase": slice(0, 2)})

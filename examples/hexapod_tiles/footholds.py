@@ -11,15 +11,14 @@ lie by odometry.
 """
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.hexapod.env import CONTROL_DT
-from spikedeploy.envs.hexapod.legs import NEUTRAL, STANDING, feet, joints
+from examples.hexapod_tiles.env import GRID, SCANS, STRIDE, View, entries
+from examples.hexapod_tiles.kinematics import NEUTRAL, STANDING, feet, joints
+from spikedeploy.envs.hexapod.env import CONTROL_DT, layout, scaling
 from spikedeploy.envs.hexapod.robot import ACTION_UNIT, FREQUENCY, STANCE
-from spikedeploy.envs.hexapod.tiles import GRID, SCANS, STRIDE, HexapodTilesEnv
 
 FloatArray = NDArray[np.float64]
 
@@ -54,7 +53,7 @@ class TileMap:
         """Add a scan: points (n, 2) [m], 1 where they are forbidden and 0 elsewhere (n,)."""
         np.add.at(self._votes, self._cells(points), seen - 0.5)
 
-    def at(self, points: FloatArray) -> FloatArray:
+    def look_up(self, points: FloatArray) -> FloatArray:
         """Return 1 where points (n, 2) [m] are forbidden, 0 where they are free or unknown."""
         return np.where(self._votes[self._cells(points)] > 0.0, 1.0, 0.0)
 
@@ -64,25 +63,22 @@ class TileMap:
 
 
 class FootholdScript:
-    """The script on observations of HexapodTilesEnv, with a map where it looks ahead."""
+    """The script on observations of HexapodTiles, with a map where it looks ahead."""
 
-    def __init__(self, env: HexapodTilesEnv) -> None:
-        self._slices = env.OBSERVATION
-        self._centre, self._spread = env.scaling
+    def __init__(self, view: View) -> None:
+        self._slices = layout(entries(view))  # earlier rows, which come last, are not read
+        self._centre, self._spread = scaling(entries(view))
         self._points = SCANS["around"].reshape(6, -1, 2)
-        self._ahead = env.view == "ahead"
+        self._ahead = view == "ahead"
         self.reset()
 
     def reset(self) -> None:
         """Forget what was seen."""
         self._map, self._travelled, self._velocity = TileMap(), np.zeros(1), np.zeros(1)
 
-    def act(self, observation: FloatArray) -> FloatArray:
-        """The action (18,)."""
-        return self.act_with_scan(observation, self._scan(observation))
-
-    def act_with_scan(self, observation: FloatArray, scan: FloatArray) -> FloatArray:
-        """The action (18,) where points (6, 35) about the footholds are forbidden."""
+    def __call__(self, observation: FloatArray) -> FloatArray:
+        """Return the action (18,)."""
+        scan = self._scan(observation)
         sine, cosine = (self._measured(observation, "phase")[k : k + 1] for k in (0, 1))
         heading, lateral = (self._measured(observation, name) for name in ("heading", "lateral"))
         turn = np.clip(-_HEADING * heading - _LATERAL * lateral, -_TURN, _TURN)
@@ -113,7 +109,7 @@ class FootholdScript:
         here = np.concatenate([self._travelled, lateral])
         turned = np.stack([np.concatenate([cosine, sine]), np.concatenate([-sine, cosine])])
         self._map.add(here + SCANS["ahead"] @ turned, seen)
-        return self._map.at(here + self._points.reshape(-1, 2) @ turned).reshape(6, -1)
+        return self._map.look_up(here + self._points.reshape(-1, 2) @ turned).reshape(6, -1)
 
     def _measured(self, observation: FloatArray, name: str) -> FloatArray:
         """An entry of the observation in its own units."""
@@ -151,18 +147,6 @@ class FootholdScript:
         arriving = np.maximum((_ARRIVED - done) * _SWING, CONTROL_DT)[:, None] + _LAG
         reached: FloatArray = chosen - arriving * passing
         return reached
-
-
-class PrivilegedScript:
-    """The script in several environments at once, which is shown the ground of each as it is."""
-
-    def __init__(self, worlds: Sequence[HexapodTilesEnv]) -> None:
-        self._worlds, self._script = worlds, FootholdScript(worlds[0])
-
-    def act_all(self, observation: FloatArray) -> FloatArray:
-        """Actions (B, 18) for the observations (B, obs) of the first B environments, of now."""
-        pairs = zip(self._worlds, observation, strict=False)
-        return np.stack([self._script.act_with_scan(x, w.scan_footholds()) for w, x in pairs])
 
 
 def _lifted(done: FloatArray) -> FloatArray:

@@ -1,9 +1,9 @@
-"""HexapodTiles-v0: walk straight ahead and step on no forbidden tile."""
+"""Walk straight ahead and step on no forbidden tile: the environment."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Literal, get_args
@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from examples.hexapod_tiles.kinematics import NEUTRAL
 from spikedeploy.envs.hexapod.camera import Mark
 from spikedeploy.envs.hexapod.env import (
     BODY,
@@ -23,7 +24,6 @@ from spikedeploy.envs.hexapod.env import (
     course_terms,
     layout,
 )
-from spikedeploy.envs.hexapod.legs import NEUTRAL
 from spikedeploy.envs.hexapod.robot import Field, Motion
 from spikedeploy.runtime.errors import EnvError
 
@@ -42,7 +42,7 @@ GRID = 7, 5  # points of the scan of a foothold, along and across
 _OVER_FEET = np.stack(
     np.meshgrid(_STEP * np.arange(-2, 5), _STEP * np.arange(-2, 3), indexing="ij"), -1
 ).reshape(-1, 2)  # (35, 2)
-_ACROSS = 23  # points of a strip, from its right to its left
+ACROSS = 23  # points of a strip, from its right to its left
 _STRIP = np.stack(
     np.meshgrid(0.30 + _STEP * np.arange(6), _STEP * np.arange(-11, 12), indexing="ij"), -1
 ).reshape(-1, 2)  # (138, 2)
@@ -52,9 +52,6 @@ SCANS: dict[View, FloatArray] = {
     "around": (NEUTRAL[:, None] + _OVER_FEET).reshape(-1, 2),
     "ahead": _STRIP,
 }
-_LEFT = np.array([False, False, False, True, True, True])  # legs, RF to LR
-_SECOND = np.array([False, True, False, True, False, True])  # those of the second tripod
-_LANE = 2  # points of a strip to either side of a leg's foothold that it reads
 _DELAY = 6  # [control steps] between two earlier rows
 _MOST_DELAYS = 60
 _SEEN = 1.5  # [m] from the robot, within which tiles are drawn
@@ -63,59 +60,20 @@ _FORBIDDEN, _MISSTEP = (0.62, 0.16, 0.12, 1.0), (1.0, 0.85, 0.1, 1.0)  # colours
 _NOISE: dict[View, float] = {"around": 0.0, "ahead": 0.02}
 
 
-def leg_inputs(
-    observation: Mapping[str, slice],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return which numbers of an observation each leg reads (6, F), and their signs (6, F).
-
-    Left legs read what a mirror shows, and legs of the second tripod half a period later: one
-    network serves all. A leg reads the pose of the body, its own joints, and its own part of the
-    scan: the points about its foothold, or of the strip ahead and of earlier rows those that come
-    to lie there.
-
-    observation: slices of HexapodTilesEnv.OBSERVATION
-    """
-
-    def of(name: str, *places: int) -> NDArray[np.int64]:
-        return np.array([observation[name].start + place for place in places])
-
-    body = [  # and the signs of what a mirror shows
-        (of("gravity", 0), 1), (of("gravity", 1), -1), (of("heading", 0), -1),
-        (of("velocity", 0), 1), (of("velocity", 1), -1), (of("angular_velocity", 2), -1),
-        (of("lateral", 0), -1),
-    ]  # fmt: skip
-    scan = np.arange(observation["scan"].start, observation["scan"].stop)
-    inputs, signs = [], []
-    for leg in range(6):
-        own = [of(name, 3 * leg, 3 * leg + 1, 3 * leg + 2) for name in ("joints", "previous")]
-        lanes = [_lane(scan, leg)]
-        if "earlier" in observation:
-            earlier = np.arange(observation["earlier"].start, observation["earlier"].stop)
-            lanes.append(_lane(earlier, leg))
-        points = [(each[:, ::-1] if _LEFT[leg] else each).ravel() for each in lanes]
-        seen = [*own, of("contact", leg), *points]
-        inputs.append(np.concatenate([of("phase", 0, 1), *(each for each, _ in body), *seen]))
-        tripod, mirror = 1 - 2 * int(_SECOND[leg]), [m if _LEFT[leg] else 1 for _, m in body]
-        signs.append([tripod, tripod, *mirror] + [1] * sum(map(len, (n.ravel() for n in seen))))
-    return np.stack(inputs), np.array(signs)
-
-
-def _lane(scan: NDArray[np.int64], leg: int) -> NDArray[np.int64]:
-    """Return the points (along, across) of a scan, or of rows of a strip, that a leg reads."""
-    if len(scan) == len(SCANS["around"]):
-        points: NDArray[np.int64] = scan.reshape(6, *GRID)[leg]
-        return points
-    across = np.abs(_STRIP[:, 1].reshape(-1, _ACROSS)[0] - NEUTRAL[leg, 1]).argmin()
-    return scan.reshape(-1, _ACROSS)[:, across - _LANE : across + _LANE + 1]
+def entries(view: View, delays: int = 0) -> tuple[ObservationEntry, ...]:
+    """Return the entries of an observation: the hexapod's, a scan, earlier rows of the strip."""
+    scan = ObservationEntry("scan", len(SCANS[view]), 0.0, 1.0)
+    earlier = ObservationEntry("earlier", ACROSS * delays, 0.0, 1.0)
+    return (*BODY, *COURSE, LOAD, scan, *([earlier] if delays else []))
 
 
 @dataclass(frozen=True)
 class Tiles:
     """Squares of the ground, some of them forbidden.
 
-    forbidden  (columns along x, rows along y)
-    size       [m] of a side
-    corner     [m] (x, y) of the first
+    forbidden: (columns along x, rows along y)
+    size: [m] of a side
+    corner: [m] (x, y) of the first
     """
 
     forbidden: NDArray[np.bool_]
@@ -136,7 +94,7 @@ class Tiles:
         near = np.hypot(x[:, None] - field.start[0], y - field.start[1]) < _FREE
         return cls((rng.random(shape) < share) & ~near, size, corner)
 
-    def at(self, points: FloatArray) -> NDArray[np.bool_]:
+    def contain(self, points: FloatArray) -> NDArray[np.bool_]:
         """Return whether points (n, 2) [m] are forbidden; none is beyond the field."""
         place = np.floor((points - self.corner) / self.size).astype(np.int64)
         inside = np.all((place >= 0) & (place < self.forbidden.shape), axis=-1, keepdims=True)
@@ -144,7 +102,7 @@ class Tiles:
         return np.asarray(self.forbidden[i, j] & inside[:, 0])
 
 
-class HexapodTilesEnv(HexapodEnv):
+class HexapodTiles(HexapodEnv):
     """Walk along the x axis at 0.2 m/s for 16 s on level ground, of which tiles are forbidden.
 
     A tile is a mark, no hole: a foot on it is penalised in every control step, and a touchdown on
@@ -167,14 +125,14 @@ class HexapodTilesEnv(HexapodEnv):
     -10/3 for each foot that stands on a forbidden tile. A touchdown is a contact after at least 4
     control steps in the air. An episode succeeds that does not fall, comes 2.5 m far, and whose
     missteps are at most 5 % of its touchdowns. The info adds touchdowns, missteps (so far) and
-    misstep_share, and course, the direction of the walk.
+    misstep_share.
 
-    view    "around" or "ahead"
-    tile    [m] side of a tile
-    share   [1] of the tiles that is forbidden
-    noise   [1] probability that a point of the scan is wrong; None for 0 around, 0.02 ahead
-    delays  earlier rows that are observed ahead, at most 60
-    and the options of HexapodEnv.
+    view: "around" or "ahead"
+    tile: [m] side of a tile
+    share: [1] of the tiles that is forbidden
+    noise: [1] probability that a point of the scan is wrong; None for 0 around, 0.02 ahead
+    delays: earlier rows that are observed ahead, at most 60
+    options: those of HexapodEnv
     """
 
     FIELD: ClassVar[Field] = Field(length=10.0, width=5.0, start=(-4.0, 0.0))
@@ -205,12 +163,8 @@ class HexapodTilesEnv(HexapodEnv):
         if int(_number("delays", delays, 0, _MOST_DELAYS)) != delays:
             raise EnvError(f"option delays: {delays!r} is no whole number")
         self._delays = int(delays)
-        self._course, self._here, self._along = 0.0, self.FIELD.start, self.FIELD.start[0]
-        scan = ObservationEntry("scan", len(SCANS[view]), 0.0, 1.0)
-        earlier = ObservationEntry("earlier", _ACROSS * self._delays, 0.0, 1.0)
-        scans = (scan, earlier) if delays else (scan,)
-        self.ENTRIES = (*BODY, *COURSE, LOAD, *scans)  # type: ignore[misc] # of the view
-        self.OBSERVATION = layout(self.ENTRIES)  # type: ignore[misc]
+        self.ENTRIES = entries(view, self._delays)
+        self.OBSERVATION = layout(self.ENTRIES)
         super().__init__(terrain=terrain, max_steps=max_steps, **options)
 
     @property
@@ -223,64 +177,22 @@ class HexapodTilesEnv(HexapodEnv):
         """The missteps so far: control step, and where [m] (x, y)."""
         return self._missed
 
-    @property
-    def course(self) -> float:
-        """Direction of the course in the world [rad], 0 unless it was turned."""
-        return self._course
-
-    def steer(self, course: float) -> None:
-        """Turn the course about the robot to a direction in the world [rad].
-
-        What is observed and rewarded of heading, lateral position and speed is relative to it from
-        now on, and distances add up; heading and lateral of the info stay in the world.
-        """
-        if not math.isfinite(course):
-            raise EnvError(f"steer: {course} is no direction")
-        if course == self._course:
-            return
-        position = self._on_course(self._robot.sense()).position
-        # here the walk goes on, as far along as before and without an offset
-        self._here = self._robot.sense().position[:2]
-        self._along, self._course = position[0], course
-
-    def scan_footholds(self) -> FloatArray:
-        """Return 1 where a point about a leg's foothold is forbidden (6, 35), as the ground is."""
-        return self._scan("around").reshape(6, -1)
-
     def _begin(self) -> None:
         self._tiles = Tiles.draw(self.FIELD, self._tile, self._share, self.np_random)
         self._airtime = np.zeros(6, np.int64)
         self._touchdowns = 0
         self._missed: list[tuple[int, float, float]] = []
         self._standing = np.zeros(6, np.bool_)
-        self._nearest = np.zeros((1 + _DELAY * self._delays, _ACROSS))  # rows, the latest first
-        self._course, self._here, self._along = 0.0, self.FIELD.start, self.FIELD.start[0]
-
-    def _on_course(self, motion: Motion) -> Motion:
-        """Return the motion with position, heading and velocity relative to the course."""
-        if not self._course and self._here == self.FIELD.start:
-            return motion
-        cosine, sine = math.cos(self._course), math.sin(self._course)
-        x, y = motion.position[0] - self._here[0], motion.position[1] - self._here[1]
-        vx, vy, vz = motion.velocity
-        return motion._replace(
-            position=(
-                self._along + cosine * x + sine * y,
-                cosine * y - sine * x,
-                motion.position[2],
-            ),
-            heading=math.remainder(motion.heading - self._course, math.tau),
-            velocity=(cosine * vx + sine * vy, cosine * vy - sine * vx, vz),
-        )
+        self._nearest = np.zeros((1 + _DELAY * self._delays, ACROSS))  # rows, the latest first
 
     def _servo_command(self, action: FloatArray) -> FloatArray:
         moved: FloatArray = self._filtered + STRIDE * action
         return np.minimum(np.maximum(moved, -REACH), REACH)
 
     def _track(self, motion: Motion) -> None:
-        super()._track(self._on_course(motion))
+        super()._track(motion)
         places = self._robot.feet[:, :2]
-        forbidden = self._tiles.at(places)
+        forbidden = self._tiles.contain(places)
         touched = motion.contact & (self._airtime >= AIRTIME)
         self._standing = motion.contact & forbidden
         self._touchdowns += int(touched.sum())
@@ -288,8 +200,7 @@ class HexapodTilesEnv(HexapodEnv):
         self._airtime = np.where(motion.contact, 0, self._airtime + 1)
 
     def _task_terms(self, motion: Motion) -> dict[str, float]:
-        seen = self._on_course(motion)
-        terms = course_terms(self._speed, seen.heading, seen.position[1], TARGET_SPEED)
+        terms = course_terms(self._speed, motion.heading, motion.position[1], TARGET_SPEED)
         return {**terms, "forbidden": -_WEIGHT * float(self._standing.sum())}
 
     def _succeeds(self) -> bool:
@@ -297,9 +208,6 @@ class HexapodTilesEnv(HexapodEnv):
 
     def _misstep_share(self) -> float:
         return len(self._missed) / max(self._touchdowns, 1)
-
-    def _task_observation(self, motion: Motion) -> tuple[float, ...]:
-        return super()._task_observation(self._on_course(motion))
 
     def _further(self, motion: Motion) -> tuple[FloatArray, ...]:
         self._pose = motion.heading, motion.position[:2]
@@ -310,7 +218,7 @@ class HexapodTilesEnv(HexapodEnv):
         if not self._delays:
             return (seen,)
         self._nearest = np.roll(self._nearest, 1, axis=0)
-        self._nearest[0] = seen[:_ACROSS]
+        self._nearest[0] = seen[:ACROSS]
         return seen, self._nearest[_DELAY::_DELAY].ravel()
 
     def _scan(self, view: View) -> FloatArray:
@@ -318,7 +226,7 @@ class HexapodTilesEnv(HexapodEnv):
         heading, place = self._pose
         cosine, sine = math.cos(heading), math.sin(heading)
         turned = SCANS[view] @ np.array([[cosine, sine], [-sine, cosine]])
-        return self._tiles.at(turned + place).astype(np.float64)
+        return self._tiles.contain(turned + place).astype(np.float64)
 
     def _marks(self) -> Iterator[Mark]:
         """Forbidden tiles about the robot, and missteps."""
@@ -334,14 +242,13 @@ class HexapodTilesEnv(HexapodEnv):
             "touchdowns": self._touchdowns,
             "missteps": len(self._missed),
             "misstep_share": self._misstep_share(),
-            "course": self._course,
         }
 
 
-class HexapodTilesAheadEnv(HexapodTilesEnv):
-    """HexapodTilesEnv that looks ahead, with a delay line that reaches to the rear legs.
+class HexapodTilesAhead(HexapodTiles):
+    """HexapodTiles that looks ahead, with a delay line that reaches to the rear legs.
 
-    Its options are those of HexapodTilesEnv; `delays=0` leaves remembering to the policy.
+    Its options are those of HexapodTiles; `delays=0` leaves remembering to the policy.
     """
 
     def __init__(self, *, view: View = "ahead", delays: int = 26, **options: Any) -> None:  # noqa: ANN401
