@@ -191,7 +191,7 @@ def _energy_sources() -> list[tuple[str, str]]:
 
 
 def energy_markdown() -> str:
-    """Tables and sources in Markdown, for docs/energy.md."""
+    """Tables and sources in Markdown, for results/energy-tables.md."""
     table, *_ = energy_overview()
     sources = "\n".join(f"* `{name}` – {source}." for name, source in _energy_sources())
     return f"{table.markdown()}\n\n{sources}"
@@ -308,7 +308,7 @@ def break_even_list() -> list[dict[str, Any]]:
 
 
 def break_even_table() -> Table:
-    """A row for each energy table and number of timesteps; also in docs/energy.md."""
+    """A row for each energy table and number of timesteps; also in results/energy-tables.md."""
     heads = [
         kind if fan_in is None else f"{kind}, updates, fan-in {fan_in}"
         for kind in _ACTIVITIES.values()

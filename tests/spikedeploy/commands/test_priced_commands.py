@@ -61,7 +61,7 @@ def test_run_prices_by_the_tables_that_are_named(command, monkeypatch, tmp_path)
 
 
 def test_the_page_about_energy_shows_what_the_command_prints(command):
-    page = (ROOT / "docs/energy.md").read_text(encoding="utf-8")
+    page = (ROOT / "results/energy-tables.md").read_text(encoding="utf-8")
     assert command("energy", "--markdown")[1].strip() in page
     assert command("energy", "--break-even", "--markdown")[1].strip() in page
 
