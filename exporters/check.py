@@ -1,11 +1,15 @@
 """Checks of an exported file: what was compared, on which spikes, and the counters behind it."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.float_model import FloatGraph
+from spikedeploy.runtime.graph.ports import ports
 
 _RATE = 0.3  # spikes of an input in a timestep
 _BATCH = 250  # observations; each takes a few kilobytes of spikes in a PopSAN
@@ -13,35 +17,16 @@ _BATCH = 250  # observations; each takes a few kilobytes of spikes in a PopSAN
 
 @dataclass(frozen=True)
 class ParityCheck:
-    """One line of a parity report.
+    """A line of a parity report.
 
-    name    what was compared
-    passed  whether both agree
-    detail  the numbers
+    name: what was compared.
+    passed: whether both agree.
+    detail: the numbers.
     """
 
     name: str
     passed: bool
     detail: str
-
-
-@dataclass(frozen=True)
-class CheckedFile:
-    """A written file.
-
-    path     of the file
-    checks   in their order
-    remarks  what whoever opens it has to know
-    """
-
-    path: Path
-    checks: Sequence[ParityCheck]
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def passed(self) -> bool:
-        """True if every check passed."""
-        return all(each.passed for each in self.checks)
 
 
 @dataclass
@@ -89,3 +74,22 @@ def batches(observations: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
     """Yield the observations in batches of BATCH."""
     for start in range(0, len(observations), _BATCH):
         yield observations[start : start + _BATCH]
+
+
+def compare_float(name: str, one: Artifact, other: Artifact, timesteps: int) -> ParityCheck:
+    """Compare the spikes of every layer of two networks in float64 on one random raster."""
+    rng = np.random.default_rng(0)
+    rasters = [
+        random_spikes(rng, 1, timesteps, *port.shape).astype(np.float64)
+        for port in ports(one.graph.inputs)
+    ]
+    spikes: list[dict[str, Any]] = []
+    for artifact in (one, other):  # by the number of the layer, in the order in which they run
+        graph = FloatGraph(artifact)
+        inputs = (port.name for port in ports(artifact.graph.inputs))
+        trace = graph.run(dict(zip(inputs, rasters, strict=True)))
+        layers = [each for each in graph.timing.names if each in graph.spiking]
+        spikes.append({f"{k}": trace[each] for k, each in enumerate(layers)})
+    counter = MismatchCounter()
+    counter.add(spikes[0], spikes[1])
+    return ParityCheck(name, not counter.differing and bool(counter.compared), f"spikes: {counter}")

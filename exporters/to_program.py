@@ -162,6 +162,18 @@ def chip_run(program: Program, rows: int, state: State = "kept") -> ChipRun:
     )
 
 
+def check_delays(program: Program, tool: ChipTool) -> None:
+    """Refuse delays that the tool has not."""
+    for layer in program.layers:
+        for synapses in layer.synapses:
+            if tool.delay and synapses.delay != tool.delay:
+                raise ConfigError(
+                    f"--to program: layers {synapses.source!r} -> {layer.name!r}: a delay of "
+                    f"{synapses.delay} timesteps; {tool.name} delivers after {tool.delay}. Choose "
+                    "--clock pipelined, or a chip of another tool."
+                )
+
+
 def _with_bias_axons(layer: Layer, program: Program, biased: Sequence[Layer], delay: int) -> Layer:
     """The layer without bias, its input with an axon for each biased layer."""
     rows = np.zeros((len(biased), layer.size), np.int64)

@@ -8,13 +8,17 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spikedeploy.exporters.check import MismatchCounter, ParityCheck, random_spikes
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.families.xylo_traces import xylo_trace
+from spikedeploy.runtime.traces.fields import Fields
 
-Integers = NDArray[np.int64]
+MARK = "spikedeploy export --to xylo"
+
 Specification = dict[str, Any]
 
 
@@ -94,3 +98,50 @@ def _check(program: Program) -> None:
     if silent or program.damage or program.upsets is not None:
         what = f"layer {silent[0]!r} is read by its membranes" if silent else "the chip has faults"
         raise ConfigError(f"--to xylo: {what}, of which a specification says nothing.")
+
+
+def document(program: Program, found: Specification) -> dict[str, Any]:
+    """The content of the file: the specification, and how to read its populations and time."""
+    output = program.layer(program.output)
+    return {
+        "made_by": MARK,
+        "chip": program.chip.name,
+        "dt": program.convention.dt,
+        "hidden_layers": places(program.layers[:-1]),
+        "output_layer": output.name,
+        # of the output for an input timestep, behind that input
+        "late": output.start - _wait(program),
+        "remarks": list(program.remarks),
+        "specification": found,
+    }
+
+
+def compare_spikes(program: Program, found: Specification, timesteps: int) -> ParityCheck:
+    """Compare the spikes of every layer by the specification, read as a trace, with the program."""
+    raster = random_spikes(np.random.default_rng(0), 1, timesteps, program.width)
+    wait, steps = _wait(program), program.steps(program.rows(timesteps))
+    played = np.zeros((steps, program.width), np.uint8)
+    played[wait : wait + timesteps] = raster[0, : steps - wait]
+    renamed = {("bias" if name == "bias_hidden" else name): rows for name, rows in found.items()}
+    silent = [[0] * len(found["threshold_out"])] * steps
+    record = {**renamed, "input_counts": played.tolist(), "out_spikes": silent}
+    read = xylo_trace(Fields({"params": record}, "the specification"), program.chip.name)
+    ran, wanted = trace(read.program, read.raster), trace(program, raster)
+    first = {**places(program.layers[:-1]), program.output: 0}
+    counter = MismatchCounter()
+    for layer in program.layers:
+        rows = ran["output" if layer.name == program.output else "hidden"].spikes[0]
+        seen = rows[layer.start : layer.start + timesteps, first[layer.name] :][:, : layer.size]
+        counter.add({"": wanted[layer.name].spikes[0]}, {"": seen})
+    name = f"the specification, as {program.chip.name} reads it"
+    return ParityCheck(name, not counter.differing, f"spikes: {counter}")
+
+
+def _wait(program: Program) -> int:
+    """Timesteps that an input waits, so that layers start together."""
+    return next(
+        synapses.delay
+        for layer in program.layers
+        for synapses in layer.synapses
+        if synapses.source == program.input
+    )

@@ -33,8 +33,7 @@ from spikedeploy.console import say
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.verilog.bench import record
 from spikedeploy.exporters.verilog.boards import board, board_names
-from spikedeploy.exporters.verilog.image import CoreImage, core_image
-from spikedeploy.exporters.verilog.model import FORGET, STEP
+from spikedeploy.exporters.verilog.image import FORGET, STEP, CoreImage, core_image
 from spikedeploy.exporters.verilog.simulation import (
     PROGRAM,
     RtlProcess,
@@ -51,7 +50,7 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.files import read_json, write_json, write_text
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.shipping.export_verilog import export_verilog, program_for, use_of_board
+from spikedeploy.shipping.export_verilog import design, export_verilog, program_for
 from spikedeploy.shipping.hardware_run import driver
 from spikedeploy.shipping.sources import episode_of, named_env
 
@@ -133,7 +132,7 @@ def drive(name: str, episodes: int) -> Row:
     artifact = load(file_of(name))
     with tempfile.TemporaryDirectory() as folder:
         try:
-            export_verilog(name, None, _LARGEST, Path(folder), 200)
+            export_verilog(name, Path(folder), board=_LARGEST, observations=200)
         except (ConfigError, RuleError) as error:
             return {"refused": str(error)}
         seeds = range(EVALUATION, EVALUATION + episodes)
@@ -173,7 +172,7 @@ def clocks_of(image: CoreImage, artifact: Artifact, program: Path) -> Row:
     if artifact.codec is None:
         raise TypeError("a policy has a codec")
     rows, clocks = [], []
-    lengths = row_lengths(image)
+    lengths = image.rows.lengths
     raster = artifact.codec.encode_episode(seen)
     kept = artifact.convention.state == "kept"
     with image_process(program, image) as process:
@@ -207,7 +206,7 @@ def bound_of(image: CoreImage, artifact: Artifact, silent: float) -> Row:
     """
     if artifact.codec is None:
         raise TypeError("a policy has a codec")
-    lengths, encoder = row_lengths(image), artifact.codec.encoder
+    lengths, encoder = image.rows.lengths, artifact.codec.encoder
     each, count = lengths[: image.axons] + _EVENT, np.ones(image.axons)
     if isinstance(encoder, DeltaEncoder):  # an observation moves up or down, and not both
         signs = (encoder.observed, 2, encoder.most)
@@ -225,14 +224,6 @@ def bound_of(image: CoreImage, artifact: Artifact, silent: float) -> Row:
     }
 
 
-def row_lengths(image: CoreImage) -> NDArray[np.int64]:
-    """Synapses of each row as stored, fillers among them: of the input's axons, of the neurons."""
-    last = image.rows.bits - 1
-    ends = np.flatnonzero([word >> last & 1 for word in image.rows.words])
-    firsts = np.array([first for first, _ in image.rows.starts])
-    return np.asarray(ends[np.searchsorted(ends, firsts)] - firsts + 1)
-
-
 def netlist(name: str, episodes: int = _NETLIST_EPISODES) -> Row:
     """What synthesis makes of a core, on the input spikes of episodes; why not, where refused."""
     artifact = load(file_of(name))
@@ -241,7 +232,7 @@ def netlist(name: str, episodes: int = _NETLIST_EPISODES) -> Row:
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)
         try:
-            export_verilog(name, None, "icebreaker", folder, 2)
+            export_verilog(name, folder, observations=2)
         except (ConfigError, RuleError) as error:
             return {"refused": str(error)}
         words = ["make", "-s", "-C", text, *make_variables(), "policy_sim_netlist"]
@@ -277,17 +268,17 @@ def build(name: str, board_name: str, seeds: int) -> Row:
     predicted, built: as in costs.json; the second is missing where it does not fit, or no tool is
         there.
     """
-    use = use_of_board(file_of(name), None, board_name)
-    if not use.fits:
-        return {"predicted": use.record}
+    made = design(str(file_of(name)), None, board_name)
+    if not made.use.fits:
+        return {"predicted": made.record}
     family = board(board_name).device.family
     needed = ("yosys", f"nextpnr-{family}", "icepack" if family == "ice40" else "ecppack")
     if missing := missing_tools(*needed):
         say(f"{name} on {board_name} is not built: {', '.join(missing)} is not installed")
-        return {"predicted": use.record}
+        return {"predicted": made.record}
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)
-        export_verilog(name, None, board_name, folder, 2)
+        export_verilog(name, folder, board=board_name, observations=2)
         for seed in range(1, seeds + 1):
             for stale in ("policy.asc", "policy.config"):  # of the seed before
                 (folder / stale).unlink(missing_ok=True)

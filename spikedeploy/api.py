@@ -455,12 +455,13 @@ def export(
     """
     if isinstance(network, str | Path | LoadedNetwork):
         from spikedeploy.objects import env_target
-        from spikedeploy.shipping.any_export import export_as
+        from spikedeploy.shipping.export import export as export_policy
 
         if options.get("env") is not None:
             options["env"] = env_target(options["env"])
         name = _named(network) if isinstance(network, LoadedNetwork) else str(network)
-        return export_as(name, to, None if path is None else Path(path), **options)
+        written = export_policy(name, to, None if path is None else Path(path), **options)
+        return written.require_passed(name).path
     if path is None or to not in (None, "nir"):
         raise ConfigError(
             "a torch module is exported as a .nir file: name it, as in "

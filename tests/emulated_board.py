@@ -7,8 +7,9 @@ import select
 import threading
 import tty
 
-from spikedeploy.exporters.verilog.model import FORGET, STEP, CoreModel
+from spikedeploy.exporters.verilog.image import FORGET, STEP
 from tests.board_designs import scripts
+from tests.core_model import CoreModel
 
 LINK = scripts().link
 

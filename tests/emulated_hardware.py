@@ -6,7 +6,8 @@ import sys
 
 import numpy as np
 
-from spikedeploy.exporters.verilog.simulation import FORGET, STEP, Timestep
+from spikedeploy.exporters.verilog.image import FORGET, STEP
+from spikedeploy.exporters.verilog.simulation import Timestep
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program

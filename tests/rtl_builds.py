@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from spikedeploy.exporters.verilog.bench import BENCH, bench_files, record
-from spikedeploy.exporters.verilog.image import core_image
-from spikedeploy.exporters.verilog.model import FORGET, STEP, CoreModel
+from spikedeploy.exporters.verilog.image import FORGET, STEP, core_image
 from spikedeploy.exporters.verilog.simulation import PROGRAM
 from spikedeploy.exporters.verilog.to_verilog import CORE, SIMULATION, core_files, template
 from spikedeploy.exporters.verilog.tools import find_tool
@@ -19,6 +18,7 @@ from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
+from tests.core_model import CoreModel
 
 needs_icarus = pytest.mark.skipif(not shutil.which("iverilog"), reason="iverilog is not installed")
 needs_yosys = pytest.mark.skipif(not shutil.which("yosys"), reason="yosys is not installed")

@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -11,14 +10,18 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
 from spikedeploy.exporters.to_program import as_rows, plain_record
-from spikedeploy.exporters.verilog.bench import BENCH, bench_files, record
+from spikedeploy.exporters.verilog.bench import (
+    BENCH,
+    Recorded,
+    bench_files,
+    episode_record,
+    record,
+)
 from spikedeploy.exporters.verilog.boards import Board
 from spikedeploy.exporters.verilog.image import CoreImage
-from spikedeploy.exporters.verilog.model import clocks_of
 from spikedeploy.exporters.verilog.resources import Buffer, Use, predict
 from spikedeploy.exporters.verilog.to_verilog import template
 from spikedeploy.exporters.verilog.tools import TOOLS
-from spikedeploy.exporters.verilog.vectors import episode_record
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.program import Program
 
@@ -81,7 +84,7 @@ def board_files(
         BENCH: template(BENCH),
         **bench_files(image, recorded),
         "episode.json": as_rows(episode),
-        "costs.json": json.dumps(costs_record(image, board, use, recorded.tokens), indent=2) + "\n",
+        "costs.json": json.dumps(costs_record(image, board, use, recorded), indent=2) + "\n",
     }
 
 
@@ -91,14 +94,9 @@ _PROGRAMMERS = {
 }
 
 
-def costs_record(
-    image: CoreImage, board: Board, use: Use, tokens: Sequence[Sequence[int]]
-) -> dict[str, Any]:
-    """What the core takes on the board: cells as predicted, and time; builds are put beside it.
-
-    tokens: of recorded timesteps, which are measured on the model of the core.
-    """
-    clocks = clocks_of(image, tokens)
+def costs_record(image: CoreImage, board: Board, use: Use, recorded: Recorded) -> dict[str, Any]:
+    """What the core takes on the board: cells as predicted, and time; builds are put beside it."""
+    clocks, tokens = recorded.clocks.tolist(), recorded.tokens
     # a request and a reply have 5 bytes beside tokens and words, and a byte has 10 bits on the line
     line = [10 * (10 + 2 * len(step) + 4 * image.words) / board.baud for step in tokens]
     return {

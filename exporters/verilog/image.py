@@ -18,6 +18,8 @@ Integers = NDArray[np.int64]
 # target and weight of each synapse of an axon
 Row = tuple[tuple[int, int], ...]
 
+# tokens behind those of axons: the end of a timestep, and before it the start of an episode
+STEP, FORGET = 0x8000, 0x8001
 # bits of a synapse that a block RAM of the iCE40 holds side by side
 _WORD = 16
 # a gap between targets that is narrower takes too many synapses of weight 0
@@ -92,6 +94,13 @@ class Rows:
     def entry_bits(self) -> int:
         """Bits of {negate, first synapse}."""
         return 1 + self.address_bits
+
+    @property
+    def lengths(self) -> Integers:
+        """Synapses of each axon's row, fillers among them."""
+        lasts = np.flatnonzero([word >> (self.bits - 1) for word in self.words])
+        firsts = np.array([first for first, _ in self.starts])
+        return np.asarray(lasts[np.searchsorted(lasts, firsts)] - firsts + 1)
 
     def entry(self, axon: int) -> int:
         """{negate, first synapse} of an axon."""

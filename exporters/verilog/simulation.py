@@ -11,8 +11,7 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.exporters.verilog.image import CoreImage, Output
-from spikedeploy.exporters.verilog.model import FORGET, STEP
+from spikedeploy.exporters.verilog.image import FORGET, STEP, CoreImage, Output
 from spikedeploy.runtime.errors import ConfigError
 
 PROGRAM = "policy_sim"

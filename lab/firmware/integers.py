@@ -85,7 +85,7 @@ def _measured(name: str, options: argparse.Namespace) -> list[dict]:
 
 def _sparse(name: str, options: argparse.Namespace, folder: Path) -> list[dict]:
     """A sparse policy on loihi1, by each of its interfaces."""
-    export_c(name, "loihi1", folder)
+    export_c(name, folder, chip="loihi1")
     run(["make", "-s", "CC=gcc", "test", "test_i16", "lib", "lib_i16"], folder)
     env = envs.make(load(zoo.path(name)).provenance.env)
     seen = _seen(name)
@@ -106,7 +106,7 @@ def _dense(name: str, options: argparse.Namespace, folder: Path) -> list[dict]:
     """A dense policy in 8-bit weights, and in float by emlearn."""
     file, seen = zoo.path(name), _seen(f"{name.split('/')[0]}/sparse-gated")
     integer, floats = folder / "int8", folder / "float"
-    export_c(name, None, integer)
+    export_c(name, integer)
     run(["make", "-s", "CC=gcc", "test", "lib"], integer)
     floats.mkdir()
     policy = dense.read(file)

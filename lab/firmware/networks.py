@@ -99,7 +99,7 @@ def main() -> None:
 def _network(name: str, tools: Tools, folder: Path) -> list[dict]:
     """Rows of a network: ours, then snn-mlir's of both kinds."""
     policy = load(zoo.path(name))
-    export_c(name, "loihi1", folder / "policy")
+    export_c(name, folder / "policy", chip="loihi1")
     observations = dense.read_observations(folder / "policy")
     raster = np.asarray(policy.codec.encode_episode(observations))
     spiking = without_readout(policy)

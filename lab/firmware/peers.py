@@ -61,7 +61,7 @@ def _task(task: str, python: Path, folder: Path) -> list[dict]:
 
 def _spiking(name: str, folder: Path) -> dict:
     folder.mkdir(parents=True)
-    export_c(name, "loihi1", folder)
+    export_c(name, folder, chip="loihi1")
     row = {"policy": name, "by": "spikedeploy", "error": 0.0}
     return row | _built(name, folder, ("policy.c", "codec.c"))
 

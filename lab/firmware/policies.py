@@ -66,7 +66,7 @@ def main() -> None:
 
 def measure(name: str, folder: Path, episodes: int) -> dict:
     """All numbers of a policy, by name."""
-    costs = export_c(name, "loihi1", folder).facts["costs"]
+    costs = export_c(name, folder, chip="loihi1").facts["costs"]
     row = {"policy": name, "passed": attempt(["make", "-s", "CC=gcc", "test"], folder)[0]}
     row |= _compared(name, folder, episodes) | _timed(name, folder)
     row |= {count: costs[count] for count in ("ram", "sops", "events")}

@@ -20,11 +20,13 @@ from pathlib import Path
 import nir
 import numpy as np
 
+from spikedeploy.exporters.to_program import tool_of
 from spikedeploy.runtime.artifact.artifact import Artifact, save
 from spikedeploy.runtime.codec.codec import Codec, Normaliser
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.convention import Clock, Convention
-from spikedeploy.shipping.export_program import WrittenKit, export_program
+from spikedeploy.shipping.export import Exported
+from spikedeploy.shipping.export_program import export_program
 
 ROOT = Path(__file__).parents[2]
 STEPS = 100  # control steps, or timesteps of a raster
@@ -180,15 +182,15 @@ class DiffersError(Exception):
 def run_case(case: Case, python: Path, folder: Path) -> Iterator[str]:
     """Outcomes of the kit's script, of its trace, and of its loop."""
     kit = write_kit(case, folder)
-    yield run_script(python, kit, case.flags)
-    trace = folder / f"{kit.tool.name}.json"
+    yield run_script(python, case, kit.path)
+    trace = folder / f"{tool_of(case.chip).name}.json"
     yield _output([sys.executable, "-m", "spikedeploy", "verify", str(trace)], ROOT)
-    if "episode.npz" in kit.names:
+    if "episode.npz" in kit.files:
         loop = ("--loop", case.env) if case.env else ("--loop",)
-        yield run_script(python, kit, (*case.flags, *loop))
+        yield run_script(python, case, kit.path, *loop)
 
 
-def write_kit(case: Case, folder: Path) -> WrittenKit:
+def write_kit(case: Case, folder: Path) -> Exported:
     """The kit of a case; each of its layers spikes."""
     network, env = case.network, None
     raster = None if case.raster is None else Path(case.raster)
@@ -202,9 +204,17 @@ def write_kit(case: Case, folder: Path) -> WrittenKit:
             raster = folder.parent / f"{case.name}.npy"
             drawn = np.random.default_rng(2).random((STEPS, width)) < 0.4
             np.save(raster, drawn.astype(np.uint8))
-    kit = export_program(network, case.chip, folder, case.steps, raster, env, case.clock)
+    kit = export_program(
+        network,
+        folder,
+        chip=case.chip,
+        observations=case.steps,
+        raster=raster,
+        env=env,
+        clock=case.clock,
+    )
     recorded = json.loads((folder / "expected.json").read_text("utf-8"))["recorded"]
-    program = json.loads((kit.folder / "program.json").read_text("utf-8"))
+    program = json.loads((kit.path / "program.json").read_text("utf-8"))
     can = {layer["name"]: layer["spiking"] for layer in program["layers"]}
     for name, each in recorded.items():
         if can[name] and not np.any(each["spikes"]):
@@ -212,9 +222,9 @@ def write_kit(case: Case, folder: Path) -> WrittenKit:
     return kit
 
 
-def run_script(python: Path, kit: WrittenKit, flags: tuple[str, ...]) -> str:
+def run_script(python: Path, case: Case, folder: Path, *more: str) -> str:
     """Output of the kit's script; it sees nothing but its folder."""
-    return _output([str(python), kit.tool.script, *flags], kit.folder)
+    return _output([str(python), tool_of(case.chip).script, *case.flags, *more], folder)
 
 
 def _output(command: list[str], folder: Path) -> str:

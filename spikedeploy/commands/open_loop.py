@@ -278,14 +278,14 @@ def _check_board(
 ) -> NoReturn:
     """Print what of a board's FPGA a network takes, before any synthesis, and exit."""
     from spikedeploy.emulation.design_report import network_path
-    from spikedeploy.shipping.export_verilog import use_of_board
+    from spikedeploy.shipping.export_verilog import design
 
     if len(chips or ()) > 1:
         raise ConfigError("--board: a core has the integers of one chip: name one with --chip")
     chip = chips[0] if chips else None
-    use = use_of_board(network_path(file), chip, board, **reading.arguments())
-    print_result(json, use.record, *use.lines)
-    raise typer.Exit(0 if use.fits else 1)
+    made = design(str(network_path(file)), chip, board, **reading.arguments())
+    print_result(json, made.record, *made.lines)
+    raise typer.Exit(0 if made.use.fits else 1)
 
 
 def _check_against(

@@ -2,119 +2,83 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from shlex import quote
-from typing import Any
 
 import numpy as np
 
-from spikedeploy import zoo
 from spikedeploy.console import say
-from spikedeploy.exporters.c.int8 import quantise, read_onnx
+from spikedeploy.exporters.c.int8 import quantise as quantise_network
+from spikedeploy.exporters.c.int8 import read_onnx
 from spikedeploy.exporters.c.packaging import MAKEFILE, MARK, RECORD, file_names, write_texts
 from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.exporters.c.to_c import mlp_in_c, policy_in_c
 from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies.onnx import OnnxController
-from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
-from spikedeploy.runtime.codec.codec import GIVE_CODEC
+from spikedeploy.runtime.chips.chip import chip as chip_named
+from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.convention import CLOCKS
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
+from spikedeploy.shipping.export import Exported
 from spikedeploy.shipping.sources import (
     Observations,
-    chip_of,
-    episode_of,
+    SpikingSource,
     is_ours,
-    nir_file,
     observations_of,
-    on_chip,
+    origin_of,
     policy_file,
-    world_of,
+    require_output,
 )
 
 _INT8_STEPS = 200  # of the self-test of a float policy
 
 
-@dataclass(frozen=True)
-class WrittenFolder:
-    """A folder that an export wrote.
-
-    folder: with the files.
-    names: of the files.
-    facts: what there is to know of it, as data.
-    lines: the same for a terminal.
-    """
-
-    folder: Path
-    names: tuple[str, ...]
-    facts: Mapping[str, Any]
-    lines: tuple[str, ...]
-
-    def record(self) -> dict[str, Any]:
-        """All of it as data."""
-        return {"path": str(self.folder), "files": list(self.names), **self.facts}
-
-
 def export_c(
     policy: str,
-    chip_name: str | None,
-    folder: Path | None,
+    path: Path | None,
+    *,
+    chip: str | None = None,
+    quantise: Granularity = PLAIN.granularity,
     observations: int = 1000,
+    env: str | None = None,
     prefix: str = "policy",
     force: bool = False,
-    env: str | None = None,
-    quantisation: Quantisation = PLAIN,
-) -> WrittenFolder:
+) -> Exported:
     """Write a policy as C: a spiking one of a chip, a float one with 8-bit weights.
 
-    policy: .nir or .onnx file, shipped policy, run folder, its name under runs/, or "last".
-    chip_name: None is that of its training, or the default; refused of a float policy.
-    folder: to write to.
+    path: of the folder.
+    chip: None is that of its training, or the default; refused of a float policy.
+    quantise: whether neurons have scales of their own.
     observations: of an episode, from which the self-test and the typical operations come, or on
         which actions are compared.
+    env: in which the episode is played; None is what the policy names, of ours.
     prefix: what names in C begin with.
     force: whether files that no earlier export wrote are replaced.
-    env: in which the episode is played; None is what the policy names, of ours.
-    quantisation: of a spiking policy.
     """
-    if folder is None:
-        raise ConfigError("--to c writes a folder: name it, as in -o firmware")
-    file = policy_file(policy)
+    folder, file = require_output(path, "a folder", "firmware"), policy_file(policy)
+    check_prefix(prefix)
     if suffix(file) == ".onnx" and file.is_file():
-        if chip_name is not None:
+        if chip is not None or quantise != PLAIN.granularity:
             raise ConfigError(
-                f"--to c: {policy} is a float network, whose C is of no chip; leave --chip out."
+                f"--to c: {policy} is a float network, whose C is of no chip and has a scale for "
+                "each input; leave --chip and --quantise out."
             )
-        if quantisation != PLAIN:
-            raise ConfigError(
-                f"--to c: {policy} is a float network, which has a scale for each input; leave "
-                "--quantise out."
-            )
-        check_prefix(prefix)
         names = file_names(prefix, spiking=False)
         check_output_folder("-o", folder, names, (file, policy), force, is_export)
-        return _write_float(file, folder, observations, prefix, env)
-    file = nir_file(policy, "c")
-    artifact = load(file)
-    chip_name = chip_of(artifact) if chip_name is None else chip_name
-    on = chip(chip_name)
-    if artifact.codec is None:
-        raise ConfigError(
-            f"{policy} has no codec (observation to spikes), and C of it could not be asked for "
-            f"actions. {GIVE_CODEC}."
-        )
-    check_output_folder("-o", folder, file_names(prefix), (file, policy), force, is_export)
+        return _export_float(file, folder, observations, prefix, env)
+    source = SpikingSource.read(policy, "c", chip, quantise)
+    codec, on = source.require_codec(), chip_named(source.chip)
+    check_output_folder("-o", folder, file_names(prefix), (source.file, policy), force, is_export)
     # software updates a layer when it is told to, whatever the chip can; its options come first
-    clock, software = on.clock or own_clock(artifact.convention), replace(on, clocks=CLOCKS)
-    program = compile_program(artifact, software, quantisation, clock)
-    seen, source = episode_of(artifact, on, observations, world_of(policy, artifact), env)
-    origin = f"{_origin(file)}, on {on_chip(chip_name, quantisation)}"
-    files = policy_in_c(program, artifact.codec, seen, origin, prefix)
+    clock = on.clock or own_clock(source.artifact.convention)
+    software = replace(on, clocks=CLOCKS)
+    program = compile_program(source.artifact, software, source.quantisation, clock)
+    seen, recorded = source.episode(on, observations, env)
+    origin = f"{source.origin}, on {source.chip}{source.scales}"
+    files = policy_in_c(program, codec, seen, origin, prefix)
     write(files.text, folder, prefix)
     costs, without = files.costs, files.without_int16
     lines = (
@@ -123,7 +87,7 @@ def export_c(
         f"input spikes           {costs.events:,.1f}, at most {costs.events_max:,}",
         f"synaptic operations    {costs.sops:,.1f}, at most {costs.sops_max:,}",
         f"neuron updates         {costs.neuron_updates:,}",
-        f"of an inference, means of {source}",
+        f"of an inference, means of {recorded}",
         *program.remarks,
         f"no interface in 16-bit integers: {without}"
         if without
@@ -131,15 +95,15 @@ def export_c(
         f"wrote {folder}: {', '.join(files.text)}",
         f"compare with the interpreter: make -C {quote(str(folder))} test",
     )
-    facts = {"costs": asdict(costs), "recorded": source, "remarks": list(program.remarks)}
-    return WrittenFolder(folder, tuple(files.text), {**facts, "int16": not without}, lines)
+    facts = {"costs": asdict(costs), "recorded": recorded, "remarks": list(program.remarks)}
+    return Exported(folder, tuple(files.text), (), {**facts, "int16": not without}, lines)
 
 
-def _write_float(
+def _export_float(
     file: Path, folder: Path, observations: int, prefix: str, env: str | None
-) -> WrittenFolder:
+) -> Exported:
     """Write the C of an ONNX file, and compare its actions with the float network's."""
-    controller, network = OnnxController(file), quantise(read_onnx(file))
+    controller, network = OnnxController(file), quantise_network(read_onnx(file))
     scales = network.observations
 
     def walk() -> Observations:
@@ -152,26 +116,22 @@ def _write_float(
 
     named = controller.metadata.get("env", "")
     where, size = named if is_ours(named) else "", len(scales.exponent)
-    seen, source = observations_of(lambda: controller, where, size, observations, walk, env)
-    texts = mlp_in_c(network, seen[:_INT8_STEPS], f"{_origin(file)}, in 8-bit weights", prefix)
+    seen, recorded = observations_of(lambda: controller, where, size, observations, walk, env)
+    texts = mlp_in_c(network, seen[:_INT8_STEPS], f"{origin_of(file)}, in 8-bit weights", prefix)
     write(texts, folder, prefix)
     found = network.floats(network.act(scales.quantise(seen)))
     apart = np.abs(found - np.asarray(controller.replay(seen)).reshape(found.shape))
     largest = float((apart > 0).mean() if network.chooses else apart.max())
-    facts = {"weights": network.weights, "largest_difference": largest, "recorded": source}
+    facts = {"weights": network.weights, "largest_difference": largest, "recorded": recorded}
     lines = (
         f"weights of 8 bits      {network.weights:,} that are not 0",
-        f"{largest:.2%} of choices differ from the float network's, on {source}"
+        f"{largest:.2%} of choices differ from the float network's, on {recorded}"
         if network.chooses
-        else f"actions differ from the float network's by at most {largest:.4f}, on {source}",
+        else f"actions differ from the float network's by at most {largest:.4f}, on {recorded}",
         f"wrote {folder}: {', '.join(texts)}",
         f"compare with the specification in Python: make -C {quote(str(folder))} test",
     )
-    return WrittenFolder(folder, tuple(texts), facts, lines)
-
-
-def _origin(file: Path) -> str:
-    return f"{zoo.name_in_exports(file)}, sha256 {zoo.sha256(file)[:16]}"
+    return Exported(folder, tuple(texts), (), facts, lines)
 
 
 def is_export(folder: Path) -> bool:

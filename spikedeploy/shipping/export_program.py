@@ -1,7 +1,6 @@
 """A policy as the kit of a chip: its integers, an input, what is expected, a script of its tool."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 from tempfile import TemporaryDirectory
@@ -10,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy import zoo
 from spikedeploy.emulation.rasters import read_inputs
 from spikedeploy.envs import archive
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
@@ -24,6 +22,7 @@ from spikedeploy.exporters.to_program import (
     ChipRun,
     ChipTool,
     KitPlayer,
+    check_delays,
     chip_run,
     clock_text,
     expected_text,
@@ -35,113 +34,101 @@ from spikedeploy.exporters.to_program import (
 )
 from spikedeploy.make_env import confirm, make_env
 from spikedeploy.outputs import check_output_folder, has_text
-from spikedeploy.runtime.artifact.artifact import Artifact, load
-from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
-from spikedeploy.runtime.codec.codec import GIVE_CODEC
+from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.chip import chip as chip_named
+from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity
 from spikedeploy.runtime.compiler.compile import clock_on, compile_program
-from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.compiler.rules import PlacedNetwork
-from spikedeploy.runtime.convention import Clock
+from spikedeploy.runtime.convention import Clock, Reset
 from spikedeploy.runtime.errors import ConfigError, TraceError
 from spikedeploy.runtime.files import write_text
 from spikedeploy.runtime.traces.verify import Verdict, verify
 from spikedeploy.seeds import VALIDATION
-from spikedeploy.shipping.export_c import WrittenFolder
-from spikedeploy.shipping.sources import chip_of, is_ours, named_env, nir_file, on_chip, world_of
-
-
-@dataclass(frozen=True)
-class WrittenKit(WrittenFolder):
-    """A kit.
-
-    tool: of the chip.
-    verdict: on expected.json, as `verify` reads it back.
-    """
-
-    tool: ChipTool
-    verdict: Verdict
+from spikedeploy.shipping.export import Exported
+from spikedeploy.shipping.sources import (
+    SpikingSource,
+    is_ours,
+    named_env,
+    require_output,
+    world_of,
+)
 
 
 def export_program(
     policy: str,
-    chip_name: str | None,
-    folder: Path | None,
-    steps: int = 1000,
-    raster: Path | None = None,
-    env: str | None = None,
+    path: Path | None,
+    *,
+    chip: str | None = None,
+    quantise: Granularity = PLAIN.granularity,
     clock: Clock | None = None,
-    options: Mapping[str, Any] | None = None,
+    observations: int = 1000,
+    env: str | None = None,
+    raster: Path | None = None,
+    written_by: str | None = None,
+    dt: float | None = None,
+    reset: Reset | None = None,
     force: bool = False,
-    quantisation: Quantisation = PLAIN,
-) -> WrittenKit:
+) -> Exported:
     """Write the kit of a policy, or of a network without a codec, for a chip.
 
-    policy: .nir file, shipped policy, run folder, its name under runs/, or "last".
-    chip_name: None is that of its training, or the default.
-    folder: to write to.
-    steps: control steps of the episode from which the input comes; timesteps of a raster.
-    raster: file with input spikes in chip timesteps, instead of an episode.
-    env: in which the episode is played; None is what the policy names, of ours.
+    path: of the folder.
+    chip: None is that of its training, or the default.
+    quantise: whether neurons have scales of their own.
     clock: as of compile_program; None is the network's own, or free.
-    options: of artifact.load, such as reset.
+    observations: control steps of the episode from which the input comes; timesteps of a raster.
+    env: in which the episode is played; None is what the policy names, of ours.
+    raster: file with input spikes in chip timesteps, instead of an episode.
+    written_by, dt, reset: as of artifact.load.
     force: whether files that no earlier export wrote are replaced.
-    quantisation: whether neurons have scales of their own.
     """
-    if folder is None:
-        raise ConfigError("--to program writes a folder: name it, as in -o kit")
-    file = nir_file(policy, "program")
-    artifact = load(file, **(options or {}))
-    chip_name = chip_of(artifact) if chip_name is None else chip_name
+    folder = require_output(path, "a folder", "kit")
+    reading = {"written_by": written_by, "dt": dt, "reset": reset}
+    source = SpikingSource.read(policy, "program", chip, quantise, **reading)
+    artifact, tool = source.artifact, tool_of(source.chip)
     # nengo-loihi's whole emulator delivers one timestep later, as its synapses do
-    whole = {"delay": 1} if chip_name == "loihi1-nengo" else {}
-    tool, on = tool_of(chip_name), chip(chip_name, **whole)
+    on = chip_named(source.chip, **({"delay": 1} if source.chip == "loihi1-nengo" else {}))
     names = (PROGRAM, EXPECTED, README, HOST, tool.script, EPISODE)
-    inputs = (file, policy, raster)
+    inputs = (source.file, policy, raster)
     check_output_folder("-o", folder, names, inputs, force, lambda at: has_text(at / PROGRAM, MARK))
     if clock is None:  # tools hold no layer, so that a gated network runs free if it can
         wanted = clock_on(artifact.convention, on)
         clock = "free" if wanted == "gated" and "free" in on.clocks else wanted
-    compiled = compile_program(artifact, on, quantisation, clock)
+    compiled = compile_program(artifact, on, source.quantisation, clock)
+    codec, episode = None, None
     if raster is not None:
-        given = _read_raster(artifact, raster, steps)
+        given = _read_raster(artifact, raster, observations)
         run = chip_run(compiled, len(given))
-        rows, episode, source = run.rows(given), None, f"the raster {raster.name}"
+        rows, recorded = run.rows(given), f"the raster {raster.name}"
     else:
-        if artifact.codec is None:
-            raise ConfigError(
-                f"--to program: {policy} has no codec, so no episode can be played. Give a raster, "
-                f"--input spikes.npy. Or {GIVE_CODEC[0].lower()}{GIVE_CODEC[1:]}."
-            )
-        run = chip_run(compiled, artifact.codec.timesteps, artifact.convention.state)
-        if missing := missing_of(compiled, artifact.codec):
+        codec = source.require_codec(", or give a raster: --input spikes.npy")
+        run = chip_run(compiled, codec.timesteps, artifact.convention.state)
+        if missing := missing_of(compiled, codec):
             raise ConfigError(f"--to program: no episode can be played: {missing}. Give --input.")
-        player = KitPlayer(compiled, artifact.codec, run)
-        rows, episode, source = _episode(policy, artifact, player, steps, env)
-    _check_delays(run.program, tool)
-    host = host_record(compiled, None if raster is not None else artifact.codec, run)
-    origin = f"{zoo.name_in_exports(file)}, sha256 {zoo.sha256(file)[:16]}"
-    origin += on_chip("", quantisation)
+        player = KitPlayer(compiled, codec, run)
+        rows, episode, recorded = _episode(source, player, observations, env)
+    check_delays(run.program, tool)
+    host = host_record(compiled, codec, run)
     placement = PlacedNetwork(artifact, on).mapping if on.limits is not None else None
+    origin = f"{source.origin}{source.scales}"
     text = program_text(run, compiled.clock, placement, host, origin)
-    said = f"expected by spikedeploy's emulation of {chip_name}, {source}"
+    said = f"expected by spikedeploy's emulation of {source.chip}, {recorded}"
     expected = expected_text(run, rows, text, said)
-    readme = _readme(tool, run, compiled.clock, origin, source, episode, host)
     verdict = _verify_text(text, expected)
-    scripts = {HOST: script(HOST), tool.script: script(tool.script)}
+    readme = _readme(tool, run, compiled.clock, origin, recorded, episode, host)
+    scripts = {name: script(name) for name in (HOST, tool.script)}
     _write_files(folder, text, episode, {**scripts, README: readme, EXPECTED: expected})
     kept = tuple(name for name in names if name != EPISODE or episode is not None)
     open_loop = [f"no closed loop: {host['missing']}"] if "missing" in host else []
     remarks = [*compiled.remarks, *open_loop]
     facts = {"tool": tool.name, "passed": verdict.equal, "compared": verdict.compared}
-    facts |= {"timesteps": verdict.steps, "recorded": source, "remarks": remarks}
+    facts |= {"timesteps": verdict.steps, "recorded": recorded, "remarks": remarks}
     lines = (
         *remarks,
-        f"{EXPECTED}: {verdict.compared:,} numbers of {verdict.steps} chip timesteps, {source}",
+        f"{EXPECTED}: {verdict.compared:,} numbers of {verdict.steps} chip timesteps, {recorded}",
         f"wrote {folder}: {', '.join(kept)}",
         f"next: {folder}/{README}",
     )
-    return WrittenKit(folder, kept, facts, lines, tool, verdict)
+    return Exported(folder, kept, (), facts, lines)
 
 
 def _write_files(
@@ -174,18 +161,6 @@ def _verify_text(text: str, expected: str) -> Verdict:
     return verdict
 
 
-def _check_delays(program: Program, tool: ChipTool) -> None:
-    """Refuse delays that the tool has not."""
-    for layer in program.layers:
-        for synapses in layer.synapses:
-            if tool.delay and synapses.delay != tool.delay:
-                raise ConfigError(
-                    f"--to program: layers {synapses.source!r} -> {layer.name!r}: a delay of "
-                    f"{synapses.delay} timesteps; {tool.name} delivers after {tool.delay}. Choose "
-                    "--clock pipelined, or a chip of another tool."
-                )
-
-
 def _read_raster(artifact: Artifact, path: Path, most: int) -> NDArray[np.uint8]:
     """(T, M) of the raster in a file, the first timesteps."""
     found = read_inputs(path, artifact)
@@ -202,18 +177,18 @@ def _read_raster(artifact: Artifact, path: Path, most: int) -> NDArray[np.uint8]
 
 
 def _episode(
-    policy: str, artifact: Artifact, player: KitPlayer, steps: int, named: str | None
+    source: SpikingSource, player: KitPlayer, steps: int, named: str | None
 ) -> tuple[NDArray[np.uint8], Rollout, str]:
     """Input (T, M) of the policy's first control steps in its environment, and that episode."""
-    found = named_env(artifact)
-    where = named or world_of(policy, artifact) or found
+    found = named_env(source.artifact)
+    where = named or world_of(source.name, source.artifact) or found
     if not where:
         raise ConfigError(
-            f"--to program: {policy} names no environment. Name one with --env, or give a raster: "
-            "--input spikes.npy."
+            f"--to program: {source.name} names no environment. Name one with --env, or give a "
+            "raster: --input spikes.npy."
         )
     if where == found:
-        confirm(found, named, policy)
+        confirm(found, named, source.name)
     env = make_env(where, {})
     try:
         recorder = EpisodeRecorder(env, VALIDATION[0])
@@ -222,8 +197,8 @@ def _episode(
         played = recorder.rollout()
     finally:
         env.close()
-    source = f"{played.steps} control steps in {where}, seed {VALIDATION[0]}"
-    return np.concatenate(player.rows), played, source
+    words = f"{played.steps} control steps in {where}, seed {VALIDATION[0]}"
+    return np.concatenate(player.rows), played, words
 
 
 def _readme(

@@ -1,6 +1,5 @@
 """Export of a run's policy: the file is read back and compared with the policy."""
 
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,9 +9,9 @@ from numpy.typing import NDArray
 
 from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.exporters import EXPORTERS, exporter
-from spikedeploy.exporters.check import CheckedFile
 from spikedeploy.exporters.parity import check
+from spikedeploy.exporters.to_nir import to_nir
+from spikedeploy.exporters.to_onnx import to_onnx
 from spikedeploy.outputs import check_output
 from spikedeploy.policies import run_record
 from spikedeploy.policies.run import TorchController, policy_of
@@ -22,6 +21,7 @@ from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.files import suffix
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.seeds import VALIDATION
+from spikedeploy.shipping.export import Exported
 from spikedeploy.trainers.onnx_session import session
 from spikedeploy.trainers.run_folder import RunFolder
 
@@ -29,60 +29,48 @@ if TYPE_CHECKING:
     from spikedeploy.runtime.convention import State
     from spikedeploy.trainers.policies import Policy
 
-_OBSERVATIONS = 1000
-
-
-@dataclass(frozen=True)
-class ExportedPolicy(CheckedFile):
-    """A written file, and its comparison with the policy.
-
-    kind    "ann", "snn" or "control", for comparisons
-    unfinished  how far the training came, where it has not ended
-    """
-
-    kind: str = field(kw_only=True)
-    unfinished: str = ""
-
 
 def export_run(
     run: str,
-    to: str | None,
+    to: str,
     path: Path | None = None,
-    observations: int = _OBSERVATIONS,
+    observations: int = 1000,
     control: bool = False,
     state: "State | None" = None,
     checkpoint: str | None = None,
     force: bool = False,
-) -> ExportedPolicy:
+) -> Exported:
     """Write a run's policy as a file.
 
-    run           run folder, its name under runs/, or "last"
-    to            key of exporters.EXPORTERS; None is what the path ends in, else what the policy is
-    path          of the file; by default policy.<to> in the run folder, or policy-<checkpoint>.<to>
-    observations  number of recorded observations on which file and policy are compared
-    control       whether comparisons show a float network as a control
-    state         of a spiking policy between inferences: "reset", or "kept"; None as trained
-    checkpoint    of the run, such as "ops-480"; by default its best, else its last
-    force         whether a file that no export of this training wrote is replaced
+    run: run folder, its name under runs/, or "last".
+    to: "nir" or "onnx".
+    path: of the file; by default policy.<to> in the run folder, or policy-<checkpoint>.<to>.
+    observations: number of recorded observations on which file and policy are compared.
+    control: whether comparisons show a float network as a control.
+    state: of a spiking policy between inferences; None as trained.
+    checkpoint: of the run, such as "ops-480"; by default its best, else its last.
+    force: whether a file that no export of this training wrote is replaced.
+
+    The facts have the kind for comparisons: "ann", "snn" or "control".
     """
     folder = RunFolder.find(run).path
-    if to is None:
-        ending = "" if path is None else suffix(path)[1:]
-        to = ending if ending in EXPORTERS else run_record.format_of(folder)
     if state == "kept" and to != "nir":
         raise ConfigError(f"only a .nir file has membranes to keep: leave --state out for {to}")
     policy = policy_of(folder, run_record.deployed_checkpoint(folder, checkpoint))
-    given, origin = path, run_record.origin(folder, checkpoint)
-    path = path or folder / f"policy{f'-{checkpoint}' if checkpoint else ''}.{to}"
+    origin, kind = run_record.origin(folder, checkpoint), kind_of(policy, control)
     # where no path is given, it is our own file in the run folder
-    check_output("-o", path, (folder,), force or given is None, partial(_same_training, origin))
+    force |= path is None
+    path = path or folder / f"policy{f'-{checkpoint}' if checkpoint else ''}.{to}"
+    check_output("-o", path, (folder,), force, partial(_same_training, origin))
     path.parent.mkdir(parents=True, exist_ok=True)
-    kind = kind_of(policy, control)
-    options: dict[str, dict[str, str | None]] = {"nir": {"state": state}, "onnx": {"kind": kind}}
-    exporter(to)(policy, origin, path, **options.get(to, {}))
-    seen = record_observations(folder, observations, checkpoint)
+    if to == "nir":
+        to_nir(policy, origin, path, state=state)
+    else:
+        to_onnx(policy, origin, path, kind)
+    checks = check(policy, path, record_observations(folder, observations, checkpoint))
     late = run_record.describe_progress(folder)
-    return ExportedPolicy(path, check(policy, path, seen), kind=kind, unfinished=late)
+    remarks = (f"its training is unfinished: stopped at {late}",) if late else ()
+    return Exported(path, (), tuple(checks), {"kind": kind}, (f"wrote {path}",), remarks)
 
 
 def _same_training(origin: Provenance, path: Path) -> bool:

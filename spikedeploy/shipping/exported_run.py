@@ -38,14 +38,10 @@ def runnable(reference: str) -> str:
     from spikedeploy.shipping.export_run import export_run
 
     written = export_run(str(run), to, no_link(file), force=True)
-    failed = [check for check in written.checks if not check.passed]
-    if failed:
+    if not written.passed:
         file.unlink()
-        raise ConfigError(
-            f"{run}: the exported file does not do what the policy does: {failed[0].name}, "
-            f"{failed[0].detail}; `spikedeploy export {shlex.quote(str(run))} --to {to}` shows "
-            "all checks"
-        )
+    remedy = f"; `spikedeploy export {shlex.quote(str(run))} --to {to}` shows all checks"
+    written.require_passed(str(run), remedy)
     say(f"exported {file}")
     return str(file)
 

@@ -16,11 +16,12 @@ from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import DEFAULT_CHIP, find
 from spikedeploy.reports.plots import draw_curves, read_curve
-from spikedeploy.runtime.errors import ConfigError, SpikedeployError
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import replacing, write_json, write_text
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.cards import evaluation_fields, markdown, training_of
-from spikedeploy.shipping.export_run import ExportedPolicy, export_run
+from spikedeploy.shipping.export import Exported
+from spikedeploy.shipping.export_run import export_run
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.ppo import find_start
 
@@ -85,15 +86,13 @@ def _has_card(name: str, folder: Path) -> bool:
     return card.is_file() and has_text(card, '"evaluation"')
 
 
-def describe(
-    source: Path, exported: ExportedPolicy, checkpoint: str | None = None
-) -> dict[str, Any]:
+def describe(source: Path, exported: Exported, checkpoint: str | None = None) -> dict[str, Any]:
     """The card as data: training and parity."""
     origin = run_record.origin(source, checkpoint)
     return {
         "file": exported.path.name,
         "sha256": zoo.sha256(exported.path),
-        "kind": exported.kind,
+        "kind": exported.facts["kind"],
         "env": origin.env,
         **training_of(source, checkpoint),
         "before": list(_before(source)),
@@ -122,15 +121,12 @@ def _before(source: Path) -> Iterator[dict[str, Any]]:
             told.add(each["run"])
 
 
-def _export(source: Path, path: Path, control: bool, checkpoint: str | None) -> ExportedPolicy:
+def _export(source: Path, path: Path, control: bool, checkpoint: str | None) -> Exported:
     """The run's policy as a file that passes its parity checks."""
     to = run_record.format_of(source)
     path = path.with_suffix(f".{to}")
     exported = export_run(str(source), to, path, control=control, checkpoint=checkpoint)
-    failed = [check.name for check in exported.checks if not check.passed]
-    if failed:
-        raise SpikedeployError(f"the file does not do what {source} does: {', '.join(failed)}")
-    return exported
+    return exported.require_passed(str(source))
 
 
 def _portable(data: Any) -> Any:  # noqa: ANN401

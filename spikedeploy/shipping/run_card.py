@@ -15,6 +15,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import write_text
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.cards import KINDS, fill, training_of
+from spikedeploy.shipping.export import Exported
 from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.shipping.training_films import last_film
 from spikedeploy.trainers.run_folder import RunFolder
@@ -37,14 +38,18 @@ def write_run_files(run: Path) -> list[Path]:
     return files
 
 
-def export_card(reference: str, film: bool = False, force: bool = False) -> list[Path]:
-    """Make a run folder ready to be uploaded; the files for it.
+def export_card(
+    policy: str, path: Path | None = None, *, film: bool = False, force: bool = False
+) -> Exported:
+    """Make a run folder ready to be uploaded.
 
-    reference  run folder, its name under runs/, or "last"
-    film       whether to film one greedy episode of the policy, on its chip if it spikes
-    force      whether a card or film that a person wrote is replaced
+    policy: run folder, its name under runs/, or "last".
+    film: whether to film one greedy episode of the policy, on its chip if it spikes.
+    force: whether a card or film that a person wrote is replaced.
     """
-    run = RunFolder.find(reference).path
+    if path is not None:
+        raise ConfigError("--to card is of the run folder: leave -o out")
+    run = RunFolder.find(policy).path
     if not force and (run / CARD).exists() and not has_text(run / CARD, _OURS):
         raise ConfigError(
             f"{run / CARD} was written by hand: keep it and copy the rest of the folder, or "
@@ -53,10 +58,11 @@ def export_card(reference: str, film: bool = False, force: bool = False) -> list
     if film:
         written = mark("run")
         check_output("--film", run / FILM, (), force, lambda path: has_text(path, written))
-    policy = Path(runnable(str(run)))
-    filmed = [_filmed(policy, run)] if film else []
+    file = Path(runnable(str(run)))
+    filmed = [_filmed(file, run)] if film else []
     (run / CARD).unlink(missing_ok=True)
-    return [policy, *filmed, *write_run_files(run)]
+    names = tuple(str(each) for each in [file, *filmed, *write_run_files(run)])
+    return Exported(run, names, lines=(f"wrote {', '.join(names)}",))
 
 
 def _filmed(policy: Path, run: Path) -> Path:

@@ -1,7 +1,9 @@
 """Inputs of an export: the file of a policy, its chip, observations of an episode."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +14,10 @@ from spikedeploy.envs.rollout import rollout
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.registry import DEFAULT_CHIP
-from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import Chip
-from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
+from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
@@ -43,15 +46,22 @@ def nir_file(policy: str, to: str) -> Path:
     )
 
 
+def is_nir_file(policy: str) -> bool:
+    """True where a reference is a `.nir` file or a shipped policy in one."""
+    file = zoo.resolve(policy)
+    return file is not None and file.is_file() and suffix(file) == ".nir"
+
+
+def require_output(path: Path | None, what: str, example: str) -> Path:
+    """The file or folder to write; ConfigError where none was named."""
+    if path is None:
+        raise ConfigError(f"this format writes {what}: name it, as in -o {example}")
+    return path
+
+
 def chip_of(artifact: Artifact) -> str:
     """The chip on which a policy runs where none is named: that of its training, or the default."""
     return artifact.trained_for or DEFAULT_CHIP
-
-
-def on_chip(chip_name: str, quantisation: Quantisation) -> str:
-    """The chip, and the scales of the weights where they are not its usual ones, in words."""
-    own = quantisation.granularity != PLAIN.granularity
-    return f"{chip_name}, a scale for each {quantisation.granularity}" if own else chip_name
 
 
 def named_env(artifact: Artifact) -> str:
@@ -135,3 +145,64 @@ def episode_of(
         walk,
         named,
     )
+
+
+@dataclass(frozen=True)
+class SpikingSource:
+    """A spiking policy to be exported.
+
+    name: as it was given.
+    file: that it is in.
+    chip: on which it runs.
+    quantisation: of its numbers there.
+    """
+
+    name: str
+    file: Path
+    artifact: Artifact
+    chip: str
+    quantisation: Quantisation = PLAIN
+
+    @classmethod
+    def read(
+        cls,
+        policy: str,
+        to: str,
+        chip: str | None,
+        quantise: Granularity = PLAIN.granularity,
+        **reading: Any,  # noqa: ANN401
+    ) -> "SpikingSource":
+        """Read a policy for a format; reading: options of artifact.load."""
+        file = nir_file(policy, to)
+        artifact = load(file, **reading)
+        own = chip_of(artifact) if chip is None else chip
+        return cls(policy, file, artifact, own, Quantisation(quantise))
+
+    def require_codec(self, remedy: str = "") -> Codec:
+        """Return the codec; ConfigError where the file has none."""
+        if self.artifact.codec is None:
+            raise ConfigError(
+                f"{self.name} has no codec (observation to spikes), so that no actions can be "
+                f"asked for. {GIVE_CODEC}{remedy}."
+            )
+        return self.artifact.codec
+
+    @property
+    def origin(self) -> str:
+        """The name and the digest of the file."""
+        return origin_of(self.file)
+
+    @property
+    def scales(self) -> str:
+        """The scales of the weights where they are not the usual ones, in words."""
+        granularity = self.quantisation.granularity
+        return "" if granularity == PLAIN.granularity else f", a scale for each {granularity}"
+
+    def episode(self, on: Chip, count: int, env: str | None) -> tuple[Observations, str]:
+        """Observations (S, obs) of the policy on a chip, and where they come from in words."""
+        return episode_of(self.artifact, on, count, world_of(self.name, self.artifact), env)
+
+
+def origin_of(file: Path) -> str:
+    """The name and the digest of a policy's file."""
+    return f"{zoo.name_in_exports(file)}, sha256 {zoo.sha256(file)[:16]}"

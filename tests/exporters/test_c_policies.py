@@ -10,7 +10,6 @@ from spikedeploy import zoo
 from spikedeploy.exporters.c.codec import exponents
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.codec.codec import Codec, DeltaEncoder, Normaliser
 from spikedeploy.runtime.codec.population import pattern_table
 from spikedeploy.runtime.codec.rate import RateEncoder
@@ -119,14 +118,14 @@ def test_a_policy_equals_the_interpreter_on_other_chips(tmp_path, name):
 @needs_c
 def test_a_policy_with_a_scale_for_each_neuron_equals_the_interpreter(tmp_path):
     to, plain = tmp_path / "c", tmp_path / "plain"
-    export_c("hexapod/popsan", None, to, 40, quantisation=Quantisation("channel"))
+    export_c("hexapod/popsan", to, observations=40, quantise="channel")
     for name in ("README.md", "interface.json"):
         assert "a scale for each channel" in (to / name).read_text()
     assert passed(built(to)) > 0
-    export_c("hexapod/popsan", None, plain, 40)
+    export_c("hexapod/popsan", plain, observations=40)
     assert (to / "policy.c").read_text() != (plain / "policy.c").read_text()
     with pytest.raises(ConfigError, match="leave --quantise out"):
-        export_c("hexapod/mlp-8", None, to, quantisation=Quantisation("channel"))
+        export_c("hexapod/mlp-8", to, quantise="channel")
 
 
 @needs_c

@@ -5,9 +5,9 @@ import numpy as np
 from lab import fpga
 from spikedeploy import zoo
 from spikedeploy.exporters.verilog.image import core_image
-from spikedeploy.exporters.verilog.model import CoreModel
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.shipping.export_verilog import program_for
+from tests.core_model import CoreModel
 from tests.paths import ROOT
 
 
@@ -29,7 +29,7 @@ def test_nothing_that_is_recorded_differs():
 def test_a_synapse_of_a_row_takes_a_clock():
     artifact = load(zoo.path("kart-steer/sparse"))
     image = core_image(program_for(artifact, None)[1], artifact.codec)
-    lengths, model = fpga.row_lengths(image), CoreModel(image)
+    lengths, model = image.rows.lengths, CoreModel(image)
     assert len(lengths) == image.axons + image.neurons
     silent = model.step([]).clocks
     for axon in range(image.axons):

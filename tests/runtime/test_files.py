@@ -16,8 +16,7 @@ from spikedeploy.policies.scripts import teacher_candidate
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import as_text, is_locked, locked, replacing, suffix, write_text
-from spikedeploy.shipping.export_file import is_nir_file
-from spikedeploy.shipping.sources import nir_file
+from spikedeploy.shipping.sources import is_nir_file, nir_file
 from spikedeploy.trainers.distill.teachers import teacher
 from tests.paths import ROOT
 

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from spikedeploy.exporters.verilog.bench import record
 from spikedeploy.exporters.verilog.image import core_image
-from spikedeploy.exporters.verilog.model import CoreModel
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Synapses
@@ -18,6 +17,7 @@ from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.convention import CLOCKS, Convention
 from spikedeploy.runtime.errors import ConfigError, RuleError
+from tests.core_model import CoreModel
 from tests.exporters.test_c_networks import delayed
 from tests.programs import random_convolutions, random_neurons, random_programs
 from tests.rtl_builds import EDGES, differing, edges, recorded

@@ -10,7 +10,6 @@ import pytest
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.verilog.bench import BENCH, record
 from spikedeploy.exporters.verilog.image import core_image
-from spikedeploy.exporters.verilog.model import CoreModel
 from spikedeploy.exporters.verilog.simulation import RtlProcess
 from spikedeploy.exporters.verilog.to_verilog import CORE
 from spikedeploy.make_env import make_env
@@ -23,6 +22,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.shipping.sources import world_of
 from tests.c_builds import run
+from tests.core_model import CoreModel
 from tests.exporters.test_c_networks import delayed
 from tests.exporters.verilog.test_core_model import ZOO, shipped
 from tests.networks import cuba, ends, graph

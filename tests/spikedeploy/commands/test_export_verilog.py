@@ -94,7 +94,7 @@ def test_files_of_others_and_files_that_were_changed_are_not_replaced(command, h
     ("words", "status", "said"),
     [
         ((POLICY, "--to", "verilog"), 2, "name it, as in -o"),
-        ((POLICY, "--board", "icestick"), 2, "--board goes with --to verilog"),
+        ((POLICY, "--board", "icestick"), 2, "--board is no option of --to nir"),
         ((POLICY, *TO, "--board", "icebraker"), 2, "Did you mean 'icebreaker'"),
         (("kart-steer/linear", *TO), 2, "is no spiking policy"),
         (("kept.nir", *TO), 2, "no such file"),
@@ -115,8 +115,8 @@ def test_what_cannot_be_written_is_refused_in_a_sentence(command, here, words, s
 
 
 def test_the_help_of_both_commands_names_every_board():
-    for command in ("export", "check"):
-        told = options._TABLES[command]["board"]["help"]
+    for group in ("FormatOptions", "check"):
+        told = options._TABLES[group]["board"]["help"]
         assert ", ".join(board_names()) in told
 
 

@@ -82,7 +82,10 @@ def written(tmp_path_factory):
         else:
             file = ROOT / "spikedeploy" / "zoo" / f"{network}.nir"
         clock = CLOCKS.get(chip_name)
-        kit = export_program(str(file), chip_name, folder / "kit", steps, raster, env, clock)
+        kit = export_program(
+            str(file), folder / "kit", chip=chip_name, observations=steps, raster=raster,
+            env=env, clock=clock,
+        )  # fmt: skip
         return kit, file
 
     return made
@@ -94,7 +97,7 @@ def kit_of(written, tmp_path):
 
     def copied(chip_name, steps=12):
         kit, file = written(chip_name, steps)
-        return replace(kit, folder=copytree(kit.folder, tmp_path / "kit")), file
+        return replace(kit, path=copytree(kit.path, tmp_path / "kit")), file
 
     return copied
 
@@ -112,7 +115,7 @@ def test_the_files_hold_exactly_the_integers_of_the_program(name, kit_of):
     clock = CLOCKS.get(name, "gated" if name == "speck2f" else "free")
     compiled = compile_program(load(file), on, clock=clock)
     program = chip_run(compiled, 1).program
-    found = read_back(kit.folder)
+    found = read_back(kit.path)
     ends = ("input", "width", "output")
     assert [getattr(found, end) for end in ends] == [getattr(program, end) for end in ends]
     assert [layer.name for layer in found.layers] == [layer.name for layer in program.layers]
@@ -125,12 +128,12 @@ def test_the_files_hold_exactly_the_integers_of_the_program(name, kit_of):
             assert (one.source, one.delay, one.shift, one.current) == (
                 other.source, other.delay, other.shift, other.current,
             )  # fmt: skip
-    assert verify(kit.folder / "expected.json").equal
+    assert verify(kit.path / "expected.json").equal
 
 
 def test_weights_beyond_eight_bits_have_an_exponent_and_every_mantissa_fits(kit_of):
     kit, _ = kit_of("loihi1")
-    record = json.loads((kit.folder / "program.json").read_text())
+    record = json.loads((kit.path / "program.json").read_text())
     synapses = [each for layer in record["layers"] for each in layer["synapses"]]
     assert {0} < {each["exponent"] for each in synapses}
     assert all(np.abs(each["weights"]).max() <= 255 for each in synapses)
@@ -208,8 +211,8 @@ DAMAGE = {
 @pytest.mark.parametrize("name", DAMAGE)
 def test_a_damaged_folder_is_one_sentence(name, command, kit_of):
     kit, _ = kit_of("loihi1")
-    message = DAMAGE[name](kit.folder)
-    code, out, err = command("verify", str(kit.folder / "expected.json"))
+    message = DAMAGE[name](kit.path)
+    code, out, err = command("verify", str(kit.path / "expected.json"))
     assert (code, message in out + err) == (2, True), out + err
     assert "Traceback" not in out + err
 
@@ -218,29 +221,29 @@ def test_a_damaged_folder_is_one_sentence(name, command, kit_of):
     ("policy", "clock"), [("hexapod/sparse", "pipelined"), ("hexapod/sparse-gated", "free")]
 )
 def test_what_is_expected_is_what_our_controller_does_in_its_clock(policy, clock, tmp_path):
-    kit = export_program(policy, "loihi1", tmp_path / "kit", 15)
-    record = json.loads((kit.folder / "program.json").read_text())
+    kit = export_program(policy, tmp_path / "kit", chip="loihi1", observations=15)
+    record = json.loads((kit.path / "program.json").read_text())
     per_step = {"pipelined": 1, "free": 3}[clock]
     assert (record["clock"], record["control_step"]["timesteps"]) == (clock, per_step)
     artifact = load(ROOT / f"spikedeploy/zoo/{policy}.nir")
     controller = SpikingController(artifact, chip("loihi1"), "none", clock=clock)
-    with np.load(kit.folder / "episode.npz") as episode:
+    with np.load(kit.path / "episode.npz") as episode:
         for observation, action in zip(episode["observation"], episode["action"], strict=False):
             np.testing.assert_array_equal(controller.act(observation), action)
-    assert kit.verdict.steps == 15 * per_step
+    assert kit.facts["timesteps"] == 15 * per_step
 
 
 @pytest.mark.parametrize("name", RESETTING)
 def test_of_a_policy_that_resets_each_inference_from_zero_states_is_expected(name, kit_of):
     kit, file = kit_of(name)
     artifact, on = load(file), chip(name.rpartition("/")[2])
-    step = json.loads((kit.folder / "program.json").read_text())["control_step"]
+    step = json.loads((kit.path / "program.json").read_text())["control_step"]
     timesteps = artifact.codec.timesteps
     program = compile_program(artifact, on, clock="gated" if on.name == "speck2f" else "free")
     assert (step["state"], step["timesteps"]) == ("reset", program.rows(timesteps))
-    expected = json.loads((kit.folder / "expected.json").read_text())["recorded"]
+    expected = json.loads((kit.path / "expected.json").read_text())["recorded"]
     controller = SpikingController(artifact, on, "none", clock=program.clock, trace=True)
-    with np.load(kit.folder / "episode.npz") as episode:
+    with np.load(kit.path / "episode.npz") as episode:
         for k, observation in enumerate(episode["observation"][:12]):
             np.testing.assert_array_equal(controller.act(observation), episode["action"][k])
             for layer in program.layers:
@@ -249,26 +252,26 @@ def test_of_a_policy_that_resets_each_inference_from_zero_states_is_expected(nam
                 recorded = controller.network.recordings[layer.name]
                 np.testing.assert_array_equal(found, recorded.spikes[0])
     assert all(np.any(each["spikes"]) for each in expected.values())
-    assert verify(kit.folder / "expected.json").equal
+    assert verify(kit.path / "expected.json").equal
 
 
 def run_host(kit, monkeypatch, own=None, *words):
     """What the kit's host.py returns with a chip of ours."""
     monkeypatch.setattr(sys, "argv", ["run", *words])
-    return host_in(kit.folder).main(lambda *_: own or OwnChip(kit.folder), "ours")
+    return host_in(kit.path).main(lambda *_: own or OwnChip(kit.path), "ours")
 
 
 def test_a_chip_that_keeps_its_states_is_found_where_they_are_to_be_reset(
     kit_of, monkeypatch, capsys
 ):
     kit, _ = kit_of(RESETTING[0])
-    length = json.loads((kit.folder / "program.json").read_text())["control_step"]["timesteps"]
-    keeps = OwnChip(kit.folder)
+    length = json.loads((kit.path / "program.json").read_text())["control_step"]["timesteps"]
+    keeps = OwnChip(kit.path)
     monkeypatch.setattr(keeps, "reset", lambda: None)
     assert run_host(kit, monkeypatch, keeps) == 1
     said = capsys.readouterr().out
     assert int(re.search(r"differs: timestep (\d+)", said)[1]) in range(length, 2 * length)
-    assert verify(kit.folder / "ours.json").difference.step in range(length, 2 * length)
+    assert verify(kit.path / "ours.json").difference.step in range(length, 2 * length)
 
 
 def test_a_run_of_some_control_steps_is_verified_and_one_that_ends_within_is_refused(
@@ -276,10 +279,10 @@ def test_a_run_of_some_control_steps_is_verified_and_one_that_ends_within_is_ref
 ):
     kit, _ = kit_of(RESETTING[0])
     assert run_host(kit, monkeypatch, None, "--steps", "3") == 0
-    assert verify(kit.folder / "ours.json").steps == 27
-    trace = json.loads((kit.folder / "ours.json").read_text())
-    (kit.folder / "ours.json").write_text(json.dumps({**trace, "timesteps": 26}))
-    code, out, err = command("verify", str(kit.folder / "ours.json"))
+    assert verify(kit.path / "ours.json").steps == 27
+    trace = json.loads((kit.path / "ours.json").read_text())
+    (kit.path / "ours.json").write_text(json.dumps({**trace, "timesteps": 26}))
+    code, out, err = command("verify", str(kit.path / "ours.json"))
     assert (code, "States are reset every 9 timesteps" in out + err) == (2, True), out + err
 
 
@@ -288,10 +291,10 @@ def script_of(kit, *words, without=()):
     text = "import runpy, sys; sys.path.insert(0, '.'); " + "".join(
         f"sys.modules[{name!r}] = None; " for name in without
     )
-    text += f"runpy.run_path({kit.tool.script!r}, run_name='__main__')"
+    text += f"runpy.run_path({kit.files[4]!r}, run_name='__main__')"
     return subprocess.run(
         [sys.executable, "-c", text, *words],
-        cwd=kit.folder, capture_output=True, text=True, check=False, timeout=PATIENCE,
+        cwd=kit.path, capture_output=True, text=True, check=False, timeout=PATIENCE,
     )  # fmt: skip
 
 
@@ -344,7 +347,7 @@ def test_a_loop_takes_an_environment_of_a_module(kit_of, monkeypatch, capsys):
 
 @pytest.mark.parametrize("on", ["xylo-a3", "xylo-imu"])
 def test_a_dev_kit_whose_states_rockpool_cannot_zero_is_refused_by_name(on, tmp_path):
-    kit = export_program(RESETTING[0], on, tmp_path / "kit", 2)
+    kit = export_program(RESETTING[0], tmp_path / "kit", chip=on, observations=2)
     done = script_of(kit)
     assert (done.returncode, f"cannot zero the states of {on}" in done.stderr) == (1, True)
 
@@ -369,13 +372,13 @@ def test_a_bias_is_an_axon_that_spikes_in_the_window_of_its_layer(tmp_path):
     save(artifact, tmp_path / "net.nir")
     np.save(tmp_path / "rows.npy", rows)
     file, raster = str(tmp_path / "net.nir"), tmp_path / "rows.npy"
-    kit = export_program(file, "loihi1", tmp_path / "kit", 5, raster)
-    step = json.loads((kit.folder / "program.json").read_text())["control_step"]
+    kit = export_program(file, tmp_path / "kit", chip="loihi1", observations=5, raster=raster)
+    step = json.loads((kit.path / "program.json").read_text())["control_step"]
     assert (step["timesteps"], step["inject"]) == (8, [0, 5])
     assert step["bias_axons"] == [[0, 5], [1, 6], [2, 7]]
     machine = Machine(compile_program(artifact, chip("loihi1")), 1, trace=True)
     machine.infer(rows[None])
-    expected = json.loads((kit.folder / "expected.json").read_text())["recorded"]
+    expected = json.loads((kit.path / "expected.json").read_text())["recorded"]
     for late, name in enumerate(expected, start=1):
         window = np.array(expected[name]["spikes"])[late : late + 5]
         np.testing.assert_array_equal(window, machine.recordings[name].spikes[0])
@@ -421,10 +424,10 @@ HOST_DAMAGE = {
 @pytest.mark.parametrize("name", HOST_DAMAGE)
 def test_a_script_of_a_damaged_kit_ends_with_one_sentence(name, kit_of, monkeypatch):
     kit, _ = kit_of("loihi1")
-    message = HOST_DAMAGE[name](kit.folder)
+    message = HOST_DAMAGE[name](kit.path)
     with pytest.raises(SystemExit, match=message):
         run_host(kit, monkeypatch, None, *(name.split() if name[0] == "-" else ()))
-    assert not (kit.folder / "ours.json").exists() or name.startswith("--loop")
+    assert not (kit.path / "ours.json").exists() or name.startswith("--loop")
 
 
 @pytest.mark.parametrize("renamed", [0, 1, 5])
@@ -441,7 +444,7 @@ def test_an_export_that_is_killed_leaves_no_kit_that_is_taken_for_a_whole_one(
         done.append(target)
         rename(source, target)
 
-    for folder in (kit.folder, kit.folder / "new"):
+    for folder in (kit.path, kit.path / "new"):
         done.clear()
         with monkeypatch.context() as patch:
             patch.setattr(os, "replace", killed)
@@ -449,7 +452,7 @@ def test_an_export_that_is_killed_leaves_no_kit_that_is_taken_for_a_whole_one(
         assert len(done) == renamed
         code, out, err = command("verify", str(folder / "expected.json"))
         # before the first file is replaced, the earlier kit is whole
-        whole = renamed == 0 and folder == kit.folder
+        whole = renamed == 0 and folder == kit.path
         assert (code == 0) == whole, out + err
         assert command(*words, str(folder))[0] == 0
         assert command("verify", str(folder / "expected.json"))[0] == 0
@@ -457,11 +460,14 @@ def test_an_export_that_is_killed_leaves_no_kit_that_is_taken_for_a_whole_one(
 
 REFUSED = {
     "a chip without a script": (("--chip", "odin"), "there is no script for odin"),
-    "no folder": ((), "--to program writes a folder"),
-    "no codec": (("examples/net.nir",), "has no codec, so no episode can be played"),
+    "no folder": ((), "writes a folder"),
+    "no codec": (("examples/net.nir",), "has no codec"),
     "a reset": (("hexapod/sparse-gated", "--chip", "speck2f"), "rule primitive"),
-    "options of another format": (("--to", "c", "--clock", "free"), "go with --to program"),
-    "a world of another format": (("--to", "nir", "--env", "x"), "--env goes with --to c"),
+    "options of another format": (
+        ("--to", "c", "--clock", "free"),
+        "--clock is no option of --to c",
+    ),
+    "a world of another format": (("--to", "nir", "--env", "x"), "--env is no option of --to nir"),
     "a clock that holds layers": (("--clock", "gated"), "clock 'gated' updates each layer once"),
     "delays that a tool has not": (
         ("hexapod/sparse-gated", "--chip", "loihi1-nengo"),
@@ -520,17 +526,18 @@ def test_a_script_imports_numpy_and_its_tool_alone(name):
 @pytest.mark.parametrize("name", NETWORKS)
 def test_the_readme_of_a_kit_says_all_that_is_needed_to_run_it(name, kit_of):
     kit, _ = kit_of(name)
-    readme = (kit.folder / "README.md").read_text()
-    step = json.loads((kit.folder / "program.json").read_text())["control_step"]
+    tool = next(each for each in TOOLS.values() if each.name == kit.facts["tool"])
+    readme = (kit.path / "README.md").read_text()
+    step = json.loads((kit.path / "program.json").read_text())["control_step"]
     rows = f"{step['inject'][1]} rows of input take {step['timesteps']} timesteps"
-    said = f"writes what it did as `{kit.tool.name}.json`"
-    texts = (rows, kit.tool.install, kit.tool.board, said)
+    said = f"writes what it did as `{tool.name}.json`"
+    texts = (rows, tool.install, tool.board, said)
     assert [text for text in (*texts, "`pip install .` in a checkout") if text not in readme] == []
     assert "$" not in readme.replace("```sh", "")
-    script = (kit.folder / kit.tool.script).read_text()
-    assert script == (SCRIPTS / kit.tool.script).read_text()
-    assert f'"{kit.tool.name}"' in script.splitlines()[-1] + script.splitlines()[-2]
-    assert kit.tool.script in kit.tool.board
+    script = (kit.path / tool.script).read_text()
+    assert script == (SCRIPTS / tool.script).read_text()
+    assert f'"{tool.name}"' in script.splitlines()[-1] + script.splitlines()[-2]
+    assert tool.script in tool.board
 
 
 def host_in(folder):
@@ -555,11 +562,11 @@ def test_the_hosts_encoder_sends_the_spikes_of_ours(name, kit_of):
     normaliser = Normaliser(rng.normal(size=3), rng.uniform(0.5, 2, 3), 2.5)
     codec = Codec(normaliser, ENCODERS[name], 5, "tanh")
     kit, _ = kit_of("speck2f", steps=2)
-    record = json.loads((kit.folder / "program.json").read_text())
+    record = json.loads((kit.path / "program.json").read_text())
     record["host"]["codec"] = to_program.plain_record(codec.to_record())
     record["input"]["width"] = codec.encoder.width
     record["control_step"] = {"timesteps": 7, "bias_axons": []}
-    host = host_in(kit.folder).Codec(record)
+    host = host_in(kit.path).Codec(record)
     state = codec.encoder.start(0)
     seen = np.cumsum(rng.normal(0, 0.4, (40, 3)), axis=0)
     for observation in seen:
@@ -605,7 +612,7 @@ def test_the_hosts_loop_gives_the_actions_and_the_return_that_are_expected(
     code = run_host(kit, monkeypatch, None, "--loop", *([env] if loop == "env" else []))
     out = capsys.readouterr().out
     assert (code, "at most 0 from expected" in out) == (0, True), out
-    with np.load(kit.folder / "loop_ours.npz") as file, np.load(kit.folder / "episode.npz") as seen:
+    with np.load(kit.path / "loop_ours.npz") as file, np.load(kit.path / "episode.npz") as seen:
         np.testing.assert_array_equal(file["action"], seen["action"])
         if loop == "env":
             np.testing.assert_array_equal(file["reward"], seen["reward"])
@@ -622,12 +629,12 @@ def test_a_chip_that_does_something_else_is_found_by_the_host_and_by_verify(
             found["readout"]["membrane"][7, 1] -= 1
             return found
 
-    assert run_host(kit, monkeypatch, Wrong(kit.folder)) == 1
+    assert run_host(kit, monkeypatch, Wrong(kit.path)) == 1
     assert "differs: timestep 7, readout, neuron 1, membrane" in capsys.readouterr().out
-    trace = json.loads((kit.folder / "ours.json").read_text())
+    trace = json.loads((kit.path / "ours.json").read_text())
     del trace["recorded"]["lif1"]  # what a tool cannot measure is left out
-    (kit.folder / "ours.json").write_text(json.dumps(trace))
-    code, out, _ = command("verify", str(kit.folder / "ours.json"))
+    (kit.path / "ours.json").write_text(json.dumps(trace))
+    code, out, _ = command("verify", str(kit.path / "ours.json"))
     assert (code, "step 7, readout, neuron 1, membrane: expected" in out) == (1, True)
 
 
@@ -637,7 +644,7 @@ def test_nengo_loihis_emulator_runs_the_kit_and_closes_the_loop(kit_of):
     for words in ((), ("--loop",)):
         done = subprocess.run(
             [sys.executable, "-W", "ignore", "run_nengo_loihi.py", *words],
-            cwd=kit.folder, capture_output=True, text=True, check=False, timeout=PATIENCE,
+            cwd=kit.path, capture_output=True, text=True, check=False, timeout=PATIENCE,
         )  # fmt: skip
         assert done.returncode == 0, done.stdout + done.stderr
-    assert verify(kit.folder / "nengo-loihi.json").equal
+    assert verify(kit.path / "nengo-loihi.json").equal

@@ -7,13 +7,12 @@ import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
-from spikedeploy.exporters.to_xylo import specification
+from spikedeploy.exporters.to_xylo import compare_spikes, document, specification
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.shipping.export_file import compare_spikes, document
 from tests.xylo_networks import network, random_networks
 
 STEPS = 60

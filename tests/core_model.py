@@ -1,18 +1,14 @@
-"""The core in Python: the same memories and integers, clock for clock; without a simulator.
+"""The core of the Verilog export in Python: the same memories, clock for clock; no simulator.
 
 It reads the words of the memories and the parameters, as policy_core.v does, and nothing else of
 the program: what it computes is what the hardware is asked to compute.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-
-import numpy as np
-from numpy.typing import NDArray
 
 from spikedeploy.exporters.verilog.image import CoreImage
 
-STEP, FORGET = 0x8000, 0x8001
 _NONE, _WRAP, _WRAP_ONCE, _CLIP = range(4)
 
 
@@ -204,28 +200,6 @@ class CoreModel:
 
     def _signed_field(self, name: str, neuron: int, bits: int) -> int:
         return _signed(self._field(name, neuron, bits), bits)
-
-
-def tokens_of(raster: NDArray[np.uint8], episodes: Collection[int]) -> list[list[int]]:
-    """Tokens of each timestep, of input spikes (S, T, M) of one inference after another.
-
-    episodes: inferences with which a new episode begins.
-    """
-    return [
-        [FORGET] * (s in episodes and t == 0) + [*np.flatnonzero(row).tolist(), STEP]
-        for s, inference in enumerate(raster)
-        for t, row in enumerate(inference)
-    ]
-
-
-def clocks_of(image: CoreImage, tokens: Iterable[Sequence[int]]) -> list[int]:
-    """Clocks of timesteps with these tokens; those of a reset, at its token, are not among them."""
-    model, found = CoreModel(image), []
-    for each in tokens:
-        if each[0] == FORGET:
-            model.reset()
-        found.append(model.step(token for token in each if token < STEP).clocks)
-    return found
 
 
 def _signed(word: int, bits: int) -> int:
