@@ -1,15 +1,14 @@
-"""Checks of an exported file: what was compared, on which spikes, and the counters behind it."""
+"""What an export returns, and its checks: what was compared, on which spikes, the counters."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.float_model import FloatGraph
-from spikedeploy.runtime.graph.ports import ports
+from spikedeploy.runtime.errors import ConfigError
 
 _RATE = 0.3  # spikes of an input in a timestep
 _BATCH = 250  # observations; each takes a few kilobytes of spikes in a PopSAN
@@ -27,6 +26,47 @@ class ParityCheck:
     name: str
     passed: bool
     detail: str
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A written file or folder.
+
+    path: of it.
+    files: names of the files in a folder; of a file alone, none.
+    checks: comparisons with the policy.
+    facts: what there is to know of it, as data.
+    lines: for a terminal.
+    remarks: what whoever opens it has to know.
+    """
+
+    path: Path
+    files: tuple[str, ...] = ()
+    checks: tuple[ParityCheck, ...] = ()
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    lines: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """True if every check passed."""
+        return all(each.passed for each in self.checks)
+
+    def require_passed(self, policy: str, remedy: str = "") -> "Exported":
+        """Return it; ConfigError where the file does not do what the policy does."""
+        if failed := [check for check in self.checks if not check.passed]:
+            said = f"{failed[0].name}, {failed[0].detail}{remedy}"
+            raise ConfigError(f"{self.path} does not do what {policy} does: {said}")
+        return self
+
+    def record(self) -> dict[str, Any]:
+        """All of it as data."""
+        found: dict[str, Any] = {"path": str(self.path)}
+        if self.files:
+            found["files"] = list(self.files)
+        if self.checks:
+            found |= {"passed": self.passed, "checks": [vars(check) for check in self.checks]}
+        return {**found, **self.facts}
 
 
 @dataclass
@@ -74,22 +114,3 @@ def batches(observations: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
     """Yield the observations in batches of BATCH."""
     for start in range(0, len(observations), _BATCH):
         yield observations[start : start + _BATCH]
-
-
-def compare_float(name: str, one: Artifact, other: Artifact, timesteps: int) -> ParityCheck:
-    """Compare the spikes of every layer of two networks in float64 on one random raster."""
-    rng = np.random.default_rng(0)
-    rasters = [
-        random_spikes(rng, 1, timesteps, *port.shape).astype(np.float64)
-        for port in ports(one.graph.inputs)
-    ]
-    spikes: list[dict[str, Any]] = []
-    for artifact in (one, other):  # by the number of the layer, in the order in which they run
-        graph = FloatGraph(artifact)
-        inputs = (port.name for port in ports(artifact.graph.inputs))
-        trace = graph.run(dict(zip(inputs, rasters, strict=True)))
-        layers = [each for each in graph.timing.names if each in graph.spiking]
-        spikes.append({f"{k}": trace[each] for k, each in enumerate(layers)})
-    counter = MismatchCounter()
-    counter.add(spikes[0], spikes[1])
-    return ParityCheck(name, not counter.differing and bool(counter.compared), f"spikes: {counter}")

@@ -20,12 +20,12 @@ from pathlib import Path
 import nir
 import numpy as np
 
+from spikedeploy.exporters.check import Exported
 from spikedeploy.exporters.to_program import tool_of
 from spikedeploy.runtime.artifact.artifact import Artifact, save
 from spikedeploy.runtime.codec.codec import Codec, Normaliser
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.convention import Clock, Convention
-from spikedeploy.shipping.export import Exported
 from spikedeploy.shipping.export_program import export_program
 
 ROOT = Path(__file__).parents[2]

@@ -7,17 +7,14 @@ its options by keyword. A new format is a file with such a function, and a line 
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from spikedeploy.exporters.check import Exported
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
 from spikedeploy.trainers.config import require_known
-
-if TYPE_CHECKING:
-    from spikedeploy.exporters.check import ParityCheck
 
 EXPORTERS = {
     "nir": "export_file:export_nir",
@@ -30,47 +27,6 @@ EXPORTERS = {
 }
 # the flag of an option whose name in Python is another
 _FLAGS = {"raster": "input", "tool": "for", "written_by": "from"}
-
-
-@dataclass(frozen=True)
-class Exported:
-    """A written file or folder.
-
-    path: of it.
-    files: names of the files in a folder; of a file alone, none.
-    checks: comparisons with the policy.
-    facts: what there is to know of it, as data.
-    lines: for a terminal.
-    remarks: what whoever opens it has to know.
-    """
-
-    path: Path
-    files: tuple[str, ...] = ()
-    checks: "tuple[ParityCheck, ...]" = ()
-    facts: Mapping[str, Any] = field(default_factory=dict)
-    lines: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def passed(self) -> bool:
-        """True if every check passed."""
-        return all(each.passed for each in self.checks)
-
-    def require_passed(self, policy: str, remedy: str = "") -> "Exported":
-        """Return it; ConfigError where the file does not do what the policy does."""
-        if failed := [check for check in self.checks if not check.passed]:
-            said = f"{failed[0].name}, {failed[0].detail}{remedy}"
-            raise ConfigError(f"{self.path} does not do what {policy} does: {said}")
-        return self
-
-    def record(self) -> dict[str, Any]:
-        """All of it as data."""
-        found: dict[str, Any] = {"path": str(self.path)}
-        if self.files:
-            found["files"] = list(self.files)
-        if self.checks:
-            found |= {"passed": self.passed, "checks": [vars(check) for check in self.checks]}
-        return {**found, **self.facts}
 
 
 def export(

@@ -14,6 +14,7 @@ from spikedeploy.exporters.c.int8 import read_onnx
 from spikedeploy.exporters.c.packaging import MAKEFILE, MARK, RECORD, file_names, write_texts
 from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.exporters.c.to_c import mlp_in_c, policy_in_c
+from spikedeploy.exporters.check import Exported
 from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.chips.chip import chip as chip_named
@@ -22,7 +23,6 @@ from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.convention import CLOCKS
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
-from spikedeploy.shipping.export import Exported
 from spikedeploy.shipping.sources import (
     Observations,
     SpikingSource,

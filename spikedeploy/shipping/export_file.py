@@ -2,18 +2,21 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from spikedeploy.exporters.check import ParityCheck, compare_float
+import numpy as np
+
+from spikedeploy.exporters.check import Exported, MismatchCounter, ParityCheck, random_spikes
 from spikedeploy.exporters.to_xylo import MARK, check_chip, compare_spikes, document, specification
 from spikedeploy.outputs import check_output, has_text
-from spikedeploy.runtime.artifact.artifact import for_importer, load, save
+from spikedeploy.runtime.artifact.artifact import Artifact, for_importer, load, save
 from spikedeploy.runtime.chips.chip import chip as chip_named
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.dialects.rewriting import arguments
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.files import suffix, write_json
-from spikedeploy.shipping.export import Exported
+from spikedeploy.runtime.float_model import FloatGraph
+from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.shipping.sources import (
     episode_of,
     is_nir_file,
@@ -64,12 +67,12 @@ def export_nir(
     given = load(file, **reading, state=state)  # type: ignore[arg-type]
     written = given if tool is None else for_importer(given, tool)
     save(written, path, nir_compat)
-    checks = [compare_float("the file as it states", given, load(path), observations)]
+    checks = [_compare_float("the file as it states", given, load(path), observations)]
     remarks: list[str] = []
     if tool is not None:
         told = arguments(written.convention, tool)
         as_read = load(path, like=tool, **told)  # type: ignore[arg-type]
-        checks.append(compare_float(f"the file as {tool} reads it", given, as_read, observations))
+        checks.append(_compare_float(f"the file as {tool} reads it", given, as_read, observations))
         remarks = [f"its import must be told {name} {value}" for name, value in told.items()]
     return _checked(path, checks, remarks)
 
@@ -149,3 +152,22 @@ def _is_rewritten(path: Path) -> bool:
         return load(path).convention.source.startswith("as ")
     except ArtifactError:
         return False
+
+
+def _compare_float(name: str, one: Artifact, other: Artifact, timesteps: int) -> ParityCheck:
+    """Compare the spikes of every layer of two networks in float64 on one random raster."""
+    rng = np.random.default_rng(0)
+    rasters = [
+        random_spikes(rng, 1, timesteps, *port.shape).astype(np.float64)
+        for port in ports(one.graph.inputs)
+    ]
+    spikes: list[dict[str, Any]] = []
+    for artifact in (one, other):  # by the number of the layer, in the order in which they run
+        graph = FloatGraph(artifact)
+        inputs = (port.name for port in ports(artifact.graph.inputs))
+        trace = graph.run(dict(zip(inputs, rasters, strict=True)))
+        layers = [each for each in graph.timing.names if each in graph.spiking]
+        spikes.append({f"{k}": trace[each] for k, each in enumerate(layers)})
+    counter = MismatchCounter()
+    counter.add(spikes[0], spikes[1])
+    return ParityCheck(name, not counter.differing and bool(counter.compared), f"spikes: {counter}")

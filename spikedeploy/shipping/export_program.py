@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from spikedeploy.emulation.rasters import read_inputs
 from spikedeploy.envs import archive
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
+from spikedeploy.exporters.check import Exported
 from spikedeploy.exporters.to_program import (
     EPISODE,
     EXPECTED,
@@ -44,7 +45,6 @@ from spikedeploy.runtime.errors import ConfigError, TraceError
 from spikedeploy.runtime.files import write_text
 from spikedeploy.runtime.traces.verify import Verdict, verify
 from spikedeploy.seeds import VALIDATION
-from spikedeploy.shipping.export import Exported
 from spikedeploy.shipping.sources import (
     SpikingSource,
     is_ours,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
+from spikedeploy.exporters.check import Exported
 from spikedeploy.exporters.parity import check
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.exporters.to_onnx import to_onnx
@@ -21,7 +22,6 @@ from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.files import suffix
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.seeds import VALIDATION
-from spikedeploy.shipping.export import Exported
 from spikedeploy.trainers.onnx_session import session
 from spikedeploy.trainers.run_folder import RunFolder
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from spikedeploy import zoo
 from spikedeploy.exporters.c.packaging import MAKEFILE
+from spikedeploy.exporters.check import Exported
 from spikedeploy.exporters.verilog.bench import clocks_of
 from spikedeploy.exporters.verilog.board_files import board_files
 from spikedeploy.exporters.verilog.boards import Board
@@ -22,7 +23,6 @@ from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.shipping.export import Exported
 from spikedeploy.shipping.sources import SpikingSource, chip_of, named_env, require_output
 from spikedeploy.shipping.verilog_folder import (
     RECORD,

@@ -12,6 +12,7 @@ from spikedeploy import envs, zoo
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import make_entries
 from spikedeploy.console import say
+from spikedeploy.exporters.check import Exported
 from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import DEFAULT_CHIP, find
@@ -20,7 +21,6 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import replacing, write_json, write_text
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.cards import evaluation_fields, markdown, training_of
-from spikedeploy.shipping.export import Exported
 from spikedeploy.shipping.export_run import export_run
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.ppo import find_start

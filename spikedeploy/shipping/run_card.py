@@ -6,6 +6,7 @@ Its head is that of a model card of the Hugging Face hub, so that a run folder c
 from pathlib import Path
 
 from spikedeploy import envs
+from spikedeploy.exporters.check import Exported
 from spikedeploy.outputs import check_output, has_text, mark, no_link
 from spikedeploy.policies import run_record
 from spikedeploy.reports.page import standalone_svg
@@ -15,7 +16,6 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import write_text
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.shipping.cards import KINDS, fill, training_of
-from spikedeploy.shipping.export import Exported
 from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.shipping.training_films import last_film
 from spikedeploy.trainers.run_folder import RunFolder
