@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from spikedeploy.exporters.rendering import render
 from spikedeploy.exporters.verilog import board_files as written
 from spikedeploy.exporters.verilog.boards import board
 from spikedeploy.exporters.verilog.image import core_image
@@ -18,7 +19,8 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.convention import CLOCKS
 
-TEMPLATES = files("spikedeploy.exporters.verilog") / "templates"
+PACKAGE = "spikedeploy.exporters.verilog"
+TEMPLATES = files(PACKAGE) / "templates"
 
 
 def _missing(*names):
@@ -105,7 +107,7 @@ def design(on, words=3):
     use = SimpleNamespace(states_in_large_ram=False, buffer_in_large_ram=False)
     values = {"board": on, "ports": on.ports, "link": written.Buffer(words), "use": use}
     values["origin"] = "a test"
-    return {name: written.render(name, **values) for name in ("top.v", "pins_main.cpp")}
+    return {name: render(PACKAGE, name, **values) for name in ("top.v", "pins_main.cpp")}
 
 
 def write_design(folder, name, core=COUNTING_CORE):

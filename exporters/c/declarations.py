@@ -3,12 +3,13 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
+
+from spikedeploy.exporters.rendering import environment
+from spikedeploy.exporters.rendering import render as fill
 
 _LINE = 96
 # equal numbers in a row from which a table has one of them: a division takes longer than a byte
@@ -130,31 +131,14 @@ def as_lists(weight: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]
 
 
 def render(template: str, **values: object) -> str:
-    """The text of a template of `templates/`, in which what is left out leaves no empty lines."""
-    return re.sub(r"\n{3,}", "\n\n", _templates().get_template(template).render(values))
+    """The text of a template of `templates/`."""
+    made = environment(str(__package__))
+    made.filters |= {"c": literal, "plain": plain}
+    functions = (narrowest, narrowest_of, as_lists, array)
+    made.globals |= {function.__name__: function for function in functions}
+    return fill(str(__package__), template, **values)
 
 
 def plain(name: str) -> str:
     """A name of a graph, such as net/fc1, as it can stand in a comment, which it cannot end."""
     return re.sub(r"[^A-Za-z0-9_./-]", "?", name)[:60]
-
-
-@cache
-def _templates() -> Environment:
-    made = Environment(
-        loader=PackageLoader(__package__),
-        extensions=["jinja2.ext.do"],
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    made.filters["c"] = literal
-    made.filters["plain"] = plain
-    made.globals |= {
-        "narrowest": narrowest,
-        "narrowest_of": narrowest_of,
-        "as_lists": as_lists,
-        "array": array,
-    }
-    return made

@@ -9,6 +9,7 @@ from typing import Any
 from spikedeploy.exporters.c import int16
 from spikedeploy.exporters.c.declarations import Declarations, render
 from spikedeploy.exporters.c.int16 import Int16Observations, Integers
+from spikedeploy.exporters.rendering import one_line
 from spikedeploy.runtime.files import replacing
 
 MARK = "exported by spikedeploy as C"
@@ -37,10 +38,9 @@ def file_names(prefix: str, spiking: bool = True) -> tuple[str, ...]:
 
 def common_values(prefix: str, origin: str) -> dict[str, Any]:
     """Values that all templates take; origin: words of a file, for a comment."""
-    known = "".join(c if c.isalnum() or c in " ._:=,+-()/" else "?" for c in origin)
     return {
         "mark": MARK,
-        "origin": known.encode("ascii", "replace").decode(),
+        "origin": one_line(origin),
         "prefix": prefix,
         "PREFIX": prefix.upper(),
         "id_t": f"{prefix}_id_t",

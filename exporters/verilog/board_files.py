@@ -1,14 +1,12 @@
 """Files around a core on a board: top module, UART, constraints, Makefile, host, and costs."""
 
 import json
-import re
-from functools import cache
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
+from spikedeploy.exporters.rendering import render
 from spikedeploy.exporters.to_program import as_rows, plain_record
 from spikedeploy.exporters.verilog.bench import (
     BENCH,
@@ -78,7 +76,7 @@ def board_files(
     episode = episode_record(image, codec, observation[:_EPISODE_STEPS], seed)
     return {
         **{name: template(name) for name in _SAME},
-        **{name: render(name, **values) for name in _FILLED},
+        **{name: render(__package__, name, **values) for name in _FILLED},
         board.constraints_name: board.constraints,
         "policy.json": as_rows(host_record(image.program, codec, image, board, origin)),
         BENCH: template(BENCH),
@@ -155,19 +153,3 @@ def host_record(
         "bias": bias,
         "terms": terms,
     }
-
-
-def render(name: str, **values: object) -> str:
-    """The text of a template of `templates/`, in which what is left out leaves no empty lines."""
-    return re.sub(r"\n{3,}", "\n\n", _templates().get_template(name).render(values))
-
-
-@cache
-def _templates() -> Environment:
-    return Environment(
-        loader=PackageLoader(__package__),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from spikedeploy.exporters.rendering import one_line
 from spikedeploy.exporters.verilog.image import CoreImage
 from spikedeploy.runtime.files import read_toml
 
@@ -34,7 +35,7 @@ def core_files(image: CoreImage, origin: str) -> dict[str, str]:
 def parameters_text(image: CoreImage, origin: str) -> str:
     """The parameters of the core in Verilog."""
     lines = [
-        f"// {comment_text(origin)}",
+        f"// {one_line(origin)}",
         "// Parameters of policy_core.v; all widths follow from the numbers of the policy.",
     ]
     for name, value in image.localparams.items():
@@ -52,9 +53,3 @@ def hex_text(words: Sequence[int], bits: int) -> str:
     """The contents of a memory for $readmemh, a word a line."""
     digits = -(-bits // 4)
     return "".join(f"{word:0{digits}x}\n" for word in words)
-
-
-def comment_text(words: str) -> str:
-    """Words that can stand behind // in Verilog: one line of ASCII."""
-    known = "".join(c if c.isalnum() or c in " ._:=,+-()/" else "?" for c in words)
-    return known.encode("ascii", "replace").decode()

