@@ -1,6 +1,7 @@
 """The card of a run: what the hub reads of it, what people read, and who may replace it."""
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -60,7 +61,7 @@ def test_a_card_that_a_person_took_over_is_kept(run):
 
 def test_a_run_that_is_ready_to_be_uploaded_has_policy_card_curve_page_and_film(run):
     files = export_card(str(run), film=True)
-    policy, film, *others = files
+    policy, film, *others = map(Path, files.files)
     assert policy.suffix == ".nir"
     assert film.read_bytes()[4:8] == b"ftyp"
     assert [path.name for path in others] == ["report.html", "curve.svg", "card.md"]
