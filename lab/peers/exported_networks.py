@@ -19,8 +19,24 @@ from typing import Any
 import nir
 import numpy as np
 
-from spikedeploy.reports.design import NEURONS_OF_CHIPS
+# neurons that reset as chips do; docs/snntorch-to-chips.md says when they are needed
+_AT_ONCE = """\
+class AtOnce:
+    def mem_reset(self, mem):
+        return torch.zeros_like(mem)  # nothing is left to reset of the timestep before
 
+    def forward(self, x):
+        spikes = super().forward(x)
+        self.mem = self.mem - spikes * self.threshold  # to zero: self.mem * (1 - spikes)
+        return spikes
+
+
+class Leaky(AtOnce, snntorch.Leaky):  # likewise Synaptic, RLeaky and RSynaptic
+    pass
+
+
+layer = Leaky(torch.full((16,), 0.9), torch.ones(16), init_hidden=True)
+"""
 FOLDER = Path(__file__).parents[2] / "tests" / "golden" / "exports"
 # neurons of each layer, and timesteps
 SIZES, TIMESTEPS = (12, 16, 6), 200
@@ -76,7 +92,7 @@ def snntorch_network(
 
     Parameters are vectors, which its export needs.
 
-    at_once  that reset as chips do, by the lines that `check` prints
+    at_once  that reset as chips do, by the lines above
     """
     import snntorch
     import torch
@@ -85,7 +101,7 @@ def snntorch_network(
     neuron = getattr(snntorch, kind.removeprefix("Odd"))
     if at_once:
         names: dict[str, Any] = {"torch": torch, "snntorch": snntorch}
-        exec(NEURONS_OF_CHIPS, names)
+        exec(_AT_ONCE, names)
         neuron = type(kind, (names["AtOnce"], neuron), {})
 
     def neurons(size: int) -> Any:  # noqa: ANN401

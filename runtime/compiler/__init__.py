@@ -2,9 +2,8 @@
 
 What differs between arithmetics it asks of the chip; here is what all have in common.
 
-topology  populations and the synapses between them, counted for the rules
-chains    maps between neurons as kernels with their windows, or as matrices
-wiring    layers of neurons and their synapses, as a chip has them
+lowering  populations and the projections between them, counted for the rules
+synapses  the weights of projections, as kernels with their windows or as matrices
 mapping   populations on cores, and how full those are
 rules     the design rules, and what they found in a network
 outliers  layers that one large number makes coarse, and what helps

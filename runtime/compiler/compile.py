@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import nir
 import numpy as np
@@ -10,20 +11,24 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.layer import MAX_BYTES, Layer
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
+from spikedeploy.runtime.compiler.lowering import Lowering, lower
 from spikedeploy.runtime.compiler.mapping import CoreMapping
 from spikedeploy.runtime.compiler.outliers import outlier_remarks
 from spikedeploy.runtime.compiler.program import HostOutput, Program, Readout
 from spikedeploy.runtime.compiler.rules import (
     ARITHMETIC,
     CAPACITY,
+    RULES,
     PlacedNetwork,
     RuleResult,
+    Status,
     evaluate,
+    place,
     refuse,
     reset_remedy,
     spiking_kinds,
 )
-from spikedeploy.runtime.compiler.wiring import LayerGraph, rewired, wiring
+from spikedeploy.runtime.compiler.synapses import LayerGraph, layer_graph
 from spikedeploy.runtime.convention import Clock, Convention
 from spikedeploy.runtime.errors import RuleError, SpikedeployError
 
@@ -48,38 +53,40 @@ def compile_program(
     limits: refuse what breaks a design rule of the chip; False emulates the arithmetic also where
         the chip lacks capacity for the network, or something that the network asks for.
     """
-    return _compile(artifact, chip, quantisation, clock, limits, judge=limits)
+    clocked, on, clock = _prepared(artifact, chip, clock, limits)
+    lowered = lower(clocked)
+    placed = place(artifact, chip, lowered) if limits and chip.limits else None
+    return _compile(clocked, on, lowered, quantisation, clock, limits, placed)
 
 
 def _compile(
     artifact: Artifact,
     chip: Chip,
+    lowered: Lowering,
     quantisation: Quantisation,
-    clock: Clock | None,
+    clock: Clock,
     limits: bool,
-    judge: bool,
+    placed: PlacedNetwork | None = None,
 ) -> Program:
-    """The program; `judge` by the design rules, of a network that was not judged before."""
-    artifact, chip, clock = _prepared(artifact, chip, clock, limits)
-    graph = wiring(artifact.graph, artifact.convention, frozenset(artifact.sigma_delta))
-    placed = PlacedNetwork(artifact, chip) if judge and chip.limits else None
+    """The program of a network that `_prepared` made ready for the chip.
+
+    placed: to judge by the design rules; None where that is not asked for, or was done before.
+    """
+    graph = layer_graph(lowered, artifact)
     if placed:
         refuse(placed, CAPACITY)
     chip.arithmetic.check_quantisation(quantisation, chip.name)
     program = float_program(artifact, chip, graph, clock)
     rows = _rows(artifact, program)
-    layers = chip.arithmetic.quantise(program, quantisation, chip.name, rows, limits=limits)
+
+    def quantise(floats: Sequence[Layer], chosen: Quantisation) -> Sequence[Layer]:
+        network = replace(program, layers=tuple(floats))
+        return chip.arithmetic.quantise(network, chosen, chip.name, rows, limits=limits)
+
+    layers = quantise(program.layers, quantisation)
     if placed:  # last: the compiler itself is more precise
         refuse(placed, ARITHMETIC)
-    outliers = outlier_remarks(
-        chip.arithmetic,
-        program.layers,
-        layers,
-        quantisation,
-        lambda floats, chosen: chip.arithmetic.quantise(
-            replace(program, layers=tuple(floats)), chosen, chip.name, rows, limits=limits
-        ),
-    )
+    outliers = outlier_remarks(chip.arithmetic, program.layers, layers, quantisation, quantise)
     remarks = (*program.remarks, *chip.arithmetic.ranges(layers, rows), *outliers)
     return replace(program, layers=tuple(layers), remarks=remarks, outliers=tuple(outliers))
 
@@ -95,14 +102,15 @@ def _prepared(
     # a convention's own delay is a pipeline already
     delays = clock == "pipelined" and not artifact.convention.delay
     stated = replace(artifact.convention, clock="pipelined" if delays else "gated")
-    return artifact.with_convention(stated), chip, clock
+    clocked = artifact if stated == artifact.convention else artifact.with_convention(stated)
+    return clocked, chip, clock
 
 
 class Recompiler:
     """Compiles a network again when its numbers have changed, as training through a chip does.
 
-    The edges of the graph are followed once. Rules on capacity are judged once, of the first
-    numbers; what the arithmetic cannot compute is refused each time.
+    The graph is lowered once. Rules on capacity are judged once, of the first numbers; what the
+    arithmetic cannot compute is refused each time.
 
     artifact: the network with its first numbers.
     chip, quantisation, clock, limits: as in `compile_program`.
@@ -118,15 +126,13 @@ class Recompiler:
     ) -> None:
         self.first = compile_program(artifact, chip, quantisation, clock, limits)
         self._quantisation, self._limits = quantisation, limits
-        artifact, self._chip, self._clock = _prepared(artifact, chip, clock, limits)
-        self._artifact = artifact
-        self._graph = wiring(artifact.graph, artifact.convention)
+        self._artifact, self._chip, self._clock = _prepared(artifact, chip, clock, limits)
+        self._lowered = lower(self._artifact)
 
     def program(self, numbers: nir.NIRGraph) -> Program:
         """The program of the same network with the numbers of a graph of the same nodes."""
         artifact, chip = self._artifact.with_numbers(numbers), self._chip
-        graph = rewired(self._graph, numbers, artifact.convention)
-        program = float_program(artifact, chip, graph, self._clock)
+        program = float_program(artifact, chip, layer_graph(self._lowered, artifact), self._clock)
         rows = _rows(artifact, program)
         layers = chip.arithmetic.quantise(
             program, self._quantisation, chip.name, rows, limits=self._limits
@@ -316,6 +322,8 @@ def _way_out(
 
 
 COMPILE = "compile"
+# of a rule on several nodes the first of these that occurs counts
+_STATUSES: tuple[Status, ...] = ("fail", "pass", "unknown", "not applicable")
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,14 +350,32 @@ class DesignCheck:
         """The rulings of one rule."""
         return [ruling for ruling in self.rulings if ruling.rule == rule]
 
+    @cached_property
+    def worst(self) -> dict[str, RuleResult]:
+        """Rule -> the first failure, else the largest that passes, else one that is unknown.
 
-def check(artifact: Artifact, on: Chip) -> DesignCheck:
-    """Judge the artifact by every rule of the chip."""
-    placed = PlacedNetwork(artifact, on)
+        Rules without a result on this chip are not applicable.
+        """
+
+        def rank(ruling: RuleResult) -> tuple[int, float]:
+            found = ruling.found if isinstance(ruling.found, int | float) else 0.0
+            return _STATUSES.index(ruling.status), 0.0 if ruling.failed else -found
+
+        absent = RuleResult("", None, "not applicable")
+        return {rule: min(self.of(rule), key=rank, default=absent) for rule in (*RULES, COMPILE)}
+
+
+def check(artifact: Artifact, on: Chip, lowered: Lowering | None = None) -> DesignCheck:
+    """Judge the artifact by every rule of the chip.
+
+    lowered: of the artifact, where several chips are asked about.
+    """
+    placed = place(artifact, on, lowered or lower(artifact))
     rulings: Sequence[RuleResult] = evaluate(placed) if on.limits is not None else ()
-    broken = any(ruling.failed for ruling in rulings)
+    limits = not any(ruling.failed for ruling in rulings)
     try:
-        program = _compile(artifact, on, PLAIN, None, limits=not broken, judge=False)
+        clocked, chip, clock = _prepared(artifact, on, None, limits)
+        program = _compile(clocked, chip, placed.lowered, PLAIN, clock, limits)
     except SpikedeployError as error:
         ruling = RuleResult(COMPILE, None, "fail", str(error))
         return DesignCheck(on, (*rulings, ruling), placed.mapping)

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.chip import Chip, LayerCore, Limits, SynapticMemory
-from spikedeploy.runtime.compiler.topology import Population, Topology
+from spikedeploy.runtime.compiler.lowering import Lowering, Population
 from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE
 
 Counts: TypeAlias = NDArray[np.int64]
@@ -92,7 +92,7 @@ class CoreMapping:
         return {each.name: each for each in self.placements if each.kind == "neurons"}
 
 
-def map_to_cores(network: Topology, chip: Chip) -> CoreMapping:
+def map_to_cores(network: Lowering, chip: Chip) -> CoreMapping:
     """The network on the chip; where a population does not fit, its smallest division."""
     limits, populations = chip.limits, network.populations
     if limits is not None and limits.layer_cores:
@@ -128,7 +128,7 @@ def map_to_cores(network: Topology, chip: Chip) -> CoreMapping:
     return CoreMapping(tuple(numbered), first, limits.cores and -(-first // limits.cores))
 
 
-def _unplaced(network: Topology, population: Population) -> Placement:
+def _unplaced(network: Lowering, population: Population) -> Placement:
     """A population on a chip without cores that are known."""
     return Placement(
         name=population.name,
@@ -139,7 +139,7 @@ def _unplaced(network: Topology, population: Population) -> Placement:
         fan_out=int(network.fan_out(population.name).max()),
         block=population.size,
         axons_in=sum(projection.out.size for projection in population.presynaptic),
-        estimated=any(projection.most for projection in population.presynaptic),
+        estimated=any(projection.estimated for projection in population.presynaptic),
     )
 
 
@@ -152,7 +152,7 @@ def _source(
     return Placement(name, kind, neurons, fan_out, block, cores=cores, memory=0, axons_out=axons)
 
 
-def _inputs(network: Topology, limits: Limits, cores: Mapping[str, int]) -> Iterator[Placement]:
+def _inputs(network: Lowering, limits: Limits, cores: Mapping[str, int]) -> Iterator[Placement]:
     """Neurons that hand on the spikes of the inputs, and the one of the bias."""
     for name, width in network.inputs.items():
         targets = _target_cores(network, name, cores)
@@ -173,7 +173,7 @@ def _inputs(network: Topology, limits: Limits, cores: Mapping[str, int]) -> Iter
 Weigh: TypeAlias = Callable[[Population, int], "Load"]
 
 
-def _divide(network: Topology, limits: Limits, weigh: Weigh) -> dict[str, int]:
+def _divide(network: Lowering, limits: Limits, weigh: Weigh) -> dict[str, int]:
     """The block of each population; a core has axons for so many target cores of its neurons."""
     blocks = {p.name: p.size for p in network.populations}
     cores = dict.fromkeys(blocks, 1)
@@ -188,7 +188,7 @@ def _divide(network: Topology, limits: Limits, weigh: Weigh) -> dict[str, int]:
     return blocks
 
 
-def _target_cores(network: Topology, name: str, cores: Mapping[str, int]) -> int:
+def _target_cores(network: Lowering, name: str, cores: Mapping[str, int]) -> int:
     """Cores that a neuron of a population, or an input, projects to; at most its synapses."""
     synapses: dict[str, int] = {}
     for projection in network.leaving(name):
@@ -302,7 +302,7 @@ class Entries(NamedTuple):
     neurons: int
 
 
-def _one_core_each(network: Topology, limits: Limits) -> CoreMapping:
+def _one_core_each(network: Lowering, limits: Limits) -> CoreMapping:
     """A core for each layer; without numbers where they do not all find one."""
     taken = [entries(network.graph, population) for population in network.populations]
     cores = assign(taken, limits.layer_cores)

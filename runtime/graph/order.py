@@ -58,31 +58,30 @@ def timing(graph: nir.NIRGraph, convention: Convention) -> Timing:
     A Delay node that holds every value back for at least one timestep opens a loop by itself; its
     edges are late then, and that timestep is part of its delay: I[t] = w z[t - delay].
     """
-    nodes = graph.nodes
+    nodes, pipelined = graph.nodes, convention.clock == "pipelined"
     delays = {
         name: delay_timesteps(name, node, convention)
         for name, node in nodes.items()
         if isinstance(node, nir.Delay)
     }
     delaying = {name for name, timesteps in delays.items() if timesteps.min() >= 1}
-    late = {edge for edge in graph.edges if edge[1] in delaying}
-    if convention.delay:
-        weights = (nir.Affine, nir.Linear, *CONVOLUTIONS)
-        late |= {edge for edge in graph.edges if isinstance(nodes[edge[1]], weights)}
-    if pipelined := convention.clock == "pipelined":
+    if pipelined:  # of a Delay the timesteps come on top
         neurons = [name for name, node in nodes.items() if isinstance(node, NEURONS)]
-        # of a Delay the timesteps come on top
         late = _edges_onto(neurons, sources(graph), nodes, (nir.Input, *NEURONS))
-    stepwise, loops = order(graph, late), len(in_waves(nodes, graph.edges)) < len(nodes)
-    return Timing(
-        # without loops a node runs for all timesteps at once, after its late sources too
-        names=stepwise.names if loops else order(graph).names,
-        late=stepwise.late,
-        delays={
-            name: steps - (name in delaying and not pipelined) for name, steps in delays.items()
-        },
-        loops=loops,
-    )
+    else:
+        weights = (nir.Affine, nir.Linear, *CONVOLUTIONS) if convention.delay else ()
+        late = {
+            edge
+            for edge in graph.edges
+            if edge[1] in delaying or isinstance(nodes[edge[1]], weights)
+        }
+    names = tuple(in_waves(nodes, graph.edges))
+    if loops := len(names) < len(nodes):
+        names, closing = order(graph, late)
+        late = {*closing}
+    steps = {n: each - (n in delaying and not pipelined) for n, each in delays.items()}
+    # without loops a node runs for all timesteps at once, after its late sources too
+    return Timing(names, frozenset(late), steps, loops)
 
 
 def delay_timesteps(name: str, node: nir.Delay, convention: Convention) -> NDArray[np.int64]:
@@ -121,47 +120,23 @@ def order(graph: nir.NIRGraph, late: Iterable[Edge] = ()) -> Order:
         if not pending:
             return Order(tuple(done), frozenset(delayed))
         prompt = [edge for edge in prompt if edge[0] in pending]
-        if (work := work + len(prompt)) > _MOST_LOOP_WORK:
-            raise ArtifactError(
-                f"the loops through {len(pending)} nodes are too many to open one by one. Join "
-                "nodes that are connected both ways into one recurrent layer."
-            )
-        before = neighbours((t, s) for s, t in prompt)
-        loops = _loops(pending, neighbours(prompt), before)
-        neurons = [name for name in loops if isinstance(graph.nodes[name], NEURONS)]
-        if not neurons:
-            raise _no_neuron(loops)
-        first = min(neurons, key=lambda name: (depth.get(name, len(graph.nodes)), name))
-        inside = {name: loops[first].intersection(before[name]) for name in loops[first]}
-        delayed |= _edges_onto([first], inside, graph.nodes, NEURONS)
-
-
-def _loops(names: Collection[str], after: Neighbours, before: Neighbours) -> dict[str, set[str]]:
-    """For each node on a path back to itself, all nodes on such paths (Kosaraju's algorithm)."""
-    finished, seen = list[str](), set[str]()
-    for first in sorted(names):
-        path = [] if first in seen else [(first, iter(after.get(first, ())))]
-        seen.add(first)
-        while path:
-            new = next((target for target in path[-1][1] if target not in seen), None)
-            if new is None:
-                finished.append(path.pop()[0])
-            else:
-                seen.add(new)
-                path.append((new, iter(after.get(new, ()))))
-    loops: dict[str, set[str]] = {}
-    left = set(names)
-    for name in (name for name in reversed(finished) if name in left):
-        loop, waiting = {name}, [name]
-        left.remove(name)
-        while waiting:
-            new_ones = left.intersection(before.get(waiting.pop(), ()))
-            left -= new_ones
-            loop |= new_ones
-            waiting += new_ones
-        if len(loop) > 1 or name in after.get(name, ()):
-            loops.update(dict.fromkeys(loop, loop))
-    return loops
+        after, before = neighbours(prompt), neighbours((t, s) for s, t in prompt)
+        # what is left lies on loops, or between two
+        inside = pending.difference(in_waves(pending, ((t, s) for s, t in prompt)))
+        neurons = [name for name in inside if isinstance(graph.nodes[name], NEURONS)]
+        for first in sorted(neurons, key=lambda name: (depth.get(name, len(graph.nodes)), name)):
+            if (work := work + len(prompt)) > _MOST_LOOP_WORK:
+                raise ArtifactError(
+                    f"the loops through {len(pending)} nodes are too many to open one by one. Join "
+                    "nodes that are connected both ways into one recurrent layer."
+                )
+            loop = reach(after.get(first, ()), after) & reach(before.get(first, ()), before)
+            if first in loop:
+                break
+        else:
+            raise _no_neuron(inside)
+        near = {name: loop.intersection(before[name]) for name in loop}
+        delayed |= _edges_onto([first], near, graph.nodes, NEURONS)
 
 
 def _no_neuron(loop: Collection[str]) -> ArtifactError:

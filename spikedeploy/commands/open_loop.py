@@ -233,7 +233,6 @@ def check(
     rules: bool = False,
     board: str | None = None,
     against: Path | None = None,
-    input_: Path | None = None,
     output: Path | None = None,
     force: bool = False,
     json: bool = False,
@@ -243,26 +242,28 @@ def check(
     Exit code 0: every chip that was named passes; of 'all', at least one that has limits. With
     --against: the float twin equals the recording. With --board: it fits on that FPGA.
     """
-    from spikedeploy.emulation.design_report import ALL, design_report, network_path
+    from spikedeploy.emulation.design_report import ALL, network_path, report_of
     from spikedeploy.outputs import check_output_folder
     from spikedeploy.reports.design import design_page, print_report
     from spikedeploy.reports.page import FILES, is_page_of, write_page
+    from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.shipping.exported_run import runnable
 
     file = runnable(file)
     if board is not None:
-        if output or against or rules or input_:
-            more = "--rules, --against, --input, -o"
+        if output or against or rules:
+            more = "--rules, --against, -o"
             raise typer.BadParameter(f"--board says what is full: leave {more} out")
         _check_board(file, board, chip, reading, json)
     if against is not None:
-        if output or input_:
-            raise typer.BadParameter("-o and --input are for rules of chips: leave --against out")
+        if output:
+            raise typer.BadParameter("-o is for rules of chips: leave --against out")
         _check_against(file, against, chip, reading, json)
+    path = network_path(file)
     if output:
-        given = (network_path(file), input_)
-        check_output_folder("-o", output, FILES, given, force, is_page_of("check"))
-    report = design_report(file, chip or [ALL], input_, **reading.arguments())
+        check_output_folder("-o", output, FILES, (path,), force, is_page_of("check"))
+    options = reading.arguments()
+    report = report_of(file, load(path, **options), chip or [ALL], path, options)
     if output:
         write_page("check", design_page(report), report.as_json(), output)
     if json:

@@ -39,7 +39,7 @@ from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.compiler.rules import PlacedNetwork
+from spikedeploy.runtime.compiler.rules import place
 from spikedeploy.runtime.copies import Copied
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
@@ -163,7 +163,7 @@ class NirController(Copied, Player):
         """Layer -> cores that `check` gives to it; None where nothing is known of the chip's."""
         if self.chip is None or self.chip.limits is None:
             return None
-        found = PlacedNetwork(self.artifact, self.chip).mapping
+        found = place(self.artifact, self.chip).mapping
         placed = {each.name: each.cores for each in found.placements if each.kind == "neurons"}
         return placed if found.cores else None
 

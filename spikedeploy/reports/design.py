@@ -1,13 +1,12 @@
 """The report of `check`: which chips a network fits on, and what it takes of their cores."""
 
 import re
-import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from spikedeploy.console import print_text
-from spikedeploy.emulation.design_report import DesignReport, statuses, worst
+from spikedeploy.emulation.design_report import DesignReport
 from spikedeploy.reports.headline import HeadlineNumber
 from spikedeploy.reports.page import provenance, render
 from spikedeploy.reports.table import ABSENT, Table
@@ -20,7 +19,7 @@ from spikedeploy.runtime.compiler.mapping import (
     placement_utilisation,
 )
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.compiler.rules import RuleResult, format_value, spiking_kinds
+from spikedeploy.runtime.compiler.rules import RuleResult, format_value
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IN_TIMESTEPS
 
 LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"
@@ -31,28 +30,6 @@ _SHARES = ("neurons", "memory", "axons_in", "axons_out")  # of the fullest core
 _LAYER_COLOURS = ("chip", "ann", "green", "snn", "yellow", "sky", "pink")  # variables of page.css
 _CORES_PER_LINE, _MOST_CORES = 16, 256
 _CELL, _GAP = 40, 6  # [px]
-# snnTorch's neurons with the reset of chips; docs/own-network.md has these lines too
-NEURONS_OF_CHIPS = """\
-class AtOnce:
-    def mem_reset(self, mem):
-        return torch.zeros_like(mem)  # nothing is left to reset of the timestep before
-
-    def forward(self, x):
-        spikes = super().forward(x)
-        self.mem = self.mem - spikes * self.threshold  # to zero: self.mem * (1 - spikes)
-        return spikes
-
-
-class Leaky(AtOnce, snntorch.Leaky):  # likewise Synaptic, RLeaky and RSynaptic
-    pass
-
-
-layer = Leaky(torch.full((16,), 0.9), torch.ones(16), init_hidden=True)
-"""
-READ_SO = (
-    "Their files are read with --dt 1e-4 --reset subtract, or --reset zero, and without --from "
-    "(docs/own-network.md)."
-)
 
 
 def print_report(report: DesignReport, everything: bool = True) -> None:
@@ -69,20 +46,14 @@ def print_report(report: DesignReport, everything: bool = True) -> None:
         for line in _broken_rules(report.checks[0]):
             print(f"✗ {line}")
     for each in report.checks:
-        print(_verdict(report, each, alone))
-    if not alone:
-        _print_remedies(report)
+        _, typed = report.resets.get(each.chip.name, ("", ""))
+        fits = f". With {typed}: fits, as another network" if typed else ""
+        mark = _MARKS["pass" if each.passed else "fail"]
+        print(f"{mark} {each.chip.name}: {_summary(each)}{fits}")
     if not (everything and alone):  # which prints all notes
         _print_remarks(report)
-    _print_neurons(report)
     if not everything:
         print("All rules: --rules" + "; why a chip cannot: --chip NAME" * (not alone))
-
-
-def _print_remedies(report: DesignReport) -> None:
-    """Print what another reset changes, once for all chips that it would help."""
-    for line in dict.fromkeys(other.describe() for other in report.resets.values()):
-        print_text(line)
 
 
 def _print_remarks(report: DesignReport) -> None:
@@ -100,22 +71,6 @@ def _remarks(program: Program) -> list[str]:
     return [each for each in program.remarks if each in (*program.outliers, IN_TIMESTEPS)]
 
 
-def _print_neurons(report: DesignReport) -> None:
-    """Print neurons of snnTorch that reset as chips do, where a reset lacks that is on no chip."""
-    artifact = report.artifact
-    convention = artifact.convention
-    # an integrator's own default is a reset of chips
-    is_leaky = spiking_kinds(artifact) != {"IF"} and not artifact.trained_for
-    is_snntorch = convention.reset not in ("zero", "subtract") or "snnTorch" in convention.source
-    # where the leak breaks too, neurons with a leak are no advice
-    broken = [{*_broken(each)} for each in report.checks]
-    is_asked = any("reset" in e and not {"primitive", "decay-range"} & e for e in broken)
-    if is_leaky and is_snntorch and is_asked:
-        print_text("\nNeurons of snnTorch that reset in the timestep of a spike, as chips do:\n")
-        print(textwrap.indent(NEURONS_OF_CHIPS, "    "))
-        print_text(READ_SO)
-
-
 def _print_chip(check: DesignCheck) -> None:
     if check.chip.limits is not None:
         _layers(check, check.chip.limits).print()
@@ -123,16 +78,6 @@ def _print_chip(check: DesignCheck) -> None:
     print(LEGEND)
     for note in _notes(check):
         print(f"  {note}")
-
-
-def _verdict(report: DesignReport, check: DesignCheck, alone: bool) -> str:
-    """A line: fits or not, and with which reset it would."""
-    mark = _MARKS["pass" if check.passed else "fail"]
-    other = report.resets.get(check.chip.name)
-    fits = ""
-    if other is not None:
-        fits = f". {other.describe()}" if alone else f". With {other.typed}: fits"
-    return f"{mark} {check.chip.name}: {_summary(check)}{fits}"
 
 
 def _summary(check: DesignCheck) -> str:
@@ -147,8 +92,7 @@ def _summary(check: DesignCheck) -> str:
 
 def _broken(check: DesignCheck) -> dict[str, RuleResult]:
     """Broken rule -> its worst result; the compiler's counts for the rule that it names."""
-    found = {rule: worst(check.of(rule)) for rule in statuses(check)}
-    broken = {rule: result for rule, result in found.items() if result.failed}
+    broken = {rule: result for rule, result in check.worst.items() if result.failed}
     if (compiler := broken.pop(COMPILE, None)) is not None:
         named = re.match(r"rule ([\w-]+):", str(compiler.found))
         broken.setdefault(named[1] if named else COMPILE, compiler)
@@ -160,8 +104,7 @@ def _broken_rules(check: DesignCheck) -> list[str]:
 
 
 def _notes(check: DesignCheck) -> list[str]:
-    results = {rule: worst(check.of(rule)) for rule in statuses(check)}
-    return [f"{rule}: {r.note}" for rule, r in results.items() if r.note and not r.failed]
+    return [f"{rule}: {r.note}" for rule, r in check.worst.items() if r.note and not r.failed]
 
 
 # tables
@@ -172,36 +115,26 @@ def _rules_by_chip(checks: Sequence[DesignCheck], dash: str = "-") -> Table:
 
     dash  in the names of chips; with a line break names are narrow
     """
-    columns = [statuses(each) for each in checks]
-    rows = [(rule, *(_MARKS[column[rule]] for column in columns)) for rule in columns[0]]
+    columns = [each.worst for each in checks]
+    rows = [(rule, *(_MARKS[column[rule].status] for column in columns)) for rule in columns[0]]
     return Table(("rule", *(each.chip.name.replace("-", dash) for each in checks)), rows, "Rules")
 
 
 def _rules(check: DesignCheck) -> Table:
-    rows = [_rule(check, rule) for rule in statuses(check)]
+    rows = [_rule(check, rule) for rule in check.worst]
     return Table(("rule", "", "found", "limit", "node"), rows, f"Rules of {check.chip.name}")
 
 
 def _rule(check: DesignCheck, rule: str) -> tuple[str, ...]:
-    results = check.of(rule)
-    result = worst(results)
-    mark = _MARKS[result.status]
+    result, results = check.worst[rule], check.of(rule)
+    found = "" if result.found is None else f"{format_value(result.found)} {result.unit}".rstrip()
     node = "" if result.status == "not applicable" else result.node or ""
     if result.status == "pass" and result.node and isinstance(result.found, str):
         passed = [each for each in results if each.status == "pass"]
         found = ", ".join(sorted({format_value(each.found) for each in passed}))
-        return rule, mark, found, format_value(result.limit), f"{len(passed)} nodes"
-    return (
-        rule,
-        mark,
-        _found(result),
-        "" if result.limit is None else format_value(result.limit),
-        node,
-    )
-
-
-def _found(result: RuleResult) -> str:
-    return "" if result.found is None else f"{format_value(result.found)} {result.unit}".rstrip()
+        node = f"{len(passed)} nodes"
+    limit = "" if result.limit is None else format_value(result.limit)
+    return rule, _MARKS[result.status], found, limit, node
 
 
 def _layers(check: DesignCheck, limits: Limits) -> Table:

@@ -39,7 +39,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip as chip_named
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity
 from spikedeploy.runtime.compiler.compile import clock_on, compile_program
-from spikedeploy.runtime.compiler.rules import PlacedNetwork
+from spikedeploy.runtime.compiler.rules import place
 from spikedeploy.runtime.convention import Clock, Reset
 from spikedeploy.runtime.errors import ConfigError, TraceError
 from spikedeploy.runtime.files import write_text
@@ -108,7 +108,7 @@ def export_program(
         rows, episode, recorded = _episode(source, player, observations, env)
     check_delays(run.program, tool)
     host = host_record(compiled, codec, run)
-    placement = PlacedNetwork(artifact, on).mapping if on.limits is not None else None
+    placement = place(artifact, on).mapping if on.limits is not None else None
     origin = f"{source.origin}{source.scales}"
     text = program_text(run, compiled.clock, placement, host, origin)
     said = f"expected by spikedeploy's emulation of {source.chip}, {recorded}"

@@ -9,7 +9,7 @@ import pytest
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Synapses
-from spikedeploy.runtime.compiler import wiring
+from spikedeploy.runtime.compiler import synapses
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
@@ -250,9 +250,9 @@ def test_finding_a_matrix_may_take_exactly_so_many_multiplications(monkeypatch):
     nodes = [convolution, pool, nir.Flatten({"input": np.array([4, 3, 3])}, 0, -1), cuba(36)]
     artifact = Artifact(chain(*nodes, width=(1, 5, 5), act=36), None, CONVENTION)
     needed = 25 * (4 * 9 * 9 + 36 + 36)
-    monkeypatch.setattr(wiring, "_MAX_WORK", needed)
+    monkeypatch.setattr(synapses, "_MAX_WORK", needed)
     compile_program(artifact, chip("ideal"))
-    monkeypatch.setattr(wiring, "_MAX_WORK", needed - 1)
+    monkeypatch.setattr(synapses, "_MAX_WORK", needed - 1)
     with pytest.raises(RuleError, match=f"takes {needed} multiplications; at most {needed - 1}"):
         compile_program(artifact, chip("ideal"))
 

@@ -15,7 +15,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import CHIPS, chip
 from spikedeploy.runtime.chips.layer import LayerState
 from spikedeploy.runtime.chips.quantisation import Quantisation
-from spikedeploy.runtime.compiler import wiring
+from spikedeploy.runtime.compiler import synapses
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
@@ -111,7 +111,7 @@ def network(name, start, found):
 
 
 def by_impulses(artifact, on, **options):
-    with mock.patch.object(wiring, "weights_of", return_value=None):
+    with mock.patch.object(synapses, "weights_of", return_value=None):
         return compile_program(artifact, on, **options)
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import SynapticMemory, chip
+from spikedeploy.runtime.compiler.lowering import lower
 from spikedeploy.runtime.compiler.mapping import (
     Entries,
     entries,
@@ -20,10 +21,8 @@ from spikedeploy.runtime.compiler.mapping import (
     mapping_utilisation,
     placement_utilisation,
 )
-from spikedeploy.runtime.compiler.rules import PlacedNetwork, evaluate
-from spikedeploy.runtime.compiler.topology import topology
+from spikedeploy.runtime.compiler.rules import evaluate, place
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.graph.validate import check_graph
 from tests.networks import chain, cuba, ends, graph, lif
 
 MIXED = chip("loihi1", sign_mode="mixed")
@@ -31,9 +30,12 @@ SPLIT = chip("loihi1")
 WORDS = SynapticMemory(size=1 << 20, cost="words", weight_bits=8)
 
 
+def lowered(network):
+    return lower(Artifact(network, None, Convention(1e-3))).on_chip(membranes=True)
+
+
 def placed(network, on):
-    check_graph(network)
-    return map_to_cores(topology(network), on)
+    return map_to_cores(lowered(network), on)
 
 
 def dense(*sizes, weight=None, bias=0.1):
@@ -93,11 +95,10 @@ def test_a_division_fits_and_none_into_fewer_cores_does(size, fan_in, room, full
     signs = [1.0] if full else [-1.0, 0.0, 1.0]
     weight = np.random.default_rng(room).choice(signs, (size, fan_in))
     network = chain(nir.Affine(weight, np.ones(size)), cuba(size), width=fan_in, act=size)
-    check_graph(network)
     memory = SynapticMemory(size=64 * fan_in * 2 + 64 * room, cost="words", weight_bits=8)
     limits = replace(SPLIT.limits, memory=memory, neurons_per_core=100)
-    (population,) = topology(network).populations
-    placement = map_to_cores(topology(network), replace(SPLIT, limits=limits)).placements[1]
+    (population,) = lowered(network).populations
+    placement = map_to_cores(lowered(network), replace(SPLIT, limits=limits)).placements[1]
     assert (placement.cores - 1) * placement.block < size <= placement.cores * placement.block
     fits = [
         block
@@ -137,8 +138,7 @@ def test_a_convolution_has_less_synapses_at_its_edges():
     node = nir.Conv2d((4, 4), weight, 1, 1, 1, 1, np.zeros(3))
     neurons = nir.IF(*(np.full((3, 4, 4), v) for v in (1.0, 1.0)))
     network = graph("input->c, c->n, n->output", c=node, n=neurons, **ends([2, 4, 4], [3, 4, 4]))
-    check_graph(network)
-    (population,) = topology(network).populations
+    (population,) = lowered(network).populations
     into, out = population.presynaptic[0].into, population.presynaptic[0].out
     # corners see 2 x 2 pixels, edges 2 x 3, the middle 3 x 3, of 2 channels; each for 3 features
     assert into.reshape(3, 4, 4)[0, 0].tolist() == [8, 12, 12, 8]
@@ -150,8 +150,7 @@ def test_a_convolution_has_less_synapses_at_its_edges():
 def test_the_host_computes_what_no_neuron_follows():
     nodes = nir.Linear(np.ones((4, 3))), lif(4), nir.Linear(np.ones((2, 4))), nir.Scale(np.ones(2))
     network = chain(*nodes, width=3, act=2)
-    check_graph(network)
-    found = topology(network)
+    found = lowered(network)
     assert found.host == ("n3", "n4")
     assert [p.leaves for p in found.populations] == [True]
 
@@ -177,8 +176,7 @@ def test_a_linear_map_behind_a_flatten_is_a_kernel():
         "output": nir.Output(np.array([10])),
     }
     network = graph("input->f, f->w, w->n, n->output", **nodes)
-    check_graph(network)
-    assert entries(network, topology(network).populations[0]) == Entries(3 * 32 * 16, 10)
+    assert entries(network, lowered(network).populations[0]) == Entries(3 * 32 * 16, 10)
 
 
 def neuromorphic_mnist():
@@ -224,4 +222,4 @@ def test_a_convolutional_network_finds_a_core_of_speck_for_each_layer():
 def test_a_convolutional_network_keeps_every_rule_of_speck():
     artifact = Artifact(neuromorphic_mnist(), None, Convention(1e-3, reset="subtract"))
     on = chip("speck2f")
-    assert [r for r in evaluate(PlacedNetwork(artifact, on)) if r.failed] == []
+    assert [r for r in evaluate(place(artifact, on)) if r.failed] == []

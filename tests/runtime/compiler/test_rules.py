@@ -14,7 +14,7 @@ from spikedeploy import zoo
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import CHIPS, Limits, chip
 from spikedeploy.runtime.compiler.compile import check, compile_program
-from spikedeploy.runtime.compiler.rules import NODE_RULES, RULES, PlacedNetwork, evaluate
+from spikedeploy.runtime.compiler.rules import NODE_RULES, RULES, evaluate, place
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError, SpikedeployError
 from tests.graded import one_neuron
@@ -261,7 +261,7 @@ BOUNDARIES = [
 
 
 def statuses(artifact, on, rule):
-    found = evaluate(PlacedNetwork(artifact, on))
+    found = evaluate(place(artifact, on))
     return {ruling.status for ruling in found if ruling.rule == rule}
 
 
@@ -283,7 +283,7 @@ def test_a_loop_of_readouts_is_not_the_hosts():
     way = ["input", "w1", "fire", "w2", "sum", "output"]
     edges = [*pairwise(way), ("sum", "back"), ("back", "sum")]
     looped = Artifact(nir.NIRGraph({**ends(2, 2), **nodes}, edges), None, CONVENTION)
-    found = evaluate(PlacedNetwork(looped, chip("truenorth")))
+    found = evaluate(place(looped, chip("truenorth")))
     assert ("sum", "fail") in {
         (each.node, each.status) for each in found if each.rule == "primitive"
     }

@@ -12,7 +12,8 @@ import pytest
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program, float_program
-from spikedeploy.runtime.compiler.wiring import wiring
+from spikedeploy.runtime.compiler.lowering import lower
+from spikedeploy.runtime.compiler.synapses import layer_graph
 from tests.xylo_networks import network
 
 HIDDEN = ("weights_in", "weights_rec", "threshold", "bias")
@@ -80,7 +81,7 @@ def test_the_integers_are_rockpools(rockpool, granularity, biased, seed):
 def floats(artifact):
     """The network as Xylo has it, before rounding."""
     chosen = chip("xylo-a2")
-    return float_program(artifact, chosen, wiring(artifact.graph, artifact.convention))
+    return float_program(artifact, chosen, layer_graph(lower(artifact), artifact))
 
 
 def quantised(rockpool, found, granularity):

@@ -7,7 +7,8 @@ import nir
 import numpy as np
 import pytest
 
-from spikedeploy.emulation.design_report import design_report
+from spikedeploy.emulation.design_report import report_of
+from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import CHIPS
 from spikedeploy.runtime.compiler.rules import RULES
 from tests import toy_stroll_env
@@ -40,7 +41,8 @@ def test_a_chip_without_limits_is_not_the_one_that_passes_all(command, tmp_path)
     options = ("--dt", "0.001", "--reset", "subtract")
     code, out, _ = command("check", path, "--chip", "ideal", *options, "--json")
     assert (code, json.loads(out)["passed"]) == (0, True)
-    found = design_report(str(path), ["all"], dt=1e-3, reset="subtract")
+    read = load(path, dt=1e-3, reset="subtract")
+    found = report_of(str(path), read, ["all"], path, {"dt": 1e-3, "reset": "subtract"})
     alone = replace(
         found, checks=[e for e in found.checks if e.chip.limits is None or not e.passed]
     )
@@ -91,7 +93,7 @@ def test_chips_keep_their_options_and_say_by_which_clock_they_run(words, command
 
 def test_a_network_that_lacks_its_reset_alone_is_told_with_which_one_it_fits(command):
     code, out, _ = command("check", "examples/net.nir", "--chip", "xylo-a2")
-    assert (code, "breaks reset. With --reset subtract: fits. Another network: " in out) == (
+    assert (code, "breaks reset. With --reset subtract: fits, as another network" in out) == (
         1,
         True,
     )

@@ -27,7 +27,7 @@ def test_emulate_refuses_a_reset_to_zero(files, command, tmp_path):
     code, _, err = command(*words)
     assert code == 1
     assert "reset 'zero': a spike on xylo-a2 can only do 'subtract'" in err
-    assert "Given as an option (--reset subtract), it makes another network" in err
+    assert "Train with reset 'subtract'" in err
     code, out, _ = command("check", net, "--chip", "xylo-a2")
     assert code == 1
     assert "Given as an option (--reset subtract)" in " ".join(out.split())

@@ -1,17 +1,20 @@
-"""The wiring of a graph: its neurons, and the synapses that the nodes between them come to.
+"""Synapses: the weights that the nodes between neurons come to, of a lowered network.
 
-A LayerGraph is what a chip is compiled from: the synapses, one set for each lag.
+A chain of nodes that has weights of its own is at most a pool without overlap, then at most one map
+(a convolution, another pool, or an affine map), and scales, delays and changes of shape around
+them. An affine map comes to a matrix, or behind a pool to a kernel as large as its input; all
+others come to a kernel and its window. A weight is what a unit impulse of its source brings to its
+target, in the order in which the chain multiplies.
 
-Synapses are a convolution's kernel with its window, or an affine map's matrix (compiler.chains). Of
-anything else, two maps in a row or several ways with one lag, a matrix is found, of limited size: a
-chain without spikes in it is linear but for its biases, so what it does to a unit impulse of a
+Of anything else, two maps in a row or several ways with one lag, a matrix is found, of limited
+size: what lies between neurons is linear but for its biases, so what it does to a unit impulse of a
 source is a row of its matrix, and what it does to nothing is its bias.
 
 Neurons without a threshold are readouts: an Output alone may receive their membranes.
 """
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -21,19 +24,35 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.layer import MAX_BYTES, Synapses, check_matrix
-from spikedeploy.runtime.compiler.chains import weights_of
+from spikedeploy.runtime.chips.window import Window
+from spikedeploy.runtime.compiler.lowering import (
+    BIASED,
+    Lowering,
+    Projection,
+    in_three_axes,
+    window_of_map,
+)
 from spikedeploy.runtime.compiler.program import HostOutput, ReadoutTerm
-from spikedeploy.runtime.compiler.topology import BIASED, arriving
-from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.float_model import build_node
+from spikedeploy.runtime.float_model import Node, build_node
 from spikedeploy.runtime.graph.neurons import NEURONS, SPIKING
-from spikedeploy.runtime.graph.order import in_waves, reach, sources, timing
+from spikedeploy.runtime.graph.order import in_waves, reach, sources
 from spikedeploy.runtime.graph.ports import Port, ports
-from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, POOLS, multiplications, shape_of
+from spikedeploy.runtime.graph.shapes import (
+    CONVOLUTIONS,
+    DENSE,
+    POOLS,
+    Shape,
+    multiplications,
+    shape_of,
+    window_of,
+)
 
 Floats: TypeAlias = NDArray[np.float64]
+Maps: TypeAlias = tuple[int, int, int]
+Chain: TypeAlias = Sequence[tuple[str, nir.NIRNode]]
 # what arrives how many timesteps late, (R, *shape)
 Parts: TypeAlias = dict[int, Floats]
 
@@ -60,8 +79,6 @@ class LayerGraph:
         the graph and its convention say.
     bias: (N,) of each layer.
     outlets: the Output nodes.
-    ways: (source, target) -> names of the nodes between them, where one chain of nodes leads from a
-        source to a layer or Output and its weights are those of the chain; None where it does not.
     """
 
     input: str
@@ -70,7 +87,6 @@ class LayerGraph:
     synapses: dict[str, tuple[Synapses, ...]]
     bias: dict[str, Floats]
     outlets: tuple[HostOutput, ...]
-    ways: dict[tuple[str, str], tuple[str, ...] | None]
 
     @property
     def width(self) -> int:
@@ -78,13 +94,12 @@ class LayerGraph:
         return sum(port.size for port in self.inputs)
 
 
-def wiring(
-    graph: nir.NIRGraph, convention: Convention, sigma_delta: Collection[str] = ()
-) -> LayerGraph:
-    """The layers of a graph; nodes that neither spike nor are linear are refused.
+def layer_graph(lowered: Lowering, artifact: Artifact) -> LayerGraph:
+    """The layers of a network; RuleError for nodes that neither spike nor are linear.
 
-    sigma_delta: names of nodes that send graded spikes, although NIR calls them integrators.
+    lowered: of this network, or of one that differs from it in numbers alone.
     """
+    graph = artifact.graph
     for name, node in sorted(graph.nodes.items()):
         if not isinstance(node, _KNOWN):
             raise RuleError(
@@ -92,11 +107,11 @@ def wiring(
                 "whose neurons send spikes and whose synapses are linear; possible are "
                 f"{', '.join(kind.__name__ for kind in _KNOWN)}. Replace it, or run it in float."
             )
-    matrices, inputs = _Matrices(graph, convention), ports(graph.inputs)
-    layers = tuple(n for n in matrices.timing.names if isinstance(graph.nodes[n], NEURONS))
-    blocks = {name: matrices.block(name) for name in (*layers, *sorted(graph.outputs))}
+    weights, inputs = _Weights(lowered, artifact), ports(graph.inputs)
+    layers = tuple(n for n in artifact.timing.names if isinstance(graph.nodes[n], NEURONS))
+    blocks = {name: weights.block(name) for name in (*layers, *sorted(graph.outputs))}
     for layer in layers:
-        _check_sources(graph, blocks[layer], sigma_delta)
+        _check_sources(artifact, blocks[layer])
     name = ", ".join(port.name for port in inputs)
     while name in layers:
         name = f"{name}, inputs"
@@ -104,71 +119,29 @@ def wiring(
         input=name,
         inputs=inputs,
         layers=layers,
-        synapses={n: _synapses(matrices, blocks[n], name, inputs) for n in layers},
-        bias={layer: matrices.bias(blocks[layer]) for layer in layers},
-        outlets=tuple(_outlet(matrices, blocks[p.name], p) for p in ports(graph.outputs)),
-        ways=matrices.ways,
+        synapses={n: _synapses(weights, blocks[n], name, inputs) for n in layers},
+        bias={layer: weights.bias(blocks[layer]) for layer in layers},
+        outlets=tuple(_outlet(weights, blocks[p.name], p) for p in ports(graph.outputs)),
     )
 
 
-def rewired(wired: LayerGraph, graph: nir.NIRGraph, convention: Convention) -> LayerGraph:
-    """The layers of a graph whose numbers alone have changed since it was wired.
+class _Block(NamedTuple):
+    """The nodes without spikes that lead to one target.
 
-    It follows no edge again where chains lead from source to target, so that training compiles
-    quickly; of anything else it is `wiring`.
+    target: name of a spiking node or an Output.
+    names: of the nodes, each after its sources.
+    ways: name of each Input and layer that they, or the target, receive from -> its projections.
     """
-    if len(wired.inputs) > 1 or any(way is None for way in wired.ways.values()):
-        return wiring(graph, convention)
-    nodes, biases = graph.nodes, dict[str, list[Floats]]()
-    for (_, target), way in wired.ways.items():
-        for name in way or ():
-            if isinstance(nodes[name], BIASED):
-                if name != (way or ("",))[-1]:
-                    return wiring(graph, convention)
-                shape, bias = shape_of(nodes[name]), nodes[name].bias.astype(np.float64)
-                bias = bias.reshape(-1, *(1 for _ in shape[1:]))
-                biases.setdefault(target, []).append(np.broadcast_to(bias, shape).ravel())
 
-    def weights(source: str, target: str, synapses: Synapses) -> Synapses:
-        chain = [(name, nodes[name]) for name in wired.ways[source, target] or ()]
-        found = weights_of(chain, shape_of(nodes[source]))
-        assert found is not None  # as when it was wired
-        is_listed = synapses.window is None and found[1] is not None
-        renewed = replace(synapses, weight=found[0], window=found[1])
-        return renewed.listed() if is_listed else renewed
-
-    def bias_of(target: str, before: Floats) -> Floats:
-        found = biases.get(target)
-        return before if found is None else np.asarray(sum(found[1:], found[0]))
-
-    def tap(target: str, term: ReadoutTerm) -> ReadoutTerm:
-        if term.weight is None and not wired.ways[term.layer, target]:
-            return term
-        plain = Synapses(term.layer, np.zeros((0, 0)), 0)
-        return replace(term, weight=weights(term.layer, target, plain).listed().weight)
-
-    return replace(
-        wired,
-        synapses={
-            layer: tuple(weights(s.source, layer, s) for s in synapses)
-            for layer, synapses in wired.synapses.items()
-        },
-        bias={layer: bias_of(layer, before) for layer, before in wired.bias.items()},
-        outlets=tuple(
-            replace(
-                outlet,
-                taps=tuple(tap(outlet.port.name, term) for term in outlet.taps),
-                bias=bias_of(outlet.port.name, outlet.bias),
-            )
-            for outlet in wired.outlets
-        ),
-    )
+    target: str
+    names: tuple[str, ...]
+    ways: dict[str, list[Projection]]
 
 
-def _check_sources(graph: nir.NIRGraph, block: "_Block", sigma_delta: Collection[str]) -> None:
-    for source in block.sources:
-        node = graph.nodes[source]
-        spikes = source in sigma_delta or isinstance(node, SPIKING)
+def _check_sources(artifact: Artifact, block: _Block) -> None:
+    for source in block.ways:
+        node = artifact.graph.nodes[source]
+        spikes = source in artifact.sigma_delta or isinstance(node, SPIKING)
         if isinstance(node, NEURONS) and not spikes:
             raise RuleError(
                 f"rule primitive: node {source!r}: {type(node).__name__} does not spike, and node "
@@ -178,14 +151,14 @@ def _check_sources(graph: nir.NIRGraph, block: "_Block", sigma_delta: Collection
 
 
 def _synapses(
-    matrices: "_Matrices", block: "_Block", name: str, inputs: Sequence[Port]
+    weights: "_Weights", block: _Block, name: str, inputs: Sequence[Port]
 ) -> tuple[Synapses, ...]:
     """The synapses onto a layer by source and lag; those of several Inputs as one matrix."""
     ends = np.cumsum([port.size for port in inputs]).tolist()
     rows = {port.name: slice(end - port.size, end) for port, end in zip(inputs, ends, strict=True)}
     found: list[Synapses] = []
     joined: dict[int, Floats] = {}
-    for each in (each for source in block.sources for each in matrices.between(source, block)):
+    for each in (each for source in block.ways for each in weights.between(source, block)):
         if each.source not in rows:
             found.append(each)
         elif len(rows) == 1:
@@ -199,10 +172,10 @@ def _synapses(
     return *found, *(Synapses(name, matrix, lag) for lag, matrix in joined.items())
 
 
-def _outlet(matrices: "_Matrices", block: "_Block", port: Port) -> HostOutput:
-    """Return the output of an Output node from the layers, which the host computes."""
-    for source in block.sources:
-        if not isinstance(matrices.graph.nodes[source], NEURONS):
+def _outlet(weights: "_Weights", block: _Block, port: Port) -> HostOutput:
+    """The output of an Output node from the layers, which the host computes."""
+    for source in block.ways:
+        if not isinstance(weights.graph.nodes[source], NEURONS):
             raise RuleError(
                 f"rule outputs: node {port.name!r}: the output must come from neurons; it "
                 f"is connected to the input {source!r} without neurons between. Put "
@@ -211,10 +184,10 @@ def _outlet(matrices: "_Matrices", block: "_Block", port: Port) -> HostOutput:
     end = f"an Output behind maps, {port.name!r},"
     taps = [
         ReadoutTerm(source, None if _is_identity(each) else each.listed(end).weight, each.delay)
-        for source in block.sources
-        for each in matrices.between(source, block)
+        for source in block.ways
+        for each in weights.between(source, block)
     ]
-    return HostOutput(port, tuple(taps), matrices.bias(block))
+    return HostOutput(port, tuple(taps), weights.bias(block))
 
 
 def _is_identity(synapses: Synapses) -> bool:
@@ -226,38 +199,19 @@ def _is_identity(synapses: Synapses) -> bool:
     return bool((np.diagonal(synapses.weight) == 1).all())
 
 
-class _Block(NamedTuple):
-    """The nodes without spikes that lead to one target.
-
-    target: name of a spiking node or an Output.
-    names: of the nodes, each after its sources.
-    sources: the spiking nodes and Inputs from which they, or the target, receive spikes.
-    """
-
-    target: str
-    names: tuple[str, ...]
-    sources: tuple[str, ...]
-
-
-class _Matrices:
+class _Weights:
     """The linear part of a graph as weights, which may take so much memory and no more."""
 
-    def __init__(self, graph: nir.NIRGraph, convention: Convention) -> None:
-        self.graph, self.timing = graph, timing(graph, convention)
-        self._nodes = {}
-        for name, node in graph.nodes.items():
-            if isinstance(node, BIASED):
-                node = copy(node)
-                node.bias = np.zeros_like(node.bias)
-            if isinstance(node, _LINEAR):
-                self._nodes[name] = build_node(name, node, convention, np.float64)
-        self._sources = sources(graph)
+    def __init__(self, lowered: Lowering, artifact: Artifact) -> None:
+        self.graph, self._timing = artifact.graph, artifact.timing
+        self._convention, self._arriving = artifact.convention, lowered.arriving
+        self._sources = sources(artifact.graph)
         self._linear = {
-            name: [near for near in found if near in self._nodes]
+            name: [s for s in found if isinstance(self.graph.nodes[s], _LINEAR)]
             for name, found in self._sources.items()
         }
+        self._functions: dict[str, Node] = {}
         self._bytes = self._visited = 0
-        self.ways: dict[tuple[str, str], tuple[str, ...] | None] = {}
 
     def block(self, target: str) -> _Block:
         """The block before a target."""
@@ -269,42 +223,34 @@ class _Matrices:
                 "values would never settle; a chip has none. Put a neuron into it, or run the "
                 "graph in float."
             )
-        near = {s for name in (*names, target) for s in self._sources[name]}
-        return _Block(target, tuple(names), tuple(sorted(near - inside)))
+        ways: dict[str, list[Projection]] = {}
+        for each in sorted(self._arriving[target], key=lambda each: each.source):
+            ways.setdefault(each.source, []).append(each)
+        return _Block(target, tuple(names), ways)
 
     def between(self, source: str, block: _Block) -> list[Synapses]:
         """The synapses from a source to the target of a block; delays are what they take."""
-        self.ways[source, block.target] = None
-        if (way := self._only_way(block, source)) is not None:
-            chain = [(name, self.graph.nodes[name]) for name in way]
-            if found := weights_of(chain, shape_of(self.graph.nodes[source])):
-                self.ways[source, block.target] = tuple(way)
+        first, *others = block.ways[source]
+        delays = self._timing.delays
+        if (
+            first.way is not None
+            and not others
+            and not any(np.ptp(delays.get(name, 0)) for name in first.way)
+        ):
+            shape = shape_of(self.graph.nodes[source])
+            if found := weights_of([(n, self.graph.nodes[n]) for n in first.way], shape):
                 self._check_size(block.target, found[0].nbytes)
                 self._bytes += found[0].nbytes
-                lag = self._lag([source, *way, block.target])
+                lag = self._lag([source, *first.way, block.target])
                 synapses = Synapses(source, found[0], lag, window=found[1])
                 # one to one: vectors as a diagonal
-                is_vector = len(shape_of(self.graph.nodes[source])) == 1
-                return [synapses.listed() if is_vector else synapses]
+                return [synapses.listed() if len(shape) == 1 else synapses]
         return [Synapses(source, m, lag) for lag, m in self._matrices(source, block).items()]
-
-    def _only_way(self, block: _Block, source: str) -> list[str] | None:
-        """The nodes from a source to the target; None where ways part, or Delays differ."""
-        ahead: dict[str, list[str]] = {}
-        for name in (*block.names, block.target):
-            for near in self._sources[name]:
-                ahead.setdefault(near, []).append(name)
-        way: list[str] = []
-        while (behind := ahead[way[-1] if way else source]) != [block.target]:
-            if len(behind) > 1 or np.ptp(self.timing.delays.get(behind[0], 0)):
-                return None
-            way += behind
-        return way
 
     def _lag(self, way: Sequence[str]) -> int:
         """[timesteps] that a way takes, its ends included, on which Delays are uniform."""
-        steps = (int(np.max(self.timing.delays.get(name, 0))) for name in way)
-        return sum(edge in self.timing.late for edge in pairwise(way)) + sum(steps)
+        steps = (int(np.max(self._timing.delays.get(name, 0))) for name in way)
+        return sum(edge in self._timing.late for edge in pairwise(way)) + sum(steps)
 
     def _matrices(self, source: str, block: _Block) -> dict[int, Floats]:
         """(M, N) from a source to the target of a block, by the timesteps that it takes."""
@@ -371,7 +317,7 @@ class _Matrices:
             yield first, rows.reshape(len(rows), *shape_of(self.graph.nodes[source]))
 
     def _respond(self, block: _Block, start: Mapping[str, Parts], biased: bool = False) -> Parts:
-        """Return the input of the target when the sources put out `start`."""
+        """The input of the target when the sources put out `start`."""
         self._visited += sum(len(self._sources[name]) for name in (*block.names, block.target))
         if self._visited > _MAX_VISITS:
             raise RuleError(
@@ -392,20 +338,165 @@ class _Matrices:
         return self._summed(block.target, put)
 
     def _summed(self, name: str, put: Mapping[str, Parts]) -> Parts:
-        late = self.timing.late
-        found = arriving(name, self._sources, put, late, lambda lag, rows: (lag + 1, rows))
-        return {lag: sum(rows[1:], rows[0]) for lag, rows in found.items()}
+        found: Parts = {}
+        for near in self._sources[name]:
+            for lag, rows in put.get(near, {}).items():
+                late = lag + ((near, name) in self._timing.late)
+                found[late] = found[late] + rows if late in found else rows
+        return found
 
     def _through(self, name: str, arriving: Parts) -> Parts:
         """Apply a node to its input, its bias left out."""
-        if (steps := self.timing.delays.get(name)) is None:
-            compute = self._nodes[name]
-            return {lag: np.asarray(compute(rows[None])[0]) for lag, rows in arriving.items()}
+        if (steps := self._timing.delays.get(name)) is None:
+            return {
+                lag: np.asarray(self._function(name)(rows[None])[0])
+                for lag, rows in arriving.items()
+            }
         put: Parts = {}
         for lag, rows in arriving.items():
             for step in np.unique(steps).tolist():
                 put[lag + step] = put.get(lag + step, 0.0) + np.where(steps == step, rows, 0.0)
         return put
 
+    def _function(self, name: str) -> Node:
+        """The function that computes a node, its bias left out."""
+        if name not in self._functions:
+            node = self.graph.nodes[name]
+            if isinstance(node, BIASED):
+                node = copy(node)
+                node.bias = np.zeros_like(node.bias)
+            self._functions[name] = build_node(name, node, self._convention, np.float64)
+        return self._functions[name]
+
     def _size(self, name: str) -> int:
         return math.prod(shape_of(self.graph.nodes[name]))
+
+
+# chains that have weights of their own
+
+
+def weights_of(chain: Chain, source: Shape) -> tuple[Floats, Window | None] | None:
+    """The weights of a chain, with their window if they are a kernel; None if it has none such.
+
+    chain: names and nodes from the source to the target, which are none of it.
+    source: shape of what it takes.
+    """
+    head, rest = _read_head(chain, source)
+    if head is None:
+        return None
+    (name, node), *tail = rest or [("", None)]
+    if not all(isinstance(each, nir.Scale) for _, each in tail):
+        return None
+    scales = [np.ravel(each.scale).astype(np.float64) for _, each in tail]
+    if isinstance(node, DENSE):
+        return _affine(node, head, scales)
+    return _kernel(name, node, head, scales)
+
+
+class _Head(NamedTuple):
+    """What a chain does before its map.
+
+    source, maps: shapes in front of the pool and behind it.
+    pool: by which coordinates are divided.
+    scale: of each element of the maps, in C order.
+    """
+
+    source: Maps
+    maps: Maps
+    pool: tuple[int, int]
+    scale: Floats
+
+    def of_channels(self) -> Floats | None:
+        """Scales (C,) of the channels; None where they differ in one."""
+        return _alike(self.scale, self.maps[0])
+
+
+def _alike(values: Floats, channels: int) -> Floats | None:
+    each = values.reshape(channels, -1)
+    return np.asarray(each[:, 0]) if (each == each[:, :1]).all() else None
+
+
+def _read_head(chain: Chain, source: Shape) -> tuple[_Head | None, Chain]:
+    """Scales and pools without overlap at the beginning of a chain, and the rest of it."""
+    maps = [each for each in chain if not isinstance(each[1], (nir.Flatten, nir.Delay))]
+    first = in_three_axes(source)
+    head = _Head(first, first, (1, 1), np.ones(math.prod(source)))
+    for place, (name, node) in enumerate(maps):
+        takes = (
+            head.maps
+            if isinstance(node, (nir.Scale, *DENSE))
+            else in_three_axes(node.input_type["input"])
+        )
+        if head.pool == (1, 1):  # shapes may change until the pool
+            head = head._replace(source=takes, maps=takes)
+        elif takes != head.maps:
+            return None, ()
+        if isinstance(node, nir.Scale):
+            head = head._replace(scale=head.scale * np.ravel(node.scale).astype(np.float64))
+        elif isinstance(node, POOLS) and _is_division(name, node):
+            if (each := head.of_channels()) is None:
+                return None, ()
+            y, x = window_of(name, node).kernel
+            each = each / (y * x) if isinstance(node, nir.AvgPool2d) else each
+            puts = in_three_axes(node.output_type["output"])
+            pool = head.pool[0] * y, head.pool[1] * x
+            head = head._replace(maps=puts, pool=pool, scale=each.repeat(math.prod(puts[1:])))
+        else:
+            return head, maps[place:]
+    return head, ()
+
+
+def _affine(
+    node: nir.NIRNode, head: _Head, scales: Sequence[Floats]
+) -> tuple[Floats, Window | None] | None:
+    if node.weight.ndim != 2:
+        return None
+    weight = node.weight.astype(np.float64) * head.scale
+    for scale in scales:
+        weight = weight * scale[:, None]
+    # + 0.0: as a sum has it, no zero is negative
+    weight = weight + 0.0
+    if head.pool == (1, 1):
+        return np.ascontiguousarray(weight.T), None
+    features, maps = len(weight), head.maps
+    window = Window(head.source, (features, 1, 1), kernel=maps[1:], pool=head.pool)
+    return weight.reshape(features, *maps), window
+
+
+def _kernel(
+    name: str, node: nir.NIRNode | None, head: _Head, scales: Sequence[Floats]
+) -> tuple[Floats, Window | None] | None:
+    """The kernel of a convolution or pool; without a node, of the head alone."""
+    each = head.of_channels()
+    if node is None and each is None and head.pool == (1, 1):  # one to one, a scale of each
+        size = math.prod(head.maps)
+        head, each = _Head((size, 1, 1), (size, 1, 1), (1, 1), head.scale), head.scale
+    if each is None:
+        return None
+    if node is None:
+        window = Window(head.source, head.maps, (1, 1), head.pool, groups=head.maps[0])
+    else:
+        window = replace(window_of_map(name, node), source=head.source, pool=head.pool)
+    (features, *_), groups = window.target, window.groups
+    weight: Floats = np.ones((features, 1, *window.kernel))
+    if isinstance(node, CONVOLUTIONS):
+        weight = node.weight.astype(np.float64).reshape(features, -1, *window.kernel)
+    # weights of a group see its channels alone
+    parted = weight.reshape(groups, -1, *weight.shape[1:]) * each.reshape(groups, 1, -1, 1, 1)
+    weight = parted.reshape(weight.shape)
+    if isinstance(node, nir.AvgPool2d):
+        weight = weight / math.prod(weight.shape[2:])
+    for scale in scales:
+        if (after := _alike(scale, features)) is None:
+            return None
+        weight = weight * after[:, None, None, None]
+    # what only padding comes under is no weight
+    rows, columns = window.seen
+    used = np.logical_and.outer(rows.any(axis=0), columns.any(axis=0))
+    return weight * used + 0.0, window
+
+
+def _is_division(name: str, node: nir.NIRNode) -> bool:
+    """True for a pool whose positions neither overlap nor leave anything out between them."""
+    window = window_of(name, node)
+    return window.stride == window.kernel and not any(map(any, window.padding))
