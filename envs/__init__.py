@@ -11,7 +11,6 @@ event_camera.py   an event camera by v2e's model, for any frames
 event_camera_wrapper.py  the same for any environment that renders
 disturbances.py   noise, delays, weak motors and so on, of any environment
 rollout.py        one episode of a controller, recorded and saved
-ghosts.py         compact records of kart episodes, a whole training in small files
 archive.py        .npz files, written atomically
 foreign.py        environments of other people, as policies expect them
 returned.py       what their reset and step return, as numbers

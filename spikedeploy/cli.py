@@ -34,11 +34,9 @@ COMMANDS = {
         "export": "exporting",
         "publish": "exporting",
         "sweep": "training",
-        "draw": "windows",
     },
     "Look": {
         "play": "windows",
-        "replay": "windows",
         "visualize": "training",
         "policies": "listings",
         "chips": "listings",

@@ -20,7 +20,7 @@ class _Script:
     def __init__(self, app, *events):
         self._app, self._events = app, iter([*events, press("ESCAPE")])
         self.title, self.name, self.fps = app.title, app.name, 10_000.0
-        self.handle, self.point, self.draw = app.handle, app.point, app.draw
+        self.handle, self.draw = app.handle, app.draw
 
     def tick(self):
         self._app.tick()

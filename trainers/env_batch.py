@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from spikedeploy import envs
-from spikedeploy.envs.ghosts import GhostRecorder
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.policies.policy import Head
 from spikedeploy.trainers.run_folder import with_prefix
@@ -93,7 +92,6 @@ class EnvBatch:
             envs.make(config.name, **config.options) for _ in range(config.count)
         ]
         self._support = math.nan  # never set
-        self._recorder: GhostRecorder | None = None
         self._totals = np.zeros(config.count)
         self.episodes = [Episode(0, []) for _ in self._envs]
         size = self._envs[0].observation_space.shape[0]
@@ -139,12 +137,6 @@ class EnvBatch:
         for env in self._envs:
             env.unwrapped.support_force = fraction
 
-    def record(self, recorder: GhostRecorder) -> None:
-        """Let a recorder see every reset and step from now on, those repeated on resuming too."""
-        self._recorder = recorder
-        for k, episode in enumerate(self.episodes):
-            recorder.begin(k, episode.info, episode.seed)
-
     def step(self, action: NDArray[Any]) -> Steps:
         """Step every copy."""
         for episode, taken in zip(self.episodes, action, strict=True):
@@ -165,14 +157,9 @@ class EnvBatch:
             self._totals.copy(),
             np.array([len(episode.actions) for episode in self.episodes]),
         )
-        if self._recorder:
-            for k, info in enumerate(infos):
-                self._recorder.add(k, info, action[k], float(reward[k]))
         self.observation = steps.following.copy()
         for k in np.flatnonzero(steps.ended).tolist():
             self.returns.append(float(self._totals[k]))
-            if self._recorder:
-                self._recorder.end(k, self.taken + k + 1)
             self._reset(k)
         self.taken += len(self)
         return steps
@@ -184,8 +171,6 @@ class EnvBatch:
     def _begin(self, k: int, episode: Episode) -> None:
         self.observation[k], episode.info = self._envs[k].reset(seed=episode.seed)
         self.episodes[k], self._totals[k] = episode, 0.0
-        if self._recorder:
-            self._recorder.begin(k, episode.info, episode.seed)
 
     # checkpoints
 
@@ -234,10 +219,8 @@ class EnvBatch:
         for action, support in zip(episode.actions, episode.support[1:], strict=True):
             self._set_support(k, support)
             taken = self._envs[k].step(action.copy())
-            self.observation[k], reward, terminated, truncated, info = taken
+            self.observation[k], reward, terminated, truncated, _ = taken
             self._totals[k] += reward
-            if self._recorder:
-                self._recorder.add(k, info, action, float(reward))
             if terminated or truncated:
                 return False
         return True

@@ -14,7 +14,6 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from spikedeploy.envs.ghosts import POSE, GhostRecorder
 from spikedeploy.trainers.config import (
     Batch,
     Count,
@@ -33,7 +32,7 @@ from spikedeploy.trainers.metrics import Metrics
 from spikedeploy.trainers.neurons import excess_rate
 from spikedeploy.trainers.policies import Policy, from_config
 from spikedeploy.trainers.progress import Journal
-from spikedeploy.trainers.run_folder import RunFolder, write_errors
+from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Critic, EnvRunner, Learner, adam, descend, set_rate
 
 HOLDS = 2  # validations in a row, so that greedy driving that swings is no success
@@ -68,7 +67,6 @@ class PpoConfig(RunConfig):
         end; 0 for no limit. With both limits it ends when both are reached
     running_total: whether every step pays the sum of its episode's rewards so far, as the
         environments of kart-simulator do; returns in logs stay those of the environment
-    ghosts: whether training episodes are saved for `replay`, in environments with poses
     """
 
     env: EnvConfig = EnvConfig(name="kart-grid", count=16)
@@ -94,7 +92,6 @@ class PpoConfig(RunConfig):
     stop_at_finishes: Count = 0
     stop_at_greedy: Share = 0.0
     running_total: bool = False
-    ghosts: bool = True
     checkpoint_every: Positive = 50_000
 
     def reached(self, finishes: int, held: int) -> bool:
@@ -405,20 +402,11 @@ class Ppo(EnvRunner[PpoConfig]):
         self.finishes = 0
         self._ended: int | None = None  # step at which the latest episode ended
         self._table = self.tables(run, config)[1]
-        self._ghosts = run.path / "ghosts"  # a file <iteration>.npz for each iteration
-        self._recorder: GhostRecorder | None = None
-        if config.ghosts and all(name in each.info for each in envs.episodes for name in POSE):
-            self._recorder = GhostRecorder(envs.env_id, config.env.options, len(envs))
-            envs.record(self._recorder)
 
     def learn(self, journal: Journal, stopped: Callable[[], bool]) -> None:
         """Train, from the checkpoint "last" if there is one, to the end or until stopped."""
         self._table.begin()
         super().learn(journal, stopped)
-
-    def _forget(self) -> None:
-        super()._forget()
-        self._delete_ghosts(after=0)
 
     @classmethod
     def tables(cls, run: RunFolder, config: RunConfig) -> list[Metrics]:
@@ -444,10 +432,6 @@ class Ppo(EnvRunner[PpoConfig]):
         self._learned["learning_rate"] = self._config.actor_rate.at(before)
         self.iterations += 1
         self._count_episodes()
-        ghosts = self._recorder and self._recorder.take()
-        if ghosts and ghosts.drives:
-            with write_errors(self._ghosts / f"{self.iterations:05d}.npz") as path:
-                ghosts.save(path)
         return True
 
     def collect(self) -> list[Transition]:
@@ -489,13 +473,6 @@ class Ppo(EnvRunner[PpoConfig]):
             self._table.add({**row, **outcome})
             self.finishes += int(outcome.get("finish", 0.0))
 
-    def _delete_ghosts(self, after: int) -> None:
-        """Delete the files after an iteration, which a resumed run writes again."""
-        for path in self._ghosts.glob("*.npz") if self._recorder else ():
-            # what somebody else put there has another name, and stays
-            if path.stem.isdecimal() and int(path.stem) > after:
-                path.unlink()
-
     def _metrics(self) -> dict[str, float]:
         return self._learned
 
@@ -506,4 +483,3 @@ class Ppo(EnvRunner[PpoConfig]):
         super()._restore(state, tensors)
         self._ended = state[self._table.key]
         self._table.rewind(self.env_steps)
-        self._delete_ghosts(after=self.iterations)

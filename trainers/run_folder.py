@@ -39,7 +39,7 @@ if TYPE_CHECKING:  # reports look at runs where torch and pydantic are not insta
 
 LEVEL = "ops-"  # and operations: names of the best checkpoints of the levels of pruning
 _LISTED = 8
-_FOLDERS = ("checkpoints", "pool", "ghosts", "films")  # of training, in a run folder
+_FOLDERS = ("checkpoints", "pool", "films")  # of training, in a run folder
 # what a kill leaves of a file of training: of `replacing`, with other endings than exports have,
 # and of safetensors, which writes to a file of its own at first
 _UNFINISHED = re.compile(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
@@ -28,11 +29,11 @@ pygame.font.init()
 class Scene:
     """A track scaled to fit a surface.
 
-    track    the track drawn
-    size     (width, height) [screen px]
-    scale    [screen px / px]
-    pen      factor on the widths of lines and dots, at most 1
-    ground   surface with walls and road; draw on a copy
+    track: the track drawn
+    size: (width, height) [screen px]
+    scale: [screen px / px]
+    pen: factor on the widths of lines and dots, at most 1
+    ground: surface with walls and road; draw on a copy
     """
 
     def __init__(self, track: Track, size: tuple[int, int]) -> None:
@@ -72,7 +73,7 @@ class Scene:
         barriers = pygame.Surface(size)
         self._lines(barriers, WALL, width)
         a, b = _FINE * self.at(self.track.gates[-1])
-        thick_line(barriers, WALL, a, b, width)
+        _thick_line(barriers, WALL, a, b, width)
         free = pygame.mask.from_threshold(barriers, (0, 0, 0), (1, 1, 1, 255))
         start = tuple(int(value) for value in _FINE * self.at(self.track.start))
         road = free.connected_component(start)
@@ -88,7 +89,7 @@ class Scene:
         """Draw every wall with round ends, clipped to the mask `within`."""
         target = surface if within is None else surface.copy()
         for a, b in _FINE * self.at(self.track.walls):
-            thick_line(target, colour, a, b, width)
+            _thick_line(target, colour, a, b, width)
         if within is not None:
             within.to_surface(surface, setsurface=target, unsetcolor=None)
 
@@ -108,7 +109,7 @@ class Scene:
                 pygame.draw.polygon(surface, colour, [tuple(point) for point in square])
 
 
-def thick_line(surface: pygame.Surface, colour: Any, a: Floats, b: Floats, width: int) -> None:  # noqa: ANN401
+def _thick_line(surface: pygame.Surface, colour: Any, a: Floats, b: Floats, width: int) -> None:  # noqa: ANN401
     """Draw a line with round ends, so that corners are closed."""
     pygame.draw.line(surface, colour, tuple(a), tuple(b), width)
     along = b - a
@@ -154,13 +155,22 @@ def picture(env: Any, size: tuple[int, int] = _SIZE) -> NDArray[np.uint8]:  # no
     return np.ascontiguousarray(turned, np.uint8)
 
 
-def draw_env(env: Any, size: tuple[int, int] = _SIZE) -> pygame.Surface:  # noqa: ANN401
-    """A surface with the track, its gates, the LIDAR's rays and the kart."""
+def draw_env(
+    env: Any,  # noqa: ANN401
+    size: tuple[int, int] = _SIZE,
+    beside: Iterable[Floats] = (),
+) -> pygame.Surface:
+    """Return a surface with the track, its gates, the LIDAR's rays and the kart.
+
+    beside: poses (3,) of other karts, which are drawn translucent
+    """
     place = scene(env.track, size)
     surface = place.ground.copy()
-    draw_gates(surface, place, env.next_gate)
+    _draw_gates(surface, place, env.next_gate)
     _draw_scan(surface, place, env.pose, _ray_angles(env), env.scan, env.lidar.range)
-    draw_kart(surface, place, _facing(env), KART)
+    for x, y, heading in beside:
+        _draw_kart(surface, place, (x, y, heading), _NEXT, alpha=110)
+    _draw_kart(surface, place, _facing(env), KART)
     return surface
 
 
@@ -177,7 +187,7 @@ def _ray_angles(env: Any) -> Floats:  # noqa: ANN401
     return angles + env.pose[2] if env.TURNS else angles
 
 
-def draw_gates(surface: pygame.Surface, place: Scene, next_gate: int) -> None:
+def _draw_gates(surface: pygame.Surface, place: Scene, next_gate: int) -> None:
     """Draw the gates, the next one highlighted; the finish is part of the ground."""
     width = max(2, round(4.0 * place.pen))
     for index, (a, b) in enumerate(place.at(place.track.gates)):
@@ -207,17 +217,14 @@ def _draw_scan(
         pygame.draw.aacircle(surface, _HIT, tuple(end), max(2, round(4.0 * place.pen)))
 
 
-def draw_kart(
+def _draw_kart(
     surface: pygame.Surface,
-    place: Any,  # noqa: ANN401
+    place: Scene,
     pose: tuple[float, float, float],
     colour: Colour,
     alpha: int = 255,
 ) -> None:
-    """Draw a kart from above, as large as its collision circle.
-
-    place  a Scene, or another map to the screen that has `scale` and `at`
-    """
+    """Draw a kart from above, as large as its collision circle."""
     turn = round(-np.degrees(pose[2])) % 360
     sprite = _sprite(colour, max(7, round(2 * RADIUS * place.scale)), turn, alpha)
     surface.blit(sprite, sprite.get_rect(center=tuple(np.rint(place.at(pose[:2])).astype(int))))

@@ -73,7 +73,7 @@ def rollouts(recipe: str, options: dict[str, Any], steps: int) -> tuple[Act, int
 
     torch.set_num_threads(1)
     settings = [f"env.options.{name}={value}" for name, value in options.items()]
-    config = resolve(PpoConfig, recipe, overrides=[*settings, "ghosts=false"])
+    config = resolve(PpoConfig, recipe, overrides=[*settings])
     learner = Ppo(config, RunFolder.create(Path(tempfile.mkdtemp()), config))
     each = config.horizon * config.env.count
     repeats = max(1, steps // each)

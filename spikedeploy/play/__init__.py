@@ -1,17 +1,10 @@
-"""Windows: drive a kart, watch a policy, replay recorded episodes, draw a track.
+"""`spikedeploy play`: drive a kart, command a robot or watch a policy, in a window.
 
-An app draws itself as a surface, so that it can be tested, and filmed, without a window.
-
-display  whether there is one, before anything is loaded
-window   shows an app: events in, frames out, screenshots
-theme    colours, fonts, bars, key caps, the picture of an environment
-spikes   spikes of a policy on the observations of an episode, and their panel
-
-drive    `spikedeploy play`: drivers, the session, its window
-replay   `spikedeploy replay`: sources, time, the window, films
-ghosts   the ghosts of a replay on their track
-draw     `spikedeploy draw`: the window
-draft    a track under construction, with undo, and its files
+display  whether there is a screen, before anything is loaded
+session  drivers, and one of them in an environment, episode after episode
+window   the window: keys in, frames out, screenshots
+panel    colours, fonts, bars, the panel beside a picture
+spikes   spikes of the policy that drives
 """
 
 import os

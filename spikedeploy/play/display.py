@@ -11,7 +11,7 @@ from spikedeploy.runtime.errors import ConfigError
 
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 _INVISIBLE = ("dummy", "offscreen")
-_REMEDY = "`spikedeploy replay --video` and `run --video` need none"
+_REMEDY = "`spikedeploy run --video` needs none"
 
 
 def check_display() -> None:

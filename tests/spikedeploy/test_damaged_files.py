@@ -15,7 +15,6 @@ from spikedeploy import zoo
 from spikedeploy.commands.closed_loop import settings as settings_of
 from spikedeploy.emulation.open_loop import emulate_artifact
 from spikedeploy.emulation.rasters import read_inputs
-from spikedeploy.envs.ghosts import Ghost, Ghosts
 from spikedeploy.envs.kart import track as track_file
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies import run_record
@@ -77,13 +76,6 @@ def configuration(path):
     RunFolder(folder).config(PpoConfig)
 
 
-def drive(path):
-    """Write two drives of a kart as a ghost file."""
-    poses, reward = np.zeros((3, 3), np.float32), np.ones(2, np.float32)
-    ghost = Ghost(poses, poses[:, 0], np.array([1, 2]), reward, True, False, 1)
-    Ghosts("spikedeploy/KartSteer-v0", [ghost, ghost], {"track": "big_S"}).save(path)
-
-
 def walk(path):
     """Write two steps of a walk."""
     numbers = {"x": np.zeros(2), "y": np.ones(2)}
@@ -100,7 +92,6 @@ KINDS = {
     "net.nir": (ROOT / "examples/net.nir", network),
     "raster.npy": (ROOT / "examples/raster.npy", raster),
     "linear.onnx": (zoo.FOLDER / "kart-steer/linear.onnx", policy),
-    "drives.ghosts": (drive, Ghosts.load),
     "walk.rollout": (walk, Rollout.load),
     "lava.trace": (GOLDEN / "lava_I_bias.json", verify),
     "xylo.trace": (GOLDEN / "xylo_A_ff.json", verify),

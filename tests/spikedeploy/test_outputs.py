@@ -33,7 +33,7 @@ GUARDS = {
 OUTPUTS = {
     ("run", "video"), ("run", "output"), ("sweep", "output"), ("compare", "output"),
     ("emulate", "output"), ("export", "output"), ("publish", "output"), ("visualize", "output"),
-    ("play", "record"), ("replay", "video"),
+    ("play", "record"),
     ("adapt", "output"), ("check", "output"), ("drift", "output"), ("drift", "tuned"),
     ("submit", "output"),
 }  # fmt: skip
@@ -60,7 +60,6 @@ def run(tmp_path):
     """A run folder with its files."""
     folder = tmp_path / "run"
     (folder / "checkpoints").mkdir(parents=True)
-    (folder / "ghosts").mkdir()
     (folder / "config.json").write_text("{}")
     rows = "env_steps,eval_return\n0,1.0\n10,2.0\n"
     (folder / "metrics.csv").write_text(rows)
@@ -110,7 +109,6 @@ def test_a_film_never_replaces_its_policy(inputs, command):
 COMMANDS = {
     "emulate": lambda f, _: ("emulate", NET, "--chip", "float", "--input", RASTER, "-o", f),
     "run": lambda f, _: ("run", "kart-steer/snn", "--video", f),
-    "replay": lambda f, _: ("replay", "somewhere", "--video", f),
     "visualize": lambda f, run: ("visualize", run, "-o", f),
 }
 

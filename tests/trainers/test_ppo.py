@@ -4,7 +4,6 @@ import torch
 from torch.distributions import Categorical, Normal, kl_divergence
 
 from spikedeploy import envs
-from spikedeploy.envs.ghosts import Ghosts
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import PopsanConfig, resolve
 from spikedeploy.trainers.metrics import read
@@ -142,17 +141,6 @@ def test_the_normaliser_is_updated_until_it_is_frozen(tmp_path, world):
     assert not torch.equal(seen[1], seen[0])
 
 
-def test_training_episodes_are_saved_as_ghosts(tmp_path):
-    run = train("smoke-kart", overrides=["env.options.max_steps=20"], runs=tmp_path, quiet=True)
-    files = sorted((run / "ghosts").glob("*.npz"))
-    drives = [drive for file in files for drive in Ghosts.load(file).drives]
-    episodes = read(run / "episodes.csv")
-    assert [drive.env_step for drive in drives] == [row["env_steps"] for row in episodes]
-    assert [drive.steps for drive in drives] == [row["steps"] for row in episodes]
-    assert len(drives) > 0
-    assert all(0 <= drive.seed < 5_000 for drive in drives)
-
-
 @pytest.mark.parametrize("content", [b"\x00" * 90, b"1,2,3\n"])
 @pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
 def test_a_run_with_damaged_episodes_is_not_resumed(content, tmp_path, world):
@@ -162,12 +150,6 @@ def test_a_run_with_damaged_episodes_is_not_resumed(content, tmp_path, world):
         train("smoke-kart", resume=run, quiet=True)
     (run / "episodes.csv").unlink()
     train("smoke-kart", resume=run, quiet=True)
-
-
-@pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
-def test_an_environment_without_poses_leaves_no_ghosts(tmp_path, world):
-    run = train("smoke-kart", overrides=[*QUICK, *SPIKING], runs=tmp_path, quiet=True)
-    assert not (run / "ghosts").exists()
 
 
 def test_sac_refuses_discrete_actions(tmp_path):

@@ -51,7 +51,7 @@ def test_chips_is_the_same_word_as_chip_and_help_has_one(verb, command):
 
 def test_commands_that_name_a_chip_are_known():
     assert {"run", "compare", "serve", "emulate", "check", "drift", "verify"} <= set(VERBS)
-    assert {"export", "tune", "replay"} <= set(VERBS)
+    assert {"export", "tune"} <= set(VERBS)
 
 
 def test_a_report_with_the_earlier_word_is_still_read():

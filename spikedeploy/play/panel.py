@@ -1,9 +1,8 @@
-"""Colours, fonts, the shapes that panels are made of, and the picture of an environment."""
+"""Colours, fonts, and the panel beside the picture of an environment."""
 
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import pygame
 
@@ -48,14 +47,6 @@ def write(
     return surface.blit(drawn, place)
 
 
-def shorten(text: str, width: int, size: int = 15, face: str = "plain") -> str:
-    """The text, or its end after an ellipsis, within a width [px]."""
-    cut = text
-    while font(size, face).size(cut)[0] > width and len(cut) > 2:
-        cut = "…" + cut[2:]
-    return cut
-
-
 def heading(surface: pygame.Surface, text: str, at: tuple[float, float]) -> None:
     """Write the title of a section."""
     write(surface, text.upper(), at, 11, DIM, "bold")
@@ -83,11 +74,11 @@ def signed_bar(surface: pygame.Surface, place: pygame.Rect, share: float) -> Non
 
 
 class Panel:
-    """A panel beside a picture: a title, the keys in rows at its end, sections from the top down.
+    """A panel beside a picture: a title, sections from the top down, the keys at its end.
 
-    surface  that it is drawn on
-    inner    the space inside
-    y        of the next section [px]
+    surface: what it is drawn on
+    inner: the space inside
+    y: of the next section [px]
     """
 
     def __init__(
@@ -97,14 +88,13 @@ class Panel:
         title: str,
         subtitle: str,
         keys: list[tuple[str, str]],
-        rows: int,
     ) -> None:
         pygame.draw.rect(surface, PANEL, place)
         self.surface, self.inner = surface, place.inflate(-52, -52)
         self.y = self.inner.top
         self.text(title, 0, 20, TEXT, "bold")
         self.text(subtitle, 28, 12)
-        self._draw_keys(keys, self.inner.bottom - 22 - 28 * rows)
+        self._draw_keys(keys, self.inner.bottom - 50)
         self.y += 66
 
     def title(self, text: str, below: int = 0) -> None:
@@ -123,12 +113,6 @@ class Panel:
         """Text at the right."""
         place = self.inner.right, self.y + below
         write(self.surface, text, place, size, colour, face, "topright")
-
-    def row(self, name: str, value: str, size: int = 14, height: int = 26) -> None:
-        """A name and its value, as a section."""
-        self.text(name, 0, size)
-        self.value(value, 0, size)
-        self.y += height
 
     def columns(self, cells: list[tuple[str, str, Colour]], size: int) -> None:
         """Titles, and a text in its colour below each, in three columns."""
@@ -166,29 +150,3 @@ def banner(surface: pygame.Surface, place: pygame.Rect, text: str, colour: Colou
     pygame.draw.rect(veil, (*colour, 255), veil.get_rect(), 2, border_radius=14)
     surface.blit(veil, box)
     write(surface, text, box.center, 26, colour, "bold", "center")
-
-
-def is_kart(world: Any) -> bool:  # noqa: ANN401
-    """True of a kart, which is drawn on its track from above."""
-    return hasattr(world, "track")
-
-
-def picture_size(world: Any) -> tuple[int, int]:  # noqa: ANN401
-    """Width and height of a track, or of a camera's view."""
-    return (HEIGHT, HEIGHT) if is_kart(world) else (HEIGHT * 4 // 3, HEIGHT)
-
-
-def env_picture(world: Any, size: tuple[int, int]) -> pygame.Surface:  # noqa: ANN401
-    """A picture of this size; other environments than karts need render_mode="rgb_array"."""
-    if is_kart(world):
-        from spikedeploy.envs.kart.picture import draw_env
-
-        return draw_env(world, size)
-    frame = world.render()
-    seen = pygame.surfarray.make_surface(frame.swapaxes(0, 1))
-    scale = min(size[0] / seen.get_width(), size[1] / seen.get_height())
-    surface = pygame.Surface(size)
-    surface.fill(NIGHT)
-    seen = pygame.transform.smoothscale_by(seen, scale)
-    surface.blit(seen, seen.get_rect(center=surface.get_rect().center))
-    return surface

@@ -8,7 +8,8 @@ from spikedeploy import envs
 from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.play import window
-from spikedeploy.play.drive import CommandedPolicyDriver, DriveApp, KeyboardDriver, open_session
+from spikedeploy.play.session import CommandedPolicyDriver, KeyboardDriver, open_session
+from spikedeploy.play.window import DriveApp
 from spikedeploy.runtime.errors import ConfigError
 from tests import toy_stroll_env
 from tests.windows import play, press, release
@@ -150,6 +151,25 @@ def test_a_recorded_drive_is_a_rollout_that_its_actions_repeat(tmp_path):
     assert kept.options == options
     again = rollout(envs.make("kart-gazebo", **kept.options), Told(kept.action), kept.seed)
     np.testing.assert_array_equal(again.observation, kept.observation)
+
+
+def test_karts_beside_are_a_recorded_drive_and_a_policy_from_the_same_seed(tmp_path):
+    path = tmp_path / "drive.npz"
+    driven = open_session("kart-gazebo", {}, "gap", None, 10_000, path)
+    for _ in range(30):
+        driven.tick()
+    driven.close()
+    alone = open_session("kart-gazebo", {}, None, None, 10_000)
+    session = open_session("kart-gazebo", {}, None, None, 10_000, None, [str(path), "gap"])
+    recorded, played = session.others
+    np.testing.assert_array_equal(recorded, played[:30])
+    for each in (alone, session):
+        for _ in range(20):
+            each.tick()
+    assert (frame(DriveApp(alone, "kart-gazebo")) != frame(DriveApp(session, "kart-gazebo"))).any()
+    for reference, env in ((str(path), "kart-grid"), ("random", "hexapod")):
+        with pytest.raises(ConfigError, match="--beside"):
+            open_session(env, {"max_steps": 3}, "random", None, 10_000, None, [reference])
 
 
 def test_a_hexapod_walks_as_the_arrows_command():
