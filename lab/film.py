@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from lab.experiments.pages import ROOT
+from lab.experiments.runner import ROOT
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import find

@@ -24,7 +24,6 @@ COMMANDS = {
         "drift": "open_loop",
         "verify": "open_loop",
         "reproduce": "closed_loop",
-        "submit": "submitting",
     },
     "Make": {
         "train": "training",

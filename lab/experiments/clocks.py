@@ -1,27 +1,20 @@
 """Returns of sparse policies by each clock of loihi1, and those trained through a pipeline.
 
-    python -m lab clocks -o results [--episodes 100] [--no-play] [TASK …]
+    python -m lab clocks [--only hexapod]
 
 Rows are the shipped `sparse-gated`, trained for a gated clock, which Loihi has not, run gated and
-free, and the policies of OUTPUT/clocks/TASK-sSEED.nir, trained by `train TASK-sparse --seed SEED`
+free, and the policies of results/clocks/TASK-sSEED.nir, trained by `train TASK-sparse --seed SEED`
 (or, TASK-tuned-sSEED.nir, by `train TASK-sparse-tuned` after it), pipelined. Episodes are the same
-for all, from seed 80,000 on, which no training, validation or choice of a checkpoint has seen;
-which policy of a training is taken was decided by its validation. Writes OUTPUT/clocks.csv and
-OUTPUT/clocks.md; tasks that are not named keep their rows, with --no-play all do. The page has
-pruned float networks of as many trainings beside them, from results/pareto/.
+for all, from seed 80,000 on, which no training, validation or choice of a checkpoint has seen.
+Rows of pruned float networks are those of results/pareto/, which is not made any more: they stay.
 """
 
-import argparse
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lab.experiments import DESIGNS, fronts
-from lab.experiments.pages import render
-from lab.experiments.training import Record, read_rows, write_exactly
+from lab.experiments.runner import RESULTS, TASKS, Experiment, Record
 from spikedeploy import zoo
 from spikedeploy.comparison.comparison import Row
 from spikedeploy.comparison.evaluation import compare_policies
@@ -33,16 +26,12 @@ from spikedeploy.comparison.statistics import (
     stratified_bootstrap,
     t_interval,
 )
-from spikedeploy.envs.hexapod.env import HexapodEnv
 from spikedeploy.policies import costs
 from spikedeploy.policies.registry import find
-from spikedeploy.runtime.files import write_text
 
-FIRST_SEED = 80_000
-RESULTS = Path(__file__).resolve().parents[2] / "results"
-LEAST, FEWEST = 0.975, 3  # of the teacher's score, trainings: of pruned float networks shown
+FIRST_SEED, EPISODES = 80_000, 100
 # task -> the float policy whose returns are 100 %, then small float ones
-FLOATS: Mapping[str, Sequence[str]] = DESIGNS["clocks"]
+FLOATS: Mapping[str, Sequence[str]] = TASKS["clocks"]
 KINDS = {
     "gated": "sparse-gated",
     "free": "sparse-gated",
@@ -65,9 +54,15 @@ def name_of(row: Record) -> str:
     return f"{row['task']}/{row['kind']}" + (f", {clock}" if clock else "")
 
 
-def results(task: str, folder: Path, episodes: int) -> Iterator[Record]:
-    """The rows of a task: each kind of policy in a clock, over all of its trainings."""
-    shipped = f"{task}/sparse-gated"
+def jobs(_: int) -> Iterator[tuple[str]]:
+    """Yield the tasks, whose policies are there already."""
+    yield from ((task,) for task in FLOATS)
+
+
+def measure(job: tuple[str]) -> Iterator[Record]:
+    """Yield the rows of a task: each kind of policy in a clock, over all of its trainings."""
+    (task,) = job
+    shipped, folder = f"{task}/sparse-gated", RESULTS / "clocks"
     floats = [Entry(find(f"{task}/{name}")) for name in FLOATS[task]]
     groups: dict[str, list[Entry]] = {
         **{entry.label: [entry] for entry in floats},
@@ -79,13 +74,14 @@ def results(task: str, folder: Path, episodes: int) -> Iterator[Record]:
         ],
     }
     reference, entries = floats[0], [entry for group in groups.values() for entry in group]
-    played = compare_policies(task, entries, range(FIRST_SEED, FIRST_SEED + episodes))
+    played = compare_policies(task, entries, range(FIRST_SEED, FIRST_SEED + EPISODES))
     beside = played.row(reference)
     if beside is None:
         raise ValueError(f"{task}: the reference was not played")
     for kind, group in groups.items():
         if rows := [row for entry in group if (row := played.row(entry))]:
             yield _result(task, kind, rows, beside)
+    yield from (r for r in EXPERIMENT.read() if r["task"] == task and "pruned" in r["kind"])
 
 
 def _result(task: str, kind: str, rows: Sequence[Row], reference: Row) -> Record:
@@ -161,92 +157,31 @@ def shipped_kind(card: Mapping[str, Any]) -> str:
     return KINDS["pipelined, with reward" if card["recipe"].endswith("-tuned") else "pipelined"]
 
 
-def pruned(task: str) -> Iterator[Record]:
-    """Rows of the float networks of results/pareto/ that are pruned, as the spiking ones are.
-
-    Those of several trainings with LEAST of the teacher's score. Of the command task nothing says
-    which episodes succeeded, of karts how many ended early.
-    """
-    table = fronts.read_table(RESULTS / "pareto" / f"{task}.csv")
-    beside = fronts.reference_rows(table)
-    reference = beside.get("reference", beside["teacher"])  # FLOATS has the one before smooth
-    for point in fronts.points([row for row in table if row.get("clock") != "free"]):
-        is_float = point.place == "int8" and not point.is_spiking
-        if is_float and len(point.rows) >= FEWEST and point.of_teacher.mean >= LEAST:
-            yield _pruned_row(task, point, reference)
-
-
-def _pruned_row(task: str, point: fronts.Point, reference: Record) -> Record:
-    races = "kart" in task
-    returns = np.array([row["returns" if races else "scores"] for row in point.rows])
-    earned = stratified_bootstrap(returns, np.random.default_rng(0)).mean
-    # of karts few teachers' returns are kept, episode by episode
-    of = None if races else nested_ratio(returns, np.array(reference["scores"]))
-    macs = point.mean("operations")
-    values = (
-        task, f"{point.label}, pruned to {macs:.0f} MACs", "", len(point.rows), returns.shape[1],
-        earned.mean, *earned.ci95, of.mean if of else earned.mean / reference["return_mean"],
-        *(of.ci95 if of else (None, None)),
-        succeeded(task, point),
-        None if races else point.mean("falls"), risk(returns), math.nan, 0.0, 0.0, macs,
-        " ".join(f"{mean:.6g}" for mean in returns.mean(axis=1)),
-    )  # fmt: skip
-    return dict(zip(COLUMNS, values, strict=True))
-
-
-def succeeded(task: str, point: fronts.Point) -> float | None:
-    """Share of the episodes that succeed; None where returns and falls do not say it."""
-    scores = np.array([row["scores"] for row in point.rows])
-    if "kart" in task:
-        return float(np.mean(scores))
-    if task != "hexapod" or any(row["falls"] for row in point.rows):
-        return None
-    return float(np.mean(scores >= HexapodEnv.SUCCESS_RETURN))
-
-
-def page(found: Sequence[Record], episodes: int) -> str:
-    """The table in Markdown, with what it says of each row."""
+def facts(rows: Sequence[Record]) -> Record:
+    """Return what the page shows."""
     rows = [
-        row
+        {**row, "seconds": float(row["seconds"])}
         for task in FLOATS
-        for row in (*(each for each in found if each["task"] == task), *pruned(task))
+        for row in rows
+        if row["task"] == task
     ]
-    return render(
-        "clocks", rows=[(row, share_over_trainings(row)) for row in rows],
-        name_of=name_of, failed=failed, worst_of_shipped=worst_of_shipped,
-        episodes=episodes, first=FIRST_SEED,
-        missing=dict.fromkeys(row["task"] for row in found if row["worst"] is None),
-    )  # fmt: skip
+    return {
+        "rows": [(row, share_over_trainings(row)) for row in rows],
+        "name_of": name_of,
+        "failed": failed,
+        "worst_of_shipped": worst_of_shipped,
+        "episodes": EPISODES,
+        "first": FIRST_SEED,
+        "missing": dict.fromkeys(row["task"] for row in rows if row["worst"] is None),
+    }
 
 
-def read(path: Path) -> list[Record]:
-    """The rows of an earlier run."""
-    rows = read_rows(path, ("task", "kind", "clock", "seconds", "each")) if path.is_file() else []
-    return [dict.fromkeys(COLUMNS) | row | {"seconds": float(row["seconds"])} for row in rows]
-
-
-def main() -> None:
-    """Play the tasks that are named, and write the table of all."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("tasks", nargs="*", metavar="TASK", help=", ".join(FLOATS))
-    parser.add_argument("-o", "--output", type=Path, default=Path("results"))
-    parser.add_argument("--episodes", type=int, default=100)
-    parser.add_argument("--no-play", action="store_true", help="write the page of the rows kept")
-    given = parser.parse_args()
-    if unknown := set(given.tasks) - FLOATS.keys():
-        parser.error(f"unknown: {', '.join(sorted(unknown))}. Choose of {', '.join(FLOATS)}.")
-    path = given.output / "clocks.csv"
-    tasks = [] if given.no_play else given.tasks or list(FLOATS)
-    before = [row for row in read(path) if row["task"] not in tasks]
-    if other := {row["episodes"] for row in before} - {given.episodes}:
-        parser.error(
-            f"{path}: rows that stay are of {min(other)} episodes: --episodes {min(other)}"
-        )
-    played = [
-        row for task in tasks for row in results(task, given.output / "clocks", given.episodes)
-    ]
-    order = list(FLOATS)
-    found = sorted([*before, *played], key=lambda row: order.index(row["task"]))
-    write_exactly(found, COLUMNS, path)
-    write_text(given.output / "clocks.md", page(found, given.episodes))
-    print(given.output / "clocks.md")
+EXPERIMENT = Experiment(
+    name="clocks",
+    columns=COLUMNS,
+    texts=("task", "kind", "clock", "seconds", "each"),
+    jobs=jobs,
+    measure=measure,
+    facts=facts,
+)
+main = EXPERIMENT.main

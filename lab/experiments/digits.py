@@ -1,7 +1,7 @@
 """Handwritten digits on every chip: float, float weights on the chip, trained through the chip.
 
     pip install '.[digits]'
-    python -m lab digits [--only loihi1] [--seeds 3] [--brevitas] [--page]
+    python -m lab digits [--only loihi1] [--seeds 3]
 
 The data are the 1,797 scans of 8 x 8 pixels that scikit-learn ships (Alpaydin and Kaynak 1998, test
 set): 1,300 for training, 497 unseen. A pixel spikes in each of T timesteps with the probability of
@@ -20,38 +20,26 @@ accuracy on the training images before training. No choice is made on unseen
 images, but for two that were made with them in view before: the learning rate through the chip, and
 the range of CLIPS.
 
-With `--brevitas` (pip install --no-deps brevitas unfoldNd dependencies==2.0.1) chips with few bits
-get a rival: the same weights, clipped alike, go on for as many epochs with Brevitas' rounding of
-weights alone and snnTorch's float neurons, and are then played on the chip.
-
-Design rules of the chip are on, unless they refuse the network: then the row names the rule. Rows
-that results/digits.csv has stay; the page is made of them.
+Design rules of the chip are on, unless they refuse the network: then the row names the rule.
 """
 
-import argparse
 import copy
-import csv
-import math
 import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from lab.experiments.pages import ROOT
-from spikedeploy.reports.table import markdown_text
+from lab.experiments.runner import Experiment, Record
 from spikedeploy.runtime.chips import CHIPS as EVERY_CHIP
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.xylo import XyloArithmetic
-from spikedeploy.runtime.files import replacing, write_text
 from spikedeploy.trainers.through_chip import ChipModule, on_chip
 
-TABLE, PAGE = ROOT / "results" / "digits.csv", ROOT / "results" / "digits.md"
 FEW_BITS = ("int:weight_bits=2", "loihi1:weight_bits=1", "int:weight_bits=3")
 CHIPS = (*FEW_BITS, *(name for name in EVERY_CHIP if name != "ideal"))
 TRAINED_ON, HIDDEN, TIMESTEPS, BATCH = 1300, 96, 12, 64
@@ -61,35 +49,6 @@ CLIPS = (1.0, 0.7, 0.5, 0.35, 0.25)  # of a layer's largest weight
 UNIT = 0.8  # of a weight of two bits, of the mean magnitude of a neuron's weights
 OFF = 0.25  # of that unit
 SHARPNESS = 10.0  # of the softmax of mean spikes
-
-
-@dataclass(frozen=True)
-class Row:
-    """A training of a seed on a chip.
-
-    inputs, classes: of the task
-    axons: through which each input comes
-    limits: "on", or the rule that refuses the network
-    on_float, on_chip, trained: share of unseen images that are told right
-    differ: share of unseen images that float and its weights on the chip tell otherwise
-    clip: of CLIPS
-    weights_only, weights_only_on_chip: share told right by the network of Brevitas, with float
-        neurons and on the chip; NaN where that was not run
-    """
-
-    chip: str
-    seed: int
-    inputs: int
-    axons: int
-    classes: int
-    limits: str
-    on_float: float
-    on_chip: float
-    differ: float
-    trained: float
-    clip: float
-    weights_only: float = math.nan
-    weights_only_on_chip: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,69 +80,24 @@ def task_of(inputs: int, classes: int) -> Task:
     return Task(images[order].flatten(1)[kept], labels[kept], classes)
 
 
-def main() -> None:
-    """Make the rows that are missing, and the page."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--only", help="chips whose name begins so")
-    parser.add_argument("--seeds", type=int, default=3, help="trainings of each chip")
-    parser.add_argument("--brevitas", action="store_true", help="the rival of chips with few bits")
-    parser.add_argument("--page", action="store_true", help="write the page alone")
-    arguments = parser.parse_args()
+def jobs(seeds: int) -> Iterator[tuple[str, int]]:
+    """Yield chips and seeds of trainings."""
+    yield from ((name, seed) for seed in range(seeds) for name in CHIPS)
+
+
+def measure(job: tuple[str, int]) -> Iterator[Record]:
+    """Train a seed in float, and through a chip.
+
+    inputs, classes: of the task
+    axons: through which each input comes
+    limits: "on", or the rule that refuses the network
+    on_float, on_chip, trained: share of unseen images that are told right
+    differ: share of unseen images that float and its weights on the chip tell otherwise
+    clip: of CLIPS
+    """
+    name, seed = job
     torch.set_num_threads(1)
     warnings.simplefilter("ignore")  # on_chip says where resets differ from snnTorch's
-    rows = stored()
-    for seed in range(0 if arguments.page else arguments.seeds):
-        for name in CHIPS:
-            if (name, seed) in rows or not name.startswith(arguments.only or ""):
-                continue
-            rows[name, seed] = made = run(name, seed)
-            print(made, flush=True)
-            write(rows)
-    for key, row in rows.items() if arguments.brevitas else ():
-        if row.chip in FEW_BITS and math.isnan(row.weights_only):
-            rows[key] = made = with_weights_only(row)
-            print(made, flush=True)
-            write(rows)
-    write_text(PAGE, page(rows))
-
-
-def stored() -> dict[tuple[str, int], Row]:
-    """The rows of results/digits.csv by chip and seed."""
-    if not TABLE.exists():
-        return {}
-    with TABLE.open(newline="", encoding="utf-8") as file:
-        found = [_parse(line) for line in csv.DictReader(file)]
-    return {(row.chip, row.seed): row for row in found}
-
-
-def _parse(line: dict[str, str]) -> Row:
-    kinds: dict[str, Callable[[str], Any]] = {"chip": str, "limits": str}
-    kinds |= dict.fromkeys(("seed", "inputs", "axons", "classes"), int)
-    names = (field.name for field in fields(Row) if line.get(field.name))
-    return Row(**{name: kinds.get(name, float)(line[name]) for name in names})
-
-
-def write(rows: dict[tuple[str, int], Row]) -> None:
-    """Write results/digits.csv in the order of CHIPS."""
-    known = {name: place for place, name in enumerate(CHIPS)}
-    ordered = sorted(rows.values(), key=lambda row: (known.get(row.chip, 99), row.seed))
-    with replacing(TABLE) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Row)], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(
-            {
-                name: f"{value:.4f}" if isinstance(value, float) else value
-                for name, value in asdict(row).items()
-                if not (isinstance(value, float) and math.isnan(value))
-            }
-            for row in ordered
-        )
-
-
-def run(name: str, seed: int) -> Row:
-    """Train a seed in float, and through a chip."""
     target = chip(name)
     most = target.limits
     few = most is not None and most.inputs is not None and most.inputs < 64
@@ -204,66 +118,23 @@ def run(name: str, seed: int) -> Row:
     module = _through(trained, name, limits)
     fit(module, task, CHIP_EPOCHS, CHIP_RATE, seed, clamp)
     labels = task.labels[task.split :]
-    return Row(
-        chip=name,
-        seed=seed,
-        inputs=task.images.shape[1],
-        axons=axons,
-        classes=task.classes,
-        limits=refused,
-        on_float=_share(in_float == labels),
-        on_chip=_share(on_the_chip == labels),
-        differ=_share(in_float != on_the_chip),
-        trained=_share(answers(module, task) == labels),
-        clip=clip,
-    )
-
-
-def with_weights_only(row: Row) -> Row:
-    """The row with what Brevitas' rounding of weights alone comes to."""
-    from brevitas.nn import QuantLinear
-
-    task, target = task_of(row.inputs, row.classes), chip(row.chip)
-    plain = copy.deepcopy(_trained_in_float(_kind(target), row.inputs, row.classes, row.seed))
-    clipping(plain, row.clip)
-    bits = 2 if row.chip == "loihi1:weight_bits=1" else int(row.chip[-1])  # with the sign
-    rounded, pairs = copy.deepcopy(plain), []
-    for k in (0, 2):
-        of = cast("nn.Linear", plain[k])
-        rounding = QuantLinear(of.in_features, of.out_features, bias=False, weight_bit_width=bits)
-        rounding.weight = nn.Parameter(of.weight.detach().clone())
-        rounded[k] = rounding
-        pairs.append((of, rounding))
-    fit(_ByTimesteps(rounded), task, CHIP_EPOCHS, CHIP_RATE, row.seed, lambda: None)
-    with torch.no_grad():
-        for of, rounding in pairs:
-            of.weight.copy_(rounding.quant_weight().value)
-    labels = task.labels[task.split :]
-    found = (answers(_through(plain, name, True), task) for name in ("ideal", row.chip))
-    in_float, on_the_chip = (_share(each == labels) for each in found)
-    return replace(row, weights_only=in_float, weights_only_on_chip=on_the_chip)
-
-
-class _ByTimesteps(nn.Module):
-    """Linear maps and Leaky neurons by turns, over time: spikes (T, B, M) in, (T, B, N) out."""
-
-    def __init__(self, network: nn.Sequential) -> None:
-        super().__init__()
-        self.layers = nn.ModuleList(network)
-
-    def forward(self, spikes: Tensor) -> Tensor:
-        """Return the output spikes of each timestep."""
-        rows = list(spikes.unbind())
-        layers = list(self.layers)
-        for through, neurons in zip(layers[::2], layers[1::2], strict=True):
-            membrane = cast("Any", neurons).reset_mem()
-            for t, row in enumerate(rows):
-                rows[t], membrane = neurons(through(row), membrane)
-        return torch.stack(rows)
+    yield {
+        "chip": name,
+        "seed": seed,
+        "inputs": task.images.shape[1],
+        "axons": axons,
+        "classes": task.classes,
+        "limits": refused,
+        "on_float": _share(in_float == labels),
+        "on_chip": _share(on_the_chip == labels),
+        "differ": _share(in_float != on_the_chip),
+        "trained": _share(answers(module, task) == labels),
+        "clip": clip,
+    }
 
 
 def _share(holds: Tensor) -> float:
-    return float(holds.to(torch.float64).mean())
+    return round(float(holds.to(torch.float64).mean()), 4)
 
 
 def _kind(target: Chip) -> tuple[str, str, float]:
@@ -415,68 +286,34 @@ def answers(module: ChipModule, task: Task, unseen: bool = True) -> Tensor:
     return found
 
 
-def page(rows: dict[tuple[str, int], Row]) -> str:
-    """Return results/digits.md."""
-    seeds = sorted({seed for _, seed in rows})
-    heads = ["chip", "inputs, classes", "float", "on the chip", "differ", "trained", "limits"]
-    table = [heads]
-    for name in CHIPS:
-        of = [rows[name, seed] for seed in seeds if (name, seed) in rows]
-        if of:
-            table.append(
-                [
-                    f"`{name}`",
-                    f"{of[0].inputs}{_times(of[0].axons)}, {of[0].classes}",
-                    *(
-                        _percent([getattr(row, field) for row in of])
-                        for field in ("on_float", "on_chip", "differ", "trained")
-                    ),
-                    "on" if of[0].limits == "on" else f"off: {of[0].limits}",
-                ]
-            )
-    return "\n".join(
-        [
-            "# Digits on every chip\n",
-            "Written by `python -m lab digits`; digits.csv has every training.\n",
-            f"Unseen images told right [%], mean of {len(seeds)} trainings (least to most), of "
-            "a network with 96 hidden neurons. `float` has the same inputs, classes and neurons "
-            "without rounding; `on the chip` its weights as they are, of which `differ` says how "
-            "many images they tell otherwise; `trained` went on through the chip for "
-            f"{CHIP_EPOCHS} epochs, weights clipped where that told most images of the training "
-            "right; the learning rate and the range of clips were chosen with unseen images in "
-            "view. `inputs` × 2 or 4: each through so many axons, one of each sign or type, and "
-            "on the chip two neurons for each hidden one, so that the chip has more of both than "
-            "float. `limits` off: that design rule refuses the network.\n",
-            markdown_text(table),
-            *_beside_weights_only(rows, seeds),
-            "",
-        ]
-    )
+def facts(rows: Sequence[Record]) -> Record:
+    """Return what the page shows."""
+    by = {name: [row for row in rows if row["chip"] == name] for name in CHIPS}
+    return {
+        "chips": {name: of for name, of in by.items() if of},
+        "few_bits": [name for name in FEW_BITS if all(r["weights_only"] for r in by[name])],
+        "seeds": len({row["seed"] for row in rows}),
+        "percent": _percent,
+        "CHIP_EPOCHS": CHIP_EPOCHS,
+    }
 
 
-def _beside_weights_only(rows: dict[tuple[str, int], Row], seeds: list[int]) -> list[str]:
-    """Lines on Brevitas, where it was run."""
-    table = [["chip", "float", "through the chip", "Brevitas, float neurons", "on the chip"]]
-    for name in FEW_BITS:
-        of = [rows[name, seed] for seed in seeds if (name, seed) in rows]
-        if of and not any(math.isnan(row.weights_only) for row in of):
-            names = ("on_float", "trained", "weights_only", "weights_only_on_chip")
-            columns = (_percent([getattr(row, field) for row in of]) for field in names)
-            table.append([f"`{name}`", *columns])
-    if len(table) == 1:
-        return []
-    said = (
-        "\nBrevitas rounds weights alone. `python -m lab digits --brevitas` trains the same "
-        f"clipped weights for as many epochs, at the same learning rate of {CHIP_RATE:g}. On "
-        "these chips, whose registers are wide, that is as good; no rate was searched for it.\n"
-    )
-    return [said, markdown_text(table)]
-
-
-def _times(axons: int) -> str:
-    return f" × {axons}" if axons > 1 else ""
-
-
-def _percent(values: list[float]) -> str:
+def _percent(rows: Sequence[Record], column: str) -> str:
+    """Return the mean of the trainings, least and most."""
+    values = [row[column] for row in rows]
     low, high, mean = (100 * float(each(values)) for each in (min, max, np.mean))
     return f"{mean:.1f} ({low:.1f} to {high:.1f})"
+
+
+EXPERIMENT = Experiment(
+    name="digits",
+    columns=(
+        "chip", "seed", "inputs", "axons", "classes", "limits", "on_float", "on_chip", "differ",
+        "trained", "clip", "weights_only", "weights_only_on_chip",
+    ),
+    texts=("chip", "limits"),
+    jobs=jobs,
+    measure=measure,
+    facts=facts,
+)  # fmt: skip
+main = EXPERIMENT.main

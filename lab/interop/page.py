@@ -8,7 +8,6 @@ from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
-from lab.experiments.pages import grouped
 from lab.interop.cases import (
     FOR,
     OLDER,
@@ -95,10 +94,9 @@ def page(rows: Sequence[Row], command: str) -> str:
     command: that makes it.
     """
     # tool -> file -> variant -> row
-    by_tool = {
-        peer: {file: {row["variant"]: row for row in each} for file, each in grouped(of, "file")}
-        for peer, of in grouped(rows, "peer")
-    }
+    by_tool: dict[str, dict[str, dict[str, Row]]] = {}
+    for row in rows:
+        by_tool.setdefault(row["peer"], {}).setdefault(row["file"], {})[row["variant"]] = row
     releases: dict[str, str] = {}  # of what read the files
     for row in rows:
         if row["opens"] is not None and not row["peer"].startswith("nir=="):

@@ -11,7 +11,6 @@ training     train, distill, tune, sweep, runs, visualize
 distillation recipe and settings that `distill` means, and what came of it
 adapting     adapt: a network trained on through a chip
 exporting    export, publish
-submitting   submit: rows of the public table
 windows      play, replay, draw
 listings     policies, chips, energy, envs, recipes, doctor
 """

@@ -13,7 +13,6 @@ export_file     a network as NIR for another tool, one step in ONNX, a Xylo's sp
 export_program  a policy as the kit of a chip: its integers, what is expected, a script
 publish_run     an exported policy in the zoo, with its card, learning curve and evaluation
 cards           evaluations that cards and reports record; the page of a card, from templates/
-leaderboard     rows of the public table: schema, made of a report, checked
 reproduce       an evaluation made again, number by number
 run_card        the card and pictures of a run folder
 training_films  films of a run while it is trained

@@ -8,7 +8,6 @@ from itertools import chain
 import numpy as np
 import pytest
 
-from lab.experiments import eye_entry
 from spikedeploy import zoo
 from tests.paths import ROOT
 
@@ -21,12 +20,13 @@ SPECK_PAGES = (
 
 def finishes(level, way, seed=None):
     """Shares of finished episodes of the trainings for Speck."""
-    rows = eye_entry.read_table(ROOT / "results/kart-eye.csv")
+    with (ROOT / "results/kart-eye.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
     asked = ("if", level, way)
     return [
-        row["finish_share"]
+        float(row["finish_share"])
         for row in rows
-        if (row["network"], row["level"], row["way"]) == asked and seed in (None, row["seed"])
+        if (row["network"], row["level"], row["way"]) == asked and seed in (None, int(row["seed"]))
     ]
 
 

@@ -28,6 +28,6 @@ def test_every_command_is_listed():
 
 
 def test_an_unknown_command_is_refused_in_a_sentence():
-    ended = called("energy")
+    ended = called("anergy")
     assert ended.returncode == 2
-    assert ended.stderr.startswith("error: no 'energy' in lab; there are tables, ")
+    assert ended.stderr.startswith("error: no 'anergy' in lab; there are tables, ")

@@ -1,4 +1,4 @@
-"""Every file of results/ names the command that made it, which today's command line understands."""
+"""Every file of results/ names the command that made it: today's, or that of a commit."""
 
 import json
 import re
@@ -10,7 +10,6 @@ from functools import cache
 import pytest
 import typer
 
-from lab.experiments import EXPERIMENTS
 from spikedeploy import cli, envs
 from spikedeploy.commands.closed_loop import settings
 from spikedeploy.commands.options import one_word
@@ -21,7 +20,6 @@ from tests.paths import ROOT
 RESULTS = ROOT / "results"
 INDEX = (RESULTS / "README.md").read_text("utf-8")
 REPORTS = sorted(RESULTS.glob("*/report.json"))
-SETTINGS = sorted(RESULTS.glob("pareto/*.json"))  # of an experiment, with its command
 QUOTED = r"`((?:spikedeploy|python) [^`]+)`"
 
 
@@ -31,10 +29,15 @@ def command_of(path):
 
 
 def index():
-    """(links, commands) of every row of results/README.md."""
+    """(links, commands, whether they are of a commit) of every row of results/README.md."""
     for line in INDEX.splitlines():
         if line.startswith("| ["):
-            yield re.findall(r"\]\(([^)]+)\)", line), re.findall(QUOTED, line)
+            yield re.findall(r"\]\(([^)]+)\)", line), re.findall(QUOTED, line), is_frozen(line)
+
+
+def is_frozen(line):
+    """Return whether a row of the index is of what a commit has made."""
+    return bool(re.search(r"\| at [0-9a-f]{8}: ", line))
 
 
 def shown(text):
@@ -46,9 +49,9 @@ def shown(text):
 
 PAGES = {page: shown(page.read_text("utf-8")) for page in RESULTS.rglob("*.md")}
 COMMANDS = sorted(
-    {command_of(path) for path in (*REPORTS, *SETTINGS)}
+    {command_of(path) for path in REPORTS}
     | {command for commands in PAGES.values() for command in commands}
-    | {command for _, commands in index() for command in commands}
+    | {command for _, commands, frozen in index() for command in commands if not frozen}
 )
 IN_DOCS = {
     line.strip()
@@ -89,8 +92,6 @@ def helped(name):
 def test_a_command_of_the_lab_has_the_options(line):
     _, _, lab, name, *words = shlex.split(line.replace("[", " ").replace("]", " "))
     assert lab == "lab"
-    if name == "experiment":
-        assert words[0] in EXPERIMENTS
     options = [word.partition("=")[0] for word in words if word.startswith("-")]
     assert [each for each in options if not re.search(rf"{each}\b", helped(name))] == []
 
@@ -103,8 +104,8 @@ def test_every_page_names_a_command(page):
 def test_everything_in_results_stands_in_its_index_with_a_command():
     rows = list(index())
     assert len(rows) >= 7
-    assert all(commands for _, commands in rows)
-    named = {link.partition("/")[0].partition(".")[0] for links, _ in rows for link in links}
+    assert all(commands for _, commands, _ in rows)
+    named = {link.partition("/")[0].partition(".")[0] for links, _, _ in rows for link in links}
     assert {path.stem for path in RESULTS.iterdir()} - {"README"} == named
 
 

@@ -35,7 +35,6 @@ OUTPUTS = {
     ("emulate", "output"), ("export", "output"), ("publish", "output"), ("visualize", "output"),
     ("play", "record"),
     ("adapt", "output"), ("check", "output"), ("drift", "output"), ("drift", "tuned"),
-    ("submit", "output"),
 }  # fmt: skip
 # paths that are read, edited by design, or in which a new folder is made, or a build
 OTHERS = {"file", "input_", "against", "codec", "traces", "config", "runs", "source", "folder",

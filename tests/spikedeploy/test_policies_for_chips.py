@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import typer
 
-from lab.experiments import chip_policies
 from spikedeploy import envs, zoo
 from spikedeploy.commands.training import train
 from spikedeploy.comparison.lineup import line_up, remark_on_chip
@@ -80,31 +79,10 @@ def test_chips_are_separated_by_commas_or_given_again(command):
     assert "tinyodin was trained for tinyodin, and runs on int here" in err
 
 
-def test_the_table_names_the_teacher_that_is_shipped_and_chips_without_a_policy():
+def test_the_teacher_of_a_task_is_the_one_that_is_shipped():
     assert zoo.teacher("CartPole-v1") == "chips/CartPole-v1/teacher"
     assert zoo.teacher("hexapod") == "hexapod/sac"
     assert zoo.teacher("Acrobot-v1") is None
-    counts = dict.fromkeys(("inputs", "neurons", "timesteps", "sops", "spikes", "updates"), 12.3)
-    scores = {"teacher": [-100.0, -110.0], "random": [-1100.0, -1110.0], "odin": [-110.0, -120.0]}
-    rows = {
-        ("Pendulum-v1", name): {"task": "Pendulum-v1", "chip": name, "scores": found, **counts}
-        for name, found in scores.items()
-    }
-    page = chip_policies.page(rows)
-    assert "| `odin` | 99.0% [99.0%, 99.0%] ✓ |" in page
-    assert "| `spiker` | not trained |" in page
-    assert "| Pendulum-v1 | `odin` | -115.0" in page
-    assert "`loihi1-nengo`" in page
-
-
-def test_episodes_side_by_side_earn_what_they_earn_alone():
-    def act(seen):
-        return (seen[:, 2] + seen[:, 3] > 0).astype(int)
-
-    together = chip_policies.play("CartPole-v1", act, [10_000, 10_001])
-    alone = [chip_policies.play("CartPole-v1", act, [seed])[0] for seed in (10_000, 10_001)]
-    assert together == alone
-    assert min(together) > 50
 
 
 @pytest.mark.parametrize(("words", "error", "said"), [
@@ -132,18 +110,6 @@ def test_they_are_listed_beside_the_others(command):
 def test_drift_is_of_the_chip_that_it_was_trained_for(command):
     _, out, _ = command("drift", "chips/CartPole-v1/tinyodin", "--steps", 5, "--json")
     assert json.loads(out)["chip"] == "tinyodin"
-
-
-def test_a_policy_whose_card_is_missing_or_of_another_is_trained_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(zoo, "FOLDER", tmp_path)
-    file = tmp_path / "chips" / "CartPole-v1" / "odin.nir"
-    file.parent.mkdir(parents=True)
-    assert not chip_policies._shipped(file)
-    file.write_bytes(b"policy")
-    assert not chip_policies._shipped(file)
-    for digest in (zoo.sha256(file), "0" * 64):
-        file.with_suffix(".json").write_text(json.dumps({"sha256": digest}))
-        assert chip_policies._shipped(file) == (digest == zoo.sha256(file))
 
 
 def test_a_cut_card_is_a_sentence(tmp_path, monkeypatch):

@@ -1,59 +1,86 @@
-"""The command of all experiments: a design of its options, or a sentence."""
+"""Pages are what their tables say, to the last digit; rows that are there stay."""
+
+from dataclasses import replace
 
 import pytest
 
-from lab.experiments.runner import design_class
-from spikedeploy.runtime.errors import SpikedeployError
+from lab.experiments import chips, clocks, digits, energy, own_networks, runner, students
+from lab.experiments.runner import Experiment
+from spikedeploy.runtime.artifact.artifact import load
+
+EXPERIMENTS = [each.EXPERIMENT for each in (chips, clocks, digits, own_networks, students)]
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "sentence"),
-    [
-        ("kart", {"levels": 3}, "the experiment kart has no levels"),
-        ("pareto", {"env": "hexapod", "finishes": 3}, "the experiment pareto has no finishes"),
-        ("pareto", {}, "needs an environment: hexapod, hexapod-command"),
-        ("pareto", {"env": "hexapot"}, "no environment 'hexapot'"),
-        ("pareto", {"env": "kart-grid", "chip": "nope"}, "no chip 'nope'"),
-        ("gymnasium", {"finishes": 3}, "the experiment gymnasium has no finishes"),
-        ("gymnasium", {"env": "Walker2d-v5"}, "no task 'Walker2d-v5'; known: CartPole-v1"),
-        ("gymnasium", {"set": ("budget=3",)}, r"--set budget=3: say of which trainings"),
-        ("lineup", {"levels": 3}, "the experiment lineup has no levels"),
-        ("lineup", {"env": "kart-grid"}, "no policy that was distilled is shipped for 'kart-grid'"),
-        ("robustness", {"env": "kart-grid", "seeds": 2}, "robustness has no seeds"),
-        ("robustness", {}, "needs an environment"),
-        ("robustness", {"env": "moon"}, "no environment 'moon'"),
-        ("robustness", {"env": "CartPole-v1"}, "CartPole-v1 are shipped: name yours"),
-        ("robustness", {"env": "CartPole-v1", "policies": ["random"]}, "random is built in"),
-        ("robustness", {"env": "CartPole-v1", "policies": ["kart-grid/snn"]}, "was made for"),
-        (
-            "robustness",
-            {"env": "kart-grid", "policies": ["kart-grid/snn,kart-grid/snn"]},
-            "two are called snn",
-        ),
-        ("robustness", {"env": "CartPole-v1", "policies": ["nowhere"]}, "no policy at 'nowhere'"),
-        ("cart", {}, "unknown experiment 'cart'; known: kart"),
-    ],
-)
-def test_an_option_that_does_not_fit_is_refused_in_a_sentence(name, options, sentence):
-    with pytest.raises(SpikedeployError, match=sentence):
-        design_class(name).of(options)
+@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda each: each.name)
+def test_a_page_is_made_of_its_table(experiment):
+    made = experiment.page(experiment.read())
+    assert made == (runner.RESULTS / f"{experiment.name}.md").read_text("utf-8")
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "field", "value"),
-    [
-        ("kart", {}, "runs", "runs/experiment-kart"),
-        ("kart", {"quick": True}, "runs", "runs/kart-quick"),
-        ("kart", {"quick": True}, "seeds", 1),
-        ("kart", {"controls": 0}, "controls", 0),
-        ("pareto", {"env": "kart-grid"}, "episodes", 300),
-        ("pareto", {"env": "hexapod"}, "episodes", 100),
-        ("pareto", {"env": "kart-grid", "episodes": 7}, "episodes", 7),
-        ("gymnasium", {"env": "Pendulum-v1"}, "tasks", ("Pendulum-v1",)),
-        ("gymnasium", {"quick": True}, "runs", "runs/gymnasium-quick"),
-        ("robustness", {"env": "kart-grid", "quick": True}, "episodes", 2),
-        ("robustness", {"env": "kart-grid", "quick": True, "episodes": 4}, "episodes", 4),
-    ],
-)
-def test_sizes_are_those_of_the_experiment_unless_they_are_given(name, options, field, value):
-    assert getattr(design_class(name).of(options), field) == value
+@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda each: each.name)
+def test_a_table_has_rows_of_jobs_alone_and_a_second_reading_is_the_same(
+    experiment, tmp_path, monkeypatch
+):
+    rows, jobs = experiment.read(), list(experiment.jobs(5))
+    assert {row[experiment.columns[0]] for row in rows} == {job[0] for job in jobs}
+    monkeypatch.setattr(runner, "RESULTS", tmp_path)
+    runner.write_rows(rows, experiment.columns, experiment.table)
+    assert experiment.read() == rows
+
+
+@pytest.fixture
+def toy(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "RESULTS", tmp_path)
+    measured = []
+
+    def measure(job):
+        measured.append(job)
+        yield {"task": job[0], "seed": job[1], "scores": [1.0, 2.0]}
+
+    jobs = lambda seeds: [("a", seed) for seed in range(seeds)]  # noqa: E731
+    columns = ("task", "seed", "scores")
+    return Experiment("toy", columns, ("task",), jobs, measure, lambda rows: {}), measured
+
+
+def test_what_is_missing_is_measured_once(toy):
+    experiment, measured = toy
+    assert list(experiment.fill([("a", 0)])) == [("a", 0)]
+    list(experiment.fill([("a", 0), ("a", 1)]))
+    assert measured == [("a", 0), ("a", 1)]
+    assert [row["scores"] for row in experiment.read()] == [[1.0, 2.0]] * 2
+    list(experiment.fill([("a", 0)], again=True))
+    stale = replace(experiment, is_current=lambda row: row["seed"] == 0)
+    list(stale.fill([("a", 0), ("a", 1)]))
+    assert measured[2:] == [("a", 0), ("a", 1)]
+    assert len(experiment.read()) == 2
+
+
+def test_a_command_measures_the_jobs_that_it_is_asked_for(toy, monkeypatch, capsys):
+    experiment, measured = toy
+    monkeypatch.setattr(runner, "render", lambda name, **facts: f"page of {name}\n")
+    monkeypatch.setattr("sys.argv", ["toy", "--only", "a/1", "--seeds", "2"])
+    experiment.main()
+    assert measured == [("a", 1)]
+    assert experiment.table.with_suffix(".md").read_text() == "page of toy\n"
+    assert capsys.readouterr().out.startswith("a 1\n")
+
+
+def test_clocks_count_the_trainings_whose_policies_are_shipped_with_them():
+    for row in clocks.EXPERIMENT.read():
+        if row["clock"] == "pipelined":
+            middle = "-tuned" if "reward" in row["kind"] else ""
+            files = list((runner.RESULTS / "clocks").glob(f"{row['task']}{middle}-s*.nir"))
+            assert len(files) == row["trainings"] == len(row["each"].split())
+            assert all(load(file).convention.clock == "pipelined" for file in files)
+
+
+def test_energies_are_what_the_command_writes_today(tmp_path, monkeypatch):
+    before = {
+        name: (runner.RESULTS / f"energy.{name}").read_text("utf-8") for name in ("csv", "md")
+    }
+    monkeypatch.setattr(energy, "RESULTS", tmp_path)
+    monkeypatch.setattr("sys.argv", ["energy"])
+    energy.main()
+    for name, text in before.items():
+        assert (tmp_path / f"energy.{name}").read_text("utf-8") == text
+    assert (tmp_path / "energy.png").stat().st_size > 10_000

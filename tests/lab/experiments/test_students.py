@@ -1,65 +1,58 @@
-"""The students experiment in its smallest size, with a teacher that is there."""
+"""What the page of students says of returns, operations and energies; a training of seconds."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lab.experiments import late, students
-from lab.experiments.runner import run_experiment
-from lab.experiments.students import PRICES, StudentsDesign, _facts
-from lab.experiments.training import read_rows
+from lab.experiments import students
+from lab.experiments.runner import Record
+from lab.experiments.students import PRICES, facts_of_policy, facts_of_task, threshold
 from spikedeploy.runtime.metrics.energy import TABLES
+from spikedeploy.trainers.train import train
 from tests.paths import ROOT
 
-REACH = {"env": "tests.own_env:Reach", "teacher": {"algorithm": "SAC", "copies": 1, "settings": {}}}
+REACH = {"env": "tests.own_env:Reach"}
+SECONDS = (
+    "search=false", "budget=60", "levels=[200]", "walks=1", "dense_updates=20", "dense_rounds=1",
+    "level_updates=20", "polish=1", "polish_updates=10", "prune_every=5", "batch=8", "log_every=5",
+    "checkpoint_every=20", "validation.every=10", "validation.episodes=1", "validation.limit=40",
+)  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory, ran):
-    folder = tmp_path_factory.mktemp("students")
+@pytest.fixture
+def short(monkeypatch, tmp_path):
+    """Trainings of seconds, two episodes, and a teacher that is there."""
 
-    def teach(of, file):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / "tests/golden/sb3/sac.zip", file)
-        return {"minutes": 1.0}
+    def trained(name, recipe, env, settings, seed):
+        found = sorted((tmp_path / name).glob("*"))
+        walks = () if "pool" in str(settings) else ("teacher_walks=2", "noisy_walks=1")
+        given = {"overrides": [*SECONDS, *walks, *settings], "seed": seed, "quiet": True}
+        return found[0] if found else train(recipe, env=env, runs=tmp_path / name, **given)
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(students, "TASKS", {"reach": REACH})
-        patch.setattr(students, "_teach", teach)
-        design = StudentsDesign(1, str(folder / "runs"), tasks=("reach",), episodes=2, quick=True)
-        outcome = run_experiment(design, (), 1, folder / "results")
-        assert (outcome.done, outcome.of, outcome.failed) == (5, 5, {})
-        yield folder / "results"
-    assert ran[-5:] == [
-        "reach-teacher",
-        "reach-episodes",
-        "reach-spiking-student-s0",
-        "reach-float-MLP-s0",
-        "reach-float-linear-s0",
-    ]
+    monkeypatch.setattr(students, "TASKS", {"reach": REACH})
+    monkeypatch.setattr(students, "trained", trained)
+    monkeypatch.setattr(students, "_teacher", lambda task: Path("tests/golden/sb3/sac.zip"))
+    monkeypatch.setattr(students.policies.play, "__defaults__", (2,))
+    monkeypatch.chdir(ROOT)
 
 
-def test_each_part_has_its_row(results):
-    rows = read_rows(results / "students.csv", ("task", "role"))
+def test_each_job_has_its_row_and_the_page_shows_them(short):
+    rows: list[Record] = [row for job in students.jobs(1) for row in students.measure(job)]
     assert [row["role"] for row in rows] == [
         "teacher", "random", "no action", "spiking student", "float MLP", "float linear",
     ]  # fmt: skip
-    teacher, at_random, _, student, rival, linear = rows
+    taught, at_random, _, student, rival, linear = rows
     assert student["minutes"] > 0
-    assert teacher["operations"] == 4 * 8 + 8 * 6 + 6 * 2
+    assert taught["operations"] == 4 * 8 + 8 * 6 + 6 * 2
     assert at_random["operations"] is None
     assert student["updates"] > student["readout_updates"] > 0
     assert None not in [row["validation"] for row in (student, rival, linear)]
     assert rival["updates"] is linear["updates"] is None
     assert all(len(row["scores"]) == 2 for row in rows)
-
-
-def test_the_page_says_what_it_has(results):
-    text = Path(results / "students.md").read_text("utf-8")
-    assert "| reach | " in text
-    assert "Not trained" not in text
+    page = students.EXPERIMENT.page(rows)
+    assert "| reach | " in page
+    assert "Not trained" not in page
 
 
 def facts(validation=(), **scores):
@@ -80,7 +73,7 @@ def facts(validation=(), **scores):
         ]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(students, "TASKS", {"a": REACH})
-        return _facts("a", by)
+        return facts_of_task("a", by)
 
 
 def test_shares_are_of_the_way_from_the_better_of_random_and_no_action():
@@ -151,16 +144,12 @@ def test_a_regulator_that_keeps_enough_is_a_float_policy_of_the_rule():
     assert found["energy"][0] == pytest.approx((7 * 1.35 + 9 * 26.5) / (4 * 1.55))
 
 
-def test_episodes_are_solved_from_the_registered_return_on(monkeypatch):
+def test_episodes_are_solved_from_the_registered_return_on():
     rows = [{"scores": [199.9, 200.0, 300.0, -5.0]}]
-    monkeypatch.setattr(
-        students, "TASKS", {"lander": {"env": "LunarLanderContinuous-v3"}, "a": REACH}
-    )
-    solved = students._threshold("lander")
-    found = students._policy(rows, np.full(4, 250.0), 0.0, solved)
-    assert found["solved"] == [0.5]
-    assert students._threshold("a") is None  # nothing is registered
-    assert students._policy(rows, np.full(4, 250.0), 0.0, None)["solved"] == []
+    solved = threshold("LunarLanderContinuous-v3")
+    assert facts_of_policy(rows, np.full(4, 250.0), 0.0, solved)["solved"] == [0.5]
+    assert threshold("tests.own_env:Reach") is None  # nothing is registered
+    assert facts_of_policy(rows, np.full(4, 250.0), 0.0, None)["solved"] == []
 
 
 def test_episodes_below_half_of_the_way_are_lost():
@@ -173,40 +162,3 @@ def test_episodes_below_half_of_the_way_are_lost():
     assert found["spiking student"]["lost"] == [2, 0]
     assert found["spiking student"]["worst"] == (-4.0 + 9.0) / 2
     assert found["teacher"]["lost"] == [0]
-
-
-def test_a_late_regulator_needs_its_last_action():
-    """Of the linearised pendulum: with it nothing grows, without it something does."""
-    move, push = late._linearised()
-    plain, shown = late.gain(False), late.gain(True)
-    assert plain.shape == (1, 6)
-    # x' = (A - B K) x at once; one step late x' = A x + B a, a' = -K x
-    at_once = np.linalg.eigvals(move - push @ plain)
-    unaware = np.linalg.eigvals(np.block([[move, push], [-plain, np.zeros((1, 1))]]))
-    aware = np.linalg.eigvals(np.block([[move, push], [-shown[:, :6], -shown[:, 6:]]]))
-    assert max(abs(at_once)) < 1 < max(abs(unaware))
-    assert max(abs(aware)) < 1
-
-
-def test_the_last_actions_stand_behind_the_observation():
-    env = late.shown()
-    seen, _ = env.reset(seed=0)
-    assert env.observation_space.shape == (11,)
-    assert seen[9:].tolist() == [0, 0]
-    env.step(np.array([0.5], np.float32))
-    assert env.step(np.array([-0.25], np.float32))[0][9:].tolist() == [-0.25, 0.5]
-    assert env.reset(seed=0)[0].tolist() == seen.tolist()
-    assert late.taught(seen[None]).shape == (1, 1)
-
-
-def test_regulators_act_at_once_or_a_step_late():
-    gains = np.array([[2.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
-    seen = np.zeros((1, 9))
-    at_once, delayed = (late.Regulator(gains, each) for each in (False, True))
-    for controller, acted in ((at_once, [-0.2, -1.0, 0.0]), (delayed, [0.0, -0.2, -1.0])):
-        controller.reset(1)
-        found = []
-        for place in (0.1, 3.0, 0.0):
-            seen[0, 0] = place
-            found.append(float(controller.act_batch(seen)[0, 0]))
-        assert found == acted
