@@ -138,7 +138,7 @@ def drive(name: str, episodes: int) -> Row:
         seeds = range(EVALUATION, EVALUATION + episodes)
         with driver(Path(folder), name) as core:
             play = partial(run_policy, name, None, core.chip, seeds)
-            found = core.beside_emulated(play(backend=core.backend), play)
+            found = core.beside_emulated(play(hardware=core), play)
         image = core_image(program_for(artifact, None)[1], artifact.codec)
         formula = clocks_of(image, artifact, Path(folder) / PROGRAM)
     clocks = np.array(core.states.clocks).reshape(-1, formula["timesteps"]).sum(axis=1)

@@ -6,15 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
+from spikedeploy.runtime import choices
 from spikedeploy.runtime.errors import ConventionError
 from spikedeploy.runtime.metadata import OPTIONAL, Stored
 
-Reset = Literal["zero", "subtract", "zero-delayed", "subtract-delayed", "subtract-ahead", "none"]
-Integrator = Literal["euler", "exponential"]
-State = Literal["reset", "kept"]
-Spikes = Literal["above", "reached", "many"]
-Floor = Literal["none", "zero", "threshold"]
-Clock = Literal["gated", "pipelined", "free"]
+Reset = choices.Reset
+Integrator = choices.Integrator
+State = choices.State
+Spikes = choices.Spikes
+Floor = choices.Floor
+Clock = choices.Clock
 CLOCKS: tuple[Clock, ...] = get_args(Clock)
 
 

@@ -25,7 +25,6 @@ from spikedeploy.emulation.rasters import Raster, as_raster, read_rasters
 from spikedeploy.policies.registry import FLOAT
 from spikedeploy.runtime.artifact import artifact as files
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.codec.codec import GIVE_CODEC
 from spikedeploy.runtime.convention import Floor, Integrator, Reset, Spikes, State
 from spikedeploy.runtime.emulator.controllers import SpikingController
@@ -33,6 +32,7 @@ from spikedeploy.runtime.emulator.network import chip_or_float
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, RuleError
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.seeds import EVALUATION
+from spikedeploy.setup import OnChip, Setup
 
 if TYPE_CHECKING:
     import gymnasium
@@ -55,24 +55,23 @@ class LoadedNetwork:
     path      of the file
     artifact  the network, its codec if it drives a robot, its convention
     chip      as the command line takes it, or "float"
-    limits    whether the design rules of the chip are enforced
-    quantisation  on that chip
+    on_chip   how it is put on that chip
     reading   options by which the file was read, beside what it states
     """
 
     path: Path
     artifact: Artifact
     chip: str = FLOAT
-    limits: bool = True
-    quantisation: Quantisation = PLAIN
+    on_chip: OnChip = OnChip()  # noqa: RUF009 - it is frozen
     reading: Mapping[str, Any] = field(default_factory=dict)
 
-    def on(
-        self, chip: str, *, limits: bool = True, quantisation: Quantisation = PLAIN
-    ) -> "LoadedNetwork":
-        """The same network on another chip, such as "loihi1", or in "float"."""
+    def on(self, chip: str, **options: Any) -> "LoadedNetwork":  # noqa: ANN401
+        """Return the network on another chip, such as "loihi1", or in "float".
+
+        options: fields of spikedeploy.setup.OnChip, as in quantise="channel", limits="off"
+        """
         chip_or_float(chip)  # a wrong name is refused here
-        return replace(self, chip=chip, limits=limits, quantisation=quantisation)
+        return replace(self, chip=chip, on_chip=OnChip(**options))
 
     def run(self, raster: "Raster | Mapping[str, Raster] | str | Path") -> "NetworkRun":
         """Run the network on spikes (T, *shape), or (B, T, *shape), each from zero states.
@@ -92,8 +91,9 @@ class LoadedNetwork:
         axes = {each.ndim for each in given.values()}
         # of several inputs a wrong one is refused by name
         batched = axes == {len(shapes[0]) + 2} and len({*map(len, shapes)}) == 1
-        on_chip = (None, self.limits, self.quantisation)
-        found = emulate_artifact(self.artifact, self.chip, rows, *on_chip, batched=batched)
+        found = emulate_artifact(
+            self.artifact, self.chip, rows, batched=batched, **self.on_chip.arguments()
+        )
         ledger = found.ledger or Uncounted(found.uncounted)
         return NetworkRun(**{**vars(found), "ledger": ledger})
 
@@ -109,8 +109,7 @@ class LoadedNetwork:
             chip_or_float(self.chip),
             "total",
             sampled,
-            limits=self.limits,
-            quantisation=self.quantisation,
+            **self.on_chip.arguments(),
         )
 
     def __repr__(self) -> str:
@@ -319,8 +318,8 @@ def compare(
     taught = None if teacher is None else teacher_candidate(runnable(teacher_target(teacher)))
     networks = [policy for policy in policies if isinstance(policy, LoadedNetwork)]
     chips = chips or tuple(dict.fromkeys(each.chip for each in networks if each.chip != FLOAT))
-    entries = line_up(env, names, tuple(chips) or None, taught)
-    comparison = compare_policies(env, entries, range(seed, seed + episodes), workers, options)
+    entries = line_up(env, names, tuple(chips) or None, taught, Setup.with_options(options))
+    comparison = compare_policies(env, entries, range(seed, seed + episodes), workers)
     words = ["spikedeploy", "compare", env, *names]
     words += ["--chip", ",".join(chips)] if chips else []
     words += ["--teacher", teacher_target(teacher)] if taught else []

@@ -1,16 +1,21 @@
-"""The command line: a table of commands and the files in `spikedeploy/commands` that hold them."""
+"""The command line: a table of commands, each of which is imported when it is called."""
 
+import inspect
 import os
 import sys
+from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib import import_module
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.main import get_command_from_info
+from typer.models import CommandInfo
 
-from spikedeploy.commands.options import one_word, with_groups
+from spikedeploy.commands.options import as_command, one_word
 from spikedeploy.console import discard_output, name_program, prepare_streams
 from spikedeploy.runtime.requirements import check_requirements
-from spikedeploy.user_errors import BAD_INPUT, exit_code, one_line
+from spikedeploy.user_errors import exit_code, one_line
 
 # panel of the help -> command -> its module in spikedeploy/commands
 COMMANDS = {
@@ -46,23 +51,71 @@ COMMANDS = {
         "doctor": "listings",
     },
 }
-_MOVED = ("experiment", "interop")  # to lab/, which is not installed
+_MODULES = {verb: module for verbs in COMMANDS.values() for verb, module in verbs.items()}
 _LEFT = 141  # as shells say of SIGPIPE
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
+
+def _function(verb: str) -> Any:  # noqa: ANN401
+    return getattr(import_module(f"spikedeploy.commands.{_MODULES[verb]}"), verb)
+
+
+class LazyCommands(Mapping[str, Any]):
+    """The commands by name, each made when it is asked for."""
+
+    def __getitem__(self, verb: str) -> Any:  # noqa: ANN401
+        if verb not in _MODULES:
+            raise KeyError(verb)
+        return _command(verb)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_MODULES)
+
+    def __len__(self) -> int:
+        return len(_MODULES)
+
+
+@cache
+def _command(verb: str) -> Any:  # noqa: ANN401
+    panel = next(panel for panel, verbs in COMMANDS.items() if verb in verbs)
+    info = CommandInfo(verb, callback=as_command(_function(verb)), rich_help_panel=panel)
+    return get_command_from_info(info, pretty_exceptions_short=False, rich_markup_mode="rich")
+
+
+class Commands(typer.core.TyperGroup):
+    """The group of all commands, whose help is printed without making any."""
+
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401
+        super().__init__(**{**options, "commands": None})
+        self.commands = LazyCommands()  # type: ignore[assignment]
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
+        """Take no words for --help."""
+        found: list[str] = super().parse_args(ctx, args or ["--help"])
+        return found
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
+        """Write usage, options and commands, without loading rich."""
+        self.format_usage(ctx, formatter)
+        self.format_help_text(ctx, formatter)
+        self.format_options(ctx, formatter)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
+        """Write a line for each command, by panel."""
+        for panel, verbs in COMMANDS.items():
+            docs = {verb: inspect.getdoc(_function(verb)) or "" for verb in verbs}
+            with formatter.section(panel):
+                formatter.write_dl([(verb, doc.split("\n")[0]) for verb, doc in docs.items()])
+
+
 app = typer.Typer(
+    cls=Commands,
     name="spikedeploy",
     help="From a trained spiking policy to a neuromorphic chip, with proof that the robot still "
     "walks. Start with: spikedeploy demo",
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "token_normalize_func": one_word},
 )
-
-for _panel, _verbs in COMMANDS.items():
-    for _verb, _module in _verbs.items():
-        _command = getattr(import_module(f"spikedeploy.commands.{_module}"), _verb)
-        app.command(_verb, rich_help_panel=_panel)(with_groups(_command))
 
 
 def _print_version(wanted: bool) -> None:
@@ -86,16 +139,7 @@ def _options(
 
 
 def main() -> None:
-    """Run the command line."""
-    if sys.argv[1:2] and sys.argv[1] in _MOVED:
-        line = f"this is `python -m lab {sys.argv[1]}` in a checkout of spikedeploy"
-        print(f"error: {line}", file=sys.stderr)
-        sys.exit(BAD_INPUT)
-    run(app)
-
-
-def run(commands: typer.Typer) -> None:
-    """Run commands; an error that a user can act on becomes one line on stderr.
+    """Run the command line; an error that a user can act on becomes one line on stderr.
 
     Exit codes: 0 done, 1 does not fit or is not equal, 2 bad input, 130 stopped by Ctrl-C, 141
     where the reader of a pipe left.
@@ -107,7 +151,7 @@ def run(commands: typer.Typer) -> None:
         # `doctor` lists what is wrong itself, and help needs nothing
         if sys.argv[1:] and not {"doctor", "-h", "--help", "--version"} & {*sys.argv[1:]}:
             check_requirements()
-        commands()
+        app()
     except SystemExit as stop:  # 1 of rich's or typer's where the reader of a pipe left
         if isinstance(stop.__context__, BrokenPipeError):
             sys.exit(_LEFT)

@@ -48,6 +48,7 @@ from spikedeploy.reports.columns import quoted_among
 from spikedeploy.reports.page import REPLAY_ASSETS, asset
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.setup import Setup
 
 # the paced loop
 
@@ -102,12 +103,12 @@ class WatchedLoop(PacedLoop):
         assert found is not None
         return found
 
-    def open(self, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
+    def open(self, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
         """The policy, whose network keeps its spikes; the rate is now known."""
         period = getattr(env.unwrapped, "CONTROL_DT", None)
         if self._rate is None:
             self._pace(self._paced(1 / period if period else _RATE))
-        player = open_with_traces(candidate, chip, env, "total", sampled)
+        player = open_with_traces(candidate, chip, env, "total", setup)
         self._network = player if isinstance(player, NirController) else None
         table = next(iter(self._tables), "") or quoted_among(
             priced_by(self._network.chip) if self._network else FLOAT_TABLES

@@ -29,6 +29,7 @@ from spikedeploy.policies.registry import Candidate, Player, check_fit, open_pol
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger, Rows
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.metrics.energy import energy, energy_table
+from spikedeploy.setup import DEFAULT, Setup
 from spikedeploy.video import shrink, webp
 
 Floats = NDArray[np.float64]
@@ -75,7 +76,7 @@ def _episode(
     table: str,
 ) -> dict[str, Any]:
     played = [
-        record(env, e.candidate, e.chip, e.label, seed, table, filmed=e is entries[-1])
+        record(env, e.candidate, e.chip, e.label, seed, table, e is entries[-1], e.setup)
         for e in entries
     ]
     last = played[-1]
@@ -168,6 +169,7 @@ def record(
     seed: int,
     table: str,
     filmed: bool = False,
+    setup: Setup = DEFAULT,
 ) -> RecordedEpisode:
     """Play an episode in an environment.
 
@@ -175,7 +177,7 @@ def record(
     table   of the energy
     filmed  take pictures of an environment that no scene is known of
     """
-    player = open_with_traces(candidate, chip, env, "each")
+    player = open_with_traces(candidate, chip, env, "each", setup)
     network = player if isinstance(player, NirController) else None
     period = getattr(env.unwrapped, "CONTROL_DT", None)
     every = max(1, round(1 / (_FPS * (period or _PERIOD))))
@@ -231,16 +233,16 @@ def open_with_traces(
     chip: str | None,
     env: Any,  # noqa: ANN401
     rows: Rows,
-    sampled: bool = False,
+    setup: Setup = DEFAULT,
 ) -> Player:
     """The player of a candidate; where it spikes, its network keeps those of the last step.
 
     rows  of its ledger
     """
     if candidate.format != ".nir":
-        return open_policy(candidate, chip, env, sampled)
+        return open_policy(candidate, chip, env, setup)
     check_fit(candidate, env)
-    return NirController.open(candidate, chip, env, sampled, trace=True, rows=rows)
+    return NirController.open(candidate, chip, env, setup, trace=True, rows=rows)
 
 
 # networks

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import get_args
 
+from spikedeploy.runtime import choices
 from spikedeploy.runtime.chips.registers import Rounding
 from spikedeploy.runtime.errors import ConfigError
 
-Granularity = Literal["layer", "channel"]
-Headroom = Literal["none", "proven"]
+Granularity = choices.Granularity
+Headroom = choices.Headroom
 # fields of Quantisation that an arithmetic may leave open; the shift is Xylo's alone
 CHOICES = ("granularity", "rounding", "headroom", "thresholds", "tuned")
 

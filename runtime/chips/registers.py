@@ -7,6 +7,7 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.runtime import choices
 from spikedeploy.runtime.errors import ChipError, ConfigError
 
 # bits of a register whose sums int64 still holds
@@ -117,7 +118,7 @@ _OVERFLOWS: dict[Overflow, Callable[[Integers, int], Integers]] = {
 }
 
 
-Rounding = Literal["nearest", "truncate"]
+Rounding = choices.Rounding
 
 
 def round_values(values: NDArray[Any], rounding: Rounding) -> NDArray[np.int64]:

@@ -9,6 +9,7 @@ from typing import Any, Literal, Protocol, TypeAlias, TypeVar, get_args
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from spikedeploy.runtime import choices
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import LedgerBuilder
 from spikedeploy.runtime.errors import ConfigError, ObservationError
@@ -16,7 +17,7 @@ from spikedeploy.runtime.errors import ConfigError, ObservationError
 # "numpy" needs nothing else; "numba" compiles, several times faster; "auto" compiles where it can;
 # "interpreter" is their specification. An arithmetic without kernels is interpreted by "numpy" and
 # "auto" too.
-BackendName = Literal["numpy", "numba", "auto", "interpreter"]
+BackendName = choices.BackendName
 # which of them a name stands for, the first that can run the program
 _PREFERENCES: Mapping[str, tuple[str, ...]] = {
     "numpy": ("numpy", "interpreter"),

@@ -28,10 +28,9 @@ from spikedeploy.console import progress, say
 from spikedeploy.jobs.pool import JobBackend, JobResult, sigterm_as_interrupt
 from spikedeploy.outputs import check_folder, has_text, mark
 from spikedeploy.policies.registry import Candidate, find
-from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.faults import faults
 from spikedeploy.runtime.files import as_text, locked, write_json
+from spikedeploy.setup import Setup
 from spikedeploy.user_errors import one_line
 
 _EVERY = 30.0  # [s] between two pages while jobs run,
@@ -110,16 +109,11 @@ def evaluate_job(job: SweepJob) -> dict[str, Any]:
     """The row of a report, as `run` gives it, and the control steps of each episode."""
     of = job.of
     _check_versions(of)
-    entry = Entry(_candidate(of, job.policy), of.place)
-    options = {**of.options, **({"disturb": list(of.disturb)} if of.disturb else {})}
-    text, seeds = json.dumps(options), range(of.seed, of.seed + of.episodes)
-    episodes = [
-        play(EpisodeJob(of.env, text, entry.candidate, entry.chip, seed, {}, None, of.metrics))
-        for seed in seeds
-    ]
-    spec, period = envs.spec(of.env), period_of(of.env, text)
-    rows = [Row(entry, episodes)]
-    found = Comparison(spec.id, seeds, rows, (), of.disturb, spec.foreign, period).as_json()[0]
+    entry = Entry(_candidate(of, job.policy), of.place, setup=_setup(of))
+    seeds = range(of.seed, of.seed + of.episodes)
+    episodes = [play(EpisodeJob(of.env, entry, seed)) for seed in seeds]
+    spec, period = envs.spec(of.env), period_of(of.env, entry.setup)
+    found = Comparison(spec.id, seeds, [Row(entry, episodes)], spec.foreign, period).as_json()[0]
     return {**found, "file": of.policy, "steps": [episode.steps for episode in episodes]}
 
 
@@ -134,12 +128,19 @@ def _check_versions(of: JobSpecification) -> None:
 
 
 def _candidate(of: JobSpecification, policy: bytes | None) -> Candidate:
-    return replace(
-        find(of.format if policy is None else str(_file(of, policy))),
-        name=of.policy,
-        limits=of.limits,
-        quantisation=Quantisation(**of.quantisation) if of.quantisation else PLAIN,
-        faults=faults(of.fault, of.specimen),
+    return replace(find(of.format if policy is None else str(_file(of, policy))), name=of.policy)
+
+
+def _setup(of: JobSpecification) -> Setup:
+    options = {**of.options, **({"disturb": of.disturb} if of.disturb else {})}
+    on_chip = {"quantise" if n == "granularity" else n: v for n, v in of.quantisation.items()}
+    return Setup.with_options(
+        options,
+        metric=of.metrics,
+        limits="on" if of.limits else "off",
+        fault=of.fault,
+        specimen=of.specimen,
+        **on_chip,
     )
 
 

@@ -16,7 +16,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.metrics import checked_metrics
+from spikedeploy.comparison.metrics import check_metrics
 from spikedeploy.console import say
 from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.envs.repeats import check_repeats
@@ -66,6 +66,11 @@ def _quantisation(table: object) -> object:
     return table
 
 
+def _metrics(texts: tuple[str, ...]) -> tuple[str, ...]:
+    check_metrics(texts)
+    return texts
+
+
 Axis = Annotated[tuple[T, ...], BeforeValidator(_listed)]
 Whole = Annotated[int, Field(strict=True, ge=0)]
 Positive = Annotated[int, Field(strict=True, ge=1)]
@@ -107,7 +112,7 @@ class SweepGrid:
     options: dict[str, Any] = field(default_factory=dict)
     limits: bool = True
     quantisation: Annotated[Quantisation, BeforeValidator(_quantisation)] = PLAIN
-    metrics: Annotated[Axis[str], AfterValidator(lambda texts: tuple(checked_metrics(texts)))] = ()
+    metrics: Annotated[Axis[str], AfterValidator(_metrics)] = ()
 
     def __post_init__(self) -> None:
         for axis in ("env", "policy", "chip", "bits", "disturb", "fault", "specimen", "seed"):

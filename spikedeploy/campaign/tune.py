@@ -31,7 +31,8 @@ from spikedeploy.comparison.lineup import make_entries
 from spikedeploy.jobs.resumable import Job, JobEnd, run
 from spikedeploy.policies.registry import DEFAULT_CHIP, find
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.files import as_text, locked
+from spikedeploy.runtime.files import locked
+from spikedeploy.setup import Setup
 from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.trainers import metrics
 from spikedeploy.trainers.progress import Interrupt
@@ -354,12 +355,9 @@ def evaluate(run: Path, plan: TuningPlan) -> tuple[float, float | None]:
         raise ConfigError(f"--episodes {plan.episodes}: there are seeds for {_MOST_EPISODES}")
     env = RunFolder(run).settings()["env"]
     policy = find(runnable(str(run)))
-    entry = make_entries(policy, plan.chip or policy.chip or DEFAULT_CHIP)[-1]
-    options = as_text(env["options"])
-    played = [
-        play(EpisodeJob(env["name"], options, entry.candidate, entry.chip, FIRST_SEED + k, {}))
-        for k in range(plan.episodes)
-    ]
+    setup = Setup.with_options(env["options"])
+    entry = make_entries(policy, plan.chip or policy.chip or DEFAULT_CHIP, setup)[-1]
+    played = [play(EpisodeJob(env["name"], entry, FIRST_SEED + k)) for k in range(plan.episodes)]
     sops: list[Any] = [episode.costs.sops for episode in played]
     known = None if None in sops else float(np.mean(sops))
     return float(np.mean([episode.total for episode in played])), known

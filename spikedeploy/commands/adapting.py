@@ -5,13 +5,14 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from spikedeploy.commands.options import Reading, Switch
+from spikedeploy.commands.options import File, Force, Json, NetworkFile, TrainedFor
 from spikedeploy.console import print_json, say
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.setup import Count, Natural, Reading, Switch
 
 if TYPE_CHECKING:
     from spikedeploy.trainers.adapt import Adaptation, AdaptationScore
@@ -19,27 +20,49 @@ if TYPE_CHECKING:
 
 def adapt(
     *,
-    file: Path,
-    chip: str,
-    input_: Path,
+    file: NetworkFile,
+    chip: TrainedFor,
+    input_: File,
     reading: Reading,
-    labels: Path | None = None,
+    labels: Annotated[Path, typer.Option(metavar="FILE.npy", exists=True, dir_okay=False)]
+    | None = None,
     limits: Switch = "on",
-    epochs: int = 60,
-    batch: int = 64,
+    epochs: Count = 60,
+    batch: Count = 64,
     rate: float = 1e-3,
-    patience: int = 12,
+    patience: Count = 12,
     held_out: float = 0.2,
-    seed: int = 0,
-    resume: bool = False,
-    output: Path | None = None,
-    force: bool = False,
-    json: bool = False,
+    seed: Natural = 0,
+    resume: Annotated[bool, typer.Option("--resume")] = False,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.nir")] | None = None,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
     """Train a network on through a chip's integers, where its accuracy fell on the chip.
 
     Towards labels, or without them towards the outputs of the float twin. Ctrl-C stops at a
     checkpoint; --resume goes on. Exit code 1: what was written does not fit on the chip.
+
+    file: the network
+    input_: samples (B, T, *shape) of spikes, 0 or 1, .npy
+    labels: number of the right output of each sample, (B,) (default: towards the float twin's
+        outputs)
+    resume: go on with what was stopped; with the options that it was begun with
+
+    Student:
+        chip: chip in whose integers it is trained
+
+    Training:
+        limits: refuse what breaks a design rule of the chip; 'off' trains what does not fit
+        epochs: most passes over the samples
+        batch: samples of an update
+        rate: learning rate of Adam at first
+        patience: stop after so many validations without a better one
+        held_out: share of the samples that validate, and are not trained on
+        seed: seed of the samples held out, and of the order of the others
+
+    Output:
+        output: file to write; a checkpoint is beside it until the end (default: FILE.CHIP.nir)
     """
     from spikedeploy.emulation.design_report import report_of
     from spikedeploy.emulation.rasters import read_inputs

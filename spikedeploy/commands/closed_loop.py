@@ -1,36 +1,42 @@
 """`run`, `compare`, `reproduce`, `demo` and `serve`: policies that act in their environments."""
 
-import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from spikedeploy import seeds
+from spikedeploy.commands import completion
 from spikedeploy.commands.options import (
-    Computes,
-    Damaged,
-    OnChip,
-    Reading,
-    Switch,
-    TablesChoice,
-    TeacherUnits,
-    World,
-    one_word,
-    with_groups,
+    ChipName,
+    EnvArgument,
+    EnvName,
+    File,
+    Folder,
+    Force,
+    Json,
+    Limits,
+    Output,
+    PolicyName,
+    PolicyNames,
+    Seed,
+    Tables,
+    Workers,
 )
 from spikedeploy.console import print_json, print_result, say
+from spikedeploy.runtime.choices import BackendName, Units
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.setup import Count, OnChip, Reading, Setup, changed
 
 if TYPE_CHECKING:
     from spikedeploy.comparison.comparison import Comparison
     from spikedeploy.comparison.lineup import Entry
     from spikedeploy.realtime.paced_loop import PacedLoop
-    from spikedeploy.shipping.cards import Settings
     from spikedeploy.shipping.hardware_run import CoreDriver, HardwareRun
     from spikedeploy.shipping.reproduce import Reproduction
 
@@ -40,13 +46,22 @@ _PACKAGES = ("mujoco", "pymunk", "numpy", "onnxruntime", "torch")
 
 @dataclass(frozen=True)
 class ByTheClock:
-    """Options for a closed loop in real time, and one that is watched."""
+    """Options for a closed loop in real time, and one that is watched.
+
+    By the clock:
+        rate: control steps per second [Hz] by the clock; missed deadlines are counted (default: as
+            fast as it can)
+        deadline: with --rate: 20ms; time of a control step (default: the period)
+        lasting: with --rate: 60s; episodes are played until it has passed, the last to its end
+        watch: show robot, spikes, energy, deadlines in a browser of this machine
+        port: with --watch: TCP port (default: one that is free)
+    """
 
     rate: float | None = None
-    deadline: str | None = None
-    lasting: str | None = None
+    deadline: Annotated[str, typer.Option(metavar="TIME")] | None = None
+    lasting: Annotated[str, typer.Option("--duration", metavar="TIME")] | None = None
     watch: bool = False
-    port: int | None = None
+    port: Annotated[int, typer.Option(min=1, max=65535)] | None = None
 
     def check(self, film: bool, several: bool) -> None:
         """Refuse combinations that mean nothing."""
@@ -75,36 +90,45 @@ class ByTheClock:
 
 def run(
     *,
-    policy: str,
-    world: World,
-    on_chip: OnChip,
-    damaged: Damaged,
+    policy: PolicyName,
+    setup: Setup,
     reading: Reading,
     clock: ByTheClock,
-    env: str | None = None,
-    chip: str | None = None,
-    episodes: int = 1,
-    seed: int = seeds.EVALUATION,
-    sampled: bool = False,
+    env: EnvName | None = None,
+    chip: ChipName | None = None,
+    episodes: Count = 1,
+    seed: Seed = seeds.EVALUATION,
     video: Path | None = None,
-    output: Path | None = None,
-    energy: list[str] | None = None,
+    output: Output | None = None,
     native: bool = False,
-    codec: Path | None = None,
-    backend: Computes = "numpy",
-    via: Path | None = None,
-    tables: TablesChoice = "one",
-    force: bool = False,
-    json: bool = False,
+    codec: File | None = None,
+    via: Folder | None = None,
+    tables: Tables = "one",
+    force: Force = False,
+    json: Json = False,
 ) -> None:
     """Run one policy in its environment: returns, successes and costs.
 
     With --via: hardware in simulation drives, and exit code 1 says that it is not the chip's equal.
+
+    policy: a .onnx or .nir file, run folder, shipped name
+    env: short name, id of gymnasium, or module:Class (default: the one it was made for)
+    episodes: episodes to play
+
+    Output:
+        video: MP4 of the first episode
+        output: folder for report.html, which replays episodes
+
+    Hardware and code of yours:
+        native: FILE is a .so that you built; its code runs as you
+        via: let the core that `export --to verilog` wrote there drive, in simulation, and compare
+            it with the emulated chip; what is in FOLDER runs as you
+
+    How FILE is read:
+        codec: with --from: .json, how observations become spikes and output actions
     """
     from spikedeploy.comparison.evaluation import run_policy
-    from spikedeploy.comparison.metrics import checked_metrics
     from spikedeploy.outputs import check_output, has_text, mark
-    from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable, trained_in
 
     if native:
@@ -114,65 +138,57 @@ def run(
     if video:
         check_output("--video", video, (policy,), force, lambda path: has_text(path, mark("run")))
     if output:
-        if sampled:
-            raise typer.BadParameter("-o replays greedy episodes: leave --sampled out")
-        _check_output_folder(output, [policy], force)
-    prices = checked_table_names(energy or ())
-    metrics = checked_metrics(world.metric or ())
+        _check_report_folder(output, [policy], force, setup)
+    setup.check()
     clock.check(video is not None, episodes > 1)
     if via is not None:
-        _check_via(via, chip, backend, native, (reading, on_chip, damaged, clock))
-    policy = _adopt(policy, reading, codec, env, chip, on_chip, force)
-    options, file, loop, drove = world.options(), runnable(policy), None, None
-    play = partial(
-        run_policy,
-        file,
-        env or trained_in(policy),
-        seeds=range(seed, seed + episodes),
-        sampled=sampled,
-        options=options,
-        metrics=metrics,
-        faults=damaged.faults(),
-        **on_chip.arguments(),
-    )
+        one = {n: v for n, v in (("chip", chip), ("native", native)) if v}
+        _check_via(via, setup, {**one, **changed(reading), **changed(clock)})
+    policy = _adopt(policy, reading, codec, env, chip, setup, force)
+    file, loop, drove = runnable(policy), None, None
+    play = partial(run_policy, file, env or trained_in(policy), seeds=range(seed, seed + episodes))
     with _hardware(via, file) as core:
         if core is None:
-            with clock.loop(prices) as loop:
-                comparison = play(chip=chip, video=video, loop=loop, backend=backend)
+            with clock.loop(setup.energy) as loop:
+                comparison = play(chip=chip, setup=setup, video=video, loop=loop)
         else:
-            comparison = play(chip=core.chip, video=video, backend=core.backend, name=core.name)
-            drove = core.beside_emulated(comparison, partial(play, chip=core.chip))
-        document = _report(replace(comparison, tables=prices), options, output, loop, drove)
+            comparison = play(chip=core.chip, setup=setup, video=video, hardware=core)
+            drove = core.beside_emulated(comparison, partial(play, chip=core.chip, setup=setup))
+        document = _report(comparison, setup, output, loop, drove)
     from spikedeploy.reports.terminal import print_run  # after the first action, which is sooner
 
     _print(document, json, print_run, tables, output, video)
-    if drove:
-        for line in () if json else drove.lines():
-            typer.echo(line)
-        raise typer.Exit(0 if drove.equal else 1)
+    _end(drove, json)
 
 
 def _check_via(
-    via: Path, chip: str | None, backend: str, native: bool, groups: tuple[object, ...]
+    via: Path, setup: Setup, others: Mapping[str, object] = MappingProxyType({})
 ) -> None:
-    """Refuse options that an export has already decided, or that a simulation has no sense for."""
-    given = {"--chip": chip, "--native": native or None, "--backend": backend != "numpy" or None}
-    named = [name for name, value in given.items() if value is not None]
-    if named or groups != (Reading(), OnChip(), Damaged(), ByTheClock()):
-        what = named[0] if named else "options of reading, of the emulated chip and by the clock"
+    """Refuse options that an export has decided, or that mean nothing in a simulation."""
+    of_chips = (*vars(OnChip()), "fault", "specimen", "backend")
+    if found := [*others, *(name for name in changed(setup) if name in of_chips)]:
+        options = ", ".join(f"--{name.strip('_').replace('_', '-')}" for name in found)
         raise ConfigError(
             f"--via {via}: the folder says what it was exported for, and a simulation is not by "
-            f"the clock: leave {what} out"
+            f"the clock: leave {options} out"
         )
 
 
 def _hardware(via: Path | None, policy: str) -> "AbstractContextManager[CoreDriver | None]":
-    """The hardware of --via; None where there is none."""
+    """Return the hardware of --via; None where there is none."""
     if via is None:
         return nullcontext()
     from spikedeploy.shipping.hardware_run import driver
 
     return driver(via, policy)
+
+
+def _end(drove: "HardwareRun | None", json: bool) -> None:
+    """Print what hardware did, and exit with 1 where it is not the emulated chip's equal."""
+    if drove:
+        for line in () if json else drove.lines():
+            typer.echo(line)
+        raise typer.Exit(0 if drove.equal else 1)
 
 
 def _adopt(
@@ -184,7 +200,7 @@ def _adopt(
     on_chip: OnChip,
     force: bool,
 ) -> str:
-    """The policy, or the one that is written from a file of another tool."""
+    """Return the policy, or the one that is written from a file of another tool."""
     convention = reading.arguments()
     # a network that no tool wrote is read by its dt
     if reading.from_ is None and (codec is None or reading.dt is None):
@@ -200,25 +216,27 @@ def _adopt(
 
     if env is not None:
         spec(env)  # refuses an unknown one before a file is written
-    check = partial(check_fits, chip, on_chip.limits == "on", on_chip.quantisation())
+    check = partial(check_fits, chip, **on_chip.arguments())
     return str(adopt(policy, codec, force, check, **convention))
 
 
-def _check_output_folder(output: Path, inputs: Sequence[str], force: bool) -> None:
+def _check_report_folder(output: Path, inputs: Sequence[str], force: bool, setup: Setup) -> None:
     from spikedeploy.outputs import check_output_folder
     from spikedeploy.reports import comparison as report
 
+    if setup.sampled:
+        raise typer.BadParameter("-o replays greedy episodes: leave --sampled out")
     check_output_folder("-o", output, report.FILES, inputs, force, report.is_report)
 
 
 def _report(
     comparison: "Comparison",
-    options: dict[str, Any],
+    setup: Setup,
     output: Path | None,
     loop: "PacedLoop | None" = None,
     drove: "HardwareRun | None" = None,
 ) -> dict[str, Any]:
-    """The comparison as a document, which is written where there is a folder for it."""
+    """Return the comparison as a document, which is written where there is a folder for it."""
     from spikedeploy.reports import comparison as report
 
     document = report.document(comparison)
@@ -227,7 +245,7 @@ def _report(
     if drove:
         document["hardware"] = drove.as_json()
     if output:
-        recorded = report.recordings(comparison, document["rows"], options)
+        recorded = report.recordings(comparison, document["rows"], setup.options())
         report.write(document, output, episodes=recorded)
     return document
 
@@ -240,7 +258,6 @@ def _print(
     output: Path | None,
     video: Path | None = None,
 ) -> None:
-
     if json:
         print_json(document)
         return
@@ -251,79 +268,91 @@ def _print(
 
 def compare(
     *,
-    env: str,
-    world: World,
-    on_chip: OnChip,
-    damaged: Damaged,
-    files: list[str] | None = None,
-    chip: list[str] | None = None,
-    episodes: int = 20,
-    seed: int = seeds.EVALUATION,
-    teacher: str | None = None,
-    teacher_units: TeacherUnits | None = None,
-    energy: list[str] | None = None,
-    via: Path | None = None,
-    workers: int | None = None,
-    output: Path | None = None,
-    tables: TablesChoice = "one",
-    force: bool = False,
-    json: bool = False,
+    env: EnvArgument,
+    setup: Setup,
+    files: PolicyNames | None = None,
+    chip: Annotated[list[str], typer.Option(autocompletion=completion.chips)] | None = None,
+    episodes: Count = 20,
+    seed: Seed = seeds.EVALUATION,
+    teacher: Annotated[str, typer.Option(metavar="TEACHER", autocompletion=completion.policies)]
+    | None = None,
+    teacher_units: Units | None = None,
+    via: Folder | None = None,
+    workers: Workers | None = None,
+    output: Output | None = None,
+    tables: Tables = "one",
+    force: Force = False,
+    json: Json = False,
 ) -> None:
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy.
 
     With --via: hardware in simulation drives as well, in a row of its own.
+
+    files: policies: .onnx, .nir, run folders, shipped names. The float ANN, the built-in players
+        and the controls are added (default: all that are shipped)
+    chip: chip of the spiking policies; several with commas between them, or the option again
+        (default: what each was trained for, else loihi1)
+    episodes: episodes of each row
+    teacher: a row for a teacher, as `distill` takes it; a function of yours runs as your code
+    teacher_units: units of its actions (default: those of its kind)
+    via: a row for the core that `export --to verilog` wrote there of one of the policies: it drives
+        in simulation; what is in FOLDER runs as you
+
+    Output:
+        output: folder for report.json, report.html and plots
     """
-    from spikedeploy.comparison.evaluation import compare_policies, run_policy
+    from spikedeploy.comparison.evaluation import compare_policies
     from spikedeploy.comparison.lineup import line_up, remark_on_chip
-    from spikedeploy.comparison.metrics import checked_metrics
     from spikedeploy.policies.scripts import teacher_candidate
-    from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.chips.chip import split_names
-    from spikedeploy.runtime.metrics.energy import checked_table_names
     from spikedeploy.shipping.exported_run import runnable
 
     if teacher_units and teacher is None:
         raise typer.BadParameter("--teacher-units goes with --teacher")
     if output:
-        _check_output_folder(output, [*(files or ()), *([teacher] if teacher else ())], force)
-    prices = checked_table_names(energy or ())
-    metrics = checked_metrics(world.metric or ())
-    on = {"faults": damaged.faults(), **on_chip.arguments()}
+        inputs = [*(files or ()), *([teacher] if teacher else ())]
+        _check_report_folder(output, inputs, force, setup)
+    setup.check()
     policies = [runnable(file) for file in files or ()]
     taught = teacher_candidate(runnable(teacher), teacher_units) if teacher else None
-    entries = line_up(env, policies, split_names(",".join(chip)) if chip else None, taught, **on)
+    chips = split_names(",".join(chip)) if chip else None
+    entries = line_up(env, policies, chips, taught, setup)
     for remark in filter(None, map(remark_on_chip, entries)):
         say(remark)
-    options, drove = world.options(), None
     numbers = range(seed, seed + episodes)
-    if via and (on_chip, damaged) != (OnChip(), Damaged()):
-        raise ConfigError(f"--via {via}: leave options of the emulated chip out")
-    exported = _exported_entry(via, entries) if via else ""
-    comparison = compare_policies(env, entries, numbers, workers, options, metrics)
     if via:
-        play = partial(
-            run_policy, exported, env, seeds=numbers, options=options, metrics=metrics, **on
-        )
-        with _hardware(via, exported) as core:
-            if core is not None:
-                played = play(chip=core.chip, backend=core.backend, name=core.name)
-                places = [(str(r.entry.candidate.path), r.entry.chip) for r in comparison.rows]
-                emulated: Callable[[], Comparison] = partial(play, chip=core.chip)
-                if (place := (exported, core.chip)) in places:  # those episodes were played
-                    rows = [comparison.rows[places.index(place)]]
-                    emulated = partial(replace, comparison, rows=rows)
-                drove = core.beside_emulated(played, emulated)
-                comparison = replace(comparison, rows=[*comparison.rows, *played.rows])
-    document = _report(replace(comparison, tables=prices), options, output, drove=drove)
+        _check_via(via, setup)
+    exported = _exported_entry(via, entries) if via else ""
+    with _hardware(via, exported) as core:
+        comparison = compare_policies(env, entries, numbers, workers)
+        drove = None
+        if core is not None:
+            comparison, drove = _drive(core, comparison, exported, env, numbers)
+    document = _report(comparison, setup, output, drove=drove)
+    from spikedeploy.reports.terminal import print_comparison
+
     _print(document, json, print_comparison, tables, output)
-    if drove:
-        for line in () if json else drove.lines():
-            typer.echo(line)
-        raise typer.Exit(0 if drove.equal else 1)
+    _end(drove, json)
+
+
+def _drive(
+    core: "CoreDriver", comparison: "Comparison", policy: str, env: str, numbers: range
+) -> "tuple[Comparison, HardwareRun]":
+    """Return the comparison with a row of hardware, and that beside the emulated chip."""
+    from spikedeploy.comparison.evaluation import run_policy
+
+    play = partial(run_policy, policy, env, core.chip, numbers, comparison.setup)
+    driven = play(hardware=core)
+    emulated: Callable[[], Comparison] = play
+    for row in comparison.rows:  # whose episodes were played
+        if (str(row.entry.candidate.path), row.entry.chip) == (policy, core.chip):
+            emulated = partial(replace, comparison, rows=[row])
+    drove = core.beside_emulated(driven, emulated)
+    return replace(comparison, rows=[*comparison.rows, *driven.rows]), drove
 
 
 def _exported_entry(via: Path, entries: "Sequence[Entry]") -> str:
-    """The file among the policies that the folder of --via was exported from."""
+    """Return the file among the policies that the folder of --via was exported from."""
     from spikedeploy import zoo
     from spikedeploy.shipping.verilog_folder import read_folder
 
@@ -342,12 +371,15 @@ def _exported_entry(via: Path, entries: "Sequence[Entry]") -> str:
 
 def demo(
     *,
-    tables: TablesChoice = "one",
-    show: bool = True,
-    force: bool = False,
-    json: bool = False,
+    tables: Tables = "one",
+    show: Annotated[bool, typer.Option("--open/--no-open")] = True,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
-    """Replay shipped policies on an emulated Loihi beside float ones: a page with their spikes."""
+    """Replay shipped policies on an emulated Loihi beside float ones: a page with their spikes.
+
+    show: open the page, where there is a desktop
+    """
     from spikedeploy.play.display import has_desktop
     from spikedeploy.shipping.demo_reports import FOLDER, write_demo
 
@@ -363,17 +395,26 @@ def demo(
 
 def serve(
     *,
-    policy: str,
-    chip: str | None = None,
-    port: int = 5555,
+    policy: PolicyName,
+    chip: ChipName | None = None,
+    port: Annotated[int, typer.Option(min=0, max=65535)] = 5555,
     address: str = "127.0.0.1",
-    clients: int = 32,
-    idle: str = "60s",
-    limits: Switch = "on",
-    backend: Computes = "numpy",
-    json: bool = False,
+    clients: Annotated[int, typer.Option(min=1, max=1024)] = 32,
+    idle: Annotated[str, typer.Option(metavar="TIME")] = "60s",
+    limits: Limits = "on",
+    backend: BackendName = "numpy",
+    json: Json = False,
 ) -> None:
-    """Answer observations with actions over ZeroMQ, on this machine."""
+    """Answer observations with actions over ZeroMQ, on this machine.
+
+    policy: a .nir file, run folder, shipped name
+    port: TCP port; 0 for one that is free
+    address: IPv4 address to listen on. Nothing is authenticated: any other than 127.0.0.1 lets
+        whoever reaches it drive the policy
+    clients: most clients at a time
+    idle: a client that is silent so long is forgotten
+    backend: what computes a chip; numba needs the extra fast
+    """
     import threading
 
     from spikedeploy.realtime.paced_loop import duration
@@ -395,22 +436,35 @@ def serve(
 
 def reproduce(
     *,
-    names: list[str] | None = None,
-    episodes: int | None = None,
-    env: str | None = None,
+    names: Annotated[
+        list[str], typer.Argument(metavar="[NAME]…", autocompletion=completion.policies)
+    ]
+    | None = None,
+    episodes: Count | None = None,
+    env: Annotated[
+        str, typer.Option(metavar="module:Class", autocompletion=completion.environments)
+    ]
+    | None = None,
     update: bool = False,
-    force: bool = False,
-    workers: int | None = None,
-    json: bool = False,
+    force: Force = False,
+    workers: Workers | None = None,
+    json: Json = False,
 ) -> None:
-    """Evaluate policies again as recorded; say equal or the first difference, and exit 1 then."""
+    """Evaluate policies again as recorded; say equal or the first difference, and exit 1 then.
+
+    names: shipped policies, paths of cards, folders with a report.json of `compare` (default: all
+        shipped policies)
+    episodes: only the first seeds (default: all recorded)
+    env: environment of your own that a record names, whose code may be run
+    update: write the numbers found into cards, where all returns are equal
+    """
     from spikedeploy import zoo
     from spikedeploy.make_env import confirm
     from spikedeploy.shipping import reproduce as again
     from spikedeploy.shipping.cards import read_evaluation
 
-    evaluations = [read_evaluation(name, settings) for name in names or ()] or [
-        replace(read_evaluation(str(zoo.path(name)), settings), name=name) for name in zoo.names()
+    evaluations = [read_evaluation(name) for name in names or ()] or [
+        replace(read_evaluation(str(zoo.path(name))), name=name) for name in zoo.names()
     ]
     for evaluation in evaluations:  # before hours of others
         confirm(evaluation.env, env, evaluation.name)
@@ -423,46 +477,6 @@ def reproduce(
     if json:
         print_json([each.as_json() for each in found])
     raise typer.Exit(0 if update or all(each.equal for each in found) else 1)
-
-
-def settings(command: str) -> "Settings":
-    """The settings that a report's command gives, read as `compare` reads it today."""
-    from spikedeploy.shipping.cards import Settings
-
-    _, verb, *words = [*shlex.split(command), "", ""]
-    if verb == "demo":
-        return Settings()
-    if verb != "compare":
-        raise ConfigError(f"the report's command is {command!r}, and not `spikedeploy compare`")
-    given = _parse(command, [word for word in words if word])
-    if given["teacher"]:  # which may be code, and no file has that run
-        raise ConfigError(
-            f"the report has a row of the teacher {given['teacher']}, which a report does not have "
-            "played: run its command again instead"
-        )
-    world: World = given["world"]
-    return Settings(
-        world.options(),
-        given["on_chip"].quantisation(),
-        given["damaged"].faults(),
-        tuple(given["energy"] or ()),
-        tuple(world.metric or ()),
-    )
-
-
-def _parse(command: str, words: list[str]) -> dict[str, Any]:
-    given: dict[str, Any] = {}
-    app = typer.Typer(add_completion=False)
-    app.command(context_settings={"token_normalize_func": one_word})(
-        with_groups(compare, call=given.update)
-    )
-    try:
-        typer.main.get_command(app)(words, standalone_mode=False)
-    except Exception as error:  # click's, of which typer has a copy of its own
-        raise ConfigError(f"the report's command {command!r} is not understood: {error}") from error
-    if not given:  # it has --help
-        raise ConfigError(f"the report's command {command!r} compares nothing")
-    return given
 
 
 def _lines(found: "Reproduction") -> list[str]:

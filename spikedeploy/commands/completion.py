@@ -1,10 +1,10 @@
 """What a shell offers at the tab key: environments, policies, chips, recipes.
 
-WORDS is the table of the parameters, by name or by command and name. `spikedeploy
---install-completion` puts it into the shell; where a list is empty the shell offers files itself.
+`spikedeploy --install-completion` puts it into the shell; where a list is empty the shell offers
+files itself.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 from spikedeploy.runtime.files import suffix
@@ -59,35 +59,6 @@ def recipes(incomplete: str) -> list[str]:
 def trainings(incomplete: str) -> list[str]:
     """Recipes, and the environments of recipes for any."""
     return [*recipes(incomplete), *environments(incomplete)]
-
-
-WORDS: dict[str, Callable[[str], list[str]] | None] = {
-    "env": environments,
-    "chip": chips,
-    "recipe": recipes,
-    "what": trainings,
-    "policy": policies,
-    "file": policies,
-    "files": policies,
-    "teacher": policies,
-    "names": policies,
-    "run": policies,
-    "runs": None,
-    "resume": run_names,
-    "adapt.file": networks,
-    "adapt.resume": None,
-    "emulate.file": networks,
-    "verify.network": networks,
-    "sweep.run": None,
-    "visualize.runs": run_names,
-    "policies.name": policies,
-    "chips.name": chips,
-}
-
-
-def words_of(command: str, parameter: str) -> Callable[[str], list[str]] | None:
-    """The function of a parameter of a command, by its name; None for the shell's own."""
-    return WORDS.get(f"{command}.{parameter}", WORDS.get(parameter))
 
 
 def _beginning(incomplete: str, names: Iterable[str]) -> list[str]:

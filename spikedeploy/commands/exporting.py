@@ -2,36 +2,67 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any
 
 import typer
 
-from spikedeploy.commands.options import AfterSpike, Granularity, States
+from spikedeploy.commands import completion
+from spikedeploy.commands.options import Checkpoint, ChipName, EnvName, Force, Json, Output, Workers
 from spikedeploy.console import print_json, print_result, say
+from spikedeploy.runtime.choices import Clock, Granularity, Reset, State
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
+from spikedeploy.setup import Count
 
 
 @dataclass(frozen=True)
 class FormatOptions:
-    """Options that some formats have, with the defaults of the format where none is given."""
+    """Options that some formats have, with the defaults of the format where none is given.
 
-    observations: int | None = None
-    chip: str | None = None
-    env: str | None = None
-    clock: Literal["gated", "pipelined", "free"] | None = None
+    observations: recorded observations on which file and policy must agree (default: 1000)
+    chip: chip whose integers are written; c, verilog, program and xylo (default: what it was
+        trained for, else loihi1; xylo needs one)
+    film: with --to card: replay.mp4 of one greedy episode
+
+    C, Verilog, programs:
+        env: environment of the recorded episode, as of one of your own that FILE.nir names as
+            module:Class and whose code is not run otherwise; c, verilog, program, and onnx of a
+            .nir (default: as the policy says)
+        clock: how the chip's layers advance; program only (default: the network's own, else free)
+        quantise: one scale for a layer, or for each neuron; c, verilog and program
+        prefix: what names begin with, which is no word, function or header of C; c only
+        board: board of an FPGA: icebreaker, upduino, icestick, ice40-hx8k, ulx3s; verilog only
+            (default: icebreaker)
+        raster: input spikes (T, M), .npy, in chip timesteps; program only (default: of an episode)
+
+    How FILE is read:
+        from_: as its author meant it, who exported it with this tool
+        dt: timestep [s] (default: from the file)
+        reset: membrane after a spike (default: from the file)
+
+    NIR:
+        state: membranes at an inference: reset, or kept; nir only (default: as trained)
+        for_: in the scaling that the import of norse, rockpool, snntorch or spikingjelly accepts;
+            nir only
+        nir_compat: release of nir that opens the file
+    """
+
+    observations: Count | None = None
+    chip: ChipName | None = None
+    env: EnvName | None = None
+    clock: Clock | None = None
     quantise: Granularity | None = None
     prefix: str | None = None
     board: str | None = None
-    raster: Path | None = None
-    state: States | None = None
-    checkpoint: str | None = None
+    raster: Annotated[Path, typer.Option("--input", metavar="RASTER")] | None = None
+    state: State | None = None
+    checkpoint: Checkpoint | None = None
     film: bool = False
-    for_: str | None = None
-    nir_compat: str | None = None
-    from_: str | None = None
+    for_: Annotated[str, typer.Option(metavar="TOOL")] | None = None
+    nir_compat: Annotated[str, typer.Option(metavar="RELEASE")] | None = None
+    from_: Annotated[str, typer.Option(metavar="TOOL")] | None = None
     dt: float | None = None
-    reset: AfterSpike | None = None
+    reset: Reset | None = None
 
     def arguments(self) -> dict[str, Any]:
         """The options that were given, as `shipping.export` takes them."""
@@ -42,16 +73,24 @@ class FormatOptions:
 
 def export(
     *,
-    run: str,
+    run: Annotated[str, typer.Argument(metavar="RUN", autocompletion=completion.policies)],
     to: str | None = None,
-    output: Path | None = None,
+    output: Output | None = None,
     options: FormatOptions,
-    force: bool = False,
-    json: bool = False,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
     """Write a trained policy as .nir or .onnx, and check the file against it; or as C99 or Verilog.
 
     --to card makes the run folder ready for upload: the policy, card.md, curve.svg, report.html.
+
+    run: run folder, its name under runs/, or 'last'; FILE.nir
+    to: format: nir, c, verilog, program or xylo for spiking policies, onnx for float ones, or for
+        one step of a spiking one; c of small float ones, in 8-bit weights; or card (default: as -o
+        ends, else as the policy is)
+
+    Output:
+        output: file to write; for c, verilog and program the folder (default: in the run folder)
     """
     from spikedeploy import zoo
     from spikedeploy.reports.terminal import print_checks
@@ -73,18 +112,28 @@ def export(
 
 def publish(
     *,
-    run: str,
+    run: Annotated[str, typer.Argument(metavar="RUN", autocompletion=completion.policies)],
     name: str,
-    episodes: int = 100,
+    episodes: Count = 100,
     note: str = "",
     control: bool = False,
-    checkpoint: str | None = None,
-    workers: int | None = None,
-    output: Path | None = None,
-    force: bool = False,
-    json: bool = False,
+    checkpoint: Checkpoint | None = None,
+    workers: Workers | None = None,
+    output: Output | None = None,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
-    """Export a run into the zoo: the file, its card, its learning curve and its evaluation."""
+    """Export a run into the zoo: the file, its card, its learning curve and its evaluation.
+
+    run: run folder, its name under runs/, or 'last'
+    name: name in the zoo, such as popsan
+    episodes: episodes of the card's evaluation
+    note: note for the card
+    control: comparisons show it as a control
+
+    Output:
+        output: folder of the zoo (default: the package's own)
+    """
     from spikedeploy import zoo
     from spikedeploy.shipping.publish_run import publish_run
 

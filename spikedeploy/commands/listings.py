@@ -5,10 +5,12 @@ import platform
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from spikedeploy.commands import completion
+from spikedeploy.commands.options import Json
 from spikedeploy.console import print_json
 
 if TYPE_CHECKING:
@@ -26,8 +28,16 @@ def _show(data: object, tables: Iterable["Table"], json: bool, note: str = "") -
         typer.echo(note)
 
 
-def policies(*, name: str | None = None, json: bool = False) -> None:
-    """List the shipped policies, by the names that the commands take."""
+def policies(
+    *,
+    name: Annotated[str, typer.Argument(metavar="[NAME]", autocompletion=completion.policies)]
+    | None = None,
+    json: Json = False,
+) -> None:
+    """List the shipped policies, by the names that the commands take.
+
+    name: one policy in full (default: all)
+    """
     if name is not None:
         _policy(name, json)
         return
@@ -82,11 +92,22 @@ def _text(value: object) -> str:
     return f"{value:,.0f}" if isinstance(value, float) else str(value or "–")
 
 
-def chips(*, name: str | None = None, json: bool = False, markdown: bool = False) -> None:
+def chips(
+    *,
+    name: Annotated[str, typer.Argument(metavar="[NAME]", autocompletion=completion.chips)]
+    | None = None,
+    json: Json = False,
+    markdown: bool = False,
+) -> None:
     """List the chips: their arithmetic, and what it was compared with.
 
     Fields can be changed wherever a chip is named: --chip int:weight_bits=4,membrane=12. The file
     of a datasheet can be named instead: --chip ./mine.toml.
+
+    name: one chip in full (default: all)
+
+    Output:
+        markdown: print the table of docs/chips.md
     """
     from spikedeploy.reports.datasheets import chip_list, chip_summaries, chip_table, datasheet
     from spikedeploy.runtime.chips.chip import CHIPS, chip
@@ -103,9 +124,20 @@ def chips(*, name: str | None = None, json: bool = False, markdown: bool = False
 
 
 def energy(
-    *, name: str | None = None, json: bool = False, markdown: bool = False, break_even: bool = False
+    *,
+    name: Annotated[str, typer.Argument(metavar="[NAME]")] | None = None,
+    json: Json = False,
+    markdown: bool = False,
+    break_even: bool = False,
 ) -> None:
-    """List the energy tables: prices of events, sources, uncertainty."""
+    """List the energy tables: prices of events, sources, uncertainty.
+
+    name: one energy table in full (default: all)
+    break_even: spike rates below which spiking costs less
+
+    Output:
+        markdown: print the table of results/energy-tables.md
+    """
     from spikedeploy.reports import datasheets
     from spikedeploy.runtime.metrics.energy import YAN2024, energy_table
 
@@ -124,7 +156,7 @@ def energy(
         _show(datasheets.price_list(), tables, json, note)
 
 
-def envs(*, json: bool = False) -> None:
+def envs(*, json: Json = False) -> None:
     """List the environments."""
     from spikedeploy.envs import ENVS
     from spikedeploy.reports.table import Table
@@ -134,7 +166,7 @@ def envs(*, json: bool = False) -> None:
     _show(data, [Table(("name", "id", "task"), rows, "Environments")], json)
 
 
-def recipes(*, json: bool = False) -> None:
+def recipes(*, json: Json = False) -> None:
     """List the training recipes, by algorithm."""
     from spikedeploy.reports.table import Table
     from spikedeploy.trainers import ALGORITHMS
@@ -172,7 +204,7 @@ class DoctorFinding:
     detail: str
 
 
-def doctor(*, json: bool = False) -> None:
+def doctor(*, json: Json = False) -> None:
     """Check versions, threads, rendering and the shipped policies; exit 1 if one fails."""
     from spikedeploy import zoo
     from spikedeploy.reports.table import Table

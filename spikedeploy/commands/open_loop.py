@@ -1,15 +1,33 @@
 """`emulate`, `drift`, `check` and `verify`: networks without an environment."""
 
+import re
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands.options import FromCamera, OnChip, Reading, TablesChoice
+from spikedeploy.commands import completion
+from spikedeploy.commands.options import (
+    ChipName,
+    EnergyTables,
+    EnvName,
+    EnvOptions,
+    File,
+    Force,
+    Json,
+    NetworkFile,
+    Output,
+    PolicyName,
+    ReportFolder,
+    Seed,
+    Tables,
+)
 from spikedeploy.console import print_json, print_result
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
+from spikedeploy.setup import Count, OnChip, Reading
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,22 +35,100 @@ if TYPE_CHECKING:
     from spikedeploy.runtime.artifact.artifact import Artifact
 
 
+Channels = Literal["off-on", "on-off"]
+
+
+@dataclass(frozen=True)
+class FromCamera:
+    """A recording of an event camera as input.
+
+    Events of a camera:
+        events: recording instead of --input: HDF5, AEDAT 4, Prophesee .raw and .dat, NumPy .npy,
+            NIRData
+        camera: height and width of the camera in pixels (default: from the recording, else what the
+            network takes)
+        region: part of the camera that the network sees (default: all)
+        downsample: pixels along each axis that become one
+        channels: polarities of an input of two channels: light falls, then rises, as in Tonic; or
+            the other way round, as the event camera observes
+        time_step: time of a timestep, in which events are counted: 1ms (default: dt of the network)
+        step: count events in timesteps, or give the chip one after another, as --chip
+            speck2f:queue=on takes them
+        page: folder for report.html, which replays events, spikes and output
+    """
+
+    events: Annotated[Path, typer.Option(metavar="FILE", exists=True, dir_okay=False)] | None = None
+    camera: Annotated[str, typer.Option(metavar="HxW")] | None = None
+    region: Annotated[str, typer.Option(metavar="x,y,w,h")] | None = None
+    downsample: Count = 1
+    channels: Channels = "off-on"
+    time_step: Annotated[str, typer.Option(metavar="TIME")] | None = None
+    step: Literal["time", "event"] = "time"
+    page: Annotated[Path, typer.Option(metavar="FOLDER")] | None = None
+
+    def size(self) -> tuple[int, int] | None:
+        """Return (height, width) of the camera [pixels], where it was given."""
+        if self.camera is None:
+            return None
+        height, width = _whole_numbers("--camera", self.camera, "x", "height x width, as in 48x64")
+        if min(height, width) < 1:
+            raise ConfigError(f"--camera {self.camera}: the least is 1x1 pixel.")
+        return height, width
+
+    def part(self) -> tuple[int, int, int, int] | None:
+        """Return x, y, width and height of the region [pixels], where it was given."""
+        if self.region is None:
+            return None
+        form = "x,y,width,height in pixels, as in 0,0,64,48"
+        x, y, width, height = _whole_numbers("--region", self.region, ",", form)
+        return x, y, width, height
+
+    def seconds(self) -> float | None:
+        """Return the duration of a timestep [s], where it was given."""
+        from spikedeploy.realtime.paced_loop import duration
+
+        return None if self.time_step is None else duration("--time-step", self.time_step)
+
+
+def _whole_numbers(option: str, text: str, between: str, form: str) -> list[int]:
+    """Return the numbers of a text, as many as its form shows."""
+    parts = text.split(between)
+    as_form = len(parts) == form.partition(" as in ")[2].count(between) + 1
+    if not as_form or not all(re.fullmatch(r"\s*-?[0-9]{1,9}\s*", part) for part in parts):
+        raise ConfigError(f"{option} {text[:40]!r} is no {form}.")
+    return [int(part) for part in parts]
+
+
 def emulate(
     *,
-    file: Path,
-    chip: str,
+    file: NetworkFile,
+    chip: ChipName,
     reading: Reading,
     on_chip: OnChip,
     camera: FromCamera,
-    input_: Path | None = None,
-    output: Path | None = None,
+    input_: File | None = None,
+    output: Output | None = None,
     backend: str | None = None,
-    energy: list[str] | None = None,
-    tables: TablesChoice = "one",
-    force: bool = False,
-    json: bool = False,
+    energy: EnergyTables | None = None,
+    tables: Tables = "one",
+    force: Force = False,
+    json: Json = False,
 ) -> None:
-    """Run any NIR network on recorded spikes or events, and count what the chip does."""
+    """Run any NIR network on recorded spikes or events, and count what the chip does.
+
+    file: the network
+    chip: chip, or 'float'
+    input_: spikes (T, *shape), 0 or 1, .npy; several inputs by name, .npz; or NIRData, .h5. In
+        float any numbers
+
+    Output:
+        output: spikes of each node and `output`, or each Output, .npz, or NIRData, .h5 (default:
+            they are counted alone)
+        tables: print outputs, counts and energies, or all: NeuroBench's measures too
+
+    The emulated chip:
+        backend: what computes a chip: auto, numpy, numba or interpreter (default: numpy)
+    """
     from dataclasses import replace
 
     from spikedeploy.emulation.open_loop import emulate_artifact
@@ -141,35 +237,51 @@ def _emulate_events(
 
 def drift(
     *,
-    file: str,
+    file: PolicyName,
     reading: Reading,
     on_chip: OnChip,
-    chip: str | None = None,
-    input_: Path | None = None,
-    random: float | None = None,
-    env: str | None = None,
-    episodes: int = 1,
-    steps: int = 200,
-    seed: int = seeds.EVALUATION,
-    set_: list[str] | None = None,
+    chip: ChipName | None = None,
+    input_: File | None = None,
+    random: Annotated[float, typer.Option(min=0, max=1)] | None = None,
+    env: EnvName | None = None,
+    episodes: Count = 1,
+    steps: Count = 200,
+    seed: Seed = seeds.EVALUATION,
+    set_: EnvOptions | None = None,
     calibrate: bool = False,
     tune: bool = False,
-    tuned: Path | None = None,
-    tau: float = 5.0,
+    tuned: Annotated[Path, typer.Option(metavar="FILE.nir")] | None = None,
+    tau: Annotated[float, typer.Option(min=0.01)] = 5.0,
     markdown: bool = False,
-    output: Path | None = None,
-    force: bool = False,
-    json: bool = False,
+    output: ReportFolder | None = None,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
-    """Compare a chip with the float twin spike by spike, and attribute differences to roundings."""
+    """Compare a chip with the float twin spike by spike, and attribute differences to roundings.
+
+    file: a .nir file, run, or shipped name
+    chip: chip (default: what it was trained for, else loihi1)
+    input_: spikes (T, *shape), .npy
+    random: draw spikes at this rate, --steps timesteps of them
+    env: environment to observe (default: the one it was made for)
+    episodes: episodes to observe
+    steps: control steps used of them
+    calibrate: leave headroom for half of the inputs
+    tune: search clipping and thresholds on half of the inputs
+    tau: time constant of the spike distance, in timesteps
+
+    Output:
+        tuned: write the policy that --tune makes, for every command
+        markdown: print the tables as Markdown
+    """
     from spikedeploy.emulation.design_report import network_path
     from spikedeploy.emulation.drift import choose_inputs, drift_report
-    from spikedeploy.make_env import parse_options
     from spikedeploy.outputs import check_output, check_output_folder
     from spikedeploy.reports.drift import drift_markdown, drift_page, print_drift
     from spikedeploy.reports.page import FILES, is_page_of, write_page
     from spikedeploy.runtime.artifact.artifact import is_tuned, load, save
     from spikedeploy.runtime.chips.chip import chip as datasheet
+    from spikedeploy.setup import parse_options
     from spikedeploy.shipping.exported_run import runnable, trained_in
     from spikedeploy.shipping.sources import chip_of
 
@@ -227,20 +339,29 @@ def _name_page(folder: Path | None) -> None:
 
 def check(
     *,
-    file: str,
+    file: PolicyName,
     reading: Reading,
-    chip: list[str] | None = None,
+    chip: Annotated[list[str], typer.Option(autocompletion=completion.chips)] | None = None,
     rules: bool = False,
     board: str | None = None,
-    against: Path | None = None,
-    output: Path | None = None,
-    force: bool = False,
-    json: bool = False,
+    against: Annotated[Path, typer.Option(metavar="RECORDED.npz", exists=True, dir_okay=False)]
+    | None = None,
+    output: ReportFolder | None = None,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
     """Check whether a network fits on chips, rule by rule and node by node.
 
     Exit code 0: every chip that was named passes; of 'all', at least one that has limits. With
     --against: the float twin equals the recording. With --board: it fits on that FPGA.
+
+    file: a .nir file, a run, or the name of a shipped policy
+    chip: chip, or 'all'; several with commas between them, or the option again (default: all)
+    rules: print every rule, kept or broken, and the layers
+    board: check whether the core of `export --to verilog` fits on an FPGA, and no chips:
+        icebreaker, upduino, icestick, ice40-hx8k, ulx3s
+    against: compare the float twin with `input` and `output` spikes that your framework recorded,
+        instead of checking chips
     """
     from spikedeploy.emulation.design_report import ALL, network_path, report_of
     from spikedeploy.outputs import check_output_folder
@@ -308,20 +429,27 @@ def _check_against(
 
 def verify(
     *,
-    traces: list[Path],
+    traces: Annotated[list[Path], typer.Argument(metavar="TRACE.json…")],
     reading: Reading,
     on_chip: OnChip,
-    network: Path | None = None,
-    chip: str | None = None,
-    input_: Path | None = None,
+    network: File | None = None,
+    chip: ChipName | None = None,
+    input_: File | None = None,
     layer: str | None = None,
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """Replay traces; say equal or the first difference, and exit 1 if any differs.
 
     With --network, --chip and --input: recorded spikes beside those of the emulated chip.
 
     Exit code 2: none differs, and a file cannot be replayed.
+
+    traces: trace files, or folders of them; with --network, spikes of a layer that a chip was seen
+        to send, .npy, or of several by name, .npz
+    network: what the chip ran, of a .npy
+    chip: chip that --network ran on
+    input_: its input spikes, (T, *shape), or (B, T, *shape) of B samples, .npy
+    layer: node that was recorded (default: the one of that shape)
     """
     from spikedeploy.emulation.verification import replay_trace
     from spikedeploy.reports.terminal import print_verifications

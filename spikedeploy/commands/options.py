@@ -1,243 +1,249 @@
-"""Groups of options that several commands share, and the help of all options, from options.toml.
+"""A function as a command: its parameters are options, its docstring is their help.
 
-A command takes a group as a parameter, a dataclass of options; `with_groups` makes the function
-that typer understands, with a parameter for each field.
+A docstring has a line for each option, `name: text`, and a heading of its panel, `Panel:`, above
+lines that are indented. `(default: text)` at the end of a line is shown in place of the default. A
+parameter that is a dataclass is a group of options, whose docstring is that of the class.
 """
 
+import copy
 import inspect
 import re
-from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import MISSING, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
+from typer.models import OptionInfo
 
-from spikedeploy.commands.completion import words_of
-from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.files import read_toml
+from spikedeploy.commands import completion
+from spikedeploy.setup import Switch
 
-if TYPE_CHECKING:
-    from spikedeploy.runtime.chips.quantisation import Quantisation
-    from spikedeploy.runtime.faults import Faults
-
-# The choices of the runtime, which takes numpy to load; tests/spikedeploy/commands/test_options.py
-# holds them to the originals.
-Switch = Literal["on", "off"]
-Granularity = Literal["layer", "channel"]
-Fraction = Literal["nearest", "truncate"]
-TablesChoice = Literal["one", "all"]
-HeadroomChoice = Literal["none", "proven"]
-AfterSpike = Literal[
-    "zero", "subtract", "zero-delayed", "subtract-delayed", "subtract-ahead", "none"
+# options that several commands share, with their help
+Json = Annotated[
+    bool,
+    typer.Option(
+        help="Print JSON for machines, and nothing else, on stdout.", rich_help_panel="Output"
+    ),
 ]
-Decays = Literal["euler", "exponential"]
-States = Literal["reset", "kept"]
-TeacherUnits = Literal["own", "scaled"]
-Computes = Literal["numpy", "numba", "auto", "interpreter"]
-Encoders = Literal["population", "rate", "delta"]
-SpikeCount = Literal["above", "reached", "many"]
-Channels = Literal["off-on", "on-off"]
-EventStep = Literal["time", "event"]
-LowestMembrane = Literal["none", "zero", "threshold"]
-
-
-# what a command prints and writes, which has a panel of its own where it is as much as _PANEL
-_OUTPUT = ("output", "tuned", "video", "energy", "tables", "markdown", "force", "json")
-_PANEL = 4
-_TABLES = read_toml(Path(__file__).with_name("options.toml"))
-
+Force = Annotated[
+    bool,
+    typer.Option(help="Replace files that this command did not write.", rich_help_panel="Output"),
+]
+Tables = Annotated[
+    Literal["one", "all"],
+    typer.Option(
+        help="Print one table of 80 columns, or all: agreement, sizes, energies.",
+        rich_help_panel="Output",
+    ),
+]
+Output = Annotated[Path, typer.Option("-o", "--output", rich_help_panel="Output")]
+ReportFolder = Annotated[
+    Path,
+    typer.Option(
+        "-o",
+        "--output",
+        help="Folder for report.html and report.json.",
+        rich_help_panel="Output",
+    ),
+]
+Seed = Annotated[
+    int,
+    typer.Option(help="The first seed; episode k plays seed + k. Evaluation starts at 10000."),
+]
+TrainingSeed = Annotated[int, typer.Option(min=0, max=4999, help="Seed of the training.")]
+Workers = Annotated[
+    int, typer.Option(help="Processes that play episodes.", show_default="all cores", min=1)
+]
+EnergyTables = Annotated[
+    list[str],
+    typer.Option(
+        metavar="TABLE",
+        help="Energy table to price by, may be repeated; `energy` lists them.",
+        show_default="the chip's own",
+    ),
+]
+Settings = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE")]
+EnvOptions = Annotated[
+    list[str],
+    typer.Option(
+        "--set", metavar="OPTION=VALUE", help="Option of the environment: --set track=small_S."
+    ),
+]
+ChipName = Annotated[
+    str,
+    typer.Option(
+        help="Chip of a spiking policy; 'float' for its float twin.",
+        show_default="what it was trained for, else loihi1",
+        autocompletion=completion.chips,
+    ),
+]
+TrainedFor = Annotated[str, typer.Option("--for", metavar="CHIP", autocompletion=completion.chips)]
+EnvArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="ENV",
+        help="Environment; `envs` lists ours; or an id of gymnasium, or module:Class.",
+        autocompletion=completion.environments,
+    ),
+]
+EnvName = Annotated[str, typer.Option(metavar="ENV", autocompletion=completion.environments)]
+PolicyName = Annotated[str, typer.Argument(metavar="FILE", autocompletion=completion.policies)]
+PolicyNames = Annotated[
+    list[str], typer.Argument(metavar="[FILE]…", autocompletion=completion.policies)
+]
+OwnNetwork = Annotated[str, typer.Option("--network", "--start", metavar="module:Class|FILE.nir")]
+File = Annotated[Path, typer.Option(exists=True, dir_okay=False)]
+NetworkFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FILE.nir", exists=True, dir_okay=False, autocompletion=completion.networks
+    ),
+]
+Folder = Annotated[Path, typer.Option(metavar="FOLDER", exists=True, file_okay=False)]
+Limits = Annotated[
+    Switch,
+    typer.Option(
+        help="Refuse what breaks a design rule of the chip; 'off' emulates its arithmetic alone.",
+        rich_help_panel="The emulated chip",
+    ),
+]
+Resume = Annotated[
+    str,
+    typer.Option(
+        metavar="RUN|last",
+        help="Resume a run, or the newest.",
+        autocompletion=completion.run_names,
+    ),
+]
+RunsFolder = Annotated[Path, typer.Option(help="Folder in which the run folder is made.")]
+Checkpoint = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="Checkpoint of the run, such as last or ops-480.",
+        show_default="best, else last",
+    ),
+]
 
 _SYNONYMS = {"chips": "chip"}  # accepted in every command, as reports have them; not in the help
+_PANEL = re.compile(r"(\w[^:]*):")
+_FIELD = re.compile(r"( *)(\w+): (.*)")
+_DEFAULT = re.compile(r" \(default: (.*)\)")
 
 
 def one_word(name: str) -> str:
-    """The name of an option for one of its synonyms; any other name as it is."""
+    """Return the name of an option for one of its synonyms; any other name as it is."""
     return _SYNONYMS.get(name, name)
 
 
-def with_groups(
-    command: Callable[..., Any], call: Callable[..., object] | None = None
-) -> Callable[..., Any]:
-    """The command as typer understands it: an option for each field of its groups, with their help.
-
-    call  is called in place of the command
-    """
-    hints = get_type_hints(command)
+def as_command(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function as typer understands it, with a parameter for each option."""
+    hints = get_type_hints(function)
     groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
-    parameters = _parameters(command)
-    printed = [each.default for each in parameters if each.name in _OUTPUT]
-    for option in printed if len(printed) >= _PANEL else ():
-        option.rich_help_panel = "Output"
+    parameters = list(_options(function))
+    several = {each.name for each in parameters if get_origin(_plain(each.annotation)) is tuple}
 
-    @wraps(command)
-    def run(**given: Any) -> object:  # noqa: ANN401
+    @wraps(function)
+    def command(**given: Any) -> object:  # noqa: ANN401
+        given |= {name: tuple(given[name] or ()) for name in several}
         for name, group in groups.items():
-            given[name] = group(**{each.name: given.pop(each.name) for each in fields(group)})
-        return (call or command)(**given)
+            given[name] = group(**{f.name: given.pop(f.name) for f in fields(group)})
+        return function(**given)
 
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {each.name: each.annotation for each in parameters}
-    return run
+    for each in several:
+        place = next(k for k, found in enumerate(parameters) if found.name == each)
+        kind, info = get_args(parameters[place].annotation)
+        listed: Any = list.__class_getitem__(get_args(kind)[0])
+        parameters[place] = parameters[place].replace(
+            annotation=Annotated[listed | None, info], default=None
+        )
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {each.name: each.annotation for each in parameters}
+    command.__doc__, _ = _read_docstring(function, set(hints))
+    return command
 
 
-def _parameters(of: Callable[..., Any]) -> list[inspect.Parameter]:
-    hints, found, grouped = get_type_hints(of), list[inspect.Parameter](), []
-    for name, own in inspect.signature(of).parameters.items():
-        if is_dataclass(hints[name]):
-            grouped += _parameters(hints[name])
+def _options(owner: Any) -> Iterator[inspect.Parameter]:  # noqa: ANN401
+    """Yield the options of a function, then those of its groups; or those of a dataclass."""
+    hints = get_type_hints(owner, include_extras=True)
+    if is_dataclass(owner):
+        defaults = {f.name: f.default for f in fields(owner)}
+    else:
+        found = inspect.signature(owner).parameters.values()
+        defaults = {p.name: MISSING if p.default is p.empty else p.default for p in found}
+    texts: dict[str, tuple[str, str | None]] = {}
+    for each in reversed(getattr(owner, "__mro__", (owner, object))[:-1]):
+        texts |= _read_docstring(each, set(defaults))[1]
+    groups = [hints[name] for name in defaults if is_dataclass(hints[name])]
+    for name, default in defaults.items():
+        if not is_dataclass(hints[name]):
+            yield _option(name, hints[name], default, *texts.get(name, ("", None)))
+    for group in groups:
+        yield from _options(group)
+
+
+def _option(
+    name: str,
+    hint: Any,  # noqa: ANN401
+    default: Any,  # noqa: ANN401
+    text: str,
+    panel: str | None,
+) -> inspect.Parameter:
+    """Return a parameter whose annotation has typer's words for an option."""
+    kind, found = _split(hint)
+    info = copy.copy(found) if found is not None else typer.Option()
+    if text:
+        if shown := _DEFAULT.search(text):
+            info.show_default = shown[1]
+        text = _DEFAULT.sub("", text).replace("[", r"\[")
+        info.help = text[:1].upper() + text[1:]
+    info.rich_help_panel = panel or info.rich_help_panel
+    if isinstance(info, OptionInfo):  # typer takes the first flag for a default
+        flags = (info.default, *(info.param_decls or ()))
+        info.param_decls = tuple(each for each in flags if isinstance(each, str))
+        info.default = ...
+        if not info.param_decls and default is not True:  # of which typer makes --no-… too
+            info.param_decls = (f"--{name.strip('_').replace('_', '-')}",)
+    none = inspect.Parameter.empty if default is MISSING else default
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=none, annotation=Annotated[kind, info]
+    )
+
+
+def _split(hint: Any) -> tuple[Any, Any]:  # noqa: ANN401
+    """Return a type without what is said of it, and that: of `Annotated[T, info] | None` too."""
+    if get_origin(hint) is Annotated:
+        return _plain(hint), hint.__metadata__[0]
+    for part in get_args(hint):
+        if get_origin(part) is Annotated:
+            return _plain(part) | None, part.__metadata__[0]
+    return hint, None
+
+
+def _plain(hint: Any) -> Any:  # noqa: ANN401
+    return get_args(hint)[0] if get_origin(hint) is Annotated else hint
+
+
+def _read_docstring(
+    owner: Any,  # noqa: ANN401
+    names: set[str],
+) -> tuple[str, dict[str, tuple[str, str | None]]]:
+    """Return a docstring without its options; and option -> its text and its panel."""
+    rest: list[str] = []
+    texts: dict[str, tuple[str, str | None]] = {}
+    panel, last = None, ""
+    for line in (inspect.getdoc(owner) or "").splitlines():
+        field = _FIELD.fullmatch(line)
+        if field and field[2] in names and len(field[1]) in (0, 4):
+            last = field[2]
+            texts[last] = field[3], panel if field[1] else None
+        elif last and line.startswith("    "):
+            texts[last] = f"{texts[last][0]} {line.strip()}", texts[last][1]
+        elif found := _PANEL.fullmatch(line):
+            panel = found[1]
         else:
-            found.append(_option(of.__name__, own, hints[name]))
-    return found + grouped
-
-
-def _option(owner: str, own: inspect.Parameter, kind: Any) -> inspect.Parameter:  # noqa: ANN401
-    table = _TABLES.get(owner, {})
-    every = {key: value for key, value in table.items() if isinstance(value, str)}
-    words: dict[str, Any] = {**every, **(table.get(own.name) or _TABLES["shared"][own.name])}
-    default = ... if own.default is own.empty else own.default
-    words["autocompletion"] = words_of(owner, own.name)
-    if words.pop("argument", False):
-        info = typer.Argument(default, **words)
-    else:  # of a switch that is on, typer makes --no-… too
-        flag = f"--{own.name.strip('_').replace('_', '-')}"
-        info = typer.Option(
-            default, *words.pop("flags", () if default is True else [flag]), **words
-        )
-    return own.replace(kind=own.KEYWORD_ONLY, annotation=kind, default=info)
-
-
-@dataclass(frozen=True)
-class Reading:
-    """Options for what NIR leaves open; they take precedence over the file."""
-
-    dt: float | None = None
-    reset: AfterSpike | None = None
-    integrator: Decays | None = None
-    delay: int | None = None
-    spikes: SpikeCount | None = None
-    floor: LowestMembrane | None = None
-    state: States | None = None
-    like: str | None = None
-    from_: str | None = None
-
-    def arguments(self) -> dict[str, Any]:
-        """Arguments of `artifact.load`."""
-        return {"written_by" if n == "from_" else n: value for n, value in vars(self).items()}
-
-
-@dataclass(frozen=True)
-class OnChip:
-    """Options for how a network is put on a chip."""
-
-    limits: Switch = "on"
-    quantise: Granularity = "layer"
-    rounding: Fraction | None = None
-    headroom: HeadroomChoice = "none"
-    thresholds: int | None = None
-    weight_shift: int = 0
-
-    def words(self) -> list[str]:
-        """The options of the quantisation that were given, as on the command line."""
-        given = {n: value for n, value in vars(self).items() if value != getattr(OnChip, n)}
-        given.pop("limits", None)
-        return [f"--{name.replace('_', '-')} {value}" for name, value in given.items()]
-
-    def quantisation(self) -> "Quantisation":
-        """The quantisation of the five options."""
-        from spikedeploy.runtime.chips.quantisation import Quantisation
-
-        return Quantisation(
-            self.quantise,
-            self.rounding,
-            self.headroom,
-            self.thresholds,
-            weight_shift=self.weight_shift,
-        )
-
-    def arguments(self) -> dict[str, Any]:
-        """Quantisation, and whether design rules are enforced."""
-        return {"limits": self.limits == "on", "quantisation": self.quantisation()}
-
-
-@dataclass(frozen=True)
-class FromCamera:
-    """Options for a recording of an event camera as input."""
-
-    events: Path | None = None
-    camera: str | None = None
-    region: str | None = None
-    downsample: int = 1
-    channels: Channels = "off-on"
-    time_step: str | None = None
-    step: EventStep = "time"
-    page: Path | None = None
-
-    def size(self) -> tuple[int, int] | None:
-        """(height, width) of the camera [pixels], where it was given."""
-        if self.camera is None:
-            return None
-        height, width = _whole_numbers("--camera", self.camera, "x", "height x width, as in 48x64")
-        if min(height, width) < 1:
-            raise ConfigError(f"--camera {self.camera}: the least is 1x1 pixel.")
-        return height, width
-
-    def part(self) -> tuple[int, int, int, int] | None:
-        """X, y, width and height of the region [pixels], where it was given."""
-        if self.region is None:
-            return None
-        form = "x,y,width,height in pixels, as in 0,0,64,48"
-        x, y, width, height = _whole_numbers("--region", self.region, ",", form)
-        return x, y, width, height
-
-    def seconds(self) -> float | None:
-        """Duration of a timestep [s], where it was given."""
-        from spikedeploy.realtime.paced_loop import duration
-
-        return None if self.time_step is None else duration("--time-step", self.time_step)
-
-
-def _whole_numbers(option: str, text: str, between: str, form: str) -> list[int]:
-    """The numbers of a text, as many as its form shows."""
-    parts = text.split(between)
-    as_form = len(parts) == form.partition(" as in ")[2].count(between) + 1
-    if not as_form or not all(re.fullmatch(r"\s*-?[0-9]{1,9}\s*", part) for part in parts):
-        raise ConfigError(f"{option} {text[:40]!r} is no {form}.")
-    return [int(part) for part in parts]
-
-
-@dataclass(frozen=True)
-class World:
-    """Options for an environment, and for what is measured in it."""
-
-    set_: list[str] | None = None
-    success: str | None = None
-    metric: list[str] | None = None
-    disturb: list[str] | None = None
-
-    def options(self) -> dict[str, Any]:
-        """Options of `make_env`."""
-        from spikedeploy.make_env import parse_options
-
-        for text in self.set_ or ():
-            if (name := text.partition("=")[0]) in ("success", "disturb"):
-                raise ConfigError(
-                    f"--set {text}: {name} is given with --{name}. An argument of this name of an "
-                    "environment is set in a function of yours, named as module:function."
-                )
-        return parse_options(self.set_ or (), self.disturb or (), self.success)
-
-
-@dataclass(frozen=True)
-class Damaged:
-    """Options for faults of the chip."""
-
-    fault: list[str] | None = None
-    specimen: int = 0
-
-    def faults(self) -> "Faults":
-        """The faults, parsed."""
-        from spikedeploy.runtime.faults import faults
-
-        return faults(self.fault or (), self.specimen)
+            last = ""
+            rest.append(line)
+    return "\n".join(rest).strip(), texts

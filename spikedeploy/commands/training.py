@@ -4,11 +4,26 @@ import shlex
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
-from spikedeploy.commands.options import Encoders
+from spikedeploy.commands import completion
+from spikedeploy.commands.options import (
+    ChipName,
+    EnvName,
+    File,
+    Force,
+    Json,
+    Output,
+    OwnNetwork,
+    Resume,
+    RunsFolder,
+    Settings,
+    TrainedFor,
+    TrainingSeed,
+    Workers,
+)
 from spikedeploy.console import (
     name_program,
     print_json,
@@ -17,28 +32,51 @@ from spikedeploy.console import (
     program_name,
     say,
 )
+from spikedeploy.setup import Count, Natural
 
 _RUNS = Path("runs")
 
 
 def train(
     *,
-    what: str | None = None,
-    recipe: str | None = None,
-    network: str | None = None,
-    chip: str | None = None,
-    config: Path | None = None,
-    set_: list[str] | None = None,
-    budget: str | None = None,
-    seed: int | None = None,
-    several: str | None = None,
-    jobs: int | None = None,
-    resume: str | None = None,
-    runs: Path = _RUNS,
-    films: int = 0,
-    json: bool = False,
+    what: Annotated[str, typer.Argument(metavar="RECIPE|ENV", autocompletion=completion.trainings)]
+    | None = None,
+    recipe: Annotated[str, typer.Option(metavar="NAME", autocompletion=completion.recipes)]
+    | None = None,
+    network: OwnNetwork | None = None,
+    chip: TrainedFor | None = None,
+    config: File | None = None,
+    set_: Settings | None = None,
+    budget: Annotated[str, typer.Option(metavar="sops=N|macs=N")] | None = None,
+    seed: TrainingSeed | None = None,
+    several: Annotated[str, typer.Option("--seeds", metavar="0-4|0,2,5")] | None = None,
+    jobs: Count | None = None,
+    resume: Resume | None = None,
+    runs: RunsFolder = _RUNS,
+    films: Natural = 0,
+    json: Json = False,
 ) -> None:
-    """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on."""
+    """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on.
+
+    what: name of a recipe; `recipes` lists them. With --recipe an environment: short name, id of
+        gymnasium, or module:Class (default: with --resume that of the run)
+    recipe: recipe for any environment, such as ppo-snn or sac-popsan; `recipes` lists them
+        (default: the first argument)
+    network: train a network of yours: a torch module, or a file, which training goes on from;
+        recipe ppo-network, or sac-network
+    chip: train in the integers of this chip: imitating a teacher, recipe for-chip, or with
+        --network (default: in float)
+    config: TOML file with settings
+    set_: one setting, as in --set env.count=8
+    budget: operations of a control step, of sparse recipes: spiking or float (default: the
+        recipe's)
+    seed: seed of the training (default: 0)
+    several: train with several seeds side by side, each as a command of its own (default: one
+        training)
+    jobs: with --seeds: trainings side by side (default: all cores)
+    films: films of a greedy episode of the best checkpoint so far, evenly over the training, the
+        last at its end
+    """
     if what is None and (resume is None or recipe is not None):
         raise typer.BadParameter("name a RECIPE, an ENV with --recipe, or a run with --resume")
     from spikedeploy.training_settings import chip_student, own_network
@@ -152,12 +190,18 @@ def _show_run(run: Path) -> None:
 
 def visualize(
     *,
-    runs: list[str],
-    output: Path = Path("reports/curves.png"),
-    force: bool = False,
-    json: bool = False,
+    runs: Annotated[list[str], typer.Argument(metavar="RUN…", autocompletion=completion.run_names)],
+    output: Output = Path("reports/curves.png"),
+    force: Force = False,
+    json: Json = False,
 ) -> None:
-    """Draw the learning curves of training runs into one PNG."""
+    """Draw the learning curves of training runs into one PNG.
+
+    runs: run folders, or their names under runs/
+
+    Output:
+        output: PNG to write
+    """
     from spikedeploy.outputs import check_output, has_text, mark
     from spikedeploy.reports.plots import draw_curves, read_curve
     from spikedeploy.trainers.run_folder import existing_run
@@ -219,23 +263,49 @@ def _run_seeds(
 
 def distill(
     *,
-    teacher: str | None = None,
-    env: str | None = None,
-    size: str | None = None,
-    encoder: Encoders | None = None,
-    timesteps: int | None = None,
-    budget: str | None = None,
+    teacher: Annotated[str, typer.Argument(metavar="TEACHER", autocompletion=completion.policies)]
+    | None = None,
+    env: Annotated[str, typer.Option(metavar="ENV", autocompletion=completion.environments)]
+    | None = None,
+    size: Annotated[str, typer.Option(metavar="N,N…")] | None = None,
+    encoder: Literal["population", "rate", "delta"] | None = None,
+    timesteps: Count | None = None,
+    budget: Annotated[str, typer.Option(metavar="sops=N")] | None = None,
     dense: bool = False,
     rival: bool = True,
-    network: str | None = None,
-    chip: str | None = None,
-    set_: list[str] | None = None,
-    seed: int | None = None,
-    resume: str | None = None,
-    runs: Path = Path("runs"),
-    json: bool = False,
+    network: OwnNetwork | None = None,
+    chip: TrainedFor | None = None,
+    set_: Settings | None = None,
+    seed: TrainingSeed | None = None,
+    resume: Resume | None = None,
+    runs: RunsFolder = Path("runs"),
+    json: Json = False,
 ) -> None:
-    """Train a spiking student that imitates a teacher. A function of yours runs as your code."""
+    """Train a spiking student that imitates a teacher. A function of yours runs as your code.
+
+    teacher: policy to imitate: .onnx (of rsl_rl too), .zip of Stable-Baselines3,
+        my_module:function, a run folder, or a shipped policy (default: with --resume that of the
+        run)
+    env: short name, id of gymnasium, or module:Class (default: with --resume that of the run)
+    set_: one setting, as in --set updates=8000
+    seed: seed of the training (default: 0)
+
+    Student:
+        size: neurons of the hidden layers; one layer of a sparse student (default: 64; 64,64 if
+            dense)
+        encoder: code of the observation; population and rate make a dense student (default: delta;
+            population if dense)
+        timesteps: timesteps T of an inference; above 1 the student is dense (default: 1; 8 if
+            dense)
+        budget: prune to so many synaptic operations of a control step (default: as few as keep 98 %
+            of the teacher in validation)
+        dense: a student that is not pruned: 64-64 LIF neurons, population code
+        rival: train a small float MLP beside it, pruned by the same rule
+        network: train a network of yours: a torch module, or a file, which training goes on from;
+            recipe distill-network
+        chip: train in the integers of this chip; recipe for-chip, or distill-network with --network
+            (default: in float)
+    """
     if resume is None and (teacher is None or env is None):
         raise typer.BadParameter("name a TEACHER and --env ENV, or a run with --resume")
     own = {"--size": size, "--encoder": encoder, "--timesteps": timesteps, "--for": chip}
@@ -273,22 +343,40 @@ _Objective = Literal["return", "return-at-sops", "return,sops"]
 
 def tune(
     *,
-    recipe: str,
-    env: str | None = None,
+    recipe: Annotated[str, typer.Argument(metavar="RECIPE", autocompletion=completion.recipes)],
+    env: EnvName | None = None,
     objective: _Objective = "return",
-    sops: float | None = None,
-    search: list[str] | None = None,
-    set_: list[str] | None = None,
-    trials: int = 50,
-    jobs: int = 1,
-    episodes: int = 20,
-    chip: str | None = None,
-    seed: int = 0,
-    storage: str | None = None,
+    sops: Annotated[float, typer.Option(metavar="N", min=1)] | None = None,
+    search: Annotated[list[str], typer.Option(metavar="KEY=low..high[:log]|KEY=a|b")] | None = None,
+    set_: Settings | None = None,
+    trials: Count = 50,
+    jobs: Count = 1,
+    episodes: Count = 20,
+    chip: ChipName | None = None,
+    seed: TrainingSeed = 0,
+    storage: Annotated[str, typer.Option(metavar="URL")] | None = None,
     folder: Path | None = None,
-    json: bool = False,
+    json: Json = False,
 ) -> None:
-    """Search for the settings of a recipe with Optuna; go on where it stopped."""
+    """Search for the settings of a recipe with Optuna; go on where it stopped.
+
+    recipe: name of a recipe; `recipes` lists them
+    env: environment of a recipe for any: short name, id, or module:Class
+    objective: return; return within --sops; or both return and SOPs, with the Pareto front
+    sops: most SOPs of a control step, of return-at-sops
+    search: what a setting may be, may be repeated (default: the recipe's own; docs/tuning.md lists
+        them)
+    set_: one setting of every training
+    trials: trials of the search in all
+    jobs: processes side by side, a core each
+    episodes: episodes that judge a trial
+    chip: chip of a spiking policy; 'float' for its float twin (default: that which it is trained
+        for, or loihi1)
+    seed: seed of the trainings
+    storage: database of the search, for several machines, such as postgresql://… (default: a
+        journal file in the folder)
+    folder: folder of the search, which goes on there (default: runs/tune/RECIPE)
+    """
     from spikedeploy.campaign.tune import tune as find
     from spikedeploy.campaign.tune_plan import TuningPlan
     from spikedeploy.campaign.tune_results import PAGE, SHOWN, is_study
@@ -312,22 +400,33 @@ def tune(
 
 
 # as the table BACKENDS of spikedeploy.jobs has them; a test holds both together
-BackendName = Literal["serial", "process", "ray"]
+JobBackend = Literal["serial", "process", "ray"]
 
 
 def sweep(
     *,
-    spec: Path,
-    backend: BackendName = "process",
-    workers: int | None = None,
-    address: str | None = None,
+    spec: Annotated[Path, typer.Argument(metavar="SPEC.toml", exists=True, dir_okay=False)],
+    backend: JobBackend = "process",
+    workers: Workers | None = None,
+    address: Annotated[str, typer.Option(metavar="HOST:PORT")] | None = None,
     retry: bool = False,
     run: bool = True,
-    output: Path | None = None,
-    force: bool = False,
-    json: bool = False,
+    output: Output | None = None,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
-    """Evaluate a grid of policies, chips, disturbances and seeds; run again, it goes on."""
+    """Evaluate a grid of policies, chips, disturbances and seeds; run again, it goes on.
+
+    spec: the grid: env, policy, chip, bits, disturb, fault, specimen, seed; docs/sweeps.md
+    backend: this process, several of one thread each, or tasks of Ray
+    address: with --backend ray: a cluster that is running; 'auto' for that of this machine
+        (default: Ray is started here, and ended)
+    retry: run those again that failed, too
+    run: run missing jobs; --no-run only shows what is there
+
+    Output:
+        output: folder of the results (default: runs/sweeps/NAME)
+    """
     from spikedeploy import jobs
     from spikedeploy.campaign.sweep import is_sweep, load_sweep, run_sweep
     from spikedeploy.campaign.sweep_grid import read_grid
@@ -360,12 +459,17 @@ SortKey = Literal["return", "success", "operations", "share", "age", "name"]
 
 def runs(
     *,
-    folder: Path = Path("runs"),
+    folder: Annotated[Path, typer.Option("--runs")] = Path("runs"),
     sort: SortKey = "age",
-    env: str | None = None,
-    json: bool = False,
+    env: EnvName | None = None,
+    json: Json = False,
 ) -> None:
-    """List training runs: validation return, success, operations, how far each came, age."""
+    """List training runs: validation return, success, operations, how far each came, age.
+
+    folder: folder with the run folders; also those below it
+    sort: column to sort by; the best, newest or first are on top
+    env: only of this environment (default: all)
+    """
     from spikedeploy.reports.runs import find_runs, run_table
 
     rows, damaged = find_runs(folder, env, sort)

@@ -1,34 +1,47 @@
 """`play`: the command that opens a window."""
 
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from spikedeploy import seeds
+from spikedeploy.commands import completion
+from spikedeploy.commands.options import ChipName, EnvArgument, EnvOptions, Force, Json, Seed
 from spikedeploy.console import print_result
 
 
 def play(
     *,
-    env: str,
+    env: EnvArgument,
     track: str | None = None,
-    policy: str | None = None,
-    chip: str | None = None,
-    beside: list[str] | None = None,
+    policy: Annotated[str, typer.Option(metavar="FILE", autocompletion=completion.policies)]
+    | None = None,
+    chip: ChipName | None = None,
+    beside: Annotated[list[str], typer.Option(metavar="FILE", autocompletion=completion.policies)]
+    | None = None,
     record: Path | None = None,
-    set_: list[str] | None = None,
-    seed: int = seeds.EVALUATION,
-    force: bool = False,
-    json: bool = False,
+    set_: EnvOptions | None = None,
+    seed: Seed = seeds.EVALUATION,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
-    """Drive a kart with WASD or the arrows, command a hexapod, or watch a policy."""
+    """Drive a kart with WASD or the arrows, command a hexapod, or watch a policy.
+
+    track: track of a kart: a name, or a .json file (default: big_S)
+    policy: policy to watch (default: you drive a kart)
+    beside: a recorded drive (.npz) or a policy whose kart is shown beside yours; repeatable
+    record: .npz file, one for each drive
+    """
     from spikedeploy.outputs import check_output
     from spikedeploy.play.display import check_display
 
     if record is not None:
         check_output("--record", record, (policy, track), force)
     check_display()
-    from spikedeploy.make_env import parse_options
     from spikedeploy.play.session import open_session
     from spikedeploy.play.window import DriveApp, show
+    from spikedeploy.setup import parse_options
     from spikedeploy.shipping.exported_run import runnable
 
     policy = policy and runnable(policy)

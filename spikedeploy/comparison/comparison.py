@@ -34,6 +34,7 @@ from spikedeploy.runtime.metrics.energy import (
     break_even_sops,
     static_energy,
 )
+from spikedeploy.setup import Setup
 
 _AGREEMENT = (
     "reference",
@@ -141,8 +142,6 @@ class Comparison:
     env    id of the environment
     seeds  (n,)
     rows   in the order of the line-up
-    tables energy tables to price by; empty for those of each row's chip
-    disturb  disturbances of the world
     foreign  whether the environment is not ours
     period   time of a control step [s], where it is not as the environment's class says
     """
@@ -150,10 +149,13 @@ class Comparison:
     env: str
     seeds: Sequence[int]
     rows: Sequence[Row]
-    tables: Sequence[str] = ()
-    disturb: Sequence[str] = ()
     foreign: bool = False
     period: float | None = None
+
+    @property
+    def setup(self) -> Setup:
+        """What all rows share."""
+        return self.rows[0].entry.setup
 
     def row(self, entry: Entry | None) -> Row | None:
         """The row of an entry."""
@@ -241,7 +243,9 @@ class Comparison:
         """Operations, memory and energy of an inference."""
         found, chip = row.costs, row.entry.chip
         ann = self.of_kind("ann") if row.entry.candidate.kind == "snn" else None
-        tables = self.tables or (FLOAT_TABLES if chip is None else priced_by(chip_or_float(chip)))
+        tables = self.setup.energy or (
+            FLOAT_TABLES if chip is None else priced_by(chip_or_float(chip))
+        )
         energy, latency = _by(tables, found.energy_j), _by(tables, found.latency_s)
         terms = _by(tables, found.energy_terms_j)
         return {

@@ -1,6 +1,5 @@
 """Episodes of a comparison: played as jobs, summarised, and compared action by action."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -13,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy import envs
+from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.metrics import measure, measure_named
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.costs import Costs
 from spikedeploy.policies.registry import Candidate, Player, open_policy
 from spikedeploy.runtime.chips.damage import Damage
+from spikedeploy.setup import Setup
 
 _TOLERANCE = 0.01  # of an action in [-1, 1]: far below the resolution of a servo
 
@@ -93,24 +94,18 @@ _KEPT = 16  # environments and players of a process, for the next episode
 class EpisodeJob:
     """An episode to play.
 
-    env        short name or id
-    options    of the environment, as JSON, which can be a cache key
-    candidate  the policy
-    chip       as in lineup.Entry
-    seed       of the episode
-    others     name -> file with the rollout of a reference on the same seed
-    record     file for its own rollout, None for none
-    metrics    of the step infos, `name:mean|last|max`
+    env: short name or id
+    entry: policy, chip and setup
+    seed: of the episode
+    others: name -> file with the rollout of a reference on the same seed
+    record: file for its own rollout, None for none
     """
 
     env: str
-    options: str
-    candidate: Candidate
-    chip: str | None
+    entry: Entry
     seed: int
-    others: Mapping[str, Path]
+    others: Mapping[str, Path] = field(default_factory=dict)
     record: Path | None = None
-    metrics: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -143,13 +138,13 @@ class Episode:
 
 def play(job: EpisodeJob) -> Episode:
     """Play the job's episode and measure it."""
-    player = _player(job.env, job.options, job.candidate, job.chip)
-    played = rollout(_environment(job.env, job.options), player, job.seed)
+    entry, setup = job.entry, job.entry.setup
+    player = _player(job.env, setup, entry.candidate, entry.chip)
+    played = rollout(_environment(job.env, setup), player, job.seed)
     if job.record:
         played.save(job.record)
     others = {name: Rollout.load(path) for name, path in job.others.items()}
-    foreign = envs.spec(job.env).foreign
-    return summarise(player, played, others, job.metrics, foreign)
+    return summarise(player, played, others, setup.metric, envs.spec(job.env).foreign)
 
 
 def summarise(
@@ -179,20 +174,20 @@ def summarise(
     )
 
 
-def period_of(env: str, options: str) -> float | None:
+def period_of(env: str, setup: Setup) -> float | None:
     """Time of a control step [s] by the options; None where it is that of the class, or unknown."""
-    if not envs.spec(env).foreign and not json.loads(options):
+    if not envs.spec(env).foreign and not setup.options():
         return None
-    world: Any = _environment(env, options).unwrapped
+    world: Any = _environment(env, setup).unwrapped
     period: float | None = world.CONTROL_DT
     return period
 
 
 @lru_cache(_KEPT)
-def _environment(name: str, options: str) -> gymnasium.Env[Any, Any]:
-    return make_env(name, json.loads(options))
+def _environment(name: str, setup: Setup) -> gymnasium.Env[Any, Any]:
+    return make_env(name, setup.options())
 
 
 @lru_cache(_KEPT)
-def _player(env: str, options: str, candidate: Candidate, chip: str | None) -> Player:
-    return open_policy(candidate, chip, _environment(env, options))
+def _player(env: str, setup: Setup, candidate: Candidate, chip: str | None) -> Player:
+    return open_policy(candidate, chip, _environment(env, setup), setup)

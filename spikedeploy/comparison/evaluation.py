@@ -1,14 +1,12 @@
 """Closed loop: one policy in its environment, or every entry of a line-up on the same seeds."""
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -26,10 +24,9 @@ from spikedeploy.console import progress, say
 from spikedeploy.envs.repeats import check_repeats
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout, rollout
 from spikedeploy.jobs.pool import local_backend
-from spikedeploy.make_env import confirm, disturbed_by, make_env
+from spikedeploy.make_env import confirm, make_env
 from spikedeploy.outputs import mark
 from spikedeploy.policies.registry import (
-    FLOAT,
     check_fit,
     find,
     open_policy,
@@ -38,7 +35,20 @@ from spikedeploy.realtime.paced_loop import PacedLoop
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import EVALUATION
+from spikedeploy.setup import DEFAULT, Setup
 from spikedeploy.video import Frame, Pace, add_caption, mp4
+
+
+class Hardware(Protocol):
+    """What drives in place of the emulated chip: the name of its row, and what computes."""
+
+    @property
+    def name(self) -> str:
+        """Of the row."""
+
+    @property
+    def backend(self) -> Any:  # noqa: ANN401
+        """Makes the backend of a machine."""
 
 
 def compare_policies(
@@ -46,20 +56,16 @@ def compare_policies(
     entries: Sequence[Entry],
     seeds: Sequence[int],
     processes: int | None = None,
-    options: Mapping[str, Any] = MappingProxyType({}),
-    metrics: Sequence[str] = (),
 ) -> Comparison:
     """Play every entry on every seed, in parallel, references before those that refer to them.
 
     env        short name or id of the environment
-    entries    of lineup.line_up; the reference of an entry is an entry too
+    entries    of lineup.line_up; the reference of an entry is an entry too, all share a setup
     seeds      (n,) from EVALUATION up, which no training uses
     processes  one for each core by default
-    options    of the environment
-    metrics    of its step infos, `name:mean|last|max`
     """
-    _check(env, options, entries, seeds)
-    as_json, references = json.dumps(dict(options)), [id(entry.reference) for entry in entries]
+    setup, references = entries[0].setup, [id(entry.reference) for entry in entries]
+    _check(env, setup.options(), entries, seeds)
     played: dict[Entry, list[Episode]] = {}
     with (
         TemporaryDirectory() as folder,
@@ -73,9 +79,7 @@ def compare_policies(
         def job(entry: Entry, seed: int) -> EpisodeJob:
             others = {other.label: file(other, seed) for other in entry.references}
             record = file(entry, seed) if id(entry) in references else None
-            return EpisodeJob(
-                env, as_json, entry.candidate, entry.chip, seed, others, record, tuple(metrics)
-            )
+            return EpisodeJob(env, entry, seed, others, record)
 
         for rank in range(1 + max(entry.rank for entry in entries)):
             group = [entry for entry in entries if entry.rank == rank]
@@ -84,8 +88,7 @@ def compare_policies(
             for entry in group:
                 played[entry] = list(islice(found, len(seeds)))
     spec, rows = envs.spec(env), [Row(entry, played[entry]) for entry in entries]
-    period, disturb = period_of(env, as_json), disturbed_by(options)
-    return Comparison(spec.id, seeds, rows, (), disturb, spec.foreign, period)
+    return Comparison(spec.id, seeds, rows, spec.foreign, period_of(env, setup))
 
 
 def _check(
@@ -99,8 +102,8 @@ def _check(
     world = make_env(env, options)
     for entry in entries:
         check_fit(entry.candidate, world)
-        if entry.chip not in (None, FLOAT):
-            chip(entry.chip)  # raises on an unknown name
+        if entry.on_chip:
+            chip(str(entry.chip))  # raises on an unknown name
     world.close()
     if remark := check_repeats(env, options):
         say(remark)
@@ -111,12 +114,10 @@ def run_policy(
     env: str | None,
     chip: str | None,
     seeds: Sequence[int],
+    setup: Setup = DEFAULT,
     video: Path | None = None,
-    sampled: bool = False,
-    options: Mapping[str, Any] = MappingProxyType({}),
-    metrics: Sequence[str] = (),
     loop: PacedLoop | None = None,
-    **on_chip: Any,  # noqa: ANN401
+    hardware: Hardware | None = None,
 ) -> Comparison:
     """One row: the policy on every seed.
 
@@ -126,15 +127,16 @@ def run_policy(
                that spikes
     seeds      (n,)
     video      MP4 of the first episode
-    sampled    draw one of several actions by its probability, instead of taking the likeliest
-    options    of the environment
-    metrics    of the step infos, `name:mean|last|max`
     loop       paces it by the clock, and says which seeds are played; None plays as fast as it can
-    on_chip    fields of its candidate: limits, quantisation, faults, backend
+    hardware   that computes instead of the emulated chip
     """
-    candidate = replace(find(reference), **on_chip)
-    entry = Entry(candidate, chip or candidate.default_chip)
-    if candidate.faults and entry.chip in (None, FLOAT):
+    candidate = find(reference)
+    played_with = setup
+    if hardware is not None:
+        candidate = replace(candidate, name=hardware.name)
+        played_with = replace(setup, backend=hardware.backend)
+    entry = Entry(candidate, chip or candidate.default_chip, setup=setup)
+    if setup.faults and not entry.on_chip:
         raise ConfigError(
             f"--fault is of chips, and {entry.label} runs in float. Leave it out, or run a spiking "
             "policy on a chip."
@@ -148,8 +150,8 @@ def run_policy(
     if env is None:
         confirm(name, None, candidate.path)
     foreign = envs.spec(name).foreign
-    world: Any = make_env(name, options, render_mode=mode)
-    player = (open_policy if loop is None else loop.open)(candidate, entry.chip, world, sampled)
+    world: Any = make_env(name, setup.options(), render_mode=mode)
+    player = (open_policy if loop is None else loop.open)(candidate, entry.chip, world, played_with)
     period = world.unwrapped.CONTROL_DT
     episodes: list[Episode] = []
     first: Rollout | None = None
@@ -163,17 +165,16 @@ def run_policy(
             else:
                 played = rollout(world, player, seed)
             first = first or played
-            episodes.append(summarise(player, played, {}, metrics, foreign))
+            episodes.append(summarise(player, played, {}, setup.metric, foreign))
             done()
     if first and foreign and loop is None and len(episodes) > 1:
         _say_whether_it_repeats(world, first)
     if remark := getattr(world.unwrapped, "remark", ""):
         say(remark)
     world.close()
-    rows, disturb = [Row(entry, episodes)], disturbed_by(options)
     if loop is not None:  # it may have played more
         seeds = range(seeds[0], seeds[0] + len(episodes))
-    return Comparison(played.env_id, seeds, rows, (), disturb, foreign, period)
+    return Comparison(played.env_id, seeds, [Row(entry, episodes)], foreign, period)
 
 
 def _say_whether_it_repeats(world: Any, first: Rollout) -> None:  # noqa: ANN401

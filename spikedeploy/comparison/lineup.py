@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from spikedeploy import envs, zoo
 from spikedeploy.policies.registry import FLOAT, Candidate, find
-from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.setup import DEFAULT, Setup
 
 # of the shipped policies, in table order: the more a control sees and can compute, the later
 _CONTROLS = ("phase", "bilinear", "fourier", "linear", "mlp-8", "mlp-16", "mlp-32", "mlp-64",
@@ -22,11 +21,13 @@ class Entry:
     candidate   the policy
     chip        a chip, "float" for the float twin of a spiking policy, None for what does not spike
     reference   the entry it is measured against: the float ANN; on a chip its float twin
+    setup       of the evaluation, which all entries of a comparison share
     """
 
     candidate: Candidate
     chip: str | None = None
     reference: "Entry | None" = None
+    setup: Setup = DEFAULT
 
     @property
     def label(self) -> str:
@@ -34,13 +35,18 @@ class Entry:
         if self.chip is None:
             return self.candidate.name
         remarks = "" if self.limits else ", limits off"
-        faulty = ", faulty" if self.candidate.faults else ""
+        faulty = ", faulty" if self.on_chip and self.setup.faults else ""
         return f"{self.candidate.name} · {self.chip}{remarks}{faulty}"
+
+    @property
+    def on_chip(self) -> bool:
+        """True where a chip is emulated."""
+        return self.chip not in (None, FLOAT)
 
     @property
     def limits(self) -> bool:
         """True if the design rules of its chip were enforced."""
-        return self.candidate.limits or self.chip in (None, FLOAT)
+        return self.setup.limits == "on" or not self.on_chip
 
     @property
     def references(self) -> list["Entry"]:
@@ -58,8 +64,7 @@ def line_up(
     files: Sequence[str],
     chips: Sequence[str] | None,
     teacher: Candidate | None = None,
-    quantisation: Quantisation = PLAIN,
-    **on_chip: Any,  # noqa: ANN401
+    setup: Setup = DEFAULT,
 ) -> list[Entry]:
     """Float ANNs, float SNNs, each SNN on each chip, built-in players and the shipped controls.
 
@@ -67,7 +72,7 @@ def line_up(
     files   policies to compare; none stands for the shipped ones of the environment
     chips   for those that spike; None stands for that which each was trained for, or the default
     teacher  a row beside the files; one that is a network is the float ANN
-    quantisation, on_chip  fields of the candidates that spike: limits and faults of the chips
+    setup   of all entries
     """
     spec = envs.spec(env)
     short = spec.short
@@ -83,14 +88,13 @@ def line_up(
         )
     chosen = _distinct(chosen)
     networks = _of_kind("ann", chosen) or _of_kind("ann", shipped)
-    ann = Entry(networks[0]) if networks else None
+    ann = Entry(networks[0], setup=setup) if networks else None
     entries = [ann] if ann else []
-    entries += [Entry(candidate, None, ann) for candidate in networks[1:]]
+    entries += [Entry(candidate, None, ann, setup) for candidate in networks[1:]]
     for candidate in _of_kind("snn", chosen):
-        twin = replace(candidate, quantisation=quantisation)
         exported = candidate.format == ".nir"  # a run folder is torch, which no chip runs
         on = ([candidate.default_chip] if chips is None else chips) if exported else ()
-        entries += _on_chips(replace(twin, **on_chip), twin, on, ann)
+        entries += _on_chips(candidate, on, ann, setup)
     controls = [find(name) for name in spec.controls]
     order = {name: place for place, name in enumerate(_CONTROLS)}
     others = dict.fromkeys(_of_kind("control", [*chosen, *shipped]))
@@ -98,27 +102,27 @@ def line_up(
     controls += [each for each in ranked if each not in controls]
     # what looks at no observation has no actions for those of others
     return entries + [
-        Entry(each, None, None if each.format == "pursuit" else ann) for each in controls
+        Entry(each, None, None if each.format == "pursuit" else ann, setup) for each in controls
     ]
 
 
-def make_entries(candidate: Candidate, chip: str | None) -> list[Entry]:
+def make_entries(candidate: Candidate, chip: str | None, setup: Setup = DEFAULT) -> list[Entry]:
     """A policy without baselines: one that spikes as its float twin and on the chip."""
     if candidate.kind != "snn":
-        return [Entry(candidate)]
-    return _on_chips(candidate, candidate, (chip,), None)
+        return [Entry(candidate, setup=setup)]
+    return _on_chips(candidate, (chip,), None, setup)
 
 
 def _on_chips(
-    bound: Candidate, candidate: Candidate, chips: Sequence[str | None], ann: Entry | None
+    candidate: Candidate, chips: Sequence[str | None], ann: Entry | None, setup: Setup
 ) -> list[Entry]:
     """A spiking policy in float and on chips.
 
     One that was trained in a chip's integers has no float twin: its file read in float is another
     network.
     """
-    twin = None if candidate.chip else Entry(candidate, FLOAT, ann)
-    rows = [Entry(bound, chip, twin or ann) for chip in chips]
+    twin = None if candidate.chip else Entry(candidate, FLOAT, ann, setup)
+    rows = [Entry(candidate, chip, twin or ann, setup) for chip in chips]
     return rows if twin is None else [twin, *rows]
 
 

@@ -110,8 +110,8 @@ def measure(infos: Mapping[str, Signal]) -> dict[str, float]:
     }
 
 
-def checked_metrics(texts: Sequence[str]) -> tuple[str, ...]:
-    """The texts `name:mean|last|max`, if they are such."""
+def check_metrics(texts: Sequence[str]) -> None:
+    """Refuse texts that are not `name:mean|last|max`."""
     for text in texts:
         name, colon, reduction = text.rpartition(":")
         if not colon or not name or reduction not in REDUCTIONS:
@@ -119,7 +119,6 @@ def checked_metrics(texts: Sequence[str]) -> tuple[str, ...]:
                 f"--metric takes name:{'|'.join(REDUCTIONS)}, the name of a number in the step "
                 f"infos, as in x_velocity:mean; got {text!r}"
             )
-    return tuple(texts)
 
 
 def measure_named(infos: Mapping[str, Signal], texts: Iterable[str]) -> dict[str, float]:

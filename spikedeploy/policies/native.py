@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.policies.registry import Candidate, Env, Floats, Player
 from spikedeploy.runtime.errors import ConfigError, ObservationError
+from spikedeploy.setup import Setup
 
 _NAME = re.compile(r"lib([a-z][a-z0-9_]{0,30})\.so")
 # of <prefix>_interface: version, observations, actions, actions to choose from
@@ -73,9 +74,9 @@ class NativeController(Player):
         )
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
         """The shared object, loaded."""
-        if sampled:
+        if setup.sampled:
             raise ConfigError("a policy in C gives its best action: leave --sampled out")
         return cls(Path(candidate.path))
 

@@ -36,7 +36,6 @@ from spikedeploy.policies.registry import (
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.chips.damage import Damage
-from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.rules import place
@@ -49,6 +48,7 @@ from spikedeploy.runtime.files import read_text
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.metadata import Provenance, Record
 from spikedeploy.runtime.metrics.traffic import placed_messages
+from spikedeploy.setup import Setup
 
 _OPENED = 16  # files that are kept, so that a policy which is found and then played is read once
 # which environment it is for is not known, and what marks it as written here
@@ -123,21 +123,20 @@ class NirController(Copied, Player):
         candidate: Candidate,
         chip: str | None,
         env: Env,
-        sampled: bool,
+        setup: Setup,
         trace: bool = False,
         rows: Rows = "total",
     ) -> "NirController":
-        """The network on the chip, or its float twin."""
+        """Load the network on the chip, or its float twin, which has neither limits nor faults."""
+        on_chip = {} if chip in (None, FLOAT) else {**setup.arguments(), "faults": setup.faults}
         return cls(
             candidate.path,
             chip or FLOAT,
             rows,
-            sampled=sampled,
-            backend=candidate.backend,
-            faults=candidate.faults,
+            sampled=setup.sampled,
+            backend=setup.backend,
             trace=trace,
-            limits=candidate.limits,
-            quantisation=candidate.quantisation,
+            **on_chip,
         )
 
     def reset(self, seed: int) -> None:
@@ -231,12 +230,10 @@ def adopt(
     return target
 
 
-def check_fits(
-    chip: str | None, limits: bool, quantisation: Quantisation, policy: Artifact
-) -> None:
+def check_fits(chip: str | None, policy: Artifact, **on_chip: Any) -> None:  # noqa: ANN401
     """Raise the rule that a policy breaks on a chip; "float" has none."""
     if chip != FLOAT:
-        compile_program(policy, datasheet(chip or DEFAULT_CHIP), quantisation, limits=limits)
+        compile_program(policy, datasheet(chip or DEFAULT_CHIP), **on_chip)
 
 
 def _is_adopted(path: Path) -> bool:

@@ -16,6 +16,7 @@ from spikedeploy.policies.registry import Candidate, Env, Floats, Player, env_id
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
+from spikedeploy.setup import Setup
 from spikedeploy.trainers.onnx_session import DTYPES, NEXT, States, infer, rest, session
 
 KINDS = ("ann", "control")
@@ -77,9 +78,9 @@ class OnnxController(Player):
         )
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
         """The network, loaded."""
-        return cls(candidate.path, sampled)
+        return cls(candidate.path, setup.sampled)
 
     def reset(self, seed: int) -> None:
         """Start an episode: states are 0, and sampling begins anew."""

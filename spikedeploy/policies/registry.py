@@ -18,13 +18,11 @@ from numpy.typing import NDArray
 from spikedeploy import zoo
 from spikedeploy.envs.foreign import is_target
 from spikedeploy.objects import is_of_process
-from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.copies import Uncopied
-from spikedeploy.runtime.emulator.backend import BackendMaker, BackendName
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.faults import NONE, Faults
 from spikedeploy.runtime.files import suffix
+from spikedeploy.setup import DEFAULT, Setup
 
 if TYPE_CHECKING:
     import gymnasium
@@ -64,10 +62,6 @@ class Candidate:
     env       id of the environment it was made for; None fits any
     observed  numbers it observes; None fits any
     actions   numbers it puts out, or actions that it chooses from; None fits any
-    limits    whether a chip refuses it when it breaks a design rule
-    quantisation  of a spiking policy on a chip
-    faults    of that chip
-    backend   what computes that chip
     chip      whose integers it was trained in; None where it was trained for none
     units     of a teacher's actions, "own" or "scaled"; None for those that its kind has
     """
@@ -79,10 +73,6 @@ class Candidate:
     env: str | None = None
     observed: int | None = None
     actions: int | None = None
-    limits: bool = True
-    quantisation: Quantisation = PLAIN
-    faults: Faults = NONE
-    backend: BackendName | BackendMaker = "numpy"
     chip: str | None = None
     units: Literal["own", "scaled"] | None = None
 
@@ -125,11 +115,11 @@ class Player(Uncopied):
         raise NotImplementedError
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> "Player":
-        """The candidate, loaded.
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> "Player":
+        """Load the candidate.
 
-        chip     name of a chip, FLOAT, or None for what does not spike
-        sampled  draw actions where the policy is a distribution over them
+        chip: name of a chip, FLOAT, or None for what does not spike
+        setup: how a chip runs it, and whether actions are drawn
         """
         raise NotImplementedError
 
@@ -176,14 +166,14 @@ def find(reference: str) -> Candidate:
     return _class_of("run" if path.is_dir() else suffix(path)).describe(path)
 
 
-def open_policy(candidate: Candidate, chip: str | None, env: Env, sampled: bool = False) -> Player:
-    """The player of the candidate in `env`; `chip` "float" is the float twin."""
+def open_policy(candidate: Candidate, chip: str | None, env: Env, setup: Setup = DEFAULT) -> Player:
+    """Return the player of the candidate in `env`; `chip` "float" is the float twin."""
     check_fit(candidate, env)
     if candidate.kind == "snn" and chip is None:
         raise ConfigError(f"{candidate.name} is a spiking policy: name a chip, or '{FLOAT}'")
     if candidate.kind != "snn" and chip is not None:
         raise ConfigError(f"{candidate.name} does not spike, so no chip runs it: leave --chip out")
-    return _class_of(candidate.format).open(candidate, chip, env, sampled)
+    return _class_of(candidate.format).open(candidate, chip, env, setup)
 
 
 def check_fit(candidate: Candidate, env: Env) -> None:

@@ -12,6 +12,7 @@ from spikedeploy.policies.run_record import SPIKING, env_of
 from spikedeploy.runtime.codec.rate import Xorshift
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
+from spikedeploy.setup import Setup
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -51,14 +52,14 @@ class TorchController(Player):
         )
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
         """The policy; a chip needs the exported file."""
         if chip not in (None, FLOAT):
             raise ConfigError(
                 f"{candidate.path} is a run folder, which no chip runs; export it first: "
                 f"spikedeploy export {shlex.quote(candidate.path)} --to nir"
             )
-        return cls(candidate.path, sampled)
+        return cls(candidate.path, setup.sampled)
 
     def reset(self, seed: int) -> None:
         """Seed the encoder's generator, and put states to rest; both run on between inferences."""

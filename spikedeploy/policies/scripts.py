@@ -16,6 +16,7 @@ from spikedeploy.policies.costs import NOTHING, Costs, float_costs
 from spikedeploy.policies.registry import Candidate, Env, Floats, Player, check_fit, find
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
+from spikedeploy.setup import Setup
 from spikedeploy.trainers.onnx_session import has_policy_metadata, session
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ class ZeroController(Player):
         self._actions = actions
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
         """The gait of a robot that has one."""
         space = env.action_space
         if not isinstance(space, gymnasium.spaces.Box):
@@ -55,7 +56,7 @@ class RandomController(Player):
         self.reset(0)
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
         """Draws of the environment's actions."""
         return cls(env.action_space)
 
@@ -81,7 +82,7 @@ class GapController(Player):
         self._driver = GapDriver.of(env)
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
         """The driver of the environment's kart."""
         return cls(env)
 
@@ -97,7 +98,7 @@ class PursuitController(Player):
         self._world = world
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
         """The driver of an environment that has one."""
         if not hasattr(env.unwrapped, "pursue"):
             raise ConfigError("the pursuit is for environments with an own driver: kart-eye")
@@ -128,7 +129,7 @@ class TeacherController(Player):
         self._teacher, self._chooses = teacher, chooses
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
         """The teacher; functions are imported now."""
         import torch
 

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout, rollout
 from spikedeploy.policies.registry import Candidate, Env, Player, open_policy
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.setup import Setup
 
 _UNITS = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
 _LOWEST, _HIGHEST = 0.01, 10_000.0  # [Hz]
@@ -181,9 +182,9 @@ class PacedLoop:
         self._times = {name: array("d") for name in TIMES}
         self._seconds = 0.0
 
-    def open(self, candidate: Candidate, chip: str | None, env: Env, sampled: bool) -> Player:
+    def open(self, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
         """The policy that it plays; arguments as of registry.open_policy."""
-        return open_policy(candidate, chip, env, sampled)
+        return open_policy(candidate, chip, env, setup)
 
     def seeds(self, given: Sequence[int]) -> Iterator[int]:
         """The seeds to play: those given, or from the first on for as long as was asked."""

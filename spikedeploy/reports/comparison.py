@@ -13,7 +13,6 @@ from spikedeploy.comparison.comparison import Comparison
 from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.outputs import has_text
-from spikedeploy.policies.registry import Candidate
 from spikedeploy.recordings import of_comparison
 from spikedeploy.reports.columns import (
     COMMON_TABLE,
@@ -49,7 +48,9 @@ FILES = ("report.html", "report.json", "report.md", "returns.png", "energy.png")
 
 def document(comparison: Comparison) -> dict[str, Any]:
     """The report as plain data; one of its `rows` for each policy and chip."""
-    rows = comparison.as_json()
+    rows, setup = comparison.as_json(), comparison.setup.as_json()
+    played = [row.entry.candidate for row in comparison.rows]
+    teachers = [each.path for each in played if each.format in ("teacher", "function")]
     return {
         "env": envs.spec(comparison.env).short,
         "env_id": comparison.env,
@@ -67,20 +68,21 @@ def document(comparison: Comparison) -> dict[str, Any]:
         "energy_tables": _energy_tables(rows),
         "sha256": zoo.hashes(row["file"] for row in rows),
         "rows": rows,
+        **({"setup": setup} if setup else {}),
+        **({"teachers": teachers} if teachers else {}),
     }
 
 
 def _conventions(comparison: Comparison) -> dict[str, str]:
     """Policy -> its convention, and its quantisation on chips."""
+    quantisation = comparison.setup.quantisation
+    on_chips = "" if quantisation == PLAIN else f"; on chips {quantisation.describe()}"
     candidates = {row.entry.candidate.name: row.entry.candidate for row in comparison.rows}
-    return {name: _convention(c) for name, c in candidates.items() if c.format == ".nir"}
-
-
-def _convention(candidate: Candidate) -> str:
-    convention = load(candidate.path).convention.describe()
-    if candidate.quantisation == PLAIN:
-        return convention
-    return f"{convention}; on chips {candidate.quantisation.describe()}"
+    return {
+        name: f"{load(each.path).convention.describe()}{on_chips}"
+        for name, each in candidates.items()
+        if each.format == ".nir"
+    }
 
 
 def _remarks(comparison: Comparison, rows: Sequence[Row]) -> dict[str, list[str]]:
@@ -100,7 +102,7 @@ def _describe_hit(fault: Mapping[str, Any]) -> str:
 
 def _disturbances(comparison: Comparison) -> list[dict[str, Any]]:
     world = envs.spec(comparison.env).world
-    found = disturbances(comparison.disturb, world) if comparison.disturb else []
+    found = disturbances(comparison.setup.disturb, world)
     return [
         {"text": d.text, "name": d.name, "number": d.number, "unit": d.kind.unit,
          "meaning": d.kind.meaning}

@@ -7,8 +7,8 @@ made again (`shipping.reproduce`).
 
 import json
 import shlex
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,15 +18,14 @@ from spikedeploy import envs, zoo
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.outputs import check_output
 from spikedeploy.policies import run_record
-from spikedeploy.policies.registry import BUILT_IN, FLOAT, find
+from spikedeploy.policies.registry import BUILT_IN, find
 from spikedeploy.reports.columns import markdown_tables
 from spikedeploy.reports.table import escape_markdown
-from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.faults import NONE, Faults
 from spikedeploy.runtime.files import as_text, read_json, replacing, suffix
 from spikedeploy.runtime.schema import validate
 from spikedeploy.seeds import EVALUATION
+from spikedeploy.setup import Setup
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL
 from spikedeploy.trainers.versions import versions
@@ -176,11 +175,12 @@ class _Card(_Fields):
 
 class _Report(_Fields):
     env: str
-    command: str
     seeds: _Seeds
     sha256: dict[str, str | None] = {}
     versions: dict[str, str | None] = {}
     rows: list[_ReportRow]
+    setup: dict[str, Any] = {}
+    teachers: list[str] = []
 
 
 class _Training(_Fields):
@@ -215,30 +215,11 @@ class _Page(_Training):
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Settings that a report records in its command alone.
-
-    options       of the environment
-    quantisation  of spiking policies on chips
-    faults        of those chips
-    tables        energy tables to price by; empty for those of each row's chip
-    metrics       of the step infos, `name:mean|last|max`
-    """
-
-    options: Mapping[str, Any] = field(default_factory=dict)
-    quantisation: Quantisation = PLAIN
-    faults: Faults = NONE
-    tables: Sequence[str] = ()
-    metrics: Sequence[str] = ()
-
-
-@dataclass(frozen=True)
 class RecordedEvaluation:
     """An evaluation that can be made again.
 
     name          as it was asked for
     env           short name or id of the environment
-    settings      of environment and chips
     seeds         (n,)
     rows          as recorded
     entries       policy and chip of each row
@@ -249,7 +230,6 @@ class RecordedEvaluation:
 
     name: str
     env: str
-    settings: Settings
     seeds: range
     rows: Sequence[Row]
     entries: Sequence[Entry]
@@ -258,15 +238,12 @@ class RecordedEvaluation:
     card: Path | None = None
 
 
-def read_evaluation(reference: str, settings_of: Callable[[str], Settings]) -> RecordedEvaluation:
-    """The evaluation of a shipped policy, of a card's path, or of a folder with a report.
-
-    settings_of  a report's command -> its settings
-    """
+def read_evaluation(reference: str) -> RecordedEvaluation:
+    """Return the evaluation of a shipped policy, a card's path, or a folder with a report."""
     place = Path(reference)
     if place.is_dir() or place.name == REPORT:
         path = place / REPORT if place.is_dir() else place
-        return _of_report(reference, path, settings_of)
+        return _of_report(reference, path)
     if reference in BUILT_IN:
         raise ConfigError(
             f"{reference} is built in: it has no file, and so no card. Rows of it stand in reports "
@@ -288,22 +265,21 @@ def _of_card(name: str, path: Path) -> RecordedEvaluation:
     file = file if file.is_file() else real.parent / card.file
     _check_file(name, file, card.sha256)
     world = card.config.env or _World(name=card.env)
-    settings = Settings(world.options)
+    setup = Setup.with_options(world.options)
     lacks = [] if card.sha256 else [_NO_HASH.format(card.file)]
     return RecordedEvaluation(
         name=name,
         env=world.name,
-        settings=settings,
         seeds=_seeds(path, card.evaluation, card.seeds.first),
         rows=content["evaluation"],
-        entries=_entries([(row, str(file)) for row in card.evaluation], settings),
+        entries=_entries([(row, str(file)) for row in card.evaluation], setup),
         versions=card.evaluated_with or card.versions,
         not_recorded=lacks if card.evaluated_with else [*lacks, _OF_TRAINING],
         card=real,
     )
 
 
-def _of_report(name: str, path: Path, settings_of: Callable[[str], Settings]) -> RecordedEvaluation:
+def _of_report(name: str, path: Path) -> RecordedEvaluation:
     """The rows of a report."""
     content, report = read_report(path)
     envs.spec(report.env)  # refuses an unknown one
@@ -312,14 +288,18 @@ def _of_report(name: str, path: Path, settings_of: Callable[[str], Settings]) ->
     missing = [
         file for file in zoo.hashes(r.file for r in report.rows) if file not in report.sha256
     ]
-    settings = settings_of(report.command)
+    if report.teachers:  # which may be code, and no file has that run
+        raise ConfigError(
+            f"the report has a row of the teacher {report.teachers[0]}, which a report does not "
+            "have played: run its command again instead"
+        )
+    setup = Setup.read(report.setup, path).check()
     return RecordedEvaluation(
         name=name,
         env=report.env,
-        settings=settings,
         seeds=_seeds(path, report.rows, report.seeds.first),
         rows=content["rows"],
-        entries=_entries([(row, row.file) for row in report.rows], settings),
+        entries=_entries([(row, row.file) for row in report.rows], setup),
         versions=report.versions,
         not_recorded=[_NO_HASH.format(", ".join(missing))] if missing else [],
     )
@@ -371,18 +351,15 @@ def _seeds(path: Path, rows: Sequence[_Row], first: int) -> range:
     return range(first, first + counts.pop())
 
 
-def _entries(rows: Sequence[tuple[_Row, str]], settings: Settings) -> list[Entry]:
+def _entries(rows: Sequence[tuple[_Row, str]], setup: Setup) -> list[Entry]:
     """The entries that the rows (row, file) were played with, each with its reference."""
     entries: dict[str, Entry] = {}
     for row, file in rows:
         candidate = replace(find(file), name=row.policy)
-        if row.chip is not None:
-            candidate = replace(candidate, quantisation=settings.quantisation)
-        if row.chip not in (None, FLOAT):
-            candidate = replace(candidate, limits=row.limits, faults=settings.faults)
         if row.reference is not None and row.reference not in entries:
             raise ConfigError(f"the row of {row.policy} refers to {row.reference!r}: no such row")
-        entry = Entry(candidate, row.chip, entries[row.reference] if row.reference else None)
+        reference = entries[row.reference] if row.reference else None
+        entry = Entry(candidate, row.chip, reference, setup)
         if entry.label in entries:
             raise ConfigError(f"there are two rows of {entry.label}, of which one was evaluated")
         entries[entry.label] = entry

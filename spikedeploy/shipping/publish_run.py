@@ -20,6 +20,7 @@ from spikedeploy.reports.plots import draw_curves, read_curve
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import replacing, write_json, write_text
 from spikedeploy.seeds import EVALUATION
+from spikedeploy.setup import Setup
 from spikedeploy.shipping.cards import evaluation_fields, markdown, training_of
 from spikedeploy.shipping.export_run import export_run
 from spikedeploy.trainers.run_folder import RunFolder
@@ -142,10 +143,11 @@ def _evaluation(path: Path, source: Path, episodes: int, processes: int | None) 
     """Rows of the policy: in float, and if it spikes on its training's chip, or the default."""
     settings = run_record.settings(source)
     own = settings.get("chip") or settings["policy"].get("chip")
-    entries = make_entries(find(str(path)), own or DEFAULT_CHIP)
     world = settings["env"]
+    setup = Setup.with_options(world["options"])
+    entries = make_entries(find(str(path)), own or DEFAULT_CHIP, setup)
     seeds = range(EVALUATION, EVALUATION + episodes)
-    rows = compare_policies(world["name"], entries, seeds, processes, world["options"]).as_json()
+    rows = compare_policies(world["name"], entries, seeds, processes).as_json()
     return evaluation_fields(path.name, seeds, rows)
 
 

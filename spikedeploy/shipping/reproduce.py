@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -120,16 +120,10 @@ def reproduce(
             raise ConfigError("--update needs all episodes: leave --episodes out")
         check_rewritable(recorded.card, force)
     started = monotonic()
-    played = compare_policies(
-        recorded.env,
-        recorded.entries,
-        recorded.seeds[:count],
-        processes,
-        recorded.settings.options,
-        recorded.settings.metrics,
-    )
-    rows = replace(played, tables=recorded.settings.tables).as_json()
-    found = json.loads(as_text(rows))  # as a file would have them: infinite bounds are null
+    played = compare_policies(recorded.env, recorded.entries, recorded.seeds[:count], processes)
+    found = json.loads(
+        as_text(played.as_json())
+    )  # as a file would have them: infinite bounds are null
     expected = [first_episodes(row, count) for row in recorded.rows]
     labels = [entry.label for entry in recorded.entries]
     compared = list(_compare(labels, expected, found, recorded.seeds))

@@ -15,6 +15,7 @@ from spikedeploy.reports.runs import ALT, flatten, metrics_of, scores, write_run
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import write_text
 from spikedeploy.seeds import EVALUATION
+from spikedeploy.setup import Setup
 from spikedeploy.shipping.cards import KINDS, fill, training_of
 from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.shipping.training_films import last_film
@@ -71,7 +72,8 @@ def _filmed(policy: Path, run: Path) -> Path:
 
     world = run_record.settings(run)["env"]
     seeds = range(EVALUATION, EVALUATION + 1)
-    run_policy(str(policy), world["name"], None, seeds, run / FILM, options=world["options"])
+    setup = Setup.with_options(world["options"])
+    run_policy(str(policy), world["name"], None, seeds, setup, run / FILM)
     return run / FILM
 
 

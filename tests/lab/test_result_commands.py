@@ -11,7 +11,6 @@ import pytest
 import typer
 
 from spikedeploy import cli, envs
-from spikedeploy.commands.closed_loop import settings
 from spikedeploy.commands.options import one_word
 from spikedeploy.runtime.chips.chip import split_names
 from spikedeploy.shipping.cards import read_evaluation
@@ -78,7 +77,6 @@ def test_a_command_is_understood_today(line):
     if words[0] == "compare":
         envs.spec(given["env"])
         split_names(",".join(given["chip"] or ()))
-        settings(line)
 
 
 @cache
@@ -112,6 +110,6 @@ def test_everything_in_results_stands_in_its_index_with_a_command():
 @pytest.mark.parametrize("path", REPORTS, ids=lambda path: path.parent.name)
 def test_a_report_can_be_reproduced(path):
     """Its command and its policies are read as `spikedeploy reproduce` reads them."""
-    found = read_evaluation(str(path.parent), settings)
+    found = read_evaluation(str(path.parent))
     assert len(found.entries) == len(found.rows)
     assert parsed(shlex.split(command_of(path))[1:])["episodes"] == len(found.seeds)

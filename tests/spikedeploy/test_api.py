@@ -182,7 +182,7 @@ SCRIPT = """
 import numpy as np
 import spikedeploy as sd
 
-net = sd.load("net.nir", dt=1e-3, written_by=None).on("loihi1", limits=False)
+net = sd.load("net.nir", dt=1e-3, written_by=None).on("loihi1", limits="off")
 out = net.run(np.zeros((10, 16), np.uint8))
 spikes: int = int(out.spikes["hidden"].sum())
 joules: float = out.energy["davies2018"]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from torch.nn import functional
 from spikedeploy import envs
 from spikedeploy.envs.foreign import AdaptedEnv
 from spikedeploy.envs.returned import is_masked
+from spikedeploy.runtime import choices
 from spikedeploy.runtime.errors import ConfigError
 
 FloatArray = NDArray[np.float64]
@@ -74,7 +75,7 @@ def compute_cross_entropy(mean: Tensor, label: Tensor, sharpness: float) -> Tens
     return -(target * functional.log_softmax(mean, -1)).sum(-1)
 
 
-Units = Literal["own", "scaled"]
+Units = choices.Units
 
 
 @dataclass(frozen=True)

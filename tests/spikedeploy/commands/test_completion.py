@@ -5,9 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from typer.main import get_command
 
-from spikedeploy import cli
 from spikedeploy.commands import completion
 
 AT_THE_TAB = """
@@ -83,10 +81,3 @@ def test_chips_recipes_and_environments_are_offered():
     assert "CartPole-v1" in completion.environments("Cart")
     assert "CartPole-v1" not in completion.environments("")
     assert completion.trainings("hexapod-c")[-1] == "hexapod-command"
-
-
-def test_every_word_of_the_table_is_a_parameter():
-    commands = get_command(cli.app).commands
-    known = {each.name for command in commands.values() for each in command.params}
-    known |= {f"{verb}.{each.name}" for verb, one in commands.items() for each in one.params}
-    assert set(completion.WORDS) <= known

@@ -73,9 +73,9 @@ def test_a_comparison_has_a_row_of_the_core_beside_the_emulated_chip(command, tm
     [
         (("--chip", "loihi1"), "leave --chip out"),
         (("--backend", "auto"), "leave --backend out"),
-        (("--rate", "10"), "by the clock out"),
-        (("--fault", "dead-neurons:1"), "of the emulated chip"),
-        (("--quantise", "channel"), "of the emulated chip"),
+        (("--rate", "10"), "leave --rate out"),
+        (("--fault", "dead-neurons:1"), "leave --fault out"),
+        (("--quantise", "channel"), "leave --quantise out"),
     ],
 )
 def test_options_that_the_export_has_decided_are_refused(command, tmp_path, words, said):

@@ -17,12 +17,13 @@ from spikedeploy.comparison.lineup import Entry, line_up
 from spikedeploy.comparison.metrics import measure
 from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.make_env import make_env, parse_options
+from spikedeploy.make_env import make_env
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.reports import comparison as report
 from spikedeploy.reports.columns import format_success, tables
 from spikedeploy.reports.headline import verdict
 from spikedeploy.runtime.errors import ConfigError, EnvError
+from spikedeploy.setup import Setup, parse_options
 from tests import toy_race_env
 
 SEEDS = range(10_000, 10_004)
@@ -129,11 +130,11 @@ def test_a_lap_is_timed_only_where_it_is_format_success():
 
 
 def test_options_of_the_environment_reach_every_episode():
-    entry = Entry(find("random"))
-    lucky = compare_policies("race", [entry], SEEDS, 1, {"luck": 9}).as_json()
+    setup = Setup(set_=("luck=9",))
+    lucky = compare_policies("race", [Entry(find("random"), setup=setup)], SEEDS, 1).as_json()
     assert lucky[0]["success_rate"] == 1
     assert lucky[0]["lap_time"] == pytest.approx(10 / 60)
-    (row,) = run_policy("random", "race", None, SEEDS, options={"luck": 9}).as_json()
+    (row,) = run_policy("random", "race", None, SEEDS, setup).as_json()
     assert row["crashes"] == 0
 
 

@@ -16,6 +16,7 @@ from spikedeploy.exporters.to_onnx import to_onnx
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.setup import Setup
 from spikedeploy.trainers.config import SpikingMlpConfig
 from spikedeploy.trainers.policies import FloatVisionPolicy, MlpPolicy, from_config
 from spikedeploy.trainers.ppo import PpoConfig
@@ -56,7 +57,7 @@ def write(kind, folder, coding="regular"):
 def opened(kind, folder, chip="float", sampled=False, coding="regular"):
     candidate = replace(find(str(write(kind, folder, coding))), env=None)
     return candidate, open_policy(
-        candidate, chip if candidate.kind == "snn" else None, QuadrantEnv(), sampled
+        candidate, chip if candidate.kind == "snn" else None, QuadrantEnv(), Setup(sampled=sampled)
     )
 
 
@@ -116,7 +117,7 @@ def test_numbers_are_not_sampled(monkeypatch, tmp_path):
     toy_stroll_env.install(monkeypatch)
     candidate = find(str(toy_stroll_env.ann(tmp_path / "p.onnx")))
     with pytest.raises(ConfigError, match="only one of several actions can be sampled"):
-        open_policy(candidate, None, envs.make("stroll"), sampled=True)
+        open_policy(candidate, None, envs.make("stroll"), Setup(sampled=True))
 
 
 def test_an_unknown_head_is_refused(monkeypatch, tmp_path):
@@ -133,10 +134,9 @@ def test_a_float_policy_that_sees_and_remembers_is_compared(tmp_path):
     policy = FloatVisionPolicy(1024, 7, **small)
     origin = Provenance("spikedeploy/KartEye-v0", "kart-eye-cnn", 0, 1)
     file = to_onnx(policy, origin, tmp_path / "cnn.onnx")
-    entries = line_up("kart-eye", [str(file)], ())
-    options = {"max_steps": 12}
-    found = compare_policies("kart-eye", entries, range(10_000, 10_002), 1, options).as_json()
-    again = compare_policies("kart-eye", entries, range(10_000, 10_002), 1, options).as_json()
+    entries = line_up("kart-eye", [str(file)], (), setup=Setup(set_=("max_steps=12",)))
+    found = compare_policies("kart-eye", entries, range(10_000, 10_002), 1).as_json()
+    again = compare_policies("kart-eye", entries, range(10_000, 10_002), 1).as_json()
     rows = {row["policy"]: row for row in found}
     assert list(rows) == ["cnn", "random", "pursuit"]
     # what looks at no observation is compared by what it earns alone

@@ -8,7 +8,6 @@ import sys
 import pytest
 
 from spikedeploy import zoo
-from spikedeploy.commands.closed_loop import settings
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.cards import check_rewritable, read_evaluation
@@ -57,7 +56,7 @@ def shipped(tmp_path):
 
 
 def again(path, episodes=None):
-    return reproduce(read_evaluation(str(path), settings), episodes, processes=1)
+    return reproduce(read_evaluation(str(path)), episodes, processes=1)
 
 
 def change(card, *path, to):
@@ -87,7 +86,7 @@ def test_an_update_writes_numbers_that_are_counted_otherwise_now(card):
     document = change(card, "evaluation", 0, "return_iqm", to=lambda mean: mean + 1)
     del document["sha256"]
     card.write_text(json.dumps(document))
-    assert reproduce(read_evaluation(str(card), settings), processes=1, update=True).differing == 2
+    assert reproduce(read_evaluation(str(card)), processes=1, update=True).differing == 2
     assert json.loads(card.read_text()) == whole
     assert list(json.loads(card.read_text()))[:2] == ["file", "sha256"]
     assert "## Evaluation" in card.with_suffix(".md").read_text()
@@ -99,7 +98,7 @@ def test_an_update_keeps_the_card_of_a_policy_that_acts_otherwise(factor, card):
     change(card, "evaluation", 0, "returns", 1, to=lambda total: total * factor)
     before = card.read_text()
     with pytest.raises(ConfigError, match=r"seed 10001, returns: .* The card is kept"):
-        reproduce(read_evaluation(str(card), settings), processes=1, update=True)
+        reproduce(read_evaluation(str(card)), processes=1, update=True)
     assert card.read_text() == before
 
 
@@ -113,7 +112,7 @@ def test_an_update_of_a_card_that_has_no_page_is_refused_before_anything_is_writ
     before = shipped.read_text()
     monkeypatch.setattr("spikedeploy.shipping.reproduce.compare_policies", played)
     with pytest.raises(ConfigError, match=f"{field}: Field required"):
-        reproduce(read_evaluation(str(shipped), settings), processes=1, update=True)
+        reproduce(read_evaluation(str(shipped)), processes=1, update=True)
     assert shipped.read_text() == before
 
 
@@ -144,7 +143,7 @@ def test_card_and_page_are_written_together_or_not_at_all(card, monkeypatch):
     page = card.with_suffix(".md").read_text()
     monkeypatch.setattr("spikedeploy.shipping.cards.markdown", lambda *_: "\ud800")
     with pytest.raises(UnicodeEncodeError):
-        reproduce(read_evaluation(str(card), settings), processes=1, update=True)
+        reproduce(read_evaluation(str(card)), processes=1, update=True)
     assert (card.read_text(), card.with_suffix(".md").read_text()) == (before, page)
 
 
@@ -174,7 +173,7 @@ def test_a_card_that_was_edited_is_refused_in_a_sentence(case, shipped):
         row |= changes
     shipped.write_text(json.dumps(document))
     with pytest.raises(ConfigError, match=message) as refusal:
-        read_evaluation(str(shipped), settings)
+        read_evaluation(str(shipped))
     assert len(str(refusal.value)) < 400
 
 
@@ -192,12 +191,12 @@ def test_a_card_that_was_edited_is_refused_in_a_sentence(case, shipped):
 def test_rows_that_lack_what_they_are_of_or_repeat_it_are_refused(changed, message, shipped):
     change(shipped, "evaluation", to=changed)
     with pytest.raises(ConfigError, match=message):
-        read_evaluation(str(shipped), settings)
+        read_evaluation(str(shipped))
 
 
 def test_every_shipped_card_is_read_and_could_be_written_again():
     for name in zoo.names():
-        found = read_evaluation(name, settings)
+        found = read_evaluation(name)
         check_rewritable(found.card)
 
 
@@ -208,10 +207,9 @@ class Blocked:
         if name.partition(".")[0] in ("torch", "snntorch", "safetensors", "onnx"):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Blocked())
-from spikedeploy.commands.closed_loop import settings
 from spikedeploy.shipping.cards import read_evaluation
 from spikedeploy.shipping.reproduce import reproduce
-print(reproduce(read_evaluation("kart-steer/linear", settings), 1, 1).verdict)
+print(reproduce(read_evaluation("kart-steer/linear"), 1, 1).verdict)
 """
 
 
@@ -223,10 +221,10 @@ def test_a_shipped_policy_is_reproduced_without_torch():
 
 def test_an_update_is_of_whole_cards(card):
     with pytest.raises(ConfigError, match="all episodes"):
-        reproduce(read_evaluation(str(card), settings), 1, processes=1, update=True)
+        reproduce(read_evaluation(str(card)), 1, processes=1, update=True)
     reports = ROOT / "results/kart-steer"
     with pytest.raises(ConfigError, match="--update is of cards"):
-        reproduce(read_evaluation(str(reports), settings), update=True)
+        reproduce(read_evaluation(str(reports)), update=True)
 
 
 def test_its_policy_file_names_the_same_card(card):
@@ -335,7 +333,7 @@ def report(monkeypatch, tmp_path, command):
     return folder
 
 
-def test_a_report_is_reproduced_with_the_settings_of_its_command(report, tmp_path):
+def test_a_report_is_reproduced_with_its_setup(report):
     found = again(report)
     assert (found.verdict, found.not_recorded) == (EQUAL, [])
     rows = json.loads((report / "report.json").read_text())["rows"]
@@ -351,28 +349,20 @@ def test_a_report_of_policies_that_were_replaced_is_refused(report):
         again(report)
 
 
-def test_settings_are_read_as_compare_reads_them():
-    found = settings(
-        "spikedeploy compare kart-grid a.nir --set track=small_S --set lidar.noise=5 "
-        "--disturb grip:2 --rounding truncate --fault dead-neurons:2 --specimen 3 --energy sanafe"
-    )
-    assert found.options == {"track": "small_S", "lidar": {"noise": 5}, "disturb": ["grip:2"]}
-    assert found.quantisation.rounding == "truncate"
-    assert found.faults.specimen == 3
-    assert found.tables == ("sanafe",)
-
-
 @pytest.mark.parametrize(
-    ("line", "message"),
+    ("field", "value", "message"),
     [
-        ("spikedeploy compare hexapod --colour red", "is not understood"),
-        ("python -m lab experiment kart", "not `spikedeploy compare`"),
-        ("", "not `spikedeploy compare`"),
+        ("setup", {"colour": "red"}, "unknown settings colour"),
+        ("setup", {"specimen": "three"}, "specimen"),
+        ("setup", {"fault": ["dead"]}, "--fault"),
+        ("teachers", ["mine:act"], "teacher mine:act"),
     ],
 )
-def test_a_command_that_is_none_is_refused(line, message):
+def test_a_report_with_a_setup_that_is_none_is_refused(report, field, value, message):
+    file = report / "report.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), field: value}))
     with pytest.raises(ConfigError, match=message):
-        settings(line)
+        read_evaluation(str(report))
 
 
 @pytest.mark.parametrize(
@@ -407,7 +397,7 @@ def test_what_has_no_evaluation_is_refused_with_a_reason(name, message, tmp_path
         json.dumps({"file": "old.nir", "env": "kart-steer", "evaluation": [{"return_mean": 1.0}]})
     )
     with pytest.raises(ConfigError, match=message):
-        read_evaluation(name, settings)
+        read_evaluation(name)
 
 
 def test_the_command_says_equal_or_the_first_difference(card, command):
