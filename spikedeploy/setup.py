@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 Switch = Literal["on", "off"]
 Count = Annotated[int, typer.Option(min=1)]
 Natural = Annotated[int, typer.Option(min=0)]
+_REDUCTIONS = ("mean", "last", "max")  # of comparison.metrics
 _OWN_OPTIONS = ("success", "disturb")  # of environments, which --set does not take
 
 
@@ -199,7 +200,6 @@ class Setup(OnChip):
 
     def check(self) -> "Setup":
         """Return it; ConfigError for unknown options, energy tables, metrics and faults."""
-        from spikedeploy.comparison.metrics import check_metrics
         from spikedeploy.runtime.metrics.energy import checked_table_names
 
         checked_table_names(self.energy)
@@ -209,6 +209,17 @@ class Setup(OnChip):
 
 
 DEFAULT = Setup()
+
+
+def check_metrics(texts: Iterable[str]) -> None:
+    """Refuse texts that are not `name:mean|last|max`."""
+    for text in texts:
+        name, colon, reduction = text.rpartition(":")
+        if not colon or not name or reduction not in _REDUCTIONS:
+            raise ConfigError(
+                f"--metric takes name:{'|'.join(_REDUCTIONS)}, the name of a number in the step "
+                f"infos, as in x_velocity:mean; got {text!r}"
+            )
 
 
 def parse_options(texts: Iterable[str]) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.metrics import check_metrics
 from spikedeploy.console import say
 from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.envs.repeats import check_repeats
@@ -29,6 +28,7 @@ from spikedeploy.runtime.faults import faults
 from spikedeploy.runtime.files import read_toml
 from spikedeploy.runtime.schema import validate
 from spikedeploy.seeds import EVALUATION, listed_numbers
+from spikedeploy.setup import check_metrics
 from spikedeploy.trainers.config import require_known
 from spikedeploy.trainers.versions import installed_version
 

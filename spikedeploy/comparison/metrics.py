@@ -5,7 +5,7 @@ does not report is left out of its rows. `measure_named` reduces numbers that th
 """
 
 import difflib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -108,17 +108,6 @@ def measure(infos: Mapping[str, Signal]) -> dict[str, float]:
         for metric in metrics_of(infos)
         if metric.applies(infos)
     }
-
-
-def check_metrics(texts: Sequence[str]) -> None:
-    """Refuse texts that are not `name:mean|last|max`."""
-    for text in texts:
-        name, colon, reduction = text.rpartition(":")
-        if not colon or not name or reduction not in REDUCTIONS:
-            raise ConfigError(
-                f"--metric takes name:{'|'.join(REDUCTIONS)}, the name of a number in the step "
-                f"infos, as in x_velocity:mean; got {text!r}"
-            )
 
 
 def measure_named(infos: Mapping[str, Signal], texts: Iterable[str]) -> dict[str, float]:
