@@ -4,7 +4,8 @@ program.json    the integers, the clock, the placement on cores, and what the ho
 expected.json   input events, and currents, membranes and spikes after every chip timestep, as
                 `spikedeploy verify` reads them
 README.md       what to type
-host.py and a script for the chip's own tool, which read these files: exporters/kit/, verbatim
+host.py, host_codec.py and a script for the chip's own tool, which read these files, stand in
+exporters/kit/ and are copied verbatim
 """
 
 import hashlib
@@ -13,6 +14,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +33,8 @@ from spikedeploy.runtime.files import read_toml
 from spikedeploy.runtime.traces.verify import QUANTITIES
 
 MARK = "spikedeploy export --to program"
-PROGRAM, EXPECTED, EPISODE, README, HOST = (
-    "program.json",
-    "expected.json",
-    "episode.npz",
-    "README.md",
-    "host.py",
-)
+PROGRAM, EXPECTED, EPISODE = "program.json", "expected.json", "episode.npz"
+README, HOST, HOST_CODEC = "README.md", "host.py", "host_codec.py"
 _FORMAT = 1
 _KIT = Path(__file__).parent / "kit"
 
@@ -295,37 +292,70 @@ def _record_layer(program: Program, layer: LayerTrace) -> dict[str, Any]:
 
 
 def host_record(program: Program, codec: Codec | None, run: ChipRun) -> dict[str, Any]:
-    """Return the host's part as a record: the codec, and the readout.
+    """Return the host's part as a record: the codec, and the terms of the outputs.
 
-    An output of row t starts with `bias`, and each tap adds (what it reads after timestep from + t,
-    times `scale`) @ `weight` from element `first` on. Under "missing" is why a loop cannot be
-    closed, where it cannot.
+    A term reads its layer from timestep `from` on. Under "missing" is why a loop cannot be closed,
+    where it cannot.
 
     program: as it was compiled.
     """
-    missing = missing_of(program, codec)
-    if codec is None or missing:
-        return {"missing": missing}
-    taps, bias = _taps(program)
-    found = [{**tap, "from": run.windows[tap["layer"]].start} for tap in taps]
-    return {"codec": plain_record(codec.to_record()), "bias": bias, "taps": found}
+    if codec is None:
+        gone = f"the file has no codec, so observations cannot become spikes. {GIVE_CODEC}"
+        return {"missing": gone}
+    if program.host:
+        return {"missing": "its host integrates readouts in float64, which host.py does not"}
+    record = host_terms(program)
+    for term in record["terms"]:
+        term["reads"] = "spikes" if program.layer(term["layer"]).spiking else "membrane"
+        term["from"] = run.windows[term["layer"]].start
+    return {"codec": plain_record(codec.to_record()), **record}
+
+
+def host_terms(program: Program) -> dict[str, Any]:
+    """What the host adds up in its order, as Decoder of host_codec.py reads it.
+
+    An output starts with `bias`, and each term adds (its layer's numbers `lag` timesteps ago, times
+    `scale` where there is one) @ `weight` from element `first` on. `plain`: spikes of one layer
+    leave, and the bias is added behind the product.
+    """
+    terms: list[dict[str, Any]] = []
+    bias: list[float] = []
+    for outlet in program.ways_out:
+        for term in outlet.taps:
+            layer = program.layer(term.layer)
+            scale = [] if layer.spiking else np.broadcast_to(layer.scale, (layer.size,)).tolist()
+            terms.append(
+                {
+                    "layer": term.layer,
+                    "first": len(bias),
+                    "size": len(outlet.bias),
+                    "lag": term.lag,
+                    "scale": scale,
+                    "weight": None if term.weight is None else term.weight.tolist(),
+                }
+            )
+        bias += outlet.bias.tolist()
+    plain = not (program.reads_membranes or program.outlets)
+    return {"plain": plain, "bias": bias, "terms": terms}
 
 
 class KitPlayer:
-    """A codec acting through a chip run, as host.py does through a tool.
+    """A policy acting through a chip run, by host_codec.py as in the kit.
 
+    host: as of host_record.
     rows: (timesteps, M) that were injected in each control step.
     """
 
-    def __init__(self, compiled: Program, codec: Codec, run: ChipRun) -> None:
-        self._codec, self._run = codec, run
-        taps, bias = _taps(compiled)
-        self._taps, self._bias = taps, np.array(bias)
+    def __init__(self, host: Mapping[str, Any], run: ChipRun) -> None:
+        self._codec, self._terms, self._run = _host_codec(), host["terms"], run
+        self._host = host
         self.reset(0)
 
     def reset(self, seed: int) -> None:
         """Start an episode."""
-        self._state = self._codec.encoder.start(seed)
+        self._encode = self._codec.Encoder(self._host["codec"])
+        self._encode.reset(seed)
+        self._decode = self._codec.Decoder(self._host)
         self._chip = Interpreter(self._run.program, 1)
         self.rows: list[NDArray[np.uint8]] = []
 
@@ -334,52 +364,23 @@ class KitPlayer:
         run = self._run
         if run.state == "reset":
             self._chip = Interpreter(run.program, 1)
-        self.rows.append(run.rows(self._codec.encode(observation[None], self._state)[0]))
+        self.rows.append(run.rows(self._encode(observation)))
         found = self._chip.run(self.rows[-1][None])
-        output = np.zeros((1, run.inject, len(self._bias))) + self._bias
-        for tap in self._taps:
-            seen = getattr(found[tap["layer"]], tap["reads"])[:, run.windows[tap["layer"]]]
-            read = seen.astype(np.float64) * tap["scale"]
-            part = read if tap["weight"] is None else read @ np.array(tap["weight"])
-            output[:, :, tap["first"] : tap["first"] + part.shape[2]] += part
-        return np.asarray(self._codec.decode(output)[0])
+        seen = [
+            getattr(found[term["layer"]], term["reads"])[0, run.windows[term["layer"]]]
+            for term in self._terms
+        ]
+        return np.asarray(self._decode(seen))
 
 
-def missing_of(program: Program, codec: Codec | None) -> str:
-    """The reason why host.py cannot close the loop; empty where it can."""
-    if codec is None:
-        return f"the file has no codec, so observations cannot become spikes. {GIVE_CODEC}"
-    if codec.encoder.random:
-        return "its encoder draws random numbers, which host.py does not"
-    if program.host:
-        return "its host integrates readouts in float64, which host.py does not"
-    if any(tap.lag for tap in program.taps):
-        return "its readouts are late, which host.py does not know"
-    return ""
-
-
-def _taps(program: Program) -> tuple[list[dict[str, Any]], list[float]]:
-    """Return the terms that the host adds up, in its order, and the bias that it starts with."""
-    taps: list[dict[str, Any]] = []
-    bias: list[float] = []
-    for outlet in program.ways_out:
-        taps += [_tap(program, tap.layer, tap.weight, len(bias)) for tap in outlet.taps]
-        bias += outlet.bias.tolist()
-    return taps, bias
-
-
-def _tap(
-    program: Program, name: str, weight: NDArray[np.float64] | None, first: int
-) -> dict[str, Any]:
-    layer = program.layer(name)
-    scale = np.broadcast_to(np.asarray(layer.scale, np.float64), (layer.size,))
-    return {
-        "layer": name,
-        "reads": "spikes" if layer.spiking else "membrane",
-        "scale": [1.0] * layer.size if layer.spiking else scale.tolist(),
-        "weight": None if weight is None else weight.tolist(),
-        "first": first,
-    }
+def _host_codec() -> Any:  # noqa: ANN401
+    """The module host_codec.py of the kit."""
+    spec = spec_from_file_location("host_codec", _KIT / HOST_CODEC)
+    if spec is None or spec.loader is None:
+        raise ImportError(HOST_CODEC)
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def _place(mapping: CoreMapping) -> Iterator[dict[str, Any]]:

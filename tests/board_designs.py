@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from importlib.resources import files
 from types import SimpleNamespace
 
@@ -80,26 +81,27 @@ endmodule
 """
 
 
-def scripts():
+def _modules(*names):
     """Scripts of an export, as modules."""
-    sys.path.insert(0, str(TEMPLATES))
+    places = [str(TEMPLATES), str(TEMPLATES.parent.parent / "kit")]
+    sys.path[:0] = places
     try:
-        import decompiled
-        import link
-        import pins
+        return SimpleNamespace(**{name: import_module(name) for name in names})
     finally:
-        sys.path.remove(str(TEMPLATES))
-    return SimpleNamespace(decompiled=decompiled, link=link, pins=pins)
+        for place in places:
+            sys.path.remove(place)
+        for name in ("host", "host_codec"):  # a kit has a host.py of its own
+            sys.modules.pop(name, None)
+
+
+def scripts():
+    """Scripts of an export that its tools run."""
+    return _modules("decompiled", "link", "pins")
 
 
 def host_module():
-    """host.py of an export, as a module."""
-    sys.path.insert(0, str(TEMPLATES))
-    try:
-        import host
-    finally:
-        sys.path.remove(str(TEMPLATES))
-    return host
+    """host.py of an export."""
+    return _modules("host").host
 
 
 def design(on, words=3):

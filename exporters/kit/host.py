@@ -20,8 +20,9 @@ try:
 except ImportError as error:
     raise SystemExit(f"{error}: install numpy; README.md has the steps") from error
 
+from host_codec import Decoder, Encoder
+
 HERE = Path(__file__).resolve().parent
-PARTS = 256  # of a step of a delta encoder
 
 
 @contextmanager
@@ -159,72 +160,25 @@ class Codec:
         host = program["host"]
         if "missing" in host:
             raise SystemExit(f"the loop cannot be closed here: {host['missing']}")
-        self.codec, self.taps, self.bias = host["codec"], host["taps"], np.array(host["bias"])
-        self.kind = self.codec["encoder"]["kind"]
+        self.terms, self.timesteps = host["terms"], host["codec"]["timesteps"]
+        self.encoder, self.decoder = Encoder(host["codec"]), Decoder(host)
         self.width, self.clock = program["input"]["width"], program["control_step"]
-        self.sent = 0
 
     def encode(self, observation):
         """Return the rows (T, M) to inject for one observation (obs,), one in each timestep."""
-        normal, encoder = self.codec["normaliser"], self.codec["encoder"]
-        x = (np.asarray(observation, float) - normal["mean"]) / normal["std"]
-        x = np.clip(x, -normal["clip"], normal["clip"])
+        spikes = self.encoder(observation)
         rows = np.zeros((self.clock["timesteps"], self.width), np.int64)
-        spikes = getattr(self, f"_{self.kind}")(x, encoder, self.codec["timesteps"])
-        for t, row in enumerate(spikes):
-            rows[t, : row.size] = row.ravel()
-        for axon, (first, last) in enumerate(self.clock["bias_axons"]):
-            rows[first:last, axon - len(self.clock["bias_axons"])] = 1
+        rows[: len(spikes), : spikes.shape[1]] = spikes
+        for axon, (first, last) in enumerate(self.clock["bias_axons"], start=spikes.shape[1]):
+            rows[first:last, axon] = 1
         return rows
-
-    def _delta(self, x, encoder, steps):
-        """Signed events of what has moved since the last event."""
-        step = np.array([np.inf if s is None else s for s in encoder["step"]])
-        parts = np.rint(np.clip(x / step * PARTS, -(2.0**30), 2.0**30)).astype(np.int64)
-        k = np.arange(1, encoder["most"] + 1)
-        for _ in range(steps):
-            apart = parts - PARTS * self.sent
-            n = np.minimum((np.abs(apart) + PARTS // 2) >> 8, encoder["most"])
-            n = np.where(np.abs(apart) > encoder["threshold"], np.sign(apart) * n, 0)
-            signed = (n[:, None] * [1, -1])[:, :, None]
-            yield signed >= k if encoder["code"] == "unary" else signed == k
-            self.sent = self.sent + n
-
-    def _population(self, x, encoder, steps):
-        """Integrate-and-fire neurons with Gaussian receptive fields."""
-        drive = np.exp(-0.5 * ((x[:, None] - encoder["mean"]) / np.array(encoder["std"])) ** 2)
-        v, spikes = drive.copy(), np.zeros(drive.shape, bool)
-        for t in range(steps):
-            if t:
-                v = v - encoder["threshold"] * spikes + drive
-            spikes = v > encoder["threshold"]
-            yield spikes
-
-    def _rate(self, x, encoder, steps):
-        """Carries of an 8-bit accumulator that starts at 128."""
-        low, high = np.array(encoder["low"]), np.array(encoder["high"])
-        n = np.rint(np.clip((x - low) / (high - low), 0, 1) * 256).astype(np.int64)
-        for t in range(steps):
-            yield (n * (t + 1) + 128) // 256 - (n * t + 128) // 256
 
     def decode(self, found):
         """The action of what the chip did in the timesteps of a control step."""
-        outputs = []
-        for t in range(self.codec["timesteps"]):
-            output = self.bias.copy()
-            for tap in self.taps:
-                read = (
-                    np.asarray(found[tap["layer"]][tap["reads"]][tap["from"] + t], float)
-                    * tap["scale"]
-                )
-                part = read if tap["weight"] is None else read @ np.array(tap["weight"])
-                output[tap["first"] : tap["first"] + len(part)] += part
-            outputs.append(output)
-        last = self.codec.get("score", "mean") == "last"
-        scores = outputs[-1] if last else np.add.reduce(outputs) / len(outputs)
-        if self.codec["squash"] == "argmax":
-            return np.int64(scores.argmax())
-        return np.tanh(scores) if self.codec["squash"] == "tanh" else scores
+        tables = [np.asarray(found[term["layer"]][term["reads"]]) for term in self.terms]
+        firsts = [term["from"] for term in self.terms]
+        windows = zip(tables, firsts, strict=True)
+        return self.decoder([rows[first : first + self.timesteps] for rows, first in windows])
 
 
 def environment(name):

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.exporters.rendering import render
-from spikedeploy.exporters.to_program import as_rows, plain_record
+from spikedeploy.exporters.to_program import HOST_CODEC, as_rows, host_terms, plain_record, script
 from spikedeploy.exporters.verilog.bench import (
     BENCH,
     Recorded,
@@ -76,6 +76,7 @@ def board_files(
     episode = episode_record(image, codec, observation[:_EPISODE_STEPS], seed)
     return {
         **{name: template(name) for name in _SAME},
+        HOST_CODEC: script(HOST_CODEC),
         **{name: render(__package__, name, **values) for name in _FILLED},
         board.constraints_name: board.constraints,
         "policy.json": as_rows(host_record(image.program, codec, image, board, origin)),
@@ -119,22 +120,6 @@ def host_record(
 ) -> dict[str, Any]:
     """What host.py has to know: the codec, the words, and what becomes of them."""
     buffer = Buffer(image.words)
-    terms, bias = [], []  # type: list[dict[str, Any]], list[float]
-    for outlet in program.ways_out:
-        for term in outlet.taps:
-            layer = program.layer(term.layer)
-            scale = [] if layer.spiking else np.broadcast_to(layer.scale, (layer.size,)).tolist()
-            terms.append(
-                {
-                    "layer": term.layer,
-                    "first": len(bias),
-                    "size": len(outlet.bias),
-                    "lag": term.lag,
-                    "scale": scale,
-                    "weight": None if term.weight is None else term.weight.tolist(),
-                }
-            )
-        bias += outlet.bias.tolist()
     return {
         "format": MARK,
         "policy": origin,
@@ -148,8 +133,5 @@ def host_record(
         "state": program.convention.state,
         "codec": plain_record(codec.to_record()),
         "outputs": [{**vars(output), "words": output.words} for output in image.outputs],
-        # where spikes of one layer leave, the emulator adds the bias behind the product
-        "plain": not (program.reads_membranes or program.outlets),
-        "bias": bias,
-        "terms": terms,
+        **host_terms(program),
     }

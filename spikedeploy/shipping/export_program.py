@@ -17,6 +17,7 @@ from spikedeploy.exporters.to_program import (
     EPISODE,
     EXPECTED,
     HOST,
+    HOST_CODEC,
     MARK,
     PROGRAM,
     README,
@@ -28,7 +29,6 @@ from spikedeploy.exporters.to_program import (
     clock_text,
     expected_text,
     host_record,
-    missing_of,
     program_text,
     script,
     tool_of,
@@ -87,7 +87,7 @@ def export_program(
     artifact, tool = source.artifact, tool_of(source.chip)
     # nengo-loihi's whole emulator delivers one timestep later, as its synapses do
     on = chip_named(source.chip, **({"delay": 1} if source.chip == "loihi1-nengo" else {}))
-    names = (PROGRAM, EXPECTED, README, HOST, tool.script, EPISODE)
+    names = (PROGRAM, EXPECTED, README, HOST, HOST_CODEC, tool.script, EPISODE)
     inputs = (source.file, policy, raster)
     check_output_folder("-o", folder, names, inputs, force, lambda at: has_text(at / PROGRAM, MARK))
     if clock is None:  # tools hold no layer, so that a gated network runs free if it can
@@ -102,12 +102,13 @@ def export_program(
     else:
         codec = source.require_codec(", or give a raster: --input spikes.npy")
         run = chip_run(compiled, codec.timesteps, artifact.convention.state)
-        if missing := missing_of(compiled, codec):
-            raise ConfigError(f"--to program: no episode can be played: {missing}. Give --input.")
-        player = KitPlayer(compiled, codec, run)
+    host = host_record(compiled, codec, run)
+    if codec is not None:
+        if "missing" in host:
+            raise ConfigError(f"--to program: no episode: {host['missing']}. Give --input.")
+        player = KitPlayer(host, run)
         rows, episode, recorded = _episode(source, player, observations, env)
     check_delays(run.program, tool)
-    host = host_record(compiled, codec, run)
     placement = place(artifact, on).mapping if on.limits is not None else None
     origin = f"{source.origin}{source.scales}"
     text = program_text(run, compiled.clock, placement, host, origin)
@@ -115,7 +116,7 @@ def export_program(
     expected = expected_text(run, rows, text, said)
     verdict = _verify_text(text, expected)
     readme = _readme(tool, run, compiled.clock, origin, recorded, episode, host)
-    scripts = {name: script(name) for name in (HOST, tool.script)}
+    scripts = {name: script(name) for name in (HOST, HOST_CODEC, tool.script)}
     _write_files(folder, text, episode, {**scripts, README: readme, EXPECTED: expected})
     kept = tuple(name for name in names if name != EPISODE or episode is not None)
     open_loop = [f"no closed loop: {host['missing']}"] if "missing" in host else []

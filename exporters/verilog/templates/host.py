@@ -7,8 +7,8 @@
     policy.reset()                        # where an episode begins
     action = policy.act(observation)      # in each control step
 
-link.py, policy.json and episode.json stand beside this file. The host encodes and decodes in
-float64 as the emulator does, so that actions are equal to the last bit.
+link.py, host_codec.py, policy.json and episode.json stand beside this file. Actions are equal to
+the emulator's to the last bit.
 """
 
 import argparse
@@ -24,185 +24,10 @@ try:
     import numpy as np
 except ModuleNotFoundError:
     sys.exit("host.py needs NumPy: pip install numpy")
+from host_codec import Decoder, Encoder
 from link import Link, LinkError, Port
 
 HERE = Path(__file__).resolve().parent
-_PARTS, _LARGEST = 256, 2.0**30  # of the delta code: parts of a step; most of them
-_LEVELS = 256  # of the rate code
-
-Floats = np.ndarray[Any, np.dtype[np.float64]]
-Rows = np.ndarray[Any, np.dtype[np.int64]]
-
-
-class Encoder:
-    """Observations to input spikes.
-
-    codec: the record in policy.json.
-    """
-
-    def __init__(self, codec: dict[str, Any]) -> None:
-        self._normaliser = {name: np.array(each) for name, each in codec["normaliser"].items()}
-        self._encoder: dict[str, Any] = codec["encoder"]
-        self._timesteps: int = codec["timesteps"]
-        self._observed = len(self._normaliser["mean"])
-        self._kind = getattr(self, f"_{self._encoder['kind']}")
-        self.reset()
-
-    def reset(self, seed: int = 0) -> None:
-        """Begin an episode; seed: of what is random."""
-        self._sent = np.zeros(self._observed, np.int64)
-        self._random = _first_states(seed, self._observed)
-
-    def __call__(self, observation: Sequence[float]) -> Rows:
-        """Spikes (T, M) of an observation (obs,)."""
-        seen = np.asarray(observation, np.float64)
-        if seen.shape != (self._observed,) or not np.isfinite(seen).all():
-            raise ValueError(f"an observation has {self._observed} finite numbers")
-        with np.errstate(over="ignore"):
-            x = (seen - self._normaliser["mean"]) / self._normaliser["std"]
-            clip = self._normaliser["clip"]
-            x = np.maximum(np.minimum(x, clip), -clip)
-        rows: Rows = self._kind(x).reshape(self._timesteps, -1).astype(np.int64)
-        return rows
-
-    def _delta(self, x: Floats) -> Rows:
-        """Signed events of what has moved since the last event."""
-        step = np.array([np.inf if s is None else s for s in self._encoder["step"]])
-        most, threshold = self._encoder["most"], self._encoder["threshold"]
-        with np.errstate(over="ignore"):
-            parts = x / step * _PARTS
-        parts = np.rint(np.maximum(np.minimum(parts, _LARGEST), -_LARGEST)).astype(np.int64)
-        k, rows = np.arange(1, most + 1), []
-        for _ in range(self._timesteps):
-            apart = parts - _PARTS * self._sent
-            n = np.minimum((np.abs(apart) + _PARTS // 2) >> 8, most)
-            n = np.where(np.abs(apart) > threshold, np.sign(apart) * n, 0)
-            signed = (n[:, None] * np.array([1, -1]))[:, :, None]
-            rows.append(signed >= k if self._encoder["code"] == "unary" else signed == k)
-            self._sent = self._sent + n
-        return np.array(rows)
-
-    def _population(self, x: Floats) -> Rows:
-        """Integrate-and-fire neurons with Gaussian receptive fields."""
-        mean, std = np.array(self._encoder["mean"]), np.array(self._encoder["std"])
-        drive = (x[:, None] - mean) / std
-        drive *= drive
-        drive *= -0.5
-        drive = np.exp(drive)
-        membrane, threshold, rows = drive.copy(), self._encoder["threshold"], []
-        for t in range(self._timesteps):
-            if t:
-                membrane -= threshold * rows[-1]
-                membrane += drive
-            rows.append(membrane > threshold)
-        return np.array(rows)
-
-    def _rate(self, x: Floats) -> Rows:
-        """Carries of an 8-bit accumulator that starts at 128; or a random byte below the rate."""
-        low, high = np.array(self._encoder["low"]), np.array(self._encoder["high"])
-        share = np.minimum(np.maximum((x - low) / (high - low), 0), 1)
-        n = np.rint(share * _LEVELS).astype(np.int64)
-        rows = []
-        for t in range(self._timesteps):
-            if self._encoder["mode"] == "regular":
-                rows.append((n * (t + 1) + 128) // _LEVELS - (n * t + 128) // _LEVELS)
-            else:
-                self._random = _next_states(self._random)
-                rows.append((self._random >> np.uint32(24)) < n)
-        return np.array(rows)
-
-    def _events(self, x: Floats) -> Rows:
-        """Counts of events, of channels or spread over timesteps."""
-        most, code = self._encoder["most"], self._encoder["code"]
-        n = np.minimum(np.maximum(np.floor(x), 0), most).astype(np.int64)
-        if code == "spread":
-            return (n > np.arange(self._timesteps)[:, None]).astype(np.int64)
-        grouped = n.reshape(self._encoder["polarities"], 1, -1) >= np.arange(1, most + 1)[:, None]
-        rows = np.zeros((self._timesteps, grouped.size), np.int64)
-        rows[0] = grouped.ravel()
-        return rows
-
-
-def _first_states(seed: int, width: int) -> Any:  # noqa: ANN401
-    """States (M,) of the random numbers of a seed."""
-
-    def mix(x: Any) -> Any:  # noqa: ANN401
-        x = (x ^ (x >> np.uint32(16))) * np.uint32(0x85EBCA6B)
-        x = (x ^ (x >> np.uint32(13))) * np.uint32(0xC2B2AE35)
-        return x ^ (x >> np.uint32(16))
-
-    low, high = np.array([[seed % 2**32], [seed // 2**32 % 2**32]], np.uint32)
-    begun = mix(mix(low + np.uint32(0x9E3779B9)) + high)
-    return np.maximum(mix(begun + np.arange(width, dtype=np.uint32)), np.uint32(1))
-
-
-def _next_states(x: Any) -> Any:  # noqa: ANN401
-    """The random numbers after a timestep: xorshift32."""
-    x = x ^ (x << np.uint32(13))
-    x = x ^ (x >> np.uint32(17))
-    return x ^ (x << np.uint32(5))
-
-
-class Decoder:
-    """What leaves the core to actions.
-
-    record: policy.json.
-    """
-
-    def __init__(self, record: dict[str, Any]) -> None:
-        self._codec, self._outputs = record["codec"], record["outputs"]
-        self._bias, self._terms = np.array(record["bias"]), record["terms"]
-        self._plain: bool = record["plain"]
-        for term in self._terms:
-            term["weight"] = None if term["weight"] is None else np.array(term["weight"])
-            term["scale"] = np.array(term["scale"])
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget what is still to arrive."""
-        sizes = {output["layer"]: output["neurons"] for output in self._outputs}
-        self._late = [np.zeros((term["lag"], 1, sizes[term["layer"]])) for term in self._terms]
-
-    def __call__(self, words: Sequence[Sequence[int]]) -> Any:  # noqa: ANN401
-        """The action of the words of the timesteps of an inference."""
-        values = self._values(np.array(words, np.uint32))
-        output = np.empty((len(words), 1, len(self._bias)))
-        output[...] = self._bias
-        for k, term in enumerate(self._terms):
-            rows = values[term["layer"]]
-            if term["scale"].size:
-                rows = rows * term["scale"]
-            rows = np.concatenate([self._late[k], rows.astype(np.float64)])
-            self._late[k], rows = rows[len(words) :], rows[: len(words)]
-            if self._plain and term["weight"] is not None:
-                # as the emulator's host does it where spikes of one layer alone leave
-                flat = rows.reshape(-1, len(term["weight"])).dot(term["weight"]) + self._bias
-                output = flat.reshape(len(words), 1, -1)
-            elif self._plain:
-                output = rows
-            else:
-                total = output[..., term["first"] : term["first"] + term["size"]]
-                total += rows if term["weight"] is None else rows @ term["weight"]
-        if self._codec.get("score", "mean") == "last":
-            scores = output[-1]
-        else:
-            scores = np.add.reduce(output.swapaxes(0, 1), axis=1) / len(words)
-        if self._codec["squash"] == "argmax":
-            return np.int64(scores.argmax(axis=1)[0])
-        return (np.tanh(scores) if self._codec["squash"] == "tanh" else scores)[0]
-
-    def _values(self, words: Any) -> dict[str, Any]:  # noqa: ANN401
-        """Membranes or spikes (T, 1, N) by layer, of the words (T, words)."""
-        found, at = {}, 0
-        for output in self._outputs:
-            count, neurons = output["words"], output["neurons"]
-            part = np.ascontiguousarray(words[:, at : at + count]).astype("<u4")
-            if output["silent"]:
-                rows = part.view("<i4").astype(np.int64)
-            else:
-                rows = np.unpackbits(part.view(np.uint8), axis=1, bitorder="little")[:, :neurons]
-            found[output["layer"]], at = rows[:, None, :], at + count
-        return found
 
 
 class Policy:
@@ -215,6 +40,7 @@ class Policy:
     def __init__(self, link: Link, record: dict[str, Any]) -> None:
         self.link, self._resets = link, record["state"] == "reset"
         self._encode, self._decode = Encoder(record["codec"]), Decoder(record)
+        self._outputs, self._terms = record["outputs"], record["terms"]
 
     def reset(self, seed: int = 0) -> None:
         """Begin an episode; seed: of an encoder that is random."""
@@ -231,7 +57,21 @@ class Policy:
         if self._resets:
             self._decode.reset()
         spikes = [np.flatnonzero(row).tolist() for row in rows]
-        return self._decode(self.link.infer(spikes, forget=self._resets))
+        values = self._values(np.array(self.link.infer(spikes, forget=self._resets), np.uint32))
+        return self._decode([values[term["layer"]] for term in self._terms])
+
+    def _values(self, words: Any) -> dict[str, Any]:  # noqa: ANN401
+        """Membranes or spikes (T, N) by layer, of the words (T, words)."""
+        found, at = {}, 0
+        for output in self._outputs:
+            count, neurons = output["words"], output["neurons"]
+            part = np.ascontiguousarray(words[:, at : at + count]).astype("<u4")
+            if output["silent"]:
+                rows = part.view("<i4").astype(np.int64)
+            else:
+                rows = np.unpackbits(part.view(np.uint8), axis=1, bitorder="little")[:, :neurons]
+            found[output["layer"]], at = rows, at + count
+        return found
 
 
 def read(name: str) -> Any:  # noqa: ANN401

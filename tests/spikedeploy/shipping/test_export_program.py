@@ -37,6 +37,7 @@ from tests.waiting import PATIENCE
 
 SCRIPTS = ROOT / "exporters" / "kit"
 LIBRARIES = {
+    "host_codec.py": {"numpy"},
     "host.py": {"numpy", "gymnasium", "spikedeploy"},  # these two for --loop ENV alone
     "run_lava.py": {"numpy", "lava"},
     "run_nengo_loihi.py": {"numpy", "nengo_loihi"},
@@ -291,7 +292,7 @@ def script_of(kit, *words, without=()):
     text = "import runpy, sys; sys.path.insert(0, '.'); " + "".join(
         f"sys.modules[{name!r}] = None; " for name in without
     )
-    text += f"runpy.run_path({kit.files[4]!r}, run_name='__main__')"
+    text += f"runpy.run_path({kit.files[5]!r}, run_name='__main__')"
     return subprocess.run(
         [sys.executable, "-c", text, *words],
         cwd=kit.path, capture_output=True, text=True, check=False, timeout=PATIENCE,
@@ -519,8 +520,8 @@ def test_a_script_imports_numpy_and_its_tool_alone(name):
             found |= {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             found.add(node.module.partition(".")[0])
-    assert found - set(sys.stdlib_module_names) - {"host"} <= LIBRARIES[name]
-    assert {tool.script for tool in TOOLS.values()} | {"host.py"} == set(LIBRARIES)
+    assert found - set(sys.stdlib_module_names) - {"host", "host_codec"} <= LIBRARIES[name]
+    assert {tool.script for tool in TOOLS.values()} | {"host.py", "host_codec.py"} == set(LIBRARIES)
 
 
 @pytest.mark.parametrize("name", NETWORKS)
@@ -542,9 +543,14 @@ def test_the_readme_of_a_kit_says_all_that_is_needed_to_run_it(name, kit_of):
 
 def host_in(folder):
     """The kit's own host.py, imported from its folder."""
-    spec = importlib.util.spec_from_file_location("kit_host", folder / "host.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    sys.path.insert(0, str(folder))
+    try:
+        spec = importlib.util.spec_from_file_location("kit_host", folder / "host.py")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(folder))
+        sys.modules.pop("host_codec", None)
     return module
 
 
@@ -563,7 +569,8 @@ def test_the_hosts_encoder_sends_the_spikes_of_ours(name, kit_of):
     codec = Codec(normaliser, ENCODERS[name], 5, "tanh")
     kit, _ = kit_of("speck2f", steps=2)
     record = json.loads((kit.path / "program.json").read_text())
-    record["host"]["codec"] = to_program.plain_record(codec.to_record())
+    record["host"] = {"codec": to_program.plain_record(codec.to_record())}
+    record["host"] |= {"bias": [0.0], "terms": [], "plain": False}
     record["input"]["width"] = codec.encoder.width
     record["control_step"] = {"timesteps": 7, "bias_axons": []}
     host = host_in(kit.path).Codec(record)
