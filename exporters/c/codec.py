@@ -15,7 +15,7 @@ from spikedeploy.runtime.errors import ConfigError
 Floats = NDArray[np.floating]
 
 # far below the logarithm of the least double
-_NOTHING = -800.0
+_LOG_OF_ZERO = -800.0
 # tanh in 2**-64 at multiples of 1/16, up to where it is 1 within 1e-13
 _TANH = np.array([int(ldexp(value, 64)) for value in np.tanh(np.arange(240) / 16)], np.uint64)
 
@@ -33,7 +33,7 @@ def codec_values(codec: Codec) -> dict[str, Any]:
         live &= np.isfinite(encoder.step)
         if not live.any():
             raise ConfigError("--to c: the delta code has no channel with a finite step.")
-        return {**found, "parts": FixedParts.of(codec, encoder, live)}
+        return {**found, "parts": FixedParts.from_codec(codec, encoder, live)}
     if isinstance(encoder, PopulationEncoder):
         patterns = pattern_table(encoder.threshold, codec.timesteps, "<f8")
         bits = (patterns.spikes.astype(object) << np.arange(codec.timesteps)[:, None]).sum(axis=0)
@@ -44,7 +44,7 @@ def codec_values(codec: Codec) -> dict[str, Any]:
 
 def exponents(drives: Floats) -> Floats:
     """For each drive the largest u with exp(u) <= drive, as NumPy computes exp."""
-    low, high = np.full(drives.shape, _NOTHING), np.zeros(drives.shape)
+    low, high = np.full(drives.shape, _LOG_OF_ZERO), np.zeros(drives.shape)
     while True:
         middle = low + (high - low) / 2
         open_ = (middle > low) & (middle < high)
@@ -58,7 +58,7 @@ _OBSERVED = 29  # bits of the magnitude of an observation in fixed point
 _PRODUCT = 61  # bits of its product with the gain
 _REST = 16  # bits behind the point that tell how near the next whole number is
 _LARGEST = 2**30  # as the encoder clips X
-_USELESS = 0.05  # [1/256 steps] error at which doubles are better
+_ERROR_MAX = 0.05  # [1/256 steps] error at which doubles are better
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +81,10 @@ class FixedParts:
     error: float
 
     @classmethod
-    def of(cls, codec: Codec, encoder: DeltaEncoder, live: NDArray[np.bool_]) -> "FixedParts":
-        """Those of a codec, with as many bits as fit."""
+    def from_codec(
+        cls, codec: Codec, encoder: DeltaEncoder, live: NDArray[np.bool_]
+    ) -> "FixedParts":
+        """Return the numbers of a codec, with as many bits as fit."""
         normaliser = codec.normaliser
         mean, std = (v[live].astype(np.float64) for v in (normaliser.mean, normaliser.std))
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
@@ -110,7 +112,7 @@ class FixedParts:
         )
 
     @property
-    def small(self) -> bool:
+    def fits_int32(self) -> bool:
         """True if X, also before it is clipped, and its levels differ by less than 2**31."""
         return _PRODUCT - self.fraction < 29 and int(self.x_max.max()) < 2**29
 
@@ -121,22 +123,22 @@ class FixedParts:
         return 1054 - self.exponent
 
     @property
-    def raised(self) -> int:
-        """A half, to round; and `base` in the unit of the product, so that none is negative."""
+    def rounding_offset(self) -> int:
+        """A half, to round; and `offset` in the unit of the product, so that none is negative."""
         return (1 << _PRODUCT) + (1 << (self.fraction - 1))
 
     @property
-    def base(self) -> int:
-        """Offset [1/256 steps]."""
+    def offset(self) -> int:
+        """Added so that no number is negative [1/256 steps]."""
         return 1 << (_PRODUCT - self.fraction)
 
     @property
-    def unsure(self) -> int:
-        """Distance from a whole number [2**-16] within which doubles decide."""
-        useful = self.error < _USELESS
+    def tie_margin(self) -> int:
+        """Distance from a tie of rounding [2**-16] within which doubles decide."""
+        useful = self.error < _ERROR_MAX
         return int(np.ceil(self.error * 2**_REST)) + 2 if useful else 2**_REST
 
     @property
-    def sure(self) -> int:
-        """Width of the rest in between; 1 where all are decided by doubles."""
-        return (1 << _REST) - 2 * self.unsure if self.error < _USELESS else 1
+    def certain_width(self) -> int:
+        """Width of what integers decide between two ties [2**-16]; 1 where doubles decide all."""
+        return (1 << _REST) - 2 * self.tie_margin if self.error < _ERROR_MAX else 1

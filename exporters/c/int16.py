@@ -41,7 +41,7 @@ class Int16Observations:
     high: Integers
 
     @classmethod
-    def of(cls, normaliser: Normaliser) -> "Int16Observations":
+    def from_normaliser(cls, normaliser: Normaliser) -> "Int16Observations":
         """The finest powers of two at which mean +- clip standard deviations fit in 16 bits."""
         mean, std = normaliser.mean.astype(np.float64), normaliser.std.astype(np.float64)
         reach = np.abs(mean) + normaliser.clip * std
@@ -278,7 +278,7 @@ def int16_codec(plan: Plan) -> Int16Codec | str:
     if any(tap.times_max > 1 for tap in plan.taps if not tap.silent):
         return "a neuron that the output reads can spike several times in a timestep"
     try:
-        observations = Int16Observations.of(codec.normaliser)
+        observations = Int16Observations.from_normaliser(codec.normaliser)
     except ConfigError as error:
         return str(error).removeprefix("--to c: ")
     delta = _delta(plan, codec, codec.encoder, observations)

@@ -158,7 +158,10 @@ class Int8Mlp:
 
 def quantise(policy: FloatMlp) -> Int8Mlp:
     """The network in 8-bit weights."""
-    observations, normaliser = Int16Observations.of(policy.normaliser), policy.normaliser
+    observations, normaliser = (
+        Int16Observations.from_normaliser(policy.normaliser),
+        policy.normaliser,
+    )
     mean, std = normaliser.mean.astype(np.float64), normaliser.std.astype(np.float64)
     # x = (o - centre) unit
     unit, centre = 2.0**-observations.exponent / std, mean * 2.0**observations.exponent

@@ -171,7 +171,7 @@ def mlp_in_c(
 
 
 def _declarations(plan: Plan, prefix: str) -> Declarations:
-    """None yet, in a file that includes the header."""
+    """Return empty declarations for a file that includes the header."""
     kinds = {f"{prefix}_int_t": plan.kind, f"{prefix}_id_t": plan.id_kind}
     return Declarations({name: bytes_of(kind) for name, kind in kinds.items()})
 

@@ -129,7 +129,9 @@ def test_the_table_of_tanh_is_within_five_units_of_q15():
 
 
 def test_observations_are_rounded_to_even_and_kept_in_the_range_of_training():
-    scales = Int16Observations.of(Normaliser(np.array([0.0, 10.0]), np.array([1.0, 0.5]), 4.0))
+    scales = Int16Observations.from_normaliser(
+        Normaliser(np.array([0.0, 10.0]), np.array([1.0, 0.5]), 4.0)
+    )
     assert scales.exponent.tolist() == [12, 11]
     found = scales.quantise(np.array([[2.5 / 4096, 99.0], [-5.0, 8.0]]))
     assert found.tolist() == [[2, 24576], [-16384, 16384]]
@@ -140,7 +142,7 @@ def test_observations_are_rounded_to_even_and_kept_in_the_range_of_training():
 @pytest.mark.parametrize("std", [1e-60, 1e60])
 def test_a_range_that_no_power_of_two_brings_into_16_bits_is_refused(std):
     with pytest.raises(ConfigError, match="observation 0 reaches"):
-        Int16Observations.of(Normaliser(np.zeros(1), np.array([std]), 4.0))
+        Int16Observations.from_normaliser(Normaliser(np.zeros(1), np.array([std]), 4.0))
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@
 {% set moved_kind = narrowest(0, count - 1) %}
 {% set furthest = parts.x_max.max() // 256 + 1 + encoder.most %}
 {% set level_kind = narrowest(-furthest, furthest) %}
-{% set far_kind = "int32_t" if parts.small and apart_kind == "int32_t" else "int64_t" %}
+{% set far_kind = "int32_t" if parts.fits_int32 and apart_kind == "int32_t" else "int64_t" %}
 {% macro encoder_functions() %}
 {% set normalised = normalise(live) %}
 {% do out.variable("level", level_kind, count) %}
@@ -67,11 +67,11 @@ static void encode_begin(const double *observation)
         /* the product with the gain is 32 by 32 bits */
         const int32_t apart_mean = fixed_point(observed, {{ scale }}) - {{ mean_fixed }};
         /* X + 1/2 in 2**-{{ parts.fraction }}u */
-        const int64_t raised = ((int64_t)apart_mean * {{ gain }}) + {{ parts.raised | c("int64_t") }};
+        const int64_t raised = ((int64_t)apart_mean * {{ gain }}) + {{ parts.rounding_offset | c("int64_t") }};
         const uint32_t rest = (uint32_t)((uint64_t)raised >> {{ parts.fraction - 16 }}u) & 65535u;
-        int32_t x = (int32_t)((uint64_t)raised >> {{ parts.fraction }}u) - {{ parts.base }};
+        int32_t x = (int32_t)((uint64_t)raised >> {{ parts.fraction }}u) - {{ parts.offset }};
         {{ far_kind }} far;
-        if ((rest - {{ parts.unsure }}u) >= {{ parts.sure }}u) {
+        if ((rest - {{ parts.tie_margin }}u) >= {{ parts.certain_width }}u) {
             x = exact(k, observed);
         }
         far = ({{ far_kind }})x - 256 * ({{ far_kind }})level[k];
