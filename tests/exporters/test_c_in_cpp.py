@@ -8,10 +8,8 @@ import pytest
 from spikedeploy import zoo
 from spikedeploy.exporters.c.int8 import quantise
 from spikedeploy.exporters.c.packaging import write_texts
-from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.exporters.c.to_c import mlp_in_c, network_in_c
 from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.errors import ConfigError
 from tests.c_builds import passed, run, written
 from tests.exporters.test_c_int16 import NETWORKS as FLOAT_NETWORKS
 from tests.exporters.test_c_int16 import walk_of
@@ -184,16 +182,3 @@ def test_two_policies_with_prefixes_of_their_own_fit_in_one_program_of_cpp(tmp_p
     )
     run("g++", *CLEAN, "main.cpp", *objects, "-lm", "-o", "both", folder=tmp_path)
     run(tmp_path / "both", folder=tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("prefix", "why"),
-    [
-        ("left__leg", "C\\+\\+ reserves names"),
-        ("left_", "C\\+\\+ reserves names"),
-        ("spi", "header of Arduino"),
-    ],
-)
-def test_prefixes_that_cpp_or_arduino_would_take_for_theirs_are_refused(prefix, why):
-    with pytest.raises(ConfigError, match=why):
-        check_prefix(prefix)

@@ -214,9 +214,3 @@ def test_an_arithmetic_that_is_not_written_in_c_is_refused(name):
     program = replace(delayed(1, longest=2), chip=chip(name))
     with pytest.raises(ConfigError, match="rule arithmetic"):
         network_in_c(program, np.ones((1, 1, 9), np.uint8), "")
-
-
-@pytest.mark.parametrize("prefix", ["", "9a", "int", "a-b", "A", "x" * 40])
-def test_a_prefix_that_is_no_name_of_c_is_refused(prefix):
-    with pytest.raises(ConfigError, match="--prefix"):
-        network_in_c(delayed(1), np.ones((1, 1, 9), np.uint8), "", prefix)

@@ -128,59 +128,45 @@ def only(program, **fields):
     return replace(program, layers=(replace(first, **fields), *others))
 
 
-def refused(rule, program):
-    """The sentence of a refusal."""
-    with pytest.raises(RuleError, match=f"^rule {rule}: ") as error:
-        core_image(program)
-    return str(error.value)
+def shifted():
+    synapses = tuple(replace(each, shift=2) for each in delayed(1).layers[0].synapses)
+    return only(delayed(1), synapses=synapses)
 
 
-@pytest.mark.parametrize("name", ["ideal", "xylo-a2", "odin", "spinnaker2"])
-def test_another_arithmetic_is_refused(name):
-    assert name in refused("arithmetic", replace(delayed(1, longest=2), chip=chip(name)))
+def full():
+    fields = ("bias", "voltage_bias", "threshold", "current_decay", "membrane_decay")
+    synapses = (Synapses("input", np.ones((9, 32768), np.int16), 1),)
+    numbers = {name: np.zeros(32768, np.int64) for name in fields}
+    layer = replace(delayed(1).layers[0], synapses=synapses, **numbers)
+    return replace(delayed(1), layers=(layer,), output="a")
 
 
-def test_a_clock_that_runs_on_is_refused():
-    refused("clock", replace(delayed(1), clock="free"))
+def wide():
+    on = chip("int", membrane=Register(36, "clip"), current=Register(36, "wrap"))
+    *others, last = delayed(5).layers
+    return replace(delayed(5), chip=on, layers=(*others, replace(last, spiking=False)))
 
 
-def test_synapses_with_a_shift_are_refused():
-    program = delayed(1)
-    synapses = tuple(replace(each, shift=2) for each in program.layers[0].synapses)
-    assert "shift 2" in refused("synapses", only(program, synapses=synapses))
+def on(name, **options):
+    return replace(delayed(1, longest=2), chip=chip(name, **options))
 
 
-def test_more_synapses_than_block_ram_holds_are_refused():
-    program = delayed(1)
-    weight = np.ones((9, 32768), np.int16)
-    layer = replace(
-        program.layers[0],
-        synapses=(Synapses("input", weight, 1),),
-        **{
-            name: np.zeros(32768, np.int64)
-            for name in ("bias", "voltage_bias", "threshold", "current_decay", "membrane_decay")
-        },
-    )
-    assert "294,912" in refused("memory", replace(program, layers=(layer,), output="a"))
+REFUSED = [
+    *(("arithmetic", lambda name=name: on(name)) for name in ("ideal", "xylo-a2", "odin")),
+    ("clock", lambda: replace(delayed(1), clock="free")),
+    ("synapses", shifted),
+    ("memory", full),
+    ("word", wide),
+    ("threshold", lambda: only(delayed(1), threshold=delayed(1).layers[0].threshold * 0 - 64)),
+    ("register", lambda: on("loihi1", membrane=Register(24, "clip", (5, 9)))),
+    ("axons", lambda: replace(delayed(1), width=1 << 16)),
+]
 
 
-def test_membranes_that_are_wider_than_a_word_are_refused():
-    wide = chip("int", membrane=Register(36, "clip"), current=Register(36, "wrap"))
-    program = replace(delayed(5), chip=wide)
-    last = replace(program.layers[-1], spiking=False)
-    assert "36-clip" not in refused("word", replace(program, layers=(*program.layers[:-1], last)))
-
-
-def test_a_threshold_below_0_is_refused():
-    program = delayed(1)
-    assert "-64" in refused(
-        "threshold", only(program, threshold=program.layers[0].threshold * 0 - 64)
-    )
-
-
-def test_a_range_without_0_is_refused():
-    rules = chip("loihi1", membrane=Register(24, "clip", (5, 9)))
-    refused("register", replace(delayed(1), chip=rules))
+@pytest.mark.parametrize(("rule", "program"), REFUSED)
+def test_a_program_that_the_core_has_not_is_refused_by_its_rule(rule, program):
+    with pytest.raises(RuleError, match=f"^rule {rule}: "):
+        core_image(program())
 
 
 def test_the_edges_of_loihi_s_registers_are_among_the_vectors():
