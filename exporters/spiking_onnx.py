@@ -392,8 +392,8 @@ class _Network:
         for k, term in enumerate(self._plan.terms):
             if term.weight is not None:
                 self._graph.constant(f"host:weight{k}", term.weight)
-        if program.outlets:
-            return self._graph.constant("host:bias", program.outlets[0].bias[None])
+        if program.host_outputs:
+            return self._graph.constant("host:bias", program.host_outputs[0].bias[None])
         bias = 0.0 if program.readout is None else program.readout.bias[None]
         return self._graph.constant("host:bias", bias)
 

@@ -320,22 +320,22 @@ def host_terms(program: Program) -> dict[str, Any]:
     """
     terms: list[dict[str, Any]] = []
     bias: list[float] = []
-    for outlet in program.ways_out:
-        for term in outlet.taps:
+    for node in program.output_nodes:
+        for term in node.terms:
             layer = program.layer(term.layer)
             scale = [] if layer.spiking else np.broadcast_to(layer.scale, (layer.size,)).tolist()
             terms.append(
                 {
                     "layer": term.layer,
                     "first": len(bias),
-                    "size": len(outlet.bias),
+                    "size": len(node.bias),
                     "lag": term.lag,
                     "scale": scale,
                     "weight": None if term.weight is None else term.weight.tolist(),
                 }
             )
-        bias += outlet.bias.tolist()
-    plain = not (program.reads_membranes or program.outlets)
+        bias += node.bias.tolist()
+    plain = not (program.reads_membranes or program.host_outputs)
     return {"plain": plain, "bias": bias, "terms": terms}
 
 

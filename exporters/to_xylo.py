@@ -14,7 +14,7 @@ from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.xylo_traces import xylo_trace
+from spikedeploy.runtime.families.tool_traces import xylo_trace
 from spikedeploy.runtime.traces.fields import Fields
 
 MARK = "spikedeploy export --to xylo"
@@ -89,7 +89,7 @@ def _each(layers: Sequence[Layer], field: str) -> list[int]:
 
 def _check(program: Program) -> None:
     last = program.layers[-1]
-    if not program.output_apart or last.name != program.output or program.outlets:
+    if not program.output_apart or last.name != program.output or program.host_outputs:
         raise ConfigError(
             "--to xylo: several layers, or hidden neurons, leave the chip; a specification has one "
             "population of output neurons. Put a spiking layer behind them."

@@ -41,7 +41,7 @@ class EmulatedHardware:
         for layer in self.program.layers:
             part = slice(first, first + layer.size)
             first = part.stop
-            if layer.name in self.program.to_host:
+            if layer.name in self.program.output_layers:
                 outputs[layer.name] = (spikes if layer.spiking else membrane)[part]
         return Timestep(100, outputs, current, membrane, spikes)
 

@@ -19,7 +19,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.numba_kernels import jit
+from spikedeploy.runtime.families.numba_frame import jit
 from spikedeploy.trainers.config import require_known
 
 Array = NDArray[np.floating[Any]]

@@ -40,7 +40,7 @@ from spikedeploy.runtime.convention import Convention, Floor, Reset, Spikes
 from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
-from spikedeploy.runtime.families.numba_kernels import kept_on_disk
+from spikedeploy.runtime.families.numba_frame import kept_on_disk
 from spikedeploy.runtime.graph.order import Timing, timing
 from spikedeploy.trainers.from_torch import common_meaning, given_shape, network_from_torch
 from spikedeploy.trainers.network import (

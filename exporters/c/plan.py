@@ -15,7 +15,7 @@ from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.delta import DeltaEncoder
-from spikedeploy.runtime.compiler.program import Program, ReadoutTerm
+from spikedeploy.runtime.compiler.program import OutputTerm, Program
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
@@ -300,25 +300,25 @@ class Plan:
         return LayerPlan(name, layer, unit, bias // unit, inputs, spikes, states, held)
 
     @property
-    def terms(self) -> tuple[ReadoutTerm, ...]:
+    def terms(self) -> tuple[OutputTerm, ...]:
         """All that the host receives, of one Output after another."""
-        return self.program.taps
+        return self.program.output_terms
 
     @cached_property
     def bias(self) -> NDArray[np.float64]:
         """(scores,) bias of the output in every timestep."""
-        return np.concatenate([outlet.bias for outlet in self.program.ways_out])
+        return np.concatenate([node.bias for node in self.program.output_nodes])
 
     @cached_property
     def taps(self) -> list["Tap"]:
         """All that the host adds up to scores."""
         found, first = [], 0
-        for outlet in self.program.ways_out:
-            found += [self._plan_tap(term, first) for term in outlet.taps]
-            first += len(outlet.bias)
+        for node in self.program.output_nodes:
+            found += [self._plan_tap(term, first) for term in node.terms]
+            first += len(node.bias)
         return found
 
-    def _plan_tap(self, term: ReadoutTerm, first: int) -> "Tap":
+    def _plan_tap(self, term: OutputTerm, first: int) -> "Tap":
         layers = [layer.name for layer in self.program.layers]
         if term.layer not in layers:
             raise ConfigError(
@@ -332,7 +332,7 @@ class Plan:
         index = layers.index(term.layer)
         return Tap(term.layer, index, silent, term.lag, self.times_max[term.layer], first, weight)
 
-    def is_spiking(self, term: ReadoutTerm) -> bool:
+    def is_spiking(self, term: OutputTerm) -> bool:
         """True where the host receives spikes of a layer, and not its membranes."""
         return term.layer == self.program.input or self.program.layer(term.layer).spiking
 

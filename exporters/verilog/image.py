@@ -170,7 +170,7 @@ class CoreImage:
         return tuple(
             Output(layer.name, not layer.spiking, layer.size)
             for layer in self.program.layers
-            if layer.name in self.program.to_host
+            if layer.name in self.program.output_layers
         )
 
     @property

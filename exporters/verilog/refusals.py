@@ -49,7 +49,7 @@ def _broken_rules(program: Program, arithmetic: CubaFixedPoint) -> Iterator[tupl
             f"the input has {program.width} channels; a token numbers {_AXONS} at most. Encode "
             "with fewer.",
         )
-    if program.input in {tap.layer for tap in program.taps}:
+    if program.input in {term.layer for term in program.output_terms}:
         yield (
             "output",
             "the output receives the input itself, which is no layer of the core. Put a layer "

@@ -139,7 +139,7 @@ def _up_to(program: Program, name: str) -> Program:
         return program
     place = [layer.name for layer in program.layers].index(name)
     layers = program.layers[: place + 1]
-    return replace(program, layers=layers, output=name, readout=None, outlets=(), host=())
+    return replace(program, layers=layers, output=name, readout=None, host_outputs=(), host=())
 
 
 def _with(quantisation: Quantisation, layer: str, tuning: Tuning) -> Quantisation:

@@ -225,6 +225,12 @@ class Network(Protocol):
         """True where the output layer has hidden sources and no targets, as on Xylo."""
 
 
+def plain_layer(name: str, synapses: Sequence[Synapses], threshold: Numbers) -> Layer:
+    """A layer without biases, currents or leaks."""
+    none = np.zeros(threshold.size, np.int64)
+    return Layer(name, tuple(synapses), none, none, threshold, none, none, scale=1.0, start=0)
+
+
 @dataclass(eq=False)
 class LayerState:
     """The state of a layer between timesteps.

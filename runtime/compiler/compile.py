@@ -14,7 +14,7 @@ from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.lowering import Lowering, lower
 from spikedeploy.runtime.compiler.mapping import CoreMapping
 from spikedeploy.runtime.compiler.outliers import outlier_remarks
-from spikedeploy.runtime.compiler.program import HostOutput, Program, Readout
+from spikedeploy.runtime.compiler.program import Output, Program, Readout
 from spikedeploy.runtime.compiler.rules import (
     ARITHMETIC,
     CAPACITY,
@@ -207,7 +207,7 @@ def float_program(artifact: Artifact, chip: Chip, graph: LayerGraph, clock: Cloc
             f"advance its layers so; it advances them {' or '.join(chip.clocks)}"
         )
     silent = {layer.name for layer in floats if not layer.spiking}
-    output, readout, outlets = _way_out(graph, convention, bool(host), silent)
+    output, readout, host_outputs = _way_out(graph, convention, bool(host), silent)
     if output in {layer.name for layer in host}:
         output = layers[-1].name
     program = Program(
@@ -219,8 +219,8 @@ def float_program(artifact: Artifact, chip: Chip, graph: LayerGraph, clock: Cloc
         output=output,
         readout=readout,
         inputs=graph.inputs,
-        outputs=tuple(outlet.port for outlet in graph.outlets),
-        outlets=outlets,
+        outputs=tuple(node.port for node in graph.outputs),
+        host_outputs=host_outputs,
         remarks=tuple(remarks),
         host=tuple(host),
         clock=clock,
@@ -291,34 +291,34 @@ def _rows(artifact: Artifact, program: Program) -> int | None:
 
 def _way_out(
     graph: LayerGraph, convention: Convention, on_host: bool, silent: Collection[str]
-) -> tuple[str, Readout | None, tuple[HostOutput, ...]]:
-    """The layer that leaves the chip and its readout; outlets where there is more than that.
+) -> tuple[str, Readout | None, tuple[Output, ...]]:
+    """The layer that leaves the chip and its readout; outputs where there is more than that.
 
-    on_host: whether the host integrates a layer, which only outlets can say.
+    on_host: whether the host integrates a layer, which only outputs can say.
     silent: names of the readout layers; where there are some, the host remembers what is late.
     """
-    taps = [tap for outlet in graph.outlets for tap in outlet.taps]
-    first, outlet = taps[0], graph.outlets[0]
-    if len(taps) == 1 and not on_host:
-        plain = first.weight is None and not first.lag and not outlet.bias.any()
+    terms = [term for node in graph.outputs for term in node.terms]
+    first, node = terms[0], graph.outputs[0]
+    if len(terms) == 1 and not on_host:
+        plain = first.weight is None and not first.lag and not node.bias.any()
         if plain:
             return first.layer, None, ()
         weight = first.weight
         if weight is None:
-            if 8 * outlet.port.size**2 > MAX_BYTES:
+            if 8 * node.port.size**2 > MAX_BYTES:
                 raise RuleError(
-                    f"rule outputs: node {outlet.port.name!r}: {outlet.port.size} spikes reach it "
+                    f"rule outputs: node {node.port.name!r}: {node.port.size} spikes reach it "
                     "late or beside a bias, so that the host would multiply them by a matrix; at "
                     f"most {MAX_BYTES} bytes. Leave out the delay and the bias before it."
                 )
-            weight = np.eye(outlet.port.size)
-        return first.layer, Readout(weight, outlet.bias, first.lag), ()
-    if not silent and convention.state == "kept" and any(tap.lag for tap in taps):
+            weight = np.eye(node.port.size)
+        return first.layer, Readout(weight, node.bias, first.lag), ()
+    if not silent and convention.state == "kept" and any(term.lag for term in terms):
         raise RuleError(
-            f"rule delay: node {outlet.port.name!r}: it receives several layers, some of "
+            f"rule delay: node {node.port.name!r}: it receives several layers, some of "
             "them late, while states are kept. Remove the delay before it, or choose state 'reset'."
         )
-    return first.layer, None, graph.outlets
+    return first.layer, None, graph.outputs
 
 
 COMPILE = "compile"

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class ReadoutTerm:
+class OutputTerm:
     """Contribution of one layer to an Output node.
 
     layer: name; of a readout layer its membranes [float units] arrive, and not spikes.
@@ -33,16 +33,16 @@ class ReadoutTerm:
 
 
 @dataclass(frozen=True, eq=False)
-class HostOutput:
+class Output:
     """One Output node.
 
     port: its name and shape.
-    taps: what it receives.
+    terms: what it receives.
     bias: (act,) added in every timestep.
     """
 
     port: Port
-    taps: tuple[ReadoutTerm, ...]
+    terms: tuple[OutputTerm, ...]
     bias: Floats
 
 
@@ -93,10 +93,10 @@ class Program:
     remarks: what of it is not as in the artifact, besides rounding and its convention; sentences.
     inputs: the Input nodes side by side in the input; empty where there was no graph.
     outputs: the Output nodes side by side in the output; likewise.
-    outlets: what the host makes of the spikes where several layers leave the chip; then it stands
-        for output and readout.
+    host_outputs: what the host makes of the spikes where several layers leave the chip; then they
+        stand for output and readout.
     host: readout layers that the host integrates in float64, because the chip has no way out for
-        membranes; their delays are lags of the graph. Outlets say what becomes of them.
+        membranes; their delays are lags of the graph. `host_outputs` say what becomes of them.
     damage: what faults of the chip have hit; the layers have them (runtime.faults).
     upsets: what goes wrong while it runs; None where nothing does.
     outliers: those of the remarks that are on layers which one large number makes coarse
@@ -114,7 +114,7 @@ class Program:
     remarks: tuple[str, ...] = ()
     inputs: tuple[Port, ...] = ()
     outputs: tuple[Port, ...] = ()
-    outlets: tuple[HostOutput, ...] = ()
+    host_outputs: tuple[Output, ...] = ()
     host: tuple[Layer, ...] = ()
     damage: tuple[Damage, ...] = ()
     upsets: Upsets | None = None
@@ -182,7 +182,7 @@ class Program:
             ]
             if paths:
                 found[layer.name] = (min(p[0] for p in paths), max(p[1] for p in paths))
-        ends = [(found[tap.layer], tap.lag) for tap in self.taps if tap.layer in found]
+        ends = [(found[term.layer], term.lag) for term in self.output_terms if term.layer in found]
         if not ends:
             return 0, 0
         return min(f[0] + lag for f, lag in ends), max(f[1] + lag for f, lag in ends)
@@ -256,32 +256,32 @@ class Program:
         return {self.input: self.width, **{layer.name: layer.size for layer in self.layers}}
 
     @cached_property
-    def to_host(self) -> frozenset[str]:
+    def output_layers(self) -> frozenset[str]:
         """Names of the layers with spikes or membranes that leave the chip."""
-        taps = {tap.layer for tap in self.taps}
+        terms = {term.layer for term in self.output_terms}
         onto_host = {synapses.source for layer in self.host for synapses in layer.synapses}
-        return frozenset((taps | onto_host) & self._by_name.keys())
+        return frozenset((terms | onto_host) & self._by_name.keys())
 
     @cached_property
     def reads_membranes(self) -> bool:
         """True if membranes leave the chip, or the host integrates what leaves it."""
-        return bool(self.host) or any(not self.layer(name).spiking for name in self.to_host)
+        return bool(self.host) or any(not self.layer(name).spiking for name in self.output_layers)
 
     @cached_property
-    def ways_out(self) -> tuple[HostOutput, ...]:
-        """The outlets; of a single layer that leaves the chip, as one of them."""
-        if self.outlets:
-            return self.outlets
+    def output_nodes(self) -> tuple[Output, ...]:
+        """The outputs; of a single layer that leaves the chip, as one of them."""
+        if self.host_outputs:
+            return self.host_outputs
         readout, size = self.readout, self.layer(self.output).size
         weight, lag = (None, 0) if readout is None else (readout.weight, readout.lag)
         bias = np.zeros(size) if readout is None else readout.bias
         port = Port(self.output, (len(bias),))
-        return (HostOutput(port, (ReadoutTerm(self.output, weight, lag),), bias),)
+        return (Output(port, (OutputTerm(self.output, weight, lag),), bias),)
 
     @property
-    def taps(self) -> tuple[ReadoutTerm, ...]:
+    def output_terms(self) -> tuple[OutputTerm, ...]:
         """Everything that the output adds up."""
-        return tuple(tap for outlet in self.ways_out for tap in outlet.taps)
+        return tuple(term for node in self.output_nodes for term in node.terms)
 
     @property
     def spiking(self) -> tuple[Layer, ...]:
@@ -294,9 +294,11 @@ class Program:
         return frozenset(layer.name for layer in self.layers if layer.graded)
 
     @property
-    def readouts(self) -> tuple[tuple[str, NDArray[np.float64]], ...]:
+    def readout_weights(self) -> tuple[tuple[str, NDArray[np.float64]], ...]:
         """The layers that the host listens to through weights, and those weights (N, act)."""
-        return tuple((tap.layer, tap.weight) for tap in self.taps if tap.weight is not None)
+        return tuple(
+            (term.layer, term.weight) for term in self.output_terms if term.weight is not None
+        )
 
     @cached_property
     def feed_forward(self) -> bool:

@@ -34,7 +34,7 @@ from spikedeploy.runtime.compiler.lowering import (
     in_three_axes,
     window_of_map,
 )
-from spikedeploy.runtime.compiler.program import HostOutput, ReadoutTerm
+from spikedeploy.runtime.compiler.program import Output, OutputTerm
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.float_model import Node, build_node
 from spikedeploy.runtime.graph.neurons import NEURONS, SPIKING
@@ -78,7 +78,7 @@ class LayerGraph:
     synapses: onto each layer, in floats; their delays are the lags from a spike to its arrival, as
         the graph and its convention say.
     bias: (N,) of each layer.
-    outlets: the Output nodes.
+    outputs: the Output nodes.
     """
 
     input: str
@@ -86,7 +86,7 @@ class LayerGraph:
     layers: tuple[str, ...]
     synapses: dict[str, tuple[Synapses, ...]]
     bias: dict[str, Floats]
-    outlets: tuple[HostOutput, ...]
+    outputs: tuple[Output, ...]
 
     @property
     def width(self) -> int:
@@ -121,7 +121,7 @@ def layer_graph(lowered: Lowering, artifact: Artifact) -> LayerGraph:
         layers=layers,
         synapses={n: _synapses(weights, blocks[n], name, inputs) for n in layers},
         bias={layer: weights.bias(blocks[layer]) for layer in layers},
-        outlets=tuple(_outlet(weights, blocks[p.name], p) for p in ports(graph.outputs)),
+        outputs=tuple(_output(weights, blocks[p.name], p) for p in ports(graph.outputs)),
     )
 
 
@@ -172,7 +172,7 @@ def _synapses(
     return *found, *(Synapses(name, matrix, lag) for lag, matrix in joined.items())
 
 
-def _outlet(weights: "_Weights", block: _Block, port: Port) -> HostOutput:
+def _output(weights: "_Weights", block: _Block, port: Port) -> Output:
     """The output of an Output node from the layers, which the host computes."""
     for source in block.ways:
         if not isinstance(weights.graph.nodes[source], NEURONS):
@@ -182,12 +182,12 @@ def _outlet(weights: "_Weights", block: _Block, port: Port) -> HostOutput:
                 "some there, or run the graph in float."
             )
     end = f"an Output behind maps, {port.name!r},"
-    taps = [
-        ReadoutTerm(source, None if _is_identity(each) else each.listed(end).weight, each.delay)
+    terms = [
+        OutputTerm(source, None if _is_identity(each) else each.listed(end).weight, each.delay)
         for source in block.ways
         for each in weights.between(source, block)
     ]
-    return HostOutput(port, tuple(taps), weights.bias(block))
+    return Output(port, tuple(terms), weights.bias(block))
 
 
 def _is_identity(synapses: Synapses) -> bool:

@@ -150,7 +150,7 @@ def count_events(
             for s in layer.synapses
         }
         spike_in = sum(sent[s.source] - unheard.get(s.source, 0) for s in layer.synapses)
-        to_host = sent[layer.name] if layer.spiking else heard[:, k] * layer.size
+        leaving = sent[layer.name] if layer.spiking else heard[:, k] * layer.size
         has_bias = layer.bias_fan_out > 0
         events = {
             "spike_in": spike_in,
@@ -161,7 +161,7 @@ def count_events(
             "spike_out": sent[layer.name] * layer.spiking,
             "message": spike_in
             + heard[:, k] * has_bias
-            + to_host * (layer.name in program.to_host),
+            + leaving * (layer.name in program.output_layers),
             "saturation": overflows[:, k],
             "graded_sop": sum(n for s, n in operations.items() if s.source in program.graded),
             "lost_spike": unheard.get(layer.name, 0),

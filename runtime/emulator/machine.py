@@ -288,7 +288,7 @@ class Machine(Copied):
 
     def _build(self, mode: RunMode, timesteps: int, batch: int) -> Backend:
         program = self.program
-        if program.reads_membranes or program.outlets:
+        if program.reads_membranes or program.host_outputs:
             self._hosts.setdefault(batch, Host(program, batch))
         schedule = Schedule(
             mode=mode,
@@ -326,7 +326,7 @@ class Host:
 
     Membranes of readout layers become floats again. Readout layers that the chip has no way out for
     are integrated here, in float64, from the spikes of their sources, which leave the chip, and
-    those of the input, which the host has. Outlets add up spikes and membranes.
+    those of the input, which the host has. Outputs add up spikes and membranes.
     """
 
     def __init__(self, program: Program, batch: int) -> None:
@@ -334,10 +334,10 @@ class Host:
         # name, weight (N, act) or None, lag, and the elements of the output that it adds to
         self._terms: list[tuple[str, Floats | None, int, slice]] = []
         first, biases = 0, []
-        for outlet in program.ways_out:
-            elements = slice(first, first + len(outlet.bias))
-            self._terms += [(tap.layer, tap.weight, tap.lag, elements) for tap in outlet.taps]
-            biases.append(outlet.bias)
+        for node in program.output_nodes:
+            elements = slice(first, first + len(node.bias))
+            self._terms += [(term.layer, term.weight, term.lag, elements) for term in node.terms]
+            biases.append(node.bias)
             first = elements.stop
         self._bias = np.concatenate(biases)
         self._sizes = program.sizes | {layer.name: layer.size for layer in program.host}
@@ -354,7 +354,7 @@ class Host:
         program, batch = self._program, self._batch
         here = {layer.name: layer.start for layer in program.layers} if streaming else {}
         starts = {name: here.get(name, 0) for name in (program.input, *program.sizes)}
-        latest = max(starts[name] for name in (program.input, *program.to_host))
+        latest = max(starts[name] for name in (program.input, *program.output_layers))
 
         def late(name: str, lag: int) -> _Late:
             """Delay what the host has integrated as the last layer that leaves the chip is."""
@@ -386,7 +386,7 @@ class Host:
         program = self._program
         rows = {program.input: raster.astype(np.float64)} if self._hears_input else {}
         single = backend.schedule.mode == "step"
-        for name in program.to_host:
+        for name in program.output_layers:
             layer = program.layer(name)
             ran = backend.spikes(name) if layer.spiking else backend.membranes(name) * layer.scale
             heard = ran if single else ran[program.window(layer, len(ran))]

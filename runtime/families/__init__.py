@@ -6,8 +6,8 @@ arithmetic names the backends that can run it. A new family is a file or a folde
 cuba                  CuBa-LIF neurons: Loihi 1 and 2, SpiNNaker2, free widths, and no chip at all
 xylo                  Xylo: events one by one, states that saturate, decays by shifts
 numba_xylo            its compiled kernel
-xylo_traces           recorded runs of Xylo, as xylosim's layers are built and recorded
-numba_kernels         what the compiled kernels of families share; numba_pipeline is their backend
+numba_frame           the compiled frame of all families; numba_pipeline is its backend
 integrate_and_fire    no synaptic current: TrueNorth, Speck, ODIN, tinyODIN, Spiker
 programs              programs of all of them as plain numbers, and recorded runs of such programs
+tool_traces           recorded runs as tools write them: of Loihi's emulators, xylosim, Spiker+
 """

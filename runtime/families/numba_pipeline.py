@@ -2,8 +2,9 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import lru_cache
 from importlib.util import find_spec
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -23,41 +24,42 @@ from spikedeploy.runtime.emulator.backend import (
     unsupported_synapses,
 )
 from spikedeploy.runtime.emulator.ledger import EVENTS, LedgerBuilder
-from spikedeploy.runtime.families.numba_kernels import (
-    LENGTHS,
-    NEURONS,
-    RASTER,
-    REMEMBERS,
-    SIZE,
-    SOURCE_Y,
-    STATE,
-    WIDTH,
-    WIRE,
-    Memory,
-    Wiring,
-)
+from spikedeploy.runtime.families import numba_frame as frame
+from spikedeploy.runtime.families.numba_frame import Constants, Kernel, Memory
 
 Numbers = NDArray[Any]
 Delays = tuple[tuple[int, ...], ...]
 
 
-def wire(
-    program: Program,
-    delays: Delays,
-    windows: bool,
-    states: int,
-    own: Sequence[Sequence[int]],
-    dtype: DTypeLike,
-) -> Wiring:
-    """The program as arrays; all that does not change while it runs.
+class FamilyNumbers(NamedTuple):
+    """The part of a program's Constants that is a family's own.
+
+    columns: of each layer, behind those of all families.
+    weights: number type of weights.
+    states: number type of states.
+    sums: number types of the narrow and the wide sums.
+    rules, neurons, floats: as in Constants; rules without the first.
+    """
+
+    columns: Sequence[Sequence[int]]
+    weights: DTypeLike
+    states: DTypeLike
+    sums: tuple[DTypeLike, DTypeLike]
+    rules: Sequence[int]
+    neurons: Numbers
+    floats: Numbers = np.zeros((0, 0))
+
+
+@lru_cache(maxsize=8)
+def constants(
+    pipeline: type["NumbaPipeline"], program: Program, delays: Delays, windows: bool
+) -> tuple[Constants, FamilyNumbers]:
+    """The program as arrays, shared by its machines: all that does not change while it runs.
 
     delays: rows by which each synapse of each layer delivers late.
     windows: whether what runs are windows, in which biases may start late, or single timesteps.
-    states: of a neuron.
-    own: further columns of each layer.
-    dtype: of the weights.
     """
-    layers = program.layers
+    layers, own = program.layers, pipeline.numbers(program)
     synapses = [s for layer in layers for s in layer.synapses]
     index = {name: k for k, name in enumerate(program.sizes)}
     # the lag of each synapse, and where its weights and its axons begin
@@ -81,16 +83,16 @@ def wire(
     for s, lag in zip(synapses, lags, strict=True):
         remembered[s.source] = max(remembered[s.source], lag)
     rows, neurons, first = [], 0, 0
-    for layer, more in zip(layers, own, strict=True):
+    for layer, columns in zip(layers, own.columns, strict=True):
         end = first + len(layer.synapses)
-        output, run_rows = layer.name in program.to_host, program.rows(1)
+        output, run_rows = layer.name in program.output_layers, program.rows(1)
         window = program.window(layer, run_rows) if windows else slice(0, run_rows)
         rows.append(
             (
                 layer.size,
                 neurons,
                 0,
-                states * layer.size,
+                pipeline.states_of_neuron * layer.size,
                 first,
                 end,
                 layer.start,
@@ -101,20 +103,24 @@ def wire(
                 layer.name == program.output,
                 window.start,
                 run_rows - window.stop,
-                *more,
+                *columns,
             )
         )
         neurons, first = neurons + layer.size, end
-    return Wiring(
-        weights=aligned_copy(
-            np.concatenate([*map(_packed, synapses), *(a.bias for a in layers)]), dtype
-        ),
+    # biases that are no whole numbers are added by their family
+    biases = [a.bias if a.bias.dtype.kind == "i" else 0 * a.bias for a in layers]
+    made = Constants(
+        weights=aligned_copy(np.concatenate([*map(_packed, synapses), *biases]), own.weights),
         tables=np.concatenate(tables),
         wires=np.array(wires, np.int64),
         layers=np.array(rows, np.int64),
         # without places in memory, which depend on the timesteps
         sources=np.array([(n, remembered[name], 0, 0) for name, n in program.sizes.items()]),
+        rules=np.array([program.chip.input_spikes_max, *own.rules], np.int64),
+        neurons=own.neurons,
+        floats=own.floats,
     )
+    return made, own
 
 
 def largest_weight(layers: Sequence[Layer]) -> int:
@@ -135,7 +141,7 @@ def _packed(synapses: Synapses) -> Numbers:
 def describe(window: Window | None, tables: list[Numbers]) -> list[int]:
     """Columns of a wire from SOURCE_Y on; what rows and columns reach is put into the tables."""
     if window is None:
-        return [0] * (len(WIRE) - SOURCE_Y)
+        return [0] * (len(frame.WIRE) - frame.SOURCE_Y)
     (channels, height, width), (features, target_y, target_x) = window.source, window.target
     starts = []
     for table, extent, pool in zip(window.reach, (height, width), window.pool, strict=True):
@@ -153,10 +159,12 @@ class NumbaPipeline(Uncopied, ABC):
 
     states_of_neuron: its membrane is the last.
     recorded: number type of recordings.
+    kernel: runs a window of every layer; False where the input held too many spikes.
     """
 
     states_of_neuron: ClassVar[int]
     recorded: ClassVar[DTypeLike] = np.int64
+    kernel: ClassVar[Kernel]
     instead = "Copy the Machine."
 
     def __init__(self, program: Program, schedule: Schedule, batch: int) -> None:
@@ -164,28 +172,29 @@ class NumbaPipeline(Uncopied, ABC):
         self._batch, timesteps = batch, schedule.timesteps
         self._names = [layer.name for layer in program.layers]
         self._most = program.chip.input_spikes_max
-        known = self.constants(program, schedule.delays, schedule.mode != "step")
+        known, own = constants(type(self), program, schedule.delays, schedule.mode != "step")
         # of each state; with a trace those after each timestep, else two that are used in turn
         self._slots = timesteps + 1 if schedule.trace else 2
         self._layers, self._sources = known.layers.copy(), known.sources.copy()
-        neurons, rows = self._sources[:, NEURONS], self._sources[:, REMEMBERS] + timesteps
-        self._layers[:, STATE], states = _compute_offsets(self._slots * self._layers[:, WIDTH])
-        self._sources[:, RASTER], spikes = _compute_offsets(neurons * rows)
-        self._sources[:, LENGTHS], lengths = _compute_offsets(rows)
-        constants = known._replace(layers=self._layers, sources=self._sources)
-        size = int(self._layers[:, SIZE].max())
-        narrow, wide = (aligned_zeros((2, size), dtype) for dtype in self.sum_types(known))
+        neurons = self._sources[:, frame.NEURONS]
+        rows = self._sources[:, frame.REMEMBERS] + timesteps
+        widths = self._slots * self._layers[:, frame.WIDTH]
+        self._layers[:, frame.STATE], states = _compute_offsets(widths)
+        self._sources[:, frame.RASTER], spikes = _compute_offsets(neurons * rows)
+        self._sources[:, frame.LENGTHS], lengths = _compute_offsets(rows)
+        sizes = self._layers[:, frame.SIZE]
+        narrow, wide = (aligned_zeros((2, int(sizes.max())), dtype) for dtype in own.sums)
         self._memory = Memory(
             rasters=np.zeros((batch, spikes), np.uint8),
             lists=np.zeros((batch, spikes), np.int32),
             lengths=np.zeros((batch, lengths), np.int64),
-            states=aligned_zeros((batch, states), self.state_type(known)),
-            refractory=np.zeros((batch, int(self._layers[:, SIZE].sum())), np.int64),
+            states=aligned_zeros((batch, states), own.states),
+            refractory=np.zeros((batch, int(sizes.sum())), np.int64),
             counts=np.zeros((batch, len(self._layers), len(EVENTS)), np.int64),
             narrow=narrow,
             wide=wide,
         )
-        self._presynaptic = np.zeros((timesteps, batch, program.layer(program.output).size))
+        self._output = np.zeros((timesteps, batch, program.layer(program.output).size))
         self._input = self._rows(0)
         # without a trace there is one timestep, whose states have become those of now
         after = slice(1, None) if schedule.trace else slice(1)
@@ -194,35 +203,19 @@ class NumbaPipeline(Uncopied, ABC):
         }
         self._fresh = True
         lag = program.readout.lag if program.readout else 0
-        numbers = (self._presynaptic, self._slots, lag, schedule.steps)
-        self._arguments = (*constants, *self._memory, *numbers)
+        self._arguments = (
+            *known._replace(layers=self._layers, sources=self._sources),
+            *self._memory,
+            *(self._output, self._slots, lag, schedule.steps),
+        )
         self._flags = (schedule.mode == "row", schedule.counting)
         # of a whole window from zero, which is what most calls ask for
         self._anew = (*self._arguments, -1, *self._flags, True)
 
     @staticmethod
     @abstractmethod
-    def constants(program: Program, delays: Delays, windows: bool) -> Any:  # noqa: ANN401
-        """All that does not change while the program runs: a Wiring, and the family's numbers.
-
-        delays: rows by which each synapse of each layer delivers late.
-        windows: whether what runs are windows, in which biases may start late, or single timesteps.
-        """
-
-    @staticmethod
-    @abstractmethod
-    def state_type(constants: Any) -> DTypeLike:  # noqa: ANN401
-        """Number type of the states."""
-
-    @staticmethod
-    @abstractmethod
-    def sum_types(constants: Any) -> tuple[DTypeLike, DTypeLike]:  # noqa: ANN401
-        """Number types of the narrow and the wide sums."""
-
-    @staticmethod
-    @abstractmethod
-    def kernel(*arguments: Any) -> bool:  # noqa: ANN401
-        """One window of every layer; False where the input held too many spikes."""
+    def numbers(program: Program) -> FamilyNumbers:
+        """Return the family's own numbers of a program."""
 
     @staticmethod
     def both(states: Numbers) -> tuple[Numbers, Numbers]:
@@ -256,7 +249,7 @@ class NumbaPipeline(Uncopied, ABC):
         if not self.kernel(*arguments):
             raise not_spikes(rows, self._most)
         self._fresh = False
-        return self._presynaptic
+        return self._output
 
     def report(self, ledger: LedgerBuilder) -> None:
         """Enter the last window in the ledger."""
@@ -311,7 +304,7 @@ class NumbaPipeline(Uncopied, ABC):
 
     def _states(self, layer: int) -> Numbers:
         """(B, slots, states of a neuron, N)."""
-        width, at = self._layers[layer, [WIDTH, STATE]]
+        width, at = self._layers[layer, [frame.WIDTH, frame.STATE]]
         flat: Numbers = self._memory.states[:, at : at + self._slots * width]
         return flat.reshape(self._batch, self._slots, self.states_of_neuron, -1)
 

@@ -4,158 +4,71 @@ Events are added as one sum where no part of it can saturate, else one after ano
 follows is a pass over the neurons of a layer, in which the compiler makes vector instructions.
 """
 
-from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
+from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.families.numba_kernels import (
-    FIRST_WIRE,
-    LAG,
-    LAST_WIRE,
-    LAYER,
-    NEURON,
-    SATURATION,
-    SIZE,
-    SOURCE,
-    UPDATE,
-    WEIGHT,
-    Call,
-    Memory,
-    begin,
-    end,
-    jit,
-    kept_on_disk,
-    list_spikes,
-    of_copy,
-    pause,
-    raster_at,
-    sent,
-    states_of,
-    sum_weights,
-    waits,
-)
+from spikedeploy.runtime.families import numba_frame as frame
+from spikedeploy.runtime.families.numba_frame import Array, Number
 from spikedeploy.runtime.families.numba_pipeline import (
-    Delays,
+    FamilyNumbers,
     NumbaPipeline,
     largest_weight,
-    wire,
 )
 from spikedeploy.runtime.families.xylo import XyloArithmetic
 
-Array = Any  # the compiler sees the types
-Number = Any
-
 # column of Constants.layers behind those of all families: spikes of a neuron in a timestep
-SPIKES_MAX = len(LAYER)
+SPIKES_MAX = len(frame.LAYER)
 # entries of Constants.rules: least and largest state, what decay adds to the least membrane where
-# all of it is lost, the largest weight, and events of an input channel in a timestep
-LOWEST, HIGHEST, TURNED, LARGEST, INPUT_MOST = range(5)
+# all of it is lost, and the largest weight
+LOWEST, HIGHEST, TURNED, LARGEST = range(1, 5)
 # rows of Constants.neurons
-CURRENT_DASH, MEMBRANE_DASH, THRESHOLD, BIAS_OF = range(4)
+CURRENT_DASH, MEMBRANE_DASH, THRESHOLD, BIAS = range(4)
 
 _WIDEST = 28  # bits of a state, of which int32 holds sums of a few
 _SMALL = (1 << 15) - 1  # largest weight that 16 bits hold
 
 
-class Constants(NamedTuple):
-    """A program as arrays; those of its layers and synapses one after another.
-
-    weights to sources: as in Wiring.
-    rules: entries above.
-    neurons: (4, N) rows above.
-    """
-
-    weights: Array
-    tables: Array
-    wires: Array
-    layers: Array
-    sources: Array
-    rules: Array
-    neurons: Array
-
-
-@kept_on_disk
-def run(
-    weights: Array,
-    tables: Array,
-    wires: Array,
-    layers: Array,
-    sources: Array,
-    rules: Array,
-    neurons: Array,
-    rasters: Array,
-    lists: Array,
-    lengths: Array,
-    states: Array,
-    refractory: Array,
-    counts: Array,
-    narrow: Array,
-    wide: Array,
-    presynaptic: Array,
-    slots: int,
-    lag: int,
-    steps: int,
-    step: int,
-    rowwise: bool,
-    counting: bool,
-    fresh: bool,
-) -> bool:
-    """One window of every layer; arguments and result as of the kernel of CuBa-LIF neurons."""
-    constants = Constants(weights, tables, wires, layers, sources, rules, neurons)
-    every = Memory(rasters, lists, lengths, states, refractory, counts, narrow, wide)
-    timesteps, batch = presynaptic.shape[0], presynaptic.shape[1]
-    call = Call(timesteps, slots, step, counting)
-    if not begin(constants, every, call, rules[INPUT_MOST], fresh):
-        return False
-    turns, rows = (timesteps, 1) if rowwise else (1, timesteps)
-    for turn in range(turns):
-        for layer in range(len(layers)):
-            for b in range(batch):
-                memory = of_copy(every, b)
-                for row in range(turn, turn + rows):
-                    _timestep(constants, memory, call, layer, row)
-    end(constants, every, call, presynaptic, lag, steps)
-    return True
-
-
-@jit
-def _timestep(constants: Array, memory: Array, call: Array, layer: int, row: int) -> None:
-    """A timestep of a layer, up to the list of its spikes."""
+@frame.jit
+def _step(
+    constants: Array,
+    memory: Array,
+    call: Array,
+    layer: int,
+    row: int,
+    before: Array,
+    after: Array,
+    spikes: Array,
+) -> tuple[int, int]:
+    """A timestep of a layer."""
     about, own = constants.layers[layer], constants.sources[layer + 1]
-    size, first = about[SIZE], about[NEURON]
-    if waits(about, call):
-        pause(about, own, memory, call, row)
-        list_spikes(own, memory, row)
-        return
-    before, after = states_of(about, memory, call, row)
+    size, first = about[frame.SIZE], about[frame.NEURON]
     numbers = constants.neurons[:, first : first + size]
     current, membrane = after[:size], after[size:]
     lost = _add_events(constants, memory, call, about, row, before[:size], current)
     _decay(numbers[CURRENT_DASH], current)
     lost += _integrate(constants.rules, numbers, before[size:], current, membrane)
-    spikes = memory.rasters[raster_at(own, row) :][:size]
     for n in range(size):
         spikes[n] = membrane[n] >= numbers[THRESHOLD, n]
-    list_spikes(own, memory, row)
-    fired, _ = sent(own, memory, row)
+    frame.list_spikes(own, memory, row)
+    fired, _ = frame.spikes_of(own, memory, row)
     for n in fired:
         # as many spikes as there are thresholds to take off
         times = min(membrane[n] // numbers[THRESHOLD, n], about[SPIKES_MAX])
         membrane[n] -= times * numbers[THRESHOLD, n]
         spikes[n] = times
-    memory.counts[layer, SATURATION] += lost
+    active = 0
     if call.counting:
-        active = 0
         for n in range(size):
-            active += (before[size + n] != 0) | (current[n] != 0) | (numbers[BIAS_OF, n] != 0)
-        memory.counts[layer, UPDATE] += active
+            active += (before[size + n] != 0) | (current[n] != 0) | (numbers[BIAS, n] != 0)
+    return lost, active
 
 
-@jit
+@frame.jit
 def _add_events(
     constants: Array,
     memory: Array,
@@ -166,18 +79,18 @@ def _add_events(
     after: Array,
 ) -> Number:
     """Currents (N,) with the events of a timestep; how many additions did not fit."""
-    rules, size, whole = constants.rules, about[SIZE], after.dtype.type
+    rules, size, whole = constants.rules, about[frame.SIZE], after.dtype.type
     events, largest = 0, 0
-    for k in range(about[FIRST_WIRE], about[LAST_WIRE]):
+    for k in range(about[frame.FIRST_WIRE], about[frame.LAST_WIRE]):
         wire = constants.wires[k]
-        axons, counts = sent(constants.sources[wire[SOURCE]], memory, row - wire[LAG])
+        axons, counts = frame.arrivals(constants, memory, wire, row)
         for axon in axons:
             events += counts[axon]
     for n in range(size):
         largest = max(largest, abs(before[n]))
     if largest + events * rules[LARGEST] <= rules[HIGHEST]:
         # no partial sum can saturate, and so their order does not matter
-        sum_weights(constants, memory, memory.wide, about, row, call, True)
+        frame.sum_weights(constants, memory, memory.wide, about, row, call, True)
         sums = memory.wide[0, :size]
         for n in range(size):
             after[n] = whole(before[n] + sums[n])
@@ -185,17 +98,17 @@ def _add_events(
     lost = 0
     for n in range(size):
         after[n] = before[n]
-    for k in range(about[FIRST_WIRE], about[LAST_WIRE]):
+    for k in range(about[frame.FIRST_WIRE], about[frame.LAST_WIRE]):
         wire = constants.wires[k]
-        axons, counts = sent(constants.sources[wire[SOURCE]], memory, row - wire[LAG])
+        axons, counts = frame.arrivals(constants, memory, wire, row)
         for axon in axons:
-            at = wire[WEIGHT] + axon * size
+            at = wire[frame.WEIGHT] + axon * size
             for _ in range(counts[axon]):
                 lost += _add_event(rules, constants.weights[at : at + size], after)
     return lost
 
 
-@jit
+@frame.jit
 def _add_event(rules: Array, row: Array, current: Array) -> Number:
     """Add the weights of an event to currents; how many did not fit."""
     whole = current.dtype.type
@@ -208,7 +121,7 @@ def _add_event(rules: Array, row: Array, current: Array) -> Number:
     return lost
 
 
-@jit
+@frame.jit
 def _decay(dash: Array, states: Array) -> None:
     """States after the decay of a timestep."""
     whole = states.dtype.type
@@ -216,7 +129,7 @@ def _decay(dash: Array, states: Array) -> None:
         states[n] = whole(states[n] - _loss(whole, states[n], dash[n]))
 
 
-@jit
+@frame.jit
 def _loss(whole: Any, x: Number, dash: Number) -> Number:  # noqa: ANN401
     """As shift_decay of runtime.chips.registers."""
     shifted = whole(x >> dash)
@@ -224,12 +137,12 @@ def _loss(whole: Any, x: Number, dash: Number) -> Number:  # noqa: ANN401
     return shifted if shifted != 0 else sign
 
 
-@jit
+@frame.jit
 def _integrate(rules: Array, numbers: Array, before: Array, current: Array, after: Array) -> Number:
     """Write membranes (N,) before spikes; how many sums did not fit."""
     whole = after.dtype.type
     lowest, highest, turned = whole(rules[LOWEST]), whole(rules[HIGHEST]), whole(rules[TURNED])
-    dash, bias, lost = numbers[MEMBRANE_DASH], numbers[BIAS_OF], whole(0)
+    dash, bias, lost = numbers[MEMBRANE_DASH], numbers[BIAS], whole(0)
     for n in range(len(after)):
         leak = whole(-_loss(whole, before[n], dash[n]))
         leak = turned if leak == -lowest else leak
@@ -244,77 +157,34 @@ def _integrate(rules: Array, numbers: Array, before: Array, current: Array, afte
     return lost
 
 
-def _edges(register: Register) -> tuple[int, int] | None:
-    """Least and largest number that it holds; None where it does not stop there."""
-    if register.overflow not in ("saturate", "clip") or register.between is not None:
-        return None
-    low, high = register.fit(np.array([-(1 << 40), 1 << 40])).tolist()
-    return low, high
-
-
-@lru_cache(maxsize=8)
-def constants(program: Program, rules: XyloArithmetic, delays: Delays, windows: bool) -> Constants:
-    """As NumbaPipeline.constants; shared by the machines of a program."""
-    layers = program.layers
-    low, high = _edges(rules.state) or (0, 0)
-    most = [
-        rules.output_spikes_max
-        if layer.name == program.output and program.output_apart
-        else rules.spikes_max
-        for layer in layers
-    ]
-    numbers = [
-        np.stack(
-            [
-                np.broadcast_to(values, (layer.size,)).astype(np.int64)
-                for values in (
-                    layer.current_decay[0],
-                    layer.membrane_decay,
-                    # of neurons that never spike, beyond what int32 holds
-                    np.minimum(layer.threshold, np.iinfo(np.int32).max),
-                    layer.voltage_bias,
-                )
-            ]
-        )
-        for layer in layers
-    ]
-    largest = largest_weight(layers)
-    (turned,) = rules.leak.fit(np.array([-low])).tolist()
-    return Constants(
-        *wire(
-            program,
-            delays,
-            windows,
-            XyloPipeline.states_of_neuron,
-            [(each,) for each in most],
-            np.int16 if largest <= _SMALL else np.int64,
-        ),
-        rules=np.array([low, high, turned, largest, program.chip.input_spikes_max], np.int64),
-        neurons=np.concatenate(numbers, axis=1).astype(np.int32),
-    )
+_run = frame.kernel(_step)
 
 
 class XyloPipeline(NumbaPipeline):
     """Xylo's layers as a Backend, whose neurons have one current each."""
 
     states_of_neuron: ClassVar[int] = 2
-    kernel = staticmethod(run)
+    kernel = staticmethod(_run)
 
     @staticmethod
-    def constants(program: Program, delays: Delays, windows: bool) -> Constants:
-        """All that does not change while the program runs."""
-        rules = cast("XyloArithmetic", program.chip.arithmetic)
-        return constants(program, rules, delays, windows)
-
-    @staticmethod
-    def state_type(constants: Any) -> DTypeLike:  # noqa: ANN401
-        """Number type of currents and membranes."""
-        return np.int32
-
-    @staticmethod
-    def sum_types(constants: Any) -> tuple[DTypeLike, DTypeLike]:  # noqa: ANN401
-        """Number types of the narrow sums, which it does not use, and of the wide."""
-        return np.int32, np.int32
+    def numbers(program: Program) -> FamilyNumbers:
+        """Return dashes, thresholds and biases, and the edges of states."""
+        rules, layers = cast("XyloArithmetic", program.chip.arithmetic), program.layers
+        low, high = _edges(rules.state) or (0, 0)
+        (turned,) = rules.leak.fit(np.array([-low])).tolist()
+        largest = largest_weight(layers)
+        apart = {program.output} if program.output_apart else set()
+        most = [
+            rules.output_spikes_max if layer.name in apart else rules.spikes_max for layer in layers
+        ]
+        return FamilyNumbers(
+            columns=[(each,) for each in most],
+            weights=np.int16 if largest <= _SMALL else np.int64,
+            states=np.int32,
+            sums=(np.int32, np.int32),
+            rules=[low, high, turned, largest],
+            neurons=np.concatenate([_numbers(layer) for layer in layers], axis=1),
+        )
 
     @staticmethod
     def both(states: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -341,3 +211,18 @@ class XyloPipeline(NumbaPipeline):
             if abs(layer.voltage_bias).max(initial=0) > rules.state.limit:
                 return f"layer {layer.name!r}: its bias is beyond what a membrane holds."
         return NumbaPipeline.obstacle(program)
+
+
+def _numbers(layer: Layer) -> Array:
+    """(4, N) of a layer; thresholds of neurons that never spike are beyond what int32 holds."""
+    threshold = np.minimum(layer.threshold, np.iinfo(np.int32).max)
+    each = (layer.current_decay[0], layer.membrane_decay, threshold, layer.voltage_bias)
+    return np.stack([np.broadcast_to(values, (layer.size,)) for values in each]).astype(np.int32)
+
+
+def _edges(register: Register) -> tuple[int, int] | None:
+    """Least and largest number that it holds; None where it does not stop there."""
+    if register.overflow not in ("saturate", "clip") or register.between is not None:
+        return None
+    low, high = register.fit(np.array([-(1 << 40), 1 << 40])).tolist()
+    return low, high

@@ -7,7 +7,10 @@ Each layer has its registers under the names of the chip's own tools:
     Speck       threshold, bias, floor                          as sinabs' IAF layers
     SpiNNaker2  exc_decay, alpha_decay, threshold, bias         as py-spinnaker2; floats
 
-A weight counts weights[m][n] * 2**exponent. The axon of a bias is an input like any other.
+    Spiker      threshold, shift, v_reset; read from traces alone
+
+A weight counts weights[m][n] * 2**exponent. The axon of a bias is an input like any other. Readers
+of tools' own traces (tool_traces) read registers by the same names.
 
 A recorded run is `expected.json`, or what a tool or a board wrote like it. It names the file of its
 program, which lies beside it, and the digest of that file. Its input is a list of events
@@ -16,7 +19,7 @@ trace is one inference from zero states after another.
 """
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -26,7 +29,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.chip import CHIPS, Chip
 from spikedeploy.runtime.chips.chip import chip as datasheet
-from spikedeploy.runtime.chips.layer import NEVER, Layer, Synapses
+from spikedeploy.runtime.chips.layer import NEVER, Layer, Synapses, plain_layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError, ConventionError, RuleError, TraceError
@@ -35,13 +38,25 @@ from spikedeploy.runtime.families.integrate_and_fire.arithmetic import Integrate
 from spikedeploy.runtime.families.xylo import XyloArithmetic
 from spikedeploy.runtime.files import suffix
 from spikedeploy.runtime.traces.fields import Fields, Integers, Work, read_json
-from spikedeploy.runtime.traces.verify import PROSE, QUANTITIES, TraceFile, nothing_to_compare
+from spikedeploy.runtime.traces.verify import (
+    PROSE,
+    QUANTITIES,
+    STATE,
+    TraceFile,
+    nothing_to_compare,
+    recorded_tables,
+)
 
 Registers: TypeAlias = dict[str, Any]
-_STATE = 1 << 40  # states beyond this are no chip's
 _WEIGHT = 1 << 31
 _MOST_WIDTH = 1 << 17
 _DELAYS = 1 << 12
+
+
+_NO_TOOL = (
+    "--to program: {} has no tool that a script could be written for. Choose loihi1, "
+    "loihi1-nengo, loihi2, xylo-a2, speck2f or spinnaker2."
+)
 
 
 @dataclass(frozen=True)
@@ -98,7 +113,7 @@ def program_in(fields: Fields, work: Work) -> Program:
         raise fields.wrong("layers", "share a name", "Give each layer a name of its own.")
     layers = []
     for spec in specs:
-        layers.append(_layer_read(spec, sizes, chip, form))
+        layers.append(_layer_read(spec, sizes, chip))
         synapses = sum(s.weight.size for s in layers[-1].synapses)
         axons = sum(len(s.weight) for s in layers[-1].synapses)
         work.add(layers[-1].size, synapses, 0 if form is _FORMS["loihi"] else axons)
@@ -151,16 +166,19 @@ def _check(program: Program) -> None:
             )
 
 
+def _refuse(layer: Layer, registers: object) -> Registers:
+    raise ConfigError(_NO_TOOL.format(layer.name))
+
+
 def _form(chip: Chip) -> _Form:
     for family, form in ((CubaFixedPoint, "loihi"), (XyloArithmetic, "xylo"), (CubaFloat32, "s2")):
         if isinstance(chip.arithmetic, family):
             return _FORMS[form]
     if isinstance(chip.arithmetic, IntegrateAndFire) and chip.arithmetic.leak == "none":
         return _FORMS["iaf"]
-    raise ConfigError(
-        f"--to program: {chip.name} has no tool that a script could be written for. Choose "
-        "loihi1, loihi1-nengo, loihi2, xylo-a2, speck2f or spinnaker2."
-    )
+    if isinstance(chip.arithmetic, IntegrateAndFire) and chip.arithmetic.leak == "shift":
+        return _FORMS["shift"]
+    raise ConfigError(_NO_TOOL.format(chip.name))
 
 
 def _synapses_written(synapses: Synapses, chip: Chip) -> dict[str, Any]:
@@ -197,14 +215,19 @@ def _synapses_read(spec: Fields, sizes: Mapping[str, int], size: int) -> Synapse
     )
 
 
-def _layer_read(spec: Fields, sizes: Mapping[str, int], chip: Chip, form: _Form) -> Layer:
+def _layer_read(spec: Fields, sizes: Mapping[str, int], chip: Chip) -> Layer:
     name = spec.text("name")
-    size, spiking = sizes[name], spec.flag("spiking")
-    zero = np.zeros(size, np.int64)
-    synapses = tuple(_synapses_read(each, sizes, size) for each in spec.groups("synapses"))
+    synapses = [_synapses_read(each, sizes, sizes[name]) for each in spec.groups("synapses")]
     spec.integer("refractory", default=1, least=1, most=64)
-    bare = Layer(name, synapses, zero, zero, zero, zero, zero, 1.0, 0, spiking=spiking is not False)
-    return form.read(spec, bare, chip.arithmetic)
+    return read_layer(spec, name, synapses, chip, spec.flag("spiking") is not False)
+
+
+def read_layer(
+    spec: Fields, name: str, synapses: Sequence[Synapses], chip: Chip, spiking: bool = True
+) -> Layer:
+    """The layer of these synapses, whose registers are in the fields."""
+    bare = plain_layer(name, synapses, np.zeros(synapses[0].shape[1], np.int64))
+    return _form(chip).read(spec, replace(bare, spiking=spiking), chip.arithmetic)
 
 
 # Loihi: u = tz(u (4096 - decay_u - offset) / 4096) + ...; thresholds are mantissas << shift
@@ -233,22 +256,44 @@ def _mantissas(bias: Integers, registers: CubaFixedPoint) -> tuple[Integers, Int
 
 
 def _loihi_read(spec: Fields, layer: Layer, registers: CubaFixedPoint) -> Layer:
-    size, one = layer.size, registers.decay_one
-    mantissa = spec.row("bias_mant", size=size, default=0, least=-4096, most=4095)
-    exponent = spec.row("bias_exp", size=size, default=0, least=0, most=7)
-    vth = spec.row("vth", size=size, least=0, most=registers.threshold_max)
-    decays = {}
-    offsets = registers.current_decay_offset, registers.membrane_decay_offset
-    for name, offset in zip(("decay_u", "decay_v"), offsets, strict=True):
-        found = spec.row(name, size=size, least=0, most=one - offset)
-        decays[name] = one - offset - found
+    size, shift = layer.size, registers.mantissa_shift
+    if not layer.spiking:
+        threshold = np.full(size, NEVER)
+    elif "vth_effective" in spec and "vth" not in spec:
+        threshold = spec.row("vth_effective", size=size, least=0, most=STATE)
+    else:
+        threshold = spec.row("vth", size=size, least=0, most=registers.threshold_max) << shift
     return replace(
         layer,
-        voltage_bias=mantissa << exponent,
-        threshold=vth << registers.mantissa_shift if layer.spiking else np.full(size, NEVER),
-        current_decay=decays["decay_u"],
-        membrane_decay=decays["decay_v"],
+        voltage_bias=_loihi_bias(spec, size),
+        threshold=threshold,
+        current_decay=_kept(spec, "decay_u", registers, size),
+        membrane_decay=_kept(spec, "decay_v", registers, size),
     )
+
+
+def _loihi_bias(spec: Fields, size: int) -> Integers:
+    """(N,) [state units]."""
+    if "bias_mant" not in spec:
+        return spec.row("bias", size=size, default=0, least=-STATE, most=STATE)
+    mantissa = spec.row("bias_mant", size=size, least=-4096, most=4095)
+    exponent = spec.row("bias_exp", size=size, default=0, least=-8, most=7)
+    made = np.asarray((mantissa << exponent.clip(min=0)) >> (-exponent).clip(min=0))
+    if "bias" in spec and (spec.row("bias", size=size, least=-STATE, most=STATE) != made).any():
+        raise spec.wrong("bias", "is not bias_mant times 2^bias_exp", "Leave the wrong one out.")
+    return made
+
+
+def _kept(spec: Fields, name: str, registers: CubaFixedPoint, size: int) -> Integers:
+    """(N,) what a timestep leaves of 2**decay_bits."""
+    current = name == "decay_u"
+    offset = registers.current_decay_offset if current else registers.membrane_decay_offset
+    all_of_it = registers.decay_one - offset
+    # lava's model takes one more than the chip's register holds
+    most = max(registers.decay_max, all_of_it * (registers.exponents == "sum"))
+    # without a decay of the current it lasts one timestep
+    default = all_of_it if current else None
+    return all_of_it - spec.row(name, size=size, default=default, least=0, most=most)
 
 
 # Xylo: decays are shifts; neurons have one or two currents
@@ -266,15 +311,17 @@ def _xylo_written(layer: Layer, registers: XyloArithmetic) -> Registers:
 def _xylo_read(spec: Fields, layer: Layer, registers: XyloArithmetic) -> Layer:
     size, limit, most = layer.size, registers.state.limit, registers.dash_max
     dashes = spec.array("dash_syn", axes=2, least=0, most=most)
-    if dashes.ndim != 2 or dashes.shape[1] != size or len(dashes) > registers.currents:
+    dashes = np.atleast_2d(dashes) if dashes.size in (1, size) else dashes
+    if dashes.shape[1] not in (1, size) or len(dashes) > registers.currents:
         raise spec.wrong("dash_syn", f"has shape {dashes.shape}", f"Write lists of {size}.")
-    if wrong := [s.source for s in layer.synapses if s.current >= len(dashes)]:
-        raise spec.wrong("synapses", f"from {wrong[0]!r} feed a missing current", "Add dash_syn.")
+    rows = [*np.broadcast_to(dashes, (len(dashes), size))]
+    if len(rows) == 1 and ("dash_syn_2" in spec or any(s.current for s in layer.synapses)):
+        rows.append(spec.row("dash_syn_2", size=size, default=0, least=0, most=most))
     return replace(
         layer,
-        current_decay=dashes,
+        current_decay=np.stack(rows),
         membrane_decay=spec.row("dash_mem", size=size, least=0, most=most),
-        threshold=spec.row("threshold", size=size, least=1, most=limit),
+        threshold=spec.row("threshold", size=size, least=-limit - 1, most=limit),
         voltage_bias=spec.row("bias", size=size, default=0, least=-limit - 1, most=limit),
     )
 
@@ -292,6 +339,16 @@ def _iaf_read(spec: Fields, layer: Layer, registers: IntegrateAndFire) -> Layer:
         layer,
         threshold=spec.row("threshold", size=size, least=1, most=limit),
         voltage_bias=spec.row("bias", size=size, default=0, least=-limit - 1, most=limit),
+    )
+
+
+def _shift_read(spec: Fields, layer: Layer, registers: IntegrateAndFire) -> Layer:
+    size, limit = layer.size, registers.membrane.limit
+    return replace(
+        layer,
+        threshold=spec.row("threshold", size=size, least=-limit - 1, most=limit),
+        membrane_decay=spec.row("shift", size=size, least=0, most=62),
+        v_reset=spec.row("v_reset", size=size, default=0, least=-limit - 1, most=limit),
     )
 
 
@@ -327,13 +384,13 @@ _FORMS = {
     "loihi": _Form(_loihi_written, _loihi_read),
     "xylo": _Form(_xylo_written, _xylo_read),
     "iaf": _Form(_iaf_written, _iaf_read),
+    "shift": _Form(_refuse, _shift_read),
     "s2": _Form(_float_written, _float_read),
 }
 
 
 _MOST_TIMESTEPS = 1 << 17
 _MOST_EVENTS = 1 << 22
-_STATE = 1 << 40
 # of a program.json, what says how it is used and changes no number of a run
 _USE = {
     "made_by", "format", "clock", "control_step", "placement", "host", "remarks", "source",
@@ -347,24 +404,20 @@ def program_trace(fields: Fields, folder: Path) -> TraceFile:
     timesteps = fields.integer("timesteps", default=0, least=1, most=_MOST_TIMESTEPS)
     inference = _inference(beside.group("control_step"), fields, timesteps)
     program = program_in(beside, Work(beside, timesteps, inference))
-    groups = fields.group("recorded")
-    recorded = {}
+    groups, recorded = fields.group("recorded"), {}
     for layer in program.layers:
-        if groups.name(layer.name) is not None:
-            recorded[layer.name] = _read_tables(groups.group(layer.name), layer, timesteps)
+        if layer.name in groups:
+            spec = groups.group(layer.name)
+            recorded[layer.name] = recorded_tables(spec, (timesteps, layer.size))
+            if spec.unread:
+                found = f"is of no known quantity, {min(spec.unread)[:40]!r}"
+                raise spec.wrong(layer.name, found, f"Record {', '.join(QUANTITIES)}.")
     raster = _raster(fields, program, timesteps).reshape(-1, inference, program.width)
-    fields.text("chip")
-    unread = (fields.unread - PROSE - _USE) | groups.unread | (beside.unread - PROSE - _USE)
+    unread = tuple(sorted((fields.unread | groups.unread | beside.unread) - PROSE - _USE))
     if not any(recorded.values()):
-        raise nothing_to_compare(fields, unread, f"{', '.join(QUANTITIES)} of a layer")
-    return TraceFile(
-        source=fields.text("source") or program.chip.name,
-        program=program,
-        raster=raster,
-        recorded=recorded,
-        blind_at_spikes=False,
-        unread=tuple(sorted(unread)),
-    )
+        raise nothing_to_compare(fields, unread)
+    source = fields.text("source") or program.chip.name
+    return TraceFile(source, program, raster, recorded, unread)
 
 
 def _inference(step: Fields, fields: Fields, timesteps: int) -> int:
@@ -417,19 +470,3 @@ def _raster(fields: Fields, program: Program, timesteps: int) -> NDArray[np.uint
         limit = f"{program.chip.name} takes {most} on an axon in a timestep."
         raise fields.wrong("input_events", f"repeat one {repeated} times", limit)
     return counts.astype(np.uint8)
-
-
-def _read_tables(spec: Fields, layer: Layer, timesteps: int) -> dict[str, Integers]:
-    """The tables (T, N) that are there, by quantity."""
-    tables = {}
-    for quantity in QUANTITIES:
-        if spec.name(quantity) is None:
-            continue
-        tables[quantity] = table = spec.array(quantity, axes=2, least=-_STATE, most=_STATE)
-        if table.shape != (timesteps, layer.size):
-            found, wanted = f"has shape {table.shape}", f"Write {timesteps} rows of {layer.size}."
-            raise spec.wrong(quantity, found, wanted)
-    if spec.unread:
-        others = f"is of no known quantity, {min(spec.unread)[:40]!r}"
-        raise spec.wrong(layer.name, others, f"Record {', '.join(QUANTITIES)}.")
-    return tables

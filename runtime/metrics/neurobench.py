@@ -220,10 +220,10 @@ def _presynaptic(
         for synapses, lag in zip(layer.synapses, lags, strict=True)
     ]
     matrices += [(s.source, s.fan_out, s.delay) for layer in program.host for s in layer.synapses]
-    for tap in program.taps:
-        if tap.weight is not None:
-            fan_out = np.count_nonzero(tap.weight, axis=1).astype(np.int64)
-            matrices.append((tap.layer, fan_out, tap.lag))
+    for term in program.output_terms:
+        if term.weight is not None:
+            fan_out = np.count_nonzero(term.weight, axis=1).astype(np.int64)
+            matrices.append((term.layer, fan_out, term.lag))
     for source, fan_out, lag in matrices:
         yield spikes[source][:, : max(spikes[source].shape[1] - lag, 0)], fan_out
 

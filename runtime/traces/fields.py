@@ -28,7 +28,7 @@ _MOST_READ = 1 << 24  # numbers; those that layers share are read for each layer
 
 
 def read_json(path: Path) -> "Fields":
-    """The object in a JSON file."""
+    """Return the object in a JSON file."""
     try:
         found = json.loads(read_text(path, "utf-8-sig"))
     except UnicodeDecodeError as error:
@@ -43,8 +43,6 @@ def read_json(path: Path) -> "Fields":
 
 class Fields:
     """One JSON object.
-
-    Emulators call the same thing by several names, so every field is asked for by all of them.
 
     where: its place, for messages.
     unread: names of the fields that were not asked for.
@@ -67,33 +65,65 @@ class Fields:
         self.assumed = list[str]()
         self._read = [0] if read is None else read  # numbers so far, of all objects of a file
 
-    def name(self, *names: str) -> str | None:
-        """The first of the names that is there."""
-        return next((name for name in names if name in self._found), None)
+    def __contains__(self, name: str) -> bool:
+        return name in self._found
 
     def assume(self, name: str, value: object) -> None:
         """Note what is taken for a field that is missing."""
         if (taken := f"{name} {value}") not in self.assumed:
             self.assumed.append(taken)
 
+    def spelled(self, spellings: Mapping[str, str], alone: bool = False) -> "Fields":
+        """Return the fields by our names, from those of a tool (its name -> ours).
+
+        alone: whether our names mean something else in the file.
+        """
+        hidden = {*spellings, *(spellings.values() if alone else ())}
+        kept = {name: value for name, value in self._found.items() if name not in hidden}
+        renamed = {ours: self._found[name] for name, ours in spellings.items() if name in self}
+        return Fields(kept | renamed, self.where, self._read)
+
+    def merged_with(self, *others: "Fields", where: str = "") -> "Fields":
+        """Return these fields and those of the others, which go before."""
+        everything: dict[str, object] = {}
+        for each in (self, *others):
+            everything.update(each._found)
+        return Fields(everything, where or self.where, self._read)
+
+    def layers(self) -> list["Fields"]:
+        """Return the fields of each layer, and those that the file gives for all layers."""
+        shared = self.merged_with(self.group("params"))
+        if "layers" not in self:
+            return [shared]
+        return [
+            shared.merged_with(layer, layer.group("params"), where=layer.where)
+            for layer in self.groups("layers")
+        ]
+
     def text(self, name: str, default: str = "") -> str:
-        """The text called `name`; the default where there is none."""
+        """Return the text called `name`; the default where there is none."""
         self.unread.discard(name)
         found = str(self._found.get(name, ""))
         if default and not found:
             self.assume(name, default)
         return found or default
 
+    def choice(self, name: str, choices: Sequence[str]) -> str:
+        """Return the text called `name`, one of the choices; the first where there is none."""
+        if (found := self.text(name, choices[0])) not in choices:
+            raise self.wrong(name, f"is {found[:40]!r}", f"Write one of {', '.join(choices)}.")
+        return found
+
     def has_content(self, name: str) -> bool:
-        """True if there is anything in the field; an empty list is nothing."""
+        """Return True if there is anything in the field; an empty list is nothing."""
         self.unread.discard(name)
         if not (found := bool(self._found.get(name))):
             self.assume(name, "none")
         return found
 
     def flag(self, name: str, default: bool | None = None) -> bool | None:
-        """The true or false called `name`; the default where it is missing."""
-        if name not in self._found:
+        """Return the true or false called `name`; the default where it is missing."""
+        if name not in self:
             if default is not None:
                 self.assume(name, str(default).lower())
             return default
@@ -103,86 +133,45 @@ class Fields:
         return found
 
     def group(self, name: str) -> "Fields":
-        """The object called `name`; empty where there is none."""
-        found = self._take(name) if name in self._found else {}
+        """Return the object called `name`; empty where there is none."""
+        found = self._take(name) if name in self else {}
         return Fields(found, f"{self.where}: {name}", self._read)
 
     def groups(self, name: str) -> list["Fields"]:
-        """The list of objects called `name`."""
-        found = self._take(name)
-        if not isinstance(found, list) or not found:
-            raise self.wrong(name, f"is {_short(found)}", "Write a list of objects.")
-        if len(found) > _MOST_LAYERS:
-            raise self.wrong(name, f"has {len(found)}", f"Write {_MOST_LAYERS} at most.")
-        places = (f"{self.where}: {name}[{k}]" for k in range(len(found)))
-        return [Fields(each, where, self._read) for each, where in zip(found, places, strict=True)]
-
-    def merged_with(self, *others: "Fields", where: str = "") -> "Fields":
-        """These fields and those of the others, which go before."""
-        everything: dict[str, object] = {}
-        for each in (self, *others):
-            everything.update(each._found)
-        return Fields(everything, where or self.where, self._read)
-
-    def layers(self) -> list["Fields"]:
-        """The fields of each layer, then those that the file gives for all layers."""
-        shared = self.merged_with(self.group("params"))
-        if self.name("layers") is None:
-            return [shared]
-        return [
-            shared.merged_with(layer, layer.group("params"), where=layer.where)
-            for layer in self.groups("layers")
-        ]
-
-    def integer(self, *names: str, default: int, least: int, most: int) -> int:
-        """A single whole number within its range."""
-        if self.name(*names) is None:
-            self.assume(names[0], default)
-            return default
-        return int(self.array(*names, axes=0, least=least, most=most))
-
-    def row(
-        self, *names: str, size: int, default: int | None = None, least: int, most: int
-    ) -> Integers:
-        """(size,) whole numbers within a range; one in the file stands for all."""
-        if default is not None and self.name(*names) is None:
-            self.assume(names[0], default)
-            return np.full(size, default, np.int64)
-        found = self.array(*names, axes=1, least=least, most=most)
-        if found.size not in (1, size):
-            remedy = f"Write one, or {size}."
-            raise self.wrong(self.name(*names) or "", f"has {found.size} values", remedy)
-        return np.full(size, found, np.int64)
-
-    def lists(self, name: str, *, least: int, most: int) -> tuple[tuple[int, ...], ...]:
-        """Lists of whole numbers within a range, of any lengths."""
-        found = self._take(name)
-        if not isinstance(found, list) or not all(isinstance(row, list) for row in found):
-            raise self.wrong(name, f"is {_short(found)}", "Write a list of lists.")
-        for each in (each for row in found for each in row):
-            if type(each) is not int or not least <= each <= most:
-                remedy = f"Write whole numbers within {least} and {most}."
-                raise self.wrong(name, f"holds {_short(each)}", remedy)
-        return tuple(tuple(row) for row in found)
+        """Return the list of objects called `name`."""
+        found = self.rows(name)
+        if not found or len(found) > _MOST_LAYERS:
+            raise self.wrong(name, f"has {len(found)}", f"Write a list of 1 to {_MOST_LAYERS}.")
+        return [Fields(o, f"{self.where}: {name}[{k}]", self._read) for k, o in enumerate(found)]
 
     def rows(self, name: str) -> list[Any]:
-        """The list called `name`, of anything; it may be empty."""
+        """Return the list called `name`, of anything; it may be empty."""
         found = self._take(name)
         if not isinstance(found, list):
             raise self.wrong(name, f"is {_short(found)}", "Write a list.")
         return found
 
+    def lists(self, name: str, *, least: int, most: int) -> tuple[tuple[int, ...], ...]:
+        """Return lists of whole numbers within a range, of any lengths."""
+        found = self.rows(name)
+        for each in found:
+            if not isinstance(each, list):
+                raise self.wrong(name, f"is {_short(found)}", "Write a list of lists.")
+            if wrong := [x for x in each if type(x) is not int or not least <= x <= most]:
+                remedy = f"Write whole numbers within {least} and {most}."
+                raise self.wrong(name, f"holds {_short(wrong[0])}", remedy)
+        return tuple(map(tuple, found))
+
     def numbers(self, *names: str) -> dict[str, float]:
-        """Those of the finite numbers that are there, by name."""
-        found = {name: self._take(name) for name in names if name in self._found}
+        """Return those of the finite numbers that are there, by name."""
+        found = {name: self._take(name) for name in names if name in self}
         for name, value in found.items():
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not number or not -_HUGE < value < _HUGE:
+            if type(value) not in (int, float) or not -_HUGE < value < _HUGE:
                 raise self.wrong(name, f"is {_short(value)}", "Write a finite number.")
         return found
 
     def floats(self, name: str, size: int) -> NDArray[np.float64]:
-        """(size,) finite numbers."""
+        """Return (size,) finite numbers."""
         found = self._take(name)
         if not isinstance(found, list) or len(found) != size:
             raise self.wrong(name, f"is {_short(found)}", f"Write a list of {size} numbers.")
@@ -191,11 +180,34 @@ class Fields:
         self._count(name, found)
         return np.array(found, np.float64)
 
-    def array(self, *names: str, axes: int, least: int, most: int) -> Integers:
-        """Whole numbers within a range, of at most so many axes."""
-        name = self.name(*names)
-        if name is None:
-            raise self._missing(names)
+    def integer(self, name: str, *, default: int, least: int, most: int) -> int:
+        """Return a single whole number within its range."""
+        if name not in self:
+            self.assume(name, default)
+            return default
+        return int(self.array(name, axes=0, least=least, most=most))
+
+    def row(
+        self, name: str, *, size: int, default: int | None = None, least: int, most: int
+    ) -> Integers:
+        """Return (size,) whole numbers within a range; one in the file stands for all."""
+        if default is not None and name not in self:
+            self.assume(name, default)
+            return np.full(size, default, np.int64)
+        found = self.array(name, axes=1, least=least, most=most)
+        if found.size not in (1, size):
+            raise self.wrong(name, f"has {found.size} values", f"Write one, or {size}.")
+        return np.full(size, found, np.int64)
+
+    def table(self, name: str, *, least: int, most: int) -> Integers:
+        """Return (T, N) whole numbers; a list of numbers is that of a single neuron."""
+        found = self.array(name, axes=2, least=least, most=most)
+        if found.ndim == 0:
+            raise self.wrong(name, "is a single number", "Write a row for each timestep.")
+        return found[:, None] if found.ndim == 1 else found
+
+    def array(self, name: str, *, axes: int, least: int, most: int) -> Integers:
+        """Return whole numbers within a range, of at most so many axes."""
         found = self._numbers(name)
         if found.ndim > axes:
             raise self.wrong(name, f"has shape {found.shape}", f"Write lists {axes} deep at most.")
@@ -206,20 +218,15 @@ class Fields:
         return found.astype(np.int64)
 
     def wrong(self, name: str, found: str, remedy: str) -> TraceError:
-        """The error of a field."""
+        """Return the error of a field."""
         return TraceError(f"{self.where}: {name} {found}. {remedy}")
 
     def _take(self, name: str) -> Any:  # noqa: ANN401
-        if name not in self._found:
-            raise self._missing((name,))
+        if name not in self:
+            remedy = "Add it; docs/traces.md lists the fields of a trace."
+            raise self.wrong(name, "is missing", remedy)
         self.unread.discard(name)
         return self._found[name]
-
-    def _missing(self, names: tuple[str, ...]) -> TraceError:
-        return TraceError(
-            f"{self.where}: {' or '.join(names)} is missing. Add it; docs/traces.md lists the "
-            "fields of a trace."
-        )
 
     def _count(self, name: str, value: object) -> None:
         """Refuse what is no table of numbers, or one more than can be read."""
@@ -260,13 +267,13 @@ def _counted(value: object) -> int | None:
 
 
 def escape(text: str, most: int = 80) -> str:
-    """An untrusted text on one line of a terminal, control characters escaped."""
+    """Return an untrusted text on one line of a terminal, control characters escaped."""
     line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: most + 1])
     return line if len(line) <= most else f"{line[:most]}…"
 
 
 def shown_names(names: Sequence[str], most: int = 5) -> str:
-    """The first names, and how many more there are."""
+    """Return the first names, and how many more there are."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(escape(name) for name in names[:most]) + more
 
@@ -303,7 +310,7 @@ class Work:
     axons: int = 0
 
     def add(self, neurons: int, synapses: int, axons: int = 0) -> None:
-        """Another layer; refused where the replay would take too long.
+        """Add another layer; refused where the replay would take too long.
 
         axons: those whose events a chip adds one after another, and aliases.
         """

@@ -2,11 +2,12 @@
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.layer import Synapses
+from spikedeploy.runtime.chips.layer import Synapses, plain_layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.ledger import Ledger
@@ -14,7 +15,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import TraceError
 from spikedeploy.runtime.metrics.energy import TABLES
 from spikedeploy.runtime.traces.fields import Fields
-from spikedeploy.runtime.traces.verify import Difference, Verdict, layer_of
+from spikedeploy.runtime.traces.verify import Difference, Verdict
 
 _NUMBER = r"([1-9]\d{0,2})"
 _SETUP = re.compile(
@@ -78,7 +79,9 @@ def sanafe_verdict(fields: Fields, _: str) -> Verdict:
 def _run(inputs: int, neurons: int, spikes: list[int]) -> Ledger:
     synapses = Synapses("input", np.ones((inputs, neurons), np.int16), 1)
     ones = np.ones(neurons, np.int64)
-    layer = layer_of("lif", [synapses], _NEVER * ones, 4096 * ones, start=1)
+    layer = replace(
+        plain_layer("lif", [synapses], _NEVER * ones), membrane_decay=4096 * ones, start=1
+    )
     machine = Machine(
         Program(chip("loihi1"), Convention(1e-3), "input", inputs, (layer,), "lif", None)
     )

@@ -319,7 +319,7 @@ class _Tally:
 
 def _has_host(program: Program) -> bool:
     """True where the host computes the output."""
-    return bool(program.readout or program.outlets or program.reads_membranes)
+    return bool(program.readout or program.host_outputs or program.reads_membranes)
 
 
 def node_shape(artifact: Artifact, name: str) -> tuple[int, ...]:
@@ -354,7 +354,7 @@ def _play_chip(
 
 def _output_start(program: Program) -> int:
     """[timesteps] by which outputs come later than the input, as layers start later."""
-    names = program.to_host | {program.output}
+    names = program.output_layers | {program.output}
     return max(layer.start for layer in program.layers if layer.name in names)
 
 

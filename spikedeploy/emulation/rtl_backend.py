@@ -122,7 +122,7 @@ class RtlBackend:
         self._names += [
             f"output {k} of layer {layer.name!r}"
             for layer in program.layers
-            if layer.name in program.to_host
+            if layer.name in program.output_layers
             for k in range(layer.size)
         ]
         self._lag = program.readout.lag if program.readout else 0
@@ -147,7 +147,7 @@ class RtlBackend:
         self._answers = [self._hardware.step(np.flatnonzero(row[0])) for row in rows]
         self._compare()
         output = self._program.output
-        if output not in self._program.to_host or not self._program.layer(output).spiking:
+        if output not in self._program.output_layers or not self._program.layer(output).spiking:
             return np.zeros((len(rows), 1, self._program.layer(output).size), np.uint8)
         late = np.concatenate([self._tail, self.spikes(output)])
         self._tail = late[len(rows) :]
@@ -160,7 +160,7 @@ class RtlBackend:
         leaving = [
             recorded[layer.name].spikes if layer.spiking else recorded[layer.name].membrane
             for layer in program.layers
-            if layer.name in program.to_host
+            if layer.name in program.output_layers
         ]
         columns = [
             *(each.current for each in layers),
@@ -169,7 +169,7 @@ class RtlBackend:
             *leaving,
         ]
         wanted = np.concatenate([each[0].astype(np.int64) for each in columns], axis=1)
-        order = [layer.name for layer in program.layers if layer.name in program.to_host]
+        order = [layer.name for layer in program.layers if layer.name in program.output_layers]
         for t, answer in enumerate(self._answers):
             out = [answer.values[name] for name in order]
             found = np.concatenate([answer.current, answer.membrane, answer.spikes, *out])

@@ -169,8 +169,8 @@ def policy_costs(
     assert codec is not None
     encoder = _encoding(codec, found.input_spikes or 0.0)
     # of the host's readout: its weights added or multiplied, and its constants
-    outlets = program.outlets if program.readout is None else [program.readout]
-    constants = sum(each.bias.size for each in outlets)
+    outputs = program.host_outputs if program.readout is None else [program.readout]
+    constants = sum(each.bias.size for each in outputs)
     operations = _readout_operations(ledger, program)
     readout = None if program.host else host_readout(*operations, constants)
     known, unknown = dict(found.energy_terms_j), dict(found.energy_unknown)
@@ -275,7 +275,7 @@ def _readout_operations(ledger: Ledger, program: Program) -> tuple[float, float]
     """
     # layer that the host applies weights to, and those weights (N, act)
     readouts: list[tuple[str, NDArray[np.float64]]] = [
-        (of, weight) for of, weight in program.readouts if not is_identity(weight)
+        (of, weight) for of, weight in program.readout_weights if not is_identity(weight)
     ]
     fan_outs = [(of, np.count_nonzero(weight, axis=1)) for of, weight in readouts]
     fan_outs += [(s.source, s.fan_out) for layer in program.host for s in layer.synapses]

@@ -46,7 +46,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
 
     backends: ClassVar[Mapping[str, str]] = {
         "numpy": "spikedeploy.runtime.families.cuba.numpy_backend:NumpyPipeline",
-        "numba": "spikedeploy.runtime.families.cuba.numba_backend:CubaPipeline",
+        "numba": "spikedeploy.runtime.families.cuba.numba_integers:CubaPipeline",
     }
     spikes_max: ClassVar[int] = 1
     choices: ClassVar[tuple[str, ...]] = CHOICES
@@ -364,7 +364,7 @@ class CubaFloat32(ArithmeticDefaults):
     """
 
     backends: ClassVar[Mapping[str, str]] = {
-        "numba": "spikedeploy.runtime.families.cuba.numba_float:FloatPipeline",
+        "numba": "spikedeploy.runtime.families.cuba.numba_floats:FloatPipeline",
     }
     weight_bits: int
     spikes_max: ClassVar[int] = 1

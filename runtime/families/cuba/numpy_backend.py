@@ -6,10 +6,10 @@ checked in every timestep: either the bounds prove that no number can be too lar
 spikes cannot make one, or the states are looked at afterwards. A window that did overflow, which is
 rare, is computed once more by the interpreter.
 
-Spikes become sums of weights in three ways, of which a fixed rule on their density chooses. All sum
-whole numbers that their number type is proven to hold exactly, so they agree bit for bit, in any
-order of summation and on any BLAS. (`ideal` has no whole numbers and always multiplies in float64,
-timesteps and batch in one matrix.)
+Spikes become sums of weights by a product of all axons, or of those alone that spike, of which a
+fixed rule on their density chooses. Both sum whole numbers that their number type is proven to hold
+exactly, so they agree bit for bit, in any order of summation and on any BLAS. (`ideal` has no whole
+numbers and always multiplies in float64, timesteps and batch in one matrix.)
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -76,14 +76,11 @@ class Raster:
 _EXACT_FLOAT32 = 1 << 24
 EXACT_INT16 = (1 << 15) - 1
 
-# the rule, from measurements: at batch 1, matrices of at least so many weights are not multiplied
-# whole, but
-SMALL = 1 << 15
-# only the rows of axons that spike in the window, while those are no larger a part of all,
-FEW = 0.4
-# or rows are added one by one, in matrices of at least so many weights, while such an axon spikes
-# no more often in the mean
-LARGE, _SELDOM = 1 << 17, 2.5
+# the rule, from measurements: at batch 1, matrices of at least so many
+# weights are multiplied by the axons alone that spike in the window, while those are no larger a
+# part of all
+SPARSE_WEIGHTS = 1 << 15
+SPARSE_SHARE = 0.4
 
 
 class Summation:
@@ -106,7 +103,7 @@ class Summation:
         out: Numbers,
         scratch: Numbers,
     ) -> None:
-        self._unit, (timesteps, batch, neurons) = unit, out.shape
+        timesteps, batch, neurons = out.shape
         exact32 = partial is not None and partial * unit < _EXACT_FLOAT32
         dtype = np.dtype(np.float32 if exact32 else np.float64)
         self.weight = aligned_copy(weight * float(unit), dtype)
@@ -117,26 +114,15 @@ class Summation:
         # arrays of one shape are added in half the time
         copies = np.broadcast_to(bias * float(unit), out.shape).reshape(self._sums.shape)
         self._bias = copies.astype(dtype) if bias.any() else None
-        self.is_dense = partial is None or batch > 1 or weight.size < SMALL
-        self.whole: Numbers | None = None
-        if partial is not None and not self.is_dense and weight.size >= LARGE:
-            # in the fewest bytes to fetch
-            self.whole = aligned_copy(weight, np.int16 if partial <= EXACT_INT16 else np.int32)
-            self._counts = aligned_zeros((timesteps, neurons), self.whole.dtype)
-        self._scratch = scratch
+        self.is_dense = partial is None or batch > 1 or weight.size < SPARSE_WEIGHTS
         self._fetched = scratch[: self.weight.nbytes].view(dtype).reshape(weight.shape)
 
     def __call__(self, raster: Raster) -> None:
         """Write the sums, by the way that the density of the spikes makes fastest."""
-        few = None if self.is_dense else len(raster.axons())
-        if few is None:
+        if self.is_dense or len(raster.axons()) > SPARSE_SHARE * len(self.weight):
             self.multiply(raster)
-        elif few <= FEW * len(self.weight):
-            self.multiply_active(raster)
-        elif self.whole is not None and raster.spikes() <= _SELDOM * few:
-            self.gather(raster, self.whole)
         else:
-            self.multiply(raster)
+            self.multiply_active(raster)
 
     def multiply(self, raster: Raster) -> None:
         """All axons times all weights: one matrix product for the window."""
@@ -156,16 +142,6 @@ class Summation:
         spikes.dot(weight, self._sums)
         self._finish()
 
-    def gather(self, raster: Raster, weight: Numbers) -> None:
-        """Only the weights of axons that spiked, timestep by timestep; batch 1."""
-        take, add = weight.take, np.add.reduce
-        fetched = self._scratch[: weight.nbytes].view(weight.dtype).reshape(weight.shape)
-        for spikes, row in zip(raster.bits.squeeze(1), self._counts, strict=True):
-            axons = spikes.nonzero()[0]
-            add(take(axons, 0, fetched[: len(axons)], "clip"), 0, None, row)
-        np.multiply(self._counts, self._sums.dtype.type(self._unit), self._sums)
-        self._finish()
-
     def _finish(self) -> None:
         if self._bias is not None:
             np.add(self._sums, self._bias, self._sums)
@@ -174,7 +150,7 @@ class Summation:
 
 
 class KernelSummation:
-    """The same of synapses with a window: that chooses between scattering and unfolding."""
+    """The sums of synapses with a window, which chooses between scattering and unfolding."""
 
     def __init__(self, synapses: Synapses, bias: Numbers, unit: int, out: Numbers) -> None:
         self._synapses, self._unit, self._out = synapses, float(unit), out
@@ -265,9 +241,9 @@ class LayerWindow:
         """Views of the memory of each timestep, for the fewest and shortest calls of NumPy."""
         # where nothing stays of a current, it is what arrives, and only the membrane decays
         self._has_current = bool(layer.current_decay.any())
-        of = slice(0 if self._has_current else 1, 2)
+        decaying = slice(0 if self._has_current else 1, 2)
         # (2, 1, N): one multiplication decays currents and membranes
-        factors = np.stack([layer.current_decay, layer.membrane_decay])[of, None]
+        factors = np.stack([layer.current_decay, layer.membrane_decay])[decaying, None]
         self._decay = factors / float(fixed.decay_one if fixed else 1)
         # arrays of one shape take NumPy's shortest way; a (N,) beside a (1, N) costs half a us more
         shape, states = self.spikes[0].shape, self.states
@@ -275,7 +251,7 @@ class LayerWindow:
         bias = np.broadcast_to(layer.voltage_bias.astype(np.float64), shape).copy()
         self.bias = bias if bias.any() else None
         self._timesteps = [
-            (states[t, of], states[t + 1, of], *states[t + 1], self._sums[t], spikes)
+            (states[t, decaying], states[t + 1, decaying], *states[t + 1], self._sums[t], spikes)
             for t, spikes in enumerate(self.spikes)
         ]
         self._silent = np.empty_like(self.spikes[0])

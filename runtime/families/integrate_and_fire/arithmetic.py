@@ -245,9 +245,7 @@ def _quantise_leak(
 
 
 _EVENTS = "spikedeploy.runtime.families.integrate_and_fire.event_machine:EventPipeline"
-_TIMESTEPS = (
-    "spikedeploy.runtime.families.integrate_and_fire.numba_backend:IntegrateAndFirePipeline"
-)
+_TIMESTEPS = "spikedeploy.runtime.families.integrate_and_fire.numba_steps:IntegrateAndFirePipeline"
 _LEAKS = {
     "none": "IF",
     "linear": "IF, linear leak",

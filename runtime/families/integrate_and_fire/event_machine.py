@@ -25,7 +25,7 @@ from spikedeploy.runtime.families.integrate_and_fire.arithmetic import Integrate
 from spikedeploy.runtime.families.integrate_and_fire.events import (
     EventNetwork,
     Spikes,
-    hear,
+    process_queue,
     update_by_events,
 )
 
@@ -50,14 +50,17 @@ class EventMachine(Copied):
             )
         compiled = backend_class(program, backend) is EventPipeline
         self.program = program
-        self._rules, self._hears = rules, numba_events.hear if compiled else hear
+        self._rules, self._process = (
+            rules,
+            numba_events.process_queue if compiled else process_queue,
+        )
         self._spikes = {name: np.zeros(size, np.int64) for name, size in program.sizes.items()}
         self._counts = np.zeros((2, len(program.layers)), np.int64)
         self.reset()
 
     def reset(self) -> None:
         """Set all membranes to 0; the ledger stays."""
-        self._working = EventNetwork(self._rules, self.program, self._hears)
+        self._working = EventNetwork(self._rules, self.program, self._process)
 
     def process(self, neurons: NDArray[np.integer[Any]]) -> dict[str, Spikes]:
         """Spikes of each layer, in their order, that follow from events of the input.
@@ -97,9 +100,9 @@ class EventMachine(Copied):
         """The events since the machine was made, in one row; they took no timesteps."""
         spikes = {name: counts[None] for name, counts in self._spikes.items()}
         updates, overflows = self._counts[:, None]
-        heard = np.zeros_like(updates)
+        none = np.zeros_like(updates)
         builder = LedgerBuilder(self.program, "total")
-        builder.add(count_events(self.program, spikes, updates, overflows, heard, 0), 0, 0)
+        builder.add(count_events(self.program, spikes, updates, overflows, none, 0), 0, 0)
         return builder.ledger()
 
     def _count(self, events: Spikes, sent: Mapping[str, Spikes]) -> None:
@@ -136,7 +139,7 @@ class _CompiledEvents(IntegrateAndFire):
         states: Mapping[str, LayerState],
     ) -> Mapping[str, StepResult]:
         """Advance all layers by one timestep, in which these spikes (B, M) of the input arrive."""
-        return update_by_events(self, network, presynaptic, states, numba_events.hear)
+        return update_by_events(self, network, presynaptic, states, numba_events.process_queue)
 
 
 class EventPipeline(InterpreterBackend):

@@ -4,7 +4,7 @@ The specification. For each event (c, y, x) in the queue of a layer:
 
     1. Its coordinates are divided by those of the pool; what lies in the rows and columns left over
        is lost. A pool has no counter.
-    2. The neurons whose kernel reaches it hear it, weights of 0 included. No other is touched, not
+    2. It reaches neurons through their kernels, weights of 0 included. No other is touched, not
        even one above its threshold.
     3. V = V + w                               as the register holds it
        where V >= threshold: one spike, V = V - threshold or V = 0
@@ -15,12 +15,12 @@ The specification. For each event (c, y, x) in the queue of a layer:
 
 One spike for an event is the rule that SynSense documents (sinabs 3.1.3,
 docs/speck/faqs/tips_for_training.md, Weight Clipping During Training), several are what sinabs'
-layers send when they hear one event a call. No source says in which order spikes leave; it is
-assumed. A layer with two sources hears what an event of the network caused in the one, then in the
+layers send for one event a call. No source says in which order spikes leave; it is
+assumed. A layer with two sources takes what an event of the network caused in the one, then in the
 other, which is assumed too. In a chain it is the same whether events go through all layers one by
 one, as on the chip, or layer by layer, as here.
 
-Fully connected layers are kernels as large as their input, so that all their neurons hear it.
+Fully connected layers are kernels as large as their input, so that an event reaches all of them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -93,7 +93,7 @@ class EventState:
     """A layer while events arrive.
 
     membrane: (N,) [state units].
-    touched: (N,) events so far that each neuron heard.
+    touched: (N,) events so far that reached each neuron.
     overflows: (N,) numbers so far that did not fit, and spikes that were too many for an event.
     """
 
@@ -103,24 +103,24 @@ class EventState:
 
     @classmethod
     def of(cls, membrane: Integers) -> "EventState":
-        """The state in which nothing was heard."""
+        """The state before the first event."""
         membrane = membrane.astype(np.int64)
         return cls(membrane, np.zeros_like(membrane), np.zeros_like(membrane))
 
 
-# spikes of a layer that works on its queue; `hear` below, or its compiled twin
-Hear: TypeAlias = Callable[[EventLayer, Queue, EventState], Spikes]
+# spikes of a layer that works on its queue; `process_queue` below, or its compiled twin
+ProcessQueue: TypeAlias = Callable[[EventLayer, Queue, EventState], Spikes]
 
 
-def hear(each: EventLayer, queue: Queue, state: EventState) -> Spikes:
+def process_queue(each: EventLayer, queue: Queue, state: EventState) -> Spikes:
     """Work on the queue of a layer, event after event; return its spikes."""
     causes: list[Integers] = []
     neurons: list[Integers] = []
     for cause, place, axon in zip(*queue, strict=True):
         synapses = each.layer.synapses[place]
-        heard, weights = window_of(synapses).row(synapses.weight, axon)
-        counts = _add(each, heard, weights.astype(np.int64), state)
-        firing = heard[counts > 0]
+        reached, weights = window_of(synapses).row(synapses.weight, axon)
+        counts = _add(each, reached, weights.astype(np.int64), state)
+        firing = reached[counts > 0]
         spikes = np.repeat(firing, counts[counts > 0])
         neurons.append(spikes[np.argsort(each.rank[spikes], kind="stable")])
         causes.append(np.full(len(spikes), cause, np.int64))
@@ -129,11 +129,11 @@ def hear(each: EventLayer, queue: Queue, state: EventState) -> Spikes:
     return Spikes(np.concatenate(causes), np.concatenate(neurons))
 
 
-def _add(each: EventLayer, heard: Integers, weights: Integers, state: EventState) -> Integers:
+def _add(each: EventLayer, reached: Integers, weights: Integers, state: EventState) -> Integers:
     """Add weights (k,) to the membranes of neurons (k,); return how often each spikes."""
-    rules, threshold = each.rules, each.layer.threshold[heard]
+    rules, threshold = each.rules, each.layer.threshold[reached]
     # V = V + w, as the register holds it
-    raised = state.membrane[heard] + weights
+    raised = state.membrane[reached] + weights
     v = rules.membrane.fit(raised)
     wanted = fires(rules, threshold, v).astype(np.int64)
     if rules.event_spikes == "multi":
@@ -143,16 +143,16 @@ def _add(each: EventLayer, heard: Integers, weights: Integers, state: EventState
     # V = V - n threshold, or V = 0;  V = max(V, floor)
     subtract = each.convention.reset == "subtract"
     after = v - n * threshold if subtract else np.where(n > 0, 0, v)
-    state.membrane[heard] = np.maximum(after, each.floor[heard])
-    state.touched[heard] += 1
-    state.overflows[heard] += (v != raised) + (wanted - n)
+    state.membrane[reached] = np.maximum(after, each.floor[reached])
+    state.touched[reached] += 1
+    state.overflows[reached] += (v != raised) + (wanted - n)
     return n
 
 
 def window_of(synapses: Synapses) -> Window:
     """The window of synapses that `wire` gave one."""
     if synapses.window is None:
-        raise TypeError("synapses without a window hear no events")
+        raise TypeError("synapses without a window take no events")
     return synapses.window
 
 
@@ -166,9 +166,11 @@ class EventNetwork:
     states: of each layer.
     """
 
-    def __init__(self, rules: IntegrateAndFireRules, network: Network, hears: Hear = hear) -> None:
+    def __init__(
+        self, rules: IntegrateAndFireRules, network: Network, process: ProcessQueue = process_queue
+    ) -> None:
         self.layers = wire(rules, network.convention, network.layers, network.input)
-        self._input, self._hears = network.input, hears
+        self._input, self._process = network.input, process
         self.states = {
             e.layer.name: EventState.of(np.zeros(e.layer.size, np.int64)) for e in self.layers
         }
@@ -178,7 +180,7 @@ class EventNetwork:
         sent = {self._input: events}
         for each in self.layers:
             queue = _join([sent[s.source] for s in each.layer.synapses])
-            sent[each.layer.name] = self._hears(each, queue, self.states[each.layer.name])
+            sent[each.layer.name] = self._process(each, queue, self.states[each.layer.name])
         del sent[self._input]
         return sent
 
@@ -239,7 +241,7 @@ def update_by_events(
     network: Network,
     presynaptic: Mapping[str, Sequence[Numbers]],
     states: Mapping[str, LayerState],
-    hears: Hear = hear,
+    process: ProcessQueue = process_queue,
 ) -> dict[str, StepResult]:
     """Advance all layers by one timestep, whose spikes (B, M) of the input are single events."""
     name, place = next(
@@ -250,7 +252,7 @@ def update_by_events(
     )
     counts = presynaptic[name][place]
     done = {layer.name: _Done.nothing(len(counts), layer.size) for layer in network.layers}
-    working = EventNetwork(rules, network, hears)
+    working = EventNetwork(rules, network, process)
     source = next(e for e in working.layers if e.layer.name == name).layer.synapses[place]
     rank = ranks(window_of(source).source, rules.event_order)
     for state in states.values():

@@ -289,7 +289,7 @@ def add(
     state: PartialStep,
     arrives: NDArray[np.bool_] | bool = True,
 ) -> None:
-    """Add weights (N,) or (B, N) as one event; `arrives` says (B, N) which neurons hear it."""
+    """Add weights (N,) or (B, N) as one event; `arrives` says (B, N) where."""
     # V = V + W s, as the register holds it, and not below the floor
     raised = state.membrane + weights
     held = rules.membrane.fit(raised)

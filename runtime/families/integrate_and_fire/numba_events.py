@@ -1,4 +1,4 @@
-"""The compiled kernel of a layer that works on its queue of events, equal to `events.hear`."""
+"""The compiled kernel of a layer and its queue of events, equal to `events.process_queue`."""
 
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import Numbers, Synapses
 from spikedeploy.runtime.chips.registers import Register
+from spikedeploy.runtime.families import numba_frame as frame
 from spikedeploy.runtime.families.integrate_and_fire.events import (
     EventLayer,
     EventState,
@@ -15,22 +16,7 @@ from spikedeploy.runtime.families.integrate_and_fire.events import (
     Spikes,
     window_of,
 )
-from spikedeploy.runtime.families.numba_kernels import (
-    CHANNELS,
-    FEATURES,
-    KERNEL_X,
-    KERNEL_Y,
-    SOURCE_Y,
-    TARGET_X,
-    TARGET_Y,
-    WEIGHT,
-    WIRE,
-    Array,
-    Number,
-    jit,
-    kept_on_disk,
-    locate,
-)
+from spikedeploy.runtime.families.numba_frame import Array, Number
 from spikedeploy.runtime.families.numba_pipeline import describe
 
 # entries of Arrays.rules
@@ -75,12 +61,12 @@ def arrays(each: EventLayer) -> tuple[Arrays, int]:
     """A layer as arrays, and the spikes that one event can cause in it."""
     rules, layer = each.rules, each.layer
     channels_first = rules.event_order == "cyx"
-    wires = np.zeros((len(layer.synapses), len(WIRE)), np.int64)
+    wires = np.zeros((len(layer.synapses), len(frame.WIRE)), np.int64)
     weights: list[Numbers] = []
     tables: list[Numbers] = []
     for wire, synapses in zip(wires, layer.synapses, strict=True):
-        wire[WEIGHT] = sum(map(len, weights))
-        wire[SOURCE_Y:] = describe(window_of(synapses), tables)
+        wire[frame.WEIGHT] = sum(map(len, weights))
+        wire[frame.SOURCE_Y :] = describe(window_of(synapses), tables)
         weights.append(_ordered_weights(synapses, channels_first))
     same = bool(
         (layer.threshold == layer.threshold[0]).all() and (each.floor == each.floor[0]).all()
@@ -119,7 +105,7 @@ def _fan_out(synapses: Synapses) -> int:
     return int(rows * columns) * (window.target[0] // window.groups)
 
 
-def hear(each: EventLayer, queue: Queue, state: EventState) -> Spikes:
+def process_queue(each: EventLayer, queue: Queue, state: EventState) -> Spikes:
     """Work on the queue of a layer, event after event; return its spikes."""
     layer, most = arrays(each)
     cause, neuron = _rows(max(_ROOM, most))
@@ -143,7 +129,7 @@ def _rows(size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return np.empty(size, np.int64), np.empty(size, np.int64)
 
 
-@kept_on_disk
+@frame.kept_on_disk
 def work(
     wires: Array,
     weights: Array,
@@ -172,30 +158,16 @@ def work(
         if count > room:
             return event, count
         wire = wires[places[event]]
-        channel, rows, columns = locate(wire, axons[event])
-        features, height, width = wire[FEATURES], wire[KERNEL_Y], wire[KERNEL_X]
-        begin = wire[WEIGHT] + channel * features * height * width
+        channel, rows, columns = frame.locate(wire, axons[event])
+        features, height, width = wire[frame.FEATURES], wire[frame.KERNEL_Y], wire[frame.KERNEL_X]
+        begin = wire[frame.WEIGHT] + channel * features * height * width
         # neuron of the first feature of the group at the place (0, 0), and neurons of a feature
-        size = wire[TARGET_Y] * wire[TARGET_X]
-        target = channel // wire[CHANNELS] * features * size
+        size = wire[frame.TARGET_Y] * wire[frame.TARGET_X]
+        target = channel // wire[frame.CHANNELS] * features * size
         was = count
-        if rules[CHANNELS_FIRST]:
-            for feature in range(features):
-                for ky in range(height - 1, -1, -1):
-                    row = tables[rows + ky]
-                    if row < 0:
-                        continue
-                    for kx in range(width - 1, -1, -1):
-                        column = tables[columns + kx]
-                        if column < 0:
-                            continue
-                        neuron = target + feature * size + row * wire[TARGET_X] + column
-                        weight = weights[begin + (feature * height + ky) * width + kx]
-                        n = touch(layer, neuron, weight, membrane, touched, overflows)
-                        for _ in range(n):
-                            sent[count] = neuron
-                            count += 1
-        else:
+        # one of the two loops over features runs once
+        outer, inner = (features, 1) if rules[CHANNELS_FIRST] else (1, features)
+        for first_feature in range(outer):
             for ky in range(height - 1, -1, -1):
                 row = tables[rows + ky]
                 if row < 0:
@@ -204,9 +176,11 @@ def work(
                     column = tables[columns + kx]
                     if column < 0:
                         continue
-                    for feature in range(features):
-                        neuron = target + feature * size + row * wire[TARGET_X] + column
-                        weight = weights[begin + (ky * width + kx) * features + feature]
+                    element = (first_feature * height + ky) * width + kx
+                    place = row * wire[frame.TARGET_X] + column
+                    for more in range(inner):
+                        neuron = target + (first_feature + more) * size + place
+                        weight = weights[begin + element * inner + more]
                         n = touch(layer, neuron, weight, membrane, touched, overflows)
                         for _ in range(n):
                             sent[count] = neuron
@@ -216,7 +190,7 @@ def work(
     return len(axons), count
 
 
-@jit
+@frame.jit
 def touch(
     layer: Arrays, neuron: Number, weight: Number, membrane: Array, touched: Array, overflows: Array
 ) -> Number:

@@ -7,7 +7,7 @@ Each recorded array has a key, and is computed again under the same key.
 import re
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.chip import chip as datasheet
-from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.chips.layer import Layer, Synapses, plain_layer
 from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention, Reset
@@ -29,7 +29,6 @@ from spikedeploy.runtime.traces.verify import (
     Difference,
     Verdict,
     assumptions,
-    layer_of,
     nothing_to_compare,
     source_of,
     unread_fields,
@@ -98,14 +97,14 @@ def speck_verdict(fields: Fields, path: Path) -> Verdict:
     # of the JSON and of the NPZ, which may hold the same
     pairs = [*_in_json(fields, specs, recorded), *_in_arrays(recorded)]
     if not pairs:
-        raise nothing_to_compare(fields, set(), "timestep_spikes_0 or event_single_cyx")
+        raise nothing_to_compare(fields, ())
     rows = {key: len(expected) for key, expected in pairs}
     found: Arrays = {}
     for section in dict.fromkeys(_section(key) for key in rows):
         found |= _REPLAYS[section.partition("_")[0]](recorded, section, rows)
     differences = (_first_difference(key, expected, found[key]) for key, expected in pairs)
     used = {*rows, *_INPUTS, *(key.removeprefix("float_") for key in rows)}
-    named = [("the file", fields), *((f"layer{k}", spec) for k, spec in enumerate(specs))]
+    named = {"the file": fields, **{f"layer{k}": spec for k, spec in enumerate(specs)}}
     layer_fields = {name for spec in specs for name in unread_fields([spec], set())}
     return Verdict(
         chip=_CHIP,
@@ -148,7 +147,7 @@ def _in_json(fields: Fields, specs: list[Fields], recorded: SpeckTrace) -> list[
 
 
 def _by_layer(fields: Fields, name: str, specs: list[Fields]) -> list[Any]:
-    rows = fields.rows(name) if fields.name(name) else []
+    rows = fields.rows(name) if name in fields else []
     if rows and len(rows) != len(specs):
         raise fields.wrong(name, f"has {len(rows)} lists", f"Write {len(specs)}, one a layer.")
     return rows
@@ -296,10 +295,9 @@ def _read(fields: Fields, arrays: Arrays) -> tuple[SpeckTrace, list[Fields], lis
         layers.append(layer)
         shape, pool = _window(layer).target, pool_after
         shapes.append(shape[0])
-    resets = {spec.text("reset", "subtract") for spec in specs}
-    if len(resets) > 1 or not resets <= {"subtract", "zero"}:
-        remedy = "Write 'subtract' or 'zero', in all layers the same."
-        raise fields.wrong("reset", f"is {', '.join(sorted(resets))[:40]!r}", remedy)
+    resets = {spec.choice("reset", ("subtract", "zero")) for spec in specs}
+    if len(resets) > 1:
+        raise fields.wrong("reset", "differs from layer to layer", "Write the same in all.")
     reset: Reset = "subtract" if resets == {"subtract"} else "zero"
     events = _read_events(fields, arrays, source, timesteps)
     floats, remarks = _read_floats(fields, arrays, layers)
@@ -336,17 +334,16 @@ def _layer(
         found = f"is {list(target)} of a kernel {list(kernel.shape)} over {list(window.pooled)}"
         raise spec.wrong("neurons", found, f"Write {[len(kernel), *fits]}.")
     out = (target[0], target[1] // behind[0], target[2] // behind[1])
-    if spec.name("out") and _shape(spec, "out") != out:
+    if "out" in spec and _shape(spec, "out") != out:
         raise spec.wrong("out", "is another than neurons and pool_after say", f"Write {list(out)}.")
     spec.text("map")
     channels = spec.row("bias", size=target[0], default=0, least=-128, most=127)
     size = int(np.prod(target))
     ones = np.ones(size, np.int64)
-    layer = layer_of(
-        f"layer{k}",
-        [Synapses(source, kernel.astype(np.int16), 0, window=window)],
-        ones * spec.integer("threshold", default=1, least=1, most=-_LEAST - 1),
-        0 * ones,
+    threshold = ones * spec.integer("threshold", default=1, least=1, most=-_LEAST - 1)
+    synapses = Synapses(source, kernel.astype(np.int16), 0, window=window)
+    layer = replace(
+        plain_layer(f"layer{k}", [synapses], threshold),
         voltage_bias=np.repeat(channels, size // target[0]),
         floor=ones * spec.integer("min_v_mem", default=_LEAST, least=_LEAST, most=0),
     )
@@ -388,7 +385,7 @@ def _read_events(
     if (events >= [timesteps, *source]).any() or (np.diff(events[:, 0]) < 0).any():
         remedy = f"Write them in order, below {[timesteps, *source]}."
         raise fields.wrong("events_in", "has an event outside, or out of order", remedy)
-    if fields.name("events_in"):
+    if "events_in" in fields:
         own = fields.array("events_in", axes=2, least=0, most=_MOST_EVENTS)
         _check_same(fields, arrays, "events_in", own)
     return events
@@ -414,9 +411,8 @@ def _read_floats(
         bias = np.ravel(arrays.get(f"float_bias_{k}", np.zeros(1))).astype(np.float64)
         made = Synapses("float", weight.reshape(synapses.weight.shape), 0, window=synapses.window)
         bias = np.repeat(bias, layer.size // bias.size)
-        floats.append(
-            layer_of(layer.name, [made], ones * numbers.get("threshold", 1.0), ones, bias=bias)
-        )
+        plain = plain_layer(layer.name, [made], ones * numbers.get("threshold", 1.0))
+        floats.append(replace(plain, membrane_decay=ones, bias=bias))
     return tuple(floats), []
 
 

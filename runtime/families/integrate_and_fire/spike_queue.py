@@ -1,9 +1,9 @@
 """A timestep of ODIN and tinyODIN with their on-chip queue of spikes, event by event.
 
-All neurons share one crossbar: each of them hears every event. Events wait in one queue, those from
-the host as well as neurons' own spikes, and are worked on in the order in which they came; spikes
-of one event by the index of the neuron. The event that is worked on keeps its entry until it is
-done. A spike that finds the queue full is lost; the host waits. A time reference is not queued.
+All neurons share one crossbar: every event reaches each of them. Events wait in one queue, those
+from the host as well as neurons' own spikes, and are worked on in the order in which they came;
+spikes of one event by the index of the neuron. The event that is worked on keeps its entry until it
+is done. A spike that finds the queue full is lost; the host waits. A time reference is not queued.
 """
 
 from collections import deque

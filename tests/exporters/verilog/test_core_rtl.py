@@ -277,7 +277,7 @@ def unequal(core, machine, program, inference):
     for name in ("current", "membrane", "spikes"):
         wanted = np.concatenate([getattr(seen[a.name], name)[0] for a in program.layers], axis=1)
         found += np.count_nonzero(wanted != np.array([getattr(step, name) for step in steps]))
-    for layer in program.to_host:
+    for layer in program.output_layers:
         quantity = "spikes" if program.layer(layer).spiking else "membrane"
         wanted = getattr(seen[layer], quantity)[0]
         found += np.count_nonzero(wanted != np.array([step.values[layer] for step in steps]))

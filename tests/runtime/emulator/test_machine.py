@@ -12,15 +12,9 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import CHUNK, Machine
 from spikedeploy.runtime.errors import ConfigError, ObservationError
-from tests.equality import check_like_the_interpreter, runs
+from tests.equality import runs
 from tests.networks import popsan
 from tests.programs import random_programs, rasters
-
-
-@settings(max_examples=100)
-@given(random_programs(), runs)
-def test_the_machine_equals_the_interpreter_in_every_current_membrane_and_spike(program, run):
-    check_like_the_interpreter(program, run, "numpy")
 
 
 @settings(max_examples=40)

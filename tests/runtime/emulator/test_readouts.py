@@ -95,7 +95,7 @@ def test_states_live_on_from_one_timestep_to_the_next(kind, name):
 def test_steps_of_the_chip_give_the_rows_of_a_window_later(kind, name):
     program = compile_program(network(kind), chip(name))
     whole = Machine(program, 3).infer(events())
-    late = max(program.layer(layer).start for layer in program.to_host)
+    late = max(program.layer(layer).start for layer in program.output_layers)
     out = np.empty((3, ACTIONS))
     for machine in backends(program).values():
         rows = np.stack([machine.step(row, out).copy() for row in events().swapaxes(0, 1)], axis=1)

@@ -1,28 +1,21 @@
 """SpiNNaker2: whole weights and float32 states, which is approximate and says so."""
 
 from dataclasses import replace
-from importlib.util import find_spec
 
 import nir
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from spikedeploy import zoo
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.emulator.backend import backend_class
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ChipError, RuleError
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFloat32
 from spikedeploy.runtime.float_model import FloatGraph
-from tests.equality import check_like_the_interpreter, runs
 from tests.networks import chain, lif, popsan
-from tests.programs import random_convolutions
 
 CHIP = chip("spinnaker2")
 
@@ -153,43 +146,3 @@ def test_numbers_are_described_in_a_few_words():
     assert mixed.describe()[:2] == ("CuBa-LIF", "8 bits with the sign")
     assert split.threshold_range == (64, 131071 << 6)
     assert split.state_bits == (24, 24)
-
-
-def neurons_in_float32(rng, name, size, synapses, start=0):
-    """A layer whose numbers are about as large as its weights."""
-    single = len(synapses) == 1  # of several, biases are added in an order of their own
-    return Layer(
-        name=name,
-        synapses=tuple(synapses),
-        bias=(single * rng.normal(size=size) * rng.integers(0, 2)).astype(np.float32),
-        voltage_bias=(rng.normal(size=size) * rng.integers(0, 2)).astype(np.float32),
-        threshold=rng.uniform(0, 60, size).astype(np.float32),
-        current_decay=(rng.random(size) * rng.integers(0, 2)).astype(np.float32),
-        membrane_decay=rng.random(size).astype(np.float32),
-        scale=1.0,
-        start=start,
-    )
-
-
-@pytest.mark.skipif(find_spec("numba") is None, reason="numba is not installed")
-@settings(max_examples=40)
-@given(
-    st.integers(0, 2**32 - 1),
-    st.sampled_from(["zero", "subtract"]),
-    st.sampled_from(["reset", "kept"]),
-    st.booleans(),
-    runs,
-)
-def test_compiled_kernels_equal_the_interpreter_in_every_bit(seed, reset, state, loop, run):
-    rng, convention = np.random.default_rng(seed), Convention(1e-3, reset, state=state)
-    program = random_convolutions(rng, neurons_in_float32, CHIP, convention, 1, loop)
-    check_like_the_interpreter(program, run, "numba")
-
-
-@pytest.mark.skipif(find_spec("numba") is None, reason="numba is not installed")
-def test_a_bias_beside_spikes_of_two_sources_is_left_to_the_interpreter():
-    rng = np.random.default_rng(0)
-    program = random_convolutions(rng, neurons_in_float32, CHIP, Convention(1e-3), 1, loop=True)
-    last = replace(program.layers[-1], bias=np.ones(program.layers[-1].size, np.float32))
-    program = replace(program, layers=(*program.layers[:-1], last))
-    assert backend_class(program, "auto").__name__ == "InterpreterBackend"

@@ -1,27 +1,20 @@
 """The family of free widths: any of its chips runs fast, and means what its widths say."""
 
-from importlib.util import find_spec
 from itertools import pairwise
 
 import nir
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.emulator.interpreter import count, trace
-from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ChipError
 from spikedeploy.runtime.float_model import FloatGraph
-from tests.equality import check_equal
 from tests.networks import chain, cuba, popsan
-
-BACKENDS = ["numpy", *(["numba"] if find_spec("numba") else [])]
 
 
 def network(seed=0, reset="zero", sizes=(30, 14, 6)):
@@ -32,47 +25,6 @@ def network(seed=0, reset="zero", sizes=(30, 14, 6)):
         bias = rng.uniform(-1, 1, size)
         nodes += [nir.Affine(rng.uniform(-1, 2, (size, fan_in)), bias), cuba(size, threshold=3.0)]
     return Artifact(chain(*nodes, width=sizes[0], act=sizes[-1]), None, Convention(1e-3, reset))
-
-
-@st.composite
-def chips(draw):
-    mode = draw(st.sampled_from(["mixed", "split"]))
-    overflows = st.sampled_from(["clip", "wrap"])
-    return chip(
-        "int",
-        weight_bits=draw(st.integers(2, 16) if mode == "mixed" else st.integers(1, 15)),
-        sign_mode=mode,
-        decay_bits=draw(st.integers(1, 16)),
-        mantissa_shift=draw(st.integers(0, 4)),
-        threshold_bits=draw(st.integers(4, 20)),
-        accumulator=Register(draw(st.integers(10, 36)), draw(overflows)),
-        current=Register(draw(st.integers(10, 36)), draw(overflows)),
-        membrane=Register(draw(st.integers(10, 36)), draw(overflows)),
-        refractory=draw(st.sampled_from([1, 1, 2])),
-    )
-
-
-@settings(max_examples=60)
-@given(
-    chips(),
-    st.sampled_from(["zero", "subtract"]),
-    st.sampled_from([0, 1, 2]),
-    st.sampled_from(BACKENDS),
-    st.sampled_from([1, 3]),
-)
-def test_every_one_of_them_is_fast_and_equal_to_the_interpreter(used, reset, seed, engine, batch):
-    program = compile_program(network(seed, reset), used)
-    raster = (np.random.default_rng(seed).random((batch, 9, 30)) < 0.4).astype(np.uint8)
-    machine = Machine(program, batch, trace=True, backend=engine)
-    machine.infer(raster)
-    traces = trace(program, raster)
-    check_equal(machine.recordings, traces)
-    counts = count(
-        program,
-        {program.input: raster, **{name: t.spikes for name, t in traces.items()}},
-        traces,
-    )
-    np.testing.assert_array_equal(machine.ledger.counts, counts)
 
 
 @pytest.mark.parametrize(

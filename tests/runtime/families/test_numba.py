@@ -24,64 +24,25 @@ from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.emulator.machine import CHUNK, Machine
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families import numba_kernels as shared
+from spikedeploy.runtime.families import numba_frame as shared
 from spikedeploy.runtime.families import numba_pipeline as pipeline
-from spikedeploy.runtime.families.cuba import numba_kernels as kernels
+from spikedeploy.runtime.families.cuba import numba_integers as kernels
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.numpy_backend import NumpyPipeline
-from tests.equality import check_equal, check_like_the_interpreter, runs
+from tests.equality import check_equal, runs
 from tests.networks import popsan
 from tests.paths import ROOT
-from tests.programs import layer, random_convolutions, random_neurons, random_programs, rasters
+from tests.programs import layer, random_programs, rasters
+from tests.runtime.families.test_backends import known
 
 compiled = pytest.mark.skipif(
     find_spec("numba") is None, reason="numba is not installed (pip install '.[fast]')"
 )
 
 
-def known(program):
-    """The program with registers that the compiled kernels know."""
-    fixed = program.chip.arithmetic
-    overflow = "clip" if fixed.membrane.overflow == "saturate" else fixed.membrane.overflow
-    plain = replace(
-        fixed, push=Register(24, "none"), membrane=Register(fixed.membrane.bits, overflow)
-    )
-    return replace(program, chip=replace(program.chip, arithmetic=plain))
-
-
-compilable_programs = random_programs().map(known)
-
-
-@compiled
-@settings(max_examples=100)
-@given(compilable_programs, runs, st.sampled_from(["zero", "subtract"]))
-def test_it_equals_the_interpreter_in_every_current_membrane_spike_and_count(program, run, reset):
-    # no chip of integers subtracts yet, but the specification says what would happen
-    program = replace(program, convention=replace(program.convention, reset=reset))
-    check_like_the_interpreter(program, run, "numba")
-
-
-@compiled
-@settings(max_examples=80)
-@given(compilable_programs, st.integers(0, 2**32 - 1), st.booleans(), runs)
-def test_kernels_of_convolutions_do_too_and_equal_their_matrices(program, seed, loop, run):
-    # chips and conventions of random programs
-    program = random_convolutions(
-        np.random.default_rng(seed), random_neurons, program.chip, program.convention, 1, loop
-    )
-    check_like_the_interpreter(program, run, "numba")
-    raster = rasters(program, *run)[0]
-    ours, listed = (
-        Machine(each, run[0], trace=True, backend="numba") for each in (program, program.listed())
-    )
-    np.testing.assert_array_equal(ours.infer(raster), listed.infer(raster))
-    check_equal(ours.recordings, listed.recordings)
-    check_ledgers(ours, listed)
-
-
 @compiled
 @settings(max_examples=40)
-@given(compilable_programs, runs, st.booleans())
+@given(random_programs().map(known), runs, st.booleans())
 def test_without_a_trace_it_equals_the_numpy_kernels_in_all_that_is_left(program, run, streaming):
     batch, *_ = run
     ours, numpy = machines = [Machine(program, batch, backend=name) for name in ("numba", "numpy")]
@@ -249,9 +210,10 @@ def test_machine_code_is_kept_on_disk_under_a_name_that_tells_all_its_sources():
     folders = Path(shared.__file__).parent, Path(kernels.__file__).parent
     sources = [path for folder in folders for path in sorted(folder.glob("numba_*.py"))]
     digest = sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
-    assert kernels.run.__qualname__ == f"run_{digest[:12]}"
-    assert type(kernels.run._cache).__name__ == "FunctionCache"
-    assert digest[:12] in kernels.run._cache._cache_file._index_name
+    run = kernels.CubaPipeline.kernel
+    assert run.__qualname__ == f"run_numba_integers_{digest[:12]}"
+    assert type(run._cache).__name__ == "FunctionCache"
+    assert digest[:12] in run._cache._cache_file._index_name
 
 
 def test_the_kernels_count_in_the_order_of_the_ledger():

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.layer import Synapses
+from spikedeploy.runtime.chips.layer import Synapses, plain_layer
 from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
@@ -20,7 +20,7 @@ from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ChipError, ConfigError, ObservationError, RuleError
 from spikedeploy.runtime.families.integrate_and_fire.event_machine import EventMachine
-from spikedeploy.runtime.traces.verify import layer_of, verify
+from spikedeploy.runtime.traces.verify import verify
 from tests.paths import GOLDEN
 
 TRACES = sorted((GOLDEN / "speck").glob("*.json"))
@@ -77,7 +77,7 @@ def test_one_other_number_is_a_difference(key, change, tmp_path):
         ("format", "speck-trace-2", "format is unknown"),
         ("input", [2, 9], r"input has shape \(2,\)"),
         ("events_in", [[0, 2, 0, 0]], "an event outside"),
-        ("layers", [], "layers is"),
+        ("layers", [], "layers has 0"),
     ],
 )
 def test_a_trace_that_cannot_be_replayed_is_refused(field, value, said, tmp_path):
@@ -97,7 +97,7 @@ def network(*layers, reset="subtract", **options):
         weight = np.array(weight, np.int16)
         synapses = Synapses(source, weight, 0, window=window)
         ones = np.ones(synapses.shape[1], np.int64)
-        made.append(layer_of(f"n{k}", [synapses], threshold * ones, 0 * ones))
+        made.append(plain_layer(f"n{k}", [synapses], threshold * ones))
         source = f"n{k}"
     width = made[0].synapses[0].shape[0]
     convention = Convention(1e-3, reset, spikes="many")

@@ -178,7 +178,7 @@ def test_the_lowest_membrane_that_forgets_at_once_stays_where_it_is(ran):
         ({"aliases": [[0]]}, "neuron 0 name itself"),
         ({"aliases": [[7]]}, "aliases holds 7"),
         ({"aliases": [[True]]}, "aliases holds True"),
-        ({"aliases": 1}, "list of lists"),
+        ({"aliases": 1}, "aliases is 1. Write a list"),
         ({"weights_in": [[[200]]]}, "weights_in holds 200"),
         ({"weights_in": [[[1]], [[1]]]}, "has 2 rows"),
         ({"weights_in": [[[1, 2, 3]]]}, "2 synapses at most"),
@@ -190,6 +190,7 @@ def test_the_lowest_membrane_that_forgets_at_once_stays_where_it_is(ran):
         ({"weight_shift": [0, 0]}, "weight_shift has 2 values"),
         ({"dash_mem": 16}, "dash_mem holds 16"),
         ({"threshold": None}, "threshold is missing"),
+        ({"threshold_out": None}, "threshold is missing"),
     ],
 )
 def test_a_broken_trace_is_told_what_is_wrong(params, message, file):

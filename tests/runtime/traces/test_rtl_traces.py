@@ -236,9 +236,9 @@ BROKEN = [
     (with_params(disabled=[2] * 10), "disabled holds 2"),
     (with_params(host="phone"), "host is 'phone'. Write one of wait, step, stream, relays"),
     (with_params(order="chaos"), "order is 'chaos'"),
-    (with_params(reset="subtract"), "reset is 'subtract'. Neurons of the chip are reset to zero"),
+    (with_params(reset="subtract"), "reset is 'subtract'. Write one of zero"),
     (with_params(host="relays", closed_loop=True), "host relays in a closed loop"),
-    (broken(v=[[0] * 10]), r"v has shape \(1, 10\)"),
+    (broken(v=[[0] * 10]), r"membrane has shape \(1, 10\)"),
     (broken(v_event=[[0] * 10]), "v_event has shape"),
     (broken(s_event=[[0]]), "s_event has 1 lists"),
     (broken(s_event=[[11]]), "s_event holds 11"),
@@ -271,9 +271,8 @@ BROKEN_SPIKER = [
     ({"threshold": 40000}, "threshold holds 40000"),
     ({"shift": -1}, "shift holds -1"),
     ({"neuron_bits": 64}, "neuron_bits holds 64"),
-    ({"reset": "soft"}, "reset is soft. Write 'subtract' or 'fixed'"),
-    ({"v": [[0] * 7]}, "v has shape"),
-    ({"s": [[2] * 7] * 60}, "s holds 2"),
+    ({"reset": "soft"}, "reset is 'soft'. Write one of subtract, fixed"),
+    ({"v": [[0] * 7]}, "membrane has shape"),
     ({"input_spikes": [[255] * 8] * 60}, "Record 65536 spikes at most"),
 ]
 

@@ -1,8 +1,9 @@
-"""The compiled kernels that families share: a program in memory, its spikes, sums and counts.
+"""The compiled frame of all families: a window of a whole program in one call.
 
 Plain Python that Numba, where it is installed, compiles to vector instructions when a machine first
-needs it. Nothing is allocated in here. Each family has a function `run`, which computes a window of
-a whole program in one call; what it does in a timestep of a layer is its own, and the rest is here.
+needs it. Nothing is allocated in here. `run_window` takes in the input, goes through layers and
+timesteps, counts, and puts out what leaves the chip; what a layer does in a timestep is the `step`
+of its family, which `kernel` puts in its place.
 
 Sums are event-driven: only axons that spiked are looked at. In a matrix the weights of an axon are
 a row. Those of a window (runtime.chips.window) are stored by channel of the source and the channels
@@ -12,6 +13,7 @@ of the target innermost, so that they are contiguous too, and are added to a pla
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
+from types import FunctionType
 from typing import Any, NamedTuple, TypeVar
 
 Array = Any  # the compiler sees the types
@@ -41,15 +43,20 @@ Number = Any
 # columns of Constants.sources; NEURONS of each, rows that it REMEMBERS, where its RASTER and its
 # LENGTHS begin in a row of the memory
 NEURONS, REMEMBERS, RASTER, LENGTHS = range(4)
+# entry of Constants.rules: spikes of an input channel in a timestep, at most
+INPUT_MOST = 0
 
 
-class Wiring(NamedTuple):
-    """The part of a family's Constants that it has in common with others.
+class Constants(NamedTuple):
+    """A program as arrays; those of its layers and synapses one after another.
 
     weights: (W,) axon-major, and then the biases; of windows (C, ky, kx, O / G).
     tables: (A,) fan-out of each axon of each synapses; of windows also the position that a row, or
         column, reaches by each element of the kernel, or -1.
     wires, layers, sources: a row for each, columns above; source 0 is the input, k + 1 layer k.
+    rules: (R,) entries of the family behind INPUT_MOST.
+    neurons: (K, N) numbers of neurons, rows of the family.
+    floats: (F, N) the numbers that a family computes with in floats.
     """
 
     weights: Array
@@ -57,6 +64,9 @@ class Wiring(NamedTuple):
     wires: Array
     layers: Array
     sources: Array
+    rules: Array
+    neurons: Array
+    floats: Array
 
 
 class Memory(NamedTuple):
@@ -97,10 +107,11 @@ class Call(NamedTuple):
 
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Kernel = Callable[..., bool]
 
 
 def jit(function: Function) -> Function:
-    """The function as machine code, made when first called and built into what calls it.
+    """Return the function as machine code, made when first called and built into what calls it.
 
     Without Numba the function itself: the module can then be read and imported, and NumbaPipeline
     refuses to run it, for it would take a thousand times longer.
@@ -108,15 +119,15 @@ def jit(function: Function) -> Function:
     return _compile(function, cache=False)
 
 
-def kept_on_disk(function: Function) -> Function:
-    """The same for the outermost function, whose machine code is kept on disk beside its source.
+def kept_on_disk(function: Function, folder: Path | None = None) -> Function:
+    """Return an outermost function as machine code that is kept on disk.
 
-    Numba compiles anew when that one file changes, and knows of no other. So the name under which
-    the code is kept says what all files of the kernels hold, these and those in the folder of the
-    function; it is not found by any other version.
+    Numba compiles anew when the file of the function changes, and knows of no other. So the name
+    under which the code is kept says what all files of the kernels hold, these and those in
+    `folder`, by default the function's own; it is not found by any other version.
     """
-    folders = Path(__file__).parent, Path(function.__code__.co_filename).parent
-    sources = [path for folder in folders for path in sorted(folder.glob("numba_*.py"))]
+    folders = Path(__file__).parent, folder or Path(function.__code__.co_filename).parent
+    sources = [path for each in folders for path in sorted(each.glob("numba_*.py"))]
     digest = sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
     function.__qualname__ = f"{function.__qualname__}_{digest[:12]}"
     try:
@@ -145,45 +156,119 @@ def _compile(function: Function, *, cache: bool) -> Function:
     return compiled
 
 
-@jit
-def begin(constants: Array, every: Array, call: Array, most: int, fresh: bool) -> bool:
-    """Take in the input; whether no channel of it spiked more than so many times in a timestep.
+def kernel(step: Callable[..., Any]) -> Kernel:
+    """Return `run_window` with the step of a family, as machine code of its own.
 
-    fresh: whether to forget all states, too.
+    step: of (constants, memory, call, layer, row, before, after, spikes): write the states and the
+        spikes of a layer after a timestep, and list the spikes; return how many numbers did not fit
+        a register, and how many neurons had something to add up, where Call.counting.
     """
-    source = constants.sources[0]
-    first, largest = source[RASTER] + source[REMEMBERS] * source[NEURONS], 0
-    for b in range(len(every.rasters)):
-        for value in every.rasters[b, first : first + call.timesteps * source[NEURONS]]:
-            largest = max(largest, value)
-    if largest > most:
+    # a copy, for Numba keeps no machine code on disk of what gets a function as an argument
+    code, module = run_window.__code__, Path(step.__code__.co_filename)
+    copy = FunctionType(code, {**globals(), "_step": step}, f"run_{module.stem}")
+    copy.__qualname__ = copy.__name__
+    return kept_on_disk(copy, module.parent)
+
+
+def _step(*arguments: Any) -> tuple[int, int]:  # noqa: ANN401
+    """Advance a layer by a timestep: the place that `kernel` fills."""
+    raise NotImplementedError
+
+
+def run_window(
+    weights: Array,
+    tables: Array,
+    wires: Array,
+    layers: Array,
+    sources: Array,
+    rules: Array,
+    neurons: Array,
+    floats: Array,
+    rasters: Array,
+    lists: Array,
+    lengths: Array,
+    states: Array,
+    refractory: Array,
+    counts: Array,
+    narrow: Array,
+    wide: Array,
+    output: Array,
+    slots: int,
+    lag: int,
+    steps: int,
+    chip_step: int,
+    rowwise: bool,
+    counting: bool,
+    fresh: bool,
+) -> bool:
+    """Run a window of every layer, for each of a batch; False where the input spiked too often.
+
+    The fields of Constants and Memory come one by one: handing them over takes a microsecond, and
+    as two tuples it would take five.
+
+    output: (T, B, N) spikes that leave the chip.
+    slots, chip_step, counting: as in Call.
+    lag: rows by which what leaves the chip trails the output layer.
+    steps: chip timesteps that the window stands for.
+    rowwise: all layers in one timestep after another, which closes loops; else layer by layer.
+    fresh: whether to begin from zero.
+    """
+    constants = Constants(weights, tables, wires, layers, sources, rules, neurons, floats)
+    every = Memory(rasters, lists, lengths, states, refractory, counts, narrow, wide)
+    timesteps, batch = output.shape[0], output.shape[1]
+    call = Call(timesteps, slots, chip_step, counting)
+    if _largest_input(constants, every, call) > rules[INPUT_MOST]:
         return False
     every.counts[:] = 0
-    for b in range(len(every.rasters)):
-        memory = of_copy(every, b)
+    for b in range(batch):
+        memory = memory_of(every, b)
         if fresh:
             _forget(constants, memory)
-        for row in range(call.timesteps):
-            list_spikes(source, memory, row)
+        for row in range(timesteps):
+            list_spikes(sources[0], memory, row)
+    # the weights of a layer stay in the cache for the whole batch
+    turns, rows = (timesteps, 1) if rowwise else (1, timesteps)
+    for turn in range(turns):
+        for layer in range(len(layers)):
+            about, own = layers[layer], sources[layer + 1]
+            for b in range(batch):
+                memory = memory_of(every, b)
+                for row in range(turn, turn + rows):
+                    before, after = states_of(about, memory, call, row)
+                    spikes = memory.rasters[raster_at(own, row) :][: about[SIZE]]
+                    if has_started(about, call):
+                        lost, active = _step(
+                            constants, memory, call, layer, row, before, after, spikes
+                        )
+                        memory.counts[layer, SATURATION] += lost
+                        memory.counts[layer, UPDATE] += active
+                    else:
+                        _copy(before, after)
+                        spikes[:] = 0
+                        list_spikes(own, memory, row)
+    for b in range(batch):
+        memory = memory_of(every, b)
+        _put_out(constants, memory, output, b, lag)
+        if counting:
+            _count(constants, memory, call, steps)
+        _remember(constants, memory, call)
     return True
 
 
 @jit
-def end(
-    constants: Array, every: Array, call: Array, presynaptic: Array, lag: int, steps: int
-) -> None:
-    """Put out what leaves the chip, count, and keep what the next window needs."""
+def _largest_input(constants: Array, every: Array, call: Array) -> Number:
+    """Return the most spikes of an input channel in a timestep."""
+    source, largest = constants.sources[0], 0
+    first = source[RASTER] + source[REMEMBERS] * source[NEURONS]
     for b in range(len(every.rasters)):
-        memory = of_copy(every, b)
-        _leave(constants, memory, presynaptic, b, lag)
-        if call.counting:
-            count(constants, memory, call, steps)
-        _remember(constants, memory, call)
+        for value in every.rasters[b, first : first + call.timesteps * source[NEURONS]]:
+            largest = max(largest, value)
+    return largest
 
 
 @jit
-def of_copy(memory: Array, b: int) -> Array:
-    """The memory of one of the batch."""
+def memory_of(memory: Array, b: int) -> Array:
+    """Return the memory of one of the batch."""
     rasters, lists, lengths, states, refractory, counts, narrow, wide = memory
     return Memory(
         rasters[b], lists[b], lengths[b], states[b], refractory[b], counts[b], narrow, wide
@@ -218,17 +303,9 @@ def list_spikes(source: Array, memory: Array, row: int) -> None:
 
 
 @jit
-def waits(about: Array, call: Array) -> Number:
-    """True for a layer that has not started."""
-    return 0 <= call.step < about[START]
-
-
-@jit
-def pause(about: Array, own: Array, memory: Array, call: Array, row: int) -> None:
-    """A timestep in which a layer has not started."""
-    before, after = states_of(about, memory, call, row)
-    _copy(before, after)
-    memory.rasters[raster_at(own, row) : raster_at(own, row) + about[SIZE]] = 0
+def has_started(about: Array, call: Array) -> Number:
+    """Return False for a layer that only waits."""
+    return call.step < 0 or call.step >= about[START]
 
 
 @jit
@@ -248,15 +325,21 @@ def raster_at(source: Array, row: int) -> Number:
 
 
 @jit
-def sent(source: Array, memory: Array, row: int) -> tuple[Array, Array]:
+def spikes_of(source: Array, memory: Array, row: int) -> tuple[Array, Array]:
     """Axons of a source that spiked in a row of the window, which may lie before it; all counts."""
     at, place = raster_at(source, row), source[LENGTHS] + source[REMEMBERS] + row
     return memory.lists[at : at + memory.lengths[place]], memory.rasters[at : at + source[NEURONS]]
 
 
 @jit
-def is_heard(about: Array, row: int, timesteps: int) -> Number:
-    """True for the rows in which a layer's bias axon spikes."""
+def arrivals(constants: Array, memory: Array, wire: Array, row: int) -> tuple[Array, Array]:
+    """Return what arrives through synapses in a row: axons that spiked, and all counts."""
+    return spikes_of(constants.sources[wire[SOURCE]], memory, row - wire[LAG])
+
+
+@jit
+def has_bias(about: Array, row: int, timesteps: int) -> Number:
+    """Return True for the rows in which a layer's bias axon spikes."""
     return about[HEAD] <= row < timesteps - about[TAIL]
 
 
@@ -270,7 +353,7 @@ def sum_weights(
     """
     size = about[SIZE]
     sums, plane = scratch[0, :size], scratch[1, :size]
-    if is_heard(about, row, call.timesteps):
+    if has_bias(about, row, call.timesteps):
         bias = constants.weights[about[BIAS] : about[BIAS] + size]
         for n in range(size):
             sums[n] = bias[n]
@@ -279,7 +362,7 @@ def sum_weights(
             sums[n] = 0
     for k in range(about[FIRST_WIRE], about[LAST_WIRE]):
         wire = constants.wires[k]
-        axons, spikes = sent(constants.sources[wire[SOURCE]], memory, row - wire[LAG])
+        axons, spikes = arrivals(constants, memory, wire, row)
         if wire[IS_WINDOW]:
             for axon in axons:
                 for _ in range(spikes[axon] if many else 1):
@@ -375,18 +458,18 @@ def _copy(source: Array, target: Array) -> None:
 
 
 @jit
-def _leave(constants: Array, memory: Array, presynaptic: Array, b: int, lag: int) -> None:
+def _put_out(constants: Array, memory: Array, output: Array, b: int, lag: int) -> None:
     """Copy what leaves the chip."""
     for layer in range(len(constants.layers)):
         if constants.layers[layer, LEAVES]:
             own = constants.sources[layer + 1]
-            for row in range(len(presynaptic)):
+            for row in range(len(output)):
                 at = raster_at(own, row - lag)
-                _copy(memory.rasters[at : at + own[NEURONS]], presynaptic[row, b])
+                _copy(memory.rasters[at : at + own[NEURONS]], output[row, b])
 
 
 @jit
-def count(constants: Array, memory: Array, call: Array, steps: int) -> None:
+def _count(constants: Array, memory: Array, call: Array, steps: int) -> None:
     """The events of the window, as runtime.emulator.ledger.count_events."""
     layers, timesteps = constants.layers, call.timesteps
     for layer in range(len(layers)):
@@ -396,16 +479,16 @@ def count(constants: Array, memory: Array, call: Array, steps: int) -> None:
             # of the rows that the source emitted, not of those that arrived
             source, fan_out = constants.sources[wire[SOURCE]], constants.tables[wire[FAN_OUT] :]
             for row in range(timesteps):
-                axons, spikes = sent(source, memory, row)
+                axons, spikes = spikes_of(source, memory, row)
                 for axon in axons:
                     events[SPIKE_IN] += spikes[axon]
                     events[SOP] += spikes[axon] * fan_out[axon]
         for row in range(timesteps):
-            axons, spikes = sent(constants.sources[layer + 1], memory, row)
+            axons, spikes = spikes_of(constants.sources[layer + 1], memory, row)
             for axon in axons:
                 events[SPIKE_OUT] += spikes[axon]
-        heard = timesteps - about[HEAD] - about[TAIL]
-        always_on = 0 if waits(about, call) else heard
+        biased = timesteps - about[HEAD] - about[TAIL]
+        always_on = biased if has_started(about, call) else 0
         events[BIAS_SOP] = always_on * about[BIAS_FAN_OUT]
         events[IDLE] = about[SIZE] * steps - events[UPDATE]
         events[MESSAGE] = events[SPIKE_IN] + always_on * (about[BIAS_FAN_OUT] > 0)

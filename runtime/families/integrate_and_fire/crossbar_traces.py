@@ -1,10 +1,4 @@
-"""Recorded runs of ODIN, tinyODIN and Spiker+, from simulations of their RTL.
-
-Runs of a crossbar are replayed event by event.
-
-A timestep of Spiker's RTL begins with firing, the emulator's ends with it: a spike of the emulator
-leaves in the next timestep of the recording, and its membranes are those before any firing in both.
-"""
+"""Recorded runs of ODIN and tinyODIN, from simulations of their RTL, replayed event by event."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -12,22 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.chip import chip as datasheet
-from spikedeploy.runtime.chips.layer import Layer, Synapses
-from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.convention import Convention, Reset
-from spikedeploy.runtime.emulator.interpreter import Interpreter
+from spikedeploy.runtime.chips.layer import plain_layer
+from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
-from spikedeploy.runtime.families.integrate_and_fire.neurons import (
-    IntegrateAndFireRules,
-    PartialStep,
-    begin,
-    fires,
-)
+from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
 from spikedeploy.runtime.families.integrate_and_fire.spike_queue import (
     TREF,
     Crossbar,
@@ -36,35 +20,33 @@ from spikedeploy.runtime.families.integrate_and_fire.spike_queue import (
     WorkedEvent,
     axons,
 )
-from spikedeploy.runtime.traces.fields import MOST_NUMBERS, Fields, Integers, Work, shown_names
+from spikedeploy.runtime.traces.fields import MOST_NUMBERS, Fields, Integers, Work
 from spikedeploy.runtime.traces.verify import (
     Difference,
-    Tables,
-    TraceFile,
     Verdict,
     assumptions,
-    chain_trace,
     count_numbers,
     first_difference,
-    layer_of,
     nothing_to_compare,
     recorded_tables,
     source_of,
-    table_of,
     unread_fields,
-    weights_of,
 )
 
 _NEURONS = "neurons"  # name of the one layer
 _ROWS = 256  # of the crossbar, of axons and of neurons
 _HOSTS = ("wait", "step", "stream", "relays")
 _ORDERS = ("index", "random")
-_TABLES = {"membrane": (("v",), -1 << 16, 1 << 20), "spikes": (("s",), 0, 1 << 20)}
+_SPELLINGS = {"v": "membrane", "s": "spikes", "threshold": "thr"}
 # given twice in the file, or by the weights
 _REPEATED = {
-    "chip", "params", "steps", "reset", "leak_str", "leak_en", "inhibitory_axons",
-    "inhibitory_neurons", "relayed_from_neuron",
-}  # fmt: skip
+    "reset",
+    "leak_str",
+    "leak_en",
+    "inhibitory_axons",
+    "inhibitory_neurons",
+    "relayed_from_neuron",
+}
 _AS_SENT = "events are replayed in the order in which the host sent them"
 _STREAMED = (
     "the host never waits, so a timestep ends at the next time reference, which overtakes what is "
@@ -81,26 +63,26 @@ _Replayed: TypeAlias = tuple[list[WorkedEvent], list[int]]
 
 def crossbar_verdict(fields: Fields, chip: str) -> Verdict:
     """Compare the chip's neurons with a recorded run, event by event and in timesteps."""
-    spec = fields.merged_with(fields.group("params"))
+    spec = fields.merged_with(fields.group("params")).spelled(_SPELLINGS)
     rules = datasheet(chip).arithmetic
     if not isinstance(rules, IntegrateAndFire):
         raise spec.wrong("chip", f"{chip} has no crossbar of events", "Name odin or tinyodin.")
-    counts = table_of(spec, ("input_spikes",), 0, 255, index="input_spikes_index")
+    counts = spec.table("input_spikes", least=0, most=255)
     timesteps, width = counts.shape
     if width > _ROWS:
         remedy = f"A crossbar has {_ROWS} at most."
         raise spec.wrong("input_spikes", f"has {width} axons", remedy)
-    host, order = _choice(spec, "host", _HOSTS), _choice(spec, "order", _ORDERS)
+    host, order = spec.choice("host", _HOSTS), spec.choice("order", _ORDERS)
     wired, start = _read_crossbar(spec, rules, width, host)
     work = Work(spec, timesteps)
     work.add(len(start), 0)
     work.check_input(counts)
     events = _read_events(spec, timesteps, width, len(start))
     sent = _read_sent(spec, counts, events, order)
-    tables = {_NEURONS: recorded_tables(spec, _TABLES, (timesteps, len(start)))}
+    tables = {_NEURONS: recorded_tables(spec, (timesteps, len(start)))}
     unread = unread_fields([spec], _REPEATED)
     if events is None and not tables[_NEURONS]:
-        raise nothing_to_compare(fields, {*unread}, "v, s, v_event or s_event")
+        raise nothing_to_compare(fields, unread)
     crossbar = Crossbar(wired, start, most=MOST_NUMBERS // len(start))
     (done, steps), remarks = _replay(spec, events, crossbar, sent, host)
     ends = {_NEURONS: _in_timesteps(done, steps, timesteps, len(start))}
@@ -116,50 +98,51 @@ def crossbar_verdict(fields: Fields, chip: str) -> Verdict:
         # of one timestep that of an event
         difference=min(filter(None, found), key=lambda each: each.step or 0, default=None),
         unread=unread,
-        remarks=(*assumptions([(_NEURONS, spec)], chip), *remarks),
+        remarks=(*assumptions({_NEURONS: spec}, chip), *remarks),
     )
-
-
-def _choice(spec: Fields, name: str, choices: tuple[str, ...]) -> str:
-    found = spec.text(name, choices[0])
-    if found not in choices:
-        raise spec.wrong(name, f"is {found[:40]!r}", f"Write one of {', '.join(choices)}.")
-    return found
 
 
 def _read_crossbar(
     spec: Fields, rules: IntegrateAndFireRules, width: int, host: str
 ) -> tuple[CrossbarNeurons, Integers]:
     """The neurons, and their membranes before the first event."""
-    axon = weights_of(spec, "weights", *rules.weight_range)
+    axon = _read_weights(spec, "weights", rules)
     if len(axon) != width:
         raise spec.wrong("weights", f"has {len(axon)} rows", f"Write {width}, one for each input.")
     size = axon.shape[1]
     weights = {"axon": axon, "neuron": np.zeros((size, size), np.int64)}
     if spec.has_content("weights_rec"):
-        weights["neuron"] = weights_of(spec, "weights_rec", *rules.weight_range)
+        weights["neuron"] = _read_weights(spec, "weights_rec", rules)
     if size > _ROWS or weights["neuron"].shape != (size, size):
         found = f"are for {size} neurons and {weights['neuron'].shape}"
         raise spec.wrong("weights and weights_rec", found, f"Write up to {_ROWS} and a square.")
     closed = spec.flag("closed_loop", False)
     if closed and host == "relays":
         raise spec.wrong("host", "relays in a closed loop", "Write closed_loop false, or wait.")
-    if (reset := spec.text("reset", "zero")) != "zero":
-        raise spec.wrong("reset", f"is {reset[:40]!r}", "Neurons of the chip are reset to zero.")
+    spec.choice("reset", ("zero",))
     # tinyODIN has one bit of a threshold more than a membrane can reach
     most = (1 << (rules.threshold_bits + (rules.signs == "weight"))) - 1
-    threshold = spec.row("thr", "threshold", size=size, least=0, most=most)
+    threshold = spec.row("thr", size=size, least=0, most=most)
     leak = spec.row("leak", size=size, default=0, least=0, most=rules.leak_max)
     low, high = (0 if rules.floor == 0 else -rules.membrane.limit - 1), rules.membrane.limit
     wired = CrossbarNeurons(
         rules=rules,
         convention=Convention(1e-3, source="the trace"),
-        neurons=layer_of(_NEURONS, (), threshold, leak),
+        neurons=replace(plain_layer(_NEURONS, (), threshold), membrane_decay=leak),
         weights=weights,
         entries=rules.queue_entries if closed else 0,
         muted=spec.row("disabled", size=size, default=0, least=0, most=1) > 0,
     )
     return wired, spec.row("start", size=size, default=0, least=low, most=high)
+
+
+def _read_weights(spec: Fields, name: str, rules: IntegrateAndFireRules) -> Integers:
+    """(M, N)."""
+    low, high = rules.weight_range
+    found = spec.array(name, axes=2, least=low, most=high)
+    if found.ndim < 2:
+        raise spec.wrong(name, f"has shape {found.shape}", "Write [pre][post].")
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +234,7 @@ def _in_timesteps(
 
 
 def _read_events(spec: Fields, timesteps: int, width: int, size: int) -> _Events | None:
-    if spec.name("events") is None:
+    if "events" not in spec:
         return None
     most = {"tref": 1, "axon": width, "neuron": size}
     found = [
@@ -267,18 +250,18 @@ def _read_events(spec: Fields, timesteps: int, width: int, size: int) -> _Events
     if begins != references:
         raise spec.wrong("events", "have a timestep that does not begin with tref", "Move it.")
     membranes = spikes = lost = None
-    if spec.name("v_event"):
+    if "v_event" in spec:
         membranes = spec.array("v_event", axes=2, least=-1 << 16, most=1 << 16)
         if membranes.shape != (len(events), size):
             remedy = f"Write {len(events), size}."
             raise spec.wrong("v_event", f"has shape {membranes.shape}", remedy)
-    if spec.name("s_event"):
+    if "s_event" in spec:
         rows = spec.lists("s_event", least=0, most=size - 1)
         if len(rows) != len(events):
             remedy = f"Write {len(events)}, one an event."
             raise spec.wrong("s_event", f"has {len(rows)} lists", remedy)
         spikes = _mark(rows, size)
-    if spec.name("dropped_by_full_fifo"):
+    if "dropped_by_full_fifo" in spec:
         lost = _read_lost(spec, len(events), size)
     return _Events(events, steps, membranes, spikes, lost)
 
@@ -323,10 +306,10 @@ def _read_sent(
         if order == "random":
             raise spec.wrong("order", "is 'random'", "Add the events in their order.")
         return sent
-    heard = deque(event for event in events.events if event[0] == "axon")
-    if len(heard) != counts.sum():
-        raise spec.wrong("events", f"has {len(heard)} of axons", f"Inputs have {counts.sum()}.")
-    in_order = [[heard.popleft() for _ in row] for row in sent]
+    recorded = deque(event for event in events.events if event[0] == "axon")
+    if len(recorded) != counts.sum():
+        raise spec.wrong("events", f"has {len(recorded)} of axons", f"Inputs have {counts.sum()}.")
+    in_order = [[recorded.popleft() for _ in row] for row in sent]
     for t, (row, expected) in enumerate(zip(in_order, sent, strict=True)):
         if (row if order == "index" else sorted(row)) != expected:
             found = f"has other axons than input_spikes in timestep {t}, or another order"
@@ -396,105 +379,3 @@ def _check_queued(spec: Fields, events: _Events, has_queue: bool) -> None:
             raise spec.wrong("events", found, "Write the events in the order of the chip.")
         if has_queue:
             queue.extend(np.flatnonzero(spikes).tolist())
-
-
-_BEGUN = "membrane after fire or leak"
-_SPIKER_TABLES = {
-    _BEGUN: (("v_begun",), -1 << 32, 1 << 32),
-    "membrane": (("v",), -1 << 32, 1 << 32),
-    "spikes": (("s",), 0, 1),
-}
-# given twice in the file, or by the weights
-_SPIKER_REPEATED = {"params", "layers", "steps", "input_spikes", "chip"}
-# of a layer; of an FPGA there is no limit, a trace of more is a mistake
-_MOST_NEURONS = 1 << 12
-
-
-def spiker_trace(fields: Fields, chip: str) -> TraceFile:
-    """The trace in the fields; one layer at the top, or a list of them under `layers`."""
-    specs = fields.layers()
-    counts = table_of(specs[0], ("input_spikes",), 0, 255, index="input_spikes_index")
-    program = _program(specs, datasheet(chip), counts.shape[1])
-    work = Work(fields, len(counts))
-    work.check_input(counts)
-    for layer in program.layers:
-        weights = [synapses.weight for synapses in layer.synapses]
-        work.add(layer.size, sum(each.size for each in weights), sum(map(len, weights)))
-    ranges = [_SPIKER_TABLES] * len(specs)
-    trace = chain_trace(fields, specs, program, counts, ranges, _SPIKER_REPEATED)
-    return replace(trace, replay=_replay_spiker)
-
-
-def _program(specs: list[Fields], chip: Chip, width: int) -> Program:
-    arithmetic = chip.arithmetic
-    if not isinstance(arithmetic, IntegrateAndFire):
-        raise specs[0].wrong("chip", f"{chip.name} does not leak by shifts", "Name spiker.")
-    bits = _same(specs, "weight_bits", arithmetic.weight_bits, most=16)
-    neuron_bits = _same(specs, "neuron_bits", arithmetic.membrane.bits, most=32)
-    register = Register(neuron_bits, arithmetic.membrane.overflow)
-    rules = replace(arithmetic, weight_bits=bits, membrane=register)
-    resets = {spec.text("reset", "subtract") for spec in specs}
-    if len(resets) > 1 or not resets <= {"subtract", "fixed"}:
-        found = f"is {shown_names(sorted(resets))}"
-        raise specs[0].wrong("reset", found, "Write 'subtract' or 'fixed', in all layers the same.")
-    reset: Reset = "subtract" if resets == {"subtract"} else "zero"
-    layers = list[Layer]()
-    for place, spec in enumerate(specs):
-        source, fan_in = (layers[-1].name, layers[-1].size) if layers else ("input", width)
-        layers.append(_layer(spec, f"layer{place}", rules, source, fan_in))
-    convention = Convention(1e-3, reset=reset, source="the trace")
-    used = replace(chip, arithmetic=rules)
-    return Program(used, convention, "input", width, tuple(layers), layers[-1].name, None)
-
-
-def _same(specs: list[Fields], name: str, default: int, most: int) -> int:
-    found = {spec.integer(name, default=default, least=2, most=most) for spec in specs}
-    if len(found) > 1:
-        raise specs[0].wrong(name, "differs from layer to layer", "Split the trace in two.")
-    return found.pop()
-
-
-def _layer(spec: Fields, name: str, rules: IntegrateAndFire, source: str, fan_in: int) -> Layer:
-    weights = weights_of(spec, "weights", *rules.weight_range)
-    size, limit = weights.shape[1], rules.membrane.limit
-    if len(weights) != fan_in or size > _MOST_NEURONS:
-        remedy = f"Write {fan_in} rows, one for each input, of {_MOST_NEURONS} neurons at most."
-        raise spec.wrong("weights", f"has shape {weights.shape}", remedy)
-    synapses = [Synapses(source, weights, 0 if source == "input" else 2)]
-    if spec.has_content("weights_rec"):
-        # their width is a parameter of its own, which no field names
-        recurrent = weights_of(spec, "weights_rec", *replace(rules, weight_bits=16).weight_range)
-        if recurrent.shape != (size, size):
-            found = f"has shape {recurrent.shape}"
-            raise spec.wrong("weights_rec", found, f"Write {size} rows of {size} neurons.")
-        synapses.append(Synapses(name, recurrent, 2))
-    return layer_of(
-        name,
-        synapses,
-        spec.row("threshold", size=size, least=-limit - 1, most=limit),
-        spec.row("shift", size=size, least=0, most=62),
-        v_reset=spec.row("v_reset", size=size, default=0, least=-limit - 1, most=limit),
-    )
-
-
-def _replay_spiker(program: Program, raster: NDArray[np.uint8]) -> Tables:
-    """Tables in the timesteps of the RTL."""
-    rules = program.chip.arithmetic
-    if not isinstance(rules, IntegrateAndFire):
-        raise TypeError(type(rules).__name__)
-    interpreter = Interpreter(program, 1)
-    for layer in program.layers:
-        # what is above a negative threshold at first was so before
-        interpreter.tails[layer.name][:, -1:] = fires(
-            rules, layer.threshold, np.zeros(layer.size, np.int64)
-        )
-    ran = interpreter.run(raster)
-    found = {}
-    for layer in program.layers:
-        membrane = ran[layer.name].membrane[0]
-        before = np.concatenate([np.zeros((1, layer.size), np.int64), membrane[:-1]])
-        begun = PartialStep.of(before)
-        begin(rules, program.convention, layer, begun)
-        spikes = fires(rules, layer.threshold, before).astype(np.int64)
-        found[layer.name] = {_BEGUN: begun.membrane, "membrane": membrane, "spikes": spikes}
-    return found

@@ -1,91 +1,55 @@
-"""The compiled kernels of integrate-and-fire neurons: a window of a whole program in one call.
+"""The Numba backend of integrate-and-fire neurons, equal to `update` of the specification.
 
-A timestep as in `neurons`, in int64, rule by rule: passes over the neurons of a layer, whose sums
-only the axons that spiked have touched; or event by event, where only neurons that an event reaches
-are looked at. Loops that hold one rule each become vector instructions; spikes are counted, and
-membranes reset, only where a threshold was passed.
+A timestep as in `neurons`, in whole numbers, rule by rule: passes over the neurons of a layer,
+whose sums only the axons that spiked have touched; or event by event, where only neurons that an
+event reaches are looked at. Loops that hold one rule each become vector instructions; spikes are
+counted, and membranes reset, only where a threshold was passed.
 """
 
-from typing import Any, NamedTuple
+from typing import ClassVar, NamedTuple, cast
 
 import numpy as np
 
-from spikedeploy.runtime.families.numba_kernels import (
-    BIAS,
-    CHANNELS,
-    FEATURES,
-    FIRST_WIRE,
-    IS_WINDOW,
-    KERNEL_X,
-    KERNEL_Y,
-    LAG,
-    LAST_WIRE,
-    LAYER,
-    NEURON,
-    SATURATION,
-    SIZE,
-    SOURCE,
-    TARGET_X,
-    TARGET_Y,
-    UPDATE,
-    WEIGHT,
-    Call,
-    Memory,
-    begin,
-    end,
-    is_heard,
-    jit,
-    kept_on_disk,
-    list_spikes,
-    locate,
-    of_copy,
-    pause,
-    raster_at,
-    sent,
-    states_of,
-    sum_weights,
-    waits,
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.families import numba_frame as frame
+from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
+from spikedeploy.runtime.families.integrate_and_fire.neurons import (
+    Integers,
+    IntegrateAndFireRules,
+    floor_of,
+)
+from spikedeploy.runtime.families.integrate_and_fire.numba_events import edges
+from spikedeploy.runtime.families.numba_frame import Array, Number
+from spikedeploy.runtime.families.numba_pipeline import (
+    FamilyNumbers,
+    NumbaPipeline,
+    largest_weight,
 )
 
-Array = Any  # the compiler sees the types
-Number = Any
-
 # columns of Constants.layers behind those of all families: whether its biases are an event, while
-# the bias axon spikes and while it does not; whether its neurons have one threshold,
-# floor and reset
-HEARD_BIAS, UNHEARD_BIAS, ALIKE = range(len(LAYER), len(LAYER) + 3)
+# the bias axon spikes and while it does not; whether its neurons have one threshold, floor and
+# reset
+AXON_BIASED, BIASED, ALIKE = range(len(frame.LAYER), len(frame.LAYER) + 3)
 # entries of Constants.rules, as in IntegrateAndFireRules; of spikes AT_ONCE where the threshold is
 # looked at once; a register holds LOWEST to HIGHEST
 (
     LEAK, LEAKS_LAST, BY_EVENT, CHECKS_EVENTS, SPIKES_MAX, AT_ONCE, RESETS_LATE, SUBTRACT,
-    OVERFLOW, BITS, LOWEST, HIGHEST, INPUT_MOST,
-) = range(13)  # fmt: skip
+    OVERFLOW, BITS, LOWEST, HIGHEST,
+) = range(1, 13)  # fmt: skip
 LEAKS = {"none": 0, "linear": 1, "crossing": 2, "shift": 3}
 NONE, LINEAR, CROSSING, SHIFT = LEAKS.values()
 # what a register does when a number does not fit
 OVERFLOWS = {"none": 0, "clip": 1, "saturate": 2, "wrap": 3, "wrap-once": 4}
 WRAP, WRAP_ONCE = OVERFLOWS["wrap"], OVERFLOWS["wrap-once"]
 
-
-class Constants(NamedTuple):
-    """A program as arrays; those of its layers and synapses one after another.
-
-    weights to sources: as in Wiring.
-    rules: entries above.
-    neurons: (6, N) fields of Neurons.
-    """
-
-    weights: Array
-    tables: Array
-    wires: Array
-    layers: Array
-    sources: Array
-    rules: Array
-    neurons: Array
+_EXACT_INT16 = (1 << 15) - 1
+_NARROW_BITS = 31  # of a membrane that int32 holds, with what the host may read of it
 
 
 class Neurons(NamedTuple):
-    """Those of a layer, (N,) each.
+    """Those of a layer, (N,) each: the rows of Constants.neurons.
 
     loss: leak of a timestep.
     threshold: what a spike subtracts.
@@ -103,61 +67,20 @@ class Neurons(NamedTuple):
     reset: Array
 
 
-@kept_on_disk
-def run(
-    weights: Array,
-    tables: Array,
-    wires: Array,
-    layers: Array,
-    sources: Array,
-    rules: Array,
-    neurons: Array,
-    rasters: Array,
-    lists: Array,
-    lengths: Array,
-    states: Array,
-    refractory: Array,
-    counts: Array,
-    narrow: Array,
-    wide: Array,
-    presynaptic: Array,
-    slots: int,
-    lag: int,
-    steps: int,
-    step: int,
-    rowwise: bool,
-    counting: bool,
-    fresh: bool,
-) -> bool:
-    """One window of every layer; arguments and result as of the kernel of CuBa-LIF neurons."""
-    constants = Constants(
-        weights, tables, wires, layers, sources, rules, neurons
-    )  # fmt: skip
-    every = Memory(rasters, lists, lengths, states, refractory, counts, narrow, wide)
-    timesteps, batch = presynaptic.shape[0], presynaptic.shape[1]
-    call = Call(timesteps, slots, step, counting)
-    if not begin(constants, every, call, rules[INPUT_MOST], fresh):
-        return False
-    turns, rows = (timesteps, 1) if rowwise else (1, timesteps)
-    for turn in range(turns):
-        for layer in range(len(layers)):
-            for b in range(batch):
-                memory = of_copy(every, b)
-                for row in range(turn, turn + rows):
-                    _timestep(constants, memory, call, layer, row)
-    end(constants, every, call, presynaptic, lag, steps)
-    return True
-
-
-@jit
-def _timestep(constants: Array, memory: Array, call: Array, layer: int, row: int) -> None:
-    """A timestep of a layer, up to the list of its spikes."""
+@frame.jit
+def _step(
+    constants: Array,
+    memory: Array,
+    call: Array,
+    layer: int,
+    row: int,
+    before: Array,
+    after: Array,
+    spikes: Array,
+) -> tuple[int, int]:
+    """A timestep of a layer."""
     about, own, rules = constants.layers[layer], constants.sources[layer + 1], constants.rules
-    size, first = about[SIZE], about[NEURON]
-    if waits(about, call):
-        pause(about, own, memory, call, row)
-        list_spikes(own, memory, row)
-        return
+    size, first = about[frame.SIZE], about[frame.NEURON]
     last, numbers = first + size, constants.neurons
     neurons = Neurons(
         numbers[0, first:last],
@@ -167,31 +90,29 @@ def _timestep(constants: Array, memory: Array, call: Array, layer: int, row: int
         numbers[4, first:last],
         numbers[5, first:last],
     )
-    before, after = states_of(about, memory, call, row)
-    spikes, arrived = memory.rasters[raster_at(own, row) :][:size], memory.wide[0, :size]
+    arrived = memory.wide[0, :size]
     if rules[BY_EVENT]:
         lost = _add_events(
             constants, memory, call, about, row, neurons, before, after, spikes, arrived
         )
     else:
-        sum_weights(constants, memory, memory.wide, about, row, call, True)
+        frame.sum_weights(constants, memory, memory.wide, about, row, call, True)
         lost = _add_sums(rules, neurons, about, arrived, before, after, spikes)
     if rules[BY_EVENT] and not rules[CHECKS_EVENTS]:
         _fire(neurons, after, spikes)
-    list_spikes(own, memory, row)
+    frame.list_spikes(own, memory, row)
     if not rules[CHECKS_EVENTS]:
-        fired, _ = sent(own, memory, row)
+        fired, _ = frame.spikes_of(own, memory, row)
         for n in fired:
             _spike(rules, neurons, n, after, spikes)
-    memory.counts[layer, SATURATION] += lost
+    active = 0
     if call.counting:
-        active = 0
         for n in range(size):
             active += (before[n] != 0) | (arrived[n] != 0)
-        memory.counts[layer, UPDATE] += active
+    return lost, active
 
 
-@jit
+@frame.jit
 def _add_sums(
     rules: Array,
     neurons: Array,
@@ -211,7 +132,7 @@ def _add_sums(
     if rules[RESETS_LATE] or (leaks and not rules[LEAKS_LAST]):
         start = after
         _begin(rules, neurons, before, after)
-    if about[UNHEARD_BIAS]:
+    if about[BIASED]:
         for n in range(size):
             sums[n] += neurons.push[n]
     if about[ALIKE] and rules[OVERFLOW] < WRAP and not rules[LEAKS_LAST]:
@@ -243,14 +164,14 @@ def _add_sums(
     return lost
 
 
-@jit
+@frame.jit
 def _fire(neurons: Array, membranes: Array, spikes: Array) -> None:
     """Spikes (N,) of membranes that are high enough, one each."""
     for n in range(len(membranes)):
         spikes[n] = membranes[n] >= neurons.fires[n]
 
 
-@jit
+@frame.jit
 def _begin(rules: Array, neurons: Array, before: Array, after: Array) -> None:
     """The leak at the start of a timestep, and the resets that take its place."""
     _leak_all(rules, neurons, before, after)
@@ -260,7 +181,7 @@ def _begin(rules: Array, neurons: Array, before: Array, after: Array) -> None:
                 after[n] = _after_spike(rules, neurons, n, before[n])
 
 
-@jit
+@frame.jit
 def _leak_all(rules: Array, neurons: Array, before: Array, after: Array) -> None:
     """As _leak of the specification."""
     leak = rules[LEAK]
@@ -275,7 +196,7 @@ def _leak_all(rules: Array, neurons: Array, before: Array, after: Array) -> None
         after[n] = v
 
 
-@jit
+@frame.jit
 def _add_events(
     constants: Array,
     memory: Array,
@@ -292,7 +213,7 @@ def _add_events(
 
     arrived: (N,) memory for whether any weight did.
     """
-    rules, weights, size, lost = constants.rules, constants.weights, about[SIZE], 0
+    rules, weights, size, lost = constants.rules, constants.weights, about[frame.SIZE], 0
     for n in range(size):
         after[n], spikes[n], arrived[n] = before[n], 0, 0
     if not rules[LEAKS_LAST]:
@@ -301,13 +222,13 @@ def _add_events(
             # the leak is an event, too
             for n in range(size):
                 lost += _spike_once(rules, neurons, n, after, spikes)
-    for k in range(about[FIRST_WIRE], about[LAST_WIRE]):
+    for k in range(about[frame.FIRST_WIRE], about[frame.LAST_WIRE]):
         wire = constants.wires[k]
-        axons, counts = sent(constants.sources[wire[SOURCE]], memory, row - wire[LAG])
+        axons, counts = frame.arrivals(constants, memory, wire, row)
         for axon in axons:
-            at = wire[WEIGHT] + axon * size
+            at = wire[frame.WEIGHT] + axon * size
             for _ in range(counts[axon]):
-                if wire[IS_WINDOW]:
+                if wire[frame.IS_WINDOW]:
                     lost += _arrive_through(constants, wire, axon, neurons, after, spikes, arrived)
                 elif rules[OVERFLOW] < WRAP:
                     row_of = weights[at : at + size]
@@ -318,23 +239,23 @@ def _add_events(
                     for n in range(size):
                         weight = weights[at + n]
                         lost += _arrive(rules, neurons, n, weight, after, spikes, arrived)
-            if not wire[IS_WINDOW] and rules[OVERFLOW] < WRAP and call.counting:
+            if not wire[frame.IS_WINDOW] and rules[OVERFLOW] < WRAP and call.counting:
                 for n in range(size):
                     arrived[n] |= weights[at + n] != 0
         lost += _sum_spikes(rules, memory.wide[1, :size], spikes)
-    heard = is_heard(about, row, call.timesteps)
-    if about[HEARD_BIAS if heard else UNHEARD_BIAS]:
+    biased = frame.has_bias(about, row, call.timesteps)
+    if about[AXON_BIASED if biased else BIASED]:
         for n in range(size):
             bias = neurons.push[n]
-            if heard:
-                bias += weights[about[BIAS] + n]
+            if biased:
+                bias += weights[about[frame.BIAS] + n]
             lost += _arrive(rules, neurons, n, bias, after, spikes, arrived)
     if rules[LEAKS_LAST]:
         _leak_all(rules, neurons, after, after)
     return lost
 
 
-@jit
+@frame.jit
 def _arrive_through(
     constants: Array,
     wire: Array,
@@ -346,22 +267,22 @@ def _arrive_through(
 ) -> Number:
     """An event on an axon of a window; how many numbers did not fit."""
     tables, weights, rules, lost = constants.tables, constants.weights, constants.rules, 0
-    channel, rows, columns = locate(wire, axon)
-    features, places = wire[FEATURES], wire[TARGET_Y] * wire[TARGET_X]
-    first = channel // wire[CHANNELS] * features * places
-    at = wire[WEIGHT] + channel * wire[KERNEL_Y] * wire[KERNEL_X] * features
-    for i in range(wire[KERNEL_Y]):
-        for j in range(wire[KERNEL_X]):
+    channel, rows, columns = frame.locate(wire, axon)
+    features, places = wire[frame.FEATURES], wire[frame.TARGET_Y] * wire[frame.TARGET_X]
+    first = channel // wire[frame.CHANNELS] * features * places
+    at = wire[frame.WEIGHT] + channel * wire[frame.KERNEL_Y] * wire[frame.KERNEL_X] * features
+    for i in range(wire[frame.KERNEL_Y]):
+        for j in range(wire[frame.KERNEL_X]):
             y, x = tables[rows + i], tables[columns + j]
             if y >= 0 and x >= 0:
                 for feature in range(features):
-                    n = first + feature * places + y * wire[TARGET_X] + x
-                    weight = weights[at + (i * wire[KERNEL_X] + j) * features + feature]
+                    n = first + feature * places + y * wire[frame.TARGET_X] + x
+                    weight = weights[at + (i * wire[frame.KERNEL_X] + j) * features + feature]
                     lost += _arrive(rules, neurons, n, weight, membranes, spikes, arrived)
     return lost
 
 
-@jit
+@frame.jit
 def _arrive_row(
     rules: Array, neurons: Array, alike: Number, row: Array, membranes: Array, fired: Array
 ) -> Number:
@@ -370,48 +291,54 @@ def _arrive_row(
     fired: (N,) to which their spikes are added. Of neurons that are alike, numbers stay in the type
         of the membranes, and few arrays are read: so the compiler makes vector instructions.
     """
-    whole = membranes.dtype.type
-    lost = whole(0)
-    lowest, highest = whole(rules[LOWEST]), whole(rules[HIGHEST])
-    floor, fires, reset = neurons.floor[0], neurons.fires[0], neurons.reset[0]
-    threshold = neurons.threshold[0]
     if not alike:
+        lost = 0
         for n in range(len(row)):
             raised = membranes[n] + row[n]
             held = min(max(raised, rules[LOWEST]), rules[HIGHEST])
-            lost = whole(lost + (held != raised))
+            lost += held != raised
             membranes[n] = max(held, neurons.floor[n])
             if rules[CHECKS_EVENTS] and membranes[n] >= neurons.fires[n]:
                 membranes[n] = _after_spike(rules, neurons, n, membranes[n])
                 fired[n] += 1
-    elif not rules[CHECKS_EVENTS]:
-        for n in range(len(row)):
-            raised = whole(membranes[n] + row[n])
-            held = min(max(raised, lowest), highest)
-            lost = whole(lost + whole(held != raised))
-            membranes[n] = max(held, floor)
-    elif rules[SUBTRACT]:
-        for n in range(len(row)):
-            raised = whole(membranes[n] + row[n])
-            held = min(max(raised, lowest), highest)
-            lost = whole(lost + whole(held != raised))
-            v = max(held, floor)
+        return lost
+    if not rules[CHECKS_EVENTS]:
+        return np.int64(_arrive_alike(rules, neurons, row, membranes, fired, False, False))
+    if rules[SUBTRACT]:
+        return np.int64(_arrive_alike(rules, neurons, row, membranes, fired, True, True))
+    return np.int64(_arrive_alike(rules, neurons, row, membranes, fired, True, False))
+
+
+@frame.jit
+def _arrive_alike(
+    rules: Array,
+    neurons: Array,
+    row: Array,
+    membranes: Array,
+    fired: Array,
+    checks: bool,
+    subtract: bool,
+) -> Number:
+    """As _arrive_row, of neurons that are alike; the flags are constants at every call."""
+    whole = membranes.dtype.type
+    lost, lowest, highest = whole(0), whole(rules[LOWEST]), whole(rules[HIGHEST])
+    floor, fires, reset = neurons.floor[0], neurons.fires[0], neurons.reset[0]
+    threshold = neurons.threshold[0]
+    for n in range(len(row)):
+        raised = whole(membranes[n] + row[n])
+        held = min(max(raised, lowest), highest)
+        lost = whole(lost + whole(held != raised))
+        v = max(held, floor)
+        if checks:
             spikes = v >= fires
-            membranes[n] = whole(v - threshold) if spikes else v
+            left = whole(v - threshold) if subtract else reset
+            v = left if spikes else v
             fired[n] = whole(fired[n] + whole(spikes))
-    else:
-        for n in range(len(row)):
-            raised = whole(membranes[n] + row[n])
-            held = min(max(raised, lowest), highest)
-            lost = whole(lost + whole(held != raised))
-            v = max(held, floor)
-            spikes = v >= fires
-            membranes[n] = reset if spikes else v
-            fired[n] = whole(fired[n] + whole(spikes))
+        membranes[n] = v
     return lost
 
 
-@jit
+@frame.jit
 def _sum_spikes(rules: Array, fired: Array, spikes: Array) -> Number:
     """Add up spikes of events, and clear them; how many are more than can be counted."""
     most, lost = rules[SPIKES_MAX], 0
@@ -422,7 +349,7 @@ def _sum_spikes(rules: Array, fired: Array, spikes: Array) -> Number:
     return lost
 
 
-@jit
+@frame.jit
 def _arrive(
     rules: Array,
     neurons: Array,
@@ -443,7 +370,7 @@ def _arrive(
     return lost
 
 
-@jit
+@frame.jit
 def _spike(rules: Array, neurons: Array, n: int, membranes: Array, spikes: Array) -> None:
     """The spikes at the end of a timestep of a neuron that has some."""
     fired, left = 0, membranes[n]
@@ -454,7 +381,7 @@ def _spike(rules: Array, neurons: Array, n: int, membranes: Array, spikes: Array
     spikes[n] = fired
 
 
-@jit
+@frame.jit
 def _spike_once(rules: Array, neurons: Array, n: int, membranes: Array, spikes: Array) -> Number:
     """A spike, if the membrane is high enough; 1 if it is more than can be counted."""
     if membranes[n] < neurons.fires[n]:
@@ -466,13 +393,13 @@ def _spike_once(rules: Array, neurons: Array, n: int, membranes: Array, spikes: 
     return 0
 
 
-@jit
+@frame.jit
 def _after_spike(rules: Array, neurons: Array, n: int, v: Number) -> Number:
     """As _after_spike of the specification."""
     return v - neurons.threshold[n] if rules[SUBTRACT] else neurons.reset[n]
 
 
-@jit
+@frame.jit
 def _hold(rules: Array, x: Number) -> Number:
     """As Register.fit."""
     if rules[OVERFLOW] < WRAP:
@@ -483,3 +410,92 @@ def _hold(rules: Array, x: Number) -> Number:
     if x > half:
         return x - 2 * half
     return x + 2 * half if x <= -half else x
+
+
+_run = frame.kernel(_step)
+
+
+class IntegrateAndFirePipeline(NumbaPipeline):
+    """Integrate-and-fire layers as a Backend, in timesteps."""
+
+    states_of_neuron: ClassVar[int] = 1
+    kernel = staticmethod(_run)
+
+    @staticmethod
+    def numbers(program: Program) -> FamilyNumbers:
+        """Return the rules of the chip, and the numbers of neurons."""
+        rules, layers = cast("IntegrateAndFire", program.chip.arithmetic), program.layers
+        numbers = [_numbers(rules, program.convention, a) for a in layers]
+        lowest, highest = edges(rules.membrane) or (0, 0)
+        subtract = program.convention.reset == "subtract"
+        several = rules.checks == "step" and (subtract or program.convention.spikes == "many")
+        neurons = _narrowed(np.concatenate(numbers, axis=1), program, rules)
+        return FamilyNumbers(
+            columns=[
+                (bool((a.bias + a.voltage_bias).any()), bool(a.voltage_bias.any()), _alike(each))
+                for a, each in zip(layers, numbers, strict=True)
+            ],
+            weights=np.int16 if largest_weight(layers) <= _EXACT_INT16 else np.int64,
+            states=neurons.dtype,
+            sums=(neurons.dtype, neurons.dtype),
+            rules=[
+                LEAKS[rules.leak],
+                rules.leak_order == "last",
+                rules.adds == "event",
+                rules.checks == "event",
+                rules.spikes_max,
+                rules.spikes_max if several else 1,
+                rules.reset_at == "leak",
+                subtract,
+                OVERFLOWS[rules.membrane.overflow],
+                rules.membrane.bits,
+                lowest,
+                highest,
+            ],
+            neurons=neurons,
+        )
+
+    @staticmethod
+    def obstacle(program: Program) -> str | None:
+        """The reason why it cannot compute the program; None where it can."""
+        rules = cast("IntegrateAndFire", program.chip.arithmetic)
+        if rules.membrane.between and edges(rules.membrane) is None:
+            return (
+                f"chip {program.chip.name!r} has a membrane that the compiled kernels do not know: "
+                "one that wraps and has a narrower range."
+            )
+        return NumbaPipeline.obstacle(program)
+
+
+def _narrowed(numbers: Integers, program: Program, rules: IntegrateAndFireRules) -> Integers:
+    """The numbers of neurons in the type that membranes and sums get, int32 where all fit in it.
+
+    Numba adds integers in int64 whatever their types are; large layers take half the memory.
+    """
+    edge = np.iinfo(np.int32)
+    times = dict.fromkeys(program.sizes, max(program.chip.input_spikes_max, rules.spikes_max))
+    most = max(int((a.most_arriving(times) + abs(a.voltage_bias)).max()) for a in program.layers)
+    bounded = rules.membrane.overflow not in ("none", "wrap-once") or rules.membrane.between
+    if not bounded or rules.membrane.bits > _NARROW_BITS or most > edge.max:
+        return numbers
+    floorless = np.maximum(numbers, edge.min)  # a floor that is none may be lower
+    return floorless.astype(np.int32) if floorless.max(initial=0) <= edge.max else numbers
+
+
+def _alike(numbers: Integers) -> bool:
+    """Return whether the neurons of a layer have one threshold, one floor and one reset."""
+    neurons = Neurons(*numbers)
+    return not any(np.ptp(each) for each in (neurons.fires, neurons.floor, neurons.reset))
+
+
+def _numbers(rules: IntegrateAndFireRules, convention: Convention, layer: Layer) -> Integers:
+    """(6, N) of a layer, as in Neurons."""
+    each = Neurons(
+        loss=layer.membrane_decay,
+        threshold=layer.threshold,
+        fires=layer.threshold + (rules.fires == "above"),
+        push=layer.voltage_bias,
+        floor=floor_of(rules, convention, layer),
+        reset=layer.v_reset,
+    )
+    return np.stack([np.broadcast_to(values, (layer.size,)).astype(np.int64) for values in each])
