@@ -42,15 +42,11 @@ Output = Annotated[Path, typer.Option("-o", "--output", rich_help_panel="Output"
 ReportFolder = Annotated[
     Path,
     typer.Option(
-        "-o",
-        "--output",
-        help="Folder for report.html and report.json.",
-        rich_help_panel="Output",
+        "-o", "--output", help="Folder for report.html and report.json.", rich_help_panel="Output"
     ),
 ]
 Seed = Annotated[
-    int,
-    typer.Option(help="The first seed; episode k plays seed + k. Evaluation starts at 10000."),
+    int, typer.Option(help="The first seed; episode k plays seed + k. Evaluation starts at 10000.")
 ]
 TrainingSeed = Annotated[int, typer.Option(min=0, max=4999, help="Seed of the training.")]
 Workers = Annotated[
@@ -112,9 +108,7 @@ Limits = Annotated[
 Resume = Annotated[
     str,
     typer.Option(
-        metavar="RUN|last",
-        help="Resume a run, or the newest.",
-        autocompletion=completion.run_names,
+        metavar="RUN|last", help="Resume a run, or the newest.", autocompletion=completion.run_names
     ),
 ]
 RunsFolder = Annotated[Path, typer.Option(help="Folder in which the run folder is made.")]

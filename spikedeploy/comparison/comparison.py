@@ -49,18 +49,6 @@ _AGREEMENT = (
     "actions_equal_to_ann",
     "first_divergence",
 )
-# field of a row -> of Costs
-_COSTS = {
-    **{f"{name}_per_inference": name for name in (
-        "spikes", "input_spikes", "sops", "bias_sops", "neuron_updates", "neuron_idle", "messages",
-    )},
-    **{name: name for name in (
-        "sparsity", "effective_acs", "effective_macs", "footprint", "footprint_packed",
-        "connection_sparsity", "synapses", "saturations", "messages_placed",
-    )},
-    "macs_dense": "dense",
-    "macs_effective": "effective_macs",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -251,7 +239,8 @@ class Comparison:
         return {
             "clock": found.clock,
             **self._late(found.control_steps_late),
-            **{name: getattr(found, field) for name, field in _COSTS.items()},
+            **found.counts(),
+            "macs_effective": found.effective_macs,
             **({"operations": dict(found.operations)} if found.operations else {}),
             "energy_per_inference_j": {name: each.value for name, each in energy.items()},
             "energy_interval_j": {name: [each.low, each.high] for name, each in energy.items()},

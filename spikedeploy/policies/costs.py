@@ -1,33 +1,7 @@
 """Costs of an inference: spikes, operations, energy; means over the inferences of an episode.
 
-sparsity             1 - spikes / (neurons x T), over the spiking layers; NeuroBench's activation
-                     sparsity with one inference as the sample; none where a chip's neurons
-                     spike several times in a timestep
-spikes               of the spiking layers; input_spikes are those of the encoder
-sops                 input spikes x non-zero fan-out, encoder into layer 1 included; bias_sops are
-                     those of the always-on axon that carries the biases
-effective_acs, effective_macs, dense
-                     NeuroBench's synaptic operations: non-zero inputs x non-zero weights of every
-                     weight matrix, counted as accumulates where all inputs are spikes and as
-                     multiply-accumulates elsewhere; dense counts all inputs x all weights of the
-                     file. The readout counts here, though it runs on the host; biases do not, and
-                     an identity into the output, which connects and does not compute, neither
-footprint, footprint_packed
-                     NeuroBench's Footprint [bytes] of the file; the weights in the chip's bits
-connection_sparsity  NeuroBench's, of the file
-synapses             products of all inputs and non-zero weights in a timestep
-energy_j, latency_s  by each energy table, with an interval; latency as if one core did
-                     everything
-clock                how layers advance (runtime.convention.Clock), and whether that is assumed
-control_steps_late   from an observation to the first and the last action that it reaches; None
-                     where states are reset, and it reaches its own
-energy_terms_j       by each table, then by term (runtime.metrics.energy): those of the chip
-                     add up to energy_j, or of a float network `operations` alone
-energy_unknown       by each table, terms that happen and that nothing prices
-energy_zero_skipping_j
-                     of a float network that skips inputs of 0: effective_macs alone
-messages_placed      messages on the cores that `check` gives to each layer
-operations           of a script, by name; nothing prices them
+A field of `Costs` says what it is, its key in a report, and its column; a new one is a column of
+every report.
 
 Terms of the host are those that it adds to a spiking policy: encoder, readout and resets. A term is
 unknown where nothing prices it: Gaussians of a population encoder, random bytes of a rate encoder,
@@ -36,7 +10,7 @@ readouts that the host integrates, and resets of states on a chip.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,27 +52,117 @@ from spikedeploy.runtime.metrics.traffic import packed_bytes
 FLOAT_TABLES = tuple(name for name, table in TABLES.items() if "mac" in table.joules)
 
 
+class CostColumn(NamedTuple):
+    """What a report says of a field of `Costs`.
+
+    meaning: what it is
+    key: of a row of a report
+    title: of its column; "" for none
+    form: of a cell
+    table: of the report that has the column
+    """
+
+    meaning: str
+    key: str
+    title: str = ""
+    form: str = ",.0f"
+    table: str = "operations"
+
+
+def _cost(*words: str) -> Any:  # noqa: ANN401
+    return field(default=None, metadata={"column": CostColumn(*words)})
+
+
 @dataclass(frozen=True)
 class Costs:
-    """Means per inference, as listed above; None where a kind of policy has no such cost."""
+    """Means per inference; None where a kind of policy has no such cost.
 
-    sparsity: float | None = None
-    spikes: float | None = None
-    input_spikes: float | None = None
-    sops: float | None = None
-    bias_sops: float | None = None
-    effective_acs: float | None = None
-    effective_macs: float | None = None
-    dense: float | None = None
-    footprint: float | None = None
-    footprint_packed: float | None = None
-    connection_sparsity: float | None = None
-    synapses: float | None = None
-    neuron_updates: float | None = None
-    neuron_idle: float | None = None
-    messages: float | None = None
-    messages_placed: float | None = None
-    saturations: int | None = None
+    sparsity: none where a chip's neurons spike several times in a timestep; one inference is the
+        sample of NeuroBench's activation sparsity
+    effective_acs, effective_macs, dense: of every weight matrix; the readout counts, though it runs
+        on the host; biases do not, nor does an identity into the output, which connects alone
+    operations: of a script, by name (policies.counting); nothing prices them
+    clock: how layers advance (runtime.convention.Clock), and whether that is assumed
+    control_steps_late: from an observation to the first and the last action that it reaches; None
+        where states are reset, and it reaches its own
+    energy_j, latency_s: by each energy table, with an interval; latency as if one core did
+        everything
+    energy_terms_j: by each table, then by term (runtime.metrics.energy): those of the chip add up
+        to energy_j; a float network has `operations` alone
+    energy_unknown: by each table, terms that happen and that nothing prices
+    energy_zero_skipping_j: of a float network that skips inputs of 0: effective_macs alone
+    messages_placed_j: of messages on the cores that `check` gives to each layer
+    """
+
+    sparsity: float | None = _cost(
+        "1 - spikes / (neurons × T), spiking layers", "sparsity", "sparsity", ".1%"
+    )
+    spikes: float | None = _cost("spikes of the spiking layers", "spikes_per_inference", "spikes")
+    input_spikes: float | None = _cost(
+        "spikes of the encoder", "input_spikes_per_inference", "input"
+    )
+    sops: float | None = _cost(
+        "synaptic operations: spikes × non-zero fan-out, from the encoder on",
+        "sops_per_inference",
+        "SOPs",
+    )
+    bias_sops: float | None = _cost(
+        "synaptic operations of the always-on axon that carries the biases",
+        "bias_sops_per_inference",
+        "+ bias",
+    )
+    effective_acs: float | None = _cost(
+        "NeuroBench Effective_ACs: non-zero inputs × non-zero weights where inputs are spikes, the "
+        "readout included",
+        "effective_acs",
+        "ACs",
+    )
+    effective_macs: float | None = _cost(
+        "NeuroBench Effective_MACs: the same where inputs are numbers, so zeros are skipped",
+        "effective_macs",
+        "MACs",
+    )
+    dense: float | None = _cost(
+        "NeuroBench Dense: all inputs × all weights, in all T timesteps; of float networks the "
+        "dense MACs",
+        "macs_dense",
+        "dense",
+    )
+    footprint: float | None = _cost(
+        "NeuroBench Footprint: parameters in float32, and the constants of the neurons",
+        "footprint",
+        "bytes",
+        ",.0f",
+        "size",
+    )
+    footprint_packed: float | None = _cost(
+        "bytes of all weights and biases on the chip, in its widths",
+        "footprint_packed",
+        "packed",
+        ",.0f",
+        "size",
+    )
+    connection_sparsity: float | None = _cost(
+        "NeuroBench ConnectionSparsity: weights of the file that are 0",
+        "connection_sparsity",
+        "zero weights",
+        ".1%",
+        "size",
+    )
+    synapses: float | None = _cost(
+        "products of all inputs and non-zero weights in a timestep", "synapses"
+    )
+    neuron_updates: float | None = _cost(
+        "updates of neurons with something to add up", "neuron_updates_per_inference"
+    )
+    neuron_idle: float | None = _cost("updates of other neurons", "neuron_idle_per_inference")
+    messages: float | None = _cost("messages between cores", "messages_per_inference")
+    messages_placed: float | None = _cost(
+        "messages on the cores that `check` gives to each layer", "messages_placed"
+    )
+    saturations: int | None = _cost(
+        "numbers that did not fit a register of the chip, in all episodes", "saturations", "sat."
+    )
     operations: Mapping[str, float] = field(default_factory=dict)
     clock: str | None = None
     control_steps_late: tuple[int, int] | None = None
@@ -109,11 +173,18 @@ class Costs:
     energy_zero_skipping_j: Mapping[str, float] = field(default_factory=dict)
     messages_placed_j: Mapping[str, float] = field(default_factory=dict)
 
+    def counts(self) -> dict[str, float | None]:
+        """Return the numbers that have a key in a report, by key."""
+        return {column.key: getattr(self, name) for name, column in COLUMNS.items()}
+
     def total_j(self, table: str) -> float | None:
         """All known terms by a table [J]; None where it has none."""
         return sum(self.energy_terms_j[table].values()) if table in self.energy_terms_j else None
 
 
+COLUMNS: dict[str, CostColumn] = {
+    each.name: each.metadata["column"] for each in fields(Costs) if each.metadata
+}
 NOTHING = Costs(effective_acs=0.0, effective_macs=0.0, dense=0.0)
 # what is no network that we can count, such as a script: its operations are the unknown
 UNCOUNTED = Costs(energy_unknown={name: ("operations",) for name in TABLES})

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy import zoo
-from spikedeploy.envs.foreign import is_target
 from spikedeploy.objects import is_of_process
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.copies import Uncopied
@@ -146,6 +145,8 @@ def find(reference: str) -> Candidate:
     if reference in BUILT_IN:
         return BUILT_IN[reference]
     path = zoo.resolve(reference)
+    from spikedeploy.envs.foreign import is_target
+
     if path is None and is_target(reference):
         raise ConfigError(
             f"no policy at {reference!r}: a function of yours plays as a teacher, in "

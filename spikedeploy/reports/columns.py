@@ -1,14 +1,18 @@
-"""The columns of a comparison: its tables, its table of 80 columns, one row in one line."""
+"""The columns of a comparison: its tables, its table of 80 columns, one row in one line.
+
+Columns of costs are fields of `policies.costs.Costs`; those of episodes `comparison.metrics`.
+"""
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from spikedeploy.comparison.metrics import drives, metrics_of
 from spikedeploy.comparison.summary import describe_episodes, has_few_episodes
+from spikedeploy.policies.costs import COLUMNS as COST_COLUMNS
 from spikedeploy.reports.table import (
     ABSENT,
+    COMMON_TABLE,
     Cell,
     Column,
     Row,
@@ -19,10 +23,8 @@ from spikedeploy.reports.table import (
     price_cell,
 )
 from spikedeploy.runtime.chips.chip import CHIPS
-from spikedeploy.runtime.files import read_toml
 from spikedeploy.runtime.metrics.energy_tables import STATIC
 
-COMMON_TABLE = "horowitz45-int8"  # the one that prices a chip and a float network alike
 COST = "What does an inference cost?"
 WIDTH = 80  # of the short table
 _STAMP = re.compile(r"-\d{8}-\d{6}(-\d+)?$")  # when a training began, at the end of its run's name
@@ -108,12 +110,14 @@ def _divergence(row: Row) -> str:
 def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
     """Title -> columns that some row fills."""
     title, columns = _earnings(rows)
-    clocked = _drop_empty(_COLUMNS["operations"][:1], rows)
+    clocked = _drop_empty([_CLOCK], rows)
     found = {
         title: [*clocked, *_drop_empty(columns, rows), *measured_columns(rows)],
-        "Does it act like its reference?": _drop_empty(_COLUMNS["agreement"], rows),
-        "How large is the network?": _drop_empty(_COLUMNS["size"], rows),
-        "What does an inference take?": _drop_empty(_COLUMNS["operations"], rows),
+        "Does it act like its reference?": _drop_empty(_AGREEMENT, rows),
+        "How large is the network?": _drop_empty(_cost_columns("size"), rows),
+        "What does an inference take?": _drop_empty(
+            [_CLOCK, _SCRIPT, *_cost_columns("operations")], rows
+        ),
         COST: _drop_empty(_price_columns(rows), rows),
         "Where does the energy go, in nJ?": _term_columns(rows),
     }
@@ -133,22 +137,54 @@ def _escaped(table: Table) -> Table:
     return Table(heads, [[escape_markdown(name), *rest] for name, *rest in table.rows])
 
 
+def _cost_columns(table: str) -> list[Column]:
+    """Return the columns of a table that are fields of Costs."""
+    return [
+        Column(each.title, each.meaning, field_cell(each.key, each.form))
+        for each in COST_COLUMNS.values()
+        if each.title and each.table == table
+    ]
+
+
 def _earnings(rows: Sequence[Row]) -> tuple[str, Sequence[Column]]:
-    """The title and the columns of the first table, by the kind of world that the rows are of."""
-    returns = _COLUMNS["returns"]
-    if any(row.get("foreign") for row in rows):
-        return "What does it earn?", [*returns, *_COLUMNS["earn"]]
+    """Return the title and columns of the first table, by the world that the rows are of."""
     of_world = [
         Column(m.title, m.meaning, field_cell(m.name, m.form))
         for m in metrics_of(name for row in rows for name in row)
     ]
+    if any(row.get("foreign") for row in rows):
+        meaning = (
+            "episodes that succeed: by the key of --success, or return the registered threshold"
+        )
+        earned = [_succeeded(meaning), _ENDED_EARLY, _OF_ANN, _scored("random actions are")]
+        return "What does it earn?", [*_RETURNS, *earned]
     if any("forks" in row for row in rows):
-        columns = [*_COLUMNS["read"], *of_world, *returns, *_COLUMNS["drive_score"]]
-        return "Does the kart read the signs, and does it drive?", columns
+        driven = [_finished("all forks are passed"), _ENDED_EARLY, _RIGHT, *of_world, *_RETURNS]
+        title = "Does the kart read the signs, and does it drive?"
+        return title, [*driven, _scored("random actions are")]
     if any(map(drives, rows)):
-        columns = [*_COLUMNS["drive"], *of_world, *returns, *_COLUMNS["drive_score"]]
-        return "Does the kart still finish?", columns
-    return "Does the robot still walk?", [*returns, *_COLUMNS["walk"], *of_world]
+        driven = [_finished("the last gate is reached"), _ENDED_EARLY, *of_world, *_RETURNS]
+        return "Does the kart still finish?", [*driven, _scored("random actions are")]
+    walked = [_succeeded("episodes that succeed"), _ENDED_EARLY, _OF_ANN]
+    return "Does the robot still walk?", [
+        *_RETURNS,
+        *walked,
+        _scored("the gait alone is"),
+        *of_world,
+    ]
+
+
+def _succeeded(meaning: str) -> Column:
+    return Column("success", meaning, field_cell("success_rate", ".0%"))
+
+
+def _finished(event: str) -> Column:
+    meaning = f"episodes in which {event}, with the 95% Wilson interval"
+    return Column("finished", meaning, format_success)
+
+
+def _scored(zero: str) -> Column:
+    return Column("score", f"normalised return: {zero} 0, the float ANN 100", _score)
 
 
 def measured_columns(rows: Sequence[Row]) -> list[Column]:
@@ -255,42 +291,123 @@ def _level(row: Row) -> str:
     return " / ".join(levels) or ABSENT
 
 
-# names of columns.toml
-_CELLS: dict[str, Cell] = {
-    "return": format_return,
-    "iqm": _estimate("return_iqm", "return_iqm_ci95"),
-    "risk": _estimate("risk", "risk_ci95"),
-    "right": _right,
-    "counted": _counted,
-    "score": _score,
-    "success": format_success,
-    "difference": format_difference,
-    "success_difference": _success_difference,
-    "divergence": _divergence,
-    "zero_skipping": _of_table("energy_zero_skipping_j"),
-    "total": _total,
-    "level": _level,
-    "unpriced": _unpriced,
-    "static": _static,
-}
-
-
-def _column(title: str, meaning: str, **cell: str) -> Column:
-    if "field" in cell:
-        return Column(title, meaning, field_cell(cell["field"], cell["form"]))
-    return Column(title, meaning, _CELLS[cell["cell"]] if "cell" in cell else _term(cell["term"]))
-
-
-_COLUMNS = {
-    name: tuple(_column(**each) for each in columns)
-    for name, columns in read_toml(Path(__file__).with_name("columns.toml")).items()
-}
+_RETURNS = (
+    Column("return", "mean return of an episode, with its 95% bootstrap interval", format_return),
+    Column(
+        "IQM",
+        "interquartile mean of the returns, without the lowest and the highest quarter, likewise",
+        _estimate("return_iqm", "return_iqm_ci95"),
+    ),
+    Column(
+        "risk",
+        "mean return of the worst 5% of the episodes, likewise",
+        _estimate("risk", "risk_ci95"),
+    ),
+)
+_ENDED_EARLY = Column(
+    "ended early",
+    "episodes that a terminal state other than success ended: a fall, a crash, a stall",
+    field_cell("failure_rate", ".0%"),
+)
+_OF_ANN = Column(
+    "of ANN", "mean return / that of the float ANN", field_cell("ratio_to_float_ann", ".1%")
+)
+_RIGHT = Column(
+    "right",
+    "arms taken that were open, of all that were taken: recognition alone, in which crashes do not "
+    "count",
+    _right,
+)
+_AGREEMENT = (
+    Column(
+        "reference",
+        "policy that the row is compared with: on a chip its float twin, else the float ANN",
+        field_cell("reference", ""),
+    ),
+    Column(
+        "difference",
+        "paired difference of return on the same seeds, with its 95% bootstrap interval",
+        format_difference,
+    ),
+    Column("ratio", "mean return / that of the reference", field_cell("ratio_to_reference", ".1%")),
+    Column(
+        "finished",
+        "paired difference of the finish rate on the same seeds, in percentage points, with its "
+        "95% bootstrap interval",
+        _success_difference,
+    ),
+    Column(
+        "same action",
+        "share of equal actions, both asked on the observations that the reference recorded",
+        field_cell("actions_equal", ".1%"),
+    ),
+    Column("as ANN", "the same, with the float ANN", field_cell("actions_equal_to_ann", ".1%")),
+    Column(
+        "action RMSE",
+        "RMSE over all actions, both asked on the observations that the reference recorded",
+        field_cell("action_rmse", ".4f"),
+    ),
+    Column("to ANN", "the same, with the float ANN", field_cell("rmse_to_ann", ".4f")),
+    Column(
+        "diverges",
+        "median first control step at which an action differs from the reference's by more than "
+        "0.01 in the closed loop",
+        _divergence,
+    ),
+)
+_CLOCK = Column(
+    "clock",
+    "how layers advance: gated, one after the other; pipelined, all at once, a timestep for each "
+    "connection; free, all in every timestep until the last has seen the input",
+    field_cell("clock", ""),
+)
+_SCRIPT = Column("script", "operations of a script, counted while NumPy computes them", _counted)
+_TERMS = (
+    Column(
+        "operations",
+        f"by table {COMMON_TABLE}, in all columns: synaptic operations; of float networks the "
+        "dense MACs",
+        _term("operations"),
+    ),
+    Column(
+        "skipping zeros",
+        "of float networks: MACs, with an input that is not 0, instead of dense MACs",
+        _of_table("energy_zero_skipping_j"),
+    ),
+    Column("bias", "the axon of the biases; of float networks their addition", _term("bias")),
+    Column("updates", "neurons with something to add up", _term("updates")),
+    Column(
+        "encoder",
+        "numbers to spikes; of float networks the reading of observations",
+        _term("encoder"),
+    ),
+    Column("readout", "weights and constants on the host", _term("readout")),
+    Column("resets", "states set to 0 between inferences", _term("resets")),
+    Column(
+        "all known",
+        "sum of the known terms; ≥ where every price is the least of its process, + ? where some "
+        "terms have no price",
+        _total,
+    ),
+    Column(
+        "level at",
+        "SOPs at which the spiking policy would cost as much as the float ANN, dense / skipping "
+        "zeros; none where its other terms alone cost more",
+        _level,
+    ),
+    Column("no price", "terms that happen and that the table has no price for", _unpriced),
+    Column(
+        "static",
+        "a published static power of the chip over a control step, by its measurement; never added",
+        _static,
+    ),
+)
 _NAME = Column("policy", "policy · chip; `float` is the float twin of a spiking policy", label)
 
 
 def _term_columns(rows: Sequence[Row]) -> list[Column]:
     """The terms that some row pays, or does not know."""
-    return [c for c in _COLUMNS["terms"] if {c.cell(row) for row in rows} - {ABSENT, "0"}]
+    return [c for c in _TERMS if {c.cell(row) for row in rows} - {ABSENT, "0"}]
 
 
 # one table of 80 columns, and one line
@@ -315,7 +432,7 @@ def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
         success = Column("finished", words, format_success)
     columns = [
         earned,
-        Column("of ANN", "return / that of the float ANN", field_cell("ratio_to_float_ann", ".1%")),
+        _OF_ANN,
         success,
         _MISSTEPS,
         Column(

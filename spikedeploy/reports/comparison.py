@@ -15,7 +15,6 @@ from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.outputs import has_text
 from spikedeploy.recordings import of_comparison
 from spikedeploy.reports.columns import (
-    COMMON_TABLE,
     COST,
     energy_hint,
     label,
@@ -35,7 +34,7 @@ from spikedeploy.reports.headline import (
 )
 from spikedeploy.reports.page import command_line, render
 from spikedeploy.reports.plots import energy_figure, returns_figure, save, svg
-from spikedeploy.reports.table import Column, Row, Table, escape_markdown
+from spikedeploy.reports.table import COMMON_TABLE, Column, Row, Table, escape_markdown
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.quantisation import PLAIN
 from spikedeploy.runtime.files import as_text, write_text

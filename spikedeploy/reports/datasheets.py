@@ -4,8 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import Field, asdict, fields, is_dataclass
 from typing import Any
 
-from spikedeploy.reports.columns import COMMON_TABLE
-from spikedeploy.reports.table import ABSENT, Table, format_si
+from spikedeploy.reports.table import ABSENT, COMMON_TABLE, Table, format_si
 from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip
 from spikedeploy.runtime.metrics.energy import (
     BREAK_EVEN_TABLES,

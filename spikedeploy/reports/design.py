@@ -7,9 +7,8 @@ from typing import Any
 
 from spikedeploy.console import print_text
 from spikedeploy.emulation.design_report import DesignReport
-from spikedeploy.reports.headline import HeadlineNumber
 from spikedeploy.reports.page import provenance, render
-from spikedeploy.reports.table import ABSENT, Table
+from spikedeploy.reports.table import ABSENT, HeadlineNumber, Table
 from spikedeploy.runtime.chips.chip import Limits
 from spikedeploy.runtime.compiler.compile import COMPILE, DesignCheck
 from spikedeploy.runtime.compiler.mapping import (

@@ -8,7 +8,6 @@ from markupsafe import Markup
 
 from spikedeploy.emulation.drift import DriftReport
 from spikedeploy.emulation.open_loop import SILENT
-from spikedeploy.reports.headline import HeadlineNumber
 from spikedeploy.reports.page import provenance, render
 from spikedeploy.reports.plots import (
     BLUE,
@@ -18,7 +17,7 @@ from spikedeploy.reports.plots import (
     svg,
     without_formulas,
 )
-from spikedeploy.reports.table import ABSENT, Table
+from spikedeploy.reports.table import ABSENT, HeadlineNumber, Table
 from spikedeploy.runtime.analysis.drift import Drift, OutputDrift
 
 ABLATION_STEPS = {

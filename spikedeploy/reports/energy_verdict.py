@@ -13,9 +13,8 @@ d is not 0, where
 from collections.abc import Sequence
 
 from spikedeploy.comparison.summary import smallest_baseline
-from spikedeploy.reports.columns import COMMON_TABLE
 from spikedeploy.reports.headline import main_row
-from spikedeploy.reports.table import Row, format_si
+from spikedeploy.reports.table import COMMON_TABLE, Row, format_si
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.metrics.energy_tables import STATIC, TABLES
 

@@ -7,9 +7,8 @@ from spikedeploy.console import print_text
 from spikedeploy.emulation.event_replay import Replay
 from spikedeploy.emulation.event_stream import EventRun
 from spikedeploy.reports.columns import energy_hint
-from spikedeploy.reports.headline import HeadlineNumber
 from spikedeploy.reports.page import provenance, render
-from spikedeploy.reports.table import ABSENT, Table, format_bounds, format_si
+from spikedeploy.reports.table import ABSENT, HeadlineNumber, Table, format_bounds, format_si
 
 
 def print_event_run(run: EventRun) -> None:

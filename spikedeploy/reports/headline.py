@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from spikedeploy.comparison.summary import (
     describe_episodes,
@@ -20,18 +20,10 @@ from spikedeploy.reports.columns import (
     quoted_table,
     short_label,
 )
-from spikedeploy.reports.table import ABSENT, Row
+from spikedeploy.reports.table import ABSENT, HeadlineNumber, Row
 
 _SENTENCE = re.compile(r"(?<=\.)(?<! al\.) (?=\w)")  # between two sentences
 _AS_GOOD = 0.95  # of the float ANN's return, or of the best chip's: those that operations decide
-
-
-class HeadlineNumber(NamedTuple):
-    """A number of the headline: what it is, the number, and what stands beside it."""
-
-    title: str
-    number: str
-    beside: tuple[str, ...]
 
 
 def main_row(rows: Sequence[Row]) -> Row:

@@ -13,10 +13,9 @@ from typing import Any
 from spikedeploy.envs import spec
 from spikedeploy.outputs import no_link
 from spikedeploy.policies import run_record
-from spikedeploy.reports.headline import HeadlineNumber
 from spikedeploy.reports.page import render
 from spikedeploy.reports.plots import curves_figure, step_unit, svg
-from spikedeploy.reports.table import ABSENT, Table
+from spikedeploy.reports.table import ABSENT, HeadlineNumber, Table
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.files import is_locked, write_text
 from spikedeploy.trainers.metrics import read, spike_rate

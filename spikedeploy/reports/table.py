@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from markupsafe import Markup
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 Row = Mapping[str, Any]
 Cell = Callable[[Row], str]
 ABSENT = "–"
+COMMON_TABLE = "horowitz45-int8"  # the one that prices a chip and a float network alike
 _COLOURS = {"✓": "green", "✗": "red"}  # on the terminal
 _LONGEST_NAME = 26  # letters of a row's name that a narrow table does not break
 _LONGEST_CELL = 44  # letters that a page does not break
@@ -40,6 +41,14 @@ class Column:
     title: str
     meaning: str
     cell: Cell
+
+
+class HeadlineNumber(NamedTuple):
+    """A number of the headline: what it is, the number, and what stands beside it."""
+
+    title: str
+    number: str
+    beside: tuple[str, ...]
 
 
 @dataclass(frozen=True)
