@@ -5,8 +5,6 @@ Not installed. Run from a checkout by `python -m lab NAME …` or `./spike lab N
 experiments  tables of results/ that are filled row by row, and their pages
 bench        speed of this code, beside other libraries
 firmware     instructions and bytes of exported C, counted in an emulated microcontroller
-film         README's moving picture: robots above the spikes that drive them
-fpga         policies as circuits: states compared, clocks, cells and frequencies on boards
 peers        golden traces and exports recorded with the tools that they come from
 interop      our networks opened by other tools, every spike compared
 kill         trainings that are killed and resumed, compared with unbroken ones

@@ -11,10 +11,9 @@ which part of that file is shown:
     <!-- end of table -->
 
 `rows` are names in the first column, in the order of the page; without it all rows are shown.
-`columns` are heads in the order of the page; without it all of the file's table. `keep` names
-columns that are written by hand on the page: their cells and the rows of the page stay, and the
-other columns are filled. Cells are copied as they stand in the file. A file may hold several
-tables: a row is looked up in all of them that begin with the same head.
+`columns` are heads in the order of the page; without it all of the file's table. Cells are
+copied as they stand in the file. A file may hold several tables: a row is looked up in all of them
+that begin with the same head.
 
 A command instead of a file, as in `table: spikedeploy chips --markdown`, prints the table itself.
 """
@@ -31,7 +30,7 @@ from spikedeploy.reports.table import ABSENT, markdown_text
 from spikedeploy.runtime.files import write_text
 
 ROOT = Path(__file__).resolve().parents[1]
-_BLOCK = re.compile(r"(<!-- table: ([^>]*?) -->\n\n)((?:\|.*\n)*)(\n?<!-- end of table -->)")
+_BLOCK = re.compile(r"(<!-- table: ([^>]*?) -->\n\n)(?:\|.*\n)*(\n?<!-- end of table -->)")
 
 
 class TableError(Exception):
@@ -90,26 +89,8 @@ def select(table: Table, rows: list[str], columns: list[str]) -> Table:
     return Table(columns, [[row[place] for place in places] for row in chosen])
 
 
-def fill(page: Table, source: Table, keep: list[str]) -> Table:
-    """Return the page's table, its cells taken from the source but for the first and kept columns.
-
-    Rows are matched by their first cell; one that the source lacks has no numbers.
-    """
-    found = {row[0]: dict(zip(source.heads, row, strict=True)) for row in source.rows}
-    rows = [
-        [
-            cell if k == 0 or head in keep else found.get(row[0], {}).get(head, ABSENT)
-            for k, (head, cell) in enumerate(zip(page.heads, row, strict=True))
-        ]
-        for row in page.rows
-    ]
-    if absent := found.keys() - {row[0] for row in page.rows}:
-        raise TableError(f"the page has no row {min(absent)!r}, which the file has")
-    return Table(page.heads, rows)
-
-
-def make_table(request: str, before: str) -> str:
-    """Write the table that a comment asks for, where `before` stands now.
+def make_table(request: str) -> str:
+    """Return the table that a comment asks for.
 
     Raises TableError where the file, a row or a column is missing.
     """
@@ -118,18 +99,13 @@ def make_table(request: str, before: str) -> str:
         return subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT).stdout
     file, *parts = [part.strip() for part in request.split(";")]
     options = {name.strip(): _names(text) for name, _, text in (p.partition(":") for p in parts)}
-    if unknown := options.keys() - {"rows", "columns", "keep"}:
-        raise TableError(f"{min(unknown)!r} is none of rows, columns, keep")
+    if unknown := options.keys() - {"rows", "columns"}:
+        raise TableError(f"{min(unknown)!r} is none of rows, columns")
     if not (ROOT / file).is_file():
         raise TableError(f"there is no {file}")
     found = list(parse_tables((ROOT / file).read_text(encoding="utf-8")))
-    if keep := options.get("keep", []):
-        (page,) = parse_tables(before)
-        wanted = [head for head in page.heads if head not in keep]
-        made = fill(page, join_tables(found, wanted), keep)
-    else:
-        columns = options.get("columns") or found[0].heads
-        made = select(join_tables(found, columns), options.get("rows", []), columns)
+    columns = options.get("columns") or found[0].heads
+    made = select(join_tables(found, columns), options.get("rows", []), columns)
     return markdown_text([made.heads, *made.rows]) + "\n"
 
 
@@ -138,11 +114,19 @@ def fill_page(text: str) -> str:
 
     def written(match: re.Match[str]) -> str:
         try:
-            return match[1] + make_table(match[2], match[3]) + match[4]
+            return match[1] + make_table(match[2]) + match[3]
         except TableError as error:
             raise TableError(f"{match[2]}: {error}") from None
 
     return _BLOCK.sub(written, text)
+
+
+def put(text: str, place: str, made: str) -> str:
+    """Return a page with a table between the marks of its place."""
+    start, end = f"<!-- {place} -->\n", f"<!-- end of {place} -->\n"
+    head, rest = text.split(start)
+    _, tail = rest.split(end)
+    return f"{head}{start}{made}\n{end}{tail}"
 
 
 def main() -> int:

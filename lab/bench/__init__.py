@@ -6,7 +6,6 @@ runtime      batches of one and of many, against snnTorch, Norse, SpikingJelly a
 nets, peers  the networks that `runtime` runs, and the libraries that run them
 updates      training updates through each chip, against snnTorch's own
 versions     this tree against another one
-parity       torch = NumPy = `ideal` on recorded observations
 realtime     start-up, and closed loops against the robot's clock
 envs         steps per second of the environments
 sweep        sweeps on several nodes, one of which is killed

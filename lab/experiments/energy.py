@@ -11,20 +11,17 @@ which are not made any more; prices are those of today.
 
 s and m are the prices of the horowitz45-int8 tables for a width of the sums, and x is how many
 times as much an update costs as a synaptic operation: that of a published table, or the table's
-own. The ratio is 1 at one x, which is written beside it. Writes energy.csv, energy.md, energy.png.
+own. The ratio is 1 at one x, which is written beside it. Writes energy.csv and
+energy.md; energy.png was drawn at commit 548e02fb.
 """
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from lab.experiments.runner import RESULTS, Record, read_rows, render
 from spikedeploy.reports import table
-from spikedeploy.reports.plots import BLUE, VERMILION, save
 from spikedeploy.runtime.files import write_text
 from spikedeploy.runtime.metrics.energy import (
     INSTRUCTION,
@@ -34,12 +31,7 @@ from spikedeploy.runtime.metrics.energy import (
 )
 from spikedeploy.runtime.metrics.energy_tables import TABLES, sram
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 PAIRS = RESULTS / "energy-pairs.csv"
-DRAWN = ("hexapod", "hexapod-command", "kart-grid", "CartPole-v1", "Hopper-v5")
 
 # width of the sums [bits] -> the table that prices them
 SUMS = {
@@ -204,84 +196,6 @@ def operations_ratio(pair: Pair, sums: str, in_registers: bool = False) -> float
     return pair.sops * prices["sop"] / (pair.macs * (prices["mac"] - read))
 
 
-_LINES = {
-    "none": (BLUE, "sums and inputs in registers"),
-    "16": ("#000000", "sums of 16 bits in memory"),
-    "32": (VERMILION, "sums of 32 bits in memory"),
-}  # distinguishable with colour blindness (Okabe and Ito 2008); markers differ too
-_MARKERS = {"none": "o", "16": "s", "32": "D"}
-_LEAST, _MOST = 0.85, 32.0  # of an update over a synaptic operation
-_LOWEST = 0.25  # ratio that is drawn
-_TEXT = 14  # [pt]
-
-
-def figure(found: Sequence[Pair]) -> "Figure":
-    """A column for each task that is drawn, a row for each place of the encoder."""
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-
-    drawn = [pair for pair in found if pair.task in DRAWN]
-    made = Figure(figsize=(16, 10), layout="constrained")
-    grid = made.subplots(len(ENCODERS), len(drawn), sharex=True, sharey=True, squeeze=False)
-    for panels, (where, said) in zip(grid, ENCODERS.items(), strict=True):
-        for axes, pair in zip(panels, drawn, strict=True):
-            _panel(axes, pair, where)
-        panels[0].set_ylabel(f"encoder {said}", fontsize=_TEXT)
-    for axes, pair in zip(grid[0], drawn, strict=True):
-        axes.set_title(f"{pair.task}\n{pair.sops:.0f} SOPs : {pair.macs:.0f} MACs", fontsize=_TEXT)
-    handles = [
-        Line2D([], [], color=colour, marker=_MARKERS[sums], linewidth=2, label=name)
-        for sums, (colour, name) in _LINES.items()
-    ]
-    grey: dict[str, Any] = {"color": "#555555", "linewidth": 2}
-    handles.append(Line2D([], [], **grey, label="gated or pipelined"))
-    handles.append(Line2D([], [], **grey, linestyle="--", label="free: 3 updates a neuron"))
-    made.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False, fontsize=_TEXT)
-    made.supxlabel(
-        "price of a neuron update over that of a synaptic operation\n"
-        "2.1: sanafe,  3.4: davies2018,  19.6: horowitz45-int8;  full markers: each table's own;  "
-        "rings: both cost the same",
-        fontsize=_TEXT,
-    )
-    made.supylabel("energy of spiking over float; shaded: spiking costs less", fontsize=_TEXT)
-    return made
-
-
-def _panel(axes: "Axes", pair: Pair, where: str) -> None:
-    from matplotlib.ticker import FixedLocator, NullFormatter, StrMethodFormatter
-
-    grid = np.geomspace(_LEAST, _MOST, 60)
-    for sums, (colour, _) in _LINES.items():
-        for clock, style in (("gated", "-"), ("free", "--")):
-            energies = Energies(pair, sums, where, clock)
-            axes.plot(grid, [energies.ratio(x) for x in grid], style, color=colour, linewidth=1.8)
-            own = energies.update_over_sop(OWN)
-            if clock == "gated":
-                axes.plot(own, energies.ratio(own), _MARKERS[sums], color=colour, markersize=8)
-            if energies.flips_at > _LEAST:
-                ring: dict[str, Any] = {"markerfacecolor": "white", "markersize": 9, "zorder": 3}
-                axes.plot(energies.flips_at, 1, "o", color=colour, markeredgewidth=2, **ring)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.set_xlim(_LEAST, _MOST)
-    axes.set_ylim(_LOWEST, 60)
-    axes.axhline(1, color="#222222", linewidth=1.5)
-    axes.axhspan(_LOWEST, 1, color="#DCE9F2", zorder=0)
-    for x in _TIMES.values():
-        axes.axvline(x, color="#B0B5BA", linewidth=1, zorder=1)
-    axes.xaxis.set_major_locator(FixedLocator([*_TIMES.values()]))
-    axes.xaxis.set_major_formatter(lambda x, _: f"{x:.1f}")
-    axes.yaxis.set_major_locator(FixedLocator([0.5, 1, 2, 5, 10, 20, 50]))
-    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_minor_locator(FixedLocator([]))
-        axis.set_minor_formatter(NullFormatter())
-    axes.grid(axis="y", color="#E6E8EB")
-    axes.set_axisbelow(True)
-    axes.tick_params(labelsize=_TEXT)
-    axes.spines[["top", "right"]].set_visible(False)
-
-
 def page(found: Sequence[Pair]) -> str:
     """Return the page of the pairs."""
     return render(
@@ -297,10 +211,9 @@ def page(found: Sequence[Pair]) -> str:
 
 
 def main() -> None:
-    """Write page, table and picture, and print the page's name."""
+    """Write page and table, and print the page's name."""
     argparse.ArgumentParser(description=__doc__).parse_args()
     found = pairs()
     every = list(rows(found))
     table.write_rows(every, list(every[0]), RESULTS / "energy.csv")
-    save(figure(found), RESULTS / "energy.png")
     print(write_text(RESULTS / "energy.md", page(found)))

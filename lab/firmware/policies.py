@@ -14,16 +14,18 @@ gcc; what else is missing leaves a dash:
 --write puts the table into results/firmware.md. Exits with 1 where something differs.
 """
 
+import argparse
 import ctypes
 import json
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lab.firmware.table import OWN, options_of, publish
 from lab.firmware.targets import (
     SOURCES,
     attempt,
@@ -33,22 +35,34 @@ from lab.firmware.targets import (
     run,
     run_words,
 )
+from lab.tables import put
 from spikedeploy import envs, zoo
 from spikedeploy.envs.rollout import rollout
+from spikedeploy.reports.table import ABSENT, markdown_text
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.files import write_text
 from spikedeploy.shipping.export_c import export_c
 
 _STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-ffp-contract=off")
 _FIRST_SEED = 10_000
+PAGE = Path(__file__).parents[2] / "results" / "firmware.md"
+
+
+_COLUMNS = (
+    "policy", "ROM [kB]", "RAM [kB]", "M4 instructions", "at most", "RV32 instructions", "at most",
+    "host [µs]", "runtime / C", "spikes compared", "steps that differ",
+)  # fmt: skip
 
 
 def main() -> None:
     """Measure the policies and print the table."""
-    parser = options_of(__doc__, "a policy, such as hexapod/sparse")
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--only", default="", help="a policy, such as hexapod/sparse")
+    parser.add_argument("--write", action="store_true", help=f"the table into {PAGE.name}")
     parser.add_argument("--episodes", type=int, default=20)
     options = parser.parse_args()
     names = [name for name in zoo.names() if zoo.path(name).suffix == ".nir"]
@@ -59,9 +73,33 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 rows.append(measure(name, Path(folder), options.episodes))
             print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
-    intro = f"Of {options.episodes} episodes each, made by `python -m lab firmware --write`:\n\n"
-    publish(options, rows, OWN, intro)
+    print(made := table(rows))
+    if options.write:
+        intro = f"Of {options.episodes} episodes each, made by `python -m lab firmware --write`:"
+        write_text(PAGE, put(PAGE.read_text("utf-8"), "firmware", f"{intro}\n\n{made}"))
     sys.exit(any(row["differing"] or not row["passed"] for row in rows))
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """Return the rows as Markdown; a dash where a tool was missing."""
+
+    def kilobytes(count: int | None) -> str:
+        return ABSENT if count is None else f"{count / 1000:.1f}"
+
+    def number(count: int | None) -> str:
+        return ABSENT if count is None else f"{count:,}"
+
+    lines = []
+    for row in rows:
+        arm, risc = row["cortex-m4"], row["rv32imac"]
+        cores = [
+            number(c.get(n)) for c in (arm, risc) for n in ("instructions", "instructions_max")
+        ]
+        sizes = [kilobytes(arm.get(name)) for name in ("rom", "static")]
+        times = f"{row['host_ns'] / 1000:.2f}", f"{row['ratio']:.3g}"
+        compared = number(row["spikes"]), f"{number(row['differing'])} of {number(row['steps'])}"
+        lines.append([row["policy"], *sizes, *cores, *times, *compared])
+    return markdown_text([_COLUMNS, *lines])
 
 
 def measure(name: str, folder: Path, episodes: int) -> dict:

@@ -65,28 +65,13 @@ PEERS = (
 )
 
 
-def pythons(folder: Path, given: Mapping[str, Path]) -> dict[str, Path]:
-    """The Python of each tool that has one: given by name, else FOLDER/NAME/bin/python."""
+def pythons(folder: Path) -> dict[str, Path]:
+    """Return the Python of each tool that has one, FOLDER/NAME/bin/python."""
     names = [peer.name for peer in PEERS]
-    for name, place in given.items():
-        if name not in names:
-            raise ConfigError(f"--python {name}: there are {', '.join(names)}")
-        if not place.exists():
-            raise ConfigError(f"--python {name}: there is no {place}")
     own = f"nir=={version('nir')}"
-    places = {name: folder / name / "bin" / "python" for name in names} | dict(given)
     usual = {own: Path(sys.executable)} if own in names else {}
-    return usual | {n: p.absolute() for n, p in places.items() if p.exists()}
-
-
-def check_given(given: Mapping[str, Path]) -> None:
-    """Refuse a path of --python that is no Python in which its tool is installed."""
-    for peer in PEERS:
-        if peer.name in given and not peer.missing and not versions(peer, given[peer.name]):
-            raise ConfigError(
-                f"--python {peer.name}={given[peer.name]} is not a Python with {peer.name}. Name "
-                "the one in which it is installed."
-            )
+    places = {name: (folder / name / "bin" / "python").absolute() for name in names}
+    return usual | {name: place for name, place in places.items() if place.exists()}
 
 
 def versions(peer: OtherTool, python: Path) -> dict[str, str]:
@@ -315,11 +300,9 @@ def _spikes(found: Case, peer: OtherTool, folder: Path) -> Row:
 
 def _read(records: Path) -> list[Row]:
     try:
-        rows = json.loads(records.read_bytes()) if records.is_file() else []
+        rows: list[Row] = json.loads(records.read_bytes()) if records.is_file() else []
         if all({*_KEY, "message", "versions", "opens"} <= row.keys() for row in rows):
-            return list(rows)
+            return rows
     except (ValueError, RecursionError, AttributeError, TypeError):
         pass
-    raise ConfigError(
-        f"--records {records} does not hold what interop found. Name another, or delete it."
-    )
+    raise ConfigError(f"--records {records} does not hold what interop found: name another")

@@ -15,20 +15,16 @@ from lab.interop.cases import (
     PLAIN,
     TIMESTEPS,
     Row,
-    check_given,
     measure,
     pythons,
 )
 from spikedeploy import zoo
-from spikedeploy.console import print_json, say
-from spikedeploy.outputs import check_output, has_text
+from spikedeploy.console import say
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import write_text
 
 _LONGEST = 110  # characters of a message
 _TEMPLATE = Path(__file__).with_name("template.md")
-TITLE = "# Our networks in other tools"
-_HEAD = b'[\n  {\n    "file":'  # how the records begin
 
 
 def main() -> None:
@@ -40,52 +36,24 @@ def main() -> None:
     parser.add_argument(
         "--folder", type=Path, default=Path(".venv-peers"), help="as ./spike test --peers makes it"
     )
-    parser.add_argument(
-        "--python", action="append", default=[], metavar="TOOL=PATH", help="in which a tool is"
-    )
-    parser.add_argument("--force", action="store_true", help="write over what others made")
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    given = {}
-    for text in options.python:  # a release of nir is TOOL too: nir==1.0.4=PATH
-        name, _, place = text.rpartition("=")
-        if not name:
-            raise ConfigError(f"--python {text}: give TOOL=PATH")
-        given[name] = Path(place)
     records = options.records or options.output.with_suffix(".json")
     chosen = [file for name in options.files or ["shipped"] for file in _network_files(name)]
-    _check_written(options.output, records, chosen, options.force)
-    places = pythons(options.folder, given)
-    check_given(given)
-    rows = measure(chosen, places, records, say)
+    rows = measure(chosen, pythons(options.folder), records, say)
     command = ["python", "-m", "lab", "interop", *options.files, "-o", options.output.as_posix()]
     if records != options.output.with_suffix(".json"):
         command += ["--records", records.as_posix()]
-    write_text(options.output, page(rows, shlex.join(command)))
-    if options.json:
-        print_json(rows)
-    else:
-        print(f"wrote {options.output}")
+    print(write_text(options.output, page(rows, shlex.join(command))))
 
 
 def _network_files(name: str) -> list[Path]:
-    """The .nir file of a name; `shipped` stands for all shipped policies."""
+    """Return the .nir file of a name; `shipped` stands for all shipped policies."""
     if name == "shipped":
         return [each for each in zoo.policies() if each.suffix == ".nir"]
     file = zoo.resolve(name)
     if file is None or file.suffix != ".nir" or not file.is_file():
         raise ConfigError(f"{name} is no .nir file and no shipped spiking policy")
     return [file]
-
-
-def _check_written(page: Path, records: Path, files: Sequence[Path], force: bool) -> None:
-    """Refuse to replace what this command did not write."""
-    check_output("-o", page, files, force, lambda path: has_text(path, TITLE))
-    if page.resolve() == records.resolve():
-        raise ConfigError(f"-o and --records are the same file, {page}. Name another for one.")
-    check_output(
-        "--records", records, (*files, page), force, lambda at: at.read_bytes().startswith(_HEAD)
-    )
 
 
 def page(rows: Sequence[Row], command: str) -> str:

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from lab import tables
-from lab.tables import Table, TableError, fill, fill_page, join_tables, make_table
+from lab.tables import Table, TableError, fill_page, join_tables, make_table
 from tests.paths import ROOT
 
 HEXAPOD = "results/hexapod/report.md"
@@ -35,20 +35,12 @@ def test_a_table_below_a_link_to_results_stands_between_markers():
         ("results/none.md", "there is no results/none.md"),
         (f"{HEXAPOD}; rows: lion", "no row 'lion', only sac"),
         (f"{HEXAPOD}; columns: policy | colour", "no column 'colour'"),
-        (f"{HEXAPOD}; lines: sac", "'lines' is none of rows, columns, keep"),
+        (f"{HEXAPOD}; lines: sac", "'lines' is none of rows, columns"),
     ],
 )
 def test_what_no_file_has_is_named(request_, says):
     with pytest.raises(TableError, match=says):
-        make_table(request_, "")
-
-
-def test_kept_columns_stay_and_rows_without_numbers_say_so():
-    page = Table(["chip", "why", "score"], [["a", "by hand", "0"], ["b, c", "nothing", "1"]])
-    source = Table(["chip", "score"], [["a", "5"]])
-    assert fill(page, source, ["why"]).rows == [["a", "by hand", "5"], ["b, c", "nothing", "–"]]
-    with pytest.raises(TableError, match="has no row 'z'"):
-        fill(page, Table(["chip", "score"], [["z", "5"]]), ["why"])
+        make_table(request_)
 
 
 def test_columns_of_several_tables_are_joined_by_the_name_of_the_row():

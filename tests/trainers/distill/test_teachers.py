@@ -1,6 +1,6 @@
 """Teachers of others: functions, ONNX files, models of Stable-Baselines3.
 
-tests/golden/sb3 was recorded by lab/peers/sb3_models.py.
+tests/golden/sb3 was recorded by lab/peers/sb3_models.py of commit 548e02fb.
 """
 
 import base64
@@ -124,7 +124,9 @@ def test_an_onnx_file_of_others_acts_in_the_units_of_the_environment(form, tmp_p
 
 
 def test_an_export_of_rsl_rl_acts_as_its_policy_did():
-    folder = ROOT / "tests/golden/rsl_rl"  # recorded by lab/peers/rsl_rl_policy.py
+    folder = (
+        ROOT / "tests/golden/rsl_rl"
+    )  # recorded by lab/peers/rsl_rl_policy.py of commit 548e02fb
     with np.load(folder / "actions.npz") as file:
         observation, action = file["observation"].astype(np.float64), file["action"]
     found = teacher(str(folder / "policy.onnx"), REACH).act_all(observation)
