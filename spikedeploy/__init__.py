@@ -19,17 +19,7 @@
     campaign     sweeps of evaluations, searches for settings, seeds of a training
     play         windows: drive, replay, draw a track
 
-    api          a few lines of Python: load, on_chip, adapt, train, distill, compare, export, make
-    objects      Python objects by the names that commands take
-    training_settings  recipe and settings of what train and distill are asked for
-    cli          starts a command
-    console      tables and JSON on stdout, progress on stderr
-    outputs      the guard of every file that a command writes
-    make_env     environments with options, as the command line asks for them
-    tested_set   versions that the tests ran with
-    seeds        seeds for training, validation and evaluation
-    user_errors  the one line that an error becomes
-    video        MP4 files
+    api          a few lines of Python; setup: how policies are evaluated; cli starts a command
 
 `runtime`, `envs`, `trainers` and `exporters` stand at the top of the repository; in a checkout,
 relative links lead to them. `load`, `compare`, `train` and `make` are imported when they are first

@@ -25,14 +25,14 @@ from spikedeploy.emulation.rasters import Raster, as_raster, read_rasters
 from spikedeploy.policies.registry import FLOAT
 from spikedeploy.runtime.artifact import artifact as files
 from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.choices import Floor, Integrator, Reset, Spikes, State
 from spikedeploy.runtime.codec.codec import GIVE_CODEC
-from spikedeploy.runtime.convention import Floor, Integrator, Reset, Spikes, State
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.network import chip_or_float
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, RuleError
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.setup import OnChip, Setup
+from spikedeploy.setup import OnChip, Reading, Setup
 
 if TYPE_CHECKING:
     import gymnasium
@@ -253,12 +253,12 @@ def load(
     spikes: Spikes | None = None,
     floor: Floor | None = None,
 ) -> LoadedNetwork:
-    """The network of a `.nir` file, a run folder, or a shipped policy that spikes, in float.
+    """Return the network of a `.nir` file, a run folder, or a shipped spiking policy, in float.
 
-    path        of the file; a run folder or "last" is exported first
-    written_by  the tool that exported the file, as whose author meant it: `--from`
-    like        the tool as whose import reads it
-    dt          [s]; like what follows an option of Convention, and precedes the file
+    path: of the file; a run folder or "last" is exported first
+    written_by: the tool that exported the file, as whose author meant it: `--from`
+    like: the tool as whose import reads it
+    dt: [s]; like what follows an option of Convention, and precedes the file
     """
     if not isinstance(path, str | Path):
         raise ConfigError(
@@ -268,18 +268,9 @@ def load(
     from spikedeploy.shipping.exported_run import runnable
 
     file = network_path(runnable(str(path)))
-    reading: dict[str, Any] = {
-        "written_by": written_by,
-        "like": like,
-        "dt": dt,
-        "reset": reset,
-        "integrator": integrator,
-        "delay": delay,
-        "state": state,
-        "spikes": spikes,
-        "floor": floor,
-    }
-    return LoadedNetwork(file, files.load(file, **reading), reading=reading)
+    reading = Reading(dt, reset, integrator, delay, spikes, floor, state, like, written_by)
+    options = reading.arguments()
+    return LoadedNetwork(file, files.load(file, **options), reading=options)
 
 
 def compare(
@@ -292,6 +283,7 @@ def compare(
     seed: int = EVALUATION,
     workers: int = 1,
     options: Mapping[str, Any] = MappingProxyType({}),
+    **setup: Any,  # noqa: ANN401
 ) -> ComparedPolicies:
     """Policies on the same seeds; the float ANN, built-in players and controls are added.
 
@@ -304,6 +296,7 @@ def compare(
     seed      the first; from 10,000 on, which no training uses
     workers   processes; with several, a script needs `if __name__ == "__main__"`
     options   of the environment
+    setup     fields of spikedeploy.setup.Setup, as in fault=("dead-neurons:2",)
     """
     from spikedeploy.comparison.evaluation import compare_policies
     from spikedeploy.comparison.lineup import line_up
@@ -318,13 +311,13 @@ def compare(
     taught = None if teacher is None else teacher_candidate(runnable(teacher_target(teacher)))
     networks = [policy for policy in policies if isinstance(policy, LoadedNetwork)]
     chips = chips or tuple(dict.fromkeys(each.chip for each in networks if each.chip != FLOAT))
-    entries = line_up(env, names, tuple(chips) or None, taught, Setup.with_options(options))
+    evaluated = Setup.with_options(options, **setup).check()
+    entries = line_up(env, names, tuple(chips) or None, taught, evaluated)
     comparison = compare_policies(env, entries, range(seed, seed + episodes), workers)
     words = ["spikedeploy", "compare", env, *names]
     words += ["--chip", ",".join(chips)] if chips else []
     words += ["--teacher", teacher_target(teacher)] if taught else []
-    words += ["--episodes", str(episodes), "--seed", str(seed)]
-    words += [word for name, value in options.items() for word in ("--set", f"{name}={value}")]
+    words += ["--episodes", str(episodes), "--seed", str(seed), *evaluated.words()]
     return ComparedPolicies({**report.document(comparison), "command": shlex.join(words)})
 
 

@@ -117,9 +117,15 @@ class OnChip:
         return {"limits": self.limits == "on", "quantisation": self.quantisation}
 
     def words(self) -> list[str]:
-        """Return the options of the quantisation that were given, as on the command line."""
-        given = {n: value for n, value in self.as_json().items() if n != "limits"}
-        return [f"--{name.replace('_', '-')} {value}" for name, value in given.items()]
+        """Return the options that are not as by default, as on the command line."""
+        found = []
+        for name, value in changed(self).items():
+            for each in value if isinstance(value, tuple) else (value,):
+                found += [
+                    f"--{name.strip('_').replace('_', '-')}",
+                    *[str(each)] * (each is not True),
+                ]
+        return found
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields that are not as by default, as JSON has them."""

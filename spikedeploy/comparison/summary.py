@@ -9,15 +9,9 @@ import numpy as np
 from spikedeploy.comparison.metrics import drives
 from spikedeploy.comparison.statistics import FEWEST, paired_difference
 from spikedeploy.policies.registry import BASELINES
-from spikedeploy.runtime.emulator.network import chip_or_float
 
 Row = Mapping[str, Any]  # of Comparison.as_json
 
-# by which rows of one policy on two chips are equal
-_COMPUTED = (
-    "returns", "spikes_per_inference", "sops_per_inference", "neuron_updates_per_inference",
-    "saturations",
-)  # fmt: skip
 _NAMES = {"gait": "The gait alone", "random": "Drawing actions at random"}
 
 
@@ -72,7 +66,6 @@ def summary(rows: Sequence[Row]) -> str:
     sentence_of = _baselines if foreign else _race if racing else _controls
     sentences.append(sentence_of(rows))
     sentences.append(_covered(rows))
-    sentences += _same_on_chips(on_chip)
     return " ".join(dict.fromkeys(filter(None, sentences)))  # some say the same of several rows
 
 
@@ -262,28 +255,3 @@ def _covered(rows: Sequence[Row]) -> str:
     few = has_few_episodes(trained[0])
     covered = "Rows are" if few else f"Intervals cover {describe_episodes(trained[0])}"
     return f"{covered} of one training each; other trainings differ{measured}"
-
-
-def _same_on_chips(rows: Sequence[Row]) -> Iterator[str]:
-    """A sentence on each policy whose rows on several chips are equal by the chips' arithmetic.
-
-    It has registers of the same widths; what only one of the chips has beside it, no layer uses.
-    """
-    alike: dict[str, list[Row]] = {}
-    for row in rows:
-        chip = chip_or_float(row["chip"])
-        registers = {} if chip is None else vars(chip.arithmetic)
-        key = [
-            row["policy"],
-            row.get("file"),
-            repr(sorted(registers.items())),
-            *map(row.get, _COMPUTED),
-        ]
-        alike.setdefault(repr(key), []).append(row)
-    for found in alike.values():
-        chips = list(dict.fromkeys(row["chip"] for row in found))
-        if len(chips) > 1:
-            yield (
-                f"{found[0]['policy']} has the same returns, spikes and operations on "
-                f"{' and '.join(chips)}, because for this policy their arithmetic is the same."
-            )

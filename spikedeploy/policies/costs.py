@@ -97,71 +97,39 @@ class Costs:
     sparsity: float | None = _cost(
         "1 - spikes / (neurons × T), spiking layers", "sparsity", "sparsity", ".1%"
     )
-    spikes: float | None = _cost("spikes of the spiking layers", "spikes_per_inference", "spikes")
-    input_spikes: float | None = _cost(
-        "spikes of the encoder", "input_spikes_per_inference", "input"
-    )
+    spikes: float | None = _cost("of the spiking layers", "spikes_per_inference", "spikes")
+    input_spikes: float | None = _cost("of the encoder", "input_spikes_per_inference", "input")
     sops: float | None = _cost(
-        "synaptic operations: spikes × non-zero fan-out, from the encoder on",
-        "sops_per_inference",
-        "SOPs",
+        "synaptic operations: spikes × non-zero fan-out", "sops_per_inference", "SOPs"
     )
     bias_sops: float | None = _cost(
-        "synaptic operations of the always-on axon that carries the biases",
-        "bias_sops_per_inference",
-        "+ bias",
+        "of the always-on axon that carries the biases", "bias_sops_per_inference", "+ bias"
     )
     effective_acs: float | None = _cost(
-        "NeuroBench Effective_ACs: non-zero inputs × non-zero weights where inputs are spikes, the "
-        "readout included",
-        "effective_acs",
-        "ACs",
+        "NeuroBench Effective_ACs, the readout included", "effective_acs", "ACs"
     )
     effective_macs: float | None = _cost(
-        "NeuroBench Effective_MACs: the same where inputs are numbers, so zeros are skipped",
-        "effective_macs",
-        "MACs",
+        "NeuroBench Effective_MACs: zeros are skipped", "effective_macs", "MACs"
     )
     dense: float | None = _cost(
-        "NeuroBench Dense: all inputs × all weights, in all T timesteps; of float networks the "
-        "dense MACs",
-        "macs_dense",
-        "dense",
+        "NeuroBench Dense: all inputs × all weights, in all T timesteps", "macs_dense", "dense"
     )
     footprint: float | None = _cost(
-        "NeuroBench Footprint: parameters in float32, and the constants of the neurons",
-        "footprint",
-        "bytes",
-        ",.0f",
-        "size",
+        "NeuroBench Footprint of the file", "footprint", "bytes", ",.0f", "size"
     )
     footprint_packed: float | None = _cost(
-        "bytes of all weights and biases on the chip, in its widths",
-        "footprint_packed",
-        "packed",
-        ",.0f",
-        "size",
+        "bytes of weights and biases on the chip", "footprint_packed", "packed", ",.0f", "size"
     )
     connection_sparsity: float | None = _cost(
-        "NeuroBench ConnectionSparsity: weights of the file that are 0",
-        "connection_sparsity",
-        "zero weights",
-        ".1%",
-        "size",
+        "NeuroBench ConnectionSparsity", "connection_sparsity", "zero weights", ".1%", "size"
     )
-    synapses: float | None = _cost(
-        "products of all inputs and non-zero weights in a timestep", "synapses"
-    )
-    neuron_updates: float | None = _cost(
-        "updates of neurons with something to add up", "neuron_updates_per_inference"
-    )
-    neuron_idle: float | None = _cost("updates of other neurons", "neuron_idle_per_inference")
-    messages: float | None = _cost("messages between cores", "messages_per_inference")
-    messages_placed: float | None = _cost(
-        "messages on the cores that `check` gives to each layer", "messages_placed"
-    )
+    synapses: float | None = _cost("inputs × non-zero weights of a timestep", "synapses")
+    neuron_updates: float | None = _cost("with something to add", "neuron_updates_per_inference")
+    neuron_idle: float | None = _cost("of other neurons", "neuron_idle_per_inference")
+    messages: float | None = _cost("between cores", "messages_per_inference")
+    messages_placed: float | None = _cost("on the cores that `check` gives", "messages_placed")
     saturations: int | None = _cost(
-        "numbers that did not fit a register of the chip, in all episodes", "saturations", "sat."
+        "numbers that did not fit a register, in all episodes", "saturations", "sat."
     )
     operations: Mapping[str, float] = field(default_factory=dict)
     clock: str | None = None

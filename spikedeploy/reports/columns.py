@@ -291,116 +291,76 @@ def _level(row: Row) -> str:
     return " / ".join(levels) or ABSENT
 
 
+def _field(title: str, name: str, form: str, meaning: str) -> Column:
+    return Column(title, meaning, field_cell(name, form))
+
+
 _RETURNS = (
     Column("return", "mean return of an episode, with its 95% bootstrap interval", format_return),
     Column(
-        "IQM",
-        "interquartile mean of the returns, without the lowest and the highest quarter, likewise",
-        _estimate("return_iqm", "return_iqm_ci95"),
+        "IQM", "mean of the middle half of the returns", _estimate("return_iqm", "return_iqm_ci95")
     ),
-    Column(
-        "risk",
-        "mean return of the worst 5% of the episodes, likewise",
-        _estimate("risk", "risk_ci95"),
-    ),
+    Column("risk", "mean return of the worst 5% of the episodes", _estimate("risk", "risk_ci95")),
 )
-_ENDED_EARLY = Column(
+_ENDED_EARLY = _field(
     "ended early",
+    "failure_rate",
+    ".0%",
     "episodes that a terminal state other than success ended: a fall, a crash, a stall",
-    field_cell("failure_rate", ".0%"),
 )
-_OF_ANN = Column(
-    "of ANN", "mean return / that of the float ANN", field_cell("ratio_to_float_ann", ".1%")
-)
-_RIGHT = Column(
-    "right",
-    "arms taken that were open, of all that were taken: recognition alone, in which crashes do not "
-    "count",
-    _right,
-)
+_OF_ANN = _field("of ANN", "ratio_to_float_ann", ".1%", "mean return / that of the float ANN")
+_RIGHT = Column("right", "arms taken that were open, of all taken; crashes do not count", _right)
 _AGREEMENT = (
-    Column(
+    _field(
         "reference",
-        "policy that the row is compared with: on a chip its float twin, else the float ANN",
-        field_cell("reference", ""),
+        "reference",
+        "",
+        "policy of comparison: on a chip its float twin, else the float ANN",
     ),
     Column(
         "difference",
-        "paired difference of return on the same seeds, with its 95% bootstrap interval",
+        "of return on the same seeds, paired, with its 95% interval",
         format_difference,
     ),
-    Column("ratio", "mean return / that of the reference", field_cell("ratio_to_reference", ".1%")),
+    _field("ratio", "ratio_to_reference", ".1%", "mean return / that of the reference"),
     Column(
         "finished",
-        "paired difference of the finish rate on the same seeds, in percentage points, with its "
-        "95% bootstrap interval",
+        "paired difference of the finish rate, in percentage points",
         _success_difference,
     ),
-    Column(
-        "same action",
-        "share of equal actions, both asked on the observations that the reference recorded",
-        field_cell("actions_equal", ".1%"),
+    _field(
+        "same action", "actions_equal", ".1%", "equal actions, on observations of the reference"
     ),
-    Column("as ANN", "the same, with the float ANN", field_cell("actions_equal_to_ann", ".1%")),
-    Column(
-        "action RMSE",
-        "RMSE over all actions, both asked on the observations that the reference recorded",
-        field_cell("action_rmse", ".4f"),
-    ),
-    Column("to ANN", "the same, with the float ANN", field_cell("rmse_to_ann", ".4f")),
-    Column(
-        "diverges",
-        "median first control step at which an action differs from the reference's by more than "
-        "0.01 in the closed loop",
-        _divergence,
-    ),
+    _field("as ANN", "actions_equal_to_ann", ".1%", "the same, with the float ANN"),
+    _field("action RMSE", "action_rmse", ".4f", "of all actions, on observations of the reference"),
+    _field("to ANN", "rmse_to_ann", ".4f", "the same, with the float ANN"),
+    Column("diverges", "median first control step at which actions differ by 0.01", _divergence),
 )
-_CLOCK = Column(
+_CLOCK = _field(
     "clock",
-    "how layers advance: gated, one after the other; pipelined, all at once, a timestep for each "
-    "connection; free, all in every timestep until the last has seen the input",
-    field_cell("clock", ""),
+    "clock",
+    "",
+    "gated: layers advance one after the other; pipelined: all at once; free: in every timestep",
 )
-_SCRIPT = Column("script", "operations of a script, counted while NumPy computes them", _counted)
+_SCRIPT = Column("script", "operations, counted while NumPy computes them", _counted)
 _TERMS = (
     Column(
-        "operations",
-        f"by table {COMMON_TABLE}, in all columns: synaptic operations; of float networks the "
-        "dense MACs",
-        _term("operations"),
+        "operations", f"by {COMMON_TABLE}: synaptic operations, or dense MACs", _term("operations")
     ),
     Column(
-        "skipping zeros",
-        "of float networks: MACs, with an input that is not 0, instead of dense MACs",
-        _of_table("energy_zero_skipping_j"),
+        "skipping zeros", "MACs with an input that is not 0", _of_table("energy_zero_skipping_j")
     ),
     Column("bias", "the axon of the biases; of float networks their addition", _term("bias")),
     Column("updates", "neurons with something to add up", _term("updates")),
-    Column(
-        "encoder",
-        "numbers to spikes; of float networks the reading of observations",
-        _term("encoder"),
-    ),
+    Column("encoder", "numbers to spikes; of float networks their reading", _term("encoder")),
     Column("readout", "weights and constants on the host", _term("readout")),
     Column("resets", "states set to 0 between inferences", _term("resets")),
+    Column("all known", "≥: prices are lower bounds; + ?: some terms have no price", _total),
     Column(
-        "all known",
-        "sum of the known terms; ≥ where every price is the least of its process, + ? where some "
-        "terms have no price",
-        _total,
-    ),
-    Column(
-        "level at",
-        "SOPs at which the spiking policy would cost as much as the float ANN, dense / skipping "
-        "zeros; none where its other terms alone cost more",
-        _level,
+        "level at", "SOPs that would cost what the float ANN does, dense / skipping zeros", _level
     ),
     Column("no price", "terms that happen and that the table has no price for", _unpriced),
-    Column(
-        "static",
-        "a published static power of the chip over a control step, by its measurement; never added",
-        _static,
-    ),
+    Column("static", "a published idle power over a control step; never added", _static),
 )
 _NAME = Column("policy", "policy · chip; `float` is the float twin of a spiking policy", label)
 

@@ -30,9 +30,10 @@ def test_it_has_what_environment_and_chip_take():
     assert GIVEN.quantisation.rounding == "truncate"
     assert (GIVEN.faults.specimen, len(GIVEN.faults.each)) == (3, 1)
     assert GIVEN.check() == GIVEN
-    assert OnChip(quantise="channel", weight_shift=2).words() == [
-        "--quantise channel", "--weight-shift 2",
-    ]  # fmt: skip
+    words = ["--quantise", "channel", "--weight-shift", "2"]
+    assert OnChip(quantise="channel", weight_shift=2).words() == words
+    words = ["--sampled", "--set", "a=1", "--set", "b=2"]
+    assert Setup(sampled=True, set_=("a=1", "b=2")).words() == words
 
 
 @pytest.mark.parametrize(

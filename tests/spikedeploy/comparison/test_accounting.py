@@ -11,7 +11,6 @@ from spikedeploy.envs import ENVS
 from spikedeploy.reports import comparison as report
 from spikedeploy.reports.columns import markdown_tables, tables
 from spikedeploy.reports.table import ABSENT
-from spikedeploy.reports.terminal import print_comparison
 from spikedeploy.runtime.metrics.energy import ON_CHIP, TABLES
 from tests import toy_stroll_env
 
@@ -32,23 +31,6 @@ def rows(monkeypatch, tmp_path):
     entries = line_up("stroll", (), ("loihi1",))
     found = compare_policies("stroll", entries, range(10_000, 10_003), processes=1)
     return report.document(found)["rows"]
-
-
-def test_chips_of_one_arithmetic_say_so_and_others_do_not(monkeypatch, tmp_path, capsys):
-    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
-    said = (
-        "popsan has the same returns, spikes and operations on loihi1 and loihi2, because for this "
-        "policy their arithmetic is the same."
-    )
-    for chips, wanted in ((("loihi1", "loihi2"), True), (("loihi1", "int"), False)):
-        entries = line_up("stroll", (), chips)
-        found = compare_policies("stroll", entries, range(10_000, 10_002), processes=1)
-        document = report.document(found)
-        print_comparison(document, everything=False)
-        page = report.write(document, tmp_path / "out")[0].read_text(encoding="utf-8")
-        for text in (" ".join(capsys.readouterr().out.split()), page):
-            assert (said in text) == wanted
-            assert ("arithmetic is the same" in text) == wanted
 
 
 def by_chip(rows, chip):
