@@ -10,7 +10,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 
@@ -183,34 +183,6 @@ class _Report(_Fields):
     teachers: list[str] = []
 
 
-class _Training(_Fields):
-    recipe: str
-    seed: Whole
-    overrides: list[str]
-    steps: Whole
-    steps_unit: str
-
-
-class _Before(_Training):
-    gives: str
-
-
-class _Check(_Fields):
-    name: str
-    detail: str
-    passed: bool
-
-
-class _Page(_Training):
-    kind: Literal["ann", "snn", "control"]
-    checkpoint: str
-    commit: str | None
-    created: str
-    note: str
-    before: list[_Before]
-    parity: list[_Check]
-
-
 # An evaluation that was recorded.
 
 
@@ -371,21 +343,15 @@ def _entries(rows: Sequence[tuple[_Row, str]], setup: Setup) -> list[Entry]:
 
 def check_rewritable(card: Path, force: bool = False) -> None:
     """Refuse a card that lacks what its page says, and a page that is not of this card."""
-    record = read_json(card)
-    validate(_Page, record, card, _REMEDY)
+    from jinja2 import TemplateError
+
     try:
-        training_command(record)
-    except (KeyError, ValueError) as error:
-        raise ConfigError(f"{card}: its 'overrides' do not say how it was trained") from error
-    page, what = card.with_suffix(".md"), f"- what: {KINDS[record['kind']]}"
-    first = [f"# {card.stem}", "", what, f"- environment: {record['env']}"]
-    check_output("--update", page, (card,), force, lambda path: _begins(path, first))
-
-
-def _begins(page: Path, lines: Sequence[str]) -> bool:
-    """True where a page begins with these lines."""
-    with page.open(encoding="utf-8", errors="replace") as file:
-        return all(file.readline() == f"{line}\n" for line in lines)
+        text = markdown(card.stem, read_json(card))
+    except (LookupError, TypeError, ValueError, AttributeError, TemplateError) as error:
+        raise ConfigError(f"{card} lacks what its page says: {error}{_REMEDY}") from error
+    head = text.encode()[: text.index("\n- environment")]
+    page = card.with_suffix(".md")
+    check_output("--update", page, (card,), force, lambda path: path.read_bytes().startswith(head))
 
 
 def write_evaluation(card: Path, sha256: str, seeds: range, rows: Sequence[Row]) -> None:

@@ -111,7 +111,7 @@ def test_an_update_of_a_card_that_has_no_page_is_refused_before_anything_is_writ
     shipped.write_text(json.dumps(document))
     before = shipped.read_text()
     monkeypatch.setattr("spikedeploy.shipping.reproduce.compare_policies", played)
-    with pytest.raises(ConfigError, match=f"{field}: Field required"):
+    with pytest.raises(ConfigError, match=field):
         reproduce(read_evaluation(str(shipped)), processes=1, update=True)
     assert shipped.read_text() == before
 
