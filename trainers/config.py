@@ -105,11 +105,16 @@ class SpikingMlpConfig(_Section):
 
 
 class NetworkConfig(_Section):
-    """A network of the user on a chip, between a code and a linear readout; see policies.network.
+    """A network on a chip, between a code and a linear readout; see policies.network.
 
     network: module:Class of a torch module, or a .nir file, whose numbers training begins with; one
-        with a codec brings its own code, timesteps and readout
+        with a codec brings its own code, timesteps and readout. Without one, layers of the chip's
+        own neurons, as its design rules have them
     chip: name of a datasheet, with options as on the command line
+    hidden: widths of layers of the chip's own neurons
+    outputs: width of the last of them, whose rates are read out
+    alpha, beta: their decay factors where the chip leaves a choice; None for 0.5 and 0.9375
+    limit: their largest weight [thresholds]; None for at most 0.5
     coding, reach: as in SpikingMlpConfig
     populations: likewise; None for as many as the network has inputs for, at most 8 where it is
         made for any number
@@ -120,38 +125,17 @@ class NetworkConfig(_Section):
     kind: Literal["network"] = "network"
     network: str = ""
     chip: str = "ideal"
+    hidden: tuple[Width, ...] = Field(default=(32,), min_length=1)
+    outputs: Positive = 8
+    alpha: Share | None = None
+    beta: Share | None = None
+    limit: Rate | None = None
     coding: Literal["regular", "bernoulli", "population"] = "population"
     populations: Positive | None = None
     reach: Rate = 2.0
     timesteps: Timesteps = 8
     score: Literal["mean", "last"] = "mean"
     limits: bool = True
-    surrogate: Literal["fast-sigmoid", "atan", "rectangular"] = "atan"
-    surrogate_width: Rate | None = None
-
-
-class ChipSnnConfig(_Section):
-    """Layers of a chip's neurons, trained in its integers: `chain` of policies.network.
-
-    chip: name of a datasheet, with options as on the command line
-    outputs: neurons of the last layer, whose rates are read out; an 8th is what every chip has
-    coding, reach: as in SpikingMlpConfig
-    populations: likewise; None for as many as the inputs of the chip allow, at most 8
-    alpha, beta: decay factors where the chip leaves a choice; None for 0.5 and 0.9375
-    limit: largest weight [thresholds]; None for at most 0.5
-    """
-
-    kind: Literal["chip-snn"] = "chip-snn"
-    chip: str = ""
-    hidden: tuple[Width, ...] = Field(default=(32,), min_length=1)
-    outputs: Positive = 8
-    coding: Literal["regular", "population"] = "population"
-    populations: Positive | None = None
-    reach: Rate = 2.0
-    timesteps: Timesteps = 8
-    alpha: Share | None = None
-    beta: Share | None = None
-    limit: Rate | None = None
     surrogate: Literal["fast-sigmoid", "atan", "rectangular"] = "atan"
     surrogate_width: Rate | None = None
 
@@ -334,7 +318,6 @@ PolicyConfig = Annotated[
     MlpConfig
     | PopsanConfig
     | SpikingMlpConfig
-    | ChipSnnConfig
     | NetworkConfig
     | DeltaSnnConfig
     | DeltaMlpConfig

@@ -14,7 +14,7 @@ from spikedeploy.trainers.versions import own
 
 # kinds of policies that are exported as NIR
 SPIKING = (
-    "popsan", "spiking-mlp", "chip-snn", "network", "delta-snn", "delta-mlp", "vision-snn",
+    "popsan", "spiking-mlp", "network", "delta-snn", "delta-mlp", "vision-snn",
 )  # fmt: skip
 
 

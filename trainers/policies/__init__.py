@@ -21,7 +21,6 @@ import numpy as np
 from spikedeploy.envs.foreign import attribute, contained, import_target, is_target
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import (
-    ChipSnnConfig,
     NetworkConfig,
     PolicyConfig,
     require_known,
@@ -30,7 +29,7 @@ from spikedeploy.trainers.policies.copies import Copies
 from spikedeploy.trainers.policies.delta import DeltaMlpPolicy, DeltaSnnPolicy
 from spikedeploy.trainers.policies.gru import PrunedGruPolicy
 from spikedeploy.trainers.policies.mlp import MlpPolicy, PrunedMlpPolicy
-from spikedeploy.trainers.policies.network import NetworkPolicy, chain_policy, network_policy
+from spikedeploy.trainers.policies.network import NetworkPolicy, network_policy
 from spikedeploy.trainers.policies.policy import Head, Latent, Policy
 from spikedeploy.trainers.policies.spiking import PopsanPolicy, SpikingMlpPolicy
 from spikedeploy.trainers.policies.vision import (
@@ -95,8 +94,6 @@ def from_config(
     head: Head = "continuous",
 ) -> Policy:
     """Return an untrained policy as configured; `columns` is the environment's OBSERVATION."""
-    if isinstance(config, ChipSnnConfig):
-        return chain_policy(config, observations, actions, clip, head)
     if isinstance(config, NetworkConfig):
         return network_policy(config, observations, actions, clip, head)
     spec = {**config.model_dump(), "observations": observations, "actions": actions, "clip": clip}

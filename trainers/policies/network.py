@@ -21,7 +21,8 @@ from torch import Tensor, nn
 
 from spikedeploy.envs.foreign import attribute, contained, import_target, is_target
 from spikedeploy.runtime.artifact.artifact import Artifact, load
-from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.chips.chip import Chip
+from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.codec.codec import (
     Codec,
     Encoder,
@@ -51,7 +52,7 @@ from spikedeploy.trainers.through_chip import ChipModule, convention_on, nearest
 from spikedeploy.trainers.torch_neurons.neurons import Meaning
 
 if TYPE_CHECKING:
-    from spikedeploy.trainers.config import ChipSnnConfig, NetworkConfig
+    from spikedeploy.trainers.config import NetworkConfig
 
 THRESHOLD = 1.0  # of every neuron of a chain; the compiler scales it with the weights
 READOUT = "readout"  # node of the file
@@ -99,7 +100,7 @@ class NetworkPolicy(CodedPolicy):
         self.chip, self.timesteps, self.score, self.limits = chip, timesteps, score, limits
         self.surrogate, self.surrogate_width = surrogate, surrogate_width
         made = network if isinstance(network, TorchNetwork) else TorchNetwork.from_spec(**network)
-        self.target = _datasheet(chip)
+        self.target = datasheet(chip)
         wanted = Meaning(reset, "reached" if at_threshold else "above", "")
         stated = convention_on(self.target, Convention(DT, source="as trained"), wanted)
         self.reset, self.at_threshold = stated.reset, at_threshold
@@ -196,14 +197,6 @@ def _encoder(encoder: nn.Module) -> Encoder:
     raise ConfigError(f"{type(encoder).__name__} has no form in a file; add it to {__name__}")
 
 
-def _datasheet(name: str) -> Chip:
-    if not name:
-        raise ConfigError(
-            "a policy of kind 'chip-snn' is trained for one chip: name it, as in --for xylo-a2"
-        )
-    return chip(name)
-
-
 def _populations(target: Chip, observations: int, wanted: int | None) -> int:
     """Return the neurons of the population code for each observation.
 
@@ -226,31 +219,20 @@ def _populations(target: Chip, observations: int, wanted: int | None) -> int:
 # -- a chain of a chip's own neurons
 
 
-def chain_policy(
-    config: "ChipSnnConfig", observations: int, actions: int, clip: float, head: Head
+def _of_chip(
+    config: "NetworkConfig", observations: int, actions: int, clip: float, head: Head
 ) -> NetworkPolicy:
     """Return layers of a chip's neurons, without biases, that keep its design rules."""
-    target = _datasheet(config.chip)
-    fields = 1
-    if config.coding == "population":
-        fields = _populations(target, observations, config.populations)
-    widths = [observations * fields, *config.hidden, config.outputs]
-    return NetworkPolicy(
-        observations,
-        actions,
-        chain(target, widths, config.alpha, config.beta, config.limit),
-        config.chip,
-        coding=config.coding,
-        populations=fields,
-        reach=config.reach,
-        timesteps=config.timesteps,
-        # the design rules are kept, but for capacities, which the exported file is checked for
-        limits=False,
-        surrogate=config.surrogate,
-        surrogate_width=config.surrogate_width,
-        clip=clip,
-        head=head,
-    )
+    if config.chip == "ideal":
+        raise ConfigError(
+            "name a network, --network my_module:Net or net.nir, or a chip whose own neurons make "
+            "one, --for xylo-a2"
+        )
+    # design rules are kept, but for capacities, which the exported file is checked for
+    settings = _settings(config, observations, None) | {"limits": False}
+    widths = [observations * settings["populations"], *config.hidden, config.outputs]
+    layers = chain(datasheet(config.chip), widths, config.alpha, config.beta, config.limit)
+    return NetworkPolicy(observations, actions, layers, clip=clip, head=head, **settings)
 
 
 def chain(
@@ -305,12 +287,9 @@ def chain(
 def network_policy(
     config: "NetworkConfig", observations: int, actions: int, clip: float, head: Head
 ) -> NetworkPolicy:
-    """Return the policy of a module:Class or of a NIR file."""
+    """Return the policy of a module:Class, of a NIR file, or of a chip's own neurons."""
     if not config.network:
-        raise ConfigError(
-            "a policy of kind 'network' needs one: --network my_module:Net, a torch module, or "
-            "--network net.nir"
-        )
+        return _of_chip(config, observations, actions, clip, head)
     if is_target(config.network) and not Path(config.network).exists():
         return _of_module(config, observations, actions, clip, head)
     return _of_file(config, observations, actions, clip, head)
@@ -323,7 +302,7 @@ def _settings(config: "NetworkConfig", observations: int, inputs: int | None) ->
         wanted = config.populations
         if wanted is None and inputs is not None and inputs % observations == 0:
             wanted = inputs // observations
-        fields = _populations(_datasheet(config.chip), observations, wanted)
+        fields = _populations(datasheet(config.chip), observations, wanted)
     return {
         "chip": config.chip,
         "coding": config.coding,
@@ -384,7 +363,7 @@ def _policy(
     head: Head,
     settings: Mapping[str, Any],
 ) -> NetworkPolicy:
-    fitted = network.fit(_datasheet(settings["chip"])) if settings["limits"] else ""
+    fitted = network.fit(datasheet(settings["chip"])) if settings["limits"] else ""
     policy = NetworkPolicy(
         observations,
         actions,

@@ -13,10 +13,10 @@ from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.shipping.export_run import export_run, kind_of, record_observations
 from spikedeploy.shipping.publish_run import publish_run
 from spikedeploy.trainers.config import (
-    ChipSnnConfig,
     DeltaMlpConfig,
     DeltaSnnConfig,
     MlpConfig,
+    NetworkConfig,
     PopsanConfig,
     PrunedMlpConfig,
 )
@@ -44,7 +44,7 @@ def publish(run, name, folder, **options):
     [
         (SPIKING, ".nir", ["float", "loihi1"]),
         (MlpConfig(hidden=(4,)), ".onnx", [None]),
-        (ChipSnnConfig(chip="tinyodin", hidden=(6,)), ".nir", ["tinyodin"]),
+        (NetworkConfig(chip="tinyodin", hidden=(6,)), ".nir", ["tinyodin"]),
     ],
 )
 def test_a_published_run_has_file_card_page_curve_and_evaluation(policy, suffix, chips, tmp_path):

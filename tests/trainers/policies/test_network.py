@@ -15,7 +15,7 @@ from spikedeploy.runtime.compiler.compile import check, compile_program
 from spikedeploy.runtime.errors import ConfigError, RuleError, SpikedeployError
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import axon_types
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.config import ChipSnnConfig, NetworkConfig
+from spikedeploy.trainers.config import NetworkConfig
 from spikedeploy.trainers.network import Weights
 from spikedeploy.trainers.policies import build, from_config
 from spikedeploy.trainers.run_folder import RunFolder
@@ -31,7 +31,7 @@ CHIPS = (
 
 def policy(name, head="continuous", seed=0, **settings):
     torch.manual_seed(seed)
-    config = ChipSnnConfig(chip=name, **{"hidden": (12, 9), "timesteps": 6, **settings})
+    config = NetworkConfig(chip=name, **{"hidden": (12, 9), "timesteps": 6, **settings})
     return from_config(config, 3, 2, head=head)
 
 
@@ -125,10 +125,10 @@ def test_it_learns_which_way_to_turn_within_few_updates(name):
 
 def test_a_chip_with_too_few_inputs_is_refused_in_a_sentence():
     with pytest.raises(ConfigError, match=r"xylo-a2 has 16 inputs, too few for .* 28 observations"):
-        from_config(ChipSnnConfig(chip="xylo-a2"), 28, 4)
-    assert from_config(ChipSnnConfig(chip="xylo-a2", coding="regular"), 16, 4).target.name
-    with pytest.raises(ConfigError, match="name it, as in --for xylo-a2"):
-        from_config(ChipSnnConfig(), 4, 2)
+        from_config(NetworkConfig(chip="xylo-a2"), 28, 4)
+    assert from_config(NetworkConfig(chip="xylo-a2", coding="regular"), 16, 4).target.name
+    with pytest.raises(ConfigError, match="--for xylo-a2"):
+        from_config(NetworkConfig(), 4, 2)
 
 
 def test_a_chip_that_runs_a_pipeline_is_trained_in_its_own_clock(tmp_path):

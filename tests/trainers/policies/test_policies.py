@@ -6,9 +6,9 @@ import torch
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import (
-    ChipSnnConfig,
     DeltaMlpConfig,
     DeltaSnnConfig,
+    NetworkConfig,
     PopsanConfig,
     PrunedMlpConfig,
 )
@@ -91,7 +91,7 @@ def test_encoder_starts_as_in_the_paper(popsan):
         PopsanPolicy(6, 3, **SMALL, surrogate="rectangular", threshold=0.7),
         SpikingMlpPolicy(6, 3, (8,), "population", timesteps=4, reach=2.5),
         SpikingMlpPolicy(6, 3, (8,), "regular", timesteps=4, head="discrete"),
-        from_config(ChipSnnConfig(chip="odin", hidden=(8,), timesteps=4), 6, 3),
+        from_config(NetworkConfig(chip="odin", hidden=(8,), timesteps=4), 6, 3),
         delta_policy(6, 3),
         delta_policy(6, 3, integrated=True, clock="gated", code="unary"),
         delta_mlp(6, 3, threshold=0.7),
