@@ -147,7 +147,6 @@ class DeltaSnnConfig(_Section):
     skip: whether events also reach the readout directly
     copies: module:function that says which parts of the body share one network; empty for none
     deep: further neurons, which read spikes of the hidden ones instead of events
-    recurrent: whether these also read each other's
     integrated: whether events reach the readout through integrators that hardly decay
     memoryless: whether neurons are threshold units: membranes and the readouts of spikes keep
         nothing from one timestep to the next, and events reach the readout through integrators
@@ -164,7 +163,6 @@ class DeltaSnnConfig(_Section):
     skip: bool = True
     copies: str = ""
     deep: Count = 0
-    recurrent: bool = False
     integrated: bool = False
     memoryless: bool = False
     most: Events = 3
@@ -177,12 +175,6 @@ class DeltaSnnConfig(_Section):
     def _deep_neurons_read_hidden_ones(self) -> "DeltaSnnConfig":
         if self.deep and not self.hidden:
             raise ValueError("deep: without hidden neurons they have none to read. Set hidden")
-        if self.recurrent and not self.deep:
-            raise ValueError("recurrent: only deep neurons read each other. Set deep")
-        if self.recurrent and self.memoryless:
-            raise ValueError(
-                "memoryless: recurrent neurons remember by their spikes. Set recurrent=false"
-            )
         if self.deep and self.clock != "pipelined":
             raise ValueError("deep: these neurons read others a timestep late. Set clock=pipelined")
         return self
@@ -191,15 +183,14 @@ class DeltaSnnConfig(_Section):
 class DeltaMlpConfig(_Section):
     """Signed events into a layer of sigma-delta ReLU neurons, and past it into the readout.
 
-    hidden, skip, copies, most, code, clock: as in DeltaSnnConfig
+    hidden, skip, most, code, clock: as in DeltaSnnConfig
     threshold: of a neuron, below which a change of its activation is not sent [standard deviations
         of the activation]
     """
 
     kind: Literal["delta-mlp"] = "delta-mlp"
-    hidden: Positive = 16
+    hidden: Count = 16
     skip: bool = True
-    copies: str = ""
     most: Events = 3
     code: Literal["unary", "one-hot"] = "one-hot"
     clock: Literal["gated", "pipelined"] = "pipelined"

@@ -21,6 +21,8 @@ import numpy as np
 from spikedeploy.envs.foreign import attribute, contained, import_target, is_target
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import (
+    DeltaMlpConfig,
+    DeltaSnnConfig,
     NetworkConfig,
     PolicyConfig,
     require_known,
@@ -71,7 +73,8 @@ _POLICIES: dict[str, Callable[..., Policy]] = {
     "vision-snn": SpikingVisionPolicy,
 }
 
-_WIDTHS = ("hidden", "gru", "deep")  # settings that are of each copy
+_WIDTHS = ("hidden", "gru")  # settings that are of each copy
+_SETTINGS: dict[str, Any] = {"delta-snn": DeltaSnnConfig, "delta-mlp": DeltaMlpConfig}
 # those whose states live on through an episode: `rest` and `advance`
 StatefulPolicy: TypeAlias = DeltaSnnPolicy | PrunedGruPolicy | VisionPolicy
 
@@ -82,6 +85,8 @@ def build(spec: Mapping[str, Any]) -> Policy:
     policy = _POLICIES[require_known(settings.pop("kind"), _POLICIES, "kind of policy")]
     if settings.get("copies"):
         settings["copies"] = Copies(**settings["copies"])
+    if "settings" in settings:
+        settings["settings"] = _SETTINGS[spec["kind"]](**settings["settings"])
     return policy(**settings)
 
 
@@ -96,9 +101,12 @@ def from_config(
     """Return an untrained policy as configured; `columns` is the environment's OBSERVATION."""
     if isinstance(config, NetworkConfig):
         return network_policy(config, observations, actions, clip, head)
+    if isinstance(config, DeltaMlpConfig):
+        return DeltaMlpPolicy(observations, actions, config, clip, head)
+    if isinstance(config, DeltaSnnConfig):
+        copies = _shared(config.copies, columns or {}) if config.copies else None
+        return DeltaSnnPolicy(observations, actions, config, clip, head, copies)
     spec = {**config.model_dump(), "observations": observations, "actions": actions, "clip": clip}
-    if deep := spec.get("deep"):
-        spec["hidden"] += deep  # of both layers
     if target := spec.pop("copies", ""):
         copies = _shared(target, columns or {})
         whole = {n: np.multiply(spec[n], copies.count).tolist() for n in _WIDTHS if n in spec}

@@ -11,8 +11,8 @@ observation is and not only how it moved lately:
 
     y     = gamma y + Wo s ;  z = a z + Ws (step n) ;  action = tanh(y + z + c)
 
-Of the hidden neurons some may be deep: they read no events, but what the others, and each other if
-they are recurrent, sent in the timestep before, with currents that do not last:
+Of the hidden neurons some may be deep: they read no events, but what the others sent in the
+timestep before, with currents that do not last:
 
     I     = R s[t-1]
 
@@ -37,7 +37,7 @@ neurons; from T = 3 on, or 4, of what is seen now.
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import nir
 import numpy as np
@@ -50,9 +50,9 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.codec.codec import Codec, Normaliser
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.neurons import SigmaDelta
 from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.config import DeltaMlpConfig, DeltaSnnConfig
 from spikedeploy.trainers.network import to_array
 from spikedeploy.trainers.neurons import spike, surrogate
 from spikedeploy.trainers.policies.copies import Copies, weights_between
@@ -69,6 +69,7 @@ Array = NDArray[np.float64]
 # Loihi's slowest decay: what lava and nengo-loihi make of a decay register of 0
 CURRENT_DECAY = 4095 / 4096
 _THRESHOLD = 1.0
+_STEP = 0.5  # [standard deviations] until steps are chosen
 _BETA, _GAMMA = 0.6, 0.5  # initial decay factors of membranes and readouts
 _DEEP_BETA, _DEEP_GAMMA = 0.7, 0.9  # of deep neurons, and of readouts where there are some
 _MEMORYLESS = 1 / 4096  # Loihi's fastest decay, of a register of 4095
@@ -101,20 +102,15 @@ class DeltaState:
 class DeltaSnnPolicy(Policy):
     """Signed events into a small layer of LIF neurons and, past it, into the readout.
 
-    hidden: neurons H of the layer, of all copies together; 0 leaves the readout alone: a
-        delta-coded linear policy, whose readout decays as slowly as the currents do
-    skip: whether events also reach the readout directly
-    integrated: whether they do so through readouts that hardly decay
-    most, code, events_above: of the encoder, see runtime.codec.delta.DeltaEncoder
-    clock: "pipelined", or "gated" for software and hardware that can update layer after layer
-    timesteps: T of a control step
+    settings: layers, code and clock, as in DeltaSnnConfig; `hidden` and `deep` are of each copy
     copies: of a network that serves several parts of a body; None for one network
-    deep: hidden neurons, the last ones of each copy, that read the others instead of events
-    recurrent: whether they also read each other; both only where the clock is pipelined
-    memoryless: whether membranes and readouts of spikes last for no longer than a timestep
     two_valued: observations with two values that are a step apart: their channels of several events
         are never used; of a one-hot code they weigh as much as that of one, so that they do not
         make a chip's weights coarser, of a unary code nothing
+    events_above: as in runtime.codec.delta.DeltaEncoder
+    current_decay: factor by which currents, and the integrals of a skip, keep what events brought
+    hidden: neurons H of all copies together, the deep ones included; 0 leaves the readout alone: a
+        delta-coded linear policy, whose readout decays as slowly as the currents do
     deep_neurons: (H,) which hidden neurons are deep
     step: (obs,) distance that one event stands for [normalised observation]
     threshold: (H,) membrane above which a neuron spikes: 1, or the chip's nearest to it
@@ -132,45 +128,30 @@ class DeltaSnnPolicy(Policy):
         self,
         observations: int,
         actions: int,
-        hidden: int = 8,
-        skip: bool = True,
-        most: int = 3,
-        code: Literal["unary", "one-hot"] = "one-hot",
-        events_above: int = 154,
-        step: float = 0.5,
-        current_decay: float = CURRENT_DECAY,
-        surrogate_width: float = 2.0,
+        settings: DeltaSnnConfig | None = None,
         clip: float = 4.0,
         head: Head = "continuous",
-        integrated: bool = False,
-        clock: Literal["gated", "pipelined"] = "pipelined",
-        timesteps: int = 1,
         copies: Copies | None = None,
-        deep: int = 0,
-        recurrent: bool = False,
-        memoryless: bool = False,
         two_valued: Sequence[int] = (),
+        events_above: int = 154,
+        current_decay: float = CURRENT_DECAY,
     ) -> None:
         super().__init__()
-        self.two_valued = tuple(two_valued)
-        self.clock, self.timesteps, self.copies = clock, timesteps, copies
-        self.memoryless = memoryless
-        self.deep, self.recurrent = deep, recurrent
+        c = settings or DeltaSnnConfig()
+        self.settings, self.two_valued, self.copies = c, tuple(two_valued), copies
+        self.clock, self.timesteps, self.memoryless = c.clock, c.timesteps, c.memoryless
         parts = copies.count if copies else 1
-        width = max(hidden // parts, 1)
-        self.deep_neurons = torch.arange(hidden) % width >= width - deep // parts
-        if deep and clock != "pipelined":
-            raise ConfigError(
-                "deep neurons read others a timestep late: set policy.clock=pipelined"
-            )
+        self.most, self.code, self.deep = c.most, c.code, parts * c.deep
+        width = c.hidden + c.deep
+        hidden = parts * width
+        self.deep_neurons = torch.arange(hidden) % max(width, 1) >= c.hidden
         self.observations, self.actions, self.hidden = observations, actions, hidden
-        self.integrated = (integrated or memoryless) and skip and hidden > 0
-        self.skip, self.most, self.code = skip or not hidden, most, code
-        self.events_above, self.head = events_above, head
-        self.current_decay, self.surrogate_width = current_decay, surrogate_width
+        self.skip = c.skip or not hidden
+        self.integrated = (c.integrated or c.memoryless) and c.skip and hidden > 0
+        self.events_above, self.head, self.current_decay = events_above, head, current_decay
         self.latent_size = hidden
         self.normalizer = TorchNormaliser(observations, clip)
-        self.register_buffer("step", torch.full((observations,), step))
+        self.register_buffer("step", torch.full((observations,), _STEP))
         self.register_buffer("threshold", torch.full((hidden,), _THRESHOLD))
         self.into = weights_between(
             copies, (observations, hidden), lambda n, m: torch.randn(n, m) * (0.6 * (2 / m) ** 0.5),
@@ -181,32 +162,28 @@ class DeltaSnnPolicy(Policy):
             copies, (hidden, actions), lambda n, m: torch.randn(n, m) * 0.75 / max(m, 1) ** 0.5,
             acts=True,
         )  # fmt: skip
-        if deep:
+        if c.deep:
             self.back = weights_between(copies, (hidden, hidden), _back)
-            self._connect(deep // parts)
+            # deep neurons read the others of their copy alone, and these read events alone
+            self.into.mask[-c.deep :] = 0.0
+            self.back.mask[: -c.deep] = 0.0
+            self.back.mask[:, -c.deep :] = 0.0
         read = observations if self.skip else 0
         self.past = weights_between(copies, (read, actions), torch.zeros, reads=True, acts=True)
         self.action_bias = nn.Parameter(torch.zeros(actions))
         beta = torch.where(self.deep_neurons, _DEEP_BETA, _BETA)
-        gamma = _DEEP_GAMMA if deep else _GAMMA
-        if memoryless:
+        gamma = _DEEP_GAMMA if c.deep else _GAMMA
+        if c.memoryless:
             beta, gamma = torch.full((hidden,), _MEMORYLESS), _MEMORYLESS
         decays = {"_beta": beta, "_gamma": torch.full((actions,), gamma)}
         for name, decay in decays.items():
-            if memoryless:
+            if c.memoryless:
                 self.register_buffer(name, decay.logit())
             else:
                 self.register_parameter(name, nn.Parameter(decay.logit()))
         # readouts that last for longer sum up more spikes
         self.out.weight.data *= (1 - gamma) / (1 - _GAMMA)
-        self._gradient = surrogate("atan", surrogate_width)
-
-    def _connect(self, deep: int) -> None:
-        """Take out the synapses that the last `deep` neurons of a copy do not have."""
-        self.into.mask[-deep:] = 0.0
-        self.back.mask[:-deep] = 0.0
-        if not self.recurrent:
-            self.back.mask[:, -deep:] = 0.0
+        self._gradient = surrogate("atan", c.surrogate_width)
 
     @property
     def groups(self) -> dict[str, PrunedWeight]:
@@ -305,7 +282,7 @@ class DeltaSnnPolicy(Policy):
         if not self.hidden:  # the readouts hold what currents would hold
             mean = self.past.drive(self._last(seen), weights.past) + self.action_bias
             return mean, mean.new_zeros(*mean.shape[:2], 0)
-        if self.memoryless and not self.recurrent:
+        if self.memoryless:
             return self._without_memory(seen, weights, burn_in, begins)
         hidden, actions = (seen.new_zeros(len(seen), n) for n in (self.hidden, self.actions))
         runs_on = 1 - begins[:, None].to(seen.dtype)
@@ -400,9 +377,7 @@ class DeltaSnnPolicy(Policy):
 
     def spec(self) -> dict[str, Any]:
         """Return the arguments from which `build` makes an equal policy, for JSON."""
-        settings = super().spec()
-        settings.pop("step", None)  # it is among the tensors
-        return settings
+        return super().spec() | {"settings": self.settings.model_dump()}
 
 
 @dataclass(frozen=True)
@@ -448,8 +423,7 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
     float network's activations. In its DeltaState `current` is sigma, and `membrane` q. Nothing
     decays. A control step has one timestep.
 
-    hidden, skip, most, code, events_above, copies, two_valued: as in DeltaSnnPolicy
-    share: thresholds are to be so many standard deviations of their neuron's activation
+    settings: as in DeltaMlpConfig; its threshold is in standard deviations of the activation
     threshold: (H,) distance that a graded spike of 1 stands for
     """
 
@@ -459,25 +433,21 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         self,
         observations: int,
         actions: int,
-        hidden: int = 16,
-        skip: bool = True,
-        most: int = 3,
-        code: Literal["unary", "one-hot"] = "one-hot",
-        events_above: int = 154,
-        threshold: float = 0.5,
+        settings: DeltaMlpConfig | None = None,
         clip: float = 4.0,
         head: Head = "continuous",
-        clock: Literal["gated", "pipelined"] = "pipelined",
-        copies: Copies | None = None,
         two_valued: Sequence[int] = (),
+        events_above: int = 154,
     ) -> None:
+        own = settings or DeltaMlpConfig()
+        network = DeltaSnnConfig(**own.model_dump(exclude={"kind", "threshold"}))
         super().__init__(
-            observations, actions, hidden, skip, most, code, events_above, current_decay=1.0,
-            clip=clip, head=head, clock=clock, copies=copies, two_valued=two_valued,
-        )  # fmt: skip
+            observations, actions, network, clip, head, None, two_valued, events_above, 1.0
+        )
         del self._beta, self._gamma
-        self.share = threshold
-        self.threshold.fill_(threshold)
+        self.settings = own  # type: ignore[assignment]
+        self.share = own.threshold
+        self.threshold.fill_(own.threshold)
 
     @property
     def beta(self) -> Tensor:
@@ -556,10 +526,6 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         graded = graded.sum(1)
         return Latent(mean, graded * self.threshold, ((graded != 0).to(mean.dtype).mean(),))
 
-    def spec(self) -> dict[str, Any]:
-        """Return the arguments from which `build` makes an equal policy, for JSON."""
-        return {**super().spec(), "threshold": self.share}
-
 
 def delta_artifact(
     policy: DeltaSnnPolicy, origin: Provenance | None = None, dt: float = DT
@@ -568,7 +534,7 @@ def delta_artifact(
 
         input (M) -> fc1 -> lif1 -> fc2 -> readout -> action -> output (act)
         input (M) ------> skip ----------> readout, or integral -> action
-                         lif1 -> deep -> lif2 -> fc3 -> readout, and lif2 -> back -> lif2
+                         lif1 -> deep -> lif2 -> fc3 -> readout
 
     `lif1` is a CubaLIF whose synaptic current hardly decays, `readout` and `integral` are LI, all
     with gains of 1; `action` adds the constant c to each readout. Channels of the encoder carry
@@ -671,10 +637,6 @@ def _graph(policy: DeltaSnnPolicy, dt: float) -> nir.NIRGraph:
             source, weight = name, onto[:, layers[name]]
         nodes["deep"] = nir.Linear(to_array(weight))
         edges += [(source, "deep"), ("deep", DEEP_NODE)]
-        back = onto[:, layers[DEEP_NODE]]
-        if bool(back.any()):
-            nodes["back"] = nir.Linear(to_array(back))
-            edges += [(DEEP_NODE, "back"), ("back", DEEP_NODE)]
     integral = np.full(policy.actions, policy.current_decay)
     zeros = policy.step.new_zeros(policy.actions, len(policy.step))
     past = policy.past.whole() if policy.skip else zeros

@@ -12,7 +12,6 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.trainers.config import DeltaSnnConfig
 from spikedeploy.trainers.policies import (
-    DeltaMlpPolicy,
     DeltaSnnPolicy,
     PrunedGruPolicy,
     PrunedMlpPolicy,
@@ -71,10 +70,10 @@ def test_pruning_takes_a_synapse_out_of_every_copy() -> None:
     assert int((matrix.whole() != 0).sum()) == 4
 
 
-@pytest.mark.parametrize("kind", [DeltaSnnPolicy, DeltaMlpPolicy, PrunedMlpPolicy, PrunedGruPolicy])
+@pytest.mark.parametrize("kind", [DeltaSnnPolicy, PrunedMlpPolicy, PrunedGruPolicy])
 def test_a_policy_is_built_again_from_its_spec(kind: type) -> None:
     torch.manual_seed(0)
-    hidden = {"hidden": 8} if kind in (DeltaSnnPolicy, DeltaMlpPolicy) else {"hidden": (8,)}
+    hidden = {} if kind is DeltaSnnPolicy else {"hidden": (8,)}
     more = {"gru": 6} if kind is PrunedGruPolicy else {}
     policy = kind(5, 2, copies=ARMS, **hidden, **more)
     again = build(policy.spec())
@@ -83,14 +82,15 @@ def test_a_policy_is_built_again_from_its_spec(kind: type) -> None:
     assert torch.equal(again.scores(seen), policy.scores(seen))
 
 
-DEEP = [{}, {"deep": 4}, {"deep": 4, "recurrent": True}]
+DEEP = [{}, {"hidden": 4, "deep": 2}]
 
 
 def spiking(**options: Any) -> DeltaSnnPolicy:
     """A policy of two arms whose neurons all spike now and then."""
     torch.manual_seed(1)
-    shape = {"hidden": 12, "step": 0.25, "timesteps": 4, "integrated": True} | options
-    policy = DeltaSnnPolicy(5, 2, copies=ARMS, **shape)
+    shape = {"hidden": 6, "timesteps": 4, "integrated": True} | options
+    policy = DeltaSnnPolicy(5, 2, DeltaSnnConfig(**shape), copies=ARMS)
+    policy.step.fill_(0.25)
     torch.nn.init.normal_(policy.past.weight, std=0.3)
     torch.nn.init.constant_(policy.bias, 0.42)
     return policy
@@ -129,7 +129,7 @@ def test_a_window_gives_what_its_control_steps_give_one_by_one(options: dict[str
 
 
 @pytest.mark.parametrize("timesteps", [1, 2, 3, 5])
-@pytest.mark.parametrize("options", [{}, {"deep": 4}, {"hidden": 8}])
+@pytest.mark.parametrize("options", [{}, {"hidden": 4, "deep": 2}, {"hidden": 4}])
 def test_a_window_without_memory_gives_what_single_steps_give(
     timesteps: int, options: dict[str, Any]
 ) -> None:
@@ -151,12 +151,12 @@ def test_a_window_without_memory_gives_what_single_steps_give(
 
 
 @pytest.mark.parametrize("options", DEEP)
-def test_deep_neurons_read_no_events_and_each_other_where_they_are_recurrent(
+def test_deep_neurons_read_the_others_of_their_copy_alone(
     options: dict[str, Any],
 ) -> None:
     policy = spiking(**options)
     deep = policy.deep_neurons
-    assert int(deep.sum()) == options.get("deep", 0)
+    assert int(deep.sum()) == 2 * options.get("deep", 0)
     assert ("back.weight" in policy.state_dict()) == bool(options)  # as earlier versions wrote it
     if options:
         assert deep.view(2, 6).tolist() == 2 * [4 * [False] + 2 * [True]]
@@ -164,7 +164,7 @@ def test_deep_neurons_read_no_events_and_each_other_where_they_are_recurrent(
         back = policy.back.whole_mask
         assert not back[~deep].any()
         assert bool(back[deep][:, ~deep].any(1).all())
-        assert bool(back[deep][:, deep].any()) == options.get("recurrent", False)
+        assert not back[deep][:, deep].any()
         assert not back[:6, 6:].any()
         assert not back[6:, :6].any()
 
@@ -229,9 +229,7 @@ def test_the_fan_out_of_shared_weights_is_that_of_the_whole_matrix(reads: bool) 
     ("settings", "message"),
     [
         ({"deep": 4, "hidden": 0}, "none to read"),
-        ({"recurrent": True}, "only deep neurons"),
         ({"deep": 4, "clock": "gated"}, "clock=pipelined"),
-        ({"deep": 4, "recurrent": True, "memoryless": True}, "recurrent=false"),
     ],
 )
 def test_deep_neurons_that_read_nothing_are_refused(settings: dict[str, Any], message: str) -> None:

@@ -8,7 +8,8 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.policies import DeltaSnnPolicy, build
+from spikedeploy.trainers.config import DeltaSnnConfig
+from spikedeploy.trainers.policies import DeltaSnnPolicy
 from spikedeploy.trainers.policies.delta import (
     delta_artifact,
     delta_codec,
@@ -87,7 +88,9 @@ def test_events_are_those_of_the_runtimes_encoder(code, most):
 
 def test_pipelined_events_act_one_control_step_late_and_hidden_spikes_two():
     """One event in control step 0; the numbers are worked out by hand."""
-    policy = DeltaSnnPolicy(1, 1, 1, step=1.0, current_decay=1.0).double()
+    config = DeltaSnnConfig(hidden=1)
+    policy = DeltaSnnPolicy(1, 1, config, current_decay=1.0).double()
+    policy.step.fill_(1.0)
     policy.set_decays(torch.tensor([0.5]).double(), torch.tensor([0.5]).double())
     with torch.no_grad():
         policy.into.weight.fill_(2.0)
@@ -101,12 +104,14 @@ def test_pipelined_events_act_one_control_step_late_and_hidden_spikes_two():
     # y[1] = 8 past ; y[2] = 4 + 4 of the first hidden spike ; y[3] = 4 + 4
     np.testing.assert_allclose(mean[:, 0], [0, 8, 8, 8])
     # three timesteps: the action of control step 0 has 4 of the spike and 8 / 2 of the skip
-    whole = build({**policy.spec(), "timesteps": 3}).double()
+    config = config.model_copy(update={"timesteps": 3})
+    whole = DeltaSnnPolicy(1, 1, config, current_decay=1.0).double()
     whole.load_state_dict(policy.state_dict())
     mean, events, spikes = followed(whole, np.array([[1.0]]))
     assert (events[:, 0].tolist(), spikes[:, 0].tolist()) == ([1, 0, 0], [0, 1, 1])
     np.testing.assert_allclose(mean[:, 0], [8])
-    gated = build({**policy.spec(), "clock": "gated"}).double()
+    config = DeltaSnnConfig(hidden=1, clock="gated")
+    gated = DeltaSnnPolicy(1, 1, config, current_decay=1.0).double()
     gated.load_state_dict(policy.state_dict())
     mean, _, spikes = followed(gated, np.array([[1.0], [1.0]]))
     assert spikes[:, 0].tolist() == [1, 1]

@@ -7,6 +7,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.trainers.config import DeltaSnnConfig
 from spikedeploy.trainers.policies import DeltaSnnPolicy, PrunedGruPolicy, build
 from spikedeploy.trainers.policies.delta import (
     channel_weights,
@@ -30,7 +31,14 @@ from spikedeploy.trainers.sparse.student import (
     rounding_offsets,
     student,
 )
-from tests.delta_policies import delta_mlp, delta_policy, followed, pruned_mlp, walk
+from tests.delta_policies import (
+    delta_mlp,
+    delta_policy,
+    followed,
+    pruned_mlp,
+    walk,
+    with_config,
+)
 from tests.trainers.sparse.toy import settings
 
 WHOLE = {"window": 42, "burn_in": 2, "first_windows": 1.0, "batch": 3}
@@ -286,7 +294,8 @@ def test_unused_channels_of_two_valued_observations_do_not_set_the_scale():
     """A contact of weight 1, and an observation whose events weigh 0.1."""
 
     def error(**options):
-        policy = DeltaSnnPolicy(2, 1, 1, step=1.0, most=3, **options)
+        policy = DeltaSnnPolicy(2, 1, **with_config(DeltaSnnConfig, hidden=1, most=3, **options))
+        policy.step.fill_(1.0)
         with torch.no_grad():
             policy.into.weight.copy_(torch.tensor([[1.0, 0.1033]]))
         offsets, quanta = rounding_offsets(policy, chip("loihi1"))
