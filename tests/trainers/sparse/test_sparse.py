@@ -67,7 +67,6 @@ POLICIES = [
     {"kind": "pruned-mlp", "hidden": []},
     {"kind": "pruned-gru", "hidden": [5], "gru": 3},
     {"kind": "delta-mlp", "hidden": 5},
-    {"kind": "delta-snn", "hidden": 5, "deep": 2, "recurrent": True},
     {"kind": "delta-snn", "hidden": 5, "deep": 2, "memoryless": True, "timesteps": 2},
 ]
 
