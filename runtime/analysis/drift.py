@@ -25,9 +25,15 @@ from spikedeploy.runtime.errors import ObservationError
 
 Floats: TypeAlias = NDArray[np.float64]
 Health = Literal["dead", "saturated", ""]
-Cause = Literal[
-    "policy", "input", "counts", "weights", "thresholds", "decays", "states", "rounding"
-]
+# of the cause of a dead or saturated layer, an ablation step
+_DETAILS = {
+    "clock": "layers run on in the timesteps of the chip",
+    "weights": "weights round to few steps or to 0: more bits, or a scale for each channel",
+    "thresholds": "thresholds and biases round beside the largest weight: a scale for each channel",
+    "decays": "decays are rounded: choose time constants that the chip has",
+    "states": "currents and membranes lose their fractions in every timestep: scale up",
+    "rounding": "numbers are rounded; which of them decides is known for Loihi's arithmetic only",
+}
 
 # [spikes for each neuron and timestep] beyond it a rate carries little information
 _SATURATED = 0.9
@@ -149,19 +155,19 @@ class _AblationStep:
 
 @dataclass(frozen=True)
 class Finding:
-    """Differences of a layer on the chip.
+    """A layer that is dead or saturated on the chip.
 
     layer: name.
     health: "dead", not a spike; "saturated", more than 0.9 spikes for each neuron and timestep.
     cause: "policy", it is so in float too; "input", nothing arrives; "counts", neurons send several
         spikes in a timestep, and in float one; a rounding step, the first after which it is
         so; "rounding", of a chip without ablation steps.
-    detail: the same with numbers.
+    detail: what happens, and what helps, in words.
     """
 
     layer: str
     health: Health
-    cause: Cause
+    cause: str
     detail: str
 
 
@@ -253,7 +259,7 @@ def drift(
         first=first_divergence(twin, seen, names),
         output=_output_drift(artifact, twin.output, seen.output),
         ablation=tuple(ablation),
-        findings=tuple(diagnose(floats, program, raster, twin, runs)),
+        findings=tuple(diagnose(program, raster, twin, runs)),
         readouts=tuple(_readout_drift(name, twin, seen) for name in seen.membranes),
         remarks=program.outliers,
     )
@@ -379,7 +385,6 @@ def first_divergence(twin: Activity, seen: Activity, layers: Iterable[str]) -> D
 
 
 def diagnose(
-    floats: Program | None,
     program: Program,
     raster: NDArray[Any],
     twin: Activity,
@@ -387,26 +392,16 @@ def diagnose(
 ) -> list[Finding]:
     """Findings of all layers of the program that can spike.
 
-    floats: the network on the ideal chip; None where there are no ablation steps but the chip.
     twin: of the float twin on the raster.
     steps: of each ablation step, the last of them the chip itself.
     """
     seen = list(steps.values())[-1]
     spikes = {program.input: raster, **seen.spikes}
-    findings = []
-    for layer in program.spiking:
-        name = layer.name
-        if not (found := _health(seen.spikes[name])):
-            continue
-        cause, detail = _cause_beside(layer, found, spikes, twin)
-        if not cause and floats is None:
-            cause, detail = "rounding", _unexplained(seen.saturations[name])
-        elif not cause and floats is not None:
-            step = next(s for s, run in steps.items() if _health(run.spikes[name]) == found)
-            one = program.chip.arithmetic.decay_one
-            cause, detail = _cause_in(step, floats.layer(name), layer, one, seen.saturations[name])
-        findings.append(Finding(name, found, cause or "rounding", detail))
-    return findings
+    return [
+        Finding(layer.name, health, *_cause(layer, health, spikes, twin, steps))
+        for layer in program.spiking
+        if (health := _health(seen.spikes[layer.name]))
+    ]
 
 
 def _health(spikes: NDArray[Any]) -> Health:
@@ -414,75 +409,32 @@ def _health(spikes: NDArray[Any]) -> Health:
     return "dead" if rate == 0 else "saturated" if rate > _SATURATED else ""
 
 
-def _cause_beside(
-    layer: Layer, found: Health, spikes: Mapping[str, NDArray[Any]], twin: Activity
-) -> tuple[Cause | None, str]:
+def _cause(
+    layer: Layer,
+    health: Health,
+    spikes: Mapping[str, NDArray[Any]],
+    twin: Activity,
+    steps: Mapping[str, Activity],
+) -> tuple[str, str]:
+    """The cause of a layer's health on the chip, and a sentence on it."""
     own = twin.spikes[layer.name]
-    alike = _health(own) == found
+    alike = _health(own) == health
     biased = bool(layer.bias.any() or layer.voltage_bias.any())
-    if found == "dead" and not (biased or any(spikes[s.source].any() for s in layer.synapses)):
+    if health == "dead" and not (biased or any(spikes[s.source].any() for s in layer.synapses)):
         of = ", ".join(repr(s.source) for s in layer.synapses)
         also = ", in float too" if alike else ""
         return "input", f"nothing arrives: {of} is silent and there is no bias{also}"
     if alike:
         return "policy", "it is so in float too: the policy itself, not the chip"
     most, in_float = spikes[layer.name].max(), max(1, own.max())
-    if found == "saturated" and most > in_float:
+    if health == "saturated" and most > in_float:
         return "counts", f"neurons send up to {most} spikes in a timestep, in float {in_float}"
-    return None, ""
-
-
-def _unexplained(saturations: int) -> str:
-    if saturations:
-        return f"{saturations} numbers overflow their registers: quantise with headroom"
-    return "numbers are rounded; which of them decides is known for Loihi's arithmetic only"
-
-
-def _cause_in(
-    step: str, before: Layer, after: Layer, decay_one: int, saturations: int
-) -> tuple[Cause, str]:
-    if step == "weights":
-        return "weights", _describe_weights(before, after)
-    if step == "thresholds":
-        return "thresholds", _describe_thresholds(before, after)
-    if step == "decays":
-        return "decays", _describe_decays(before, after, decay_one)
-    if saturations:
-        return "states", _unexplained(saturations)
-    return "states", "currents and membranes lose their fractions in every timestep: scale up"
-
-
-def _describe_weights(before: Layer, after: Layer) -> str:
-    held = np.concatenate([np.abs(s.weight).ravel() for s in before.synapses])
-    kept = np.concatenate([s.weight.ravel() for s in after.synapses])
-    lost = (kept == 0) & (held > 0)
-    share = held[lost].sum() / held.sum()
-    return (
-        f"{lost.sum()} of {(held > 0).sum()} weights round to 0, {share:.0%} of all that they "
-        "weigh: more bits, or a scale for each channel"
-    )
-
-
-def _describe_thresholds(before: Layer, after: Layer) -> str:
-    held = np.where(before.threshold > 0, before.threshold, 1.0)
-    off = after.threshold * after.scale - before.threshold
-    n = int(np.argmax(np.abs(off) / held))
-    push = np.abs(after.voltage_bias * after.scale - before.voltage_bias).max()
-    return (
-        f"neuron {n}: the threshold {before.threshold[n]:.4g} becomes "
-        f"{(after.threshold * after.scale)[n]:.4g} beside the largest weight; biases move by up to "
-        f"{push:.4g}: a scale for each channel, or smaller weights"
-    )
-
-
-def _describe_decays(before: Layer, after: Layer, decay_one: int) -> str:
-    pairs = {
-        "current": (before.current_decay, after.current_decay / decay_one),
-        "membrane": (before.membrane_decay, after.membrane_decay / decay_one),
-    }
-    kind, (held, kept) = max(pairs.items(), key=lambda each: np.abs(each[1][1] - each[1][0]).max())
-    n = int(np.argmax(np.abs(kept - held)))
-    return (
-        f"neuron {n}: the {kind} keeps {kept[n]:.6g} of itself, in float {held[n]:.6g}: choose a "
-        f"time constant that is a multiple of 1/{decay_one}"
-    )
+    cause = "rounding"
+    if len(steps) > 1:
+        cause = next(
+            name for name, run in steps.items() if _health(run.spikes[layer.name]) == health
+        )
+    overflows = list(steps.values())[-1].saturations[layer.name]
+    if overflows and cause in ("states", "rounding"):
+        return cause, f"{overflows} numbers overflow their registers: quantise with headroom"
+    return cause, _DETAILS[cause]

@@ -71,33 +71,6 @@ class Projection:
             return False
         return bool((self.out == 1).all() and (self.into == 1).all())
 
-    def in_blocks(self, block: int, lists: int) -> list[Counts]:
-        """(M, k) synapses of each source in each block of targets; of 2 lists, one for each sign.
-
-        Where synapses are not listed an estimate, (M, 1): as many sources as they could have, each
-        with its share.
-        """
-        if self.weight is None:
-            synapses = block * int(self.into.max())
-            axons = min(synapses, self.out.size)
-            return [np.full((axons, 1), -(-synapses // max(axons, 1)))]
-        starts = np.arange(0, self.into.size, block)
-        ends = np.minimum(starts + block, self.into.size)
-        counts = [np.subtract(each[ends], each[starts], dtype=np.int64).T for each in self._before]
-        return counts if lists == 2 else [counts[0] + counts[1]]
-
-    @cached_property
-    def _before(self) -> NDArray[np.int32]:
-        """(2, N + 1, M) positive and negative synapses onto the targets before each.
-
-        Added up once, because a mapping tries many blocks.
-        """
-        before = np.zeros((2, self.into.size + 1, self.out.size), np.int32)
-        if self.weight is not None:
-            np.cumsum(self.weight.T > 0, axis=0, out=before[0, 1:])
-            np.cumsum(self.weight.T < 0, axis=0, out=before[1, 1:])
-        return before
-
 
 def _join(ways: Sequence[Projection]) -> Projection:
     """Several ways from one source as one, with the most synapses that they can come to."""
@@ -210,22 +183,22 @@ class Population:
     thresholds: int
     leaves: bool = False
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Neurons, N."""
         return math.prod(self.shape)
 
-    @property
+    @cached_property
     def biased(self) -> bool:
         """True if a map adds something to it in every timestep."""
         return any(projection.biased for projection in self.presynaptic)
 
-    @property
+    @cached_property
     def fan_in(self) -> int:
         """Synapses of the neuron that has most; no more than that, where ways are many."""
         return sum(int(projection.into.max()) for projection in self.presynaptic)
 
-    @property
+    @cached_property
     def synapses(self) -> int:
         """All that reach it."""
         return sum(int(projection.into.sum()) for projection in self.presynaptic)

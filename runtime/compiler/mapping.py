@@ -18,9 +18,9 @@ holds it.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 import nir
@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.chip import Chip, LayerCore, Limits, SynapticMemory
-from spikedeploy.runtime.compiler.lowering import Lowering, Population
+from spikedeploy.runtime.compiler.lowering import Lowering, Population, Projection
 from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE
 
 Counts: TypeAlias = NDArray[np.int64]
@@ -100,19 +100,16 @@ def map_to_cores(network: Lowering, chip: Chip) -> CoreMapping:
     if limits is None or (limits.neurons_per_core is None and limits.memory is None):
         return CoreMapping(tuple(_unplaced(network, p) for p in populations), None, None)
 
-    @cache
-    def weigh(population: Population, block: int) -> Load:
-        return load(population, limits, chip.arithmetic.weight_lists, block)
-
-    blocks = _divide(network, limits, weigh)
+    lists = chip.arithmetic.weight_lists
+    loads = {p.name: Loads(p, limits, lists) for p in populations}
+    blocks = _divide(network, limits, loads)
     cores = {p.name: -(-p.size // blocks[p.name]) for p in populations}
     placements = [
         replace(
             _unplaced(network, p),
             cores=cores[p.name],
             block=block,
-            memory=weigh(p, block).memory,
-            axons_in=weigh(p, block).axons_in,
+            **loads[p.name].at(block)._asdict(),
             axons_out=block * _target_cores(network, p.name, cores),
             estimated=any(projection.weight is None for projection in p.presynaptic),
         )
@@ -169,20 +166,17 @@ def _inputs(network: Lowering, limits: Limits, cores: Mapping[str, int]) -> Iter
 
 # the division of populations into blocks
 
-# (population, neurons of a core) to what they take of it
-Weigh: TypeAlias = Callable[[Population, int], "Load"]
 
-
-def _divide(network: Lowering, limits: Limits, weigh: Weigh) -> dict[str, int]:
+def _divide(network: Lowering, limits: Limits, loads: Mapping[str, "Loads"]) -> dict[str, int]:
     """The block of each population; a core has axons for so many target cores of its neurons."""
     blocks = {p.name: p.size for p in network.populations}
     cores = dict.fromkeys(blocks, 1)
     for _ in range(len(blocks) + 2):
         before = dict(blocks)
         for population in reversed(network.populations):
-            targets = _target_cores(network, population.name, cores)
-            blocks[population.name] = _block(population, limits, weigh, targets)
-            cores[population.name] = -(-population.size // blocks[population.name])
+            name, targets = population.name, _target_cores(network, population.name, cores)
+            blocks[name] = _block(population, limits, loads[name], targets)
+            cores[name] = -(-population.size // blocks[name])
         if blocks == before:
             break
     return blocks
@@ -197,12 +191,7 @@ def _target_cores(network: Lowering, name: str, cores: Mapping[str, int]) -> int
     return sum(min(cores[target], most) for target, most in synapses.items())
 
 
-def _block(
-    population: Population,
-    limits: Limits,
-    weigh: Weigh,
-    targets: int,
-) -> int:
+def _block(population: Population, limits: Limits, loads: "Loads", targets: int) -> int:
     """Neurons of a core when it takes the fewest cores; 1 where nothing fits."""
     most = min(population.size, limits.neurons_per_core or population.size)
     if limits.axons_out is not None and targets:
@@ -210,15 +199,14 @@ def _block(
     low, high = 0, most  # a block of low neurons fits, one of high + 1 does not
     while low < high:
         middle = (low + high + 1) // 2
-        fits = weigh(population, middle).fits(limits)
-        low, high = (middle, high) if fits else (low, middle - 1)
+        low, high = (middle, high) if loads.fit(middle) else (low, middle - 1)
     if not low:
         return 1
     # the registers of a core hold so many decays and thresholds
     registers = ((population.decays, limits.decays), (population.thresholds, limits.thresholds))
     cores = max(-(-population.size // low), *(-(-n // m) for n, m in registers if m is not None), 1)
     even = -(-population.size // cores)
-    return even if weigh(population, even).fits(limits) else min(low, even)
+    return even if loads.fit(even) else min(low, even)
 
 
 # what synapses take of the memory of a core
@@ -234,30 +222,76 @@ class Load(NamedTuple):
     memory: int | None
     axons_in: int
 
-    def fits(self, limits: Limits) -> bool:
-        """Return True if a core has as much."""
-        memory = limits.memory is None or self.memory is None or self.memory <= limits.memory.size
-        return memory and (limits.axons_in is None or self.axons_in <= limits.axons_in)
 
+class Loads:
+    """Loads of a population's cores, by the neurons that a core takes.
 
-def load(population: Population, limits: Limits, lists: int, block: int) -> Load:
-    """Load of the fullest core when a core takes `block` neurons.
-
+    limits: of the chip.
     lists: that hold the weights of an axon; 2 where each sign has its own.
     """
-    axons = bits = 0
-    for projection in population.presynaptic:
-        counts = projection.in_blocks(block, lists)
-        axons += int(np.count_nonzero(sum(counts), axis=0).max())
-        if limits.memory is not None:
-            delayed = projection.delayed
-            found = sum(list_bits(count, block, limits.memory, delayed) for count in counts)
-            bits += int(np.max(found))
-    if limits.input_cores and population.biased:
-        axons += 1
-        if limits.memory is not None:
-            bits += int(list_bits(np.array([[block]]), block, limits.memory, delayed=False)[0])
-    return Load(None if limits.memory is None else bits, axons)
+
+    def __init__(self, population: Population, limits: Limits, lists: int) -> None:
+        self._limits, self._lists = limits, lists
+        self._projections = [(each, _before(each)) for each in population.presynaptic]
+        self._biased = limits.input_cores and population.biased
+        self._found: dict[int, Load] = {}
+
+    def at(self, block: int) -> Load:
+        """Load of the fullest core when a core takes `block` neurons."""
+        if block not in self._found:
+            self._found[block] = self._load(block)
+        return self._found[block]
+
+    def fit(self, block: int) -> bool:
+        """True if a core has room for so many neurons."""
+        (memory, axons), limits = self.at(block), self._limits
+        roomy = limits.memory is None or memory is None or memory <= limits.memory.size
+        return roomy and (limits.axons_in is None or axons <= limits.axons_in)
+
+    def _load(self, block: int) -> Load:
+        axons, bits, memory = int(self._biased), 0, self._limits.memory
+        for projection, before in self._projections:
+            counts = _in_blocks(projection, before, block, self._lists)
+            axons += int(np.count_nonzero(sum(counts), axis=0).max())
+            if memory is not None:
+                found = sum(list_bits(each, block, memory, projection.delayed) for each in counts)
+                bits += int(np.max(found))
+        if memory is None:
+            return Load(None, axons)
+        if self._biased:
+            bits += int(list_bits(np.array([[block]]), block, memory, delayed=False)[0])
+        return Load(bits, axons)
+
+
+def _before(projection: Projection) -> NDArray[np.int32] | None:
+    """(2, N + 1, M) positive and negative synapses onto targets before each; None if not listed.
+
+    Added up once, because a mapping tries many blocks.
+    """
+    if (weight := projection.weight) is None:
+        return None
+    before = np.zeros((2, weight.shape[1] + 1, len(weight)), np.int32)
+    np.cumsum(weight.T > 0, axis=0, out=before[0, 1:])
+    np.cumsum(weight.T < 0, axis=0, out=before[1, 1:])
+    return before
+
+
+def _in_blocks(
+    projection: Projection, before: NDArray[np.int32] | None, block: int, lists: int
+) -> list[Counts]:
+    """(M, k) synapses of each source in each block of targets; of 2 lists, one for each sign.
+
+    Where synapses are not listed an estimate, (M, 1): as many sources as they could have, each
+    with its share.
+    """
+    if before is None:
+        synapses = block * int(projection.into.max())
+        axons = min(synapses, projection.out.size)
+        return [np.full((axons, 1), -(-synapses // max(axons, 1)))]
+    starts = np.arange(0, projection.into.size, block)
+    ends = np.minimum(starts + block, projection.into.size)
+    counts = [np.subtract(each[ends], each[starts], dtype=np.int64).T for each in before]
+    return counts if lists == 2 else [counts[0] + counts[1]]
 
 
 def list_bits(counts: Counts, neurons: int, memory: SynapticMemory, delayed: bool) -> Counts:

@@ -275,9 +275,9 @@ def drift(
         markdown: print the tables as Markdown
     """
     from spikedeploy.emulation.design_report import network_path
-    from spikedeploy.emulation.drift import choose_inputs, drift_report
+    from spikedeploy.emulation.drift_report import choose_inputs, drift_report
     from spikedeploy.outputs import check_output, check_output_folder
-    from spikedeploy.reports.drift import drift_markdown, drift_page, print_drift
+    from spikedeploy.reports.drift_page import drift_markdown, drift_page, print_drift
     from spikedeploy.reports.page import FILES, is_page_of, write_page
     from spikedeploy.runtime.artifact.artifact import is_tuned, load, save
     from spikedeploy.runtime.chips.chip import chip as datasheet

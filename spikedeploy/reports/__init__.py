@@ -11,7 +11,7 @@ page        pages by jinja2, from `templates` and `assets`; Markdown as a page; 
 comparison  report.json, report.html and report.md of a comparison
 design      a network against the design rules: by chip, by layer, by rule, core by core
 energy_verdict  whether spiking saves energy, beside published borders and static power
-drift       drift by layer and by rounding
+drift_page  drift by layer and by rounding
 runs        training runs: scores, list, page
 datasheets  chips, energy tables, break-even lines, shipped policies
 terminal    what commands print of comparisons, emulations, files and traces

@@ -14,9 +14,9 @@ from spikedeploy.runtime.chips.chip import SynapticMemory, chip
 from spikedeploy.runtime.compiler.lowering import lower
 from spikedeploy.runtime.compiler.mapping import (
     Entries,
+    Loads,
     entries,
     list_bits,
-    load,
     map_to_cores,
     mapping_utilisation,
     placement_utilisation,
@@ -103,7 +103,7 @@ def test_a_division_fits_and_none_into_fewer_cores_does(size, fan_in, room, full
     fits = [
         block
         for block in range(1, min(size, 100) + 1)
-        if load(population, limits, 2, block).memory <= memory.size
+        if Loads(population, limits, 2).at(block).memory <= memory.size
     ]
     if fits:
         assert placement.block in fits

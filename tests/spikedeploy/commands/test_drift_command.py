@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spikedeploy.emulation.drift import observed_inputs, random_inputs
+from spikedeploy.emulation.drift_report import observed_inputs, random_inputs
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.registry import find, open_policy

@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from spikedeploy.campaign.sweep import run_sweep
 from spikedeploy.campaign.sweep_grid import SweepGrid
 from spikedeploy.emulation.design_report import report_of
-from spikedeploy.emulation.drift import drift_report, random_inputs
+from spikedeploy.emulation.drift_report import drift_report, random_inputs
 from spikedeploy.jobs.pool import SerialBackend
 from spikedeploy.policies import run_record
 from spikedeploy.reports.design import core_fills, design_page
-from spikedeploy.reports.drift import drift_page
+from spikedeploy.reports.drift_page import drift_page
 from spikedeploy.reports.page import render_markdown
 from spikedeploy.reports.plots import curves_figure
 from spikedeploy.reports.runs import LivePage, run_page, scores, write_run_page

@@ -6,7 +6,7 @@ from itertools import cycle
 
 from markupsafe import Markup
 
-from spikedeploy.emulation.drift import DriftReport
+from spikedeploy.emulation.drift_report import DriftReport
 from spikedeploy.emulation.open_loop import SILENT
 from spikedeploy.reports.page import provenance, render
 from spikedeploy.reports.plots import (
