@@ -317,7 +317,7 @@ def _codec(artifact: Artifact) -> Codec:
 
 def _model(artifact: Artifact, name: str) -> onnx.ModelProto:
     codec, graph = _codec(artifact), OnnxGraph(np.float64)
-    plan = Plan(compile_program(artifact, chip("ideal"), limits=False).listed("ONNX"), codec)
+    plan = Plan(compile_program(artifact, chip("ideal"), limits=False).dense("ONNX"), codec)
     if plan.program.graded:
         raise ConfigError(
             f"--to onnx: layer {min(plan.program.graded)!r}: sigma-delta neurons are not written "

@@ -136,7 +136,7 @@ def chip_run(program: Program, rows: int, state: State = "kept") -> ChipRun:
             f"--to program: clock 'gated' updates each layer once in a row and holds it meanwhile, "
             f"which the tools of {program.chip.name} cannot do. Choose --clock free, or pipelined."
         )
-    program = program.listed("the kit")
+    program = program.dense("the kit")
     timesteps = program.rows(rows)
     windows = {layer.name: program.window(layer, timesteps) for layer in program.layers}
     least = 1 if program.chip.delay else 0

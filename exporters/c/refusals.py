@@ -29,7 +29,7 @@ def check_program(program: Program) -> None:
             "integers of CuBa-LIF and of integrate-and-fire neurons. Choose loihi1, int, "
             "truenorth, odin, tinyodin, speck2f or spiker."
         )
-    if arithmetic.together:
+    if arithmetic.all_at_once:
         raise ConfigError(
             f"--to c: rule queue: the queue of {chip} is on. Choose queue=off, where the program "
             "relays the spikes."

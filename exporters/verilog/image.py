@@ -480,7 +480,7 @@ def core_image(program: Program, codec: Codec | None = None) -> CoreImage:
     codec: says how many timesteps an inference has, which bounds states that are reset.
     """
     check_program(program)
-    program = program.listed("the core of an FPGA")
+    program = program.dense("the core of an FPGA")
     image = CoreImage(Plan(program, codec))
     heard = [output.layer for output in image.outputs if output.silent]
     check_membranes({layer: image.membrane_bits(layer) for layer in heard})

@@ -101,7 +101,7 @@ def simulate(network: Program, raster: Weights, layout: Layout) -> dict[str, Any
         groups[each.name] = neurons(net, each)
     for each in network.layers:
         for synapses in each.synapses:
-            matrix = synapses.listed().weight
+            matrix = synapses.dense().weight
             pairs = np.argwhere(matrix)
             weights = {"weight": matrix[tuple(pairs.T)].astype(float).tolist()}
             source, target = groups[synapses.source], groups[each.name]

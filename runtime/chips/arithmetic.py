@@ -78,7 +78,7 @@ class ArithmeticDefaults(Protocol):
         return 1, NEVER - 1
 
     @property
-    def together(self) -> bool:
+    def all_at_once(self) -> bool:
         """True where all layers advance as one: spikes reach others in the same timestep."""
         return False
 
@@ -93,7 +93,7 @@ class ArithmeticDefaults(Protocol):
         presynaptic: Mapping[str, Sequence[Numbers]],
         states: Mapping[str, LayerState],
     ) -> Mapping[str, StepResult]:
-        """Advance all layers by one timestep, where they do so `together`; else none.
+        """Advance all layers by one timestep, where they do so `all_at_once`; else none.
 
         presynaptic: layer -> spikes (B, M) through each of its synapses; those of the input count.
         """
@@ -176,7 +176,7 @@ class ArithmeticDefaults(Protocol):
         return 1
 
     def with_one_list(self) -> "Arithmetic | None":
-        """The same with weights of both signs in one list; None where that is no choice."""
+        """Return it with weights of both signs in one list; None where that is no choice."""
         return None
 
     # what the analysis and the measures ask

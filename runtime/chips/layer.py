@@ -112,11 +112,11 @@ class Synapses:
     def scaled(self, factors: Numbers) -> "Synapses":
         """Weights times factors (N,) of the neurons; a matrix where those of a channel differ."""
         if self.window is not None and self.window.of_channels(factors) is None:
-            return self.listed().scaled(factors)
+            return self.dense().scaled(factors)
         return replace(self, weight=self.weight * self.by_weight(factors))
 
-    def listed(self, needed_by: str = "the list of them") -> "Synapses":
-        """The same synapses as a matrix; RuleError, with what needs it, where that is too large."""
+    def dense(self, needed_by: str = "the list of them") -> "Synapses":
+        """Return the synapses as a matrix; RuleError, with what needs it, where it is too large."""
         if self.window is None:
             return self
         check_matrix(self.source, self.shape, needed_by)

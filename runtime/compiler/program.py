@@ -128,15 +128,15 @@ class Program:
                 self._check(layer, synapses, presynaptic)
             presynaptic.add(layer.name)
 
-    def listed(self, needed_by: str = "the list of them") -> "Program":
-        """The same with a matrix for each window; RuleError where one is too large."""
+    def dense(self, needed_by: str = "the list of them") -> "Program":
+        """Return the program with a matrix for each window; RuleError where one is too large."""
 
-        def listed(layers: tuple[Layer, ...]) -> tuple[Layer, ...]:
+        def dense(layers: tuple[Layer, ...]) -> tuple[Layer, ...]:
             return tuple(
-                replace(a, synapses=tuple(s.listed(needed_by) for s in a.synapses)) for a in layers
+                replace(a, synapses=tuple(s.dense(needed_by) for s in a.synapses)) for a in layers
             )
 
-        return replace(self, layers=listed(self.layers), host=listed(self.host))
+        return replace(self, layers=dense(self.layers), host=dense(self.host))
 
     def joined(self, rasters: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
         """The input (B, T, M), from the raster (B, T, *shape) of each Input node."""

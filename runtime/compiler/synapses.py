@@ -168,7 +168,7 @@ def _synapses(
                 shape = ends[-1], each.shape[1]
                 check_matrix(name, shape, "a row of several Inputs")
                 joined[each.delay] = np.zeros(shape)
-            joined[each.delay][rows[each.source]] = each.listed().weight
+            joined[each.delay][rows[each.source]] = each.dense().weight
     return *found, *(Synapses(name, matrix, lag) for lag, matrix in joined.items())
 
 
@@ -183,7 +183,7 @@ def _output(weights: "_Weights", block: _Block, port: Port) -> Output:
             )
     end = f"an Output behind maps, {port.name!r},"
     terms = [
-        OutputTerm(source, None if _is_identity(each) else each.listed(end).weight, each.delay)
+        OutputTerm(source, None if _is_identity(each) else each.dense(end).weight, each.delay)
         for source in block.ways
         for each in weights.between(source, block)
     ]
@@ -244,7 +244,7 @@ class _Weights:
                 lag = self._lag([source, *first.way, block.target])
                 synapses = Synapses(source, found[0], lag, window=found[1])
                 # one to one: vectors as a diagonal
-                return [synapses.listed() if len(shape) == 1 else synapses]
+                return [synapses.dense() if len(shape) == 1 else synapses]
         return [Synapses(source, m, lag) for lag, m in self._matrices(source, block).items()]
 
     def _lag(self, way: Sequence[str]) -> int:

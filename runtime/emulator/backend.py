@@ -50,7 +50,7 @@ class Recording:
     spikes: NDArray[np.integer[Any]]
 
     def part(self: AnyRecording, window: slice) -> AnyRecording:
-        """The same of some of the timesteps."""
+        """Return the recording of some of the timesteps."""
         parts: dict[str, Any] = {
             name: None if rows is None else rows[:, window] for name, rows in vars(self).items()
         }
@@ -149,7 +149,7 @@ def backend_class(program: Program, name: str) -> type[Backend]:
         raise ConfigError(f"backend {name!r} is unknown. Choose one of {choices}.")
     arithmetic = program.chip.arithmetic
     if program.upsets is not None:
-        if arithmetic.together:
+        if arithmetic.all_at_once:
             raise ConfigError(
                 "queue is 'on': lost and spurious spikes and flipped bits of states are emulated "
                 "layer by layer, and not in the chip's queue. Choose queue=off, or other faults."

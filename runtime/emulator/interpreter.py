@@ -103,7 +103,7 @@ class Interpreter:
     def _update_together(self, step: int, sent: Mapping[str, Spikes]) -> Mapping[str, StepResult]:
         """A timestep of all layers, where the chip advances them as one; else nothing."""
         arithmetic, layers = self.program.chip.arithmetic, self.program.layers
-        if not arithmetic.together:
+        if not arithmetic.all_at_once:
             return {}
         presynaptic = {layer.name: self._presynaptic(layer, step, sent) for layer in layers}
         return arithmetic.update_together(self.program, presynaptic, self.states)

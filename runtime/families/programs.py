@@ -73,7 +73,7 @@ class _Form:
 
 def program_record(program: Program) -> dict[str, Any]:
     """The program's integers as plain data, which `program_in` reads back as the same program."""
-    chip, program = program.chip, program.listed("a record of the program")
+    chip, program = program.chip, program.dense("a record of the program")
     form = _form(chip)
     _check(program)
     convention = program.convention

@@ -385,7 +385,7 @@ def _synapses(layer: Layer, sources: Sequence[str], gain: Floats) -> Iterator[Sy
         # the host may hold the input back; the chip takes one timestep
         for delay in sorted({s.delay if from_input else 1 for s in presynaptic}):
             arriving = [s for s in presynaptic if not from_input or s.delay == delay]
-            weights = [s.listed("Xylo").weight for s in arriving]
+            weights = [s.dense("Xylo").weight for s in arriving]
             yield Synapses(source, gain * np.sum(weights, axis=0), delay)
 
 

@@ -138,7 +138,7 @@ def mac_energy(macs: float, table: EnergyTable) -> float:
 
 
 def mac_energy_estimate(macs: float, table: EnergyTable) -> EnergyEstimate:
-    """The same [J], with its interval."""
+    """Return `mac_energy` [J] with its interval."""
     joules = mac_energy(macs, table)
     return _estimate(joules, joules, {"mac": macs}, table)
 
@@ -228,7 +228,7 @@ def chip_terms(counts: Mapping[str, float], table: EnergyTable) -> dict[str, flo
 
 
 def priced_terms(counts: Mapping[str, float], table: EnergyTable) -> dict[str, float]:
-    """The same without terms that are unknown, or part of another price."""
+    """Return `chip_terms` without those that are unknown, or part of another price."""
     left_out = (*unpriced_terms(counts, table), *table.included)
     return {term: j for term, j in chip_terms(counts, table).items() if term not in left_out}
 

@@ -64,7 +64,7 @@ class NeuroBench:
     neuron_dense_ops: float
 
     def as_json(self) -> dict[str, Any]:
-        """The same by NeuroBench's names; Footprint_packed is not one of them."""
+        """Return the metrics by NeuroBench's names, and Footprint_packed, which is none."""
         return {
             "ParameterCount": self.parameter_count,
             "Footprint": self.footprint,
@@ -192,7 +192,7 @@ def dense_operations(graph: nir.NIRGraph) -> int:
 
 
 def dense_products(graph: nir.NIRGraph) -> int:
-    """The same without identities into the output, which connect and compute nothing."""
+    """Return `dense_operations` without identities into the output, which compute nothing."""
     last = {source for source, target in graph.edges if target in graph.outputs}
     weights = [graph.nodes[name].weight for name in last if _is_weighted(graph.nodes[name])]
     return dense_operations(graph) - sum(int(w.size) for w in weights if is_identity(w))

@@ -78,7 +78,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         return 2 if self.sign_mode == "split" else 1
 
     def with_one_list(self) -> "CubaFixedPoint | None":
-        """The same with weights of both signs in one list; None where that is no choice."""
+        """Return it with weights of both signs in one list; None where that is no choice."""
         if self.sign_mode != "split" or self.weight_bits < 2:
             return None
         return replace(self, sign_mode="mixed")
@@ -162,7 +162,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
 
 @dataclass(frozen=True)
 class CubaGradedSpikes(CubaFixedPoint):
-    """The same where neurons can also be sigma-delta neurons, which send graded spikes.
+    """CubaFixedPoint with sigma-delta neurons besides, which send graded spikes.
 
     Of 24 bits with the sign, as lava keeps them (lava-nc 0.10.0, proc.sdn, source read); 32 by
     public statements on Loihi 2 (Orchard et al. 2021, IEEE SiPS). That the chip's microcode counts

@@ -21,7 +21,7 @@ from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.chips.registers import Rounding, round_values
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError, RuleError
-from spikedeploy.runtime.families.integrate_and_fire.events import update_by_events
+from spikedeploy.runtime.families.integrate_and_fire.event_queues import update_by_events
 from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules, update
 from spikedeploy.runtime.families.integrate_and_fire.spike_queue import update_together
 
@@ -50,7 +50,7 @@ def check_axons(layers: Sequence[Layer], chip_name: str, rules: IntegrateAndFire
         _check_signs(layers, chip_name)
     for layer in layers if rules.axon_types else ():
         found = axon_types(
-            np.concatenate([s.listed("a core of typed axons").weight for s in layer.synapses])
+            np.concatenate([s.dense("a core of typed axons").weight for s in layer.synapses])
         )
         if found > rules.axon_types:
             raise RuleError(
@@ -277,7 +277,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
     @property
     def backends(self) -> Mapping[str, str]:
         """Name -> "module:class" of each backend, besides the interpreter, that has kernels."""
-        if self.together and not self.by_events:
+        if self.all_at_once and not self.by_events:
             return {}
         return {"numba": _EVENTS if self.by_events else _TIMESTEPS}
 
@@ -312,7 +312,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         return self.fires == "reached"
 
     @property
-    def together(self) -> bool:
+    def all_at_once(self) -> bool:
         """True where all layers advance as one: spikes reach others in the same timestep."""
         return self.queue == "on"
 
@@ -325,7 +325,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         stagger: bool,
     ) -> tuple[list[Layer], list[str]]:
         """The float layers with starts and delays, and remarks on what is not as in the file."""
-        if self.together and delay:
+        if self.all_at_once and delay:
             raise ConfigError(
                 f"queue is 'on' and delay {delay}: spikes from the queue arrive in the same "
                 "timestep. Leave the delay at 0, or choose queue 'off'."
@@ -348,7 +348,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         inside = [s for layer in layers for s in layer.synapses if s.source != network_input]
         if not (self.queue_entries and inside):
             return []
-        if not self.together:
+        if not self.all_at_once:
             return [_RELAYED]
         late = any(s.delay for s in inside)
         return [_QUEUED + (_SOONER if late else "")]

@@ -22,7 +22,7 @@ from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, count_eve
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.families.integrate_and_fire import numba_events
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
-from spikedeploy.runtime.families.integrate_and_fire.events import (
+from spikedeploy.runtime.families.integrate_and_fire.event_queues import (
     EventNetwork,
     Spikes,
     process_queue,
@@ -130,7 +130,7 @@ class EventMachine(Copied):
 
 @dataclass(frozen=True)
 class _CompiledEvents(IntegrateAndFire):
-    """The same arithmetic, whose timesteps of events are compiled."""
+    """IntegrateAndFire whose timesteps of events are compiled."""
 
     def update_together(
         self,

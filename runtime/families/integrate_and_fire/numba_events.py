@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.layer import Numbers, Synapses
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.families import numba_frame as frame
-from spikedeploy.runtime.families.integrate_and_fire.events import (
+from spikedeploy.runtime.families.integrate_and_fire.event_queues import (
     EventLayer,
     EventState,
     Queue,

@@ -23,7 +23,7 @@ from spikedeploy.runtime.convention import Convention, Reset
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import TraceError
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire, quantise
-from spikedeploy.runtime.families.integrate_and_fire.events import EventNetwork, Spikes
+from spikedeploy.runtime.families.integrate_and_fire.event_queues import EventNetwork, Spikes
 from spikedeploy.runtime.traces.fields import MOST_NUMBERS, Fields, Integers, Work
 from spikedeploy.runtime.traces.verify import (
     Difference,

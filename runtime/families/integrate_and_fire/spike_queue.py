@@ -225,7 +225,7 @@ def _wire(
     for layer in layers:
         onto = slice(columns[layer.name], columns[layer.name] + layer.size)
         for place, synapses in enumerate(layer.synapses):
-            weight = synapses.listed("a queue").weight.astype(np.int64)
+            weight = synapses.dense("a queue").weight.astype(np.int64)
             if synapses.source == source:
                 ways.setdefault(synapses.delay, (layer.name, place))
                 empty = np.zeros((len(weight), starts[-1]), np.int64)

@@ -65,7 +65,7 @@ def test_the_matrix_of_a_window_is_that_of_torchs_convolution(
     found: Synapses, seed: int, density: float
 ) -> None:
     matrix = _by_torch(found, np.eye(found.shape[0], dtype=np.int64))
-    listed = found.listed()
+    listed = found.dense()
     np.testing.assert_array_equal(listed.weight, matrix)
     np.testing.assert_array_equal(found.fan_out, listed.fan_out)
     for reduce in (np.add, np.maximum):
@@ -111,6 +111,6 @@ def test_a_window_too_large_for_a_matrix_and_neurons_that_differ_are_refused() -
     window = Window((2, 128, 128), (8, 126, 126), kernel=(3, 3))
     found = Synapses("in", np.ones((8, 2, 3, 3)), 0, window=window)
     with pytest.raises(RuleError, match="as a matrix"):
-        found.listed()
+        found.dense()
     with pytest.raises(RuleError, match="share a kernel"):
         found.by_weight(np.arange(found.shape[1]))

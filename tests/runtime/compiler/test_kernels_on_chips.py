@@ -130,7 +130,7 @@ def test_kernels_equal_the_matrices_that_impulses_find(name, drawn, seed, densit
     program = compile_program(artifact, on, limits=False)
     if not name.startswith("xylo"):
         assert program.layers[0].synapses[0].window is not None
-    for ours, theirs in zip(program.listed().layers, wanted.layers, strict=True):
+    for ours, theirs in zip(program.dense().layers, wanted.layers, strict=True):
         for field in ("bias", "voltage_bias", "threshold", "current_decay", "membrane_decay"):
             np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field))
         np.testing.assert_array_equal(ours.scale, theirs.scale)

@@ -9,9 +9,7 @@ import pytest
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.rate import RateEncoder
-from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import Sampler, SpikingController
-from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.emulator.network import FloatMachine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
 from tests.networks import chain, cuba, event_driven, popsan, spiking_mlp
@@ -47,19 +45,6 @@ def test_acting_alone_is_acting_in_a_batch(name):
     alone = np.stack([controller.act(observation) for observation in OBSERVATIONS[:9]])
     np.testing.assert_allclose(alone, actions[:9], rtol=0, atol=1e-12)
     assert controller.ledger.inferences == len(OBSERVATIONS) + 9
-
-
-@pytest.mark.parametrize("name", [None, "ideal", "loihi1"])
-def test_kept_states_make_the_past_matter_until_reset(name):
-    artifact = popsan()
-    kept = replace(artifact, convention=replace(artifact.convention, state="kept"))
-    controller = SpikingController(kept, name and chip(name))
-    controller.reset(0)
-    first = [controller.act(observation) for observation in OBSERVATIONS[:5]]
-    assert controller.act(OBSERVATIONS[0]).tolist() != first[0].tolist()
-    controller.reset(1)
-    again = [controller.act(observation) for observation in OBSERVATIONS[:5]]
-    np.testing.assert_array_equal(again, first)
 
 
 @pytest.mark.parametrize("name", [None, "loihi1"])
@@ -107,14 +92,6 @@ def driven(artifact, name, seed=0, count=30, **options):
     return [controller.act(each).tolist() for each in seen]
 
 
-@pytest.mark.parametrize("name", CHIPS)
-def test_a_choice_is_an_index_for_one_robot_and_for_many(name):
-    controller = SpikingController(spiking_mlp(), name and chip(name))
-    action = controller.act(np.zeros(6))
-    assert (action.shape, action.dtype) == ((), np.int64)
-    assert controller.act_batch(np.zeros((4, 6))).tolist() == [int(action)] * 4
-
-
 def test_a_random_code_acts_alike_with_the_same_seed_and_otherwise_with_another():
     policy = random(spiking_mlp(squash="tanh"))
     assert driven(policy, "loihi1", seed=3) == driven(policy, "loihi1", seed=3)
@@ -159,20 +136,6 @@ def test_what_remembers_says_so():
     assert SpikingController(random(policy)).remembers
     assert SpikingController(kept(policy)).remembers
     assert SpikingController(event_driven()).remembers
-
-
-def test_a_kept_state_is_one_long_inference():
-    # two inferences of 16 timesteps are one of 32, spike by spike
-    policy = kept(spiking_mlp())
-    raster = (np.random.default_rng(0).random((3, 32, 6)) < 0.4).astype(np.uint8)
-    for make in (
-        lambda: FloatMachine(policy),
-        lambda: Machine(compile_program(policy, LOIHI1, clock="gated"), None),
-    ):
-        whole, parts = make(), make()
-        halves = [parts.infer(raster[:, :16]), parts.infer(raster[:, 16:])]
-        joined = np.concatenate(halves, axis=1)
-        np.testing.assert_allclose(whole.infer(raster), joined, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", CHIPS)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.layer import LayerState, Synapses
+from spikedeploy.runtime.chips.layer import Synapses
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
@@ -57,67 +57,6 @@ def test_a_trace_worked_out_by_hand():
         assert ran["neuron"].current.ravel().tolist() == [0, 192, -176, -260, -195, -146, -109]
         assert ran["neuron"].membrane.ravel().tolist() == [0, 0, -176, -348, -369, -330, -274]
         assert ran["neuron"].spikes.ravel().tolist() == [0, 1, 0, 0, 0, 0, 0]
-
-
-def fitted(x, register):
-    """A number as the register holds it, and whether it did not fit."""
-    half = 1 << (register.bits - 1)
-    held = {
-        "none": lambda: x,
-        "wrap": lambda: (x + half) % (2 * half) - half,
-        "wrap-once": lambda: x - 2 * half * (x > half) + 2 * half * (x <= -half),
-        "clip": lambda: min(max(x, 1 - half), half - 1),
-        "saturate": lambda: min(max(x, -half), half - 1),
-    }[register.overflow]()
-    if register.between is not None:
-        held = min(max(held, register.between[0]), register.between[1])
-    return held, held != x
-
-
-def plain_step(fixed, subtract, layer, n, arrived, before):
-    """A timestep of one neuron in integers of Python: its new state, spike, activity, overflows."""
-    current, membrane, resting = before
-
-    def kept(x, factor):
-        return abs(x) * int(factor) // 4096 * (1 if x > 0 else -1)
-
-    drive, lost = fitted(arrived * 64, fixed.accumulator)
-    current, wrapped = fitted(kept(current, layer.current_decay[n]) + drive, fixed.current)
-    push, turned = fitted(current + int(layer.voltage_bias[n]), fixed.push)
-    raised, clipped = fitted(kept(membrane, layer.membrane_decay[n]) + push, fixed.membrane)
-    active = membrane != 0 or current != 0 or layer.voltage_bias[n] != 0
-    threshold, spike = int(layer.threshold[n]), False
-    if resting:
-        after, resting = 0, resting - 1
-    elif raised > threshold:
-        after, resting, spike = (raised - threshold) * subtract, fixed.refractory - 1, True
-    else:
-        after = raised
-    return (current, after, resting), spike, active, lost + wrapped + turned + clipped
-
-
-@settings(max_examples=40)
-@given(random_programs(), st.sampled_from(["zero", "subtract"]), st.integers(0, 2**32 - 1))
-def test_a_timestep_equals_that_of_a_plain_loop(program, reset, seed):
-    rng, fixed = np.random.default_rng(seed), program.chip.arithmetic
-    program = replace(program, convention=replace(program.convention, reset=reset))
-    of = program.layers[-1]
-    state = LayerState.zero(of, 1)
-    plain = {n: (0, 0, 0) for n in range(min(of.size, 5))}
-    for _ in range(8):
-        spikes = [(rng.random((1, len(s.weight))) < 0.4).astype(np.uint8) for s in of.synapses]
-        arrived = of.bias.astype(int)
-        for s, row in zip(of.synapses, spikes, strict=True):
-            arrived = arrived + s.weight[row[0] > 0].astype(int).sum(axis=0)
-        result = fixed.update(program, of, spikes, state)
-        for n, before in plain.items():
-            plain[n], spike, active, lost = plain_step(
-                fixed, reset == "subtract", of, n, int(arrived[n]), before
-            )
-            found = state.current[0, n], state.membrane[0, n], state.refractory[0, n]
-            assert found == plain[n]
-            assert (result.spikes[0, n], result.active[0, n]) == (spike, active)
-            assert result.overflows[0, n] == lost
 
 
 @pytest.mark.parametrize("shift", [0, 1, 3])

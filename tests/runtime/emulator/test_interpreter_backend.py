@@ -1,7 +1,5 @@
 """The machine's slow way: the interpreter behind the same calls, for every arithmetic there is."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +10,6 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError, ObservationError
-from tests.networks import popsan
 from tests.paths import GOLDEN
 from tests.programs import random_programs, rasters
 from tests.trace_files import recorded_trace
@@ -48,30 +45,6 @@ def test_interpreted_steps_equal_the_kernels_and_their_ledger(program, run):
     for row in raster.swapaxes(0, 1):
         np.testing.assert_array_equal(slow.step(row), fast.step(row))
         check_same(slow, fast)
-
-
-@pytest.mark.parametrize("state", ["reset", "kept"])
-def test_a_policy_with_a_delayed_readout_is_interpreted_to_the_same_bits(state):
-    artifact = popsan()
-    convention = replace(artifact.convention, state=state, delay=1)
-    program = compile_program(replace(artifact, convention=convention), chip("loihi1"))
-    fast, slow = Machine(program, 2), Machine(program, 2, backend="interpreter")
-    for raster in rasters(program, 2, 5, 0.3, seed=0, inferences=3):
-        np.testing.assert_array_equal(slow.infer(raster), fast.infer(raster))
-
-
-@pytest.mark.parametrize("backend", ["numpy", "auto", "interpreter"])
-@pytest.mark.parametrize(
-    "name", ["xylo_B_two_syn_bias_rec", "xylo_own_aliases", "lava_own_exponent_mixed"]
-)
-def test_what_the_kernels_do_not_know_runs_all_the_same(name, backend):
-    recorded = recorded_trace(GOLDEN / f"{name}.json")
-    machine = Machine(recorded.program, trace=True, backend=backend)
-    output = machine.infer(recorded.raster)
-    for layer, expected in trace(recorded.program, recorded.raster).items():
-        for quantity, found in vars(machine.recordings[layer]).items():
-            np.testing.assert_array_equal(found, getattr(expected, quantity))
-    np.testing.assert_array_equal(output, machine.recordings[recorded.program.output].spikes)
 
 
 @pytest.mark.parametrize(

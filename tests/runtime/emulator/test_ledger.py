@@ -113,20 +113,6 @@ def test_rows_are_inferences_and_totals_are_their_sum():
     assert ledgers["none"].per_inference("sop") == 0
 
 
-def test_means_and_parts_of_a_ledger_agree():
-    network = compile_program(popsan(), chip("loihi1"), clock="gated")
-    machine = Machine(network)
-    for raster in rasters(network, 1, 5, 0.3, seed=0, inferences=4):
-        machine.infer(raster)
-    ledger = machine.ledger
-    assert sum(ledger.by_layer("sop").values()) == ledger.total("sop")
-    assert ledger.per_inference("sop") == ledger.total("sop") / 4
-    neurons = 16 + 12 + 20
-    assert ledger.neurons == (16, 12, 20)
-    assert ledger.sparsity == (4 * 5 * neurons - ledger.total("spike_out")) / (4 * 5 * neurons)
-    assert ledger.total("neuron_update") + ledger.total("neuron_idle") == 4 * 8 * neurons
-
-
 def test_spikes_that_share_a_timestep_leave_the_sparsity_unknown():
     policy = popsan()
     subtractive = replace(policy, convention=replace(policy.convention, reset="subtract"))

@@ -3,7 +3,7 @@
 import nir
 import numpy as np
 
-from spikedeploy.runtime.artifact.artifact import Artifact, load, save
+from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
@@ -84,16 +84,6 @@ def test_a_membrane_that_leaks_in_twelve_bits_worked_by_hand():
         assert ran.spikes[0, :, 0].tolist() == [0, 0, 0, 1]
 
 
-def test_the_ideal_chip_equals_float_in_every_spike():
-    artifact = kart()
-    raster = artifact.codec.encode(observations())
-    machine = Machine(compile_program(artifact, chip("ideal")), len(raster), trace=True)
-    machine.infer(raster)
-    expected = FloatGraph(artifact).run(raster)
-    for name, ran in machine.recordings.items():
-        np.testing.assert_array_equal(ran.spikes, expected[name])
-
-
 def test_eight_bits_move_few_spikes_and_few_choices_and_nothing_saturates():
     artifact = kart()
     raster = artifact.codec.encode(observations())
@@ -106,11 +96,3 @@ def test_eight_bits_move_few_spikes_and_few_choices_and_nothing_saturates():
     chosen = artifact.codec.decode(output)
     assert np.mean(chosen == artifact.codec.decode(expected["output"])) > 0.95
     assert machine.ledger.total("saturation") == 0
-
-
-def test_a_reader_may_ask_for_membranes_that_are_kept(tmp_path):
-    save(kart(), tmp_path / "p.nir")
-    assert load(tmp_path / "p.nir").convention.state == "reset"
-    found = load(tmp_path / "p.nir", state="kept").convention
-    assert found.state == "kept"
-    assert found.source.startswith("state given")

@@ -270,7 +270,7 @@ def test_it_equals_the_interpreter_in_every_current_membrane_spike_and_count(bac
 def test_kernels_of_convolutions_equal_their_matrices(program, run):
     raster = rasters(program, *run)[0]
     ours, listed = (
-        Machine(each, run[0], trace=True, backend="numba") for each in (program, program.listed())
+        Machine(each, run[0], trace=True, backend="numba") for each in (program, program.dense())
     )
     np.testing.assert_array_equal(ours.infer(raster), listed.infer(raster))
     check_equal(ours.recordings, listed.recordings)

@@ -1,7 +1,6 @@
 """Integrate-and-fire neurons of each chip, by hand and beside a second one in plain Python."""
 
 import json
-from dataclasses import replace
 
 import nir
 import numpy as np
@@ -12,7 +11,6 @@ from hypothesis import strategies as st
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Layer, Synapses
-from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
@@ -173,102 +171,6 @@ def test_spiker_by_hand():
     program = one_layer("spiker", [[10], [-9]], threshold=12, leak=2, reset="subtract")
     raster = [[1, 0], [1, 1], [1, 0], [0, 1], [0, 0], [0, 0]]
     assert ran(program, raster)[:2] == ([10, 9, 17, -4, -3, -2], [0, 0, 1, 0, 0, 0])
-
-
-def plainly(program, raster):
-    """Membranes, spikes, activity and overflows (T, N) of one copy, neuron by neuron."""
-    point, layer = program.chip.arithmetic, program.layers[0]
-    subtract = program.convention.reset == "subtract"
-    low, high = -(1 << (point.membrane.bits - 1)), (1 << (point.membrane.bits - 1)) - 1
-    floor = low if point.floor is None else max(low, point.floor)
-    membranes, spikes, active, overflows = [], [], [], []
-    v = [0] * layer.size
-    for row in raster:
-        counts, lost, busy = [0] * layer.size, [0] * layer.size, [x != 0 for x in v]
-        for n in range(layer.size):
-            threshold, leak = int(layer.threshold[n]), int(layer.membrane_decay[n])
-            weights = [
-                int(w)
-                for w, s in zip(layer.synapses[0].weight[:, n], row, strict=True)
-                for _ in range(s)
-            ]
-            bias = int(layer.bias[n] + layer.voltage_bias[n])
-
-            def leaked(x, leak=leak):
-                if point.leak == "shift":
-                    return x - (x // 2**leak if leak >= 0 else 0)
-                if point.leak == "crossing":
-                    return x - leak if x > 0 else x + leak if x < 0 else x
-                return max(x - leak, 0) if x > 0 else min(x + leak, 0)
-
-            def over(x, threshold=threshold):
-                return x >= threshold if point.fires == "reached" else x > threshold
-
-            groups = [[w] for w in weights] if point.adds == "event" else [weights]
-            if point.adds == "step":
-                groups = [[*weights, bias]]
-            elif (layer.bias + layer.voltage_bias).any():
-                groups = [*groups, [bias]]
-            if point.reset_at == "leak" and over(v[n]):
-                v[n] = v[n] - threshold if subtract else 0
-            elif point.leak_order == "first":
-                v[n] = leaked(v[n])
-            if point.leak_order == "first" and point.checks == "event" and over(v[n]):
-                counts[n], v[n] = counts[n] + 1, v[n] - threshold if subtract else 0
-            for group in groups:
-                held = min(max(v[n] + sum(group), low), high)
-                lost[n] += held != v[n] + sum(group)
-                busy[n] |= sum(group) != 0
-                v[n] = max(held, floor)
-                if point.checks == "event" and over(v[n]):
-                    counts[n], v[n] = counts[n] + 1, v[n] - threshold if subtract else 0
-            v[n] = leaked(v[n]) if point.leak_order == "last" else v[n]
-            while point.checks == "step" and over(v[n]) and counts[n] < point.spikes_max:
-                counts[n] += 1
-                if point.reset_at == "spike":
-                    v[n] = v[n] - threshold if subtract else 0
-                if not subtract:
-                    break
-        membranes.append(list(v))
-        spikes.append(counts)
-        active.append(busy)
-        overflows.append(lost)
-    return membranes, spikes, active, overflows
-
-
-@settings(max_examples=120)
-@given(
-    st.sampled_from(["speck2f", "truenorth", "odin", "tinyodin", "spiker"]),
-    st.sampled_from(["zero", "subtract"]),
-    st.integers(0, 2**32 - 1),
-    st.sampled_from([6, 8, None]),
-)
-def test_the_interpreter_equals_a_plain_loop(name, reset, seed, bits):
-    rng = np.random.default_rng(seed)
-    point = chip(name).arithmetic
-    options = {} if bits is None else {"membrane": Register(bits, "saturate")}
-    low, high = point.weight_range
-    top = max(2, min(high, 20))
-    program = one_layer(
-        name,
-        rng.integers(max(low, -top), top + 1, (7, 4)),
-        leak=rng.integers(-1 if point.leak == "shift" else 0, 5, 4),
-        threshold=rng.integers(0 if reset == "zero" else 1, 25, 4),
-        bias=rng.integers(-3, 4, 4) * rng.integers(0, 2),
-        reset=reset,
-        **options,
-    )
-    if point.leak == "none":
-        program = replace(
-            program, layers=(replace(program.layers[0], membrane_decay=np.zeros(4, int)),)
-        )
-    raster = rng.integers(0, 3, (1, 15, 7)).astype(np.uint8)
-    found = trace(program, raster)["layer"]
-    membranes, spikes, active, overflows = plainly(program, raster[0].tolist())
-    assert found.membrane[0].tolist() == membranes
-    assert found.spikes[0].tolist() == spikes
-    assert found.active[0].tolist() == active
-    assert found.overflows[0].tolist() == overflows
 
 
 def test_copies_of_a_batch_do_not_meet():

@@ -5,11 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.layer import LayerState
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
@@ -17,7 +14,6 @@ from spikedeploy.runtime.errors import TraceError
 from spikedeploy.runtime.traces.verify import Difference, verify
 from tests.paths import GOLDEN
 from tests.trace_files import recorded_trace
-from tests.xylo_networks import random_cores
 
 
 def network(weights, counts, **params):
@@ -216,61 +212,3 @@ def test_many_events_of_an_axon_are_as_many_additions_one_after_another(state):
         np.testing.assert_array_equal(found, current)
         np.testing.assert_array_equal(times, lost)
         assert lost.any()
-
-
-def plain_timestep(network, of, presynaptic, currents, membranes):
-    """One timestep of a layer in integers of Python: states, spikes, activity and overflows."""
-    chosen = network.chip.arithmetic
-    low, high = -(1 << 15), (1 << 15) - 1
-    lost = [0] * of.size
-
-    def held(x, n):
-        kept = min(max(x, low), high)
-        lost[n] += kept != x
-        return kept
-
-    def leaking(x, dash):
-        return x >> int(dash) if x >> int(dash) else (x > 0) - (x < 0)
-
-    for synapses, counts in zip(of.synapses, presynaptic, strict=True):
-        for axon, count in enumerate(counts):
-            most = chosen.events_max if synapses.source == network.input else count
-            for n in range(of.size):
-                for _ in range(min(count, most)):
-                    raised = currents[synapses.current][n] + int(synapses.weight[axon, n])
-                    currents[synapses.current][n] = held(raised, n)
-    spikes, active = [0] * of.size, [False] * of.size
-    is_output = of.name == network.output
-    budget = chosen.output_spikes_max if is_output else chosen.spikes_max
-    for n in range(of.size):
-        for k, row in enumerate(currents):
-            row[n] -= leaking(row[n], of.current_decay[k, n])
-        bias = int(of.voltage_bias[n])
-        active[n] = membranes[n] != 0 or any(row[n] for row in currents) or bias != 0
-        leak = -leaking(membranes[n], of.membrane_decay[n])
-        leak = leak - 65536 if leak == 32768 else leak
-        change = held(held(sum(row[n] for row in currents) + leak, n) + bias, n)
-        membranes[n] = held(membranes[n] + change, n)
-        while membranes[n] >= of.threshold[n] and spikes[n] < budget:
-            spikes[n], membranes[n] = spikes[n] + 1, membranes[n] - int(of.threshold[n])
-    return spikes, active, lost
-
-
-@settings(max_examples=30)
-@given(random_cores(), st.integers(0, 2**32 - 1))
-def test_a_timestep_equals_that_of_a_plain_loop(core, seed):
-    program, _ = core
-    rng = np.random.default_rng(seed)
-    for of in program.layers:
-        of = replace(of, aliases=())
-        state = LayerState.zero(of, 1)
-        currents, membranes = [[0] * of.size for _ in of.current_decay], [0] * of.size
-        for _ in range(5):
-            given_ = [rng.integers(0, 20, (1, len(s.weight))) for s in of.synapses]
-            result = program.chip.arithmetic.update(program, of, given_, state)
-            expected = plain_timestep(
-                program, of, [row[0].tolist() for row in given_], currents, membranes
-            )
-            found = result.spikes, result.active, result.overflows
-            assert tuple(each[0].tolist() for each in found) == expected
-            assert (state.current[0].tolist(), state.membrane[0].tolist()) == (currents, membranes)
