@@ -6,7 +6,7 @@ Each recorded array has a key, and is computed again under the same key.
 
 import re
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -42,11 +42,15 @@ _KEY = re.compile(
     r"(?P<quantity>spikes|v|v_end|weight|bias)_(?P<layer>\d+)"
 )
 _INPUTS = ("raster", "events_in")
+# recordings that the JSON may hold too
+_REPEATED = {
+    f"{quantity}_{rule}_{order}"
+    for quantity in ("event", "v_end") for rule in ("single", "multi") for order in ("cyx", "yxc")
+} | {"events_in"}  # fmt: skip
 _LEAST = -1 << 15  # of a membrane; what sinabs takes a missing lower threshold for
 _MOST_BYTES = 1 << 28  # of the arrays, unpacked
 _MOST_EVENTS = 1 << 16
 _MOST_EXTENT = 1 << 10
-_ALONE = "{name} is not there; what the JSON holds is compared"
 _CAPPED = (
     "rounding of weights is not compared: sinabs scales a network without a lower threshold by 1 "
     "at most"
@@ -90,19 +94,15 @@ def speck_verdict(fields: Fields, path: Path) -> Verdict:
     """Compare everything that a trace of Speck holds with what is computed here."""
     if fields.text("format") != _FORMAT:
         raise fields.wrong("format", "is unknown", f"Write {_FORMAT!r}, as docs/traces.md has it.")
-    beside = path.with_suffix(".npz")
-    recorded, specs, remarks = _read(fields, _read_arrays(beside))
-    if not recorded.arrays:
-        remarks = [*remarks, _ALONE.format(name=beside.name)]
-    # of the JSON and of the NPZ, which may hold the same
-    pairs = [*_in_json(fields, specs, recorded), *_in_arrays(recorded)]
-    if not pairs:
+    recorded, specs, remarks = _read(fields, _read_arrays(path.with_suffix(".npz")))
+    expected = dict(_recorded_arrays(recorded))
+    if not expected:
         raise nothing_to_compare(fields, ())
-    rows = {key: len(expected) for key, expected in pairs}
     found: Arrays = {}
-    for section in dict.fromkeys(_section(key) for key in rows):
+    rows = {key: len(array) for key, array in expected.items()}
+    for section in dict.fromkeys(key for key in map(_section, rows) if key):
         found |= _REPLAYS[section.partition("_")[0]](recorded, section, rows)
-    differences = (_first_difference(key, expected, found[key]) for key, expected in pairs)
+    differences = (_first_difference(key, array, found[key]) for key, array in expected.items())
     used = {*rows, *_INPUTS, *(key.removeprefix("float_") for key in rows)}
     named = {"the file": fields, **{f"layer{k}": spec for k, spec in enumerate(specs)}}
     layer_fields = {name for spec in specs for name in unread_fields([spec], set())}
@@ -110,12 +110,12 @@ def speck_verdict(fields: Fields, path: Path) -> Verdict:
         chip=_CHIP,
         source=source_of(fields, _CHIP),
         steps=recorded.timesteps,
-        compared=sum(expected.size for _, expected in pairs),
+        compared=sum(array.size for array in expected.values()),
         passed_over=0,
         why="",
         difference=next(filter(None, differences), None),
         unread=(
-            *unread_fields([fields], set()),
+            *unread_fields([fields], _REPEATED),
             *sorted(layer_fields | recorded.arrays.keys() - used),
         ),
         remarks=(*assumptions(named, _CHIP), *remarks),
@@ -127,55 +127,16 @@ def _section(key: str) -> str:
     return matched["section"] if matched else ""
 
 
-# what was recorded
-
-
-def _in_json(fields: Fields, specs: list[Fields], recorded: SpeckTrace) -> list[tuple[str, Any]]:
-    """Keys and numbers of the spikes, last membranes and weights in the JSON."""
-    pairs = []
-    for rule in ("single", "multi"):
-        for order in ("cyx", "yxc"):
-            for k, each in enumerate(_by_layer(fields, f"event_{rule}_{order}", specs)):
-                rows = each or np.zeros((0, 4))
-                pairs.append((f"event_{rule}_{order}_spikes_{k}", _table(fields, rows, 4)))
-            for k, each in enumerate(_by_layer(fields, f"v_end_{rule}_{order}", specs)):
-                pairs.append((f"event_{rule}_{order}_v_end_{k}", _table(fields, each, None)))
-    if recorded.floats is not None:
-        for k, layer in enumerate(recorded.layers):
-            pairs.append((f"float_weight_{k}", layer.synapses[0].weight))
-    return pairs
-
-
-def _by_layer(fields: Fields, name: str, specs: list[Fields]) -> list[Any]:
-    rows = fields.rows(name) if name in fields else []
-    if rows and len(rows) != len(specs):
-        raise fields.wrong(name, f"has {len(rows)} lists", f"Write {len(specs)}, one a layer.")
-    return rows
-
-
-def _table(fields: Fields, rows: object, width: int | None) -> Integers:
-    """(n, width) or (n,) whole numbers of a list in the JSON."""
-    spec = Fields({"rows": rows}, fields.where) if np.size(rows) else None  # type: ignore[arg-type]
-    if spec is None:
-        return np.zeros((0, width or 0), np.int64)
-    found = spec.array("rows", axes=1 if width is None else 2, least=-1 << 31, most=1 << 31)
-    if width is not None and found.shape[1:] != (width,):
-        raise fields.wrong("events", f"have shape {found.shape}", f"Write rows of {width}.")
-    return found
-
-
-def _in_arrays(recorded: SpeckTrace) -> list[tuple[str, NDArray[Any]]]:
-    """Keys and numbers of the NPZ; its integer weights too stand under those of the floats."""
-    pairs = []
+def _recorded_arrays(recorded: SpeckTrace) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Keys and numbers of what was recorded; whole weights stand under the keys of the floats."""
     for key, array in recorded.arrays.items():
         matched = _KEY.fullmatch(key)
         if matched is None or int(matched["layer"]) >= len(recorded.layers):
             continue
         if matched["section"] != "float":
-            pairs.append((key, array))
+            yield key, array
         elif recorded.floats is not None and (whole := recorded.arrays.get(key[6:])) is not None:
-            pairs.append((key, whole))
-    return pairs
+            yield key, whole
 
 
 def _first_difference(key: str, expected: NDArray[Any], found: NDArray[Any]) -> Difference | None:
@@ -301,9 +262,6 @@ def _read(fields: Fields, arrays: Arrays) -> tuple[SpeckTrace, list[Fields], lis
     reset: Reset = "subtract" if resets == {"subtract"} else "zero"
     events = _read_events(fields, arrays, source, timesteps)
     floats, remarks = _read_floats(fields, arrays, layers)
-    for k, layer in enumerate(layers):
-        _check_same(fields, arrays, f"weight_{k}", layer.synapses[0].weight)
-        _check_same(fields, arrays, f"bias_{k}", layer.voltage_bias[:: layer.size // shapes[k]])
     found = SpeckTrace(tuple(layers), reset, source, events, timesteps, arrays, floats)
     states = len(events) * max(layer.size for layer in layers)
     if states > MOST_NUMBERS:
@@ -374,10 +332,10 @@ def _pair(spec: Fields, name: str, default: int) -> tuple[int, int]:
 def _read_events(
     fields: Fields, arrays: Arrays, source: tuple[int, ...], timesteps: int
 ) -> Integers:
-    """(E, 4) of the JSON, or of the NPZ where only that has them."""
-    given = Fields({"events_in": arrays["events_in"].tolist()}, fields.where) if (
-        "events_in" in arrays
-    ) else fields  # fmt: skip
+    """(E, 4) of the NPZ, or of the JSON."""
+    given = fields
+    if "events_in" in arrays:
+        given = Fields({"events_in": arrays["events_in"].tolist()}, fields.where)
     events = given.array("events_in", axes=2, least=0, most=_MOST_EVENTS)
     if events.ndim != 2 or events.shape[1] != 4 or len(events) > _MOST_EVENTS:
         remedy = f"Write rows of [timestep, channel, y, x], {_MOST_EVENTS} at most."
@@ -385,9 +343,6 @@ def _read_events(
     if (events >= [timesteps, *source]).any() or (np.diff(events[:, 0]) < 0).any():
         remedy = f"Write them in order, below {[timesteps, *source]}."
         raise fields.wrong("events_in", "has an event outside, or out of order", remedy)
-    if "events_in" in fields:
-        own = fields.array("events_in", axes=2, least=0, most=_MOST_EVENTS)
-        _check_same(fields, arrays, "events_in", own)
     return events
 
 
@@ -416,16 +371,10 @@ def _read_floats(
     return tuple(floats), []
 
 
-def _check_same(fields: Fields, arrays: Arrays, key: str, own: Integers) -> None:
-    """Refuse a JSON and an NPZ of different networks or inputs."""
-    if key in arrays and not np.array_equal(arrays[key], own):
-        raise fields.wrong(key, "of the NPZ is another than in the JSON", "Record both again.")
-
-
 def _read_arrays(path: Path) -> Arrays:
-    """The arrays of an NPZ, whole numbers in int64; none where there is no such file."""
+    """The arrays of an NPZ, whole numbers in int64."""
     if not path.is_file():
-        return {}
+        raise TraceError(f"{path}: the arrays of the trace are missing. Put them beside its JSON.")
     try:
         with zipfile.ZipFile(path) as archive:
             claimed = sum(member.file_size for member in archive.infolist())
