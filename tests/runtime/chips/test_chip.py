@@ -14,7 +14,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.errors import ChipError, RuleError
+from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 from spikedeploy.runtime.metrics.energy import TABLES
 from tests.networks import chain, cuba, lif, popsan
@@ -61,14 +61,6 @@ def test_a_policy_runs_on_every_chip(name):
     assert controller.ledger.total("sop") > 0
 
 
-@pytest.mark.parametrize("name", POLICIES)
-def test_a_machine_gives_the_same_bits_again(name):
-    program = compile_program(policy(name), chip(name))
-    raster = (np.random.default_rng(0).random((2, 5, 12)) < 0.3).astype(np.uint8)
-    first, again = (Machine(program, 2).infer(raster) for _ in range(2))
-    np.testing.assert_array_equal(first, again)
-
-
 def suitable(name):
     """Networks of which every chip runs one, with the chip's first reset."""
     rng = np.random.default_rng(0)
@@ -91,35 +83,6 @@ def test_every_chip_compiles_and_emulates_a_small_network_that_suits_it(name):
             np.testing.assert_array_equal(Machine(program, 2).infer(raster), ran[-1].spikes)
     assert ran
     assert all(found.spikes.any() for found in ran)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_datasheet_cannot_be_written_on(name):
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        chip(name).delay = 3
-
-
-def test_an_option_replaces_a_field_and_leaves_the_table_alone():
-    assert chip("loihi1", weight_bits=4, delay=0).arithmetic.weight_bits == 4
-    assert chip("loihi1").arithmetic.weight_bits == 8
-
-
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [
-        ("weight_bits", 7),
-        ("step_rounding", "up"),
-        ("exponents", "up"),
-    ],
-)
-def test_an_impossible_option_is_refused(option, value):
-    with pytest.raises(ChipError, match=option):
-        chip("loihi1", **{option: value})
-
-
-def test_a_single_bit_cannot_hold_a_sign_and_a_weight():
-    with pytest.raises(ChipError, match="nothing is left"):
-        chip("loihi1", weight_bits=1, sign_mode="mixed")
 
 
 @pytest.mark.parametrize(

@@ -33,12 +33,6 @@ def test_the_ideal_chip_acts_as_the_float_twin_spike_by_spike():
     assert ideal.ledger.sparsity == twin.ledger.sparsity
 
 
-def test_eight_bits_act_almost_like_float():
-    _, expected = acted(popsan(hidden=(64, 64)), None)
-    _, actions = acted(popsan(hidden=(64, 64)), "loihi1")
-    assert 0 < np.abs(actions - expected).mean() < 0.15
-
-
 @pytest.mark.parametrize("name", [None, "ideal", "loihi1"])
 def test_acting_alone_is_acting_in_a_batch(name):
     controller, actions = acted(popsan(), name)
@@ -96,14 +90,6 @@ def test_a_random_code_acts_alike_with_the_same_seed_and_otherwise_with_another(
     policy = random(spiking_mlp(squash="tanh"))
     assert driven(policy, "loihi1", seed=3) == driven(policy, "loihi1", seed=3)
     assert driven(policy, "loihi1", seed=3) != driven(policy, "loihi1", seed=4)
-
-
-def test_robots_in_a_batch_throw_their_own_dice():
-    controller = SpikingController(random(spiking_mlp(squash="tanh")))
-    actions = controller.act_batch(np.zeros((5, 6)))
-    assert len({tuple(action) for action in actions.tolist()}) == 5
-    controller.reset(0)
-    np.testing.assert_allclose(controller.act(np.zeros(6)), actions[0], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", CHIPS)

@@ -5,15 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from tests.paths import GOLDEN
 from tests.programs import random_programs, rasters
 from tests.trace_files import recorded_trace
-from tests.xylo_networks import network
 
 runs = st.tuples(
     st.sampled_from([1, 3]),  # batch
@@ -58,24 +54,6 @@ def test_the_compiled_backend_refuses_what_it_does_not_know(name, reason):
     recorded = recorded_trace(GOLDEN / f"{name}.json")
     with pytest.raises(ConfigError, match=reason):
         Machine(recorded.program, backend="numba")
-
-
-def test_a_xylo_that_streams_shows_each_window_from_its_start_on():
-    artifact = network(np.random.default_rng(2), [6, 9, 7, 3], ["cuba"] * 3, loops={1, 2})
-    program = compile_program(artifact, chip("xylo-a2"))
-    raster = np.random.default_rng(3).integers(0, 4, (2, 30, 6)).astype(np.uint8)
-    traces = trace(program, raster)
-    machine = Machine(program, 2)
-    for step in range(30):
-        output = machine.step(raster[:, step])
-        for layer in program.layers:
-            row = step - layer.start
-            expected = traces[layer.name].membrane[:, row] if row >= 0 else 0
-            np.testing.assert_array_equal(machine.membrane[layer.name], expected)
-        if step >= 2:
-            np.testing.assert_array_equal(output, traces["l3"].spikes[:, step - 2])
-    assert [layer.start for layer in program.layers] == [0, 1, 2]
-    assert traces["l3"].spikes.any()
 
 
 def test_a_channel_of_xylo_takes_fifteen_events_in_a_timestep():

@@ -9,7 +9,6 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.network import FloatMachine
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.metrics.traffic import host_work
@@ -64,15 +63,6 @@ def test_backends_agree_in_every_bit_and_count(kind, state, name):
         )
 
 
-@pytest.mark.parametrize("name", ["loihi1", "loihi1-nengo", "ideal", "spinnaker2", "int"])
-@pytest.mark.parametrize("kind", ["only", "only LI"])
-def test_membranes_are_near_those_of_the_float_twin(kind, name):
-    artifact = network(kind)
-    wanted = FloatGraph(artifact).run(events())["output"]
-    found = Machine(compile_program(artifact, chip(name)), 3).infer(events())
-    assert np.abs(found - wanted).max() < 0.01 * np.abs(wanted).max()
-
-
 def windows(machine, raster, size):
     return np.concatenate(
         [machine.infer(raster[:, t : t + size]) for t in range(0, raster.shape[1], size)], axis=1
@@ -100,20 +90,6 @@ def test_steps_of_the_chip_give_the_rows_of_a_window_later(kind, name):
     for machine in backends(program).values():
         rows = np.stack([machine.step(row, out).copy() for row in events().swapaxes(0, 1)], axis=1)
         np.testing.assert_allclose(rows[:, late:], whole[:, : 25 - late], rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", ["loihi1", "ideal", "loihi1:membrane_output=none"])
-def test_a_reset_forgets_readouts_whatever_ran_before(name):
-    program = compile_program(network("second"), chip(name))
-    for machine in backends(program).values():
-        fresh = [machine.step(row) for row in events().swapaxes(0, 1)]
-        machine.reset()
-        whole = machine.infer(events())
-        machine.reset()
-        again = [machine.step(row) for row in events().swapaxes(0, 1)]
-        np.testing.assert_array_equal(again, fresh)
-        machine.reset()
-        np.testing.assert_array_equal(machine.infer(events()), whole)
 
 
 @pytest.mark.parametrize(
@@ -208,17 +184,6 @@ def test_without_a_neuron_that_spikes_there_is_no_sparsity():
     machine = Machine(compile_program(network("only"), chip("loihi1")), 3)
     machine.infer(events())
     assert machine.ledger.sparsity is None
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_float_twin_counts_what_ideal_counts(kind):
-    artifact = network(kind)
-    twin, machine = FloatMachine(artifact), Machine(compile_program(artifact, chip("ideal")), 3)
-    np.testing.assert_allclose(twin.infer(events()), machine.infer(events()), rtol=0, atol=1e-12)
-    for event in ("spike_in", "sop", "spike_out", "message"):
-        assert twin.ledger.by_layer(event) == machine.ledger.by_layer(event)
-    assert set(twin.spikes) == {"hidden", "more"} & set(artifact.graph.nodes)
-    assert twin.recordings.keys() == {layer.name for layer in machine.program.layers}
 
 
 def test_outputs_of_xylo_are_scaled_back_to_float():

@@ -13,7 +13,6 @@ from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.network import FloatMachine
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.families.cuba.neurons import float_sigma_delta, sigma_delta
 from spikedeploy.runtime.float_model import FloatGraph
@@ -100,15 +99,6 @@ def test_the_ledger_counts_messages_and_multiplications_by_hand():
     assert energy(ledger, energy_table("davies2018")) == energy(plain, energy_table("davies2018"))
 
 
-def test_the_float_twin_counts_as_ideal_does():
-    artifact, raster = delta_network(hidden=(10, 6)), rasters()
-    twin, machine = FloatMachine(artifact), on(artifact, "ideal", 3)
-    twin.infer(raster)
-    machine.infer(raster)
-    for event in ("sop", "graded_sop", "spike_out", "message"):
-        assert twin.ledger.by_layer(event) == machine.ledger.by_layer(event)
-
-
 @pytest.mark.parametrize("name", sorted(set(CHIPS) - {"ideal", "loihi2"}))
 @pytest.mark.parametrize("limits", [True, False])
 def test_other_chips_refuse_by_the_rule(name, limits):
@@ -133,31 +123,6 @@ def test_a_neuron_on_loihi2_by_hand():
     assert seen.membrane[0, :, 0].tolist() == [16320, 16320, 8128, -64, -8256]
     assert seen.spikes[0, :, 0].tolist() == GRADED
     np.testing.assert_allclose(output[0, :, 0], OUTPUT)
-
-
-def test_loihi2_stays_near_the_float_graph():
-    artifact, raster = delta_network(hidden=(10, 6)), rasters()
-    program = compile_program(artifact, chip("loihi2"))
-    machine = Machine(program, 3, trace=True)
-    output, trace = machine.infer(raster), FloatGraph(artifact).run(raster)
-    levels = np.cumsum(machine.recordings["sd2"].spikes, 1), np.cumsum(trace["sd2"], 1)
-    assert np.abs(levels[0] - levels[1]).max() <= 1  # a threshold apart at most
-    assert np.abs(output - trace["output"]).max() < 0.1 * np.abs(trace["output"]).max()
-    assert not machine.ledger.total("saturation")
-
-
-def test_a_graded_spike_that_is_too_large_is_clipped_and_counted():
-    artifact = one_neuron()
-    program = compile_program(artifact, chip("loihi2"))
-    narrow = replace(program.layer("sd1"), threshold=np.array([1]))
-    layers = tuple(narrow if layer.graded else layer for layer in program.layers)
-    machine = Machine(replace(program, layers=layers), trace=True)
-    # 1,000 spikes of 16320 fill sigma's 24 bits, and each of them sends all of it
-    rows = np.zeros((1, 1000, 2), np.uint8)
-    rows[:, :, 0] = 1
-    machine.infer(rows)
-    assert machine.recordings["sd1"].membrane.max() == (1 << 23) - 1
-    assert machine.ledger.by_layer("saturation")["sd1"] > 0
 
 
 def test_compile_says_what_sigma_can_hold():

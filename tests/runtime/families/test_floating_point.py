@@ -51,27 +51,6 @@ def test_its_states_are_those_of_a_plain_loop_in_float32():
     assert found.spikes[0, :, n].any()
 
 
-@pytest.mark.parametrize("reset", ["zero", "subtract"])
-@pytest.mark.parametrize("integrator", ["euler", "exponential"])
-def test_eight_bits_change_few_spikes_and_sixteen_fewer(reset, integrator):
-    artifact = popsan()
-    convention = replace(artifact.convention, reset=reset, integrator=integrator)
-    artifact = replace(artifact, convention=convention)
-    raster = (np.random.default_rng(1).random((8, 20, 30)) < 0.3).astype(np.uint8)
-    expected = FloatGraph(artifact).run(raster)
-
-    def differing(used):
-        found = trace(compile_program(artifact, used), raster)
-        return sum(int((found[n].spikes != expected[n]).sum()) for n in found)
-
-    fine, coarse = (
-        differing(chip("spinnaker2", weight_bits=16)),
-        differing(chip("spinnaker2:weight_bits=3")),
-    )
-    assert fine <= differing(CHIP) < coarse
-    assert fine <= 3
-
-
 def test_the_model_with_delays_takes_a_skip_past_a_layer_and_the_one_without_refuses_it():
     walker = load(zoo.path("hexapod/sparse-gated"))
     (readout,) = compile_program(walker, chip("spinnaker2-lif")).layers[-1:]

@@ -13,8 +13,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ChipError
-from spikedeploy.runtime.float_model import FloatGraph
-from tests.networks import chain, cuba, popsan
+from tests.networks import chain, cuba
 
 
 def network(seed=0, reset="zero", sizes=(30, 14, 6)):
@@ -57,18 +56,6 @@ def test_by_hand():
     assert found.current.ravel().tolist() == [3, 4, 0, -2, -1]
     assert found.membrane.ravel().tolist() == [3, 1, 0, -2, -2]
     assert found.spikes.ravel().tolist() == [0, 1, 0, 0, 0]
-
-
-def test_with_wide_numbers_it_comes_to_the_spikes_of_the_float_graph():
-    artifact = popsan()
-    raster = (np.random.default_rng(3).random((4, 20, 30)) < 0.3).astype(np.uint8)
-    wide = chip("int", weight_bits=16, decay_bits=16, membrane=36, current=36, accumulator=36)
-    found = trace(compile_program(artifact, wide), raster)
-    expected = FloatGraph(artifact).run(raster)
-    differ = sum(int((found[n].spikes != expected[n]).sum()) for n in found)
-    narrow = trace(compile_program(artifact, chip("int", weight_bits=3, decay_bits=3)), raster)
-    assert sum(int((narrow[n].spikes != expected[n]).sum()) for n in narrow) > 10 * differ
-    assert differ <= 3
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.backend import backend_class
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.emulator.ledger import EVENTS
-from spikedeploy.runtime.emulator.machine import CHUNK, Machine
+from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families import numba_frame as shared
 from spikedeploy.runtime.families import numba_pipeline as pipeline
@@ -70,19 +70,6 @@ def check_ledgers(ours, numpy):
     assert (found.inferences, found.timesteps, found.steps) == (
         expected.inferences, expected.timesteps, expected.steps,
     )  # fmt: skip
-
-
-@compiled
-@pytest.mark.parametrize("rows", ["each", "total", "none"])
-@pytest.mark.parametrize("delay", [0, 1])
-def test_a_policy_with_a_readout_acts_and_counts_as_with_numpy(rows, delay):
-    artifact = popsan(hidden=(210, 30))
-    artifact = replace(artifact, convention=replace(artifact.convention, delay=delay))
-    program = compile_program(artifact, chip("loihi1"))
-    raster = rasters(program, CHUNK + 3, 5, 0.2, seed=1)[0]
-    ours, numpy = (Machine(program, None, rows, backend=name) for name in ("numba", "numpy"))
-    np.testing.assert_array_equal(ours.infer(raster), numpy.infer(raster))
-    check_ledgers(ours, numpy)
 
 
 @compiled

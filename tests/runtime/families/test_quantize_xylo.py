@@ -64,12 +64,6 @@ def test_each_channel_has_a_scale_of_its_own():
     np.testing.assert_allclose(hidden.scale, [1 / 127, 1 / 508])
 
 
-def test_time_constants_become_shifts():
-    hidden, _ = compiled(two_layers([[1], [1]], [[1, 1]])).layers
-    assert hidden.current_decay.tolist() == [[1, 1]]  # keeps 1/2
-    assert hidden.membrane_decay.tolist() == [2, 2]  # keeps 3/4
-
-
 @pytest.mark.parametrize(
     ("ratio", "dash"), [(1, 1), (1.4, 1), (2.8, 1), (2.9, 2), (5.6, 2), (5.7, 3), (40000, 15)]
 )
@@ -137,23 +131,6 @@ def test_a_spike_of_a_neuron_without_current_still_adds_up_to_its_weight():
     assert hidden.synapses[0].weight.tolist() == [[127, 127]]
     assert hidden.threshold.tolist() == [127, 127]
     assert any("no synaptic current" in remark for remark in program.remarks)
-
-
-def test_membranes_of_a_spike_follow_the_float_graph_where_decays_are_powers_of_two():
-    # nothing spikes, and what a shift of 8 rounds off is below a part in a hundred
-    artifact = two_layers([[0.05], [0.1]], [[1, 1]])
-    raster = np.zeros((1, 12, 1), np.uint8)
-    raster[0, [0, 3, 4]] = 1
-    machine = Machine(compiled(artifact, shifted(3)), trace=True)
-    machine.infer(raster)
-    hidden = machine.program.layers[0]
-    # I = I/2 + w x      V = 3/4 V + I
-    current = membrane = np.zeros(2)
-    for t, x in enumerate(raster[0, :, 0]):
-        current = current / 2 + np.array([0.05, 0.1]) * x
-        membrane = 0.75 * membrane + current
-        found = machine.recordings["n2"].membrane[0, t] * hidden.scale
-        np.testing.assert_allclose(found, membrane, atol=0.01)
 
 
 def test_spike_counts_follow_the_float_graph():
