@@ -91,7 +91,7 @@ def tune_to_float(
     for name in _layers(artifact, on, quantisation):
         if name not in twin.spikes:  # a readout: there are no spikes to bring nearer
             continue
-        old = quantisation.of(name)
+        old = quantisation.tuning_for(name)
         ratios = [replace(old, clip_ratio=old.clip_ratio * ratio) for ratio in _CLIP_RATIOS]
         best = min(ratios, key=lambda each: distance(name, each))
         factors = [replace(best, threshold=old.threshold * factor) for factor in _THRESHOLDS]
@@ -121,7 +121,7 @@ def _with_headroom(
     def clipped(ratio: float) -> Quantisation:
         return _with(quantisation, name, replace(old, clip_ratio=ratio))
 
-    old = quantisation.of(name)
+    old = quantisation.tuning_for(name)
     low = high = old.clip_ratio
     while not fits(low):
         high, low = low, low / 2

@@ -53,7 +53,7 @@ def tuned_artifact(
     for precision, part in _ATTEMPTS:
         nodes = dict(artifact.graph.nodes)
         for layer in program.layers:
-            _tune(nodes, artifact, layer, on, quantisation.of(layer.name), precision, part)
+            _tune(nodes, artifact, layer, on, quantisation.tuning_for(layer.name), precision, part)
         graph = nir.NIRGraph(
             nodes,
             list(artifact.graph.edges),

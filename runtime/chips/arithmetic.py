@@ -279,6 +279,25 @@ def check_weights_left(layer: Layer, synapses: Sequence[Synapses], why: str) -> 
         )
 
 
+def check_thresholds(layer: Layer, whole: Numbers, why: str) -> Numbers:
+    """Refuse thresholds below 0, and those above it that became 0; return the whole ones (N,).
+
+    why: what those are too small beside, and what to do.
+    """
+    if (layer.threshold < 0).any():
+        raise RuleError(
+            f"rule threshold-range: layer {layer.name!r}: threshold {layer.threshold.min():g} is "
+            "below 0; the chip's thresholds are not. Train with positive thresholds."
+        )
+    lost = (whole == 0) & (layer.threshold > 0)
+    if lost.any():
+        least = layer.threshold[lost].min()
+        raise RuleError(
+            f"rule threshold-range: layer {layer.name!r}: threshold {least:g} becomes 0 {why}"
+        )
+    return whole
+
+
 def refuse_convention(convention: Convention, chip_name: str) -> NoReturn:
     """Refuse what neurons cannot do that send one spike above their threshold, without a floor."""
     raise RuleError(

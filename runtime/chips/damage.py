@@ -77,7 +77,7 @@ class Upsets:
     each: tuple[Upset, ...]
     specimen: int
 
-    def of(self, name: str) -> float:
+    def probability(self, name: str) -> float:
         """The probability of a kind; 0 where there is none."""
         return next((upset.probability for upset in self.each if upset.name == name), 0.0)
 

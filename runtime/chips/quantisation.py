@@ -88,7 +88,7 @@ class Quantisation:
                     "chosen. Leave it out, or choose a Loihi."
                 )
 
-    def of(self, layer: str) -> Tuning:
+    def tuning_for(self, layer: str) -> Tuning:
         """The tuning of a layer."""
         return self.tuned.get(layer, UNTUNED)
 

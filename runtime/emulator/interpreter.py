@@ -241,17 +241,17 @@ class UpsetDraws:
         """The spikes (B, N) that arrive of those that were sent."""
         arriving = sent
         fired = sent != 0
-        if self.upsets.of("lost-spikes"):
+        if self.upsets.probability("lost-spikes"):
             lost = self._hit("lost-spikes", (layer, step), fired)
             arriving = np.where(lost, 0, arriving).astype(sent.dtype)
-        if self.upsets.of("spurious-spikes"):
+        if self.upsets.probability("spurious-spikes"):
             made_up = self._hit("spurious-spikes", (layer, step), ~fired)
             arriving = np.where(made_up, 1, arriving).astype(sent.dtype)
         return arriving
 
     def flip(self, layer: int, step: int, membrane: Numbers, bits: int) -> Numbers:
         """Membranes (B, N) after bits have flipped, in registers of so many bits."""
-        if not self.upsets.of("state-flips"):
+        if not self.upsets.probability("state-flips"):
             return membrane
         flips = self._hit("state-flips", (layer, step), np.ones(membrane.shape, np.bool_))
         if not flips.any():
@@ -269,7 +269,7 @@ class UpsetDraws:
         layer, step = place
         stream = _KINDS[name]
         draws = uniform(self._keys, (stream, layer, self.window, step), chances.shape[1])
-        hit = chances & (draws < self.upsets.of(name))
+        hit = chances & (draws < self.upsets.probability(name))
         self.counts[stream] += np.count_nonzero(hit), np.count_nonzero(chances)
         return np.asarray(hit)
 

@@ -371,7 +371,7 @@ def _replay_spiker(program: Program, raster: NDArray[np.uint8]) -> Tables:
     for layer in program.layers:
         membrane = ran[layer.name].membrane[0]
         before = np.concatenate([np.zeros((1, layer.size), np.int64), membrane[:-1]])
-        begun = PartialStep.of(before)
+        begun = PartialStep.from_membrane(before)
         begin(rules, program.convention, layer, begun)
         found[layer.name] = {
             _SPIKER["v_begun"]: begun.membrane,

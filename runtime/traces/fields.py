@@ -283,12 +283,15 @@ def _short(value: object) -> str:
     return found if len(found) <= 40 else f"{found[:40]}…"
 
 
-# together about five seconds of one core and 500 MB
-_MOST_TICKS = 1 << 15  # layers times timesteps
-_MOST_STATES = 1 << 22  # neurons times timesteps
-_MOST_NEURONS = 1 << 17
-_MOST_PRODUCTS = 1 << 27  # synapses times timesteps
-_MOST_ONE_BY_ONE = 1 << 17  # axons and aliases times timesteps, which are taken one by one
+# what a replay computes at most, together about five seconds of one core and 500 MB; axons and
+# aliases are taken one by one
+MOST = {
+    "layers times timesteps": 1 << 15,
+    "neurons times timesteps": 1 << 22,
+    "neurons": 1 << 17,
+    "synapses times timesteps": 1 << 27,
+    "axons and aliases times timesteps": 1 << 17,
+}
 _MOST_SPIKES = 1 << 16  # of the input, each an event of its own
 MOST_NUMBERS = 1 << 24  # membranes after each event of a crossbar
 
@@ -317,20 +320,21 @@ class Work:
         self.layers += 1
         self.neurons, self.synapses = self.neurons + neurons, self.synapses + synapses
         self.axons += axons
-        turns = self.inference or self.timesteps
-        self._check("layers", self.layers * turns, _MOST_TICKS)
-        self._check("neurons", self.neurons * self.timesteps, _MOST_STATES)
-        self._check("neurons", self.neurons, _MOST_NEURONS, timesteps="")
-        self._check("synapses", self.synapses * self.timesteps, _MOST_PRODUCTS)
-        self._check("axons and aliases", self.axons * turns, _MOST_ONE_BY_ONE)
+        turns, rows = self.inference or self.timesteps, self.timesteps
+        found = (
+            self.layers * turns,
+            self.neurons * rows,
+            self.neurons,
+            self.synapses * rows,
+            self.axons * turns,
+        )
+        for (what, most), number in zip(MOST.items(), found, strict=True):
+            if number > most:
+                remedy = f"At most {most} are replayed: record less, or in parts."
+                raise self.spec.wrong("replay", f"has {number} {what}", remedy)
 
     def check_input(self, counts: Integers) -> None:
         """Refuse more input spikes (T, M) than are replayed one by one."""
         if (found := int(counts.sum())) > _MOST_SPIKES:
             remedy = f"Record {_MOST_SPIKES} spikes at most."
             raise self.spec.wrong("input_spikes", f"has {found} spikes", remedy)
-
-    def _check(self, what: str, found: int, most: int, timesteps: str = " times timesteps") -> None:
-        if found > most:
-            remedy = f"At most {most} are replayed: record less, or in parts."
-            raise self.spec.wrong("replay", f"has {found} {what}{timesteps}", remedy)

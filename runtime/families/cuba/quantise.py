@@ -25,7 +25,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.arithmetic import check_weights_left
+from spikedeploy.runtime.chips.arithmetic import check_thresholds, check_weights_left
 from spikedeploy.runtime.chips.layer import NEVER, Layer, Network, Synapses
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
 from spikedeploy.runtime.chips.registers import Register, Rounding, magnitude, round_values
@@ -274,7 +274,7 @@ def quantise(
             f"{magnitude(layer.voltage_bias):g}; the chip's neurons have none. Set v_leak to 0, "
             "or take another model of the chip."
         )
-    tuning, rounding = quantisation.of(layer.name), quantisation.rounding or "nearest"
+    tuning, rounding = quantisation.tuning_for(layer.name), quantisation.rounding or "nearest"
     tuned = replace(layer, threshold=layer.threshold * tuning.threshold)
     largest = _mantissas_per_unit(tuned, registers, quantisation.granularity, tuning.clip_ratio)
     scale, exponent = largest * share, 0
@@ -344,21 +344,9 @@ def _thresholds(
         return np.full(layer.size, NEVER)
     if layer.graded:  # a state of the neuron's program, not a mantissa
         return np.maximum(round_values(layer.threshold * scale * one, rounding), 1)
-    if (layer.threshold < 0).any():
-        raise RuleError(
-            f"rule threshold-range: layer {layer.name!r}: threshold {layer.threshold.min():g} is "
-            "below 0; the chip's thresholds are unsigned. Train with positive thresholds."
-        )
-    exact = layer.threshold * scale
-    mantissa = round_values(exact, rounding)
-    lost = (mantissa == 0) & (layer.threshold > 0)
-    if lost.any():
-        raise RuleError(
-            f"rule threshold-range: layer {layer.name!r}: threshold "
-            f"{layer.threshold[lost].min():g} is {exact[lost].min():.2g} of the smallest that the "
-            "chip can hold beside the largest weight. Clip the weights, or raise the threshold."
-        )
-    return np.minimum(mantissa, registers.threshold_max) * one
+    mantissa = round_values(layer.threshold * scale, rounding)
+    why = "beside the largest weight. Clip the weights, or raise the threshold."
+    return np.minimum(check_thresholds(layer, mantissa, why), registers.threshold_max) * one
 
 
 def _voltage_bias(values: Floats, registers: CubaRegisters, rounding: Rounding) -> Integers:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.arithmetic import (
     ArithmeticDefaults,
     Description,
+    check_thresholds,
     check_weights_left,
 )
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
@@ -212,21 +213,14 @@ def _threshold(
     rounding: Rounding,
     limits: bool,
 ) -> Integers:
-    if (layer.threshold < 0).any():
-        raise RuleError(
-            f"rule threshold-range: layer {layer.name!r}: threshold {layer.threshold.min():g} is "
-            f"below 0; {chip_name} is emulated with thresholds of 0 and above. Train with those."
-        )
     whole = np.minimum(round_values(layer.threshold * scale, rounding), rules.threshold_max)
-    lost = (whole == 0) & (layer.threshold > 0)
-    if lost.any() and limits:
-        raise RuleError(
-            f"rule threshold-range: layer {layer.name!r}: threshold "
-            f"{layer.threshold[lost].min():g} becomes 0 beside the largest weight, which has "
-            f"{rules.weight_bits} bits on {chip_name}. Clip the weights, raise the threshold, or "
-            "compile with limits off."
-        )
-    return np.where(lost, 1, whole)
+    if not limits:
+        whole = np.where((whole == 0) & (layer.threshold > 0), 1, whole)
+    why = (
+        f"beside the largest weight, which has {rules.weight_bits} bits on {chip_name}. Clip the "
+        "weights, raise the threshold, or compile with limits off."
+    )
+    return np.asarray(check_thresholds(layer, whole, why))
 
 
 def _quantise_leak(

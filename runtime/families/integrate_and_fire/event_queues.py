@@ -102,7 +102,7 @@ class EventState:
     overflows: Integers
 
     @classmethod
-    def of(cls, membrane: Integers) -> "EventState":
+    def from_membrane(cls, membrane: Integers) -> "EventState":
         """The state before the first event."""
         membrane = membrane.astype(np.int64)
         return cls(membrane, np.zeros_like(membrane), np.zeros_like(membrane))
@@ -172,7 +172,8 @@ class EventNetwork:
         self.layers = wire(rules, network.convention, network.layers, network.input)
         self._input, self._process = network.input, process
         self.states = {
-            e.layer.name: EventState.of(np.zeros(e.layer.size, np.int64)) for e in self.layers
+            e.layer.name: EventState.from_membrane(np.zeros(e.layer.size, np.int64))
+            for e in self.layers
         }
 
     def work(self, events: Spikes) -> dict[str, Spikes]:
@@ -260,7 +261,7 @@ def update_by_events(
         state.membrane = state.membrane.copy()
     for copy, row in enumerate(counts):
         for layer, before in states.items():
-            working.states[layer] = EventState.of(before.membrane[copy])
+            working.states[layer] = EventState.from_membrane(before.membrane[copy])
         some = np.flatnonzero(row)
         some = some[np.argsort(rank[some])]
         axons = np.repeat(some, row[some])

@@ -198,7 +198,7 @@ class PartialStep:
     arrived: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, membrane: Integers) -> "PartialStep":
+    def from_membrane(cls, membrane: Integers) -> "PartialStep":
         """The beginning of a timestep, or of an event."""
         none = np.zeros_like(membrane)
         return cls(membrane, none, none, none.astype(np.bool_))
@@ -212,7 +212,7 @@ def update(
     state: LayerState,
 ) -> StepResult:
     """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
-    before, now = state.membrane, PartialStep.of(state.membrane)
+    before, now = state.membrane, PartialStep.from_membrane(state.membrane)
     if rules.leak_order == "first":
         begin(rules, convention, layer, now)
     if rules.adds == "step":

@@ -125,7 +125,7 @@ class Crossbar:
                 f"rule queue: the chip is not done after {self.most} events. Weaken recurrent "
                 "neurons that keep each other spiking, choose queue=off, or record a shorter run."
             )
-        wired, now = self.wired, PartialStep.of(self.membrane[None])
+        wired, now = self.wired, PartialStep.from_membrane(self.membrane[None])
         if event == TREF:
             begin(wired.rules, wired.convention, wired.neurons, now)
         else:

@@ -57,7 +57,7 @@ def test_tuning_brings_every_layer_nearer_or_leaves_it():
     before = drift(artifact, low, raster, Quantisation(rounding="truncate"))
     after = drift(artifact, low, raster, found)
     assert after.layers[0].distance < 0.9 * before.layers[0].distance
-    assert found.of("n2") != UNTUNED
+    assert found.tuning_for("n2") != UNTUNED
     assert "'n2': reach" in found.describe()
 
 

@@ -48,7 +48,7 @@ def test_calibration_leaves_room_for_recorded_inputs():
     weight = compile_program(network("only"), chip("loihi1")).layers[0].synapses[0].weight
     raster[:, :, np.abs(weight.astype(int)).max(axis=1).argmax()] = 1
     chosen = with_calibrated_headroom(network("only"), chip("loihi1"), raster)
-    assert chosen.of("fast").clip_ratio < 1
+    assert chosen.tuning_for("fast").clip_ratio < 1
     (found,) = drift(network("only"), chip("loihi1"), raster, chosen).readouts
     assert found.saturations == 0
 

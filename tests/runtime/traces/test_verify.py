@@ -307,12 +307,12 @@ def test_an_array_of_anything_but_numbers_never_becomes_one(value, lava, file, m
         verify(path)
 
 
-@pytest.mark.parametrize("limit", ["TICKS", "STATES", "NEURONS", "PRODUCTS"])
+@pytest.mark.parametrize("limit", [*fields.MOST][:4])
 @pytest.mark.parametrize(
     "trace", ["lava_L_chain_3layers", "xylo_own_aliases", "rtl/spiker_subtract"]
 )
 def test_a_replay_that_would_take_too_long_is_refused(limit, trace, monkeypatch):
-    monkeypatch.setattr(fields, f"_MOST_{limit}", 3)
+    monkeypatch.setitem(fields.MOST, limit, 3)
     with pytest.raises(TraceError, match=r"replay has .* At most 3 are replayed"):
         verify(GOLDEN / f"{trace}.json")
 

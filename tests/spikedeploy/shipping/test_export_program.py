@@ -361,7 +361,7 @@ def test_a_kit_without_an_episode_or_with_one_too_long_to_be_verified_is_not_wri
     words, message, command, here, monkeypatch
 ):
     save(kits.speck_policy(), here / "net.nir")
-    monkeypatch.setattr(fields, "_MOST_ONE_BY_ONE", 100)
+    monkeypatch.setitem(fields.MOST, "axons and aliases times timesteps", 100)
     export = ("export", str(here / "net.nir"), "--to", "program", "--chip", "speck2f", "-o", "kit")
     code, _, err = command(*export, *words)
     assert (code != 0, message in err, (here / "kit").exists()) == (True, True, False), err
