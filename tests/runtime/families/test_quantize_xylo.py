@@ -310,7 +310,7 @@ def test_a_time_constant_that_is_off_by_a_hundredth_is_remarked_on():
 
 
 def test_one_threshold_that_is_lost_is_enough_to_refuse():
-    with pytest.raises(RuleError, match="^rule threshold-range"):
+    with pytest.raises(RuleError, match=r"^rule threshold-range"):
         compiled(with_hidden(v_threshold=[1.0, 1e-3]))
 
 
