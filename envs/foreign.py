@@ -44,7 +44,6 @@ from spikedeploy.envs.returned import (
     is_unknown,
     numbers_in,
     read_flag,
-    read_info,
     read_number,
     read_vector,
     show,
@@ -59,20 +58,20 @@ _TODAY = (
 # a wider span of actions has fewer steps of float32 in [-1, 1], 2^-24 each, than whole units
 _WIDEST = 2.0**24
 _MOST_CHOICES = 2**16  # of Discrete
-_SPACES = ("observation_space", "action_space")
 _LONGEST = 100_000  # control steps of an episode: without a time limit it might never end
+_SUCCESS = ("success", "is_success")
 _FLAG = "success is True or False, or 0 or 1: give a flag, such as info[{!r}] = error < 0.1"
 
 
 class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
     """An environment of somebody else.
 
-    inner       as gymnasium made it
-    name        as it was asked for
-    given       options that make it again
-    one_hot     whether it observes one of several
-    CONTROL_DT  time of a control step [s]; None where it is not known
-    remark      on what it said of success that is neither true nor false; "" where nothing was
+    inner: as gymnasium made it
+    name: as it was asked for
+    given: options that make it again
+    one_hot: whether it observes one of several
+    CONTROL_DT: time of a control step [s]; None where it is not known
+    remark: on what it said of success that is neither true nor false; "" where nothing was
     """
 
     def __init__(
@@ -90,9 +89,6 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         space, self._from_inner = _observation_map(name, inner.observation_space)
         self.observation_space: gymnasium.Space[Any] = space
         self.action_space, self._to_inner = _action_map(name, inner.action_space)
-        # copies, since an environment may change the bounds in place
-        spaces = {each: getattr(inner, each) for each in _SPACES}
-        self._spaces = {each: (str(space), _bounds(space)) for each, space in spaces.items()}
         self.CONTROL_DT = control_period(inner)
         self._key, self.remark = success, ""
         self._threshold = inner.spec.reward_threshold if inner.spec else None
@@ -104,14 +100,12 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         """Start an episode."""
         self._total, self._steps = 0.0, 0
         observation, info = self._ask("reset", 2, seed=seed, options=options)
-        self._check_spaces("reset()")
         return self._seen(observation), numbers_in(info)
 
     def step(self, action: Any) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:  # noqa: ANN401
         """Take an action (act,) in [-1, 1], or an index from 0."""
         found, gain, terminated, truncated, info = self._ask("step", 5, self._to_inner(action))
         self._steps += 1
-        self._check_spaces(f"step {self._steps}")
         of = f"{self.name}: {{}} of step {self._steps}".format
         reward = read_number(of("reward"), gain)
         ends = read_flag(of("terminated"), terminated), read_flag(of("truncated"), truncated)
@@ -141,7 +135,7 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
             self.inner.close()
 
     def _ask(self, method: str, values: int, *given: Any, **options: Any) -> tuple[Any, ...]:  # noqa: ANN401
-        """The values of `reset` or `step`; EnvError where they are of gym's API before 0.26."""
+        """Return the values of `reset` or `step`; EnvError where they are of gym before 0.26."""
         doing = "reset()" if method == "reset" else f"step {self._steps + 1}"
         try:
             with contained(self.name, doing):
@@ -150,63 +144,54 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
             if not _is_of_old_api(error):
                 raise
             raise EnvError(f"{self.name}: {method}: {error}; {_TODAY}") from error
-        if isinstance(found, tuple | list) and len(found) == values:
-            info = read_info(f"{self.name}: {method}: its last value, info,", found[-1], _TODAY)
-            return *found[:-1], info
         several = isinstance(found, tuple | list)
-        what = f"{len(found)} values" if several else f"a {type(found).__name__}"
-        raise EnvError(f"{self.name}: {method} returns {what}; {_TODAY}")
-
-    def _check_spaces(self, when: str) -> None:
-        """Refuse spaces that are others than when it was made: a policy has one size and scale."""
-        for name, (shown, before) in self._spaces.items():
-            now = getattr(self.inner, name)
-            if _bounds(now) != before:
-                # a Box has its text from when it was made
-                now = Box(now.low, now.high, dtype=now.dtype) if isinstance(now, Box) else now
-                raise EnvError(
-                    f"{self.name}: its {name} is {now} after {when}, and was {shown}: policies "
-                    "have one, so make it with the widest"
-                )
+        if not several or len(found) != values:
+            what = f"{len(found)} values" if several else f"a {type(found).__name__}"
+            raise EnvError(f"{self.name}: {method} returns {what}; {_TODAY}")
+        *rest, info = found
+        if not isinstance(info, Mapping | None):
+            raise EnvError(f"{self.name}: {method}: info is {show(info)}, no dictionary; {_TODAY}")
+        return *rest, info or {}
 
     def _seen(self, observation: Any) -> FloatArray:  # noqa: ANN401
         return self._from_inner(f"{self.name}: observation of step {self._steps}", observation)
 
     def _with_success(self, info: Mapping[str, Any], over: bool) -> dict[str, Any]:
-        """Its numbers, with success so far by the key that was named or the reward threshold.
+        """Return its numbers, with success so far by the key that was named or the threshold.
 
         Else `success` is the environment's own; `is_success` is the word of gymnasium-robotics and
-        Stable-Baselines3 for the same, and stands there as `success` alone.
+        Stable-Baselines3 for it, and stands there as `success` alone.
         """
         found = numbers_in(info)
-        if self._key is None and self._threshold is not None:
+        if self._key is not None:
+            return {**found, "success": self._named_success(self._key, info, over)}
+        if self._threshold is not None:
             return {**found, "success": self._total >= self._threshold}
-        if self._key is None:
-            said = {word: info[word] for word in ("success", "is_success") if word in info}
-            flags = {word: find_flag(value) for word, value in said.items()}
-            for word, value in said.items():
-                found.pop(word, None)
-                if flags[word] is None and not is_unknown(value) and not self.remark:
-                    self.remark = (
-                        f"{self.name}: {word} in the info of step {self._steps} is {show(value)}, "
-                        f"so that success is not known: {_FLAG.format(word)}"
-                    )
-            known = [flag for flag in flags.values() if flag is not None]
-            return {**found, "success": known[0]} if known else found
-        if over and self._key not in info:
+        found = {key: value for key, value in found.items() if key not in _SUCCESS}
+        for word in _SUCCESS:
+            if (flag := find_flag(info.get(word))) is not None:
+                return {**found, "success": flag}
+            if not is_unknown(info.get(word)) and not self.remark:
+                self.remark = (
+                    f"{self.name}: {word} in the info of step {self._steps} is {show(info[word])}, "
+                    f"so that success is not known: {_FLAG.format(word)}"
+                )
+        return found
+
+    def _named_success(self, key: str, info: Mapping[str, Any], over: bool) -> bool:
+        """Return the flag of an info; at the last step it must be there."""
+        flag, where = find_flag(info.get(key)), f"{self.name}: --success {key}: the info"
+        if over and key not in info:
             raise EnvError(
-                f"{self.name}: --success {self._key}: the info of the last step has no such key; "
-                f"it has {', '.join(map(str, info)) or 'none'}"
+                f"{where} of the last step has no such key; it has "
+                f"{', '.join(map(str, info)) or 'none'}"
             )
-        value = info.get(self._key)
-        reached = find_flag(value)
-        if reached is None and (over or not is_unknown(value)):
+        if flag is None and (over or not is_unknown(info.get(key))):
             raise EnvError(
-                f"{self.name}: --success {self._key}: the info of "
-                f"{'the last step' if over else f'step {self._steps}'} has {show(value)} there, "
-                f"neither true nor false; {_FLAG.format(self._key)}"
+                f"{where} of step {self._steps} has {show(info.get(key))} there, neither true nor "
+                f"false; {_FLAG.format(key)}"
             )
-        return {**found, "success": bool(reached)}
+        return bool(flag)
 
 
 @contextmanager
@@ -225,13 +210,6 @@ def contained(name: str, doing: str) -> Iterator[None]:
         ) from stop
 
 
-def _bounds(space: gymnasium.Space[Any]) -> tuple[Any, ...]:
-    """Copies of the lowest and the highest values; of choices the first, and how many they are."""
-    if isinstance(space, Box):
-        return space.dtype, space.shape, space.low.tobytes(), space.high.tobytes()
-    return getattr(space, "start", None), getattr(space, "n", None)
-
-
 def _is_of_renderer(error: Exception) -> bool:
     """True where MuJoCo's or pygame's way to draw failed, and not the environment's own code."""
     *_, (frame, _) = walk_tb(error.__traceback__)
@@ -241,15 +219,10 @@ def _is_of_renderer(error: Exception) -> bool:
 
 
 def _is_of_old_api(error: TypeError | ValueError) -> bool:
-    """True where what calls the environment, and not its own code, found other values or options.
-
-    What calls it is gymnasium's wrappers, or ours.
-    """
+    """Return whether gymnasium's wrappers, or we, found other values or options than today's."""
     *_, (frame, _) = walk_tb(error.__traceback__)
     caller = Path(frame.f_code.co_filename)
-    wrappers = Path(gymnasium.__file__).parent
-    ours = caller.parent in (wrappers / "wrappers", Path(__file__).parent)
-    ours |= caller == wrappers / "core.py"
+    ours = caller.is_relative_to(Path(gymnasium.__file__).parent) or caller == Path(__file__)
     return ours and re.search("values to unpack|unexpected keyword", str(error)) is not None
 
 
@@ -368,11 +341,10 @@ def make_foreign(
 ) -> gymnasium.Env[Any, Any]:
     """The environment as policies expect it: adapted, unless it has an OBSERVATION as ours have.
 
-    name     registered id, module:Class, module:function or module:Registered-v0
-    options  of its constructor, and of gymnasium.make, such as max_episode_steps; and
-             event_camera, to be seen by one: True, or options of EventCameraWrapper but keep and
-             record
-    success  key of the step infos that says success; None for the registered reward threshold
+    name: registered id, module:Class, module:function or module:Registered-v0
+    options: of its constructor, and of gymnasium.make, such as max_episode_steps; and event_camera,
+        to be seen by one: True, or options of EventCameraWrapper but keep and record
+    success: key of the step infos that says success; None for the registered reward threshold
     """
     given = {key: value for key, value in options.items() if (key, value) != ("render_mode", None)}
     made = {key: value for key, value in given.items() if key != "event_camera"}

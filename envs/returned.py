@@ -6,8 +6,6 @@ refused with what was found.
 
 from __future__ import annotations
 
-import math
-import numbers
 from collections.abc import Mapping
 from typing import Any, TypeAlias
 
@@ -22,15 +20,15 @@ _SHOWN = 60  # characters of a value in a sentence
 
 
 def read_number(what: str, value: object) -> float:
-    """One finite number, of an array or tensor of one element too."""
-    found = _numbers(value)
-    if found is None or found.size != 1 or not np.isfinite(found).all():
+    """Return one finite number, of an array or tensor of one element too."""
+    found = _single(value)
+    if found is None or not np.isfinite(found):
         raise EnvError(f"{what} is {show(value)}: give one finite number")
-    return float(found.reshape(()))
+    return found
 
 
 def read_flag(what: str, value: object) -> bool:
-    """True or false, of 0 and 1 and of an array or tensor of one element too."""
+    """Return True or False, of 0 and 1 and of an array or tensor of one element too."""
     found = find_flag(value)
     if found is None:
         raise EnvError(f"{what} is {show(value)}: give True or False")
@@ -38,87 +36,75 @@ def read_flag(what: str, value: object) -> bool:
 
 
 def find_flag(value: object) -> bool | None:
-    """True or false as `read_flag` reads it; None where it is neither."""
-    found = _numbers(value)
-    if found is None or found.size != 1 or found.reshape(()) not in (0.0, 1.0):
-        return None
-    return bool(found.reshape(()))
+    """Return True or False as `read_flag` reads it; None where it is neither."""
+    found = _single(value)
+    return bool(found) if found in (0.0, 1.0) else None
 
 
 def is_unknown(value: object) -> bool:
-    """Whether a value says that there is none yet: None, nan, or a masked one."""
-    found = _scalar(value)
-    is_nan = isinstance(found, float) and math.isnan(found)
-    return found is None or found is np.ma.masked or is_nan
+    """Return whether a value says that there is none yet: None, NaN, or a masked one."""
+    found = _single(value)
+    return value is None or is_masked(value) or (found is not None and found != found)
 
 
 def read_vector(what: str, value: object, shape: tuple[int, ...]) -> FloatArray:
-    """A copy (n,) of finite numbers, given in a shape that may differ by axes of length 1."""
+    """Return a copy (n,) of finite numbers in a shape that may differ by axes of length 1."""
     found = _numbers(value)
     if found is None:
         raise EnvError(f"{what} is {show(value)}: give numbers of shape {shape}")
-    if _without_ones(found.shape) != _without_ones(shape):
+    given, wanted = ([size for size in each if size != 1] for each in (found.shape, shape))
+    if given != wanted:
         raise EnvError(
             f"{what} has the shape {found.shape}, and observation_space says {shape}: make them "
             "agree"
         )
-    wrong = np.flatnonzero(~(np.abs(found) <= _LARGEST))  # nan too
+    flat = found.reshape(-1)
+    wrong = np.flatnonzero(~(np.abs(flat) <= _LARGEST))  # nan too
     if wrong.size:
-        values = ", ".join(f"{each:g}" for each in found.reshape(-1)[wrong[:3]])
+        values = ", ".join(f"{each:g}" for each in flat[wrong[:3]])
         raise EnvError(
             f"{what} has {values} at {wrong[:3].tolist()}, which is no finite number of float32"
         )
-    return found.reshape(-1)
-
-
-def read_info(what: str, value: object, remedy: str) -> Mapping[str, Any]:
-    """The dictionary; None is an empty one."""
-    if value is None:
-        return {}
-    if not isinstance(value, Mapping):
-        raise EnvError(f"{what} is {show(value)}, no dictionary; {remedy}")
-    return value
+    return flat
 
 
 def is_masked(value: object) -> bool:
-    """Whether any of it is masked, of which NumPy would give what is behind the mask."""
+    """Return whether any of it is masked, of which NumPy would give what is behind the mask."""
     if isinstance(value, list | tuple):
         return any(map(is_masked, value))
     return isinstance(value, np.ma.MaskedArray) and bool(np.ma.getmaskarray(value).any())
 
 
-def numbers_in(info: Mapping[str, Any]) -> dict[str, bool | int | float]:
-    """The numbers in an info by name, arrays of one element among them."""
+def numbers_in(info: Mapping[str, Any]) -> dict[str, float]:
+    """Return the numbers in an info by name, arrays of one element among them."""
     plain = {str(key): _scalar(value) for key, value in info.items()}
     return {key: value for key, value in plain.items() if isinstance(value, bool | int | float)}
 
 
 def show(value: object) -> str:
-    """A value and its type, short."""
+    """Return a value and its type, short."""
     text = " ".join(repr(value).split())
     text = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
     return text if value is None else f"{text} ({type(value).__name__})"
 
 
 def _scalar(value: Any) -> Any:  # noqa: ANN401
-    """The Python scalar of a number, or of an array or tensor of one; else the value."""
-    if is_masked(value):
-        return np.ma.masked
+    """Return the Python scalar of an array or tensor of one element; else the value."""
     if isinstance(value, np.generic | np.ndarray) or hasattr(value, "detach"):
-        return value.item() if getattr(value, "size", None) == 1 or _is_single(value) else value
+        found = _numbers(value)
+        return value.item() if found is not None and found.size == 1 else None
     return value
 
 
-def _is_single(value: Any) -> bool:  # noqa: ANN401
-    return hasattr(value, "numel") and value.numel() == 1
+def _single(value: object) -> float | None:
+    found = _numbers(value)
+    return None if found is None or found.size != 1 else float(found.reshape(()))
 
 
 def _numbers(value: Any) -> FloatArray | None:  # noqa: ANN401
-    """A copy in float64; None where it is not made of real numbers, or some are masked."""
+    """Return a copy in float64; None where it is not made of real numbers, or some are masked."""
     if is_masked(value):
         return None
-    if isinstance(value, numbers.Number) and not isinstance(value, np.generic):
-        value = _real(value)
     if hasattr(value, "detach"):  # a tensor of torch
         value = value.detach().cpu()
     try:
@@ -126,17 +112,3 @@ def _numbers(value: Any) -> FloatArray | None:  # noqa: ANN401
     except (TypeError, ValueError, RuntimeError):  # ragged lists
         return None
     return found.astype(np.float64) if found.dtype.kind in "biuf" else None
-
-
-def _real(value: Any) -> float | None:  # noqa: ANN401
-    """A number of Python's, such as Fraction or Decimal; None where it is complex."""
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        return None
-    except OverflowError:
-        return float("inf")
-
-
-def _without_ones(shape: tuple[int, ...]) -> tuple[int, ...]:
-    return tuple(size for size in shape if size != 1)
