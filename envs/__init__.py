@@ -41,13 +41,13 @@ drawing.choose()
 class EnvSpec:
     """Entry of an environment, which is imported only when it is made.
 
-    short     key in ENVS, as the command line takes it
-    id        gymnasium's identifier
-    target    "module:class"
-    summary   one line
-    controls  built-in baselines of every comparison; the first is the zero of its score
-    remark    what its returns can and cannot show, for reports
-    foreign   True of an environment of another package, which is not in ENVS
+    short: key in ENVS, as the command line takes it
+    id: gymnasium's identifier
+    target: "module:class"
+    summary: one line
+    controls: built-in baselines of every comparison; the first is the zero of its score
+    remark: what its returns can and cannot show, for reports
+    foreign: True of an environment of another package, which is not in ENVS
     """
 
     short: str
@@ -139,8 +139,8 @@ def make(
 ) -> gymnasium.Env[Any, Any]:
     """Build the environment of a short name, id or target, with options.
 
-    disturb  disturbances such as "noise:2" or "payload=0.4", see envs.disturbances
-    success  key of the step infos that says success, of an environment that is not ours
+    disturb: disturbances such as "noise:2" or "payload=0.4", see envs.disturbances
+    success: key of the step infos that says success, of an environment that is not ours
     """
     entry = spec(name)
     if success is not None and not entry.foreign:

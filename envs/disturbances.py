@@ -20,7 +20,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, is_dataclass
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -31,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.foreign import AdaptedEnv, make_foreign
+from spikedeploy.envs.rollout import draw_action
 from spikedeploy.runtime.errors import EnvError
 from spikedeploy.runtime.files import read_toml
 from spikedeploy.runtime.requests import Request, Scale, parse_requests
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from spikedeploy.envs import EnvSpec
 
 Options = dict[str, Any]
-Defaults = Callable[[str], Any]  # name of an option of the environment -> its default
-Change = Callable[[Options, float, Defaults, str], Options]
 Wrap = Callable[[gymnasium.Env[Any, Any], float], gymnasium.Env[Any, Any]]
 
 HEXAPOD, KART, EYE = "hexapod", "kart", "eye"  # worlds: folders of envs
@@ -51,13 +49,14 @@ FOREIGN = "foreign"  # environments of other people
 class Kind:
     """A kind of disturbance; it changes options of an environment, or wraps it.
 
-    meaning  what happens, in a clause
-    unit     of its number
-    levels   world -> numbers of levels 1, 2 and 3; worlds without it are left out
-    bounds   (lowest, highest) number that may be given
-    source   where the levels come from
-    change   options with the disturbance, of (options, number, defaults, world)
-    wrap     the environment with the disturbance, of (environment, number)
+    meaning: what happens, in a clause
+    unit: of its number
+    levels: world -> numbers of levels 1, 2 and 3; worlds without it are left out
+    bounds: (lowest, highest) number that may be given
+    source: where the levels come from
+    option: of the environment, which is changed; for each world, where they differ
+    by: how, a key of _MOVES; an option within a group is set
+    wrap: the environment with the disturbance, of (environment, number)
     """
 
     meaning: str
@@ -65,7 +64,8 @@ class Kind:
     levels: Mapping[str, tuple[float, float, float]]
     bounds: tuple[float, float]
     source: str
-    change: Change | None = None
+    option: str | Mapping[str, str] = ""
+    by: str = ""
     wrap: Wrap | None = None
 
 
@@ -77,8 +77,8 @@ _STREAM = 11  # keeps the draws apart from those of environments and policies wi
 class SeededWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
     """A wrapper with a generator of its own; a reset without a seed goes on with it.
 
-    STREAM  name of the kind, which keeps its draws apart
-    WHOLE   whether the number counts something
+    STREAM: name of the kind, which keeps its draws apart
+    WHOLE: whether the number counts something
     """
 
     STREAM: ClassVar[str]
@@ -165,12 +165,7 @@ def _spread(env: gymnasium.Env[Any, Any]) -> FloatArray:
     rng, space, episode = np.random.default_rng(0), env.action_space, 0
     seen = [env.reset(seed=episode)[0]]
     while len(seen) < _STEPS:
-        action = (
-            int(rng.integers(space.n))
-            if isinstance(space, gymnasium.spaces.Discrete)
-            else rng.uniform(-1.0, 1.0, space.shape)
-        )
-        observation, _, terminated, truncated, _ = env.step(action)
+        observation, _, terminated, truncated, _ = env.step(draw_action(space, rng))
         seen.append(observation)
         if terminated or truncated:
             episode += 1
@@ -340,55 +335,38 @@ class DeadLeg(SeededWrapper):
         return observation
 
 
-def _shift_option(option: str, move: Callable[[float, float], float]) -> Change:
-    """Return a change of an option, or of both ends of its range, by move(end, number)."""
-
-    def change(options: Options, number: float, default: Defaults, world: str) -> Options:
-        value: Any = options[option] if option in options else default(option)
-        if isinstance(value, (tuple, list)):
-            return {**options, option: tuple(move(end, number) for end in value)}
-        return {**options, option: move(value, number)}
-
-    return change
-
-
-def _reduce(value: float, number: float) -> float:
-    return value * (1.0 - number)
-
-
-def _weaken(options: Options, number: float, default: Defaults, world: str) -> Options:
-    change = _shift_option("power" if world == KART else "servo_gain", _reduce)
-    return change(options, number, default, world)
-
-
-def _lidar(field: str) -> Change:
-    """Return a change of one option of the LIDAR; the others stay as they are given."""
-
-    def change(options: Options, number: float, default: Defaults, world: str) -> Options:
-        given: Any = options.get("lidar") or {}
-        before = asdict(given) if is_dataclass(given) and not isinstance(given, type) else given
-        return {**options, "lidar": {**before, field: number}}
-
-    return change
-
-
-_CHANGES: dict[str, Change] = {
-    "weakness": _weaken,
-    "payload": _shift_option("payload", lambda end, number: end + number),
-    "slope": _shift_option("slope", lambda end, number: end + math.radians(number)),
-    "friction": _shift_option("friction", _reduce),
-    "pushes": _shift_option("pushes", lambda end, number: end * number),
-    "lidar-noise": _lidar("noise"),
-    "lidar-dropout": _lidar("dropout"),
-    "grip": _shift_option("grip", _reduce),
+_MOVES: dict[str, Callable[[float, float], float]] = {  # of an option, or of both its ends
+    "add": lambda end, number: end + number,
+    "add-degrees": lambda end, number: end + math.radians(number),
+    "multiply": lambda end, number: end * number,
+    "reduce": lambda end, number: end * (1.0 - number),
 }
+
+
+def _changed(kind: Kind, number: float, options: Options, entry: EnvSpec) -> Options:
+    """Return the options of an environment with a disturbance of this kind."""
+    if not kind.option:
+        return options
+    option = kind.option if isinstance(kind.option, str) else kind.option[row(entry.world)]
+    group, _, field = option.rpartition(".")
+    if group:  # one number of several; the others stay as they are given
+        given: Any = options.get(group) or {}
+        before = asdict(given) if is_dataclass(given) and not isinstance(given, type) else given
+        return {**options, group: {**before, field: number}}
+    value: Any = options[option] if option in options else _default(entry, option)
+    move = _MOVES[kind.by]
+    if isinstance(value, (tuple, list)):
+        return {**options, option: tuple(move(end, number) for end in value)}
+    return {**options, option: move(value, number)}
+
+
 _WRAPPERS: tuple[type[SeededWrapper], ...] = (
     Noise, Bias, Dropout, LateSensors, LateCommands, LostCommands, DeadJoint, DeadLeg,
 )  # fmt: skip
 _WRAPS = {wrapper.STREAM: wrapper for wrapper in _WRAPPERS}
 
 DISTURBANCES: dict[str, Kind] = {
-    name: Kind(**given, change=_CHANGES.get(name), wrap=_WRAPS.get(name))
+    name: Kind(**given, wrap=_WRAPS.get(name))
     for name, given in read_toml(Path(__file__).with_suffix(".toml")).items()
 }
 
@@ -448,8 +426,7 @@ def make_disturbed(
     found = disturbances(texts, entry.world)
     changed = options
     for each in found:
-        if each.kind.change is not None:
-            changed = each.kind.change(changed, each.number, partial(_default, entry), entry.world)
+        changed = _changed(each.kind, each.number, changed, entry)
     env = make(changed)
     given = env.given if isinstance(env, AdaptedEnv) else options
     for each in found:

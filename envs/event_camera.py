@@ -38,15 +38,15 @@ _NOISE_IN_LIGHT = 0.25  # rate of shot noise at full intensity, of that in darkn
 class CameraParameters:
     """Parameters of the pixels, with the names that v2e has for them.
 
-    on_threshold        change of ln(light) that makes an ON event (pos_thres)
-    off_threshold       the same of an OFF event (neg_thres)
-    mismatch            standard deviation of the thresholds of pixels (sigma_thres)
-    cutoff_hz           bandwidth of the photoreceptor in full light [Hz]; 0 for none (cutoff_hz)
-    leak_hz             rate of ON events by leakage, of a pixel [Hz] (leak_rate_hz)
-    leak_jitter         its deviation from frame to frame, as a share (leak_jitter_fraction)
-    leak_mismatch       its deviation between pixels [decades] (noise_rate_cov_decades)
-    shot_noise_hz       rate of noise events of a dark pixel [Hz] (shot_noise_rate_hz)
-    refractory_s        shortest time between two events of a pixel [s] (refractory_period_s)
+    on_threshold: change of ln(light) that makes an ON event (pos_thres)
+    off_threshold: the same of an OFF event (neg_thres)
+    mismatch: standard deviation of the thresholds of pixels (sigma_thres)
+    cutoff_hz: bandwidth of the photoreceptor in full light [Hz]; 0 for none (cutoff_hz)
+    leak_hz: rate of ON events by leakage, of a pixel [Hz] (leak_rate_hz)
+    leak_jitter: its deviation from frame to frame, as a share (leak_jitter_fraction)
+    leak_mismatch: its deviation between pixels [decades] (noise_rate_cov_decades)
+    shot_noise_hz: rate of noise events of a dark pixel [Hz] (shot_noise_rate_hz)
+    refractory_s: shortest time between two events of a pixel [s] (refractory_period_s)
     """
 
     on_threshold: float = 0.2
@@ -127,10 +127,10 @@ def _luminance(logarithm: NDArray[Any]) -> NDArray[np.float64]:
 class _Fired:
     """Events of all cameras in a frame, without an order.
 
-    place     (E,) index into the pixels of all cameras
-    is_on     (E,) polarity
-    turn      (E,) n of the n-th time of the frame, from 1
-    turns     (B,) how many times the frame has; noise stands at the last
+    place: (E,) index into the pixels of all cameras
+    is_on: (E,) polarity
+    turn: (E,) n of the n-th time of the frame, from 1
+    turns: (B,) how many times the frame has; noise stands at the last
     """
 
     place: Places
@@ -142,10 +142,10 @@ class _Fired:
 class EventCamera:
     """B event cameras that look at frames, or one.
 
-    shape       (H, W) [pixels], of one camera; (B, H, W) of several
-    parameters  of the pixels: a preset's name, fields by name, or CameraParameters
-    seeds       of the mismatch and noise; one for each camera
-    is_log      True if frames are values of lin_log already (v2e's --hdr)
+    shape: (H, W) [pixels], of one camera; (B, H, W) of several
+    parameters: of the pixels: a preset's name, fields by name, or CameraParameters
+    seeds: of the mismatch and noise; one for each camera
+    is_log: True if frames are values of lin_log already (v2e's --hdr)
 
     A frame has luminances from 0 to 255, in any type. The first one after a reset is what pixels
     remember, so it makes no events.
@@ -187,8 +187,8 @@ class EventCamera:
     def reset(self, seeds: int | Sequence[int], cameras: Sequence[int] | None = None) -> None:
         """Begin again with new pixels; the next frame makes no events.
 
-        seeds    one for each camera
-        cameras  those that begin again; all where it is None
+        seeds: one for each camera
+        cameras: those that begin again; all where it is None
         """
         chosen = range(self._batch) if cameras is None else cameras
         given = [seeds] if isinstance(seeds, int | np.integer) else list(seeds)
@@ -216,8 +216,8 @@ class EventCamera:
     def process(self, frames: ArrayLike, t: ArrayLike) -> Any:  # noqa: ANN401
         """Events of frames up to their time, in the order of time.
 
-        frames  (H, W) or (B, H, W), as the camera's shape
-        t       [s] when they were taken, later than the last; (B,) or one for all
+        frames: (H, W) or (B, H, W), as the camera's shape
+        t: [s] when they were taken, later than the last; (B,) or one for all
 
         Returns events (E,) of type EVENT, or B of them for cameras in a batch. The n-th of k
         times between two frames is n / k of the way, where k is the most events of a pixel of

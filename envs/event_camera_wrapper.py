@@ -44,17 +44,17 @@ class EventCameraWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
     The info has "events" (E,), of type camera_events.EVENT, in the order of time, which runs
     on over episodes. After a reset the camera has new pixels, drawn from its seed, and no events.
 
-    env         made with render_mode="rgb_array"
-    size        (H, W) of the camera [pixels]; pictures are averaged over each pixel's area
-    parameters  of the pixels: "clean", "noisy", "v2e", or fields of CameraParameters by name
-    frames      pictures in a control step. Environments of gymnasium on MuJoCo render between the
-                steps of their physics. For others the logarithms of the pictures before and after
-                the step are interpolated linearly, which gives events times and the photoreceptor
-                its bandwidth, but shows nothing that happened in between
-    camera      name or number of a camera of a MuJoCo model; None for what render() shows
-    dt          [s] of a control step; None if the environment knows it
-    keep        True to observe a dict of "events" and "observation", the environment's own
-    record      HDF5 file for all events, in its place after close(); None for none
+    env: made with render_mode="rgb_array"
+    size: (H, W) of the camera [pixels]; pictures are averaged over each pixel's area
+    parameters: of the pixels: "clean", "noisy", "v2e", or fields of CameraParameters by name
+    frames: pictures in a control step. Environments of gymnasium on MuJoCo render between the
+        steps of their physics. For others the logarithms of the pictures before and after
+        the step are interpolated linearly, which gives events times and the photoreceptor
+        its bandwidth, but shows nothing that happened in between
+    camera: name or number of a camera of a MuJoCo model; None for what render() shows
+    dt: [s] of a control step; None if the environment knows it
+    keep: True to observe a dict of "events" and "observation", the environment's own
+    record: HDF5 file for all events, in its place after close(); None for none
     """
 
     def __init__(

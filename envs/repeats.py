@@ -14,6 +14,7 @@ import gymnasium
 import numpy as np
 
 from spikedeploy import envs
+from spikedeploy.envs.rollout import draw_action
 from spikedeploy.runtime.errors import EnvError
 
 _STEPS = 200  # of the episode that is repeated, at most
@@ -65,12 +66,7 @@ def _play(env: gymnasium.Env[Any, Any], seed: int, most: int) -> list[_Step]:
     seen: list[_Step] = [{"observation": env.reset(seed=seed)[0]}]
     over = False
     while not over and len(seen) <= most:
-        action = (
-            int(rng.integers(space.n))
-            if isinstance(space, gymnasium.spaces.Discrete)
-            else rng.uniform(-1.0, 1.0, space.shape)
-        )
-        observation, reward, terminated, truncated, _ = env.step(action)
+        observation, reward, terminated, truncated, _ = env.step(draw_action(space, rng))
         over = terminated or truncated
         ends = {"terminated": terminated, "truncated": truncated}
         seen.append({"observation": observation, "reward": reward, **ends})

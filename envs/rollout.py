@@ -38,15 +38,15 @@ class _Controller(Protocol):
 class Rollout:
     """Record of one episode of S control steps.
 
-    env_id       gymnasium's identifier
-    seed         of the episode
-    observation  (S + 1, obs)
-    action       (S, act) as the controller returned it; (S,) int64 if discrete
-    reward       (S,)
-    terminated   ended by a terminal state: a fall, a crash, the finish
-    truncated    ended by the time limit
-    info         (S,) each: the numbers in the step infos; reward terms as "reward/<name>"
-    options      of the environment, as far as JSON can hold them
+    env_id: gymnasium's identifier
+    seed: of the episode
+    observation: (S + 1, obs)
+    action: (S, act) as the controller returned it; (S,) int64 if discrete
+    reward: (S,)
+    terminated: ended by a terminal state: a fall, a crash, the finish
+    truncated: ended by the time limit
+    info: (S,) each: the numbers in the step infos; reward terms as "reward/<name>"
+    options: of the environment, as far as JSON can hold them
     """
 
     env_id: str
@@ -141,8 +141,8 @@ def _check_rows(arrays: Mapping[str, Any], infos: Mapping[str, Any]) -> None:
 class EpisodeRecorder:
     """Records an episode that the caller steps.
 
-    observation  (obs,) latest
-    info         of the latest step
+    observation: (obs,) latest
+    info: of the latest step
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], seed: int) -> None:
@@ -212,6 +212,13 @@ class EpisodeRecorder:
             },
             options=_options_of(self._env),
         )
+
+
+def draw_action(space: gymnasium.Space[Any], rng: np.random.Generator) -> Any:  # noqa: ANN401
+    """Return an action of a policy drawn uniformly: (act,) in [-1, 1], or one of several."""
+    if isinstance(space, gymnasium.spaces.Discrete):
+        return int(rng.integers(space.n))
+    return rng.uniform(-1.0, 1.0, space.shape or ())
 
 
 def rollout(

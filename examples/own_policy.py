@@ -23,7 +23,7 @@ T = 16  # timesteps of an inference: rates of 0, 1/16 ... 1
 def imitate(rounds: int = 5, steps: int = 400) -> np.ndarray:
     """Weights (actions, obs + 1) learned from what the script would do where the policy is."""
     env = sd.make("kart-gazebo")
-    teacher = GapDriver.of(env)
+    teacher = GapDriver.for_env(env)
     seen, taught, weight, rate = [], [], None, 0.0
     for seed in range(4 * rounds):
         obs, _ = env.reset(seed=seed)

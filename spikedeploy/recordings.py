@@ -52,9 +52,9 @@ def of_comparison(
 ) -> list[dict[str, Any]]:
     """The first episode of a row and its worst one, beside those of its references.
 
-    main     index of the row, which is the last of each episode's players
-    options  of the environment
-    table    of the energy
+    main: index of the row, which is the last of each episode's players
+    options: of the environment
+    table: of the energy
     """
     row = comparison.rows[main]
     entries = [*reversed(row.entry.references), row.entry]
@@ -142,13 +142,13 @@ def first_difference(one: "RecordedEpisode", other: "RecordedEpisode") -> dict[s
 class RecordedEpisode:
     """An episode of S control steps.
 
-    label    of the policy, as in tables
-    kind     of the candidate
-    played   observations, actions, rewards
-    shapes   of the scene, or a film; None where the environment shows nothing
-    poses    (F, N, 7) or (F, 1, 3), see Scene, every `every` control steps
-    period   of a control step [s]; None where it is not known
-    network  of a policy that spikes
+    label: of the policy, as in tables
+    kind: of the candidate
+    played: observations, actions, rewards
+    shapes: of the scene, or a film; None where the environment shows nothing
+    poses: (F, N, 7) or (F, 1, 3), see Scene, every `every` control steps
+    period: of a control step [s]; None where it is not known
+    network: of a policy that spikes
     """
 
     label: str
@@ -173,9 +173,9 @@ def record(
 ) -> RecordedEpisode:
     """Play an episode in an environment.
 
-    chip    or "float"; None for what does not spike
-    table   of the energy
-    filmed  take pictures of an environment that no scene is known of
+    chip: or "float"; None for what does not spike
+    table: of the energy
+    filmed: take pictures of an environment that no scene is known of
     """
     player = open_with_traces(candidate, chip, env, "each", setup)
     network = player if isinstance(player, NirController) else None
@@ -237,7 +237,7 @@ def open_with_traces(
 ) -> Player:
     """The player of a candidate; where it spikes, its network keeps those of the last step.
 
-    rows  of its ledger
+    rows: of its ledger
     """
     if candidate.format != ".nir":
         return open_policy(candidate, chip, env, setup)
@@ -252,8 +252,8 @@ def open_with_traces(
 class Inference:
     """One inference of T timesteps.
 
-    spikes     "input" and every spiking layer -> (T, N); graded ones as they are
-    membranes  layer -> (N,) after the last timestep [state units]; empty in float
+    spikes: "input" and every spiking layer -> (T, N); graded ones as they are
+    membranes: layer -> (N,) after the last timestep [state units]; empty in float
     """
 
     spikes: Mapping[str, NDArray[Any]]
@@ -264,10 +264,10 @@ class Inference:
 class NetworkTrace:
     """A spiking network in S inferences of T timesteps.
 
-    rasters    "input" and every spiking layer -> spikes (S, T, N); graded ones as they are
-    membranes  layer -> (S, N) after the last timestep [state units]; empty in float
-    sops       (S,) synaptic operations; None where they cannot be counted
-    energy     (S,) [J] of operations and neuron updates by the table; likewise
+    rasters: "input" and every spiking layer -> spikes (S, T, N); graded ones as they are
+    membranes: layer -> (S, N) after the last timestep [state units]; empty in float
+    sops: (S,) synaptic operations; None where they cannot be counted
+    energy: (S,) [J] of operations and neuron updates by the table; likewise
     """
 
     rasters: Mapping[str, NDArray[Any]]
@@ -299,7 +299,7 @@ def ledger_of(player: NirController) -> Ledger | None:
 def stack_inferences(each: Sequence[Inference], ledger: Ledger | None, table: str) -> NetworkTrace:
     """Consecutive inferences as one trace.
 
-    ledger  a row for each; None where they are not counted
+    ledger: a row for each; None where they are not counted
     """
     sops, joules = costs_of_each(ledger, table) if ledger else (None, None)
     return NetworkTrace(
@@ -321,7 +321,7 @@ def costs_of_each(ledger: Ledger, table: str) -> tuple[Floats, Floats]:
 def network_json(trace: NetworkTrace, most_neurons: float = math.inf) -> dict[str, Any]:
     """Spikes, membranes, operations and energy; what is too large is left out, by name.
 
-    most_neurons  of a layer whose spikes are shown, twice as many as of one with membranes
+    most_neurons: of a layer whose spikes are shown, twice as many as of one with membranes
     """
     layers, left_out = [], []
     for name, raster in trace.rasters.items():
@@ -423,7 +423,7 @@ def scene_of(env: Any) -> Scene | None:  # noqa: ANN401
 class _Bodies:
     """The bodies of a MuJoCo model and the geoms fixed to them.
 
-    tiled  an environment with tiles
+    tiled: an environment with tiles
     """
 
     def __init__(self, model: Any, data: Any, tiled: Any = None) -> None:  # noqa: ANN401

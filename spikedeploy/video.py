@@ -26,15 +26,15 @@ _UNKNOWN = 1 / 30  # [s] control step where an environment does not say
 class Pace:
     """The frame rate of a video that runs in real time.
 
-    every  control steps between two frames
-    fps    frames of a second
+    every: control steps between two frames
+    fps: frames of a second
     """
 
     every: int
     fps: float
 
     @classmethod
-    def of(cls, control_dt: float | None) -> "Pace":
+    def for_period(cls, control_dt: float | None) -> "Pace":
         """The pace nearest to FPS for a control step of so many seconds, if that is known."""
         period = control_dt or _UNKNOWN
         every = max(1, round(1 / (_FPS * period)))
@@ -45,7 +45,7 @@ class Pace:
 def mp4(path: Path, fps: float, remark: str = "") -> Iterator[Callable[[Frame], None]]:
     """A function that takes frames (H, W, 3) uint8; `path` appears when the block succeeds.
 
-    remark  in the file's metadata
+    remark: in the file's metadata
     """
     import av
 
@@ -81,8 +81,8 @@ def _stream(file: "OutputContainer", frame: Frame, fps: float) -> "VideoStream":
 def gif(path: Path, frames: Iterable[Frame], period: float, remark: str = "") -> int:
     """Write frames (H, W, 3) uint8 as a GIF that repeats; its size [bytes].
 
-    period  between two frames [s], which a GIF has in whole hundredths
-    remark  in the file's metadata
+    period: between two frames [s], which a GIF has in whole hundredths
+    remark: in the file's metadata
     """
     from PIL import Image
 

@@ -23,10 +23,10 @@ _WIDTH, _HEIGHT = 640, 480  # [pixels]
 class Mark(NamedTuple):
     """A flat square on the ground.
 
-    centre  [m] (x, y)
-    half    [m] half of its side
-    height  [m] of its upper face
-    rgba    colour
+    centre: [m] (x, y)
+    half: [m] half of its side
+    height: [m] of its upper face
+    rgba: colour
     """
 
     centre: tuple[float, float]
@@ -52,7 +52,7 @@ def _add(marks: Iterable[Mark], scene: Any) -> None:  # noqa: ANN401
 class Camera:
     """Off-screen frames of a robot, from the camera of its model that follows it.
 
-    marks  what lies on the ground now
+    marks: what lies on the ground now
     """
 
     def __init__(

@@ -51,9 +51,9 @@ def check(name: str, value: object, lowest: float, highest: float) -> Range:
 class PushTable:
     """Distribution of a task's pushes.
 
-    kick      (low, high) [m/s] change of the torso's horizontal velocity, any direction
-    spin      [rad/s] standard deviation of the change of its yaw rate
-    interval  (shortest, longest) [control steps] from one push to the next
+    kick: (low, high) [m/s] change of the torso's horizontal velocity, any direction
+    spin: [rad/s] standard deviation of the change of its yaw rate
+    interval: (shortest, longest) [control steps] from one push to the next
     """
 
     kick: tuple[float, float]
@@ -73,7 +73,7 @@ class Pushes:
         """Draw the time of the first push."""
         self._next = self._interval(rng)
 
-    def at(self, step: int, rng: np.random.Generator) -> tuple[tuple[float, float], float] | None:
+    def due(self, step: int, rng: np.random.Generator) -> tuple[tuple[float, float], float] | None:
         """Return the push due at this control step, if any: kick (x, y) [m/s], spin [rad/s]."""
         if step < self._next:
             return None
@@ -96,10 +96,10 @@ LIMIT = 10.0  # observations saturate at this magnitude, as sensors do
 class ObservationEntry(NamedTuple):
     """Consecutive values of an observation; each is (measured - centre) / spread.
 
-    name    key in the environment's OBSERVATION
-    size    number of values
-    centre  (size,) or one for all [unit of the measurement]
-    spread  (size,) or one for all, so that values are about +-1
+    name: key in the environment's OBSERVATION
+    size: number of values
+    centre: (size,) or one for all [unit of the measurement]
+    spread: (size,) or one for all, so that values are about +-1
     """
 
     name: str
@@ -154,10 +154,10 @@ def course_terms(
 ) -> dict[str, float]:
     """Terms for walking straight: alive, speed, heading, lateral.
 
-    speed    [m/s] smoothed, along the course
-    heading  [rad] from the course
-    lateral  [m] off the course
-    target   [m/s] the speed that is asked for
+    speed: [m/s] smoothed, along the course
+    heading: [rad] from the course
+    lateral: [m] off the course
+    target: [m/s] the speed that is asked for
     """
     return {
         "alive": 1.0,
@@ -170,9 +170,9 @@ def course_terms(
 def command_terms(speed_error: float, turn_error: float, sideways: float) -> dict[str, float]:
     """Terms for following commands: alive, speed, turn, sideways.
 
-    speed_error  [m/s] commanded - smoothed
-    turn_error   [rad/s] commanded - smoothed
-    sideways     [m/s] leftward
+    speed_error: [m/s] commanded - smoothed
+    turn_error: [rad/s] commanded - smoothed
+    sideways: [m/s] leftward
     """
     return {
         "alive": 1.0,
@@ -194,10 +194,10 @@ def regularisers(
 ) -> dict[str, float]:
     """Terms that both tasks share: posture, smoothness and power.
 
-    height  [m] of the torso above the mean ground
-    crouch  [m] height below which crouching is penalised
-    change  (18,) change of the action since the last control step
-    jerk    weight of its square
+    height: [m] of the torso above the mean ground
+    crouch: [m] height below which crouching is penalised
+    change: (18,) change of the action since the last control step
+    jerk: weight of its square
 
     Power is sampled at the end of the control step, as by a current sensor at 50 Hz.
     """
@@ -242,18 +242,18 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
     speed [m/s] smoothed · heading [rad] · lateral [m] · slip [m/s] · power [W] mean of the step ·
     distance [m] along the course · cot [1] energy / (m g distance) so far · episode_return so far.
 
-    terrain      [m] height of the bumps, blocks or risers
-    ground       "bumps"; "steps", blocks of 25 cm of random heights; or "stairs", three risers up
-                 and three down, with treads of 25 cm. Edges are slopes of 5 cm, the spacing of
-                 samples of the ground
-    pushes       [1] scale of the pushes, 0 for none
-    mass         [1] factor on every body
-    payload      [kg] on the torso
-    friction     [1] of the feet on the ground
-    servo_gain   [1] factor on stiffness and damping of the servos
-    slope        [rad] of the ground, which rises along the x axis
-    max_steps    [control steps]
-    render_mode  "rgb_array", "human" or None
+    terrain: [m] height of the bumps, blocks or risers
+    ground: "bumps"; "steps", blocks of 25 cm of random heights; or "stairs", three risers up
+        and three down, with treads of 25 cm. Edges are slopes of 5 cm, the spacing of
+        samples of the ground
+    pushes: [1] scale of the pushes, 0 for none
+    mass: [1] factor on every body
+    payload: [kg] on the torso
+    friction: [1] of the feet on the ground
+    servo_gain: [1] factor on stiffness and damping of the servos
+    slope: [rad] of the ground, which rises along the x axis
+    max_steps: [control steps]
+    render_mode: "rgb_array", "human" or None
     Physical options are a number, or a pair (low, high) from which each episode draws.
     """
 
@@ -420,7 +420,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         return np.minimum(np.maximum(action, -1.0), 1.0)
 
     def _move(self, action: FloatArray) -> Motion:
-        push = self._pushes.at(self._step, self.np_random)
+        push = self._pushes.due(self._step, self.np_random)
         if push is not None:
             self._robot.push(*push)
         self._filtered = self._servo_command(action)

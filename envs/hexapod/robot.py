@@ -35,7 +35,7 @@ _EXTEND = 0.20  # [action unit] amplitude of the tibia during swing
 class Gait:
     """Open-loop tripod gait.
 
-    phase  [rad], in [0, 2 pi)
+    phase: [rad], in [0, 2 pi)
     """
 
     phase = 0.0
@@ -73,9 +73,9 @@ _CLEARING = (0.25, 0.5)  # [m] flat within the first radius of the start, rough 
 class Field:
     """Size of the ground.
 
-    length  [m] along x
-    width   [m] along y
-    start   [m] (x, y) of the robot at reset; the field is centred on the origin
+    length: [m] along x
+    width: [m] along y
+    start: [m] (x, y) of the robot at reset; the field is centred on the origin
     """
 
     length: float
@@ -91,8 +91,8 @@ class Field:
 class Terrain:
     """The ground of one model.
 
-    height  (rows, columns) [m] in this episode
-    mean    (rows, columns) [m] averaged over a patch of 35 cm around each sample
+    height: (rows, columns) [m] in this episode
+    mean: (rows, columns) [m] averaged over a patch of 35 cm around each sample
     """
 
     def __init__(self, field: Field, model: mujoco.MjModel, ground: Ground = "bumps") -> None:
@@ -201,20 +201,20 @@ _Row = tuple[float, float, float]
 class Motion(NamedTuple):
     """State of the robot at the end of a control step.
 
-    position          (3,) [m] centre of the torso, world
-    gravity           (3,) [1] direction of gravity in the body's frame, (0, 0, -1) when upright;
-                      on a slope upright is not across the ground
-    heading           [rad] of the body's x axis in the world
-    velocity          (3,) [m/s] of the torso, world
-    body_velocity     (3,) [m/s] of the torso in the body's frame
-    angular_velocity  (3,) [rad/s] in the body's frame
-    joints            (18,) [rad]
-    joint_velocity    (18,) [rad/s]
-    load              (6,) [N] normal force on each foot
-    contact           (6,) bool
-    slip              [m/s] mean horizontal speed of the feet in contact
-    power             [W] sum of |torque x joint velocity| at the end of the control step
-    mean_power        [W] the same, averaged over the control step
+    position: (3,) [m] centre of the torso, world
+    gravity: (3,) [1] direction of gravity in the body's frame, (0, 0, -1) when upright;
+        on a slope upright is not across the ground
+    heading: [rad] of the body's x axis in the world
+    velocity: (3,) [m/s] of the torso, world
+    body_velocity: (3,) [m/s] of the torso in the body's frame
+    angular_velocity: (3,) [rad/s] in the body's frame
+    joints: (18,) [rad]
+    joint_velocity: (18,) [rad/s]
+    load: (6,) [N] normal force on each foot
+    contact: (6,) bool
+    slip: [m/s] mean horizontal speed of the feet in contact
+    power: [W] sum of |torque x joint velocity| at the end of the control step
+    mean_power: [W] the same, averaged over the control step
     """
 
     position: tuple[float, float, float]
@@ -235,9 +235,9 @@ class Motion(NamedTuple):
 class Robot:
     """A torso on six legs with eighteen position servos.
 
-    model, data    MuJoCo's objects
-    mass           [kg] in this episode, payload included
-    support_force  [1] fraction of the full upward force, 0.6 of the weight, used in training only
+    model, data: MuJoCo's objects
+    mass: [kg] in this episode, payload included
+    support_force: [1] fraction of the full upward force, 0.6 of the weight, used in training only
     """
 
     def __init__(self, field: Field, ground: Ground = "bumps") -> None:
@@ -269,7 +269,7 @@ class Robot:
     ) -> None:
         """Set the episode's factor on all masses, payload [kg], foot friction and servo gain.
 
-        slope  [rad] by which the ground rises along x: gravity is tilted, and the world stays level
+        slope: [rad] by which the ground rises along x: gravity is tilted, and the world stays level
         """
         model = self.model
         model.body_mass[:] = mass * self._mass
@@ -363,7 +363,7 @@ def _gravity(down: tuple[float, float], x: _Row, z: _Row) -> _Row:
 def _slip(readings: list[float]) -> float:
     """Mean horizontal speed [m/s] of the feet in contact, 0 if none is.
 
-    readings  (24,) loads (6,) [N], then velocities (6, 3) [m/s]
+    readings: (24,) loads (6,) [N], then velocities (6, 3) [m/s]
     """
     total, count = 0.0, 0
     for foot in range(6):

@@ -31,8 +31,8 @@ _SLOW = 25.0  # [px/s] below which kart-simulator counts a kart as standing stil
 class ClassicLimits:
     """Limits of kart-simulator's two stall rules.
 
-    still     consecutive steps below 25 px/s, 0 for no limit
-    receding  consecutive steps away from the next gate, 0 for no limit
+    still: consecutive steps below 25 px/s, 0 for no limit
+    receding: consecutive steps away from the next gate, 0 for no limit
     """
 
     still: int
@@ -77,14 +77,14 @@ _WEIGHTS: Mapping[str, float] = {
 class StepOutcome(NamedTuple):
     """Outcome of one step, for rewards.
 
-    gained    decrease of the remaining path [px]
-    approach  decrease of the distance to the midpoint of the next gate [px]
-    gates     number of gates passed
-    since     steps since the last gate
-    finish    whether the last gate was passed
-    failed    whether the kart crashed or stalled
-    speed     [px/s]
-    steering  1 towards the next gate, -1 away from it, 0 none
+    gained: decrease of the remaining path [px]
+    approach: decrease of the distance to the midpoint of the next gate [px]
+    gates: number of gates passed
+    since: steps since the last gate
+    finish: whether the last gate was passed
+    failed: whether the kart crashed or stalled
+    speed: [px/s]
+    steering: 1 towards the next gate, -1 away from it, 0 none
     """
 
     gained: float
@@ -103,7 +103,7 @@ class PathReward:
     The potential is the length of the path through the midpoints of the remaining gates: what
     driving on gains, driving back loses.
 
-    weights  of each term in WEIGHTS
+    weights: of each term in WEIGHTS
     """
 
     def __init__(self, changes: Mapping[str, float] | None = None) -> None:
@@ -132,10 +132,10 @@ class PathReward:
 class ClassicReward:
     """kart-simulator's terms and weights, each paid once and not as a running total every step.
 
-    pace                         divisor of exp(v / 100) in the progress term
-    backward                     factor of negative progress
+    pace: divisor of exp(v / 100) in the progress term
+    backward: factor of negative progress
     progress, steer, gate, crash weights
-    finish                       weight, the same in all environments
+    finish: weight, the same in all environments
     """
 
     pace: float
@@ -206,15 +206,15 @@ CONTROL_DT = 1.0 / 60.0  # [s]
 class KartEnv(gymnasium.Env[FloatArray, Any]):
     """A kart that has to pass a track's gates in order without touching a wall.
 
-    preset      "default", or "classic": kart-simulator's observation, reward and termination
-    track       a name of track_file.names(), `corridor`, `corridor-N`, a .json file, or a Track
-    observe     components, keys of _SIZES or "lidar"; None takes the preset's
-    lidar       LidarOptions, or some of them by name, which replace the environment's defaults
-    reward      "default", "classic", or weights by name that replace some of the default's
-    max_steps   control steps after which an episode is truncated
-    start       "random" within the track's spread and headings, or "fixed" at their centre
-    grip        [1] share of a change of velocity that the tyres pass on in a control step
-    power       [1] factor on what the motor does: push, speed or acceleration
+    preset: "default", or "classic": kart-simulator's observation, reward and termination
+    track: a name of track_file.names(), `corridor`, `corridor-N`, a .json file, or a Track
+    observe: components, keys of _SIZES or "lidar"; None takes the preset's
+    lidar: LidarOptions, or some of them by name, which replace the environment's defaults
+    reward: "default", "classic", or weights by name that replace some of the default's
+    max_steps: control steps after which an episode is truncated
+    start: "random" within the track's spread and headings, or "fixed" at their centre
+    grip: [1] share of a change of velocity that the tyres pass on in a control step
+    power: [1] factor on what the motor does: push, speed or acceleration
     render_mode "rgb_array" or None
 
     An episode ends at the last gate (terminated, a success), at a wall (terminated), when the
@@ -260,7 +260,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
         if not isinstance(lidar, LidarOptions):
             # kart-simulator's rays begin straight behind the kart, and none points ahead
             rays = {"count": _CLASSIC_RAYS, "facing": -math.pi} if classic else {}
-            lidar = LidarOptions.of(lidar or {}, range=self.RANGE, **rays)
+            lidar = LidarOptions.with_changes(lidar or {}, range=self.RANGE, **rays)
         self.lidar = Lidar(lidar)
         self._reward = self._reward_of(preset if reward is None else reward)
         self._corridor = length_of(track) if isinstance(track, str) else None
@@ -361,9 +361,9 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
     ) -> FloatArray:
         """The observation (obs,) of a state, without noise; the episode is not affected.
 
-        x, y, heading  [px], [rad]
-        velocity       (2,) [px/s]
-        turn           [rad/s]
+        x, y, heading: [px], [rad]
+        velocity: (2,) [px/s]
+        turn: [rad/s]
         """
         state = KartState(x, y, heading, (velocity[0], velocity[1]), turn, next_gate)
         return self._observe(state, self.lidar.distances(x, y, heading))

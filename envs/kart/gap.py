@@ -28,10 +28,10 @@ _CAUTION = {"steer": 400.0, "push": 250.0}  # free length at which top speed is 
 class GapDriver:
     """Scripted policy: chooses an action for an observation.
 
-    angles   (R,) directions of the rays [rad], from straight ahead, clockwise
-    reach    range of the LIDAR [px]
-    columns  component -> slice of the observation
-    actions  name of an action -> its value in the environment
+    angles: (R,) directions of the rays [rad], from straight ahead, clockwise
+    reach: range of the LIDAR [px]
+    columns: component -> slice of the observation
+    actions: name of an action -> its value in the environment
     """
 
     def __init__(
@@ -47,8 +47,8 @@ class GapDriver:
         self._kind = "push" if "up" in actions else "steer"
 
     @classmethod
-    def of(cls, env: gymnasium.Env[Any, Any]) -> GapDriver:
-        """The driver for the kart of an environment."""
+    def for_env(cls, env: gymnasium.Env[Any, Any]) -> GapDriver:
+        """Return the driver for the kart of an environment."""
         kart: Any = env.unwrapped
         columns = getattr(kart, "OBSERVATION", {})
         if not {"lidar", "velocity"} <= set(columns) or not hasattr(kart, "ACTIONS"):

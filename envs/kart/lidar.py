@@ -33,12 +33,12 @@ _BOUNDS = {  # of LidarOptions
 class LidarOptions:
     """Parameters of a LIDAR.
 
-    count    number of rays R
-    field    field of view [rad]; below a full circle it is centred on `facing`, with an odd count
-    range    largest distance measured [px]
-    noise    standard deviation of a distance [px]
-    dropout  probability that a ray returns the range
-    facing   direction of a full circle's first ray [rad], 0 straight ahead, clockwise
+    count: number of rays R
+    field: field of view [rad]; below a full circle it is centred on `facing`, with an odd count
+    range: largest distance measured [px]
+    noise: standard deviation of a distance [px]
+    dropout: probability that a ray returns the range
+    facing: direction of a full circle's first ray [rad], 0 straight ahead, clockwise
     """
 
     count: int = 24
@@ -64,8 +64,8 @@ class LidarOptions:
             )
 
     @classmethod
-    def of(cls, changes: Mapping[str, Any], **defaults: Any) -> LidarOptions:  # noqa: ANN401
-        """The defaults with changes by name."""
+    def with_changes(cls, changes: Mapping[str, Any], **defaults: Any) -> LidarOptions:  # noqa: ANN401
+        """Return the defaults with changes by name."""
         if unknown := [name for name in changes if name not in _BOUNDS]:
             known = ", ".join(_BOUNDS)
             raise EnvError(f"option lidar.{unknown[0]} is unknown; known: {known}")
@@ -83,9 +83,9 @@ class LidarOptions:
 class Lidar:
     """A LIDAR among walls, which set_walls gives it.
 
-    options  its parameters
-    angles   (R,) directions of the rays from straight ahead [rad]
-    range    largest distance measured [px]
+    options: its parameters
+    angles: (R,) directions of the rays from straight ahead [rad]
+    range: largest distance measured [px]
     """
 
     def __init__(self, options: LidarOptions) -> None:

@@ -47,7 +47,7 @@ class Scene:
         self._offset = np.array(size) / 2 - self.scale * (low + high) / 2
         self.ground = self._ground()
 
-    def at(self, points: ArrayLike) -> Floats:
+    def on_screen(self, points: ArrayLike) -> Floats:
         """Screen points (…, 2) of points (…, 2) [px] of the track."""
         found: Floats = np.asarray(points, np.float64) * self.scale + self._offset
         return found
@@ -72,10 +72,10 @@ class Scene:
         """
         barriers = pygame.Surface(size)
         self._lines(barriers, WALL, width)
-        a, b = _FINE * self.at(self.track.gates[-1])
+        a, b = _FINE * self.on_screen(self.track.gates[-1])
         _thick_line(barriers, WALL, a, b, width)
         free = pygame.mask.from_threshold(barriers, (0, 0, 0), (1, 1, 1, 255))
-        start = tuple(int(value) for value in _FINE * self.at(self.track.start))
+        start = tuple(int(value) for value in _FINE * self.on_screen(self.track.start))
         road = free.connected_component(start)
         return None if road.get_at((0, 0)) else road
 
@@ -88,13 +88,13 @@ class Scene:
     ) -> None:
         """Draw every wall with round ends, clipped to the mask `within`."""
         target = surface if within is None else surface.copy()
-        for a, b in _FINE * self.at(self.track.walls):
+        for a, b in _FINE * self.on_screen(self.track.walls):
             _thick_line(target, colour, a, b, width)
         if within is not None:
             within.to_surface(surface, setsurface=target, unsetcolor=None)
 
     def _checkers(self, surface: pygame.Surface) -> None:
-        a, b = _FINE * self.at(self.track.gates[-1])
+        a, b = _FINE * self.on_screen(self.track.gates[-1])
         along = (b - a) / max(float(np.hypot(*(b - a))), 1.0)
         across = np.array([-along[1], along[0]])
         side = _FINE * max(5.0, 9.0 * self.pen)
@@ -190,7 +190,7 @@ def _ray_angles(env: Any) -> Floats:  # noqa: ANN401
 def _draw_gates(surface: pygame.Surface, place: Scene, next_gate: int) -> None:
     """Draw the gates, the next one highlighted; the finish is part of the ground."""
     width = max(2, round(4.0 * place.pen))
-    for index, (a, b) in enumerate(place.at(place.track.gates)):
+    for index, (a, b) in enumerate(place.on_screen(place.track.gates)):
         if index == next_gate:
             _glow(surface, a, b, width)
         elif index < len(place.track.gates) - 1:
@@ -208,7 +208,7 @@ def _draw_scan(
 ) -> None:
     centre = np.array(pose[:2])
     ends = centre + distances[:, None] * np.stack((np.cos(angles), np.sin(angles)), axis=1)
-    start, ends = place.at(centre), place.at(ends)
+    start, ends = place.on_screen(centre), place.on_screen(ends)
     veil = pygame.Surface(surface.get_size(), pygame.SRCALPHA)
     for end in ends:
         pygame.draw.aaline(veil, _RAY, tuple(start), tuple(end))
@@ -227,7 +227,9 @@ def _draw_kart(
     """Draw a kart from above, as large as its collision circle."""
     turn = round(-np.degrees(pose[2])) % 360
     sprite = _sprite(colour, max(7, round(2 * RADIUS * place.scale)), turn, alpha)
-    surface.blit(sprite, sprite.get_rect(center=tuple(np.rint(place.at(pose[:2])).astype(int))))
+    surface.blit(
+        sprite, sprite.get_rect(center=tuple(np.rint(place.on_screen(pose[:2])).astype(int)))
+    )
 
 
 def _glow(surface: pygame.Surface, a: Floats, b: Floats, width: int) -> None:

@@ -27,14 +27,14 @@ RADIUS = 19.2  # [px] of a kart, for which all tracks are drawn
 class Track:
     """A track; y points down, 100 px are 1 m.
 
-    name       of the track
-    walls      (W, 2, 2) segments that a kart must not touch [px]
-    gates      (G, 2, 2) segments to pass in this order [px]; the last is the finish
-    start      (2,) centre of the start positions [px]
-    spread     start positions are drawn uniformly within this distance on both axes [px]
-    heading    (lowest, highest) at the start [rad], 0 to the right, clockwise
-    sway       largest shift of the finish along y at a reset, either way [px]
-    polylines  whose segments are the walls, each (points, 2) [px]
+    name: of the track
+    walls: (W, 2, 2) segments that a kart must not touch [px]
+    gates: (G, 2, 2) segments to pass in this order [px]; the last is the finish
+    start: (2,) centre of the start positions [px]
+    spread: start positions are drawn uniformly within this distance on both axes [px]
+    heading: (lowest, highest) at the start [rad], 0 to the right, clockwise
+    sway: largest shift of the finish along y at a reset, either way [px]
+    polylines: whose segments are the walls, each (points, 2) [px]
     """
 
     name: str

@@ -16,10 +16,10 @@ _KART, _WALL, _GATE = 1, 2, 3  # collision types
 class KartState(NamedTuple):
     """State of a kart that observation and reward are computed from.
 
-    x, y, heading  [px], [rad]
-    velocity       (2,) [px/s]
-    turn           turn rate [rad/s], clockwise
-    next_gate      index of the next gate; the number of gates when all are passed
+    x, y, heading: [px], [rad]
+    velocity: (2,) [px/s]
+    turn: turn rate [rad/s], clockwise
+    next_gate: index of the next gate; the number of gates when all are passed
     """
 
     x: float
@@ -33,10 +33,10 @@ class KartState(NamedTuple):
 class KartWorld:
     """A pymunk space with a kart and with the walls and gates of a track as sensors.
 
-    kart          the body: position [px], velocity [px/s], angle [rad]
-    touched_wall  whether the kart touched a wall in the last step
-    touching      indices of the gates that the kart touches
-    grip          [1] share of a change of velocity that the tyres pass on in a step; 1 is all
+    kart: the body: position [px], velocity [px/s], angle [rad]
+    touched_wall: whether the kart touched a wall in the last step
+    touching: indices of the gates that the kart touches
+    grip: [1] share of a change of velocity that the tyres pass on in a step; 1 is all
     """
 
     def __init__(self, track: Track, grip: float = 1.0) -> None:

@@ -194,7 +194,7 @@ def _say_whether_it_repeats(world: Any, first: Rollout) -> None:  # noqa: ANN401
 @contextmanager
 def _film(path: Path, caption: str, world: Any) -> Iterator[Callable[[EpisodeRecorder], None]]:  # noqa: ANN401
     """The callback of a rollout that writes an MP4."""
-    pace = Pace.of(world.unwrapped.CONTROL_DT)
+    pace = Pace.for_period(world.unwrapped.CONTROL_DT)
     with mp4(path, pace.fps, mark("run")) as write:
 
         def show(episode: EpisodeRecorder) -> None:

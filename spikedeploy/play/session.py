@@ -228,7 +228,7 @@ class Outcome:
     seconds: float | None = None
 
     @classmethod
-    def of(cls, played: Rollout, info: Mapping[str, Any]) -> "Outcome":
+    def from_rollout(cls, played: Rollout, info: Mapping[str, Any]) -> "Outcome":
         """The outcome of an episode, whose last info has the reason if it has one."""
         word = next(
             (name for name in _REASONS if info.get(name)),
@@ -304,7 +304,7 @@ class Session:
         self.sums.update(self.info.get("reward_terms", {"reward": self.episode.reward}))
         if self.episode.over:
             played = self.episode.rollout()
-            self.outcomes.append(Outcome.of(played, self.info))
+            self.outcomes.append(Outcome.from_rollout(played, self.info))
             self._keep(played)
             self._wait = max(1, round(_PAUSE / self.period))
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.envs.foreign import is_target
 from spikedeploy.envs.kart.gap import GapDriver
-from spikedeploy.envs.rollout import Rollout
+from spikedeploy.envs.rollout import Rollout, draw_action
 from spikedeploy.policies.costs import NOTHING, Costs, float_costs
 from spikedeploy.policies.registry import Candidate, Env, Floats, Player, check_fit, find
 from spikedeploy.runtime.errors import ConfigError
@@ -66,9 +66,7 @@ class RandomController(Player):
 
     def act(self, observation: Floats) -> NDArray[Any]:
         """The action (act,), or () where it is one of several."""
-        if isinstance(self._space, gymnasium.spaces.Discrete):
-            return np.asarray(self._rng.integers(self._space.n))
-        return self._rng.uniform(-1.0, 1.0, self._space.shape or ())
+        return np.asarray(draw_action(self._space, self._rng))
 
     def costs(self, played: Rollout) -> Costs:
         """Nothing is computed."""
@@ -79,7 +77,7 @@ class GapController(Player):
     """A script that follows the gap in the LIDAR, on the observations of a policy."""
 
     def __init__(self, env: Env) -> None:
-        self._driver = GapDriver.of(env)
+        self._driver = GapDriver.for_env(env)
 
     @classmethod
     def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:

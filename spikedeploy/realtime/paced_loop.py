@@ -53,9 +53,9 @@ def duration(option: str, text: str) -> float:
 class Pacing:
     """A rate to keep.
 
-    rate      control steps per second [Hz]
-    deadline  [s] of a control step; it may be longer than the period
-    duration  [s] after which no further episode begins; None for as many episodes as were asked for
+    rate: control steps per second [Hz]
+    deadline: [s] of a control step; it may be longer than the period
+    duration: [s] after which no further episode begins; None for as many episodes as were asked for
     """
 
     rate: float
@@ -87,8 +87,8 @@ def pacing(rate: float | None, deadline: str | None, lasting: str | None) -> Pac
 class Metronome:
     """Periods of a fixed length, from the first that is waited for.
 
-    due      when the current period began [s], on the clock of time.perf_counter
-    skipped  periods that had passed before they were waited for
+    due: when the current period began [s], on the clock of time.perf_counter
+    skipped: periods that had passed before they were waited for
     """
 
     def __init__(self, period: float) -> None:
@@ -138,10 +138,10 @@ TIMES = ("late", "policy", "policy_cpu", "step")
 class RealTime:
     """Measurements of a paced loop.
 
-    pacing   that it had
-    seconds  it took, pauses between episodes left out
-    times    name of TIMES -> [s] of each control step
-    skipped  periods that passed while a step was not done
+    pacing: that it had
+    seconds: it took, pauses between episodes left out
+    times: name of TIMES -> [s] of each control step
+    skipped: periods that passed while a step was not done
     """
 
     pacing: Pacing

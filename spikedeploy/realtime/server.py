@@ -10,11 +10,11 @@ import sys
 import threading
 import time
 import traceback
-from dataclasses import dataclass
 from ipaddress import IPv4Address
-from typing import Any
+from typing import Any, Literal
 
 import zmq
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.policies.nir import read_policy
@@ -26,10 +26,6 @@ from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.metrics.energy import TABLES, energy_estimate
 
 VERSION = 1
-REQUESTS = ("info", "reset", "act", "bye")
-WANTED = ("spikes", "sops", "energy")
-_FIELDS = {"do", "seed", "observation", "want"}
-_LARGEST_SEED = 2**63
 # bytes of a request besides its observation, and of each number in it
 _ENVELOPE, _NUMBER = 4096, 32
 _WAIT = 200  # [ms] for a message, before `stop` is looked at again
@@ -41,52 +37,39 @@ class RequestError(SpikedeployError):
     """A request that is none, or that cannot be answered now."""
 
 
-@dataclass(frozen=True)
-class Request:
+class Request(BaseModel):
     """A request of a client.
 
-    do           one of REQUESTS
-    seed         of the episode that `reset` begins
-    observation  of `act`, as JSON has it
-    want         of `act`: some of WANTED
+    do: what is asked for
+    seed: of the episode that `reset` begins
+    observation: of `act`, as JSON has it
+    want: of `act`: costs of the step that the reply has
     """
 
-    do: str
-    seed: int = 0
-    observation: Any = None
-    want: tuple[str, ...] = ()
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+    do: Literal["info", "reset", "act", "bye"]
+    seed: int = Field(default=0, ge=0, lt=2**63)
+    observation: list[Any] = []
+    want: list[Literal["spikes", "sops", "energy"]] = []
 
     @classmethod
     def parse(cls, body: bytes) -> "Request":
-        """The request in a message; RequestError where it is none."""
+        """Return the request in a message; RequestError where it is none."""
         try:
-            fields = json.loads(body.decode())
-        except (ValueError, RecursionError) as error:  # no UTF-8, no JSON, or nested too deep
-            raise RequestError(f"the request is no JSON: {str(error)[:80]}") from error
-        if not isinstance(fields, dict):
-            raise RequestError(f"the request is a JSON {type(fields).__name__}, and no object")
-        if unknown := sorted(set(fields) - _FIELDS):
-            raise RequestError(
-                f"unknown field {unknown[0][:40]!r}; a request has {', '.join(sorted(_FIELDS))}"
-            )
-        do, seed, want = fields.get("do"), fields.get("seed", 0), fields.get("want", [])
-        if do not in REQUESTS:
-            raise RequestError(f"'do' is {str(do)[:40]!r}; it must be one of {', '.join(REQUESTS)}")
-        if type(seed) is not int or not 0 <= seed < _LARGEST_SEED:
-            raise RequestError("'seed' must be a whole number from 0 to 2^63 - 1")
-        if not isinstance(want, list) or not all(each in WANTED for each in want):
-            raise RequestError(f"'want' must be a list of some of {', '.join(WANTED)}")
-        if do == "act" and not isinstance(fields.get("observation"), list):
-            raise RequestError("'act' needs 'observation', a list of numbers")
-        return cls(do, seed, fields.get("observation"), tuple(want))
+            return cls.model_validate_json(body)
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ", ".join(["the request", *map(str, first["loc"])])
+            raise RequestError(f"{place}: {first['msg']}"[:200]) from error
 
 
 class ServedPolicy:
     """A policy on a chip, read once.
 
-    name      of the policy
-    chip      as the command line takes it, or "float"
-    observed  numbers of an observation
+    name: of the policy
+    chip: as the command line takes it, or "float"
+    observed: numbers of an observation
     """
 
     def __init__(
@@ -133,7 +116,7 @@ class ServedPolicy:
 class ServedEpisode:
     """The episode of one client, priced by energy tables.
 
-    steps  actions since its last reset
+    steps: actions since its last reset
     """
 
     def __init__(self, controller: SpikingController, tables: tuple[str, ...]) -> None:
@@ -175,9 +158,9 @@ class ServedEpisode:
 class Clients:
     """Clients of a server, each with its episode; idle ones are forgotten.
 
-    policy  that they act with
-    most    clients at a time
-    idle    [s] without a request after which a client is forgotten
+    policy: that they act with
+    most: clients at a time
+    idle: [s] without a request after which a client is forgotten
     """
 
     def __init__(self, policy: ServedPolicy, most: int, idle: float) -> None:
@@ -188,8 +171,8 @@ class Clients:
     def answer(self, client: bytes, request: Request, now: float) -> dict[str, Any]:
         """The reply to a request.
 
-        client  its name, which the connection decides
-        now     [s] of a clock that only goes forward
+        client: its name, which the connection decides
+        now: [s] of a clock that only goes forward
         """
         kept = self._episodes.items()
         self._episodes = {name: each for name, each in kept if now - each[1] <= self._idle}
@@ -217,7 +200,7 @@ class Clients:
 class PolicyServer:
     """Answers clients until it is stopped; to be closed.
 
-    endpoint  where it listens, as `tcp://127.0.0.1:5555`
+    endpoint: where it listens, as `tcp://127.0.0.1:5555`
     """
 
     def __init__(

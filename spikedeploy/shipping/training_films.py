@@ -114,7 +114,7 @@ def _episode(run: Path) -> tuple[list[Frame], float]:
     settings = run_record.settings(run)["env"]
     world: Any = make_env(settings["name"], settings["options"], render_mode="rgb_array")
     try:
-        pace = Pace.of(world.unwrapped.CONTROL_DT)
+        pace = Pace.for_period(world.unwrapped.CONTROL_DT)
         cut = TimeLimit(world, round(_SECONDS * pace.fps) * pace.every)
         player = TorchController(str(run), checkpoint="best")
         frames: list[Frame] = []

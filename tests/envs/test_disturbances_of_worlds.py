@@ -55,7 +55,7 @@ def test_a_kind_has_three_rising_levels_within_its_bounds(name):
     assert found.meaning
     assert found.unit
     assert found.source
-    assert (found.change is None) != (found.wrap is None)
+    assert bool(found.option) != bool(found.wrap)
 
 
 @each

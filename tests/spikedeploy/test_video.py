@@ -61,5 +61,5 @@ def test_an_environment_that_draws_nothing_is_refused_a_film(render, tmp_path, m
 
 @pytest.mark.parametrize(("dt", "every", "fps"), [(0.02, 2, 25), (1 / 60, 2, 30), (0.1, 1, 10)])
 def test_a_film_runs_as_fast_as_its_world(dt, every, fps):
-    pace = Pace.of(dt)
+    pace = Pace.for_period(dt)
     assert (pace.every, pace.fps) == (every, pytest.approx(fps))

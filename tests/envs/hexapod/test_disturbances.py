@@ -13,7 +13,7 @@ def schedule(scale, seed=0, steps=500):
     rng = np.random.default_rng(seed)
     pushes = Pushes(TABLE, scale)
     pushes.reset(rng)
-    found = ((step, pushes.at(step, rng)) for step in range(steps))
+    found = ((step, pushes.due(step, rng)) for step in range(steps))
     return [(step, push) for step, push in found if push is not None]
 
 

@@ -53,7 +53,7 @@ def test_every_episode_has_its_own_corridor_and_the_seed_decides_which():
 
 def test_physics_and_lidar_use_the_corridor_of_the_episode():
     env = envs.make("kart-gazebo", track="corridor-12").unwrapped
-    driver = GapDriver.of(env)
+    driver = GapDriver.for_env(env)
     passed = []
     for seed in range(8):
         observation, info = env.reset(seed=seed)

@@ -48,7 +48,7 @@ def do(env, name, times=1):
 
 def driven(env, seed):
     """The infos of an episode of the gap driver."""
-    driver = GapDriver.of(env)
+    driver = GapDriver.for_env(env)
     observation, info = env.reset(seed=seed)
     infos, over = [info], False
     while not over:

@@ -48,7 +48,7 @@ def test_the_reward_is_the_sum_of_its_terms(name):
 @everyone
 def test_progress_of_a_lap_sums_to_the_path_from_its_start(name):
     env = envs.make(name).unwrapped
-    driver = GapDriver.of(env)
+    driver = GapDriver.for_env(env)
     first, steps = episode(env, 10_000, lambda seen: int(driver.act(seen)))
     assert steps[-1][2]["finish"]
     way = env.track.remaining(first["x"], first["y"], 0)

@@ -121,28 +121,21 @@ def test_info_says_what_a_client_has_to_know(policy, connect):
 
 
 BAD = {
-    b"": "no JSON",
-    b"{": "no JSON",
-    b"\xff\xfe": "no JSON",
-    b"[" * 3000: "no JSON",
-    b"[]": "no object",
-    b"7": "no object",
-    b"{}": "'do'",
-    b'{"do": "fly"}': "'do' is 'fly'",
-    b'{"do": ["act"]}': "'do'",
-    b'{"do": "act"}': "observation",
-    b'{"do": "act", "observation": 7}': "a list of numbers",
-    b'{"do": "act", "observation": []}': "shape",
+    **dict.fromkeys((b"", b"{", b"\xff\xfe", b"[" * 3000), "JSON"),
+    **dict.fromkeys((b"[]", b"7"), "object"),
+    **dict.fromkeys((b"{}", b'{"do": "fly"}', b'{"do": ["act"]}'), "do"),
+    b'{"do": "act"}': "shape",
+    b'{"do": "act", "observation": 7}': "observation",
     b'{"do": "act", "observation": [1, 2]}': "shape",
     b'{"do": "act", "observation": [[1], [1, 2]]}': "no array of numbers",
     b'{"do": "act", "observation": ["1"]}': "not real numbers",
     b'{"do": "act", "observation": [{}]}': "observation",
-    b'{"do": "act", "observation": [1], "want": "spikes"}': "'want'",
-    b'{"do": "act", "observation": [1], "want": [[]]}': "'want'",
-    b'{"do": "reset", "seed": -1}': "'seed'",
-    b'{"do": "reset", "seed": 1.5}': "'seed'",
-    b'{"do": "reset", "seed": true}': "'seed'",
-    b'{"do": "reset", "seeds": 1}': "unknown field 'seeds'",
+    b'{"do": "act", "observation": [1], "want": "spikes"}': "want",
+    b'{"do": "act", "observation": [1], "want": [[]]}': "want",
+    b'{"do": "reset", "seed": -1}': "seed",
+    b'{"do": "reset", "seed": 1.5}': "seed",
+    b'{"do": "reset", "seed": true}': "seed",
+    b'{"do": "reset", "seeds": 1}': "seeds",
 }
 
 
@@ -210,18 +203,18 @@ def test_bytes_that_are_no_zeromq_and_silent_connections_do_no_harm(server, poli
 
 
 def test_clients_are_few_and_idle_ones_are_forgotten(policy):
-    clients, reset = Clients(policy, most=2, idle=10), Request("reset")
-    act = Request("act", observation=[0.0] * policy.observed)
+    clients, reset = Clients(policy, most=2, idle=10), Request(do="reset")
+    act = Request(do="act", observation=[0.0] * policy.observed)
     clients.answer(b"a", reset, 0)
     clients.answer(b"b", reset, 4)
     with pytest.raises(RequestError, match="2 clients already"):
         clients.answer(b"c", reset, 4.5)
     clients.answer(b"b", act, 8)
-    clients.answer(b"d", Request("info"), 11)  # a was idle for more than 10 s
+    clients.answer(b"d", Request(do="info"), 11)  # a was idle for more than 10 s
     with pytest.raises(RequestError, match="send reset first"):
         clients.answer(b"a", act, 11)
     clients.answer(b"c", reset, 11)
-    clients.answer(b"c", Request("bye"), 12)  # and d never had an episode
+    clients.answer(b"c", Request(do="bye"), 12)  # and d never had an episode
     clients.answer(b"a", reset, 12)
 
 
@@ -250,7 +243,7 @@ def test_the_float_twin_is_served_too_and_what_does_not_spike_is_not():
     episode.reset(0)
     controller = load(POLICY).controller()
     row = [0.1] * controller.codec.encoder.observed
-    found = episode.act(Request("act", observation=row))["action"]
+    found = episode.act(Request(do="act", observation=row))["action"]
     assert found == controller.act(row).tolist()
     with pytest.raises(ConfigError, match="no spiking policy"):
         ServedPolicy("hexapod/sac")
