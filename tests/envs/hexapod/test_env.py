@@ -1,9 +1,22 @@
+"""Hexapod-v0: episodes, rewards, pushes and options."""
+
 import math
 
 import numpy as np
 import pytest
 
-from spikedeploy.envs.hexapod.env import HexapodEnv
+from spikedeploy.envs.hexapod.env import (
+    HexapodEnv,
+    Pushes,
+    PushTable,
+    check,
+    command_terms,
+    course_terms,
+    kernel,
+    regularisers,
+    sample,
+)
+from spikedeploy.envs.hexapod.robot import Motion
 from spikedeploy.runtime.errors import EnvError
 
 STILL = np.zeros(18)
@@ -144,3 +157,121 @@ def test_drawing_needs_a_render_mode(env):
     env.reset(seed=0)
     with pytest.raises(EnvError, match="render_mode"):
         env.render()
+
+
+RESTING = Motion(
+    position=(0.0, 0.0, 0.1),
+    gravity=(0.0, 0.0, -1.0),
+    heading=0.0,
+    velocity=(0.0, 0.0, 0.0),
+    body_velocity=(0.0, 0.0, 0.0),
+    angular_velocity=(0.0, 0.0, 0.0),
+    joints=np.zeros(18),
+    joint_velocity=np.zeros(18),
+    load=np.zeros(6),
+    contact=np.zeros(6, bool),
+    slip=0.0,
+    power=0.0,
+    mean_power=0.0,
+)
+
+
+def test_the_kernel_by_hand():
+    # 1 at no error, 0 at one width, then a quarter as steep: -1/4 at two widths, -1 from five on
+    assert kernel(0.0, 0.3) == 1.0
+    assert kernel(0.15, 0.3) == pytest.approx(0.5)
+    assert kernel(-0.3, 0.3) == pytest.approx(0.0)
+    assert kernel(0.6, 0.3) == pytest.approx(-0.25)
+    assert kernel(-1.5, 0.3) == pytest.approx(-1.0)
+    assert kernel(9.0, 0.3) == -1.0
+
+
+def test_the_course_pays_four_a_step_at_most():
+    assert sum(course_terms(0.40, 0.0, 0.0).values()) == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(("speed", "paid"), [(0.0, 0.0), (0.2, 1.5), (0.6, 1.5), (2.0, -3.0)])
+def test_too_fast_is_paid_like_too_slow(speed, paid):
+    assert course_terms(speed, 0.0, 0.0)["speed"] == pytest.approx(paid)
+
+
+def test_leaving_the_course_costs_half_a_point_at_most_each_way():
+    terms = course_terms(0.4, -0.2, 7.0)
+    assert terms["heading"] == pytest.approx(-0.1)
+    assert terms["lateral"] == pytest.approx(-0.5)
+
+
+def test_commands_pay_five_and_a_half_a_step_at_most():
+    assert sum(command_terms(0.0, 0.0, 0.0).values()) == pytest.approx(5.5)
+    terms = command_terms(0.06, -0.15, -0.2)
+    assert list(terms.values()) == pytest.approx([1.0, 1.25, 1.0, -0.1])
+
+
+def test_every_regulariser_by_hand():
+    moving = RESTING._replace(
+        gravity=(0.1, -0.2, -0.97),
+        velocity=(0.4, 0.0, -0.3),
+        angular_velocity=(1.0, 2.0, 9.0),
+        slip=0.1,
+        power=8.0,
+        mean_power=99.0,
+    )
+    terms = regularisers(moving, 0.07, 0.09, np.full(18, 0.5), 0.02)
+    assert terms == pytest.approx(
+        {
+            "tilt": -2.0 * 0.05,
+            "jerk": -0.02 * 18 * 0.25,
+            "power": -0.2,
+            "bounce": -0.15,
+            "slip": -0.05,
+            "wobble": -0.1,
+            "crouch": -0.1,
+        }
+    )
+
+
+TABLE = PushTable(kick=(0.1, 0.2), spin=0.5, interval=(10, 20))
+
+
+def schedule(scale, seed=0, steps=500):
+    rng = np.random.default_rng(seed)
+    pushes = Pushes(TABLE, scale)
+    pushes.reset(rng)
+    found = ((step, pushes.due(step, rng)) for step in range(steps))
+    return [(step, push) for step, push in found if push is not None]
+
+
+def test_pushes_come_at_the_stated_intervals_and_strengths():
+    found = schedule(1.0)
+    gaps = np.diff([0, *(step for step, _ in found)])
+    assert gaps.min() >= 10
+    assert gaps.max() <= 20
+    speeds = [math.hypot(*kick) for _, (kick, _) in found]
+    assert min(speeds) >= 0.1
+    assert max(speeds) <= 0.2
+
+
+def test_scale_zero_keeps_the_schedule_and_removes_the_force():
+    full, none = schedule(1.0), schedule(0.0)
+    assert [step for step, _ in full] == [step for step, _ in none]
+    assert all(push == ((0.0, 0.0), 0.0) for _, push in none)
+
+
+def test_a_number_is_kept_and_a_pair_is_drawn_from():
+    rng = np.random.default_rng(0)
+    assert sample(0.7, rng) == 0.7
+    drawn = [sample((0.5, 1.0), rng) for _ in range(200)]
+    assert 0.5 <= min(drawn) < 0.55
+    assert 0.95 < max(drawn) <= 1.0
+
+
+@pytest.mark.parametrize("wrong", [-0.1, 3.0, (0.5, 0.2), (0.0, 9.0), math.nan, math.inf])
+def test_an_option_out_of_range_is_refused_with_its_name_and_limits(wrong):
+    with pytest.raises(EnvError, match=r"option payload: .*from 0 to 2"):
+        check("payload", wrong, 0.0, 2.0)
+
+
+@pytest.mark.parametrize("wrong", ["rough", None, (1.0,), (0.1, 0.2, 0.3), ("a", "b"), True])
+def test_an_option_that_is_no_number_is_refused(wrong):
+    with pytest.raises(EnvError, match="option terrain"):
+        check("terrain", wrong, 0.0, 2.0)
