@@ -19,6 +19,7 @@ from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.policies.scripts import teacher_candidate
 from spikedeploy.recordings import record
 from spikedeploy.runtime.errors import ConfigError, EnvError
+from spikedeploy.setup import Setup
 from spikedeploy.trainers.config import DeltaSnnConfig, resolve
 from spikedeploy.trainers.policies import DeltaSnnPolicy, from_config
 from spikedeploy.trainers.sparse.config import SparseConfig
@@ -59,7 +60,7 @@ def test_policies_act_as_they_did_when_they_were_shipped(key, file, chip, name):
 def test_a_policy_of_the_project_runs_without_naming_its_environment(monkeypatch):
     monkeypatch.chdir(ROOT)
     policy = "examples/hexapod_tiles/policies/legs-snn.nir"
-    found = run_policy(policy, None, None, [10_000], options={"max_steps": 20})
+    found = run_policy(policy, None, None, [10_000], Setup(set_=("max_steps=20",)))
     assert found.env == AROUND
 
 

@@ -47,7 +47,9 @@ def test_a_caption_covers_the_lower_edge_only():
 
 
 def test_run_films_the_first_episode_only(stroll):
-    run_policy("stroll/popsan", "stroll", "loihi1", range(10_000, 10_002), stroll / "film.mp4")
+    run_policy(
+        "stroll/popsan", "stroll", "loihi1", range(10_000, 10_002), video=stroll / "film.mp4"
+    )
     assert len(frames(stroll / "film.mp4")) == 1 + 10  # the start, and every second of its 20 steps
 
 
@@ -55,7 +57,7 @@ def test_run_films_the_first_episode_only(stroll):
 def test_an_environment_that_draws_nothing_is_refused_a_film(render, tmp_path, monkeypatch):
     monkeypatch.setattr(Reach, "render", render)
     with pytest.raises(ConfigError, match="--video: render"):
-        run_policy("random", "tests.own_env:Reach", None, [10_000], tmp_path / "film.mp4")
+        run_policy("random", "tests.own_env:Reach", None, [10_000], video=tmp_path / "film.mp4")
     assert list(tmp_path.iterdir()) == []
 
 
