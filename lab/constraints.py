@@ -38,6 +38,7 @@ HEAD = """\
 # no `+cpu` here, so that plain pip finds it, and the wheel of any index will do.
 """
 _OLDEST = (3, 10)
+_EXTRA = r"extra\s*==\s*['\"]([^'\"]+)['\"]"
 
 
 def main() -> None:
@@ -53,53 +54,38 @@ def main() -> None:
 
 
 def closure() -> set[str]:
-    """Names of all packages that the extras require, as far as they are installed."""
+    """Return the names of all packages that the extras require, as far as they are installed."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    table = project["optional-dependencies"]
-    todo = [*project["dependencies"], *(f"spikedeploy[{extra}]" for extra in EXTRAS)]
+    own: dict[str, list[str]] = {"": project["dependencies"], **project["optional-dependencies"]}
+    todo = [Requirement(f"spikedeploy[{','.join(EXTRAS)}]")]
     found: set[str] = set()
     seen: set[tuple[str, str]] = set()
     while todo:
-        name, extras = parse(todo.pop())
-        for extra in {"", *extras} - {extra for of, extra in seen if of == name}:
+        wanted = todo.pop()
+        name = canonicalize_name(wanted.name)
+        for extra in {"", *wanted.extras} - {extra for of, extra in seen if of == name}:
             seen.add((name, extra))
-            if name == "spikedeploy":
-                todo += table.get(extra, ())
-                continue
             try:
-                todo += required(name, extra)
+                more = own[extra] if name == "spikedeploy" else required(name, extra)
             except PackageNotFoundError:
                 continue
+            todo += map(Requirement, more)
             found.add(name)
-    return found
-
-
-def parse(requirement: str) -> tuple[str, set[str]]:
-    """Name, as indexes spell it, and extras of a requirement."""
-    found = Requirement(requirement)
-    return canonicalize_name(found.name), found.extras
+    return found - {"spikedeploy"}
 
 
 def required(name: str, extra: str) -> list[str]:
-    """Requirements of an installed package, those of an extra where one is named."""
-    wanted = []
-    for each in distribution(name).requires or ():
-        named = re.findall(r"extra\s*==\s*['\"]([^'\"]+)['\"]", each.partition(";")[2])
-        if (extra in named) if named else not extra:
-            wanted.append(each)
-    return wanted
+    """Return the requirements of an installed package, those of an extra where one is named."""
+    found = [(each, re.findall(_EXTRA, each)) for each in distribution(name).requires or ()]
+    return [each for each, named in found if ((extra in named) if named else not extra)]
 
 
 def line(name: str) -> str:
-    """`numpy==2.4.6; python_version >= "3.11"`, for a limit that excludes a Python that we support.
-
-    Patch versions are left out.
-    """
+    """Return `numpy==2.4.6; python_version >= "3.11"`: a limit that excludes a supported Python."""
     found = distribution(name)
-    clauses = SpecifierSet(found.metadata.get("Requires-Python") or "")
     marker = " and ".join(
         f'python_version >= "{clause.version}"'
-        for clause in clauses
+        for clause in SpecifierSet(found.metadata.get("Requires-Python") or "")
         if clause.operator == ">=" and Version(clause.version).release[:2] > _OLDEST
     )
     return f"{name}=={found.version.partition('+')[0]}" + (f"; {marker}" if marker else "")

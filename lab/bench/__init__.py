@@ -7,6 +7,5 @@ nets, peers  the networks that `runtime` runs, and the libraries that run them
 updates      training updates through each chip, against snnTorch's own
 versions     this tree against another one
 realtime     start-up, and closed loops against the robot's clock
-envs         steps per second of the environments
 sweep        sweeps on several nodes, one of which is killed
 """

@@ -29,7 +29,7 @@ from torch import Tensor, nn
 
 from lab.bench.nets import Raster, bernoulli
 from lab.bench.peers import Peer, tensor
-from lab.bench.runtime import calls, row
+from lab.bench.runtime import calls
 from lab.bench.turns import medians, parser_of, report
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
@@ -102,7 +102,7 @@ def main() -> None:
         for rate in RATES:
             raster = bernoulli(RECORDINGS, TIMESTEPS, 2 * extent**2, rate)
             result[name]["rates"][f"{rate:.0%}"] = compare(compiled, raster, arguments.rounds)
-    report(result, arguments, table)
+    report(result, arguments)
 
 
 def build(extent: int, layers: tuple[Convolution, ...], seed: int = 0) -> nir.NIRGraph:
@@ -235,24 +235,3 @@ def norse_neurons(layer: Layer) -> Neurons:
 
 
 NEURONS = {"sinabs": sinabs_neurons, "snntorch": snntorch_neurons, "norse": norse_neurons}
-
-
-def table(result: dict[str, Any]) -> str:
-    """Return the result for people."""
-    lines = ["one thread, medians of one run; times and synaptic operations (SOPs) of a timestep"]
-    for name, network in result.items():
-        taken, held = row(network["compile_s"]), row(network["compile_mb"])
-        lines += ["", f"{name}; compiled in s: {taken}; at most MB meanwhile: {held}"]
-        for rate, found in network["rates"].items():
-            peers = {name: ms for name, ms in found["median_ms"].items() if name in NEURONS}
-            lines.append(f"  {rate} of inputs, ms: {row(peers)}")
-            lines += [f"    {name} {why}" for name, why in found["missing"].items()]
-            for of_chip, sops in found["operations"].items():
-                ms = found["median_ms"][of_chip]
-                line = (
-                    f"    {of_chip:17}{ms:8.3f} ms {sops:9.0f} SOPs {1e6 * ms / sops:6.1f} ns each"
-                )
-                lines.append(line + (f" {min(peers.values()) / ms:6.1f} x" if peers else ""))
-            if found["equal"] is not None:
-                lines.append(f"    speck2f equal to sinabs: {found['equal']}")
-    return "\n".join(lines)

@@ -112,7 +112,7 @@ def main() -> None:
         "ratios_counting": {"snntorch": median["snntorch"] / median["ours_counting"]},
         "snntorch_equals_float_twin": float((np.abs(apart).max(axis=1) < 1e-4).mean()),
     }
-    report(result, arguments, table)
+    report(result, arguments)
 
 
 def walk(artifact: Artifact, env_id: str) -> Numbers:
@@ -146,20 +146,3 @@ def synaptic(artifact: Artifact, name: str) -> Synaptic:
 def single(array: NDArray[np.floating]) -> Tensor:
     """Return an array as a float32 tensor."""
     return torch.from_numpy(array).float()
-
-
-def table(result: dict[str, Any]) -> str:
-    """Return the result for people."""
-    median = result["median_us"]
-    ratio, counting = (result[key]["snntorch"] for key in ("ratios", "ratios_counting"))
-    return "\n".join(
-        [
-            f"{result['file']}, batch 1, one thread, observation to action, medians",
-            f"  ours on {result['chip']:<12} {median['ours']:9.0f} us",
-            f"  with its ledger      {median['ours_counting']:9.0f} us",
-            f"  snnTorch's loop      {median['snntorch']:9.0f} us   {ratio:.1f} times ours, "
-            f"{counting:.1f} times ours with its ledger",
-            f"  snnTorch acts like the float twin on {result['snntorch_equals_float_twin']:.1%} of "
-            f"{STEPS} observations",
-        ]
-    )

@@ -86,24 +86,6 @@ def calibrate(
     return Net(name, weights, thresholds, alpha, beta, raster.shape[1], program(layers))
 
 
-def widen(net: Net, times: int, seed: int = 1) -> Net:
-    """The network with so many times as many hidden neurons; those that are new never spike."""
-    rng = np.random.default_rng(seed)
-    weights, layers = [], []
-    top = (1 << 17) - 1  # the largest threshold
-    for k, (weight, old) in enumerate(zip(net.weights, net.program.layers, strict=True)):
-        inputs = weight.shape[0] * (times if k else 1)
-        neurons = weight.shape[1] * (times if k < len(net.weights) - 1 else 1)
-        wide = rng.integers(-3, 4, (inputs, neurons)).astype(np.int16)
-        wide[: weight.shape[0], : weight.shape[1]] = weight
-        decays = (int(old.current_decay[0]), int(old.membrane_decay[0]))
-        made = layer(k + 1, wide, decays, top)
-        made.threshold[: weight.shape[1]] = old.threshold
-        weights.append(wide)
-        layers.append(made)
-    return replace(net, name=f"{net.name} x {times}", weights=weights, program=program(layers))
-
-
 def layer(k: int, weight: NDArray[Any], decays: tuple[int, int], threshold: int) -> Layer:
     """Layer k, counted from 1, whose input is the layer before it; the threshold is in weights."""
     ones = np.ones(weight.shape[1], np.int64)

@@ -57,7 +57,7 @@ def main() -> None:
         }
         for name in given.names or NAMES
     }
-    report(result, given, table)
+    report(result, given)
 
 
 def starts(name: str, on: str, rounds: int) -> dict[str, float]:
@@ -100,19 +100,3 @@ def clocked(taken: list[float], call: Callable[..., Any], given: object) -> Any:
     result = call(given)
     taken.append(time.perf_counter() - begun)
     return result
-
-
-def table(result: dict[str, Any]) -> str:
-    """Return the result for people."""
-    lines = [
-        "load + compile + first act [ms]; of a control step [us]; closed loop, times real time",
-        f"{'':20}{'start':>8}{'its CPU':>9}{'numpy':>8}{'env':>8}{'numba':>8}{'env':>8}"
-        f"{'x numpy':>9}{'x numba':>9}",
-    ]
-    for name, found in result.items():
-        medians = [part for backend in BACKENDS for part in found["median_s"][backend]]
-        parts = "".join(f"{1e6 * median:8.0f}" for median in medians)
-        times = "".join(f"{found['times_real_time'][backend]:9.0f}" for backend in BACKENDS)
-        start = f"{1e3 * found['start_s']:8.0f}{1e3 * found['start_cpu_s']:9.0f}"
-        lines.append(f"{name:20}{start}{parts}{times}")
-    return "\n".join(lines)

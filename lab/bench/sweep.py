@@ -1,14 +1,12 @@
-"""Faults that a sweep survives, and its costs: nodes and drivers killed, scaling, overhead.
+"""Faults that a sweep survives: nodes and drivers that are killed.
 
-    python -m lab sweep [--jobs 200] [--only nodes driver scaling] [--folder FOLDER]
+    python -m lab sweep [--jobs 200] [--only nodes driver] [--folder FOLDER]
 
 nodes    two nodes of Ray on 127.0.0.1, one of which is killed half-way
 driver   the same nodes; the driver is killed with SIGKILL half-way, and started again
-scaling  one process and two: how much faster, and the overhead of a job beside its evaluation
 
 Every result is compared with that of --backend serial, byte for byte, and the journal must name no
-job twice. Exits with 1 where a result is missing, twice or different. Ratios and overheads mean
-something on an idle machine alone.
+job twice. Exits with 1 where a result is missing, twice or different.
 """
 
 import argparse
@@ -28,7 +26,7 @@ from typing import Any
 
 from spikedeploy.campaign.sweep import run_sweep
 from spikedeploy.campaign.sweep_grid import read_grid
-from spikedeploy.jobs.pool import JobBackend, ProcessBackend, SerialBackend
+from spikedeploy.jobs.pool import SerialBackend
 
 _SPEC = """
 env = "kart-grid"
@@ -44,7 +42,7 @@ _CLUSTER = {
     "RAY_AUTH_MODE": "token",
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # then nodes have the address 127.0.0.1
 }
-PARTS = ("nodes", "driver", "scaling")
+PARTS = ("nodes", "driver")
 _PATIENCE = 1800.0  # [s] for a sweep
 
 
@@ -54,13 +52,11 @@ def sweep(spec: Path, folder: Path, *words: str) -> "subprocess.Popen[bytes]":
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-def run_whole(spec: Path, folder: Path, backend: JobBackend) -> float:
-    """Run a sweep to its end from here; its time [s], that of workers to start too."""
-    began = time.perf_counter()
-    outcome = run_sweep(read_grid(spec), folder, backend)
+def run_serially(spec: Path, folder: Path) -> None:
+    """Run a sweep to its end, in this process."""
+    outcome = run_sweep(read_grid(spec), folder, SerialBackend())
     if outcome.interrupted or outcome.failed:
         sys.exit(f"the sweep in {folder} did not end: {outcome.summary}")
-    return time.perf_counter() - began
 
 
 def wait_half_way(folder: Path, jobs: int, driver: "subprocess.Popen[bytes]") -> int:
@@ -125,24 +121,6 @@ def kill(part: str, spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
         return {"done when killed": done, "exit status": driver.wait(_PATIENCE)}
 
 
-def scaling(spec: Path, folder: Path, jobs: int) -> dict[str, Any]:
-    """Times of one process and of two; each sweep is whole, from an empty folder."""
-    one = run_whole(spec, folder / "1", ProcessBackend(1))
-    two = run_whole(spec, folder / "2", ProcessBackend(2))
-    inside = {  # of all jobs [s], without what is around them
-        name: sum(float(line["seconds"]) for line in journal(folder / name))
-        for name in ("serial", "1", "2")
-    }
-    return {
-        "one process [s]": one,
-        "two processes [s]": two,
-        "ratio": one / two,
-        "evaluation in serial, in one process, in two [s]": list(inside.values()),
-        "overhead of a job, to its own evaluation [ms]": 1000 * (one - inside["1"]) / jobs,
-        "overhead of a job, to that of serial [ms]": 1000 * (one - inside["serial"]) / jobs,
-    }
-
-
 def main() -> None:
     """Run the parts and print what they came to."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -155,17 +133,11 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         spec = folder / "spec.toml"
         spec.write_text(_SPEC.format(last=10_000 + options.jobs // _CELLS - 1), encoding="utf-8")
-        run_whole(spec, folder / "serial", SerialBackend())
+        run_serially(spec, folder / "serial")
         wrong = False
         for part in options.only:
-            if part == "scaling":
-                kept, found = [folder / "1", folder / "2"], scaling(spec, folder, options.jobs)
-            else:
-                kept = [folder / part]
-                found = kill(part, spec, *kept, options.jobs)
-            verdicts = [verdict(each, folder / "serial", options.jobs) for each in kept]
-            wrong |= any(
-                each[fault] for each in verdicts for fault in ("missing", "twice", "different")
-            )
-            print(json.dumps({part: {**found, "verdict": verdicts}}, indent=2), flush=True)
+            found = kill(part, spec, folder / part, options.jobs)
+            judged = verdict(folder / part, folder / "serial", options.jobs)
+            wrong |= any(judged[fault] for fault in ("missing", "twice", "different"))
+            print(json.dumps({part: found | judged}, indent=2), flush=True)
     sys.exit(wrong)

@@ -3,7 +3,7 @@
 import argparse
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,27 @@ def parser_of(doc: str | None, rounds: int = 15) -> argparse.ArgumentParser:
     return parser
 
 
-def report(result: Any, options: argparse.Namespace, table: Callable[[Any], str]) -> None:  # noqa: ANN401
-    """Print a result as JSON, or as its table."""
-    print(json.dumps(result, indent=2) if options.json else table(result))
+def report(result: Mapping[str, Any], options: argparse.Namespace) -> None:
+    """Print nested results as JSON, or for people."""
+    print(json.dumps(result, indent=2) if options.json else "\n".join(lines(result)))
+
+
+def lines(result: Mapping[str, Any], indent: str = "") -> Iterator[str]:
+    """Yield names, and behind or below them their numbers, to three digits."""
+    for name, value in result.items():
+        if not isinstance(value, Mapping):
+            yield f"{indent}{name}: {_short(value)}"
+        elif any(isinstance(each, Mapping) for each in value.values()):
+            yield f"{indent}{name}"
+            yield from lines(value, f"{indent}  ")
+        else:
+            numbers = ", ".join(f"{key} {_short(each)}" for key, each in value.items())
+            yield f"{indent}{name}: {numbers}"
+
+
+def _short(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return " ".join(map(_short, value))
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"

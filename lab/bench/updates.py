@@ -6,23 +6,18 @@ One process, one thread. An update is the forward pass, cross-entropy of the sum
 backward pass and a step of Adam. Both train the same torch module: snnTorch by its own loop over
 timesteps, in float; ours through `on_chip`, whose forward pass is the chip's integers. They take
 turns, and the medians are compared. Neurons and resets are the nearest that snnTorch has to those
-of each chip; design rules are off, but convolutions run only where a chip has some. Memory is what
-the resident set of a fresh process grows by during an update.
+of each chip; design rules are off, but convolutions run only where a chip has some.
 
 Weights are those that torch draws times GAIN, or LESS for chips whose membranes forget inhibition,
 for which hidden neurons spike in about a tenth of timesteps; inputs are independent spikes, in a
 fifth of timesteps.
 """
 
-import os
 import sys
 import warnings
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from itertools import pairwise
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
@@ -75,7 +70,7 @@ def main() -> None:
                 continue
             result[size][name] = compare(size, name, arguments.rounds)
             print(f"  {size} {name}: {result[size][name]['time']:.2f}", file=sys.stderr, flush=True)
-    report(result, arguments, table)
+    report(result, arguments)
 
 
 def holds(size: str, chip_name: str) -> bool:
@@ -85,16 +80,13 @@ def holds(size: str, chip_name: str) -> bool:
 
 
 def compare(size: str, chip_name: str, rounds: int) -> dict[str, Any]:
-    """Medians [ms] of both, which backend ran, and the memory [MB] of both."""
+    """Medians [ms] of both, and which backend ran."""
     candidates, _ = updates(size, chip_name), torch.manual_seed(0)
     taken = medians({name: [update] for name, update in candidates.items()}, rounds)
     through = on_chip(module(size, chip_name), chip_name, NETWORKS[size].takes, limits=False)
-    memory = {name: grown(size, chip_name, name) for name in candidates}
     return {
         "median_ms": {name: us / 1e3 for name, us in taken.items()},
         "time": taken["chip"] / taken["snntorch"],
-        "memory_mb": memory,
-        "memory": memory["chip"] / memory["snntorch"],
         "backend": backend_class(through.program(), "auto").__name__,
     }
 
@@ -167,43 +159,3 @@ def neurons_on(chip_name: str) -> Callable[[], nn.Module]:
     if isinstance(target.arithmetic, XyloArithmetic):
         return partial(snntorch.Synaptic, alpha=0.5, **settings)
     return partial(snntorch.Leaky, **settings)
-
-
-def grown(size: str, chip_name: str, candidate: str) -> float:
-    """Growth of the resident set of a process [MB] during an update at the size's batch."""
-    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        return pool.submit(_grow, size, chip_name, candidate).result()
-
-
-def _grow(size: str, chip_name: str, candidate: str) -> float:
-    torch.set_num_threads(1)
-    warnings.simplefilter("ignore")
-    updates(size, chip_name, batch=1)[candidate]()  # loads what is compiled
-    update = updates(size, chip_name)[candidate]
-    before = _resident("VmRSS")
-    Path("/proc/self/clear_refs").write_text("5")  # the peak from now on
-    update()
-    return _resident("VmHWM") - before
-
-
-def _resident(field: str) -> float:
-    for line in Path(f"/proc/{os.getpid()}/status").read_text().splitlines():
-        if line.startswith(f"{field}:"):
-            return float(line.split()[1]) / 1e3
-    raise OSError(f"/proc/self/status has no {field}")
-
-
-def table(result: dict[str, Any]) -> str:
-    """Return the result for people."""
-    lines = ["one thread, medians of one run; a ratio is ours over snnTorch's"]
-    for size, chips in result.items():
-        of = NETWORKS[size]
-        lines += ["", f"{size}, T = {of.timesteps}, batch {of.batch}"]
-        for name, found in chips.items():
-            times, memory = found["median_ms"], found["memory_mb"]
-            lines.append(
-                f"  {name:11} time {found['time']:5.2f} ({times['chip']:7.1f} of "
-                f"{times['snntorch']:6.1f} ms)   memory {found['memory']:5.2f} "
-                f"({memory['chip']:5.0f} of {memory['snntorch']:4.0f} MB)   {found['backend']}"
-            )
-    return "\n".join(lines)

@@ -21,74 +21,65 @@ from typing import Any
 
 import numpy as np
 
+from lab.bench.turns import report
+
 HERE = Path(__file__).resolve().parents[2]
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 INPUTS = {1: 20, 1024: 1}  # inferences of a round, by the batch
 POLICIES = ("hexapod/sparse", "hexapod/popsan", "kart-steer/sparse", "kart-grid/sparse")
 OBSERVATIONS = 200  # of a policy in a round
-CALIBRATION = 4  # rasters that thresholds are set with
-
-Times = dict[str, dict[str, float]]
 Cases = dict[str, list[Callable[[], Any]]]
 
 
 def main() -> None:
     """Measure, and print a table or JSON."""
-    arguments = parse_options()
-    if arguments.child:
-        serve(make_policies if arguments.policies else make_cases, arguments.backend)
+    given = parse_options()
+    if given.child:
+        serve(make_policies if given.policies else make_networks, given.backend)
         return
-    trees = {"other": arguments.other.resolve(), "this": HERE}
-    children = {name: child(tree, arguments) for name, tree in trees.items()}
-    cases = {name: json.loads(ask(each, "cases")) for name, each in children.items()}["this"]
-    taken: dict[str, dict[str, list[float]]] = {case: {n: [] for n in trees} for case in cases}
-    for turn in range(arguments.rounds + 1):
+    children = {"other": child(given.other.resolve(), given), "this": child(HERE, given)}
+    cases = [json.loads(ask(each, "cases")) for each in children.values()][-1]
+    taken: dict[str, dict[str, list[float]]] = {c: {n: [] for n in children} for c in cases}
+    for turn in range(given.rounds + 1):
         for case in cases:
-            for name, each in children.items():
-                times = json.loads(ask(each, case))
-                if turn:  # the first round is not kept
-                    taken[case][name] += times
-    for each in children.values():
-        each.communicate()
-    median = {c: {n: float(np.median(times)) for n, times in t.items()} for c, t in taken.items()}
-    print(json.dumps(median, indent=2) if arguments.json else table(median))
+            for name, process in children.items():
+                times = json.loads(ask(process, case))
+                taken[case][name] += times if turn else []  # the first round is not kept
+    for process in children.values():
+        process.communicate()
+    median = {c: {n: float(np.median(each)) for n, each in t.items()} for c, t in taken.items()}
+    report({c: {**t, "other / this": t["other"] / t["this"]} for c, t in median.items()}, given)
 
 
-def child(tree: Path, arguments: argparse.Namespace) -> "subprocess.Popen[str]":
-    """A process that imports from the tree, and measures what it is asked for."""
-    environment = {**os.environ, "PYTHONPATH": str(tree), **dict.fromkeys(THREADS, "1")}
-    command = [sys.executable, __file__, str(tree), "--backend", arguments.backend, "--child"]
-    command += ["--policies"] * arguments.policies
-    pipe = subprocess.PIPE
-    return subprocess.Popen(command, cwd=tree, env=environment, stdin=pipe, stdout=pipe, text=True)
+def child(tree: Path, given: argparse.Namespace) -> "subprocess.Popen[str]":
+    """Return a process that imports from the tree, and measures what it is asked for."""
+    words = [sys.executable, __file__, str(tree), "--backend", given.backend, "--child"]
+    words += ["--policies"] * given.policies
+    pipe, environment = subprocess.PIPE, {**os.environ, "PYTHONPATH": str(tree)}
+    return subprocess.Popen(words, cwd=tree, env=environment, stdin=pipe, stdout=pipe, text=True)
 
 
 def ask(process: "subprocess.Popen[str]", question: str) -> str:
-    """The answer of a child."""
-    if process.stdin is None or process.stdout is None:
-        raise RuntimeError("the process has no pipes")
+    """Return the answer of a child."""
+    assert process.stdin is not None
+    assert process.stdout is not None
     print(question, file=process.stdin, flush=True)
     return process.stdout.readline()
 
 
 def serve(make: Callable[[str], Cases], backend: str) -> None:
-    """Times [us per inference] of a round of the case that each line names."""
+    """Print the times [us per inference] of a round of the case that each line names."""
     sys.path[0] = os.environ["PYTHONPATH"]  # not this folder, but the tree
     cases = make(backend)
     for line in sys.stdin:
         case = line.strip()
-        times = list(cases) if case == "cases" else time_calls(cases[case], case)
+        batch = int(case.rpartition(" ")[2]) if case != "cases" else 1
+        acts = cases.get(case, [])
+        times = [1e6 * timeit.timeit(act, number=1) / batch for act in acts] or list(cases)
         print(json.dumps(times), flush=True)
 
 
-def time_calls(acts: list[Callable[[], Any]], case: str) -> list[float]:
-    """Time of each inference [us], per network of a batch."""
-    batch = int(case.rpartition(" ")[2])
-    return [1e6 * timeit.timeit(act, number=1) / batch for act in acts]
-
-
-def make_cases(backend: str) -> Cases:
-    """The inferences of a round, of each network and batch."""
+def make_networks(backend: str) -> Cases:
+    """Return the inferences of a round, of each network and batch."""
     from lab.bench.nets import bernoulli, encode, kart, popsan
     from spikedeploy.runtime.emulator.machine import Machine
 
@@ -98,16 +89,15 @@ def make_cases(backend: str) -> Cases:
         ("popsan with its encoder", popsan, encode(1024, 5)),
         ("kart", kart, bernoulli(1024, 32, 20, 0.3)),
     ):
-        net = make(raster[:CALIBRATION])
+        infer = Machine(make(raster[:4]).program, None, "none", backend=backend).infer
         for batch, inputs in INPUTS.items():
-            infer = Machine(net.program, None, "none", backend=backend).infer
             parts = [raster[k : k + batch] for k in range(0, batch * inputs, batch)]
             cases[f"{name}, batch {batch}"] = [partial(infer, part) for part in parts]
     return cases
 
 
 def make_policies(backend: str) -> Cases:
-    """The control steps of a round, of each policy."""
+    """Return the control steps of a round, of each policy."""
     from spikedeploy import load
     from spikedeploy.runtime.chips.chip import chip
     from spikedeploy.runtime.emulator.controllers import SpikingController
@@ -115,21 +105,11 @@ def make_policies(backend: str) -> Cases:
     cases = {}
     for name in POLICIES:
         artifact = load(name).artifact
-        seen = np.random.default_rng(0).normal(
-            size=(OBSERVATIONS, artifact.codec.normaliser.mean.size)
-        )
+        width = artifact.codec.normaliser.mean.size
+        seen = np.random.default_rng(0).normal(size=(OBSERVATIONS, width))
         act = SpikingController(artifact, chip("loihi1"), backend=backend).act
         cases[f"{name}, batch 1"] = [partial(act, each) for each in seen]
     return cases
-
-
-def table(median: Times) -> str:
-    """Return the result for people."""
-    lines = [f"{'us per inference':36}{'other':>10}{'this':>10}{'other / this':>14}"]
-    for case, each in median.items():
-        ratio = each["other"] / each["this"]
-        lines.append(f"{case:36}{each['other']:10.1f}{each['this']:10.1f}{ratio:14.2f}")
-    return "\n".join(lines)
 
 
 def parse_options() -> argparse.Namespace:
@@ -137,9 +117,7 @@ def parse_options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("other", type=Path, help="the other checkout")
     parser.add_argument("--backend", default="numpy", choices=("numpy", "numba"))
-    parser.add_argument(
-        "--policies", action="store_true", help="shipped ones, in place of networks"
-    )
+    parser.add_argument("--policies", action="store_true", help="in place of networks")
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)

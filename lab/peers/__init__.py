@@ -4,5 +4,4 @@ live_peers         all comparisons, each tool in an environment of its own
 record_traces      golden traces recorded again, and random ones; traces/ has a file for each tool
 exported_networks  networks exported by the tools themselves
 kits               kits of `export --to program`, run with the tools that they are for
-sanafe_networks    energies of random networks against SANA-FE
 """

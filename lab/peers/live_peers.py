@@ -173,55 +173,45 @@ def run_command(command: list[str]) -> str:
 
 
 def compare(peer: Peer, python: Path, home: Path) -> Iterator[tuple[bool, str]]:
-    """Return whether each comparison passed, and what it says."""
+    """Yield whether each comparison passed, and what it says."""
     if peer.traces:
         yield record_again(peer.traces, python, home)
     if peer.traces in SOURCES:
         yield replay_random(peer.traces, python, home)
     if peer.kits:
-        yield run_kits(peer.name, python, home)
+        words = ["lab", "kits", peer.name, "--python", str(python), "--folder", str(home / "kits")]
+        code, lines = run([sys.executable, "-m", *words], home / "kits.log")
+        yield code == 0, "; ".join(["kits: " + lines[-1], *(x for x in lines if x[:1] == "✗")])
     if peer.tests:
         yield run_tests(peer.tests, python, home)
 
 
 def record_again(tool: str, python: Path, home: Path) -> tuple[bool, str]:
-    """Golden traces of the tool, recorded again."""
-    words = ["-m", "lab", "record-traces", "--tool", tool]
-    done = run([str(python), *words], home / "traces.log")
-    lines = [line for line in done.stdout.splitlines() if line[:1] in "✗-"]
-    last = done.stdout.splitlines()[-1] if done.stdout else f"see {home / 'traces.log'}"
-    if done.returncode == NOTHING_RECORDED:
-        return False, lines[0].removeprefix("- ") if lines else "no trace is recorded"
-    return done.returncode == 0, "; ".join(["traces: " + last, *lines])
+    """Record the golden traces of the tool again."""
+    words = [str(python), "-m", "lab", "record-traces", "--tool", tool]
+    code, lines = run(words, home / "traces.log")
+    if code == NOTHING_RECORDED:
+        return False, lines[0].removeprefix("- ")
+    return code == 0, "; ".join(["traces: " + lines[-1], *(x for x in lines if x[:1] in "✗-")])
 
 
 def replay_random(tool: str, python: Path, home: Path) -> tuple[bool, str]:
-    """Random networks of several layers, recorded with the tool and replayed with ours."""
+    """Record random networks of several layers with the tool, and replay them with ours."""
     folder = home / "random"
     shutil.rmtree(folder, ignore_errors=True)
     words = ["--random", str(RANDOM_NETWORKS), "--tool", tool, "--out", str(folder)]
-    done = run([str(python), "-m", "lab", "record-traces", *words], home / "random.log")
-    if done.returncode:
+    code, _ = run([str(python), "-m", "lab", "record-traces", *words], home / "random.log")
+    if code:
         return False, f"random networks: not recorded, see {home / 'random.log'}"
     verdicts = [verify(path) for path in sorted(folder.glob("*.json"))]
-    bad = [verdict.source for verdict in verdicts if verdict.difference is not None]
+    bad = sum(verdict.difference is not None for verdict in verdicts)
     numbers = sum(verdict.compared for verdict in verdicts)
-    text = f"random networks: {len(verdicts) - len(bad)} equal, {numbers:,} numbers"
-    return not bad and bool(verdicts), text + (f"; {len(bad)} different" if bad else "")
-
-
-def run_kits(tool: str, python: Path, home: Path) -> tuple[bool, str]:
-    """Kits of the tool's chips, written by us and run by the tool alone."""
-    folder = home / "kits"
-    words = ["-m", "lab", "kits", tool, "--python", str(python), "--folder", str(folder)]
-    done = run([sys.executable, *words], home / "kits.log")
-    lines = done.stdout.splitlines() or [f"did not run, see {home / 'kits.log'}"]
-    bad = [line for line in lines if line.startswith("✗")]
-    return done.returncode == 0, "; ".join(["kits: " + lines[-1], *bad])
+    text = f"random networks: {len(verdicts) - bad} equal, {numbers:,} numbers"
+    return not bad and bool(verdicts), text + (f"; {bad} different" if bad else "")
 
 
 def run_tests(tests: tuple[str, ...], python: Path, home: Path) -> tuple[bool, str]:
-    """Tests that compare with the tool; none that is skipped counts as passed."""
+    """Run tests that compare with the tool; none that is skipped counts as passed."""
     report = home / "tests.xml"
     report.unlink(missing_ok=True)
     run([str(python), "-m", "pytest", f"--junitxml={report}", *tests], home / "tests.log")
@@ -239,14 +229,14 @@ def run_tests(tests: tuple[str, ...], python: Path, home: Path) -> tuple[bool, s
     return not bad and total > skipped, text
 
 
-def run(command: list[str], log: Path) -> subprocess.CompletedProcess[str]:
-    """A command in the checkout, with its output in a file too."""
+def run(command: list[str], log: Path) -> tuple[int, list[str]]:
+    """Run a command in the checkout; return its exit code and lines, which a file has too."""
     environ = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
         command, cwd=ROOT, env=environ, capture_output=True, text=True, check=False
     )
     log.write_text(done.stdout + done.stderr)
-    return done
+    return done.returncode, done.stdout.splitlines() or [f"nothing was said, see {log}"]
 
 
 def parse_options() -> argparse.Namespace:

@@ -87,7 +87,8 @@ def test_a_line_says_what_came_of_the_comparison(body, code, says, played, tmp_p
         # the options of pyproject.toml are not read there, so nengo's plugin is refused here too
         words = [*command[:4], str(tmp_path / "test_it.py"), "-c", "/dev/null", "-p", "no:nengo"]
         log.write_text("")
-        return subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+        return done.returncode, done.stdout.splitlines()
 
     found = played(environment=lambda peer, home: Path(sys.executable), run=run)
     assert found[0] == code

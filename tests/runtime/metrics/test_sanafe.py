@@ -3,9 +3,16 @@
 import numpy as np
 import pytest
 
-from lab.peers.sanafe_networks import NETWORKS, one_core_each, program, run, scatter, simulate
 from spikedeploy.runtime.metrics.energy import TABLES, energy, latency
 from spikedeploy.runtime.metrics.traffic import traffic
+from tests.runtime.metrics.sanafe_networks import (
+    NETWORKS,
+    one_core_each,
+    program,
+    run,
+    scatter,
+    simulate,
+)
 
 TABLE = TABLES["sanafe"]
 UPDATE = TABLE.joules["neuron_update"] - TABLE.joules["neuron_idle"]

@@ -1,14 +1,5 @@
-"""Random networks on SANA-FE's Loihi, whose chip is its own arch/loihi.yaml, and on ours.
+"""Random networks on SANA-FE's Loihi, whose chip is its own arch/loihi.yaml, and on ours."""
 
-The command prints how far our energies and times are from those of SANA-FE. Both have the same
-spikes; energies by the table `sanafe`, with the messages between the cores of the layout; times as
-if one core did everything. `pip install "spikedeploy[sanafe]"` first.
-"""
-
-import argparse
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -22,10 +13,8 @@ from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.metrics.energy import TABLES, energy, latency
-from spikedeploy.runtime.metrics.traffic import Layout, traffic
+from spikedeploy.runtime.metrics.traffic import Layout
 
-TABLE = TABLES["sanafe"]
 Weights = NDArray[Any]
 
 # sizes, density, threshold, decay factors of membrane and current [/4096], loops, bias
@@ -115,7 +104,7 @@ def simulate(network: Program, raster: Weights, layout: Layout) -> dict[str, Any
     return simulator.sim(len(raster), perf_trace=True)
 
 
-def neurons(net: Any, layer: Layer) -> Any:  # noqa: ANN401
+def neurons(net: Any, layer: Layer) -> Any:
     """A group of SANA-FE's neurons, in units of weights: 64 of our state units."""
     constants = {
         "threshold": float(layer.threshold[0] / 64),
@@ -135,55 +124,3 @@ def neurons(net: Any, layer: Layer) -> Any:  # noqa: ANN401
         if bias:
             neuron.set_attributes(model_attributes={"bias": bias})
     return group
-
-
-LAYOUTS = {
-    "one core a layer": lambda network, seed: one_core_each(network),
-    "12 cores": scatter,
-}
-HEADS = ("network", "layout", "rate", "SOPs", "messages", "energy [nJ]", "theirs", "time [us]",
-         "theirs")  # fmt: skip
-
-
-def main() -> None:
-    """Print a table in Markdown."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--steps", type=int, default=20, help="timesteps of a run")
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    for line in (HEADS, ("---",) * len(HEADS)):
-        print(f"| {' | '.join(line)} |")
-    for case in NETWORKS:
-        for rate in (0.05, 0.3):
-            for name, place in LAYOUTS.items():
-                network = program(case, options.seed)
-                rng = np.random.default_rng(options.seed)
-                raster = (rng.random((options.steps, network.width)) < rate).astype(np.uint8)
-                placed = place(network, options.seed)
-                cells = (case, name, f"{rate:g}", *_measured(network, raster, placed))
-                print(f"| {' | '.join(cells)} |")
-
-
-def _measured(network: Program, raster: np.ndarray, layout: Layout) -> Iterator[str]:
-    ledger, spikes = run(network, raster)
-    sent = traffic(network, spikes, layout)
-    with _silence():
-        theirs = simulate(network, raster, layout)
-    joules, whole = energy(ledger, TABLE, sent), theirs["energy"]["total"]
-    seconds, time = latency(ledger, TABLE), theirs["sim_time"]
-    yield from (f"{ledger.total('sop'):,}", f"{sent.message:,}")
-    yield from (f"{joules * 1e9:.2f}", f"{whole * 1e9:.2f} ({joules / whole - 1:+.3%})")
-    yield from (f"{seconds * 1e6:.2f}", f"{time * 1e6:.2f} ({seconds / time - 1:+.0%})")
-
-
-@contextmanager
-def _silence() -> Iterator[None]:
-    """Without the lines that SANA-FE writes on stdout, past Python."""
-    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(nowhere)
-        os.close(kept)
