@@ -150,8 +150,16 @@ def export_verilog(
         **board_files(made.image, made.codec, on, origin, seen),
     }
     check_output_folder("-o", folder, texts, inputs, force, is_export)
-    names = (zoo.name_in_exports(source.file), zoo.sha256(source.file), made.chip, on.name)
-    write_folder(texts, VerilogFolder(folder, *names, sums_of(texts), quantise))
+    record = VerilogFolder(
+        folder=folder,
+        policy=zoo.name_in_exports(source.file),
+        sha256=zoo.sha256(source.file),
+        chip=made.chip,
+        board=on.name,
+        files=sums_of(texts),
+        quantise=quantise,
+    )
+    write_folder(texts, record)
     raster = made.codec.encode_episode(seen)
     clocks = clocks_of(made.image, raster[:_COUNTED]).sum(axis=1)
     events = raster.reshape(len(raster), -1).sum(axis=1)

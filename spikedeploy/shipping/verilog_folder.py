@@ -4,9 +4,10 @@ import hashlib
 import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any, get_args
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
 from spikedeploy import zoo
 from spikedeploy.console import say
@@ -30,9 +31,15 @@ _REMEDY = "export the policy again"
 _OF_THE_PROGRAM = (".hex", ".vh")
 
 
-@dataclass(frozen=True)
-class VerilogFolder:
-    """An export.
+def _inside(name: str) -> str:
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts:
+        raise ValueError(f"{name} is elsewhere")
+    return name
+
+
+class VerilogFolder(BaseModel, frozen=True):
+    """An export, all of which but the folder is in RECORD.
 
     folder: with the files.
     policy: what was exported, in words.
@@ -43,18 +50,13 @@ class VerilogFolder:
     quantise: the granularity of its scales; folders from before it was a choice lack it.
     """
 
-    folder: Path
+    folder: Path = Field(exclude=True)
     policy: str
     sha256: str
     chip: str
     board: str
-    files: Mapping[str, str]
+    files: dict[Annotated[str, AfterValidator(_inside)], str]
     quantise: Granularity = PLAIN.granularity
-
-    def record(self) -> dict[str, Any]:
-        """All but the folder, as RECORD holds it."""
-        rest = {key: value for key, value in vars(self).items() if key != "folder"}
-        return {"format": MARK, **rest}
 
     def changed(self) -> tuple[str, ...]:
         """Names of files that are there, and not as they were written."""
@@ -95,7 +97,9 @@ def write_folder(texts: Mapping[str, str], written: VerilogFolder) -> None:
     folder = written.folder
     earlier = read_folder(folder) if is_export(folder) else None
     stale = set(earlier.files) - set(texts) - set(earlier.changed()) if earlier else set()
-    write_texts({**texts, RECORD: as_text(written.record())}, folder, RECORD)
+    write_texts(
+        {**texts, RECORD: as_text({"format": MARK, **written.model_dump()})}, folder, RECORD
+    )
     for name in stale:
         if not (path := folder / name).is_symlink():
             path.unlink(missing_ok=True)
@@ -113,24 +117,11 @@ def read_folder(folder: Path) -> VerilogFolder:
             f"{folder} is no folder that `spikedeploy export --to verilog` wrote: it has no "
             f"{RECORD} with its mark"
         )
-    found = read_json(folder / RECORD, _REMEDY)
-    files = found.get("files")
-    texts: dict[str, Any] = {
-        name: found.get(name) for name in ("policy", "sha256", "chip", "board")
-    }
-    if not isinstance(files, dict) or not all(isinstance(each, str) for each in texts.values()):
-        raise ConfigError(f"{folder / RECORD} is damaged, fields are missing: {_REMEDY}")
-    if not all(_is_inside(name) and isinstance(value, str) for name, value in files.items()):
-        raise ConfigError(f"{folder / RECORD} is damaged, it names files elsewhere: {_REMEDY}")
-    quantise = found.get("quantise", PLAIN.granularity)
-    if quantise not in get_args(Granularity):
-        raise ConfigError(f"{folder / RECORD} is damaged, quantise is none: {_REMEDY}")
-    return VerilogFolder(folder, files=files, quantise=quantise, **texts)
-
-
-def _is_inside(name: str) -> bool:
-    path = PurePosixPath(name)
-    return not path.is_absolute() and ".." not in path.parts
+    try:
+        return VerilogFolder(**{**read_json(folder / RECORD, _REMEDY), "folder": folder})
+    except ValidationError as error:
+        fields = ", ".join(str(each["loc"][0]) for each in error.errors())
+        raise ConfigError(f"{folder / RECORD} is damaged ({fields}): {_REMEDY}") from error
 
 
 def folder_of(policy: Path, folder: Path) -> VerilogFolder:

@@ -15,7 +15,10 @@ def exported(folder, wrong=None, policy=POLICY, **texts):
     """A folder as an export leaves it, whose simulation is the interpreter."""
     file = zoo.path(policy)
     texts = {"Makefile": makefile(file, CHIP, wrong), "synapses.hex": "0\n", **texts}
-    found = VerilogFolder(folder, policy, zoo.sha256(file), CHIP, "icebreaker", sums_of(texts))
+    found = VerilogFolder(
+        folder=folder, policy=policy, sha256=zoo.sha256(file), chip=CHIP, board="icebreaker",
+        files=sums_of(texts),
+    )  # fmt: skip
     write_folder(texts, found)
     return folder
 

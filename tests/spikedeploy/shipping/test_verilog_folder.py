@@ -33,8 +33,8 @@ def texts_of(export, names=NAMES):
 
 def written(folder, texts, sha256=None):
     export = VerilogFolder(
-        folder, "hexapod/sparse.nir", sha256 or zoo.sha256(POLICY), "loihi1", "icebreaker",
-        sums_of(texts),
+        folder=folder, policy="hexapod/sparse.nir", sha256=sha256 or zoo.sha256(POLICY),
+        chip="loihi1", board="icebreaker", files=sums_of(texts),
     )  # fmt: skip
     write_folder(texts, export)
     return export
@@ -121,9 +121,9 @@ SPOILT = {
     "no record": (lambda f: (f / RECORD).unlink(), "is no folder that"),
     "a record of another tool": (lambda f: (f / RECORD).write_text("{}"), "is no folder that"),
     "a record cut short": (lambda f: (f / RECORD).write_text(f'{{"format": "{MARK}'), "is damaged"),
-    "no chip": (lambda f: spoil_record(f, chip=None), "fields are missing"),
-    "no files": (lambda f: spoil_record(f, files=["a"]), "fields are missing"),
-    "files elsewhere": (lambda f: spoil_record(f, files={"../x": ""}), "names files elsewhere"),
+    "no chip": (lambda f: spoil_record(f, chip=None), r"damaged \(chip\)"),
+    "no files": (lambda f: spoil_record(f, files=["a"]), r"damaged \(files\)"),
+    "files elsewhere": (lambda f: spoil_record(f, files={"../x": ""}), r"damaged \(files\)"),
     "another policy": (lambda f: spoil_record(f, sha256="0" * 64), "is another file"),
     "a file less": (lambda f: (f / "top.v").unlink(), r"damaged, top\.v is missing"),
     "other synapses": (
