@@ -14,7 +14,7 @@ from spikedeploy.runtime.codec.codec import Codec, DeltaEncoder, Normaliser
 from spikedeploy.runtime.codec.population import pattern_table
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.compiler.compile import own_clock
-from spikedeploy.runtime.convention import Convention
+from spikedeploy.runtime.convention import CLOCKS, Convention
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.export_c import export_c
@@ -61,7 +61,8 @@ def stepped(loaded, observation, count, kind=np.float64):
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_policy_equals_the_interpreter(tmp_path, name):
     artifact = load(zoo.path(name))
-    check_policy(artifact, walk(artifact.codec, 12), tmp_path)
+    on = replace(chip(artifact.trained_for or "loihi1"), clocks=CLOCKS)
+    check_policy(artifact, walk(artifact.codec, 12), tmp_path, on)
 
 
 def with_rate(mode):
