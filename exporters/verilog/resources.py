@@ -8,43 +8,18 @@ tenth.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from spikedeploy.exporters.verilog.boards import Board, Device
 from spikedeploy.exporters.verilog.image import CoreImage, unsigned_bits
 from spikedeploy.runtime.errors import RuleError
+from spikedeploy.runtime.files import read_toml
 
-# cells for each: whatever the core, UART and link included; bit of a state, of an adder and of a
-# value; bit of a sum, of a synapse and of an address; words of spikes; bit of a constant that
-# becomes logic; RAM made of cells; bit of a multiplexer of RAMs; bit of a neuron's parameters; bit
-# of a register that does more at its edges than wrap
-_FACTORS: Mapping[str, Mapping[str, float]] = {
-    "ice40": {
-        "all": 421.8,
-        "states": 2.379,
-        "addresses": 1.493,
-        "spikes": 21.4,
-        "logic": 0.069,
-        "multiplexers": 0.764,
-        "parameters": 1.237,
-        "edges": 1.090,
-    },
-    "ecp5": {
-        "all": 585.0,
-        "states": 7.340,
-        "spikes": -92.7,
-        "small": 6.381,
-        "multiplexers": 1.393,
-    },
-}
-# words x bits of a block RAM
-_SHAPES = {
-    "ice40": ((256, 16), (512, 8), (1024, 4), (2048, 2)),
-    "ecp5": ((512, 36), (1024, 18), (2048, 9), (4096, 4), (8192, 2), (16384, 1)),
-}
-# costs by which Yosys chooses: of a block RAM, of a bit of a multiplexer behind several of them,
-# and of a bit that becomes logic
-_BLOCK_COST = {"ice40": 64, "ecp5": 128}
+# of each family of FPGAs: factors of the cells, shapes of a block RAM, and what Yosys counts for one
+_FAMILIES: Mapping[str, Any] = read_toml(Path(__file__).with_name("boards.toml"))["family"]
+# costs by which Yosys chooses: of a bit of a multiplexer behind several block RAMs, and of a bit that
+# becomes logic
 _MULTIPLEXER_COST = 0.5
 _CONSTANT_COST, _VARIABLE_COST = 1 / 16, 1
 # RAM that an ECP5 makes of its cells
@@ -128,13 +103,14 @@ class CoreMemory:
 
     def place(self, device: Device) -> "Place":
         """Where Yosys puts it."""
-        each = _BLOCK_COST[device.family]
-        found = []
-        for words, bits in _SHAPES[device.family]:
+        family, found = _FAMILIES[device.family], []
+        for words, bits in family["shapes"]:
             # words that are this far apart stand side by side, and share RAMs
             deep = -(-self.words // words)
             count = -(-deep * self.bits // bits)
-            found.append(Place(count * each, "blocks", count, (deep - 1) * self.bits))
+            found.append(
+                Place(count * family["block_cost"], "blocks", count, (deep - 1) * self.bits)
+            )
         bit = _CONSTANT_COST if self.constant else _VARIABLE_COST
         found.append(Place(self.words * self.bits * bit, "logic", self.words * self.bits, 0))
         if device.family == "ecp5" and not self.constant:
@@ -296,4 +272,4 @@ def _cells(image: CoreImage, device: Device, in_cells: Mapping[str, int]) -> flo
         "parameters": image.neuron_word_bits,
         "edges": edges * image.value_bits,
     }
-    return sum(factor * terms[name] for name, factor in _FACTORS[device.family].items())
+    return sum(factor * terms[name] for name, factor in _FAMILIES[device.family]["cells"].items())
