@@ -16,10 +16,10 @@ from spikedeploy.exporters.verilog.image import CoreImage, unsigned_bits
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.files import read_toml
 
-# of each family of FPGAs: factors of the cells, shapes of a block RAM, and what Yosys counts for one
+# of each family: factors of the cells, shapes of a block RAM, and what Yosys counts for one
 _FAMILIES: Mapping[str, Any] = read_toml(Path(__file__).with_name("boards.toml"))["family"]
-# costs by which Yosys chooses: of a bit of a multiplexer behind several block RAMs, and of a bit that
-# becomes logic
+# costs by which Yosys chooses: of a bit of a multiplexer behind several block RAMs, and of a bit
+# that becomes logic
 _MULTIPLEXER_COST = 0.5
 _CONSTANT_COST, _VARIABLE_COST = 1 / 16, 1
 # RAM that an ECP5 makes of its cells
