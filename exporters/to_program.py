@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.exporters.to_xylo import places, specification
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec
 from spikedeploy.runtime.compiler.mapping import CoreMapping
@@ -215,11 +216,18 @@ def program_text(
                 "bias_axons": [[each.start, each.stop] for each in run.biases],
             },
             **program_record(program),
+            **(_xylo(program) if program.chip.name.startswith("xylo") else {}),
             "placement": [] if placement is None else list(_place(placement)),
             "host": dict(host),
             "remarks": list(program.remarks),
         }
     )
+
+
+def _xylo(program: Program) -> dict[str, Any]:
+    """The arguments of Rockpool, and the first hidden neuron of each layer."""
+    found = {"first": places(program.layers[:-1]), "specification": specification(program)}
+    return {"xylo": found}
 
 
 _CLOCKS = {

@@ -16,43 +16,14 @@ from host import main, needs, np, resets
 
 def specification(program):
     """Rockpool's names for the program, and the first hidden neuron of each layer."""
-    *hidden, output = program["layers"]
-    width, size = program["input"]["width"], sum(layer["neurons"] for layer in hidden)
-    currents = max(len(layer["dash_syn"]) for layer in hidden)
-    first, place = {}, 0
-    for layer in hidden:
-        first[layer["name"]], place = place, place + layer["neurons"]
-    weights = {
-        "in": np.zeros((width, size, currents), int),
-        "rec": np.zeros((size, size, currents), int),
-        "out": np.zeros((size, output["neurons"], 1), int),
-    }
-    shifts = {"in": set(), "rec": set(), "out": set()}
     for layer in program["layers"]:
         for synapses in layer["synapses"]:
-            outer = synapses["source"] == program["input"]["name"]
-            matrix = "out" if layer is output else "in" if outer else "rec"
-            if outer and layer is output:
-                sys.exit("Xylo's inputs reach hidden neurons alone, and these reach the output")
-            if synapses["delay"] != (0 if outer else 1):
+            if synapses["delay"] != (synapses["source"] != program["input"]["name"]):
                 sys.exit(f"a delay of {synapses['delay']} timesteps is not Xylo's")
-            m = 0 if outer else first[synapses["source"]]
-            n = 0 if layer is output else first[layer["name"]]
-            part = np.array(synapses["weights"])
-            rows, columns = slice(m, m + part.shape[0]), slice(n, n + part.shape[1])
-            weights[matrix][rows, columns, synapses["current"]] += part
-            shifts[matrix].add(synapses["exponent"])
-    if any(len(each) > 1 for each in shifts.values()):
-        sys.exit("the weights of one of Xylo's matrices have different exponents")
-    found = {f"weights_{name}": matrix for name, matrix in weights.items()}
-    found |= {f"weight_shift_{name}": max(each, default=0) for name, each in shifts.items()}
-    for end, layers in (("", hidden), ("_out", [output])):
-        for name in ("dash_mem", "threshold", "bias"):
-            found[name + end] = np.concatenate([layer[name] for layer in layers])
-        found["dash_syn" + end] = np.concatenate([layer["dash_syn"][0] for layer in layers])
-    seconds = [(layer["dash_syn"] + [[0] * layer["neurons"]])[1] for layer in hidden]
-    found["dash_syn_2"] = np.concatenate(seconds)
-    return found, first
+    xylo = program["xylo"]
+    found = {name: np.array(value) for name, value in xylo["specification"].items()}
+    found.setdefault("dash_syn_2", 0 * found["dash_syn"])
+    return found, xylo["first"]
 
 
 def split(program, first, hidden, output):
@@ -77,6 +48,7 @@ class XylosimChip:
 
         def listed(matrix):
             """Of each presynaptic neuron the synapses that are not 0."""
+            matrix = matrix.reshape(*matrix.shape[:2], -1)
             return [[XyloSynapse(int(n), int(k), int(row[n, k])) for n, k in np.argwhere(row)]
                     for row in matrix]  # fmt: skip
 
@@ -89,12 +61,12 @@ class XylosimChip:
             aliases=[[] for _ in spec["threshold"]],
             threshold=spec["threshold"].tolist(),
             threshold_out=spec["threshold_out"].tolist(),
-            has_bias=bool(spec["bias"].any() or spec["bias_out"].any()),
-            bias=spec["bias"].tolist(),
-            bias_out=spec["bias_out"].tolist(),
-            weight_shift_inp=spec["weight_shift_in"],
-            weight_shift_rec=spec["weight_shift_rec"],
-            weight_shift_out=spec["weight_shift_out"],
+            has_bias="bias_hidden" in spec,
+            bias=spec.get("bias_hidden", 0 * spec["threshold"]).tolist(),
+            bias_out=spec.get("bias_out", 0 * spec["threshold_out"]).tolist(),
+            weight_shift_inp=int(spec["weight_shift_in"]),
+            weight_shift_rec=int(spec["weight_shift_rec"]),
+            weight_shift_out=int(spec["weight_shift_out"]),
             dash_mem=spec["dash_mem"].tolist(),
             dash_mem_out=spec["dash_mem_out"].tolist(),
             dash_syns=np.stack([spec["dash_syn"], spec["dash_syn_2"]], axis=1).tolist(),
@@ -149,10 +121,6 @@ class XyloBoard:
             sys.exit("no Xylo dev kit was found; with --sim, xylosim runs the program")
         self.program = program
         spec, self.first = specification(program)
-        spec["weights_out"] = spec["weights_out"][:, :, 0]
-        spec["bias_hidden"], bias_out = spec.pop("bias"), spec["bias_out"]
-        if not (spec["bias_hidden"].any() or bias_out.any()):
-            del spec["bias_hidden"], spec["bias_out"]  # what is given switches biases on
         config, valid, message = module.config_from_specification(**spec)
         if not valid:
             sys.exit(f"samna refuses the configuration: {message}")

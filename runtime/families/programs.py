@@ -393,7 +393,7 @@ _MOST_TIMESTEPS = 1 << 17
 _MOST_EVENTS = 1 << 22
 # of a program.json, what says how it is used and changes no number of a run
 _USE = {
-    "made_by", "format", "clock", "control_step", "placement", "host", "remarks", "source",
+    "made_by", "format", "clock", "control_step", "placement", "host", "xylo", "remarks", "source",
     "environment", "tool", "refractory",
 }  # fmt: skip
 
