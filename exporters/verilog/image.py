@@ -187,40 +187,34 @@ class CoreImage:
     @cached_property
     def rows(self) -> Rows:
         """Rows of the input's channels, then of the neurons."""
-        every = [self._row(k) for k in range(self.axons + self.neurons)]
-        return _store_rows(every[: self.axons], every[self.axons :], self.target_bits)
+        neurons = [
+            row for layer in self.program.layers for row in self._rows_of(layer.name, layer.size)
+        ]
+        inputs = self._rows_of(self.program.input, self.axons)
+        return _store_rows(inputs, neurons, self.target_bits)
 
     @property
     def target_bits(self) -> int:
         """Bits of a target: slots from now, and neuron."""
         return unsigned_bits(self.slots - 1) + self.neuron_bits
 
-    @cached_property
-    def _targets(self) -> Mapping[str, list[tuple[Integers, int]]]:
-        """By source: weights (M, N) onto a layer, and the target that its first neuron is."""
-        found: dict[str, list[tuple[Integers, int]]] = {}
+    def _rows_of(self, source: str, channels: int) -> list[Row]:
+        """Target, with its slot, and weight of each synapse of each channel of a source."""
+        found: list[dict[int, int]] = [{} for _ in range(channels)]
         for layer in self.plan.layers:
             for synapses, each in zip(layer.layer.synapses, layer.inputs, strict=True):
                 base = (each.lag << self.neuron_bits) + self.first[layer.layer.name]
-                found.setdefault(synapses.source, []).append((each.weight, base))
-        return found
-
-    def _row(self, axon: int) -> Row:
-        """Target, with its slot, and weight of each synapse of an axon."""
-        source, channel = self.program.input, axon
-        for name, first in self.first.items() if axon >= self.axons else ():
-            if axon - self.axons >= first:
-                source, channel = name, axon - self.axons - first
-        weights: dict[int, int] = {}
-        for weight, base in self._targets.get(source, ()):
-            row = weight[channel]
-            for at in np.flatnonzero(row).tolist():
-                weights[base + at] = weights.get(base + at, 0) + int(row[at])
-        return tuple(sorted((target, weight) for target, weight in weights.items() if weight))
+                if synapses.source != source:
+                    continue
+                for channel, neuron in np.argwhere(each.weight).tolist():
+                    row, target = found[channel], base + neuron
+                    row[target] = row.get(target, 0) + int(each.weight[channel, neuron])
+        return [tuple(sorted((t, weight) for t, weight in row.items() if weight)) for row in found]
 
     def _held_bits(self, *names: str) -> int:
         """Bits of what any of the registers passes on [state units]."""
-        return max(self._register_bits(layer, name) for layer in self._layers for name in names)
+        layers = self.plan.magnitudes
+        return max(self._register_bits(layer, name) for layer in layers for name in names)
 
     def _register_bits(self, layer: str, name: str) -> int:
         """Bits of what a register passes on of a layer; two's complement has one number more."""
@@ -228,11 +222,6 @@ class CoreImage:
         most = self.plan.magnitudes[layer].held[name]
         lowest = register.overflow in ("wrap", "saturate") and most == 1 << (register.bits - 1)
         return register.bits if lowest else signed_bits(most)
-
-    @property
-    def _layers(self) -> list[str]:
-        """Names of the layers."""
-        return [layer.name for layer in self.program.layers]
 
     @cached_property
     def sum_bits(self) -> int:
@@ -244,13 +233,8 @@ class CoreImage:
     @cached_property
     def drive_bits(self) -> int:
         """Bits of a sum of weights [state units]."""
-        shift = self.rules_shift
+        shift = self._rules.mantissa_shift
         return signed_bits(max(m.arriving << shift for m in self.plan.magnitudes.values()))
-
-    @property
-    def rules_shift(self) -> int:
-        """Bits by which weights are shifted to meet the states."""
-        return self._rules.mantissa_shift
 
     @property
     def _rules(self) -> CubaFixedPoint:
@@ -272,7 +256,7 @@ class CoreImage:
     @cached_property
     def value_bits(self) -> int:
         """Bits of what any of the registers passes on."""
-        return self._held_bits("accumulator", "current", "push", "membrane")
+        return self._held_bits(*_REGISTERS)
 
     @cached_property
     def adder_bits(self) -> int:
@@ -284,11 +268,7 @@ class CoreImage:
     def rest_bits(self) -> int:
         """Bits of the timesteps that a neuron rests after a spike; 0 where there are none."""
         spikes = any(layer.spiking for layer in self.program.layers)
-        return (self._refractory - 1).bit_length() if spikes else 0
-
-    @property
-    def _refractory(self) -> int:
-        return self._rules.refractory
+        return (self._rules.refractory - 1).bit_length() if spikes else 0
 
     @cached_property
     def fields(self) -> Mapping[str, NeuronField]:
@@ -390,13 +370,11 @@ class CoreImage:
     @cached_property
     def registers(self) -> Mapping[str, Register]:
         """Registers by name; of overflow "none" where no number that can occur changes."""
-        names = ("accumulator", "current", "push", "membrane")
-        found = {}
-        for name in names:
-            register: Register = getattr(self._rules, name)
-            changes = name in self.plan.held
-            found[name] = register if changes else Register(register.bits, "none")
-        return found
+        found = {name: getattr(self._rules, name) for name in _REGISTERS}
+        return {
+            name: register if name in self.plan.held else Register(register.bits, "none")
+            for name, register in found.items()
+        }
 
     @cached_property
     def localparams(self) -> Mapping[str, int | tuple[int, int]]:
@@ -434,7 +412,7 @@ class CoreImage:
             "DECAY_FIELD": self.fields["CURRENT_DECAY"].bits,
             "VOLTAGE_BIAS_FIELD": self.fields["VOLTAGE_BIAS"].bits,
             "THRESHOLD_FIELD": self.fields["THRESHOLD"].bits,
-            "RESTS": (self._refractory - 1, max(1, self.rest_bits)),
+            "RESTS": (self._rules.refractory - 1, max(1, self.rest_bits)),
             "REST_BITS": self.rest_bits,
             "STATE_WORD_BITS": self.state_bits + self.rest_bits,
             "RESET_SUBTRACTS": int(self.program.convention.reset == "subtract"),
@@ -452,7 +430,9 @@ class CoreImage:
                 f"{name.upper()}_LOW": (low, 64),
                 f"{name.upper()}_HIGH": (high, 64),
             }
-        shifts = [(layer.unit.bit_length() - 1) + self.rules_shift for layer in self.plan.layers]
+        shifts = [
+            (layer.unit.bit_length() - 1) + self._rules.mantissa_shift for layer in self.plan.layers
+        ]
         found["SHIFT_OF"] = _packed(shifts, 8)
         none = [0] * len(self.program.layers)
         for name, each in self.fields.items():
@@ -461,6 +441,7 @@ class CoreImage:
         return found
 
 
+_REGISTERS = ("accumulator", "current", "push", "membrane")
 _FIELDS = (
     "CURRENT_DECAY",
     "MEMBRANE_DECAY",
