@@ -120,10 +120,6 @@ def test_a_spiking_mlp_spikes_alike_everywhere(coding, head, state, observations
     assert checks[0].detail == f"{300 * 16 * (width + 56):,} compared, all equal"
 
 
-def test_onnx_runtime_acts_like_torch(mlp, observations, tmp_path):
-    assert not failed(check(mlp, to_onnx(mlp, ORIGIN, tmp_path / "p.onnx"), observations))
-
-
 @pytest.mark.parametrize("hidden", [(), (16, 16)])
 def test_onnx_runtime_scores_like_torch(hidden, observations, tmp_path):
     torch.manual_seed(0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from spikedeploy import zoo
-from spikedeploy.exporters.verilog.board_files import board_files, host_record
+from spikedeploy.exporters.verilog.board_files import host_record
 from spikedeploy.exporters.verilog.boards import board
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
@@ -167,13 +167,3 @@ def test_host_runs_alone_in_its_folder_and_names_what_differs(tmp_path):
         assert (done.returncode, done.stdout[:24]) == (1, "differs: control step 7:")
     assert "cannot be opened" in run("/dev/none").stderr
     assert "import spikedeploy" not in (tmp_path / "host.py").read_text()
-
-
-def test_files_of_an_export_are_the_same_each_time():
-    artifact = event_driven()
-    image = image_of(artifact)
-    texts = [
-        board_files(image, artifact.codec, board("ulx3s"), "a test", walk(artifact.codec))
-        for _ in range(2)
-    ]
-    assert texts[0] == texts[1]

@@ -5,7 +5,6 @@ import hashlib
 import importlib.util
 import json
 import os
-import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -132,17 +131,6 @@ def test_the_files_hold_exactly_the_integers_of_the_program(name, kit_of):
     assert verify(kit.path / "expected.json").equal
 
 
-def test_weights_beyond_eight_bits_have_an_exponent_and_every_mantissa_fits(kit_of):
-    kit, _ = kit_of("loihi1")
-    record = json.loads((kit.path / "program.json").read_text())
-    synapses = [each for layer in record["layers"] for each in layer["synapses"]]
-    assert {0} < {each["exponent"] for each in synapses}
-    assert all(np.abs(each["weights"]).max() <= 255 for each in synapses)
-    placed = {each["node"]: each["cores"] for each in record["placement"]}
-    assert placed["readout"][0]["neurons"] == [0, 18]
-    assert (record["clock"], record["control_step"]["timesteps"]) == ("pipelined", 1)
-
-
 def _without_program(folder):
     (folder / "program.json").unlink()
     return "its program program.json cannot be read"
@@ -262,19 +250,6 @@ def run_host(kit, monkeypatch, own=None, *words):
     return host_in(kit.path).main(lambda *_: own or OwnChip(kit.path), "ours")
 
 
-def test_a_chip_that_keeps_its_states_is_found_where_they_are_to_be_reset(
-    kit_of, monkeypatch, capsys
-):
-    kit, _ = kit_of(RESETTING[0])
-    length = json.loads((kit.path / "program.json").read_text())["control_step"]["timesteps"]
-    keeps = OwnChip(kit.path)
-    monkeypatch.setattr(keeps, "reset", lambda: None)
-    assert run_host(kit, monkeypatch, keeps) == 1
-    said = capsys.readouterr().out
-    assert int(re.search(r"differs: timestep (\d+)", said)[1]) in range(length, 2 * length)
-    assert verify(kit.path / "ours.json").difference.step in range(length, 2 * length)
-
-
 def test_a_run_of_some_control_steps_is_verified_and_one_that_ends_within_is_refused(
     kit_of, monkeypatch, command
 ):
@@ -299,26 +274,6 @@ def script_of(kit, *words, without=()):
     )  # fmt: skip
 
 
-MISSING = {
-    "loihi1": ((), "lava", "install lava-nc==0.10.0"),
-    "loihi1-nengo": ((), "nengo_loihi", "install nengo-loihi==1.1.0 and nengo==4.1.0"),
-    "xylo-a2": (("--sim",), "xylosim", "install xylosim==0.1.3"),
-    RESETTING[0]: ((), "rockpool", 'install "rockpool[xylo]==3.1.0", or run it with --sim'),
-    "speck2f": ((), "sinabs", "install sinabs==3.1.3 by pip install --no-deps, and torch"),
-    "spinnaker2": ((), "spinnaker2", "install py-spinnaker2 from https://gitlab.com/spinnaker2"),
-    "loihi2": ((), "numpy", "install numpy"),
-}
-
-
-@pytest.mark.parametrize("name", MISSING)
-def test_a_script_without_its_tool_says_what_to_install(name, kit_of):
-    kit, _ = kit_of(name)
-    words, package, message = MISSING[name]
-    done = script_of(kit, *words, without=[package])
-    assert (done.returncode, len(done.stderr.splitlines())) == (1, 1), done.stderr
-    assert message in done.stderr
-
-
 @pytest.mark.parametrize(
     ("env", "without", "message"),
     [
@@ -337,13 +292,6 @@ def test_a_loop_without_its_environment_says_what_to_install(
     with pytest.raises(SystemExit) as ended:
         run_host(kit, monkeypatch, None, "--loop", env)
     assert message in str(ended.value)
-
-
-def test_a_loop_takes_an_environment_of_a_module(kit_of, monkeypatch, capsys):
-    kit, _ = kit_of(RESETTING[0])
-    where = "gymnasium.envs.classic_control:CartPoleEnv"
-    assert run_host(kit, monkeypatch, None, "--loop", where) == 0
-    assert "return 12.000000, expected 12.000000" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("on", ["xylo-a3", "xylo-imu"])
@@ -429,34 +377,6 @@ def test_a_script_of_a_damaged_kit_ends_with_one_sentence(name, kit_of, monkeypa
     with pytest.raises(SystemExit, match=message):
         run_host(kit, monkeypatch, None, *(name.split() if name[0] == "-" else ()))
     assert not (kit.path / "ours.json").exists() or name.startswith("--loop")
-
-
-@pytest.mark.parametrize("renamed", [0, 1, 5])
-def test_an_export_that_is_killed_leaves_no_kit_that_is_taken_for_a_whole_one(
-    renamed, kit_of, command, monkeypatch
-):
-    kit, _ = kit_of("loihi1")
-    words = ("export", "kart-grid/sparse", "--to", "program", "--observations", "2", "-o")
-    rename, done = os.replace, []
-
-    def killed(source, target):
-        if len(done) == renamed:
-            raise KeyboardInterrupt
-        done.append(target)
-        rename(source, target)
-
-    for folder in (kit.path, kit.path / "new"):
-        done.clear()
-        with monkeypatch.context() as patch:
-            patch.setattr(os, "replace", killed)
-            command(*words, str(folder))
-        assert len(done) == renamed
-        code, out, err = command("verify", str(folder / "expected.json"))
-        # before the first file is replaced, the earlier kit is whole
-        whole = renamed == 0 and folder == kit.path
-        assert (code == 0) == whole, out + err
-        assert command(*words, str(folder))[0] == 0
-        assert command("verify", str(folder / "expected.json"))[0] == 0
 
 
 REFUSED = {
