@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import product
 
 import nir
 import numpy as np
@@ -63,10 +64,11 @@ POLICIES = {
 }
 
 
-@pytest.mark.parametrize("name", POLICIES)
-@pytest.mark.parametrize("reset", ["zero", "subtract"])
-@pytest.mark.parametrize("state", ["reset", "kept"])
-@pytest.mark.parametrize("delay", [0, 1])
+CASES = [("unary", *each) for each in product(("zero", "subtract"), ("reset", "kept"), (0, 1))]
+CASES += [(name, "subtract", state, 1) for name in POLICIES for state in ("reset", "kept")]
+
+
+@pytest.mark.parametrize(("name", "reset", "state", "delay"), CASES)
 def test_codes_resets_states_and_delays_are_those_of_the_float_twin(
     name, reset, state, delay, tmp_path
 ):
