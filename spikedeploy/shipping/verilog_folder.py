@@ -14,7 +14,7 @@ from spikedeploy.console import say
 from spikedeploy.exporters.c.packaging import MAKEFILE, write_texts
 from spikedeploy.exporters.verilog.board_files import MARK
 from spikedeploy.exporters.verilog.image import core_image
-from spikedeploy.exporters.verilog.simulation import PROGRAM, RtlProcess, image_process
+from spikedeploy.exporters.verilog.simulation import PROGRAM, RtlProcess
 from spikedeploy.exporters.verilog.tools import make_variables, require_tool
 from spikedeploy.outputs import has_text
 from spikedeploy.runtime.artifact.artifact import load
@@ -176,5 +176,5 @@ def open_hardware(found: VerilogFolder, policy: Path) -> Iterator[RtlProcess]:
     artifact = load(policy)
     program = compile_program(artifact, chip(found.chip), Quantisation(found.quantise))
     image = core_image(program, artifact.codec)
-    with image_process(build_simulation(found), image) as process:
+    with RtlProcess(build_simulation(found), image) as process:
         yield process

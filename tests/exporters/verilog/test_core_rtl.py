@@ -200,7 +200,7 @@ def test_an_episode_equals_in_verilator_clock_for_clock(tmp_path):
     simulated = build_simulation(written(image, found, tmp_path))
     for stall in (None, 4):
         model = CoreModel(image)
-        with RtlProcess(simulated, image.outputs, image.neurons, True, stall) as core:
+        with RtlProcess(simulated, image, stall) as core:
             for k, tokens in enumerate(found.tokens):
                 axons = [token for token in tokens if token < 0x8000]
                 if tokens[0] == 0x8001:
@@ -252,7 +252,7 @@ def test_twenty_episodes_of_a_shipped_policy_equal_in_verilator(tmp_path, name):
         raster = artifact.codec.encode_episode(np.asarray(seen, np.float64))
         machine = Machine(program, 1, "none", trace=True)
         stall = episode if episode % 2 else None
-        with RtlProcess(simulated, image.outputs, image.neurons, True, stall) as core:
+        with RtlProcess(simulated, image, stall) as core:
             if episode % 3:  # an episode that is broken off
                 core.step(range(0, image.axons, 3))
             core.reset()
