@@ -6,7 +6,6 @@ normaliser is folded into the first layer: its clip is that of the observations,
 converts them keeps (`Int16Observations`).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -220,66 +219,43 @@ def read_onnx(path: Path) -> FloatMlp:
 
     from spikedeploy.trainers.onnx_session import session
 
-    session(path)  # refuses what is damaged or larger than it says
+    session(path)  # refuses what is damaged, larger than it says, or of shapes that do not fit
     model = onnx.load(path)
     said = {entry.key: entry.value for entry in model.metadata_props}
-    graph = model.graph
-    kinds = [node.op_type for node in graph.node]
-    if kinds[:3] != ["Sub", "Div", "Clip"] or not _alternates(kinds[3:]):
+    nodes = list(model.graph.node)
+    kinds, layers = [node.op_type for node in nodes], nodes[3:]
+    fits = kinds[:3] == ["Sub", "Div", "Clip"] and len(kinds) >= 5 and len(kinds) % 2 == 1
+    if not (
+        fits
+        and all(map(_is_affine, layers[::2]))
+        and set(kinds[4:-1:2]) <= {"Relu", "Tanh"}
+        and kinds[-1] in ("Tanh", "Identity")
+    ):
         raise ConfigError(
             f"--to c: {path.name} computes {' '.join(kinds[:8])} ...; C of float networks is "
             "written for a scaled and clipped observation before affine layers (Gemm) with Relu, "
             "Tanh or Identity. Export a policy such as mlp-8."
         )
-    value: dict[str, Any] = {each.name: numpy_helper.to_array(each) for each in graph.initializer}
+    value = {e.name: numpy_helper.to_array(e).astype(float) for e in model.graph.initializer}
     try:
-        affine = [_affine(node, value) for node in graph.node[3::2]]
-        mean, std = (value[graph.node[k].input[1]].astype(np.float64) for k in (0, 1))
-        low, high = (float(value[name]) for name in graph.node[2].input[1:3])
+        mean, std = (value[node.input[1]] for node in nodes[:2])
+        low, high = (float(value[name]) for name in nodes[2].input[1:3])
+        weights = tuple(value[node.input[1]].T for node in layers[::2])
+        biases = tuple(value[node.input[2]].reshape(-1) for node in layers[::2])
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise ArtifactError(
             f"{path} lacks a constant that its graph names. Export it again"
         ) from error
-    if low != -high:
-        raise ConfigError(f"--to c: {path.name} clips from {low} to {high}, not evenly.")
-    activations = [_ACTIVATIONS[kind] for kind in kinds[4::2]]
-    if "none" in activations[:-1] or activations[-1] == "relu":
-        raise ConfigError(f"--to c: {path.name} has activations {', '.join(activations)}.")
-    weights, biases = zip(*affine, strict=True)
-    _check_shapes(path, len(mean), weights)
-    chooses = said.get("head") == "discrete" or graph.output[0].name == "logits"
-    return FloatMlp(
-        Normaliser(mean, std, high), tuple(weights), tuple(biases), tuple(activations), chooses
-    )
+    if low != -high or not all(np.isfinite(weight).all() for weight in weights):
+        raise ConfigError(f"--to c: {path.name} clips unevenly, or has weights that are no numbers")
+    chooses = said.get("head") == "discrete" or model.graph.output[0].name == "logits"
+    activations = tuple(_ACTIVATIONS[kind] for kind in kinds[4::2])
+    return FloatMlp(Normaliser(mean, std, high), weights, biases, activations, chooses)
 
 
-def _alternates(kinds: Sequence[str]) -> bool:
-    """Return True if affine maps and activations take turns."""
-    return (
-        len(kinds) >= 2
-        and len(kinds) % 2 == 0
-        and set(kinds[::2]) == {"Gemm"}
-        and set(kinds[1::2]) <= set(_ACTIVATIONS)
-    )
-
-
-def _affine(node: Any, value: dict[str, Any]) -> tuple[Floats, Floats]:  # noqa: ANN401
-    """Weight (in, out) and bias (out,) of a Gemm."""
+def _is_affine(node: Any) -> bool:  # noqa: ANN401
+    """Return True for x W^T + b."""
     options = {each.name: each.i if each.type == 2 else each.f for each in node.attribute}
-    if {options.get("alpha", 1.0), options.get("beta", 1.0)} != {1.0} or options.get("transA", 0):
-        raise ConfigError("--to c: a Gemm with alpha, beta or transA is not written in C.")
-    weight = value[node.input[1]].astype(np.float64)
-    bias = value[node.input[2]].astype(np.float64)
-    return (weight.T if options.get("transB", 0) else weight), bias.reshape(-1)
-
-
-def _check_shapes(path: Path, observed: int, weights: Sequence[Floats]) -> None:
-    """Refuse layers that do not follow one another."""
-    width = observed
-    for k, weight in enumerate(weights):
-        if weight.ndim != 2 or weight.shape[0] != width or not np.isfinite(weight).all():
-            raise ArtifactError(
-                f"{path}: layer {k + 1} has a weight of shape {weight.shape}, and {width} inputs; "
-                "all must be finite. Export it again"
-            )
-        width = weight.shape[1]
+    expected = {"transB": 1, "alpha": 1.0, "beta": 1.0, "transA": 0}
+    wanted = all(expected.get(name) == option for name, option in options.items())
+    return node.op_type == "Gemm" and wanted and "transB" in options
