@@ -232,11 +232,3 @@ def test_the_command_writes_and_compares(command, tmp_path, monkeypatch):
     code, _, err = command("export", "popsan.nir", "--for", "norse", "-o", "popsan.nir")
     assert code == 2
     assert "popsan.nir" in err
-    for words, reason in (
-        (("--for", "snntorch"), "name it, as in -o"),
-        (("--for", "snntorch", "--to", "onnx", "-o", "x.nir"), "--for is no option of --to onnx"),
-        (("--dt", "0.1", "--to", "c", "-o", "x"), "--dt is no option of --to c"),
-    ):
-        code, _, err = command("export", "popsan.nir", *words)
-        assert code == 2
-        assert reason in " ".join(err.replace("│", " ").split())

@@ -379,37 +379,6 @@ def test_a_script_of_a_damaged_kit_ends_with_one_sentence(name, kit_of, monkeypa
     assert not (kit.path / "ours.json").exists() or name.startswith("--loop")
 
 
-REFUSED = {
-    "a chip without a script": (("--chip", "odin"), "there is no script for odin"),
-    "no folder": ((), "writes a folder"),
-    "no codec": (("examples/net.nir",), "has no codec"),
-    "a reset": (("hexapod/sparse-gated", "--chip", "speck2f"), "rule primitive"),
-    "options of another format": (
-        ("--to", "c", "--clock", "free"),
-        "--clock is no option of --to c",
-    ),
-    "a world of another format": (("--to", "nir", "--env", "x"), "--env is no option of --to nir"),
-    "a clock that holds layers": (("--clock", "gated"), "clock 'gated' updates each layer once"),
-    "delays that a tool has not": (
-        ("hexapod/sparse-gated", "--chip", "loihi1-nengo"),
-        "nengo-loihi delivers after 1",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_no_kit_can_hold_is_refused_and_nothing_is_written(name, command, here):
-    words, message = REFUSED[name]
-    policy = next((w for w in words if "/" in w), "hexapod/sparse")
-    policy = str(ROOT / policy) if policy.startswith("examples") else policy
-    more = [w for w in words if "/" not in w]
-    output = [] if name == "no folder" else ["-o", "kit"]
-    code, _, err = command("export", policy, "--to", "program", *more, *output)
-    assert (code != 0, message in err) == (True, True), err
-    assert "Traceback" not in err
-    assert not (here / "kit").exists()
-
-
 def test_files_of_others_are_not_replaced_and_a_failed_export_leaves_the_last_whole(
     command, here, monkeypatch
 ):

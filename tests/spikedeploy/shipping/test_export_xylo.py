@@ -58,13 +58,6 @@ def test_the_file_has_the_arguments_of_rockpool_and_says_where_layers_and_timest
     assert command(*words)[0] == 0  # its own file is written anew
 
 
-@pytest.mark.parametrize("name", ["x.nir", "x", "x.json.nir"])
-def test_a_specification_is_written_to_no_other_file_than_json(command, file, tmp_path, name):
-    code, _, err = command("export", "net.nir", "--to", "xylo", "--chip", "xylo-a2", "-o", name)
-    assert (code, f"-o {name}: --to xylo writes JSON" in err) == (2, True)
-    assert not (tmp_path / name).exists()
-
-
 def test_a_changed_number_of_the_specification_is_found(file):
     program = program_of(file)
     for name in ("threshold", "dash_mem", "bias_hidden"):
@@ -120,19 +113,3 @@ def as_xylosim(spec):
         "bias_out": spec.get("bias_out", [0] * outputs),
         "dash_syn_2": spec.get("dash_syn_2", [0] * size),
     }
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--chip", "loihi1", "-o", "x.json"), "loihi1 is none: choose a Xylo with --chip xylo-a2"),
-        (("-o", "x.json"), "--to xylo: choose a Xylo with --chip xylo-a2, xylo-a3 or xylo-imu"),
-        (("--chip", "xylo-a2"), "name it, as in -o xylo.json"),
-        (("--chip", "xylo-a2", "--reset", "zero", "-o", "x.json"), "reset 'zero'"),
-    ],
-)
-def test_what_has_no_specification_is_refused_in_a_sentence(command, file, tmp_path, words, said):
-    code, _, err = command("export", "net.nir", "--to", "xylo", *words)
-    assert code > 0
-    assert said in " ".join(err.split())
-    assert not (tmp_path / "x.json").exists()
