@@ -272,4 +272,5 @@ def _cells(image: CoreImage, device: Device, in_cells: Mapping[str, int]) -> flo
         "parameters": image.neuron_word_bits,
         "edges": edges * image.value_bits,
     }
-    return sum(factor * terms[name] for name, factor in _FAMILIES[device.family]["cells"].items())
+    factors: Mapping[str, float] = _FAMILIES[device.family]["cells"]
+    return sum(factor * terms[name] for name, factor in factors.items())
