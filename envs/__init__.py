@@ -5,7 +5,6 @@ environments; `make` builds one by its short name or gymnasium id, and likewise 
 people: any id that is registered with gymnasium, and targets such as my_module:MyEnv.
 
 hexapod/          a walking robot: on rough ground, by velocity commands
-eye/              a kart that reads the signs of forks by an event camera
 kart/             three kinds of kart on tracks, with a LIDAR and a scripted driver
 event_camera.py   an event camera by v2e's model, for any frames
 event_camera_wrapper.py  the same for any environment that renders
@@ -99,13 +98,6 @@ ENVS: dict[str, EnvSpec] = {
                 ("Gazebo", "race a kart that either drives or turns"),
                 ("Steer", "race a kart with throttle, brake and steering"),
             )
-        ),
-        EnvSpec(
-            "kart-eye",
-            "spikedeploy/KartEye-v0",
-            "spikedeploy.envs.eye.env:KartEyeEnv",
-            "read signs through an event camera and take the arm that is open",
-            controls=("random", "pursuit"),
         ),
     )
 }

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 Options = dict[str, Any]
 Wrap = Callable[[gymnasium.Env[Any, Any], float], gymnasium.Env[Any, Any]]
 
-HEXAPOD, KART, EYE = "hexapod", "kart", "eye"  # worlds: folders of envs
+HEXAPOD, KART = "hexapod", "kart"  # worlds: folders of envs
 FOREIGN = "foreign"  # environments of other people
 
 
@@ -378,7 +378,7 @@ def kinds_of(world: str) -> dict[str, Kind]:
 
 def row(world: str) -> str:
     """The key of a world in Kind.levels: its folder, or FOREIGN."""
-    return world if world in (HEXAPOD, KART, EYE) else FOREIGN
+    return world if world in (HEXAPOD, KART) else FOREIGN
 
 
 class Disturbance(Request):

@@ -42,17 +42,14 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.onnx_session import infer, rest, session
 from spikedeploy.trainers.policies import (
     DeltaSnnPolicy,
-    FloatVisionPolicy,
     NetworkPolicy,
     Policy,
     PopsanPolicy,
     PrunedGruPolicy,
-    SpikingVisionPolicy,
 )
 from spikedeploy.trainers.policies.delta import event_channels, live_layers
 from spikedeploy.trainers.policies.spiking import CodedPolicy, TorchRateEncoder
 
-_Kept = DeltaSnnPolicy | SpikingVisionPolicy  # policies that keep their states
 # (B, T) -> random bytes (B, T, M), as the methods of Xorshift
 RandomBytes = Callable[[int, int], NDArray[np.uint8]]
 
@@ -124,20 +121,17 @@ def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -
 
     Those of a policy with states are one episode, in their order: one long inference.
     """
-    if not isinstance(policy, SpikingPolicy | _Kept):
+    if not isinstance(policy, SpikingPolicy | DeltaSnnPolicy):
         raise ConfigError(f"{path}: a policy of kind {policy.kind!r} has no spikes to compare")
     stated = load(path)
     codec = stated.codec
     if codec is None:
         raise ArtifactError(f"{path} has no codec: it was written by another tool. Export again.")
-    is_chip, is_episode = isinstance(policy, NetworkPolicy), isinstance(policy, _Kept)
+    is_chip, is_episode = isinstance(policy, NetworkPolicy), isinstance(policy, DeltaSnnPolicy)
     on = policy.target if isinstance(policy, NetworkPolicy) else chip("ideal")
-    sends_many = isinstance(policy, SpikingVisionPolicy) and policy.neuron == "if"
-    graph, program = FloatGraph(stated), None if sends_many else compiled(stated, on)
+    graph, program = FloatGraph(stated), compiled(stated, on)
     double, single = deepcopy(policy).double(), deepcopy(policy).float()
     compared: Sequence[tuple[str, str, str]] = _COMPARED_ON_A_CHIP if is_chip else _COMPARED
-    if program is None:  # no chip sends several spikes in a timestep and computes in doubles
-        compared = [pair for pair in _COMPARED if "chip" not in pair]
     pairs = [_ImplementationPair() for _ in compared]
     for batch in [observations] if is_episode else batches(observations):
         raster = _one_run(codec, batch) if is_episode else codec.encode(batch)
@@ -147,9 +141,8 @@ def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -
             "torch": by_torch(double, seen),
             "float32": by_torch(single, seen.float()),
             "numpy": _decode(codec, *_by_numpy(graph, raster), is_episode),
+            "chip": _decode(codec, *_by_machine(program, raster), is_episode),
         }
-        if program is not None:
-            found["chip"] = _decode(codec, *_by_machine(program, raster), is_episode)
         for pair, (one, other, _) in zip(pairs, compared, strict=True):
             pair.add(found[one], found[other])
     checks = []
@@ -173,10 +166,8 @@ _COMPARED_ON_A_CHIP = (
 
 
 @torch.no_grad()
-def _by_steps(policy: _Kept, observations: Tensor) -> _PolicyOutput:
+def _by_steps(policy: DeltaSnnPolicy, observations: Tensor) -> _PolicyOutput:
     """Return what a policy in torch does in the control steps (S, obs) of an episode."""
-    if isinstance(policy, SpikingVisionPolicy):
-        return _seeing(policy, observations)
     state = policy.rest(1)
     rows = [policy.advance(observation[None], state) for observation in observations]
     mean, events, hidden = (torch.cat(column) for column in zip(*rows, strict=True))
@@ -187,20 +178,6 @@ def _by_steps(policy: _Kept, observations: Tensor) -> _PolicyOutput:
     if policy.head == "continuous":
         return _PolicyOutput(spikes, _numbers(torch.tanh(mean)), None)
     return _PolicyOutput(spikes, _numbers(mean), mean.argmax(-1).numpy())
-
-
-def _seeing(policy: SpikingVisionPolicy, observations: Tensor) -> _PolicyOutput:
-    state, layers = policy.rest(1), len(policy.spiking)
-    means, sent = [], []
-    for observation in observations[:, None]:
-        means.append(policy.advance(observation, state)[0])
-        sent.append(state[layers : 2 * layers])
-    spikes = {"input": policy.encode(observations)}
-    for k in range(layers):
-        spikes[f"lif{k + 1}"] = torch.cat([each[k] for each in sent])
-    mean = torch.cat(means)
-    rows: Spikes = {n: raster.numpy().astype(np.int64)[None] for n, raster in spikes.items()}
-    return _PolicyOutput(rows, _numbers(mean), mean.argmax(-1).numpy())
 
 
 @torch.no_grad()
@@ -268,11 +245,11 @@ def _onnx_checks(
     policy: Policy, path: Path, observations: NDArray[np.float64]
 ) -> list[ParityCheck]:
     """Return the checks of the file on observations (n, obs)."""
-    if isinstance(policy, SpikingPolicy | _Kept):
+    if isinstance(policy, SpikingPolicy | DeltaSnnPolicy):
         return spiking_onnx.checks(artifact(policy, Provenance("")), path, observations)
     single = deepcopy(policy).float()
     network = session(path)
-    if isinstance(single, FloatVisionPolicy | PrunedGruPolicy):
+    if isinstance(single, PrunedGruPolicy):
         return [_stepped_check(network, single, observations)]
     together, alone = LargestDifference(), LargestDifference()
     for batch in batches(observations):
@@ -289,7 +266,7 @@ def _onnx_checks(
 @torch.no_grad()
 def _stepped_check(
     network: Any,  # noqa: ANN401
-    policy: FloatVisionPolicy | PrunedGruPolicy,
+    policy: PrunedGruPolicy,
     observations: NDArray[np.float64],
 ) -> ParityCheck:
     """Return the check of a policy with states on observations (S, obs), in their order."""

@@ -28,12 +28,10 @@ from spikedeploy.trainers.policies import (
     Policy,
     PopsanPolicy,
     SpikingMlpPolicy,
-    SpikingVisionPolicy,
 )
 from spikedeploy.trainers.policies.delta import delta_artifact
 from spikedeploy.trainers.policies.network import codec_of
 from spikedeploy.trainers.policies.spiking import CodedPolicy
-from spikedeploy.trainers.policies.vision import vision_artifact
 
 SpikingPolicy: TypeAlias = PopsanPolicy | CodedPolicy
 _Layered: TypeAlias = PopsanPolicy | SpikingMlpPolicy
@@ -53,8 +51,7 @@ def to_nir(
     """Write the policy to `path` and return it.
 
     state: "reset" or "kept" between inferences; None as the policy was trained: a DeltaSnnPolicy
-        or SpikingVisionPolicy with states that are kept, which they always keep, all others with
-        states that are reset.
+        with states that are kept, which it always keeps, all others with states that are reset.
     """
     path = Path(path)
     save(artifact(policy, origin, dt, state), path)
@@ -68,14 +65,12 @@ def artifact(
     if isinstance(policy, NetworkPolicy):
         _only_reset(policy, state)
         return deepcopy(policy).double().artifact(origin, dt)
-    if isinstance(policy, DeltaSnnPolicy | SpikingVisionPolicy):
+    if isinstance(policy, DeltaSnnPolicy):
         if state == "reset":
             raise ConfigError(
                 f"state reset: a policy of kind {policy.kind!r} keeps its states through an "
                 "episode, in which it remembers what it has seen; leave the option out"
             )
-        if isinstance(policy, SpikingVisionPolicy):
-            return vision_artifact(policy, origin, dt)
         return delta_artifact(policy, origin, dt)
     # the file holds the float32 weights exactly; arithmetic on them is float64 from here on
     precise = deepcopy(_spiking(policy)).double()

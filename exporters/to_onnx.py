@@ -5,13 +5,10 @@ What spikes is written by spiking_onnx, with its states.
 observation (B, obs) -> normalise, clip -> Gemm, Relu ... -> Gemm, Tanh -> action
                                                          -> Gemm -> logits
 
-A policy that sees by events has convolutions in place of the first matrices, and states in and
-out, as spiking_onnx names them: leaky traces of what it sees, and the memory of a GRU.
+A pruned policy may have a memory, whose state goes in and out as spiking_onnx names it, and a path
+past its layers.
 
-    counts (B, C·Y·X) -> normalise, clip -> sum pool, traces -> Conv, Relu ... -> Gemm, Relu ...
-                      -> GRU -> Gemm -> logits
-
-A pruned policy with a memory has the last line, and a path past it, as all that are pruned.
+    observation (B, obs) -> normalise, clip -> Gemm, Relu ... -> GRU -> Gemm -> logits
 
 The first output is the action, or for discrete actions the logits: the largest is taken, while
 training sampled from their softmax. The other outputs are the inputs of the weight matrices, in
@@ -20,7 +17,7 @@ States go out last.
 """
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -35,16 +32,15 @@ from spikedeploy.runtime.files import replacing
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.onnx_session import NEXT
 from spikedeploy.trainers.policies import (
-    FloatVisionPolicy,
     MlpPolicy,
     Policy,
     PrunedGruPolicy,
     PrunedMlpPolicy,
 )
-from spikedeploy.trainers.policies.policy import PrunedKernel, PrunedWeight
+from spikedeploy.trainers.policies.policy import PrunedWeight
 
 _KINDS = ("ann", "control")
-_Float = MlpPolicy | PrunedMlpPolicy | PrunedGruPolicy | FloatVisionPolicy
+_Float = MlpPolicy | PrunedMlpPolicy | PrunedGruPolicy
 
 
 def to_onnx(policy: Policy, origin: Provenance, path: str | Path, kind: str = "ann") -> Path:
@@ -67,13 +63,8 @@ def _macs(policy: _Float) -> int:
     return sum(int(counts.sum()) for counts in _fan_outs(policy))
 
 
-def _fan_outs(policy: PrunedMlpPolicy | PrunedGruPolicy | FloatVisionPolicy) -> list[Tensor]:
-    """Weights that are left of each input (M,) of each matrix; the skip's with the first.
-
-    Those of a kernel at all positions at which they meet the input.
-    """
-    if isinstance(policy, FloatVisionPolicy):
-        return [policy.matrix(name).fan_out for name in policy.synapses]
+def _fan_outs(policy: PrunedMlpPolicy | PrunedGruPolicy) -> list[Tensor]:
+    """Weights that are left of each input (M,) of each matrix; the skip's with the first."""
     if isinstance(policy, PrunedGruPolicy):
         first, *others = (matrix.fan_out for matrix in policy.groups[: len(policy.hidden) + 3])
     else:
@@ -88,10 +79,7 @@ def _model(policy: _Float, origin: Provenance, name: str, kind: str) -> onnx.Mod
         _layers(graph, policy, _add_normaliser(graph, policy))
     else:
         seen = _add_normaliser(graph, policy)
-        if isinstance(policy, FloatVisionPolicy):
-            _vision_layers(graph, policy, seen)
-            more = {"biases": str(_biases(policy))}
-        elif isinstance(policy, PrunedGruPolicy):
+        if isinstance(policy, PrunedGruPolicy):
             _memory_layers(graph, policy, seen)
             more = {"biases": str(sum(policy.hidden) + 6 * policy.gru + policy.actions)}
         else:
@@ -190,78 +178,6 @@ def _memory_layers(graph: OnnxGraph, policy: PrunedGruPolicy, seen: str) -> None
     _act(graph, policy, sums, seen)
 
 
-def _biases(policy: FloatVisionPolicy) -> int:
-    """Biases that an inference adds: one a unit that is used, and six a unit of a GRU."""
-    names = list(policy.synapses)
-    used = [int((policy.matrix(n).fan_out > 0).sum()) for n in names[1:] if n != "back"]
-    # the last of them is of the GRU, where there is one
-    return sum(used) + policy.actions + (6 * policy.gru - used[-1] if policy.gru else 0)
-
-
-def _vision_layers(graph: OnnxGraph, policy: FloatVisionPolicy, seen: str) -> None:
-    """Add grid, layers and memory, up to the output."""
-    weights = {name: _array(weight) for name, weight in policy.weights().items()}
-    biases = {name: _array(bias) for name, bias in policy.biases.items()}
-    hidden = _with_traces(graph, policy, _grid(graph, policy, seen))
-    for name in policy.synapses:
-        if name == "gru":
-            widths = policy.inputs("gru"), policy.gru
-            hidden = _gru(graph, hidden, widths, policy.weights(), dict(policy.biases.items()))
-        if name in ("gru", "back"):
-            continue
-        matrix = policy.matrix(name)
-        graph.presynaptic(hidden, policy.inputs(name))
-        weight = graph.constant(f"{name}.weight", weights[name])
-        bias = graph.constant(f"{name}.bias", biases[name])
-        if isinstance(matrix, PrunedKernel):
-            maps = _reshaped(graph, hidden, matrix.source, f"{name}.maps")
-            hidden = graph.node(
-                "Conv", [maps, weight, bias], f"{name}.sums",
-                strides=[matrix.stride] * 2, pads=[matrix.padding] * 4,
-            )  # fmt: skip
-            hidden = _reshaped(graph, hidden, [int(np.prod(matrix.target))], f"{name}.flat")
-        else:
-            hidden = graph.node("Gemm", [hidden, weight, bias], f"{name}.sums", transB=1)
-        if name != "out":
-            hidden = graph.node("Relu", [hidden], f"{name}.rectified")
-    squash = "Identity" if policy.head == "discrete" else "Tanh"
-    graph.node(squash, [hidden], OUTPUTS[policy.head])
-
-
-def _reshaped(graph: OnnxGraph, value: str, shape: Sequence[int], name: str) -> str:
-    sizes = graph.constant(f"{name}.shape", [-1, *shape])
-    return graph.node("Reshape", [value, sizes], name)
-
-
-def _grid(graph: OnnxGraph, policy: FloatVisionPolicy, seen: str) -> str:
-    """Add sums over the cells of the grid; return their name."""
-    if policy.pool == (1, 1):
-        return seen
-    maps = _reshaped(graph, seen, policy.shape, "seen.maps")
-    sizes = {"kernel_shape": policy.pool, "strides": policy.pool}
-    means = graph.node("AveragePool", [maps], "grid.means", **sizes)
-    cells = graph.constant("grid.cells", float(np.prod(policy.pool)))
-    sums = graph.node("Mul", [means, cells], "grid.sums")
-    return _reshaped(graph, sums, [policy.grid], "grid")
-
-
-def _with_traces(graph: OnnxGraph, policy: FloatVisionPolicy, grid: str) -> str:
-    """Add leaky traces of the grid, a state; return the name of both side by side."""
-    count = len(policy.traces)
-    if not count:
-        return grid
-    # r = lambda r + x ; (1 - lambda) r goes on
-    decays = np.repeat(policy.traces, policy.grid)
-    width, decay = decays.size, graph.constant("traces.decay", decays)
-    share = graph.constant("traces.share", 1 - decays)
-    kept = graph.node("Mul", [graph.state("traces", width), decay], "traces.kept")
-    arriving = graph.node("Concat", [grid] * count, "traces.arriving", axis=1)
-    traces = graph.node("Add", [kept, arriving], "traces.sums")
-    graph.next_state(f"{NEXT}traces", traces, width)
-    scaled = graph.node("Mul", [traces, share], "traces.scaled")
-    return graph.node("Concat", [grid, scaled], "traces.beside", axis=1)
-
-
 def _gru(
     graph: OnnxGraph, hidden: str, widths: tuple[int, int], weights: Mapping[str, Tensor],
     biases: Mapping[str, Tensor], copies: int = 1,
@@ -288,7 +204,8 @@ def _gru(
         "GRU", [rows[0], *both, bias, "", rows[1]], "gru.rows",
         hidden_size=widths[1] // copies, linear_before_reset=1,
     )  # fmt: skip
-    now = _reshaped(graph, done, [widths[1]], "gru.memory")
+    sizes = graph.constant("gru.memory.shape", [-1, widths[1]])
+    now = graph.node("Reshape", [done, sizes], "gru.memory")
     graph.next_state(f"{NEXT}{memory}", now, widths[1])
     return now
 

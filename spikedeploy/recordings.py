@@ -19,8 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from spikedeploy.comparison.comparison import Comparison
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.console import say
-from spikedeploy.envs.eye.course import floor_plan
-from spikedeploy.envs.eye.env import KartEyeEnv
 from spikedeploy.envs.kart.track import RADIUS
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.make_env import make_env
@@ -415,8 +413,6 @@ def scene_of(env: Any) -> Scene | None:  # noqa: ANN401
         return _Bodies(body.model, body.data, inner if hasattr(inner, "tiles") else None)
     if hasattr(inner, "track") and hasattr(inner, "pose"):
         return _Kart(inner)
-    if isinstance(inner, KartEyeEnv):
-        return _Corridors(inner)
     return None
 
 
@@ -545,29 +541,6 @@ def _is_picture(frame: object) -> bool:
     if not isinstance(frame, np.ndarray) or frame.dtype != np.uint8:
         return False
     return frame.ndim == 3 and frame.shape[2] == 3
-
-
-_ZOOM = 30.0  # of corridors on the page [px / m]
-_SEEN = 0.6  # drawn half length of a kart in corridors [m], to be found
-
-
-class _Corridors:
-    """A kart in corridors, from above, with signs."""
-
-    def __init__(self, env: KartEyeEnv) -> None:
-        self._env = env
-
-    def shapes(self) -> dict[str, Any]:
-        """Walls, and signs as gates [px]; y points down."""
-        walls, signs = (
-            _round(lines * _ZOOM * (1, -1), 1) for lines in floor_plan(self._env.batch.courses[0])
-        )
-        return {"kind": "track", "walls": walls, "gates": signs, "radius": _SEEN * _ZOOM}
-
-    def pose(self) -> Floats:
-        """(1, 3) x [px], y [px] and heading [rad]."""
-        karts = self._env.batch
-        return np.array([(karts.x[0] * _ZOOM, -karts.y[0] * _ZOOM, -karts.heading[0])])
 
 
 def _round(values: Any, digits: int = 4) -> Any:  # noqa: ANN401

@@ -225,86 +225,6 @@ class PrunedGruConfig(_Section):
     copies: str = ""
 
 
-Triple = tuple[Width, Width, Width]
-Sizes = tuple[Width, ...]
-
-
-class _Convolutions(_Section):
-    """Event counts of a camera into convolutions.
-
-    shape: polarities, rows and columns of the counts
-    channels, kernels, strides: of each convolution
-    """
-
-    shape: Triple = (2, 16, 32)
-    channels: Sizes = (8, 16)
-    kernels: Sizes = (5, 3)
-    strides: Sizes = (2, 2)
-
-    @model_validator(mode="after")
-    def _each_convolution_is_whole(self) -> "_Convolutions":
-        found = {len(self.channels), len(self.kernels), len(self.strides)}
-        if len(found) > 1:
-            raise ValueError(
-                f"channels, kernels and strides are of {len(self.channels)}, {len(self.kernels)} "
-                f"and {len(self.strides)} convolutions. Give each as many numbers"
-            )
-        return self
-
-
-class VisionConfig(_Convolutions):
-    """A float network on event counts, or on sums of them over a grid, with a memory.
-
-    pool: rows and columns of counts that are added up for a cell of the grid
-    traces: decay factors of leaky traces of the grid, which are further inputs
-    hidden: widths of the dense layers
-    gru: width of the GRU; 0 for none
-    """
-
-    kind: Literal["vision"] = "vision"
-    pool: tuple[Width, Width] = (1, 1)
-    traces: tuple[Share, ...] = ()
-    hidden: Sizes = (64,)
-    gru: Count = 64
-
-
-class VisionSnnConfig(_Convolutions):
-    """A spiking network on binary events: convolutions, a hidden layer, leaky readouts.
-
-    most: largest count that is told: "lif" has a channel of 1 and more, one of 2 and more ...; "if"
-        takes counts as so many spikes
-    hidden: neurons of the layer behind the convolutions
-    memory: those of them whose currents decay slowly; "if" has none
-    recurrent: whether these are connected with each other
-    skip: whether the last convolution also reaches the readouts
-    neuron: "lif", whose spikes reset to 0, or "if", for Speck: without leak, bias and recurrence,
-        several spikes a timestep, which subtract
-    clock: as in DeltaSnnConfig
-    """
-
-    kind: Literal["vision-snn"] = "vision-snn"
-    most: Events = 1
-    hidden: Positive = 64
-    memory: Count = 0
-    recurrent: bool = True
-    skip: bool = True
-    neuron: Literal["lif", "if"] = "lif"
-    clock: Literal["gated", "pipelined"] = "pipelined"
-    surrogate_width: Rate = 2.0
-
-    @model_validator(mode="after")
-    def _memory_is_part_of_the_hidden_layer(self) -> "VisionSnnConfig":
-        if self.neuron == "if" and self.recurrent:
-            raise ValueError("recurrent: neurons that are for Speck have no recurrence, set false")
-        most = 0 if self.neuron == "if" else self.hidden
-        if self.memory > most:
-            raise ValueError(
-                f"memory: {self.memory} of {self.hidden} hidden {self.neuron} neurons cannot have "
-                f"slow currents, at most {most} can"
-            )
-        return self
-
-
 PolicyConfig = Annotated[
     MlpConfig
     | PopsanConfig
@@ -313,9 +233,7 @@ PolicyConfig = Annotated[
     | DeltaSnnConfig
     | DeltaMlpConfig
     | PrunedMlpConfig
-    | PrunedGruConfig
-    | VisionConfig
-    | VisionSnnConfig,
+    | PrunedGruConfig,
     Field(discriminator="kind"),
 ]
 
@@ -327,8 +245,6 @@ def spiking_layers(policy: PolicyConfig) -> int:
     """
     if isinstance(policy, DeltaSnnConfig | DeltaMlpConfig):
         return int(policy.hidden > 0)
-    if isinstance(policy, VisionSnnConfig):
-        return len(policy.channels) + 1
     if isinstance(policy, PopsanConfig):  # whose last layer codes the actions
         return len(policy.hidden) + 1
     return len(policy.hidden) if isinstance(policy, SpikingMlpConfig) else 0

@@ -105,6 +105,11 @@ class EnvBatch:
         return len(self._envs)
 
     @property
+    def worlds(self) -> list[Any]:
+        """The environments, with their wrappers."""
+        return self._envs
+
+    @property
     def columns(self) -> dict[str, slice] | None:
         """The environment's OBSERVATION table, None if it has none."""
         return getattr(self._envs[0].unwrapped, "OBSERVATION", None)

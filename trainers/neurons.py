@@ -1,9 +1,9 @@
 """Spiking neurons with surrogate gradients, fused over time, and their firing rates.
 
-Each of `cuba_lif`, `lif`, `integrate_and_fire` and `integrate_many` runs a whole layer over all
-timesteps in one autograd node. The forward pass is the arithmetic of files and chips; the backward
-pass of `cuba_lif` equals snnTorch's `Synaptic` with reset_mechanism="zero", reset_delay=False, in
-which the gradient also flows through the reset.
+Each of `cuba_lif` and `integrate_and_fire` runs a whole layer over all timesteps in one autograd
+node. The forward pass is the arithmetic of files and chips; the backward pass of `cuba_lif` equals
+snnTorch's `Synaptic` with reset_mechanism="zero", reset_delay=False, in which the gradient also
+flows through the reset.
 """
 
 import math
@@ -162,137 +162,6 @@ def _gradients(
     return result
 
 
-def lif(
-    drive: Tensor, beta: Tensor, membrane: Tensor, gradient: Surrogate
-) -> tuple[Tensor, Tensor]:
-    """Return spikes (T, B, N) of leaky neurons with states, and membranes (B, N) behind them.
-
-    drive: (T, B, N) weighted input of each timestep, bias included
-    beta: (N,) decay factors, with a gradient
-    membrane: (B, N) before the first timestep
-
-    A membrane above 1 spikes and is reset to 0; no gradient flows through the reset.
-    """
-    found: tuple[Tensor, Tensor] = _Lif.apply(drive, beta, membrane, gradient)  # type: ignore[no-untyped-call]
-    return found
-
-
-class _Lif(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any,  # noqa: ANN401
-        drive: Tensor,
-        beta: Tensor,
-        membrane: Tensor,
-        gradient: Surrogate,
-    ) -> tuple[Tensor, Tensor]:
-        above = torch.empty(drive.shape, dtype=drive.dtype)  # membranes before the reset
-        x, factors, kept = (each.detach() for each in (drive, beta, membrane.clone()))
-        if usable(drive):
-            x, factors, kept = (each.contiguous() for each in (x, factors, kept))
-            _integrate_lif(x.numpy(), factors.numpy(), kept.numpy(), above.numpy(), _one(drive))
-        else:
-            for one, v in zip(x.unbind(), above.unbind(), strict=True):
-                # V = beta V + x ; s = V > 1 ; V = (1 - s) V
-                torch.add(factors * kept, one, out=v)
-                kept = _behind(v)
-        ctx.save_for_backward(above, factors.contiguous(), membrane)
-        ctx.gradient = gradient
-        behind = _behind(above[-1])
-        ctx.mark_non_differentiable(behind)
-        return (above > 1).to(drive.dtype), behind
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, upstream: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
-        above, beta, membrane = ctx.saved_tensors
-        to_drive = ctx.gradient(above - 1).mul_(upstream)
-        later, to_beta = torch.zeros_like(membrane), torch.zeros_like(membrane)
-        if usable(above):
-            v, factors, first = above.numpy(), beta.numpy(), membrane.contiguous().numpy()
-            filled = later.numpy(), to_beta.numpy(), to_drive.numpy()
-            _differentiate_lif(v, factors, first, *filled, _one(above))
-        else:
-            for t in reversed(range(len(above))):
-                g = to_drive[t].add_(later * (above[t] <= 1))
-                later = g * beta
-                to_beta += g * (_behind(above[t - 1]) if t else membrane)
-        return to_drive, to_beta.sum(0), None, None
-
-
-def _one(tensor: Tensor) -> Array:
-    """Return 1 in the type of a tensor, so that compiled loops stay in it."""
-    one: Array = tensor.new_ones(1).numpy()
-    return one
-
-
-def _behind(membrane: Tensor) -> Tensor:
-    """Return membranes behind the reset."""
-    return membrane * (membrane <= 1)
-
-
-def integrate_many(
-    drive: Tensor, membrane: Tensor, seen: tuple[Tensor, Tensor] | None = None
-) -> tuple[Tensor, Tensor]:
-    """Return spikes (T, B, N) of integrate-and-fire neurons with states, and membranes (B, N).
-
-    drive: (T, B, N) weighted input of each timestep
-    membrane: (B, N) before the first timestep
-    seen: spikes, and membranes behind each timestep, (T, B, N) each, that a chip had; they take the
-        place of what is computed here, so that gradients alone are those of timesteps
-
-    A membrane sends as many spikes in a timestep as the threshold 1 fits into it, which is
-    subtracted as often, and does not fall below -1, as sinabs' IAF layers with MultiSpike.
-    Straight-through gradient, of a rectified sum: above 0 a spike more for 1 more of the membrane,
-    which that spike takes away again; below 0 the membrane is carried on.
-    """
-    found: tuple[Tensor, Tensor] = _IntegrateMany.apply(drive, membrane, seen)  # type: ignore[no-untyped-call]
-    return found
-
-
-class _IntegrateMany(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any,  # noqa: ANN401
-        drive: Tensor,
-        membrane: Tensor,
-        seen: tuple[Tensor, Tensor] | None,
-    ) -> tuple[Tensor, Tensor]:
-        above = torch.empty(drive.shape, dtype=drive.dtype)  # membranes before the reset
-        kept = membrane.clone()
-        if seen is not None:
-            spikes, behind = seen
-            torch.add(drive.detach(), torch.cat([membrane[None], behind[:-1]]), out=above)
-            kept = behind[-1].clone()
-        elif usable(drive):
-            kept = kept.contiguous()
-            x = drive.detach().contiguous().numpy()
-            _integrate_counts(x, kept.numpy(), above.numpy(), _one(drive))
-        else:
-            for one, v in zip(drive.detach().unbind(), above.unbind(), strict=True):
-                # V = V + x ; s = max(floor(V), 0) ; V = max(V - s, -1)
-                torch.add(kept, one, out=v)
-                kept = (v - v.floor().clamp(min=0)).clamp(min=-1)
-        ctx.save_for_backward(above)
-        ctx.mark_non_differentiable(kept)
-        return above.floor().clamp_(min=0) if seen is None else spikes.clone(), kept
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, upstream: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
-        (above,) = ctx.saved_tensors
-        to_drive, later = upstream.clone(), torch.zeros_like(above[0])
-        if usable(above):
-            to_drive = to_drive.contiguous()
-            _differentiate_counts(above.numpy(), later.numpy(), to_drive.numpy(), _one(above))
-        else:
-            for t in reversed(range(len(above))):
-                v = above[t]
-                later = torch.where(v > 0, to_drive[t], later * (v > -1))
-                to_drive[t] = later
-        return to_drive, None, None
-
-
 def integrate_and_fire(drive: Tensor, threshold: float, timesteps: int) -> Tensor:
     """Return the spikes (T, B, N) of integrate-and-fire neurons with a constant drive.
 
@@ -414,72 +283,6 @@ def _differentiate(
             to_membrane[n] = g * beta
             to_current[n] = g + to_current[n] * alpha if alpha else g
             result[t, n] = to_current[n]
-
-
-@jit
-def _integrate_lif(drive: Array, beta: Array, kept: Array, above: Array, one: Array) -> None:
-    """Write membranes (T, B, N) before the reset; `kept` (B, N) are those behind it."""
-    threshold = one[0]
-    nothing = threshold - threshold
-    for t in range(drive.shape[0]):
-        for b in range(drive.shape[1]):
-            for n in range(drive.shape[2]):
-                v = beta[n] * kept[b, n] + drive[t, b, n]
-                above[t, b, n] = v
-                kept[b, n] = nothing if v > threshold else v
-
-
-@jit
-def _differentiate_lif(
-    above: Array,
-    beta: Array,
-    first: Array,
-    later: Array,
-    to_beta: Array,
-    result: Array,
-    one: Array,
-) -> None:
-    """Write gradients (T, B, N) of drives over those of spikes, and (B, N) of decay factors.
-
-    first (B, N) are membranes before the first timestep; later, to_beta (B, N) begin at 0
-    """
-    threshold = one[0]
-    nothing = threshold - threshold
-    for t in range(above.shape[0] - 1, -1, -1):
-        for b in range(above.shape[1]):
-            for n in range(above.shape[2]):
-                g = result[t, b, n] + (nothing if above[t, b, n] > threshold else later[b, n])
-                result[t, b, n] = g
-                later[b, n] = g * beta[n]
-                v = above[t - 1, b, n] if t else first[b, n]
-                to_beta[b, n] += g * (nothing if t and v > threshold else v)
-
-
-@jit
-def _integrate_counts(drive: Array, kept: Array, above: Array, one: Array) -> None:
-    """Write membranes (T, B, N) before the reset; `kept` (B, N) are those behind it."""
-    threshold = one[0]
-    for t in range(drive.shape[0]):
-        for b in range(drive.shape[1]):
-            for n in range(drive.shape[2]):
-                v = kept[b, n] + drive[t, b, n]
-                above[t, b, n] = v
-                kept[b, n] = v - np.floor(v) if v >= threshold else max(v, -threshold)
-
-
-@jit
-def _differentiate_counts(above: Array, later: Array, result: Array, one: Array) -> None:
-    """Write gradients (T, B, N) of drives over those of spikes; later (B, N) begins at 0."""
-    threshold = one[0]
-    nothing = threshold - threshold
-    for t in range(above.shape[0] - 1, -1, -1):
-        for b in range(above.shape[1]):
-            for n in range(above.shape[2]):
-                v = above[t, b, n]
-                carried = later[b, n] if v > -threshold else nothing
-                g = result[t, b, n] if v > nothing else carried
-                result[t, b, n] = g
-                later[b, n] = g
 
 
 _COMPILED = hasattr(_integrate, "py_func")  # without Numba, the loops stay what is written here

@@ -66,7 +66,6 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=20)
     options = parser.parse_args()
     names = [name for name in zoo.names() if zoo.path(name).suffix == ".nir"]
-    names = [name for name in names if not name.startswith("kart-eye/")]  # C encodes no counts
     rows = []
     for name in names:
         if options.only in ("", name):

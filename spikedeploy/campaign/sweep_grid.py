@@ -36,7 +36,7 @@ OWN, NONE = "own", "none"  # the chip's own bits; no disturbance or fault
 _VERSION = 1  # of what a result holds; a higher one makes all results again
 _MOST = 100_000  # jobs: planning takes a second or two for each 10,000
 # what an episode is computed with, by world; other people's worlds may stand on MuJoCo
-_PHYSICS = {"hexapod": ("mujoco",), "kart": ("pymunk",), "eye": ("gymnasium",)}
+_PHYSICS = {"hexapod": ("mujoco",), "kart": ("pymunk",)}
 _OTHERS = ("gymnasium", "mujoco")
 _ALWAYS = ("spikedeploy", "numpy", "onnxruntime")
 

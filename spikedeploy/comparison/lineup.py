@@ -102,7 +102,7 @@ def line_up(
     controls += [each for each in ranked if each not in controls]
     # what looks at no observation has no actions for those of others
     return entries + [
-        Entry(each, None, None if each.format == "pursuit" else ann, setup) for each in controls
+        Entry(each, None, None if each.format == "expert" else ann, setup) for each in controls
     ]
 
 

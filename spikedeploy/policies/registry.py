@@ -41,7 +41,7 @@ FORMATS = {
     "gait": "scripts:ZeroController",
     "random": "scripts:RandomController",
     "gap": "scripts:GapController",
-    "pursuit": "scripts:PursuitController",
+    "expert": "scripts:ExpertController",
     "teacher": "scripts:TeacherController",
     "function": "scripts:TeacherController",
 }
@@ -87,7 +87,7 @@ BUILT_IN = {
     "gait": Candidate("gait", "gait", "gait", "gait"),
     "random": Candidate("random", "random", "random", "random"),
     "gap": Candidate("gap", "gap", "control", "gap"),
-    "pursuit": Candidate("pursuit", "pursuit", "control", "pursuit"),
+    "expert": Candidate("expert", "expert", "control", "expert"),
 }
 _HINT = "`spikedeploy policies` lists what is shipped"
 UNTRAINED = (*BUILT_IN, "function")  # formats of scripts

@@ -13,9 +13,7 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.versions import own
 
 # kinds of policies that are exported as NIR
-SPIKING = (
-    "popsan", "spiking-mlp", "network", "delta-snn", "delta-mlp", "vision-snn",
-)  # fmt: skip
+SPIKING = ("popsan", "spiking-mlp", "network", "delta-snn", "delta-mlp")
 
 
 def settings(run: Path) -> dict[str, Any]:
@@ -78,9 +76,7 @@ def origin(run: Path, checkpoint: str | None = None) -> Provenance:
     config, name = settings(run), deployed_checkpoint(run, checkpoint)
     with checked_record(run / "config.json"):
         recipe, seed = str(config["recipe"]), int(config["seed"])
-        policy = config["policy"]
-        # integrate-and-fire neurons that send several spikes are Speck's, and of no other chip
-        chip = config["chip"] if policy.get("neuron") == "if" else policy.get("chip", "")
+        chip = config["policy"].get("chip", "")
     return Provenance(
         env=env_of(run) or "",
         recipe=recipe,

@@ -89,26 +89,29 @@ class GapController(Player):
         return self._driver.act(observation)
 
 
-class PursuitController(Player):
-    """A script that is told where the road goes, and looks at no observation."""
+class ExpertController(Player):
+    """The environment's own expert, who knows the simulation and looks at no observation."""
 
-    def __init__(self, world: Any) -> None:  # noqa: ANN401
-        self._world = world
+    def __init__(self, expert: "Teacher", chooses: bool) -> None:
+        self._expert, self._chooses = expert, chooses
 
     @classmethod
     def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
-        """The driver of an environment that has one."""
-        if not hasattr(env.unwrapped, "pursue"):
-            raise ConfigError("the pursuit is for environments with an own driver: kart-eye")
-        return cls(env.unwrapped)
+        """The method `expert` of the environment."""
+        from spikedeploy.trainers.distill.teacher import OwnSpaces
+        from spikedeploy.trainers.distill.teachers import expert_of
+
+        expert = expert_of(OwnSpaces.within(env.spec.id if env.spec else "", env)).among([env])
+        return cls(expert, isinstance(env.action_space, gymnasium.spaces.Discrete))
 
     def act(self, observation: Floats) -> NDArray[Any]:
-        """The action () that the environment's driver takes now."""
-        return np.asarray(self._world.pursue())
+        """The action (act,), or () where it is one of several, that the expert takes now."""
+        action = self._expert.act(observation)
+        return np.asarray(action.argmax()) if self._chooses else action
 
     def replay(self, observations: Floats) -> NDArray[Any]:
         """Refused: without the environment in that state nothing is known."""
-        raise ConfigError("the pursuit looks at no observations, so it has no actions for them")
+        raise ConfigError("the expert looks at no observations, so it has no actions for them")
 
     def costs(self, played: Rollout) -> Costs:
         """Nothing is observed, so nothing that counts is computed."""

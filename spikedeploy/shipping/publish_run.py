@@ -28,7 +28,7 @@ from spikedeploy.trainers.sparse.ppo import find_start
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 # the settings of an algorithm that name other runs
-_NEEDED = {"sparse": ("pool", "guide", "start"), "sparse-ppo": ("start",)}
+_NEEDED = {"sparse": ("pool",), "sparse-ppo": ("start",)}
 
 
 def publish_run(

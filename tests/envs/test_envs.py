@@ -19,9 +19,7 @@ everyone = pytest.mark.parametrize("name", envs.ENVS)
 walkers = pytest.mark.parametrize("name", WALKERS)
 WALK_INFO = {"episode_return", "fall"}
 DRIVE_INFO = {"finish", "crash", "stalled", "gates", "lap_time", "x", "y", "heading", "speed"}
-READ_INFO = {"finish", "crash", "wrong", "forks", "lap_time", "x", "y", "heading", "speed"}
 INFO = dict.fromkeys(WALKERS, WALK_INFO) | dict.fromkeys(KARTS, DRIVE_INFO)
-INFO |= {"kart-eye": READ_INFO}
 TASK_INFO = {"reward_terms", "success"}
 
 

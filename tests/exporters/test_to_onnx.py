@@ -8,9 +8,7 @@ from spikedeploy.exporters.to_onnx import to_onnx
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.distill.teachers import onnx_teacher
 from spikedeploy.trainers.policies import (
-    FloatVisionPolicy,
     MlpPolicy,
     PopsanPolicy,
     PrunedGruPolicy,
@@ -158,84 +156,6 @@ def test_a_pruned_policy_with_a_memory_acts_alike_and_counts_its_operations(copi
         for x, matrix in zip(inputs, policy.groups, strict=True)
     ]
     assert OnnxController(path).effective_macs(seen) == pytest.approx(sum(macs))
-
-
-FLAT: dict[str, list[int]] = {"channels": [], "kernels": [], "strides": []}
-SEEING = {
-    "convolutions": {"channels": [3, 4], "kernels": [3, 3], "strides": [2, 1], "gru": 5},
-    "wide": {"channels": [2], "kernels": [5], "strides": [1], "hidden": [], "gru": 3},
-    "grid": {"pool": [2, 4], **FLAT, "gru": 5},
-    "traces": {"pool": [4, 3], "traces": [0.5, 0.9], **FLAT, "hidden": [], "gru": 0},
-    "no memory": {"channels": [3], "kernels": [3], "strides": [2], "gru": 0},
-}
-
-
-def seeing(changes):
-    """A policy that sees 2 x 8 x 15 counts, half of its synapses taken out."""
-    torch.manual_seed(0)
-    policy = FloatVisionPolicy(240, 7, (2, 8, 15), **{"hidden": [6], **changes})
-    with torch.no_grad():
-        policy.normalizer.mean[::2] = 0.5
-        for name in policy.synapses:
-            policy.biases[name].normal_(0, 0.3)
-            policy.matrix(name).mask.bernoulli_(0.5)
-    return policy
-
-
-def logits_of(player, row):
-    return player._run([player._output], row[None], player._states)[0]
-
-
-def counts(steps=60, seed=0):
-    return np.random.default_rng(seed).poisson(0.3, (steps, 240)).astype(float)
-
-
-@pytest.mark.parametrize("name", SEEING)
-def test_a_policy_that_sees_acts_alike_and_remembers(name, tmp_path):
-    policy, seen = seeing(SEEING[name]), counts()
-    path = to_onnx(policy, ORIGIN, tmp_path / "p.onnx")
-    with torch.no_grad():  # all steps in one window
-        window = torch.from_numpy(seen).float()[None]
-        logits = policy.unrolled(window, policy.weights(), policy.rest(1)).mean[0]
-    (check,) = check_parity(policy, path, seen)
-    assert check.passed, check.detail
-    player = OnnxController(path)
-    for seed in (0, 1):  # an episode begins without what the one before it left
-        player.reset(seed)
-        found = np.concatenate([logits_of(player, row) for row in seen])
-        np.testing.assert_allclose(found, logits, atol=1e-5)
-    assert logits.std(0).max() > 0.01
-    player.reset(2)
-    assert player.replay(seen).tolist() == logits.argmax(1).tolist()
-    forgetful = np.concatenate([logits_of(player, row) for row in seen if not player.reset(3)])
-    assert np.allclose(forgetful, logits, atol=1e-5) != bool(policy.gru or policy.traces)
-
-
-@pytest.mark.parametrize("name", SEEING)
-def test_operations_of_a_policy_that_sees_are_those_of_masks_and_inputs(name, tmp_path):
-    policy, seen = seeing(SEEING[name]), counts(10)
-    player = OnnxController(to_onnx(policy, ORIGIN, tmp_path / "p.onnx"))
-    state, count, dense, units = policy.rest(1), 0.0, 0.0, 0
-    for row in torch.from_numpy(seen).float():
-        memory = state[1].clone()
-        with torch.no_grad():
-            _, inputs = policy.advance(row[None], state)
-        for which, x in zip(policy.synapses, inputs, strict=True):
-            matrix = policy.matrix(which)
-            met = matrix.drive((memory if which == "back" else x).ne(0).float(), matrix.mask)
-            count += float(met.sum())
-            dense += float(matrix.drive(torch.ones_like(x), matrix.mask).sum())
-            units += met.numel()
-    assert player.effective_macs(seen) == pytest.approx(count / 10)
-    assert float(player.metadata["macs"]) == pytest.approx(dense / 10)
-    assert 0 < count < dense
-    assert 0 < player.biases <= units / 10  # units that nothing hears add none
-
-
-def test_a_policy_that_remembers_teaches_nobody(tmp_path):
-    path = to_onnx(seeing(SEEING["grid"]), ORIGIN, tmp_path / "p.onnx")
-    with pytest.raises(ConfigError, match=r"2 inputs \(observation, memory\).*cannot teach"):
-        onnx_teacher(str(path), lambda: None, None)
 
 
 def test_files_without_fan_outs_count_all_weights(tmp_path):

@@ -10,14 +10,10 @@ import pytest
 
 from spikedeploy import zoo
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.policies.costs import spiking_costs
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import EVENTS
-from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.config import VisionSnnConfig
-from spikedeploy.trainers.policies import from_config
 from spikedeploy.trainers.policies.delta import delta_artifact
 from tests.delta_policies import delta_mlp
 from tests.networks import chain, cuba, event_driven
@@ -123,15 +119,8 @@ def test_a_delta_network_is_recounted(tmp_path):
     assert costs.effective_acs + costs.effective_macs == pytest.approx(costs.sops)
 
 
-@pytest.mark.parametrize("options", [{"memory": 3}, {"recurrent": False, "most": 2}])
-def test_a_policy_that_sees_by_convolutions_is_recounted(options, tmp_path):
-    torch = pytest.importorskip("torch")
-    torch.manual_seed(2)
-    shape = {"shape": (2, 7, 10), "channels": (3, 4), "kernels": (3, 3), "strides": (2, 2)}
-    policy = from_config(VisionSnnConfig(**shape, hidden=9, **options), 140, 7, head="discrete")
-    events = torch.poisson(torch.full((4, 12, 140), 0.4))
-    policy.normalise(events.to(next(policy.parameters()).dtype))
-    path = to_nir(policy, Provenance("test"), tmp_path / "eyes.nir")
-    seen = np.random.default_rng(4).poisson(0.3, (STEPS + 1, 140)).astype(float)
+def test_a_policy_of_convolutions_is_recounted(tmp_path):
+    path = ROOT / "examples/kart_eye/policies/snn.nir"
+    seen = np.random.default_rng(4).poisson(0.3, (STEPS + 1, 1024)).astype(float)
     found, controller = check(path, tmp_path, seen)
     check_operations(found, controller.ledger)

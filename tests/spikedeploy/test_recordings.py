@@ -175,26 +175,6 @@ def test_a_kart_is_drawn_on_its_track_and_a_cart_pole_is_not_drawn():
     assert scene_of(make_env("CartPole-v1", {})) is None
 
 
-def test_no_wall_is_drawn_where_a_kart_that_sees_drives_and_some_beside_it():
-    env = envs.make("kart-eye", forks=3)
-    env.reset(seed=3)
-    scene = scene_of(env)
-    drawn, places = scene.shapes(), [scene.pose()[0]]
-    over = False
-    while not over:
-        _, _, terminated, truncated, info = env.step(env.unwrapped.pursue())
-        places.append(scene.pose()[0])
-        over = terminated or truncated
-    assert info["finish"]
-    start, end = np.array(drawn["walls"]).swapaxes(0, 1)
-    kart, along = np.array(places)[:, None, :2], end - start
-    share = (((kart - start) * along).sum(-1) / (along**2).sum(-1)).clip(0, 1)[..., None]
-    nearest = np.linalg.norm(kart - start - share * along, axis=-1).min(1) / 30  # [m]
-    assert nearest[:-1].min() > 0.25 - 0.01  # its radius
-    assert nearest.max() < 2.0
-    assert len(drawn["gates"]) == 2 * 3  # signs
-
-
 def test_commands_are_drawn_with_what_followed_them():
     played = record(
         make_env("hexapod-command", {"max_steps": 5}),

@@ -1,7 +1,7 @@
 """Teachers, and an environment's observations and actions as its author has them."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,8 @@ class Teacher:
     env: short name or id of its environment, empty if unknown
     widths: of a multilayer perceptron, from observations to actions; empty if unknown
     restart: called when an episode begins, of a script with a memory
+    asks: of a teacher that knows the simulation: actions (B, act) in B environments, as they are
+        now; `act_all` is refused before it is `among` them
     """
 
     act_all: Callable[[FloatArray], FloatArray]
@@ -39,6 +41,14 @@ class Teacher:
     env: str = ""
     widths: tuple[int, ...] = ()
     restart: Callable[[], object] | None = None
+    asks: Callable[[Sequence[Env[Any, Any]]], FloatArray] | None = None
+
+    def among(self, worlds: Sequence[Env[Any, Any]]) -> "Teacher":
+        """Return the teacher of robots in these environments, the first of each batch first."""
+        if self.asks is None:
+            return self
+        asks = self.asks
+        return replace(self, act_all=lambda observation: asks(worlds[: len(observation)]))
 
     def check_sizes(self, path: str, env: str, sizes: tuple[int, int]) -> None:
         """Refuse a teacher of other numbers of observations and actions than an environment's."""

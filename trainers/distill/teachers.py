@@ -1,6 +1,6 @@
 """Teachers by name: run folders, files, functions and shipped policies."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from importlib.resources import files
@@ -54,6 +54,33 @@ def own_function(name: str, spaces: OwnSpaces, units: Units) -> Teacher:
 
     restart = getattr(act, "reset", None)
     return Teacher(act_all, spaces.observations, spaces.actions, restart=restart)
+
+
+EXPERT = "expert"  # in place of a path: the environment's own method of this name
+
+
+def expert_of(spaces: OwnSpaces) -> Teacher:
+    """Return the environment's own expert as a teacher, which knows the simulation.
+
+    The environment has a method `expert`, which returns the action that it would take now, in the
+    environment's own units; of one of several actions its number, or a logit for each.
+    """
+
+    def asks(worlds: Sequence[Any]) -> FloatArray:
+        inner = [getattr(w.unwrapped, "inner", w).unwrapped for w in worlds]  # behind an AdaptedEnv
+        if missing := [world for world in inner if not hasattr(world, EXPERT)]:
+            raise ConfigError(
+                f"{type(missing[0]).__name__} has no expert: give it a method `expert`, which "
+                "returns the action that it would take now"
+            )
+        with contained(spaces.name, "expert()"):
+            given = [world.expert() for world in inner]
+        return spaces.labels(EXPERT, given, len(inner), "own")
+
+    def refuse(observation: FloatArray) -> FloatArray:
+        raise ConfigError("the expert of an environment acts where it runs, not on observations")
+
+    return Teacher(refuse, spaces.observations, spaces.actions, asks=asks)
 
 
 _TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
@@ -155,8 +182,8 @@ def teacher(
 ) -> Teacher:
     """Return the teacher that a path or name means, which must match the environment.
 
-    path: a run folder, an .onnx, .nir or Stable-Baselines3 .zip file, module:function, or the name
-        of a shipped policy, such as "hexapod/sac"
+    path: a run folder, an .onnx, .nir or Stable-Baselines3 .zip file, module:function, the name of
+        a shipped policy, such as "hexapod/sac", or "expert", that of the environment itself
     options: of the environment, whose own units teachers of other people act in
     units: of their actions: "own", or "scaled" to [-1, 1]; None for what the kind of teacher has
     """
@@ -175,6 +202,8 @@ def open_teacher(
     """Return the teacher as `teacher` does, with spaces of an environment that may be made."""
     path = str(find_shipped(path) or path)
     form = suffix(path)
+    if path == EXPERT:
+        return expert_of(spaces())
     if is_target(path) and not Path(path).exists():
         return own_function(path, spaces(), units or "own")
     if form in (*_SHIPPED, ".zip", *_PICKLES) and not Path(path).is_file():
@@ -237,6 +266,7 @@ def score(teacher: Teacher, env: EnvConfig, config: ValidationConfig) -> float:
     name = "max_episode_steps" if envs.spec(env.name).foreign else "max_steps"
     limit: Mapping[str, Any] = {} if config.limit is None else {name: config.limit}
     made = envs.make(env.name, **{**env.options, **limit})
+    teacher = teacher.among([made])
     if isinstance(made.action_space, Discrete):
         teacher = replace(teacher, act_all=lambda seen: logits(seen).argmax(-1))
     seeds = range(config.first_seed, config.first_seed + config.episodes)

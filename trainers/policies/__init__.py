@@ -7,7 +7,6 @@ policy.py      Policy, what it computes before an action; normalisation; weights
 mlp.py         float multilayer perceptron or linear map; a pruned one, with a skip
 spiking.py     several timesteps an inference: encoders, PopSAN, spiking MLP
 network.py     a network on a chip between code and readout: the user's, or a chip's own neurons
-vision.py      counts of an event camera: convolutions with a GRU, or spiking ones
 copies.py      networks that serve several parts of a body with the same weights
 gru.py         a pruned float policy with a memory
 delta.py       one timestep a control step: delta code, LIF or sigma-delta neurons, NIR graphs
@@ -34,16 +33,10 @@ from spikedeploy.trainers.policies.mlp import MlpPolicy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.network import NetworkPolicy, network_policy
 from spikedeploy.trainers.policies.policy import Head, Latent, Policy
 from spikedeploy.trainers.policies.spiking import PopsanPolicy, SpikingMlpPolicy
-from spikedeploy.trainers.policies.vision import (
-    FloatVisionPolicy,
-    SpikingVisionPolicy,
-    VisionPolicy,
-)
 
 __all__ = [
     "DeltaMlpPolicy",
     "DeltaSnnPolicy",
-    "FloatVisionPolicy",
     "Head",
     "Latent",
     "MlpPolicy",
@@ -53,9 +46,7 @@ __all__ = [
     "PrunedGruPolicy",
     "PrunedMlpPolicy",
     "SpikingMlpPolicy",
-    "SpikingVisionPolicy",
     "StatefulPolicy",
-    "VisionPolicy",
     "build",
     "from_config",
 ]
@@ -69,14 +60,12 @@ _POLICIES: dict[str, Callable[..., Policy]] = {
     "popsan": PopsanPolicy,
     "spiking-mlp": SpikingMlpPolicy,
     "network": NetworkPolicy,
-    "vision": FloatVisionPolicy,
-    "vision-snn": SpikingVisionPolicy,
 }
 
 _WIDTHS = ("hidden", "gru")  # settings that are of each copy
 _SETTINGS: dict[str, Any] = {"delta-snn": DeltaSnnConfig, "delta-mlp": DeltaMlpConfig}
 # those whose states live on through an episode: `rest` and `advance`
-StatefulPolicy: TypeAlias = DeltaSnnPolicy | PrunedGruPolicy | VisionPolicy
+StatefulPolicy: TypeAlias = DeltaSnnPolicy | PrunedGruPolicy
 
 
 def build(spec: Mapping[str, Any]) -> Policy:

@@ -1,7 +1,7 @@
 """Policy: the deployable part of what is trained; its normalisation, and weights with masks."""
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from inspect import signature
 from typing import Any, Literal, TypeVar
@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
-from torch.nn.functional import conv2d, conv_transpose2d, unfold
 
 Head = Literal["continuous", "discrete"]
 _MIN_STD = 0.01  # observations are of order one; a constant one must not be amplified
@@ -269,43 +268,6 @@ def in_bits(policy: P, bits: int, by_row: bool = False) -> P:
             matrix.weight.copy_(steps * scale)
             matrix.mask.copy_(steps != 0)
     return policy
-
-
-class PrunedKernel(PrunedWeight):
-    """Weights (O, I, ky, kx) of a convolution, shared by all positions, and which are left.
-
-    source, target: (I, Y, X) and (O, Y, X) of what sends and receives, both in C order
-    stride: of both axes; zeros surround the source, half a kernel on each side
-    """
-
-    def __init__(self, source: Sequence[int], channels: int, size: int, stride: int) -> None:
-        spread = (2 / (source[0] * size * size)) ** 0.5  # (He et al. 2015)
-        super().__init__(torch.randn(channels, source[0], size, size) * spread)
-        self.source, self.stride, self.padding = tuple(source), stride, size // 2
-        grid = [(n + 2 * self.padding - size) // stride + 1 for n in source[1:]]
-        self.target = (channels, *grid)
-
-    def drive(self, inputs: Tensor, weight: Tensor) -> Tensor:
-        """Return what inputs (n, I·Y·X) bring to each neuron (n, O·Y·X)."""
-        maps = inputs.reshape(-1, *self.source)
-        return conv2d(maps, weight, stride=self.stride, padding=self.padding).flatten(1)
-
-    @property
-    def fan_out(self) -> Tensor:
-        """Synapses (I·Y·X,) that are left of each presynaptic neuron."""
-        ones = self.mask.new_ones(1, *self.target)
-        grid = zip(self.source[1:], self.target[1:], strict=True)
-        size = self.mask.shape[-1] - 2 * self.padding
-        short = [n - (m - 1) * self.stride - size for n, m in grid]
-        return conv_transpose2d(
-            ones, self.mask, stride=self.stride, padding=self.padding, output_padding=short
-        ).flatten()
-
-    def uses(self, rate: Tensor) -> Tensor:
-        """Return operations of each weight (O, I, ky, kx): those of all inputs that it meets."""
-        size = self.mask.shape[2:]
-        met = unfold(rate.view(1, *self.source), size, padding=self.padding, stride=self.stride)
-        return met.sum(-1).view(self.mask.shape[1:]).expand_as(self.mask)
 
 
 @dataclass(frozen=True)

@@ -59,21 +59,13 @@ class SparseConfig(RunConfig):
         "never", or "before-polish", which leaves the encoder as it is in the rounds of polish
     prune_every, prune_until: updates between two prunings, and the share of a level with prunings
     neuron_cost: operations that an update of a neuron counts for when neurons are removed
-    chip: on which policies are validated, and for whose weights they are rounded in training; one
-        that works event by event (speck2f:queue=on) also computes the spikes that policies that see
-        learn from, and their walks
+    chip: on which policies are validated, and for whose weights they are rounded in training
     rounding: whether the forward pass computes with the chip's rounded weights after pruning began
     bits: of float networks: to integers of how many bits it rounds their weights from then on; None
         leaves them in float32
     sharpness: factor of the teacher's logits in the targets of discrete actions
     schedule: of the learning rate before pruning: it falls in each of the dense "rounds", whose
         optimisers are new, or "once" over all of them
-    guide: run folder of a float policy that sees: from the convolutions of its level that is pruned
-        least a spiking student starts, and its outputs are half of what it imitates of actions and
-        all of what it does of signs
-    start: of policies that see: run folder of such a policy, from whose level that is pruned most
-        training starts, with what is pruned; at another control rate with the same time constants
-    sign_weight: of policies that see: weight of what the signs said, beside the actions
     """
 
     teacher: str = ""
@@ -118,9 +110,6 @@ class SparseConfig(RunConfig):
     bits: int | None = Field(default=None, ge=2, le=16)
     sharpness: Rate = 2.0
     schedule: Literal["rounds", "once"] = "rounds"
-    guide: str = ""
-    start: str = ""
-    sign_weight: float = Field(default=1.0, ge=0)
     log_every: Positive = 200
     checkpoint_every: Positive = 1_000
     validation: ValidationConfig = ValidationConfig(every=1_000, episodes=24)

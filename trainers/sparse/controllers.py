@@ -17,12 +17,9 @@ from spikedeploy.trainers.policies import (
     Policy,
     PrunedGruPolicy,
     PrunedMlpPolicy,
-    SpikingVisionPolicy,
     StatefulPolicy,
-    VisionPolicy,
 )
 from spikedeploy.trainers.policies.delta import delta_artifact
-from spikedeploy.trainers.policies.vision import vision_artifact
 from spikedeploy.trainers.sparse.pool import BatchController
 
 FloatArray = NDArray[np.float64]
@@ -84,12 +81,10 @@ class ChipController:
 class MultiplyingController(FloatController):
     """A float policy as a BatchController, with its multiplications with inputs that are not 0."""
 
-    def __init__(self, policy: PrunedMlpPolicy | PrunedGruPolicy | VisionPolicy) -> None:
+    def __init__(self, policy: PrunedMlpPolicy | PrunedGruPolicy) -> None:
         super().__init__(policy)
-        self.policy: PrunedMlpPolicy | PrunedGruPolicy | VisionPolicy = policy
-        if isinstance(policy, VisionPolicy):
-            groups = [policy.matrix(name) for name in policy.synapses]
-        elif isinstance(policy, PrunedGruPolicy):
+        self.policy: PrunedMlpPolicy | PrunedGruPolicy = policy
+        if isinstance(policy, PrunedGruPolicy):
             groups = policy.groups
         else:
             groups = [*policy.layers, *([policy.past] if policy.skip else [])]
@@ -139,8 +134,6 @@ def controller_of(policy: Policy, chip: Chip) -> Counted:
     """Return the policy as the chip runs it; a float policy as it is."""
     if isinstance(policy, DeltaSnnPolicy):
         return ChipController(delta_artifact(policy), chip)
-    if isinstance(policy, SpikingVisionPolicy):
-        return ChipController(vision_artifact(policy), chip)
-    if isinstance(policy, PrunedMlpPolicy | PrunedGruPolicy | VisionPolicy):
+    if isinstance(policy, PrunedMlpPolicy | PrunedGruPolicy):
         return MultiplyingController(policy)
     raise TypeError(f"{type(policy).__name__} is no policy that is pruned")

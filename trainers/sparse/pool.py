@@ -33,13 +33,12 @@ _OUTCOMES = {
 class Walk:
     """One episode of S control steps.
 
-    observation: (S, obs) raw, float32; counts of events in uint8
-    label: (S, act) the teacher's action, or its logits, in each of them; of an event camera what
-        the sign said behind them
+    observation: (S, obs) raw, float32
+    label: (S, act) the teacher's action, or its logits, in each of them
     crashed: whether it ended by a fall or crash
     """
 
-    observation: Single | NDArray[np.uint8]
+    observation: Single
     label: Single
     crashed: bool = False
 
@@ -101,12 +100,7 @@ class Episodes:
     def __init__(self, config: EnvConfig, count: int, limit: int | None = None) -> None:
         self._count, self._limit = count, limit
         self.earned: list[Earned] = []
-        self._make(config)
-
-    def _make(self, config: EnvConfig) -> None:
-        """Make the copies."""
-        every = range(self._count)
-        self._envs: list[Any] = [envs.make(config.name, **config.options) for _ in every]
+        self._envs: list[Any] = [envs.make(config.name, **config.options) for _ in range(count)]
 
     @property
     def lengths(self) -> list[int]:
@@ -276,19 +270,14 @@ class WalkPool:
         self.event_rate = torch.from_numpy(spikes / self.steps).float()
         self.mean_move = distance / self.steps
 
-    def take_observations(self, others: Sequence[Single] = ()) -> None:
-        """Let windows hold the raw observations in `seen`, and nothing in `moved`.
-
-        others: (S, act) further labels of each walk, which stand behind its own
-        """
-        self._take_labels(others)
+    def take_observations(self) -> None:
+        """Let windows hold the raw observations in `seen`, and nothing in `moved`."""
+        self._take_labels()
         self._events, self._timesteps = None, 1
 
-    def _take_labels(self, others: Sequence[Single] = ()) -> None:
+    def _take_labels(self) -> None:
         """Take over lengths (W,) and labels (W, S, act), the last of each walk repeated."""
         labels = [walk.label for walk in self.walks]
-        if others:
-            labels = [np.concatenate(both, 1) for both in zip(labels, others, strict=True)]
         self._length = np.array([len(each) for each in labels])
         missing = self._length.max() - self._length
         pairs = zip(labels, missing, strict=True)
@@ -393,10 +382,9 @@ def load_walks(path: Path, sizes: tuple[int, int]) -> list[Walk]:
         lengths = arrays["length"]
         if not len(lengths) or lengths.min() < 1 or arrays["crashed"].shape != lengths.shape:
             raise ValueError(f"it has {lengths.size} lengths of walks")
-        kinds = {"observation": (np.float32, np.uint8), "label": (np.float32,)}
-        for (name, known), width in zip(kinds.items(), sizes, strict=True):
+        for name, width in zip(("observation", "label"), sizes, strict=True):
             shape, array = (int(lengths.sum()), width), arrays[name]
-            if array.dtype not in known or array.shape != shape or not np.isfinite(array).all():
+            if array.dtype != np.float32 or array.shape != shape or not np.isfinite(array).all():
                 raise ValueError(
                     f"{name} is {array.dtype} {array.shape}, expected finite float32 {shape}"
                 )

@@ -52,7 +52,6 @@ from spikedeploy.trainers.sparse.student import (
     round_for_chip,
     student,
 )
-from spikedeploy.trainers.sparse.vision import VisionStudent
 
 Ends = tuple[Rate, Rate]
 _EPS = 1e-8
@@ -423,7 +422,7 @@ class SparsePpoLearner(Learner):
     def __init__(self, config: SparsePpoConfig, source: SparseConfig, policy: Policy) -> None:
         self._config, self._source, self.policy = config, source, policy
         found = student(policy, source)
-        if isinstance(found, VisionStudent | GruStudent):
+        if isinstance(found, GruStudent):
             raise ConfigError(f"a policy of kind {policy.kind!r} learns by imitation alone")
         if isinstance(found, DeltaStudent):
             found.each_pass = False  # ratios and divergences follow small changes of weights

@@ -19,12 +19,10 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.schema import validate
 from spikedeploy.trainers.config import C, amend
-from spikedeploy.trainers.distill.teacher import Teacher
 from spikedeploy.trainers.distill.teachers import same_teacher, teacher
 from spikedeploy.trainers.env_batch import TRAINING_SEEDS, EnvBatch
 from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, from_config
 from spikedeploy.trainers.policies.policy import Moments, PrunedWeight
-from spikedeploy.trainers.policies.vision import SIGNS
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder, with_prefix
 from spikedeploy.trainers.runner import Learner, Runner, adam, descend, set_rate
@@ -64,15 +62,13 @@ from spikedeploy.trainers.sparse.student import (
     round_for_chip,
     student,
 )
-from spikedeploy.trainers.sparse.vision import EyeEpisodes, VisionStudent
 
 _ENV_COPIES = 50  # copies of the environment
-_PRIVILEGED = "privileged"  # the teacher that knows the simulation
 _DENSE_BUDGET = 4_000.0  # operations for which the penalty is scaled while nothing is pruned
 
 
 # what the operations of each kind of policy are called
-_UNITS = {"delta-snn": "sops", "pruned-mlp": "macs", "pruned-gru": "macs", "vision": "macs"}
+_UNITS = {"delta-snn": "sops", "pruned-mlp": "macs", "pruned-gru": "macs"}
 
 
 def with_budget(config: C, text: str) -> C:
@@ -134,19 +130,16 @@ class Sparse(Runner[SparseConfig]):
         super().__init__(config, run, total, config.checkpoint_every, config.log_every)
         batch = EnvBatch(config.env.model_copy(update={"count": 1}), self._rng)
         self._sizes, self._discrete = batch.sizes, batch.head == "discrete"
-        self._episodes, self._teacher = _taught_episodes(config, self._sizes)
+        self._episodes = Episodes(config.env, _ENV_COPIES, config.validation.limit)
+        self._teacher = teacher(
+            config.teacher, config.env.name, config.env.options, config.teacher_units
+        ).among(self._episodes.worlds)
         self._teacher.check_sizes(config.teacher, config.env.name, self._sizes)
         self.policy = from_config(
             config.policy, *self._sizes, config.normaliser.clip, batch.columns, batch.head
         )
         self.pool = WalkPool()
         self._student = student(self.policy, config)
-        for name in ("guide", "start"):
-            if getattr(config, name) and not isinstance(self._student, VisionStudent):
-                raise ConfigError(
-                    f"{name}: {config.recipe} has a {self.policy.kind} policy, and this is for "
-                    "policies that see by events. Leave it out"
-                )
         self.learner = SparseLearner(config, self._student)
         self.updates = self.phase = self.collections = 0
         self.start = 0.0
@@ -159,7 +152,7 @@ class Sparse(Runner[SparseConfig]):
     def _begin(self) -> None:
         """Let the teacher walk; fit the normaliser and the encoder to what it saw."""
         config = self._config
-        taken = _walks_of(config, self._widths) if config.pool else []  # refused before walks
+        taken = _walks_of(config, self._sizes) if config.pool else []  # refused before walks
         taught = Stateless(self._taught)
         self.teacher_return, self.random_return = self._references(config.validation.seeds)
         if config.search and self.teacher_return <= self.random_return:
@@ -176,10 +169,6 @@ class Sparse(Runner[SparseConfig]):
             self._collect(taught, config.teacher_walks)
         if config.noisy_walks:
             self._collect(Stateless(self._noisy), config.noisy_walks)
-        if isinstance(self._student, VisionStudent):
-            self._student.prepare(self.pool)
-            self._student.begin(self.pool, self._rng)
-            return
         self._fit()
         self._prepare()
         self._set_thresholds()
@@ -212,9 +201,7 @@ class Sparse(Runner[SparseConfig]):
         # what is validated is what walks: with the chip's numbers, once training computes with them
         rounded = not isinstance(self._student, MlpStudent) and self._student.offsets
         walking = self._deployed() if rounded else self.policy
-        by_events = isinstance(self._student, VisionStudent) and self._student.by_events
-        walker = controller_of(walking, self._chip) if by_events else FloatController(walking)
-        self._collect(walker, self._config.walks)
+        self._collect(FloatController(walking), self._config.walks)
         polished = self._phases[self.phase + 1].polish
         when = ("always",) if polished else ("always", "before-polish")
         if self._config.retune in when and isinstance(self.policy, DeltaSnnPolicy):
@@ -249,7 +236,7 @@ class Sparse(Runner[SparseConfig]):
     def _taught(self, observation: NDArray[np.float64]) -> NDArray[Any]:
         """Return the teacher's actions."""
         label = self._teacher.act_all(observation)
-        return label[:, : self._sizes[1]].argmax(-1) if self._discrete else label
+        return label.argmax(-1) if self._discrete else label
 
     def _noisy(self, observation: NDArray[np.float64]) -> NDArray[Any]:
         """Return the teacher's actions with noise."""
@@ -270,12 +257,6 @@ class Sparse(Runner[SparseConfig]):
         self._sums.append(save_walks(walks, pool_file(self._run.path, self.collections)))
         self.collections += 1
         self.pool.add(walks)
-
-    @property
-    def _widths(self) -> tuple[int, int]:
-        """Numbers of an observation and of a label."""
-        sees = isinstance(self._student, VisionStudent)
-        return self._sizes[0], self._sizes[1] + (SIGNS if sees else 0)
 
     @torch.no_grad()
     def _fit(self) -> None:
@@ -387,7 +368,7 @@ class Sparse(Runner[SparseConfig]):
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         self._sums = state["pool_sha256"]
-        self.pool.add(own_walks(self._run.path, self._sums, self._widths))
+        self.pool.add(own_walks(self._run.path, self._sums, self._sizes))
         if "binary" in tensors:
             self._binary = tensors["binary"].numpy()
         self._prepare()
@@ -395,21 +376,6 @@ class Sparse(Runner[SparseConfig]):
             self._ended = [Ended(**each) for each in state["ended"]]
             self._shares, self._confirming = state["shares"], tuple(state["confirming"])
             self._plan_on()
-
-
-def _taught_episodes(config: SparseConfig, sizes: tuple[int, int]) -> tuple[Episodes, Teacher]:
-    """Return copies of the environment, and what is imitated in them."""
-    limit, short = config.validation.limit, envs.spec(config.env.name).short
-    if short == "kart-eye":
-        if config.teacher != _PRIVILEGED:
-            raise ConfigError(
-                f"teacher {config.teacher!r}: {config.env.name} is taught by what the simulation "
-                "knows. Set teacher=privileged"
-            )
-        eyes = EyeEpisodes(config.env, _ENV_COPIES, limit)
-        return eyes, Teacher(eyes.label, *sizes, config.env.name)
-    own = teacher(config.teacher, config.env.name, config.env.options, config.teacher_units)
-    return Episodes(config.env, _ENV_COPIES, limit), own
 
 
 def _walks_of(config: SparseConfig, sizes: tuple[int, int]) -> list[Walk]:

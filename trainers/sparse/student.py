@@ -29,8 +29,6 @@ from spikedeploy.trainers.policies import (
     Policy,
     PrunedGruPolicy,
     PrunedMlpPolicy,
-    SpikingVisionPolicy,
-    VisionPolicy,
 )
 from spikedeploy.trainers.policies.delta import (
     DeltaWeights,
@@ -44,7 +42,6 @@ from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup, in_
 from spikedeploy.trainers.run_folder import with_prefix
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import WalkPool, Windows
-from spikedeploy.trainers.sparse.vision import VisionStudent, rounding_of_kernels, with_weights
 
 FloatArray = NDArray[np.float64]
 _SMOOTHING = 0.02  # weight of the newest batch in mean rates of hidden neurons
@@ -340,7 +337,7 @@ class GruStudent(MlpStudent):
         return []
 
 
-Student = DeltaStudent | MlpStudent | VisionStudent
+Student = DeltaStudent | MlpStudent
 
 
 def _active(activations: Sequence[Tensor]) -> list[Tensor]:
@@ -356,11 +353,9 @@ def student(policy: Policy, config: SparseConfig) -> Student:
         return MlpStudent(policy, config)
     if isinstance(policy, PrunedGruPolicy):
         return GruStudent(policy, config)
-    if isinstance(policy, VisionPolicy):
-        return VisionStudent(policy, config)
     raise ConfigError(
         f"a policy of kind {policy.kind!r} cannot be pruned: choose policy.kind delta-snn, "
-        "pruned-mlp, pruned-gru, vision or vision-snn"
+        "pruned-mlp or pruned-gru"
     )
 
 
@@ -552,8 +547,6 @@ def round_for_chip(policy: Policy, target: Chip, rounding: bool, bits: int | Non
     """
     if bits is not None:
         return in_bits(deepcopy(policy), bits)
-    if rounding and isinstance(policy, SpikingVisionPolicy):
-        return with_weights(policy, rounding_of_kernels(policy, target))
     if not rounding or not isinstance(policy, DeltaSnnPolicy):
         return policy
     offsets, _ = rounding_offsets(policy, target)

@@ -349,12 +349,9 @@ def test_every_node_of_a_shipped_policy_is_judged_by_every_rule(policy, name):
         compile_program(artifact, on)
     elif name.startswith("loihi"):
         failed = {ruling.rule for ruling in found.rulings if ruling.failed}
-        if artifact.trained_for:
-            assert artifact.trained_for == "speck2f"
-            assert {"reset", "compile"} <= failed
-        else:  # neurons of brian2's model have no voltage bias
-            assert (name, failed) == ("loihi1-brian2", {"compile"})
-            assert "/sparse" in policy or policy == "kart-eye/snn"
+        # neurons of brian2's model have no voltage bias
+        assert (name, failed) == ("loihi1-brian2", {"compile"})
+        assert "/sparse" in policy
 
 
 @pytest.mark.parametrize("name", ["speck2f", "odin", "tinyodin", "truenorth"])

@@ -175,7 +175,6 @@ ON_SEVERAL_CORES = (
     "hexapod-command/popsan.nir",
     "hexapod-command/sparse.nir",
     "hexapod-command/sparse-gated.nir",
-    "kart-eye/snn.nir",
 )
 SHIPPED = [
     path for path in zoo.policies() if path.suffix == ".nir" and not load(path).trained_for

@@ -7,8 +7,6 @@ import pytest
 import torch
 
 from spikedeploy import envs
-from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.comparison.lineup import line_up
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.spiking_onnx import OUTPUTS
 from spikedeploy.exporters.to_nir import to_nir
@@ -18,7 +16,7 @@ from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.setup import Setup
 from spikedeploy.trainers.config import SpikingMlpConfig
-from spikedeploy.trainers.policies import FloatVisionPolicy, MlpPolicy, from_config
+from spikedeploy.trainers.policies import MlpPolicy, from_config
 from spikedeploy.trainers.ppo import PpoConfig
 from spikedeploy.trainers.run_folder import RunFolder
 from tests import toy_stroll_env
@@ -126,21 +124,3 @@ def test_an_unknown_head_is_refused(monkeypatch, tmp_path):
     policy.head = "ordinal"
     with pytest.raises(ArtifactError, match="head is 'ordinal'; known are continuous, discrete"):
         find(str(to_onnx(policy, ORIGIN, tmp_path / "p.onnx")))
-
-
-def test_a_float_policy_that_sees_and_remembers_is_compared(tmp_path):
-    torch.manual_seed(0)
-    small = {"channels": [2], "kernels": [3], "strides": [4], "hidden": [4], "gru": 4}
-    policy = FloatVisionPolicy(1024, 7, **small)
-    origin = Provenance("spikedeploy/KartEye-v0", "kart-eye-cnn", 0, 1)
-    file = to_onnx(policy, origin, tmp_path / "cnn.onnx")
-    entries = line_up("kart-eye", [str(file)], (), setup=Setup(set_=("max_steps=12",)))
-    found = compare_policies("kart-eye", entries, range(10_000, 10_002), 1).as_json()
-    again = compare_policies("kart-eye", entries, range(10_000, 10_002), 1).as_json()
-    rows = {row["policy"]: row for row in found}
-    assert list(rows) == ["cnn", "random", "pursuit"]
-    # what looks at no observation is compared by what it earns alone
-    assert (rows["random"]["reference"], rows["pursuit"]["reference"]) == ("cnn", None)
-    seen, dense = rows["cnn"]["effective_macs"], rows["cnn"]["macs_dense"]
-    assert 0 < seen < dense
-    assert seen == again[0]["effective_macs"]  # the second play begins without a memory

@@ -35,8 +35,8 @@ def write(kind, folder):
     return str(makers[kind]())
 
 
-# test_gap.py, test_native.py, test_compared_teachers.py and tests/envs/test_eye.py
-ELSEWHERE = ("gap", "pursuit", ".so", "teacher", "function")
+# test_gap.py, test_native.py, test_compared_teachers.py and tests/examples
+ELSEWHERE = ("gap", "expert", ".so", "teacher", "function")
 
 
 @pytest.mark.parametrize("kind", [kind for kind in FORMATS if kind not in ELSEWHERE])

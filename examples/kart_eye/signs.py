@@ -120,35 +120,22 @@ def _line(*points: tuple[float, float]) -> Points:
     return np.array(points, np.float64)
 
 
-@dataclass(frozen=True)
-class SignBoard:
-    """The picture of a sign.
+def draw_board(rng: np.random.Generator, signs: Signs, arm: int, unseen: bool) -> Floats:
+    """The sign that says which arm is open, +1 right, -1 left, blurred by BLURS, top row first.
 
-    levels  (6, ROWS, COLUMNS) log luminance above the board's, blurred by BLURS; the top row first
-    letters (low, high) [m] of all letters above the board's lower edge
-    tall    height of a letter [m]
+    Returns (6, ROWS, COLUMNS) log luminance above the board's.
     """
-
-    levels: Floats
-    letters: tuple[float, float]
-    tall: float
-
-
-def draw_board(rng: np.random.Generator, signs: Signs, arm: int, unseen: bool) -> SignBoard:
-    """The sign that says which arm is open: +1 right, -1 left."""
     form = draw_form(rng, unseen)
     low = float(rng.uniform(0.3, 0.6))
     room = HEIGHT - (1 + form.stroke) * form.tall - 2 * _BORDER
     picture = np.zeros((ROWS, COLUMNS))
     half = form.stroke * form.tall / 2
     reach = (form.wide / 2 * (1 + 2 * form.serif) + abs(form.slant) / 2) * form.tall + half
-    heights = []
     for place in range(_WORD):
         lines = strokes(LETTERS[int(rng.integers(len(LETTERS)))], form)
         if signs == "chevrons":
             lines = [_line((0.0, 0), (1.0, low), (0.0, 1))]
         lift = float(rng.uniform(-0.5, 0.5)) * room
-        heights += [HEIGHT / 2 + lift - form.tall / 2, HEIGHT / 2 + lift + form.tall / 2]
         aside = float(rng.uniform(-1, 1)) * _ASIDE
         middle = arm * ((place - (_WORD - 1) / 2) * _PITCH + aside)
         contrast = float(rng.uniform(1.0, 1.3)) * (1 if rng.random() < 0.5 else -1)
@@ -164,7 +151,7 @@ def draw_board(rng: np.random.Generator, signs: Signs, arm: int, unseen: bool) -
     frame = np.clip(0.5 + (_BORDER - edge) / TEXEL, 0, 1)
     picture -= _FRAME * frame
     levels = np.stack([rows @ picture @ columns for rows, columns in _blurs()])
-    return SignBoard(levels.astype(np.float32), (min(heights), max(heights)), form.tall)
+    return levels.astype(np.float32)
 
 
 def _centre(lines: list[Points]) -> float:

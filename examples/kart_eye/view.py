@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.eye.course import (
+from examples.kart_eye.course import (
     PERIOD,
     TEXTURE_COLUMNS,
     TEXTURE_ROWS,
     TEXTURES,
     WALL,
 )
-from spikedeploy.envs.eye.signs import BLURS, COLUMNS, ROWS
+from examples.kart_eye.signs import BLURS, COLUMNS, ROWS
 
 Floats = NDArray[np.float32]
 

@@ -4,6 +4,10 @@ signs.py    words as they are or mirrored, and chevrons, drawn anew for every si
 course.py   corridors, forks, gates and textures of an episode
 view.py     first-person views, ray by ray
 batch.py    EyeBatch: many karts at once, options, physics, events, the privileged teacher
-env.py      KartEye-v0: one of them as an environment
+env.py      KartEye: one of them as an environment
 picture.py  pictures: the view, the events, the map
 """
+
+from examples.kart_eye.env import KartEye
+
+__all__ = ["KartEye"]

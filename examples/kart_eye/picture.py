@@ -9,10 +9,10 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from spikedeploy.envs.eye.batch import RADIUS, EyeBatch
-from spikedeploy.envs.eye.course import GATE_AT, HALF, Course, to_world
-from spikedeploy.envs.eye.signs import WIDTH
-from spikedeploy.envs.eye.view import View
+from examples.kart_eye.batch import RADIUS, EyeBatch
+from examples.kart_eye.course import GATE_AT, HALF, Course, to_world
+from examples.kart_eye.signs import WIDTH
+from examples.kart_eye.view import View
 
 Colour = tuple[int, int, int]
 Points = NDArray[np.float64]

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.event_camera import CameraParameters, EventCamera
-from spikedeploy.envs.eye.course import (
+from examples.kart_eye.course import (
     GATE_AT,
     HALF,
     LENGTHS,
@@ -28,9 +27,9 @@ from spikedeploy.envs.eye.course import (
     directions,
     draw_course,
 )
-from spikedeploy.envs.eye.signs import BLURS, COLUMNS, ROWS, Signs
-from spikedeploy.envs.eye.view import EYE, View
-from spikedeploy.runtime.errors import EnvError
+from examples.kart_eye.signs import BLURS, COLUMNS, ROWS, Signs
+from examples.kart_eye.view import View
+from spikedeploy.envs.event_camera import CameraParameters, EventCamera
 
 Floats = NDArray[np.float64]
 
@@ -43,7 +42,6 @@ TURN = 5.0  # [rad/s] at full steering and full speed
 LAG = 0.08  # [s] time constant of the turn rate
 BRAKE = 12.0  # [m/s^2] at a gate, and from it
 RADIUS = 0.25  # of the kart [m]
-READABLE = 5.0  # height of a letter [px]
 HEAD_ON = 0.75  # share of the speed into a wall that is a crash; below it the kart slides
 TAKEN = HALF + 0.3  # of the middle of a fork [m], where an arm has been taken
 CAMERA = CameraParameters(on_threshold=0.25, off_threshold=0.25, mismatch=0.03, shot_noise_hz=0.1)
@@ -80,11 +78,11 @@ class EyeOptions:
 
     def __post_init__(self) -> None:
         if self.signs not in ("letters", "chevrons"):
-            raise EnvError(f"signs must be letters or chevrons, found {self.signs!r}")
+            raise ValueError(f"signs must be letters or chevrons, found {self.signs!r}")
         if self.rate not in RATES:
-            raise EnvError(f"rate must be 60, 240 or 960 Hz, found {self.rate!r}")
+            raise ValueError(f"rate must be 60, 240 or 960 Hz, found {self.rate!r}")
         if not 0 <= self.quiet <= 0.95:
-            raise EnvError(f"quiet must be a share from 0 to 0.95, found {self.quiet!r}")
+            raise ValueError(f"quiet must be a share from 0 to 0.95, found {self.quiet!r}")
 
     @property
     def counted(self) -> tuple[int, int, int]:
@@ -94,7 +92,7 @@ class EyeOptions:
     @property
     def wait(self) -> float:
         """Mean time at a gate [s], by which `quiet` is reached."""
-        # to stop and to go on again takes SPEED / BRAKE longer
+        # to stop and to start again takes SPEED / BRAKE longer
         return self.quiet / (1 - self.quiet) * (sum(LENGTHS) / 2 / SPEED + SPEED / BRAKE)
 
 
@@ -133,8 +131,6 @@ class EyeBatch:
         self._frame = np.zeros((4, batch))  # direction and origin of the corridor, x and y
         self._over, self._go = np.zeros(batch, np.bool_), zeros.copy()  # steps of the physics [s]
         self._length, self._arm = zeros.copy(), np.zeros(batch, np.int64)
-        self._sign, self._letters = np.zeros((2, 2, batch)), np.zeros((2, 3, batch))
-        self._held = np.zeros(batch, np.bool_)
         self._walls = np.full((batch, 2, SIDES, 5), np.nan, np.float32)
         self._planes = np.zeros((batch, PLANES, 8), np.float32)
         self._textures = np.zeros((batch, TEXTURES, TEXTURE_ROWS, TEXTURE_COLUMNS), np.float32)
@@ -145,8 +141,6 @@ class EyeBatch:
         self._time = zeros.copy()  # of the last frames [s]
         self.pixels = np.zeros((batch, 2, *options.shape), np.uint8)
 
-    # episodes
-
     def reset(self, seeds: Sequence[int], which: Sequence[int] | None = None) -> NDArray[np.uint8]:
         """Begin episodes, of all karts or of some; the counts (B, 2, rows, columns), all 0."""
         chosen = range(self.size) if which is None else which
@@ -155,7 +149,6 @@ class EyeBatch:
         self._camera.reset(seeds, chosen)
         self._draw(np.asarray(chosen, np.int64))
         self.pixels[list(chosen)] = 0
-        self._notice()
         return np.zeros((self.size, *self.options.counted), np.uint8)
 
     def _begin(self, b: int, seed: int) -> None:
@@ -178,9 +171,7 @@ class EyeBatch:
         self._hold[b] = course.wait[k]
         self._frame[:, b] = *directions(course.ahead[k]), *course.origin[k]
         self._length[b], self._arm[b] = course.length[k], course.arm[k]
-        self._sign[..., b], self._letters[..., b] = course.sign[k, :, :2], course.letters[k]
         self._walls[b], self._planes[b] = course.local[k].walls, course.local[k].planes
-        self._held[b] = False
 
     def step(
         self, actions: NDArray[np.int64]
@@ -189,8 +180,10 @@ class EyeBatch:
 
         actions  (B,) 0 to 6, index of STEERING
 
-        Returns counts (B, 2, rows, columns), reward (B,), terminated and truncated (B,), and by
-        name what else is known of each (B,).
+        Returns counts (B, 2, rows, columns), reward (B,), terminated and truncated (B,), and an
+        info of arrays (B,): `right`, `wrong` (an arm has been taken, the open one or the other),
+        `crash`, `finish`, `forks` passed, `arm` (+1 where the right arm ahead is open, else -1),
+        and `waiting` at a gate.
         """
         options = self.options
         wanted = -TURN * np.asarray(STEERING)[actions]
@@ -206,7 +199,6 @@ class EyeBatch:
             self._camera.count(self._frames, self._time, self.pixels)
         self.steps += 1
         finish = self.fork >= options.forks
-        self._notice()
         terms: dict[str, Floats] = {
             "progress": 0.1 * (self._travelled - before),
             "right": outcome["right"].astype(np.float64),
@@ -215,7 +207,8 @@ class EyeBatch:
         }
         terminated = finish | outcome["wrong"] | outcome["crash"]
         late = self.steps - self._waited * options.rate >= (options.max_steps or 30 * options.rate)
-        info = {**outcome, "finish": finish, "terms": terms, **self.known()}
+        info = {**outcome, "finish": finish, "forks": self.fork.copy(), "arm": self._arm.copy()}
+        info |= {"waiting": self.speed == 0}
         return (
             self._pooled(),
             sum(terms.values(), np.zeros(self.size)),
@@ -223,40 +216,6 @@ class EyeBatch:
             late & ~terminated,
             info,
         )
-
-    def known(self) -> dict[str, Any]:
-        """What a teacher may know of each kart (B,), and labels for auxiliary losses.
-
-        forks     passed
-        arm       +1 where the right arm ahead is open, else -1
-        visible   letters of a sign of the corridor are in the picture, at least in part
-        readable  all of them are, at a height of READABLE pixels or more
-        hint      0 before the sign was readable, then until the turn 1 for left, 2 for right
-        state     (B, 6) x / 1 m, distance to the fork / 1 m, sin and cos of the heading, both by
-                  the corridor, turn rate / 5 rad/s, speed / 3 m/s
-        waiting   the kart stands at a gate
-        """
-        x, y, angle = self._local()
-        state = np.stack(
-            (
-                x,
-                self._length - y,
-                np.sin(angle),
-                np.cos(angle),
-                self.turn / TURN,
-                self.speed / SPEED,
-            ),
-            1,
-        )
-        return {
-            "forks": self.fork.copy(),
-            "arm": self._arm.copy(),
-            "visible": self._visible.copy(),
-            "readable": self._readable.copy(),
-            "hint": np.where(self._held, (self._arm + 3) // 2, 0),
-            "state": state,
-            "waiting": self.speed == 0,
-        }
 
     def teacher(self) -> Floats:
         """Steering (B,) of the privileged teacher in [-1, 1], positive to the right.
@@ -388,19 +347,3 @@ class EyeBatch:
             for column in range(pool):
                 total += self.pixels[:, :, row::pool, column::pool]
         return np.minimum(total, 255).astype(np.uint8)
-
-    def _notice(self) -> None:
-        """Set which letters are visible and readable, and hold what was read until the turn."""
-        x, y, angle = self._local()
-        x, depth = x - self._sign[:, 0], self._sign[:, 1] - y  # (2, B) of both signs
-        low, high, tall = self._letters[:, 0] - EYE, self._letters[:, 1] - EYE, self._letters[:, 2]
-        far = np.maximum(depth, 0.05)
-        # of the board's middle, to the right of the kart's axis and along it
-        along = far * np.cos(angle) - x * np.sin(angle)
-        aside = -x * np.cos(angle) - far * np.sin(angle)
-        top = self._view.slope[0] * along
-        pixels = tall / np.maximum(along, 0.05) * self.options.shape[1] / 2
-        in_view = (depth > 0.2) & (along > 0.1) & (np.abs(aside) < along)
-        self._visible = (in_view & (low < top)).any(0)
-        self._readable = (in_view & (high < top) & (pixels >= READABLE)).any(0)
-        self._held |= self._readable

@@ -1,24 +1,23 @@
-"""KartEye-v0: one kart of EyeBatch as a gymnasium environment."""
+"""One kart of EyeBatch as a gymnasium environment."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import fields
 from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.eye.batch import STEERING, EyeBatch, EyeOptions, nearest_action
-from spikedeploy.runtime.errors import EnvError
+from examples.kart_eye.batch import STEERING, EyeBatch, EyeOptions
 
 Floats = NDArray[np.float64]
 
 _FADING = 0.04  # [s] in which events fade from a picture
+_WIDTH = 0.12  # of the bell around the teacher's steering [full steering]
 
 
-class KartEyeEnv(gymnasium.Env[Floats, Any]):
+class KartEye(gymnasium.Env[Floats, Any]):
     """Drive by signs that an event camera sees, to where six forks have been passed.
 
     render_mode  "rgb_array" or None
@@ -37,16 +36,11 @@ class KartEyeEnv(gymnasium.Env[Floats, Any]):
     )  # fmt: skip
 
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:  # noqa: ANN401
-        if unknown := set(options) - {field.name for field in fields(EyeOptions)}:
-            raise EnvError(f"kart-eye has no option {min(unknown)!r}; it has those of EyeOptions")
-        if render_mode not in (None, "rgb_array"):
-            raise EnvError(f"render_mode must be None or rgb_array, found {render_mode!r}")
         self.render_mode = render_mode
         self.options = EyeOptions(**options)
         self.CONTROL_DT = 1.0 / self.options.rate
         self.batch = EyeBatch(1, self.options)
         size = math.prod(self.options.counted)
-        self.OBSERVATION = {"events": slice(0, size)}
         self.observation_space = gymnasium.spaces.Box(0.0, 255.0, (size,), np.float64)
         self.action_space: gymnasium.Space[Any] = gymnasium.spaces.Discrete(len(STEERING))
         self.recent = np.zeros((2, *self.options.shape))  # events of each pixel, fading
@@ -65,36 +59,24 @@ class KartEyeEnv(gymnasium.Env[Floats, Any]):
 
     def step(self, action: Any) -> tuple[Floats, float, bool, bool, dict[str, Any]]:  # noqa: ANN401
         """Advance by one control step."""
-        if not self.action_space.contains(action):
-            raise EnvError(f"action {action!r}: give a whole number from 0 to {len(STEERING) - 1}")
         batch = self.batch
         counts, reward, terminated, truncated, info = batch.step(np.array([action]))
         if self.render_mode is not None:
             self.recent *= math.exp(-self.CONTROL_DT / _FADING)
             self.recent += batch.pixels[0]
             self.trail.append((float(batch.x[0]), float(batch.y[0])))
-        terms = {name: float(values[0]) for name, values in info.pop("terms").items()}
-        told = {name: values[0].item() for name, values in info.items() if values.ndim == 1}
-        told |= {
-            "success": told["finish"],
-            "lap_time": float(batch.steps[0]) * self.CONTROL_DT,
-            "x": float(batch.x[0]),
-            "y": float(batch.y[0]),
-            "heading": float(batch.heading[0]),
-            "speed": float(batch.speed[0]),
-            "reward_terms": terms,
-        }
+        first = {name: values[0].item() for name, values in info.items()}
+        first |= {"success": first["finish"], "speed": float(batch.speed[0])}
         ends = bool(terminated[0]), bool(truncated[0])
-        return counts.reshape(-1).astype(np.float64), float(reward[0]), *ends, told
+        return counts.reshape(-1).astype(np.float64), float(reward[0]), *ends, first
 
-    def pursue(self) -> NDArray[np.int64]:
-        """The action () of the privileged teacher, see EyeBatch.teacher."""
-        return np.asarray(nearest_action(self.batch.teacher())[0])
+    def expert(self) -> Floats:
+        """Logits (7,) of what the teacher would do now, who knows the way: a bell around it."""
+        apart = (self.batch.teacher()[0] - np.array(STEERING)) / _WIDTH
+        return np.asarray(-0.5 * apart**2)
 
     def render(self) -> NDArray[np.uint8]:
         """A picture (720, 960, 3): the view, the events, the map."""
-        if self.render_mode is None:
-            raise EnvError('render needs an environment made with render_mode="rgb_array"')
-        from spikedeploy.envs.eye.picture import picture
+        from examples.kart_eye.picture import picture
 
         return picture(self)

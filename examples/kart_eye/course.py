@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.envs.eye.signs import COLUMNS, HEIGHT, ROWS, WIDTH, Signs, draw_board
+from examples.kart_eye.signs import COLUMNS, HEIGHT, ROWS, WIDTH, Signs, draw_board
 
 Floats = NDArray[np.float64]
 
@@ -62,8 +62,6 @@ class Course:
     origin    (n + 1, 2) where each begins
     ahead     (n + 1,) direction, in quarter turns counterclockwise from the x axis
     sign      (n + 1, 2, 3) of the two signs in a corridor: x of the middle, y, lower edge
-    letters   (n + 1, 2, 3) of each: heights above the floor between which its letters stand, and
-              the height of one
     wait      (n,) time [s] that the gate of a corridor stays closed; 0 is no gate
     pictures  (2 n + 3, 6, ROWS, COLUMNS) float32 log luminance of the signs, and of a gate
     textures  (TEXTURES, TEXTURE_ROWS, TEXTURE_COLUMNS) float32 log luminance
@@ -75,7 +73,6 @@ class Course:
     origin: Floats
     ahead: NDArray[np.int64]
     sign: Floats
-    letters: Floats
     wait: Floats
     pictures: NDArray[np.float32]
     textures: NDArray[np.float32]
@@ -107,11 +104,9 @@ def draw_course(seed: int, forks: int, signs: Signs, wait: float) -> Course:
     said = np.concatenate((arm, rng.integers(0, 2, 1) * 2 - 1))
     unseen = seed >= UNSEEN_SEEDS
     boards = [draw_board(rng, signs, int(each), unseen) for each in said.repeat(2)]
-    letters = np.reshape([(*board.letters, board.tall) for board in boards], (-1, 2, 3))
-    letters[..., :2] += above[..., None]
-    pictures = np.stack([board.levels for board in boards] + [_stripes()])
+    pictures = np.stack([*boards, _stripes()])
     textures = _draw_textures(rng)
-    made = Course(arm, length, origin, ahead, sign, letters, waits, pictures, textures, [])
+    made = Course(arm, length, origin, ahead, sign, waits, pictures, textures, [])
     looks: Floats = np.stack(
         (rng.integers(0, TEXTURES, (forks + 3, 3)), rng.uniform(0, PERIOD, (forks + 3, 3))), -1
     )
@@ -201,28 +196,6 @@ def to_world(course: Course, k: int, points: Floats) -> Floats:
     right = np.array([forward[1], -forward[0]])
     found: Floats = course.origin[k] + points[..., :1] * right + points[..., 1:] * forward
     return found
-
-
-def floor_plan(course: Course) -> tuple[Floats, Floats]:
-    """Ends (n, 2, 2) of walls and of signs from above [m]; arms end where a corridor would begin.
-
-    The closed arm of a fork is drawn shut, the open one leads into the next corridor.
-    """
-    walls, signs, w = [to_world(course, 0, np.array([[-HALF, -HALF], [HALF, -HALF]]))], [], HALF
-    for k in range(course.forks):
-        length, arm = course.length[k], course.length[k + 1] + w
-        lines = [((x, w if k else -w), (x, length - w)) for x in (-w, w)]
-        for side in (-1, 1):
-            is_open = side == course.arm[k] and k + 1 < course.forks
-            end = side * (w if is_open else arm)
-            lines += [((0, length + w), (end, length + w))]
-            if not is_open:
-                near, far = (end, length - w), (end, length + w)
-                lines += [((side * w, length - w), near), (near, far)]
-        walls += [to_world(course, k, np.array(line)) for line in lines]
-        across = np.array([[-WIDTH / 2, 0], [WIDTH / 2, 0]])
-        signs += [to_world(course, k, place + across) for place in course.sign[k, :, :2]]
-    return np.array(walls), np.array(signs)
 
 
 def _draw_textures(rng: np.random.Generator) -> NDArray[np.float32]:
