@@ -8,11 +8,10 @@ import numpy as np
 
 from spikedeploy.comparison.metrics import drives
 from spikedeploy.comparison.statistics import FEWEST, paired_difference
-from spikedeploy.policies.registry import BASELINES
 
 Row = Mapping[str, Any]  # of Comparison.as_json
 
-_NAMES = {"gait": "The gait alone", "random": "Drawing actions at random"}
+_NAMES = {"ann": "the float ANN", "gait": "the gait alone", "random": "random actions"}
 
 
 class _Words(NamedTuple):
@@ -23,11 +22,14 @@ class _Words(NamedTuple):
     equal: str
     more: str
     all_more: str
+    others: str
 
 
-_WALK = _Words("returns", "earn less", "earns as much", "earns more", "earn more")
-_RACE = _Words("successes", "finish less often", "finishes as often", "finishes more often",
-               "finish more often")  # fmt: skip
+_RETURN = _Words(
+    "returns", "earn less", "earns as much", "earns more", "earn more", "What the others earn"
+)
+_FINISH = _Words("successes", "finish less often", "finishes as often", "finishes more often",
+                 "finish more often", "How often the others finish")  # fmt: skip
 
 
 def has_few_episodes(row: Row) -> bool:
@@ -47,12 +49,10 @@ def summary(rows: Sequence[Row]) -> str:
     on_chip = [r for r in rows if r["kind"] == "snn" and r["chip"] != "float"]
     # a row alone is what its numbers say
     on_chip = [r for r in on_chip if r["reference"] or (len(rows) > 1 and not _twin(r))]
-    racing, foreign = any(map(drives, rows)), any(row.get("foreign") for row in rows)
-    told = _earns if foreign else _finishes if racing else _keeps
-    words = _RACE if racing else _WALK
+    words = _words(rows)
     sentences = []
     for row in on_chip:
-        sentences.append(told(row))
+        sentences.append(_earns(row))
         if not _twin(row):
             sentences.append(
                 f"{row['policy']} was trained for {row['trained_for']}, and no float twin stands "
@@ -63,9 +63,7 @@ def summary(rows: Sequence[Row]) -> str:
         sentences.append(f"Fewer than {FEWEST} episodes do not show which policies {words.less}.")
     if any("MACs a control step" in sentence for sentence in sentences):
         sentences.append("Neuron updates and the encoder are in neither count.")
-    sentence_of = _baselines if foreign else _race if racing else _controls
-    sentences.append(sentence_of(rows))
-    sentences.append(_covered(rows))
+    sentences += [_others(rows, words), _covered(rows)]
     return " ".join(dict.fromkeys(filter(None, sentences)))  # some say the same of several rows
 
 
@@ -76,8 +74,12 @@ def _twin(row: Row) -> bool:
 
 def smallest_baseline(row: Row, rows: Sequence[Row]) -> Row | None:
     """The trained float policy of fewest operations that is not shown to be worse than the row."""
-    words = _RACE if any(map(drives, rows)) else _WALK
-    return min(_trained(_equal(row, rows, words)), key=macs, default=None)
+    return min(_trained(_equal(row, rows, _words(rows))), key=macs, default=None)
+
+
+def _words(rows: Sequence[Row]) -> _Words:
+    """Return the words of a race where success is a finish, else those of returns."""
+    return _FINISH if any(map(drives, rows)) else _RETURN
 
 
 def macs(row: Row) -> float:
@@ -149,51 +151,35 @@ def _subject(names: Sequence[str]) -> str:
     return f"script{'s' * (len(names) > 1)} {' and '.join(names)}"
 
 
-# sentences on an SNN on a chip beside its float twin
-
-
-def _keeps(row: Row) -> str:
-    """The share of the return, in an environment of ours."""
-    if not _twin(row):
-        return _earns(row)
-    kept = [f"{row['ratio_to_reference']:.1%} of its float twin's return"]
-    if row["ratio_to_float_ann"] is not None:
-        kept.append(f"{row['ratio_to_float_ann']:.1%} of the float ANN's")
-    between = _between(row, "difference_ci95", "+,.0f")
-    return (
-        f"{row['policy']} on {row['chip']} keeps {' and '.join(kept)} "
-        f"({row['difference_mean']:+,.0f} to the twin{between}) "
-        f"and succeeds in {_share(row)} of {describe_episodes(row)}."
-    )
-
-
-def _finishes(row: Row) -> str:
-    """The share of races that it finishes."""
-    said = f"{row['policy']} on {row['chip']} finishes {_share(row)} of {describe_episodes(row)}"
-    if row["success_difference_mean"] is None:
-        return f"{said}."
-    between = _between(row, "success_difference_ci95", "+.1f", 100)
-    other = "its float twin" if _twin(row) else row["reference"]
-    return f"{said} ({100 * row['success_difference_mean']:+.1f} points to {other}{between})."
+# sentences on an SNN on a chip beside its float twin, and on the others
 
 
 def _earns(row: Row) -> str:
-    """The return, in an environment that is not ours."""
-    own = _between(row, "return_ci95", ",.4g").removeprefix(", ")
-    other = "the twin" if _twin(row) else str(row["reference"])
-    whose = "its float twin's return" if _twin(row) else f"the return of {other}"
-    share = row["ratio_to_reference"]
-    kept = "" if share is None else f"{share:.1%} of {whose}, "
+    """Return what a policy earns on a chip, and what is left of its reference's return."""
+    other = "its float twin" if _twin(row) else str(row["reference"])
+    facts = []
+    if row["ratio_to_reference"] is not None:
+        facts.append(f"{row['ratio_to_reference']:.1%} of the return of {other}")
     if row["difference_mean"] is not None:
         between = _between(row, "difference_ci95", "+,.3g")
-        kept += f"{row['difference_mean']:+,.3g} to {other}{between}"
-    succeeded = "" if row["success_rate"] is None else f", and succeeds in {_share(row)} of them"
-    found = "; ".join(filter(None, (own, kept.removesuffix(", "))))
-    more = f" ({found})" if found else ""
-    return (
-        f"{row['policy']} on {row['chip']} earns {row['return_mean']:,.4g}{more} "
-        f"in {describe_episodes(row)}{succeeded}."
-    )
+        facts.append(f"{row['difference_mean']:+,.3g} to {other}{between}")
+    if row.get("ratio_to_float_ann") is not None:
+        facts.append(f"{row['ratio_to_float_ann']:.1%} of the float ANN's")
+    found = f" ({'; '.join(facts)})" if facts else ""
+    said = f"{row['policy']} on {row['chip']} earns {row['return_mean']:,.4g}{found}"
+    return f"{said} in {describe_episodes(row)}{_succeeds(row, other)}."
+
+
+def _succeeds(row: Row, other: str) -> str:
+    """Return `, and succeeds in 97% of them (-1.0 points to its float twin)`."""
+    if row["success_rate"] is None:
+        return ""
+    share = "all" if row["success_rate"] == 1 else f"{row['success_rate']:.0%}"
+    points = row.get("success_difference_mean")
+    if points is None:
+        return f", and succeeds in {share} of them"
+    between = _between(row, "success_difference_ci95", "+.1f", 100)
+    return f", and succeeds in {share} of them ({100 * points:+.1f} points to {other}{between})"
 
 
 def _between(row: Row, field: str, form: str, scale: float = 1) -> str:
@@ -206,44 +192,18 @@ def _between(row: Row, field: str, form: str, scale: float = 1) -> str:
     return f", 95% interval {low} to {high}"
 
 
-def _share(row: Row) -> str:
-    return "all" if row["success_rate"] == 1 else f"{row['success_rate']:.0%}"
-
-
-# sentences on the others
-
-
-def _controls(rows: Sequence[Row]) -> str:
-    """The baseline and the best control."""
-    kinds = (*BASELINES, "control")
-    plain = [r for r in rows if r["kind"] in kinds and r["ratio_to_float_ann"]]
-    if not plain:
-        return ""
-    best = max(plain, key=lambda row: row["return_mean"])
-    baseline = next((row for row in plain if row["kind"] in BASELINES), None)
-    control, share = f"best control ({best['policy']})", f"{best['ratio_to_float_ann']:.1%}"
-    if baseline is None:
-        return f"The {control} earns {share} of the float ANN's return."
-    alone = f"{_NAMES[baseline['kind']]} earns {baseline['ratio_to_float_ann']:.1%}"
-    beside = "" if best is baseline else f", the {control} {share}"
-    return f"{alone} of the float ANN's return{beside}."
-
-
-def _race(rows: Sequence[Row]) -> str:
-    """Shares of races that the float ANN and the controls finish."""
-    ann = next((row for row in rows if row["kind"] == "ann"), None)
-    plain = [row for row in rows if row["kind"] in (*BASELINES, "control")]
-    if not ann or not plain:
-        return ""
-    others = ", ".join(f"{row['policy']} {row['success_rate']:.0%}" for row in plain)
-    return f"The float ANN finishes {ann['success_rate']:.0%}, the controls {others}."
-
-
-def _baselines(rows: Sequence[Row]) -> str:
-    """The float ANN and random actions."""
-    names = {"ann": "The float ANN", **_NAMES}
-    found = [row for row in rows if row["kind"] in names]
-    return " ".join(f"{names[row['kind']]} earns {row['return_mean']:,.4g}." for row in found)
+def _others(rows: Sequence[Row], words: _Words) -> str:
+    """Return what the float ANN, the baseline and the best control earn, or how many finish."""
+    field = "success_rate" if words is _FINISH else "return_mean"
+    form = ".0%" if words is _FINISH else ",.4g"
+    named = {kind: next((r for r in rows if r["kind"] == kind), None) for kind in _NAMES}
+    found = {_NAMES[kind]: row for kind, row in named.items() if row}
+    controls = [row for row in rows if row["kind"] == "control" and row[field] is not None]
+    if controls:
+        best = max(controls, key=lambda row: float(row[field]))
+        found[f"the best control ({best['policy']})"] = best
+    parts = [f"{name} {row[field]:{form}}" for name, row in found.items() if row[field] is not None]
+    return f"{words.others}: {', '.join(parts)}." if parts else ""
 
 
 def _covered(rows: Sequence[Row]) -> str:

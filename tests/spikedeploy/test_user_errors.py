@@ -44,12 +44,6 @@ def test_a_missing_package_names_the_extra_that_has_it(package, extra):
     assert one_line(error) == expected
 
 
-@pytest.mark.parametrize("name", ["experiment", "interop"])
-def test_a_command_that_moved_to_the_lab_says_where_it_is(name, command):
-    code, _, err = command(name, "--quick")
-    assert (code, f"`python -m lab {name}`" in err) == (2, True)
-
-
 @pytest.mark.parametrize(
     ("package", "found", "said"),
     [

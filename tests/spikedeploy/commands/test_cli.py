@@ -51,31 +51,11 @@ def test_what_exists_is_listed_for_people_and_for_machines(verb, field, name, co
     assert err == ""
 
 
-def test_run_prints_rows_and_nothing_else(command, stroll):
-    code, out, _ = command("run", "stroll/popsan", "--episodes", 2, "--json")
-    (row,) = json.loads(out)["rows"]
-    assert code == 0
-    assert (row["policy"], row["kind"], row["chip"]) == ("popsan", "snn", "loihi1")
-    assert len(row["returns"]) == row["episodes"] == 2
-    assert row["energy_per_inference_j"].keys() == {"davies2018", "sanafe", "horowitz45-int8"}
-
-
-FIELDS = {
-    "policy", "kind", "chip", "episodes", "return_mean", "return_iqm", "return_ci95",
-    "success_rate", "ratio_to_float_ann", "action_rmse", "sparsity", "spikes_per_inference",
-    "sops_per_inference", "macs_dense", "energy_per_inference_j", "saturations", "speed", "cot",
-    "heading_error", "first_divergence", "difference_mean", "difference_ci95", "effective_acs",
-    "effective_macs",
-}  # fmt: skip
-
-
-def test_compare_prints_every_promised_field_and_writes_its_report(command, stroll):
+def test_compare_writes_its_report(command, stroll):
     words = ("compare", "stroll", "--episodes", 2, "--workers", 1)
     code, out, _ = command(*words, "--json", "-o", "out")
     document = json.loads(out)
     assert code == 0
-    for row in document["rows"]:
-        assert row.keys() >= FIELDS
     names = {path.name for path in (stroll / "out").iterdir()}
     assert names == {"report.json", "report.html", "report.md", "returns.png", "energy.png"}
     assert json.loads((stroll / "out/report.json").read_text())["rows"] == document["rows"]
@@ -89,7 +69,7 @@ def test_compare_first_shows_one_table_of_80_columns(command, stroll):
     assert head.split() == ["policy", "return", "of", "ANN", "success", "operations", "energy"]
     assert len(rows) == 4  # sac, popsan in float and on loihi1, gait
     assert all(len(line) <= 80 for line in [head, *rows])
-    assert "The gait alone earns" in " ".join(out.split())
+    assert "What the others earn: the float ANN" in " ".join(out.split())
     assert "by horowitz45-int8" in out
     assert not any("sanafe" in line for line in [head, *rows])
 

@@ -76,16 +76,13 @@ def test_names_of_files_are_shown_as_they_are_and_are_no_markup(document, tmp_pa
 CONTROLS = {"effective_macs": None}
 ALONE = {"foreign": True, "return_ci95": (2900.0, 3100.0)}
 SENTENCES = {
-    "popsan on loihi1 keeps 99.0% of its float twin's return and 98.5% of the float ANN's (-20 to "
-    "the twin, 95% interval -40 to +1) and succeeds in all of 5 episodes.": [
+    "popsan on loihi1 earns 2,955 (99.0% of the return of its float twin; -20.4 to its float twin, "
+    "95% interval -40 to +1; 98.5% of the float ANN's) in 5 episodes, and succeeds in all": [
         row("sac", "ann"), row("popsan", "snn", "loihi1", 0.985)],
-    "popsan on loihi1 earns 3,000 (95% interval 2,900 to 3,100; 99.0% of its float twin's return, "
-    "-20.4 to the twin, 95% interval -40 to +1) in 5 episodes, and succeeds in all": [
-        row("popsan", "snn", "loihi1", **ALONE)],
-    "popsan on loihi1 earns 3,000 (99.0% of its float twin's return, -20.4 to the twin) in 4 "
-    "episodes, too few for an interval, and succeeds in all of them.": [
+    "-20.4 to its float twin; 100.0% of the float ANN's) in 4 episodes, too few for an interval": [
         row("popsan", "snn", "loihi1", **ALONE, episodes=4)],
-    "The gait alone earns 50.0% of the float ANN's return, the best control (linear) 60.0%. ": [
+    "What the others earn: the float ANN 3,000, the gait alone 1,500, the best control (linear) "
+    "1,800.": [
         row("sac", "ann"), row("gait", "gait", ratio=0.5), row("linear", "control", ratio=0.6)],
     "The smallest float policy not shown to earn less is linear: 1,386 dense MACs a control step, "
     "to 48 synaptic operations and 18 MACs of popsan. Neuron updates": [
@@ -133,8 +130,8 @@ def test_of_few_episodes_the_sentence_has_no_interval_and_no_verdict(episodes):
     ])  # fmt: skip
     remark = {1: "1 episode"}.get(episodes, f"{episodes} episodes, too few for an interval")
     assert found.startswith(
-        "popsan on loihi1 keeps 99.0% of its float twin's return and 98.5% of the float ANN's "
-        f"(-20 to the twin) and succeeds in all of {remark}. sparse on"
+        "popsan on loihi1 earns 2,955 (99.0% of the return of its float twin; -20.4 to its float "
+        f"twin; 98.5% of the float ANN's) in {remark}, and succeeds in all of them. sparse on"
     )
     assert "95%" not in found
     assert "Intervals" not in found
