@@ -7,13 +7,11 @@ function within another, is kept here for this process, as in `spikedeploy.objec
 import copy
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.setup import option_texts
 
 if TYPE_CHECKING:
     import gymnasium
@@ -92,24 +90,5 @@ _PREDICT: dict[int, tuple[object, Callable[[object], object]]] = {}
 
 
 def overrides_of(settings: Mapping[str, Any] | Sequence[str]) -> list[str]:
-    """Settings as `--set` takes them, of text or of a dict, nested or with dots in its keys."""
-    if not isinstance(settings, Mapping):
-        return list(settings)
-    found = []
-    for key, value in settings.items():
-        if isinstance(value, Mapping):
-            found += [f"{key}.{inner}" for inner in overrides_of(value)]
-        else:
-            found.append(f"{key}={dumps(value, default=_plain)}")
-    return found
-
-
-def _plain(value: object) -> object:
-    """A number, array or path as JSON has them."""
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    if isinstance(value, Path):
-        return str(value)
-    raise ConfigError(
-        f"a setting is a {type(value).__name__}, {value!r}; it is text, a number, a list or a dict"
-    )
+    """Return settings as `--set` takes them, of text or of a dict, nested or with dots."""
+    return option_texts(settings) if isinstance(settings, Mapping) else list(settings)

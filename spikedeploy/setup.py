@@ -9,6 +9,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -178,7 +179,7 @@ class Setup(OnChip):
         """Return the setup of an environment with options as `envs.make` takes them."""
         rest = {name: value for name, value in options.items() if name not in _OWN_OPTIONS}
         return cls(
-            set_=tuple(_texts(rest)),
+            set_=tuple(option_texts(rest)),
             success=options.get("success"),
             disturb=tuple(options.get("disturb", ())),
             **more,
@@ -251,12 +252,23 @@ def parse_options(texts: Iterable[str]) -> dict[str, Any]:
     return options
 
 
-def _texts(options: Mapping[str, Any]) -> list[str]:
-    """Return the texts of which `parse_options` makes these options."""
+def option_texts(options: Mapping[str, Any]) -> list[str]:
+    """Return the texts of which `parse_options` makes these options: nested, or with dots."""
     found = []
     for name, value in options.items():
         if isinstance(value, Mapping) and value:
-            found += [f"{name}.{text}" for text in _texts(value)]
+            found += [f"{name}.{text}" for text in option_texts(value)]
         else:
-            found.append(f"{name}={json.dumps(value)}")
+            found.append(f"{name}={json.dumps(value, default=_plain)}")
     return found
+
+
+def _plain(value: Any) -> object:  # noqa: ANN401
+    """Return a number, an array of NumPy or a path as JSON has them."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    raise ConfigError(
+        f"a setting is a {type(value).__name__}, {value!r}; it is text, a number, a list or a dict"
+    )

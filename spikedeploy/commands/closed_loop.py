@@ -138,7 +138,7 @@ def run(
     if video:
         check_output("--video", video, (policy,), force, lambda path: has_text(path, mark("run")))
     if output:
-        _check_report_folder(output, [policy], force, setup)
+        _check_output_folder(output, [policy], force, setup)
     setup.check()
     clock.check(video is not None, episodes > 1)
     if via is not None:
@@ -220,7 +220,7 @@ def _adopt(
     return str(adopt(policy, codec, force, check, **convention))
 
 
-def _check_report_folder(output: Path, inputs: Sequence[str], force: bool, setup: Setup) -> None:
+def _check_output_folder(output: Path, inputs: Sequence[str], force: bool, setup: Setup) -> None:
     from spikedeploy.outputs import check_output_folder
     from spikedeploy.reports import comparison as report
 
@@ -311,7 +311,7 @@ def compare(
         raise typer.BadParameter("--teacher-units goes with --teacher")
     if output:
         inputs = [*(files or ()), *([teacher] if teacher else ())]
-        _check_report_folder(output, inputs, force, setup)
+        _check_output_folder(output, inputs, force, setup)
     setup.check()
     policies = [runnable(file) for file in files or ()]
     taught = teacher_candidate(runnable(teacher), teacher_units) if teacher else None
