@@ -12,7 +12,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from spikedeploy import zoo
-from spikedeploy.commands.closed_loop import settings as settings_of
 from spikedeploy.emulation.open_loop import emulate_artifact
 from spikedeploy.emulation.rasters import read_inputs
 from spikedeploy.envs.kart import track as track_file
@@ -64,7 +63,7 @@ def policy(path):
 def card(path):
     """Read what `reproduce` takes from a card beside a policy."""
     shutil.copyfile(zoo.FOLDER / "kart-steer/linear.onnx", path.parent / "linear.onnx")
-    read_evaluation(str(path), settings_of)
+    read_evaluation(str(path))
 
 
 def configuration(path):

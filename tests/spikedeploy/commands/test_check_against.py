@@ -12,10 +12,10 @@ import pytest
 from typer.testing import CliRunner
 
 from spikedeploy.cli import app
-from spikedeploy.commands.options import Reading
 from spikedeploy.emulation.other_readings import CHOICES, find_cause, find_difference
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.float_model import FloatGraph
+from spikedeploy.setup import Reading
 from tests.networks import chain, cuba, lif
 from tests.paths import ROOT
 
