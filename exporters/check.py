@@ -1,6 +1,6 @@
-"""What an export returns, and its checks: what was compared, on which spikes, the counters."""
+"""What an export returns, and its checks: what was compared, on which spikes."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.errors import ConfigError
 
 _RATE = 0.3  # spikes of an input in a timestep
-_BATCH = 250  # observations; each takes a few kilobytes of spikes in a PopSAN
 
 
 @dataclass(frozen=True)
@@ -69,48 +68,32 @@ class Exported:
         return {**found, **self.facts}
 
 
-@dataclass
-class MismatchCounter:
-    """Counts of compared integers, such as spikes, and of those that differ."""
-
-    compared: int = 0
-    differing: int = 0
-
-    def add(
-        self, one: Mapping[str, NDArray[np.integer]], other: Mapping[str, NDArray[np.integer]]
-    ) -> None:
-        """Compare the rasters (B, T, N) of every layer of `one` with those in `other`."""
-        for name, raster in one.items():
-            self.compared += raster.size
-            self.differing += int(np.count_nonzero(raster != other[name]))
-
-    def __str__(self) -> str:
-        found = f"{self.differing:,} differ" if self.differing else "all equal"
-        return f"{self.compared:,} compared, {found}"
+def compare_integers(
+    name: str,
+    one: Mapping[str, NDArray[np.integer[Any]]],
+    other: Mapping[str, NDArray[np.integer[Any]]],
+) -> ParityCheck:
+    """Compare arrays of integers, such as the spikes (B, T, N) of every layer of `one`."""
+    compared = sum(each.size for each in one.values())
+    differing = sum(int(np.count_nonzero(each != other[key])) for key, each in one.items())
+    found = f"{differing:,} differ" if differing else "all equal"
+    return ParityCheck(name, bool(compared) and not differing, f"{compared:,} compared, {found}")
 
 
-@dataclass
-class LargestDifference:
-    """The largest absolute difference so far."""
+def compare_floats(
+    name: str, one: NDArray[np.floating[Any]], other: NDArray[np.floating[Any]], limit: float
+) -> ParityCheck:
+    """Compare arrays (B, act), which may differ by a limit."""
+    apart = largest_difference(one, other)
+    detail = f"{len(one):,} observations, largest difference {apart:.1e}, limit {limit:.0e}"
+    return ParityCheck(name, apart <= limit, detail)
 
-    largest: float = 0.0
 
-    def add(self, one: NDArray[np.floating], other: NDArray[np.floating]) -> None:
-        """Compare two arrays of actions (B, act)."""
-        # np.max passes NaN on, so that a NaN is a difference
-        self.largest = float(np.max([self.largest, np.abs(one - other).max()]))
-
-    def within(self, limit: float) -> bool:
-        """Return True if no difference exceeds the limit."""
-        return self.largest <= limit
+def largest_difference(one: NDArray[np.floating[Any]], other: NDArray[np.floating[Any]]) -> float:
+    """Return the largest absolute difference; NaN where there is one, which is within no limit."""
+    return float(np.abs(one - other).max())
 
 
 def random_spikes(rng: np.random.Generator, *shape: int) -> NDArray[np.uint8]:
     """Independent input spikes of this shape, at a rate of 0.3 for each timestep."""
     return (rng.random(shape) < _RATE).astype(np.uint8)
-
-
-def batches(observations: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield the observations in batches of BATCH."""
-    for start in range(0, len(observations), _BATCH):
-        yield observations[start : start + _BATCH]

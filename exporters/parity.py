@@ -9,13 +9,14 @@ chip, compiled with all design rules; how far its float twin is from that is rep
 
 In float32, which training uses, a few membranes fall on the other side of a threshold; their number
 is reported, not checked. A random encoder uses the same generator on both sides. Each observation
-is an inference of its own, before which states and levels of a code are 0. An ONNX file is
-compared in ONNX Runtime with the policy in torch, of a spiking policy with its float twin.
+is an inference of its own, before which states and levels of a code are 0; those of a policy that
+keeps its states are one episode. An ONNX file is compared in ONNX Runtime with the policy in torch,
+of a spiking policy with its float twin.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +26,19 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from spikedeploy.exporters import spiking_onnx
-from spikedeploy.exporters.check import LargestDifference, MismatchCounter, ParityCheck, batches
-from spikedeploy.exporters.spiking_onnx import OBSERVATION, OUTPUTS
+from spikedeploy.exporters.check import (
+    ParityCheck,
+    compare_floats,
+    compare_integers,
+    largest_difference,
+)
+from spikedeploy.exporters.onnx_graph import OBSERVATION, OUTPUTS
 from spikedeploy.exporters.to_nir import SpikingPolicy, artifact
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.rate import Xorshift
-from spikedeploy.runtime.compiler.compile import compile_program as compiled
+from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError
@@ -52,6 +58,128 @@ from spikedeploy.trainers.policies.spiking import CodedPolicy, TorchRateEncoder
 
 # (B, T) -> random bytes (B, T, M), as the methods of Xorshift
 RandomBytes = Callable[[int, int], NDArray[np.uint8]]
+Numbers = NDArray[np.float64]
+Spikes = dict[str, NDArray[np.integer[Any]]]
+
+# of an action in [-1, 1] or a score: sums in different order, of float64 and of float32
+_FLOAT64_TOLERANCE, _FLOAT32_TOLERANCE = 1e-9, 1e-5
+_ALONE = 100  # observations that are also passed one by one, as in a control loop
+
+
+def check(policy: Policy, path: str | Path, observations: ArrayLike) -> list[ParityCheck]:
+    """Return the checks of the file against the policy on observations (n, obs)."""
+    path = Path(path)
+    if suffix(path) not in (".nir", ".onnx"):
+        raise ConfigError(f"{path}: parity is defined for files that end in .nir or .onnx")
+    recorded = np.asarray(observations, dtype=np.float64)
+    if recorded.ndim != 2 or recorded.shape[1] != policy.observations or not len(recorded):
+        raise ObservationError(
+            f"parity needs observations of shape (n, {policy.observations}), at least one; "
+            f"found {recorded.shape}"
+        )
+    spikes = isinstance(policy, SpikingPolicy | DeltaSnnPolicy)
+    if suffix(path) == ".nir":
+        if not spikes:
+            raise ConfigError(f"{path}: a policy of kind {policy.kind!r} has no spikes to compare")
+        return _nir_checks(policy, path, recorded)
+    if spikes:
+        return spiking_onnx.checks(artifact(policy, Provenance("")), path, recorded)
+    return _onnx_checks(deepcopy(policy).float(), path, recorded)
+
+
+@dataclass(frozen=True)
+class _Behaviour:
+    """What one implementation does.
+
+    spikes: (B, T, N) of the input and of each layer.
+    actions: (B, act); scores where one of several is chosen.
+    choices: (B,) indices of what is chosen, if so.
+    """
+
+    spikes: Spikes
+    actions: Numbers
+    choices: NDArray[np.int64] | None = None
+
+    def checks(self, name: str, other: "_Behaviour") -> list[ParityCheck]:
+        """Compare every spike, and the actions."""
+        what = "actions" if self.choices is None else "scores"
+        found = [
+            compare_integers(f"spikes: {name}", self.spikes, other.spikes),
+            compare_floats(f"{what}: {name}", self.actions, other.actions, _FLOAT64_TOLERANCE),
+        ]
+        return found + self._choices(f"choices: {name}", other)
+
+    def _choices(self, name: str, other: "_Behaviour") -> list[ParityCheck]:
+        if self.choices is None or other.choices is None:
+            return []
+        return [compare_integers(name, {"": self.choices}, {"": other.choices})]
+
+    def report(self, name: str, other: "_Behaviour") -> ParityCheck:
+        """Report a difference, such as that of float32, for information only."""
+        spikes = compare_integers(name, self.spikes, other.spikes)
+        apart = largest_difference(self.actions, other.actions)
+        detail = f"{spikes.detail}; largest difference of an action {apart:.1e}"
+        for each in self._choices("", other):
+            detail += f"; choices: {each.detail}"
+        return ParityCheck(f"for information: {name}", True, detail)
+
+
+def _nir_checks(policy: Any, path: Path, observations: Numbers) -> list[ParityCheck]:  # noqa: ANN401
+    stated = load(path)
+    codec = stated.codec
+    if codec is None:
+        raise ArtifactError(f"{path} has no codec: it was written by another tool. Export again.")
+    is_episode, seen = isinstance(policy, DeltaSnnPolicy), torch.from_numpy(observations)
+    by_torch: Callable[..., _Behaviour] = _by_steps if is_episode else _by_torch
+    raster = codec.encode_episode(observations) if is_episode else codec.encode(observations)
+    if is_episode:  # one long inference (1, S T, M)
+        raster = raster.reshape(1, -1, codec.encoder.width)
+    on = policy.target if isinstance(policy, NetworkPolicy) else chip("ideal")
+    double = by_torch(deepcopy(policy).double(), seen)
+    single = by_torch(deepcopy(policy).float(), seen.float())
+    twin = _decode(codec, *_by_numpy(FloatGraph(stated), raster), is_episode)
+    compiled = _decode(codec, *_by_machine(compile_program(stated, on), raster), is_episode)
+    if isinstance(policy, NetworkPolicy):
+        return [
+            *double.checks(f"torch = compiled for `{on.name}`, integers", compiled),
+            single.report(f"torch with a float32 encoder against `{on.name}`", compiled),
+            twin.report(f"NumPy float64 of the file against `{on.name}`", compiled),
+        ]
+    return [
+        *double.checks("torch = NumPy, float64", twin),
+        *twin.checks(f"NumPy = compiled for `{on.name}`, float64", compiled),
+        single.report("torch float32 against NumPy float64", twin),
+    ]
+
+
+@torch.no_grad()
+def _by_steps(policy: DeltaSnnPolicy, observations: Tensor) -> _Behaviour:
+    """Return what a policy in torch does in the control steps (S, obs) of an episode."""
+    state = policy.rest(1)
+    rows = [policy.advance(observation[None], state) for observation in observations]
+    mean, events, hidden = (torch.cat(column) for column in zip(*rows, strict=True))
+    events, hidden = events.flatten(0, 1), hidden.flatten(0, 1)
+    spikes: Spikes = {"input": event_channels(policy, events.numpy())[None]}
+    for node, live in live_layers(policy).items():
+        spikes[node] = hidden[:, live].numpy().astype(np.int64)[None]
+    if policy.head == "continuous":
+        return _Behaviour(spikes, _numbers(torch.tanh(mean)))
+    return _Behaviour(spikes, _numbers(mean), mean.argmax(-1).numpy())
+
+
+@torch.no_grad()
+def _by_torch(policy: SpikingPolicy, observation: Tensor) -> _Behaviour:
+    if isinstance(policy, PopsanPolicy):
+        spikes = policy.trace(observation)
+        action = spikes.pop("action")
+        return _Behaviour(_arrays(spikes), _numbers(action))
+    input_spikes = input_spikes_of(policy, observation, Xorshift(0, policy.observations).draw)
+    spikes = policy.trace(observation, input_spikes.transpose(0, 1))
+    action = spikes.pop("action")
+    if policy.head == "continuous":
+        return _Behaviour(_arrays(spikes), _numbers(action))
+    scores = policy.forward_spikes(input_spikes).mean
+    return _Behaviour(_arrays(spikes), _numbers(scores), action.numpy())
 
 
 def input_spikes_of(policy: CodedPolicy, observation: Tensor, rng: RandomBytes) -> Tensor:
@@ -65,152 +193,15 @@ def input_spikes_of(policy: CodedPolicy, observation: Tensor, rng: RandomBytes) 
     return spikes.to(observation.dtype)
 
 
-_FLOAT64_TOLERANCE = 1e-9  # of an action in [-1, 1] or a score: float64 sums in different order
-
-Spikes = dict[str, NDArray[np.integer[Any]]]
-Numbers = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class _PolicyOutput:
-    """Spikes and actions of one implementation on a batch.
-
-    spikes: (B, T, N) of the input and of each layer
-    actions: (B, act); scores where one of several is chosen
-    choices: (B,) indices of what is chosen, if so
-    """
-
-    spikes: Spikes
-    actions: NDArray[np.float64]
-    choices: NDArray[np.int64] | None
-
-
-@dataclass
-class _ImplementationPair:
-    """Two implementations compared: every spike, and the actions."""
-
-    spikes: MismatchCounter = field(default_factory=MismatchCounter)
-    actions: LargestDifference = field(default_factory=LargestDifference)
-    choices: MismatchCounter = field(default_factory=MismatchCounter)
-
-    def add(self, one: _PolicyOutput, other: _PolicyOutput) -> None:
-        self.spikes.add(one.spikes, other.spikes)
-        self.actions.add(one.actions, other.actions)
-        if one.choices is not None and other.choices is not None:
-            self.choices.add({"choice": one.choices}, {"choice": other.choices})
-
-    def checks(self, name: str) -> list[ParityCheck]:
-        gap = f"largest difference {self.actions.largest:.1e}, limit {_FLOAT64_TOLERANCE:.0e}"
-        spikes = ParityCheck(f"spikes: {name}", not self.spikes.differing, str(self.spikes))
-        within = self.actions.within(_FLOAT64_TOLERANCE)
-        if not self.choices.compared:
-            return [spikes, ParityCheck(f"actions: {name}", within, gap)]
-        chosen = ParityCheck(f"choices: {name}", not self.choices.differing, str(self.choices))
-        return [spikes, ParityCheck(f"scores: {name}", within, gap), chosen]
-
-    def report(self, name: str) -> ParityCheck:
-        """Report a difference, such as that of float32, for information only."""
-        detail = f"{self.spikes}; largest difference of an action {self.actions.largest:.1e}"
-        if self.choices.compared:
-            detail += f"; choices: {self.choices}"
-        return ParityCheck(f"for information: {name}", True, detail)
-
-
-def _nir_checks(policy: Policy, path: Path, observations: NDArray[np.float64]) -> list[ParityCheck]:
-    """Return the checks of the file on observations (n, obs).
-
-    Those of a policy with states are one episode, in their order: one long inference.
-    """
-    if not isinstance(policy, SpikingPolicy | DeltaSnnPolicy):
-        raise ConfigError(f"{path}: a policy of kind {policy.kind!r} has no spikes to compare")
-    stated = load(path)
-    codec = stated.codec
-    if codec is None:
-        raise ArtifactError(f"{path} has no codec: it was written by another tool. Export again.")
-    is_chip, is_episode = isinstance(policy, NetworkPolicy), isinstance(policy, DeltaSnnPolicy)
-    on = policy.target if isinstance(policy, NetworkPolicy) else chip("ideal")
-    graph, program = FloatGraph(stated), compiled(stated, on)
-    double, single = deepcopy(policy).double(), deepcopy(policy).float()
-    compared: Sequence[tuple[str, str, str]] = _COMPARED_ON_A_CHIP if is_chip else _COMPARED
-    pairs = [_ImplementationPair() for _ in compared]
-    for batch in [observations] if is_episode else batches(observations):
-        raster = _one_run(codec, batch) if is_episode else codec.encode(batch)
-        by_torch: Any = _by_steps if is_episode else _by_torch
-        seen = torch.from_numpy(batch)
-        found = {
-            "torch": by_torch(double, seen),
-            "float32": by_torch(single, seen.float()),
-            "numpy": _decode(codec, *_by_numpy(graph, raster), is_episode),
-            "chip": _decode(codec, *_by_machine(program, raster), is_episode),
-        }
-        for pair, (one, other, _) in zip(pairs, compared, strict=True):
-            pair.add(found[one], found[other])
-    checks = []
-    for pair, (*_, name) in zip(pairs, compared, strict=True):
-        name = name.format(chip=on.name)
-        checks += [pair.report(name)] if " against " in name else pair.checks(name)
-    return checks
-
-
-# pairs of implementations: those that equal, and those whose difference is reported
-_COMPARED = (
-    ("torch", "numpy", "torch = NumPy, float64"),
-    ("numpy", "chip", "NumPy = compiled for `{chip}`, float64"),
-    ("float32", "numpy", "torch float32 against NumPy float64"),
-)
-_COMPARED_ON_A_CHIP = (
-    ("torch", "chip", "torch = compiled for `{chip}`, integers"),
-    ("float32", "chip", "torch with a float32 encoder against `{chip}`"),
-    ("numpy", "chip", "NumPy float64 of the file against `{chip}`"),
-)
-
-
-@torch.no_grad()
-def _by_steps(policy: DeltaSnnPolicy, observations: Tensor) -> _PolicyOutput:
-    """Return what a policy in torch does in the control steps (S, obs) of an episode."""
-    state = policy.rest(1)
-    rows = [policy.advance(observation[None], state) for observation in observations]
-    mean, events, hidden = (torch.cat(column) for column in zip(*rows, strict=True))
-    events, hidden = events.flatten(0, 1), hidden.flatten(0, 1)
-    spikes: Spikes = {"input": event_channels(policy, events.numpy())[None]}
-    for node, live in live_layers(policy).items():
-        spikes[node] = hidden[:, live].numpy().astype(np.int64)[None]
-    if policy.head == "continuous":
-        return _PolicyOutput(spikes, _numbers(torch.tanh(mean)), None)
-    return _PolicyOutput(spikes, _numbers(mean), mean.argmax(-1).numpy())
-
-
-@torch.no_grad()
-def _by_torch(policy: SpikingPolicy, observation: torch.Tensor) -> _PolicyOutput:
-    if isinstance(policy, PopsanPolicy):
-        spikes = policy.trace(observation)
-        action = spikes.pop("action")
-        return _PolicyOutput(_arrays(spikes), _numbers(action), None)
-    input_spikes = input_spikes_of(policy, observation, Xorshift(0, policy.observations).draw)
-    spikes = policy.trace(observation, input_spikes.transpose(0, 1))
-    action = spikes.pop("action")
-    if policy.head == "continuous":
-        return _PolicyOutput(_arrays(spikes), _numbers(action), None)
-    return _PolicyOutput(
-        _arrays(spikes), _numbers(policy.forward_spikes(input_spikes).mean), action.numpy()
-    )
-
-
-def _arrays(tensors: Mapping[str, torch.Tensor]) -> Spikes:
+def _arrays(tensors: Mapping[str, Tensor]) -> Spikes:
     return {name: tensor.numpy() for name, tensor in tensors.items()}
 
 
-def _numbers(tensor: torch.Tensor) -> NDArray[np.float64]:
+def _numbers(tensor: Tensor) -> Numbers:
     return tensor.double().numpy()
 
 
-def _one_run(codec: Codec, observations: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Return the input spikes (1, S T, M) of an episode, whose states are kept to its end."""
-    return codec.encode_episode(observations).reshape(1, -1, codec.encoder.width)
-
-
 def _by_numpy(graph: FloatGraph, raster: NDArray[np.uint8]) -> tuple[Spikes, Numbers]:
-    graph.reset()
     values = graph.run(raster)
     rows = {name: values[name].astype(np.int64) for name in graph.spiking}
     spikes = {name: each.reshape(*each.shape[:2], -1) for name, each in rows.items()}
@@ -225,104 +216,39 @@ def _by_machine(program: Program, raster: NDArray[np.uint8]) -> tuple[Spikes, Nu
     return {"input": raster, **spikes}, output
 
 
-def _decode(codec: Codec, spikes: Spikes, numbers: Numbers, is_episode: bool) -> _PolicyOutput:
+def _decode(codec: Codec, spikes: Spikes, numbers: Numbers, is_episode: bool) -> _Behaviour:
     """Return spikes and decoded actions; those of an episode, of all its control steps."""
     if is_episode:
         numbers = numbers.reshape(-1, codec.timesteps, numbers.shape[-1])
     if not codec.chooses:
-        return _PolicyOutput(spikes, codec.decode(numbers), None)
-    return _PolicyOutput(spikes, codec.scores(numbers).astype(np.float64), codec.decode(numbers))
-
-
-# of an action in [-1, 1], or of the largest logit: float32 sums in different order
-_ONNX_TOLERANCE = 1e-5
-_ALONE = 100  # observations that are also passed one by one, as in a control loop
-
-Single = NDArray[np.float32]
-
-
-def _onnx_checks(
-    policy: Policy, path: Path, observations: NDArray[np.float64]
-) -> list[ParityCheck]:
-    """Return the checks of the file on observations (n, obs)."""
-    if isinstance(policy, SpikingPolicy | DeltaSnnPolicy):
-        return spiking_onnx.checks(artifact(policy, Provenance("")), path, observations)
-    single = deepcopy(policy).float()
-    network = session(path)
-    if isinstance(single, PrunedGruPolicy):
-        return [_stepped_check(network, single, observations)]
-    together, alone = LargestDifference(), LargestDifference()
-    for batch in batches(observations):
-        _compare(together, network, single, batch)
-    for row in observations[:_ALONE, None]:
-        _compare(alone, network, single, row)
-    name = "logits" if policy.head == "discrete" else "actions"
-    return [
-        _check(f"{name}: torch = ONNX Runtime", together, len(observations)),
-        _check(f"{name}, one at a time", alone, min(_ALONE, len(observations))),
-    ]
+        return _Behaviour(spikes, codec.decode(numbers))
+    return _Behaviour(spikes, codec.scores(numbers).astype(np.float64), codec.decode(numbers))
 
 
 @torch.no_grad()
-def _stepped_check(
-    network: Any,  # noqa: ANN401
-    policy: PrunedGruPolicy,
-    observations: NDArray[np.float64],
-) -> ParityCheck:
-    """Return the check of a policy with states on observations (S, obs), in their order."""
-    apart, state, states = LargestDifference(), policy.rest(1), rest(network)
-    for row in observations[:, None].astype(np.float32):
-        (found,) = infer(network, [OUTPUTS[policy.head]], row, states)
-        mean, _ = policy.advance(torch.from_numpy(row), state)
-        expected = (torch.tanh(mean) if policy.head == "continuous" else mean).numpy()
-        unit = np.maximum(1, np.abs(expected).max())
-        apart.add(found / unit, expected / unit)
-    name = "logits" if policy.head == "discrete" else "actions"
-    return _check(f"{name}: torch = ONNX Runtime, states kept", apart, len(observations))
+def _onnx_checks(policy: Policy, path: Path, observations: Numbers) -> list[ParityCheck]:
+    """Return the checks of a float policy: all rows at once, and one by one with its states."""
+    output, name = OUTPUTS[policy.head], "logits" if policy.head == "discrete" else "actions"
+    network, rows = session(path), observations.astype(np.float32)
 
+    def compare(what: str, found: NDArray[Any], wanted: list[Tensor]) -> ParityCheck:
+        expected = torch.cat(wanted).numpy()
+        unit = np.maximum(1, np.abs(expected).max(axis=1, keepdims=True))
+        named = f"{name}: {what}"
+        return compare_floats(named, found / unit, expected / unit, _FLOAT32_TOLERANCE)
 
-def _check(name: str, difference: LargestDifference, count: int) -> ParityCheck:
-    largest = f"largest difference {difference.largest:.1e}, limit {_ONNX_TOLERANCE:.0e}"
-    detail = f"{count:,} observations, {largest}"
-    return ParityCheck(name, difference.within(_ONNX_TOLERANCE), detail)
-
-
-def _compare(
-    difference: LargestDifference,
-    network: Any,  # noqa: ANN401
-    policy: Policy,
-    observation: NDArray[np.float64],
-) -> None:
-    seen = observation.astype(np.float32)
-    found: Single = network.run([OUTPUTS[policy.head]], {OBSERVATION: seen})[0]
-    expected = _output(policy, torch.from_numpy(seen))
-    unit = np.maximum(1, np.abs(expected).max())
-    difference.add(found / unit, expected / unit)
-
-
-@torch.no_grad()
-def _output(policy: Policy, observation: torch.Tensor) -> Single:
+    states = rest(network)
+    if isinstance(policy, PrunedGruPolicy):
+        state = policy.rest(1)
+        means = [policy.advance(row, state)[0] for row in torch.from_numpy(rows)[:, None]]
+        wanted = [torch.tanh(m) if policy.head == "continuous" else m for m in means]
+        found = [infer(network, [output], row, states)[0] for row in rows[:, None]]
+        return [compare("torch = ONNX Runtime, states kept", np.concatenate(found), wanted)]
     forward = policy.scores if policy.head == "discrete" else policy
-    output: Single = forward(observation).numpy()
-    return output
-
-
-__all__ = ["CHECKS", "ParityCheck", "check"]
-
-Checks = Callable[[Policy, Path, NDArray[np.float64]], list[ParityCheck]]
-
-CHECKS: dict[str, Checks] = {".nir": _nir_checks, ".onnx": _onnx_checks}
-
-
-def check(policy: Policy, path: str | Path, observations: ArrayLike) -> list[ParityCheck]:
-    """Return the checks of the file against the policy on observations (n, obs)."""
-    path = Path(path)
-    if suffix(path) not in CHECKS:
-        raise ConfigError(f"{path}: parity is defined for files that end in {' or '.join(CHECKS)}")
-    recorded = np.asarray(observations, dtype=np.float64)
-    if recorded.ndim != 2 or recorded.shape[1] != policy.observations or not len(recorded):
-        raise ObservationError(
-            f"parity needs observations of shape (n, {policy.observations}), at least one; "
-            f"found {recorded.shape}"
-        )
-    return CHECKS[suffix(path)](policy, path, recorded)
+    wanted = [forward(torch.from_numpy(rows))]
+    together = network.run([output], {OBSERVATION: rows})[0]
+    alone = [infer(network, [output], row, states)[0] for row in rows[:_ALONE, None]]
+    return [
+        compare("torch = ONNX Runtime", together, wanted),
+        compare("one at a time", np.concatenate(alone), [wanted[0][:_ALONE]]),
+    ]

@@ -10,124 +10,90 @@ at 0. It is the program without rounding, chip `ideal`, in float64: it equals th
 the order in which float64 adds up.
 """
 
-import hashlib
 import json
-from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeAlias
 
 import numpy as np
-import onnx
-from numpy.typing import ArrayLike, NDArray
-from onnx import helper, numpy_helper
+from numpy.typing import NDArray
 
 from spikedeploy.exporters.c.plan import Plan
-from spikedeploy.exporters.check import LargestDifference, ParityCheck
+from spikedeploy.exporters.check import ParityCheck, compare_floats
+from spikedeploy.exporters.onnx_graph import OUTPUTS, OnnxGraph, Value
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Layer
-from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec, Normaliser, Score
+from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec
 from spikedeploy.runtime.codec.delta import LARGEST, PARTS, DeltaEncoder
 from spikedeploy.runtime.codec.population import PopulationEncoder
 from spikedeploy.runtime.codec.rate import LEVELS, RateEncoder
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.network import FloatMachine
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.files import replacing
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.onnx_session import NEXT, infer, rest, session
+from spikedeploy.trainers.onnx_session import infer, rest, session
 
-_OPSET = 17
-_IR_VERSION = 8  # ONNX Runtime 1.17 and newer read both
-OBSERVATION = "observation"
-OUTPUTS = {"continuous": "action", "discrete": "logits"}  # by a policy's head
-
-
-class OnnxGraph:
-    """Nodes and constants from the observation to the output.
-
-    kind: the type of all floats, float32 or float64.
-    """
-
-    def __init__(self, kind: type[np.floating[Any]] = np.float32) -> None:
-        self._kind, self._element = kind, helper.np_dtype_to_tensor_dtype(np.dtype(kind))
-        self._states: list[onnx.ValueInfoProto] = []
-        self._next: list[onnx.ValueInfoProto] = []
-        self._nodes: list[onnx.NodeProto] = []
-        self._constants: list[onnx.TensorProto] = []
-        self._presynaptic: list[onnx.ValueInfoProto] = []
-
-    def constant(self, name: str, value: ArrayLike) -> str:
-        """Add a constant, integers as int64 and anything else as floats; return its name."""
-        array = np.asarray(value)
-        exact = array.astype(np.int64 if array.dtype.kind == "i" else self._kind)
-        self._constants.append(numpy_helper.from_array(exact, name))
-        return name
-
-    def node(self, operator: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:  # noqa: ANN401
-        """Add a node; return the name of its output."""
-        self._nodes.append(helper.make_node(operator, inputs, [output], output, **attributes))
-        return output
-
-    def floats(self, flags: str, output: str) -> str:
-        """Add 1.0 where a flag is true and 0.0 elsewhere; return its name."""
-        return self.node("Cast", [flags], output, to=self._element)
-
-    def presynaptic(self, name: str, width: int) -> None:
-        """Make the input (B, width) of a weight matrix an output, to count effective operations."""
-        self._presynaptic.append(self._rows(name, width))
-
-    def state(self, name: str, width: int) -> str:
-        """Add an input (B, width), what the step before left; return its name."""
-        self._states.append(self._rows(name, width))
-        return name
-
-    def next_state(self, name: str, value: str, width: int) -> None:
-        """Make a value the output of this name, which the next step takes for the state."""
-        self.node("Identity", [value], name)
-        self._next.append(self._rows(name, width))
-
-    def _rows(self, name: str, width: int) -> onnx.ValueInfoProto:
-        return helper.make_tensor_value_info(name, self._element, ["B", width])
-
-    def sha256(self) -> str:
-        """SHA-256 of the constants, in the order in which they were added."""
-        sha = hashlib.sha256()
-        for constant in self._constants:
-            sha.update(f"{constant.name} {list(constant.dims)}".encode())
-            sha.update(numpy_helper.to_array(constant).tobytes())
-        return sha.hexdigest()
-
-    def model(
-        self, observations: int, actions: int, head: str, properties: dict[str, str]
-    ) -> onnx.ModelProto:
-        """Return the checked model, observation (B, obs) to the output (B, act) of a head.
-
-        States come in after the observation, and go out last.
-        """
-        graph = helper.make_graph(
-            self._nodes,
-            "policy",
-            [self._rows(OBSERVATION, observations), *self._states],
-            [self._rows(OUTPUTS[head], actions), *self._presynaptic, *self._next],
-            self._constants,
-        )
-        opsets = [helper.make_opsetid("", _OPSET)]
-        model = helper.make_model(
-            graph, opset_imports=opsets, ir_version=_IR_VERSION, producer_name="spikedeploy"
-        )
-        helper.set_model_props(model, properties)
-        onnx.checker.check_model(model, full_check=True)
-        return model
-
-
+KIND = "snn-step"
 LEVELS_STATE = "codec:levels"  # events of each observation that were sent, with their signs
+_TOLERANCE = 1e-9  # of an action, or of the largest score: float64 sums in different order
 
-Spikes: TypeAlias = list[str]
+States = dict[str, tuple[Value, int]]  # name -> value after the step, and its width
 
 
-def check_codec(codec: Codec) -> None:
-    """Refuse codes that are not a function of the observation and of states."""
+def spiking_to_onnx(artifact: Artifact, path: str | Path) -> Path:
+    """Write the policy to `path` and return it."""
+    path, codec, graph = Path(path), _codec(artifact), OnnxGraph(np.float64)
+    program = compile_program(artifact, chip("ideal"), limits=False).dense("ONNX")
+    if program.graded:
+        raise ConfigError(
+            f"--to onnx: rule graded: sigma-delta layer {min(program.graded)!r} is not written in "
+            "ONNX. Train neurons that spike."
+        )
+    spikes, states = add_encoder(graph, codec)
+    score, kept = _Network(graph, Plan(program, codec)).run(spikes, codec.score)
+    states |= kept
+    head = "discrete" if codec.chooses else "continuous"
+    graph.node("Tanh" if codec.squash == "tanh" else "Identity", score, name=OUTPUTS[head])
+    for name, (value, width) in states.items():
+        graph.next_state(name, value, width)
+    origin = artifact.provenance or Provenance("")
+    names = ("env", "recipe", "seed", "steps", "created", "version")
+    properties = {
+        "kind": KIND,
+        **{name: str(getattr(origin, name)) for name in names},
+        "name": path.stem,
+        "head": head,
+        "timesteps": str(codec.timesteps),
+        "states": json.dumps({name: width for name, (_, width) in states.items()}),
+        "sha256": graph.sha256(),
+    }
+    return graph.write(path, codec.encoder.observed, program.outputs[0].size, head, properties)
+
+
+def checks(artifact: Artifact, path: Path, observations: NDArray[np.float64]) -> list[ParityCheck]:
+    """Compare the file with the float twin on successive observations (S, obs) of an episode."""
+    codec = _codec(artifact)
+    twin, levels, network = FloatMachine(artifact, "none"), codec.encoder.start(0), session(path)
+    output, states = network.get_outputs()[0].name, rest(network)
+    found, expected = [], []
+    for row in observations[:, None]:
+        scores = codec.scores(twin.infer(codec.encode(row, levels)))
+        expected.append(np.tanh(scores) if codec.squash == "tanh" else scores)
+        found.append(infer(network, [output], row, states)[0])
+    wanted = np.concatenate(expected)
+    unit = np.maximum(1.0, np.abs(wanted).max(axis=1, keepdims=True))
+    name = f"{'scores' if codec.chooses else 'actions'}: float twin = ONNX Runtime"
+    return [compare_floats(name, np.concatenate(found) / unit, wanted / unit, _TOLERANCE)]
+
+
+def _codec(artifact: Artifact) -> Codec:
+    """The codec; ConfigError for a code that is no function of the observation and of states."""
+    codec = artifact.codec
+    if codec is None:
+        raise ConfigError(
+            f"--to onnx: the file has no codec (observation to spikes), so it cannot act. "
+            f"{GIVE_CODEC}."
+        )
     encoder = codec.encoder
     if encoder.random:
         raise ConfigError(
@@ -136,344 +102,172 @@ def check_codec(codec: Codec) -> None:
         )
     if not isinstance(encoder, DeltaEncoder | PopulationEncoder | RateEncoder):
         raise ConfigError(f"--to onnx: encoder {encoder.kind!r} is not written in ONNX.")
+    return codec
 
 
-def add_encoder(graph: OnnxGraph, codec: Codec) -> tuple[Spikes, dict[str, tuple[str, int]]]:
-    """Spikes (B, M) of each timestep; and states: name -> value after the step, and its width."""
-    x, encoder = _add_normaliser(graph, codec.normaliser), codec.encoder
+def add_encoder(graph: OnnxGraph, codec: Codec) -> tuple[list[Value], States]:
+    """Spikes (B, M) of each timestep, and states."""
+    normaliser, encoder, timesteps = codec.normaliser, codec.encoder, codec.timesteps
+    x = graph.normalised(normaliser.mean, normaliser.std, normaliser.clip)
     if isinstance(encoder, DeltaEncoder):
-        return _delta(graph, encoder, x, codec.timesteps)
+        return _delta(graph, encoder, x, timesteps)
     if isinstance(encoder, PopulationEncoder):
-        return _population(graph, encoder, x, codec.timesteps), {}
+        return _population(graph, encoder, x, timesteps), {}
     if isinstance(encoder, RateEncoder):
-        return _rate(graph, encoder, x, codec.timesteps), {}
+        return _rate(graph, encoder, x, timesteps), {}
     raise TypeError(type(encoder).__name__)
 
 
-def _add_normaliser(graph: OnnxGraph, normaliser: Normaliser) -> str:
-    mean, std = graph.constant("mean", normaliser.mean), graph.constant("std", normaliser.std)
-    shifted = graph.node("Sub", [OBSERVATION, mean], "shifted")
-    return _add_clip(
-        graph, graph.node("Div", [shifted, std], "scaled"), normaliser.clip, "normalised"
-    )
-
-
-def _add_clip(graph: OnnxGraph, value: str, most: float, name: str) -> str:
-    limits = [graph.constant(f"{name}.lowest", -most), graph.constant(f"{name}.highest", most)]
-    return graph.node("Clip", [value, *limits], name)
-
-
 def _delta(
-    graph: OnnxGraph, encoder: DeltaEncoder, x: str, timesteps: int
-) -> tuple[Spikes, dict[str, tuple[str, int]]]:
+    graph: OnnxGraph, encoder: DeltaEncoder, x: Value, timesteps: int
+) -> tuple[list[Value], States]:
     """Events n where an observation has moved, and the levels q moved by them."""
-    step, parts = graph.constant("step", encoder.step), graph.constant("parts", float(PARTS))
-    moved = graph.node("Mul", [graph.node("Div", [x, step], "steps"), parts], "fine")
-    rounded = graph.node("Round", [_add_clip(graph, moved, float(LARGEST), "bounded")], "rounded")
-    for name, value in (
-        ("half", PARTS / 2),
-        ("most", encoder.most),
-        ("least", encoder.threshold),
-        ("nothing", 0),
-    ):
-        graph.constant(name, float(value))
-    graph.constant("signs", np.array([[1.0], [-1.0]]))
-    graph.constant("channels", np.arange(1.0, encoder.most + 1))
-    graph.constant("by_observation", [-1, encoder.observed, 1, 1])
-    graph.constant("side_by_side", [-1, encoder.width])
+    fine = (x / encoder.step * float(PARTS)).clip(float(LARGEST))
+    parts = graph.node("Round", fine)
+    signs = graph.constant(np.array([[1.0], [-1.0]]))
+    channels = graph.constant(np.arange(1.0, encoder.most + 1))
+    kind = "GreaterOrEqual" if encoder.code == "unary" else "Equal"
     levels, spikes = graph.state(LEVELS_STATE, encoder.observed), []
-    for t in range(timesteps):
-        events = _events(graph, rounded, levels, f"codec:{t}")
-        levels = graph.node("Add", [levels, events], f"codec:{t}.levels")
-        spikes.append(_channels(graph, encoder, events, f"codec:{t}"))
+    for _ in range(timesteps):
+        # e = X - 256 q      n = sign(e) min((|e| + 128) >> 8, most)    where |e| > threshold
+        apart = parts - levels * float(PARTS)
+        far = graph.node("Abs", apart)
+        whole = graph.node("Floor", (far + PARTS / 2) / float(PARTS))
+        number = graph.node("Min", whole, float(encoder.most))
+        signed = graph.node("Sign", apart) * number
+        events = graph.node("Where", far > float(encoder.threshold), signed, 0.0)
+        levels = levels + events
+        each = events.reshape(-1, encoder.observed, 1, 1) * signs
+        flags = graph.node(kind, each, channels).reshape(-1, encoder.width)
+        spikes.append(graph.floats(flags))
     return spikes, {LEVELS_STATE: (levels, encoder.observed)}
 
 
-def _events(graph: OnnxGraph, rounded: str, levels: str, at: str) -> str:
-    """Signed numbers of events (B, obs) of a timestep."""
-    # e = X - 256 q      n = sign(e) min((|e| + 128) >> 8, most)    where |e| > threshold
-    sent = graph.node("Mul", [levels, "parts"], f"{at}.sent")
-    apart = graph.node("Sub", [rounded, sent], f"{at}.apart")
-    far = graph.node("Abs", [apart], f"{at}.far")
-    near = graph.node("Add", [far, "half"], f"{at}.near")
-    whole = graph.node("Floor", [graph.node("Div", [near, "parts"], f"{at}.share")], f"{at}.whole")
-    number = graph.node("Min", [whole, "most"], f"{at}.number")
-    signed = graph.node("Mul", [graph.node("Sign", [apart], f"{at}.sign"), number], f"{at}.signed")
-    enough = graph.node("Greater", [far, "least"], f"{at}.enough")
-    return graph.node("Where", [enough, signed, "nothing"], f"{at}.events")
-
-
-def _channels(graph: OnnxGraph, encoder: DeltaEncoder, events: str, at: str) -> str:
-    """Spikes (B, 2 K obs) of the channels of both signs."""
-    apart = graph.node("Reshape", [events, "by_observation"], f"{at}.each")
-    signed = graph.node("Mul", [apart, "signs"], f"{at}.of_sign")
-    kind = "GreaterOrEqual" if encoder.code == "unary" else "Equal"
-    spiking = graph.node(kind, [signed, "channels"], f"{at}.spiking")
-    flat = graph.node("Reshape", [spiking, "side_by_side"], f"{at}.flat")
-    return graph.floats(flat, f"{at}.spikes")
-
-
-def _population(graph: OnnxGraph, encoder: PopulationEncoder, x: str, timesteps: int) -> Spikes:
+def _population(
+    graph: OnnxGraph, encoder: PopulationEncoder, x: Value, timesteps: int
+) -> list[Value]:
     """Spikes of neurons that integrate the drive of their receptive fields."""
-    drive = _drive(graph, encoder, x)
-    threshold, membrane = graph.constant("codec:threshold", encoder.threshold), drive
-    spikes: Spikes = []
+    # A = exp(-1/2 ((x - mean) / std)^2)
+    fields = (x.reshape(-1, encoder.observed, 1) - encoder.mean) / encoder.std
+    drive = graph.node("Exp", fields * fields * -0.5).reshape(-1, encoder.width)
+    threshold, membrane = graph.constant(encoder.threshold), drive
+    spikes: list[Value] = []
     for t in range(timesteps):
-        at = f"codec:{t}"
         if t:
             # v = (v - threshold * s) + A
-            lost = graph.node("Mul", [threshold, spikes[-1]], f"{at}.lost")
-            left = graph.node("Sub", [membrane, lost], f"{at}.left")
-            membrane = graph.node("Add", [left, drive], f"{at}.membrane")
-        above = graph.node("Greater", [membrane, threshold], f"{at}.above")
-        spikes.append(graph.floats(above, f"{at}.spikes"))
+            membrane = membrane - threshold * spikes[-1] + drive
+        spikes.append(graph.floats(membrane > threshold))
     return spikes
 
 
-def _drive(graph: OnnxGraph, encoder: PopulationEncoder, x: str) -> str:
-    """Drive (B, M)."""
-    # A = exp(-1/2 ((x - mean) / std)^2)
-    shape = graph.constant("by_observation", [-1, encoder.observed, 1])
-    centre, width = (
-        graph.constant(f"codec:{n}", v) for n, v in (("mean", encoder.mean), ("std", encoder.std))
-    )
-    apart = graph.node("Sub", [graph.node("Reshape", [x, shape], "each"), centre], "apart")
-    fields = graph.node("Div", [apart, width], "fields")
-    squares = graph.node("Mul", [fields, fields], "squares")
-    halves = graph.node("Mul", [squares, graph.constant("minus_half", -0.5)], "halves")
-    flat = graph.constant("side_by_side", [-1, encoder.width])
-    return graph.node("Reshape", [graph.node("Exp", [halves], "drives"), flat], "drive")
-
-
-def _rate(graph: OnnxGraph, encoder: RateEncoder, x: str, timesteps: int) -> Spikes:
+def _rate(graph: OnnxGraph, encoder: RateEncoder, x: Value, timesteps: int) -> list[Value]:
     """Carries of an accumulator to which the rate is added in each timestep."""
-    low, span = (
-        graph.constant("low", encoder.low),
-        graph.constant("span", encoder.high - encoder.low),
-    )
-    limits = [graph.constant("nothing", 0.0), graph.constant("all", 1.0)]
-    share = graph.node("Div", [graph.node("Sub", [x, low], "above_low"), span], "share")
-    level = graph.constant("levels", float(LEVELS))
-    fine = graph.node("Mul", [graph.node("Clip", [share, *limits], "part"), level], "fine")
-    rate = graph.node("Round", [fine], "rate")
-    half = graph.constant("half", LEVELS / 2)
+    share = graph.node("Clip", (x - encoder.low) / (encoder.high - encoder.low), 0.0, 1.0)
+    rate = graph.node("Round", share * float(LEVELS))
     # c[t] = floor((n t + 128) / 256) ; s[t] = c[t + 1] - c[t]
-    carried = []
-    for t in range(timesteps + 1):
-        at, times = f"codec:{t}", graph.constant(f"codec:{t}.times", float(t))
-        total = graph.node(
-            "Add", [graph.node("Mul", [rate, times], f"{at}.sum"), half], f"{at}.all"
-        )
-        carried.append(
-            graph.node("Floor", [graph.node("Div", [total, level], f"{at}.part")], f"{at}.carried")
-        )
-    return [
-        graph.node("Sub", [carried[t + 1], carried[t]], f"codec:{t}.spikes")
-        for t in range(timesteps)
+    carried = [
+        graph.node("Floor", (rate * float(t) + LEVELS / 2) / float(LEVELS))
+        for t in range(timesteps + 1)
     ]
-
-
-KIND = "snn-step"
-_TOLERANCE = 1e-9  # of an action, or of the largest score: float64 sums in different order
-
-Rows = dict[str, list[str]]  # name of a source -> its spikes or membranes (B, N) in each timestep
-
-
-def spiking_to_onnx(artifact: Artifact, path: str | Path) -> Path:
-    """Write the policy to `path` and return it."""
-    path = Path(path)
-    model = _model(artifact, path.stem)
-    with replacing(path) as temporary:
-        temporary.write_bytes(model.SerializeToString(deterministic=True))
-    return path
-
-
-def checks(artifact: Artifact, path: Path, observations: NDArray[np.float64]) -> list[ParityCheck]:
-    """Compare the file with the float twin on successive observations (S, obs) of an episode."""
-    codec = _codec(artifact)
-    twin, levels, network = FloatMachine(artifact, "none"), codec.encoder.start(0), session(path)
-    output, states, apart = network.get_outputs()[0].name, rest(network), LargestDifference()
-    for row in observations[:, None]:
-        scores = codec.scores(twin.infer(codec.encode(row, levels)))
-        expected = np.tanh(scores) if codec.squash == "tanh" else scores
-        (found,) = infer(network, [output], row, states)
-        unit = max(1.0, float(np.abs(expected).max()))
-        apart.add(found / unit, expected / unit)
-    detail = f"largest difference {apart.largest:.1e}, limit {_TOLERANCE:.0e}"
-    name = "scores" if codec.chooses else "actions"
-    said = f"{len(observations):,} successive observations, {detail}"
-    return [ParityCheck(f"{name}: float twin = ONNX Runtime", apart.within(_TOLERANCE), said)]
-
-
-def _codec(artifact: Artifact) -> Codec:
-    if artifact.codec is None:
-        raise ConfigError(
-            "--to onnx: the file has no codec (observation to spikes), so it cannot act. "
-            f"{GIVE_CODEC}."
-        )
-    check_codec(artifact.codec)
-    return artifact.codec
-
-
-def _model(artifact: Artifact, name: str) -> onnx.ModelProto:
-    codec, graph = _codec(artifact), OnnxGraph(np.float64)
-    plan = Plan(compile_program(artifact, chip("ideal"), limits=False).dense("ONNX"), codec)
-    if plan.program.graded:
-        raise ConfigError(
-            f"--to onnx: layer {min(plan.program.graded)!r}: sigma-delta neurons are not written "
-            "in ONNX. Train neurons that spike."
-        )
-    spikes, states = add_encoder(graph, codec)
-    states |= _Network(graph, plan).run(spikes, codec.score)
-    head = "discrete" if codec.chooses else "continuous"
-    squash = "Tanh" if codec.squash == "tanh" else "Identity"
-    graph.node(squash, ["score"], OUTPUTS[head])
-    for state, (value, width) in states.items():
-        graph.next_state(f"{NEXT}{state}", value, width)
-    widths = {state: width for state, (_, width) in states.items()}
-    said = _properties(artifact.provenance or Provenance(""), name, head)
-    more = {"timesteps": str(codec.timesteps), "states": json.dumps(widths)}
-    actions = plan.program.outputs[0].size
-    return graph.model(
-        codec.encoder.observed, actions, head, {**said, **more, "sha256": graph.sha256()}
-    )
-
-
-def _properties(origin: Provenance, name: str, head: str) -> dict[str, str]:
-    """Metadata: the origin of the policy, as in the files of float policies."""
-    said = {"env": origin.env, "recipe": origin.recipe, "seed": origin.seed, "steps": origin.steps}
-    own = {"created": origin.created, "version": origin.version, "name": name, "head": head}
-    return {"kind": KIND, **{key: str(value) for key, value in {**said, **own}.items()}}
+    return [after - before for before, after in pairwise(carried)]
 
 
 class _Network:
     """Writes the layers of a plan and their readout, one timestep after another."""
 
     def __init__(self, graph: OnnxGraph, plan: Plan) -> None:
-        self._graph, self._plan = graph, plan
+        self._graph, self._plan, self._program = graph, plan, plan.program
         self._kept = plan.program.convention.state == "kept"
-        self._rows: Rows = {name: [] for name in plan.names}
-        self._states: dict[str, tuple[str, int]] = {}  # name -> its value now, and its width
-        graph.constant("zero", 0.0)
-        for layer in plan.program.layers:
-            self._constants(layer)
-        self._bias = self._readout_constants()
-        self._begin()
-
-    def run(self, spikes: list[str], score: Score) -> dict[str, tuple[str, int]]:
-        """Add all timesteps, up to "score"; return the states after the last that are kept."""
-        total = ""
-        for t, arriving in enumerate(spikes):
-            self._rows[self._plan.program.input].append(arriving)
-            for layer, lags in zip(self._plan.program.layers, self._plan.program.lags, strict=True):
-                self._rows[layer.name].append(self._add_layer(layer, lags, t))
-            output = self._add_output(t)
-            total = self._graph.node("Add", [total, output], f"host:{t}.total") if t else output
-        if score == "last":
-            self._graph.node("Identity", [output], "score")
+        self._rows: dict[str, list[Value]] = {name: [] for name in plan.names}
+        self._states: States = {}
+        self._late: dict[str, Value] = {}
+        self._constants: dict[int, tuple[NDArray[np.generic], Value]] = {}
+        if plan.program.host_outputs:
+            bias = plan.program.host_outputs[0].bias[None]
         else:
-            count = self._graph.constant("timesteps", float(len(spikes)))
-            self._graph.node("Div", [total, count], "score")
-        return {**self._states, **self._under_way(len(spikes))} if self._kept else {}
-
-    def _constants(self, layer: Layer) -> None:
-        add, name = self._graph.constant, layer.name
-        for k, synapses in enumerate(layer.synapses):
-            add(f"{name}.weight{k}", synapses.weight)
-        add(f"{name}.bias", layer.bias[None])
-        add(f"{name}.leak", layer.voltage_bias)
-        add(f"{name}.current_decay", layer.current_decay)
-        add(f"{name}.membrane_decay", layer.membrane_decay)
-        if layer.spiking:
-            add(f"{name}.threshold", layer.threshold)
-
-    def _readout_constants(self) -> str:
-        program = self._plan.program
-        for k, term in enumerate(self._plan.terms):
-            if term.weight is not None:
-                self._graph.constant(f"host:weight{k}", term.weight)
-        if program.host_outputs:
-            return self._graph.constant("host:bias", program.host_outputs[0].bias[None])
-        bias = 0.0 if program.readout is None else program.readout.bias[None]
-        return self._graph.constant("host:bias", bias)
+            readout = plan.program.readout
+            bias = np.zeros((1, 1)) if readout is None else readout.bias[None]
+        self._bias = graph.constant(bias)
+        self._begin()
 
     def _begin(self) -> None:
         """Set the first states: those of the step before, or at 0."""
-        for layer in self._plan.program.layers:
+        for layer in self._program.layers:
             for state in (["current"] if layer.current_decay.any() else []) + ["membrane"]:
-                name = f"{layer.name}.{state}"
-                value = self._graph.state(name, layer.size) if self._kept else "zero"
+                name, zero = f"{layer.name}.{state}", self._graph.constant(0.0)
+                value = self._graph.state(name, layer.size) if self._kept else zero
                 self._states[name] = (value, layer.size)
-        if self._kept:
-            for source, slots in self._plan.slots.items():
-                for late in range(1, slots):
-                    self._graph.state(_late(source, late), self._plan.sizes[source])
+        for source, slots in self._plan.slots.items() if self._kept else ():
+            for late in range(1, slots):
+                name = _late(source, late)
+                self._late[name] = self._graph.state(name, self._plan.sizes[source])
 
-    def _row(self, source: str, t: int) -> str:
-        """Name of the output of a source in a timestep; "" before the first one."""
-        if t >= 0:
-            return self._rows[source][t]
-        return _late(source, -t) if self._kept else ""
+    def run(self, spikes: list[Value], score: str) -> tuple[Value, States]:
+        """Add all timesteps; return the score, and the states after the last that are kept."""
+        outputs = []
+        for t, arriving in enumerate(spikes):
+            self._rows[self._program.input].append(arriving)
+            for layer, lags in zip(self._program.layers, self._program.lags, strict=True):
+                self._rows[layer.name].append(self._add_layer(layer, lags, t))
+            outputs.append(self._add_output(t))
+        total = outputs[0]
+        for output in outputs[1:] if score != "last" else ():
+            total = total + output
+        found = outputs[-1] if score == "last" else total / float(len(spikes))
+        return found, {**self._states, **self._under_way(len(spikes))} if self._kept else {}
 
-    def _under_way(self, timesteps: int) -> dict[str, tuple[str, int]]:
+    def _shared(self, array: NDArray[np.generic]) -> Value:
+        """A constant of the program, which all timesteps read."""
+        if id(array) not in self._constants:  # which is kept, so that no other gets its id
+            self._constants[id(array)] = array, self._graph.constant(array.astype(np.float64))
+        return self._constants[id(array)][1]
+
+    def _row(self, source: str, t: int) -> Value | None:
+        """The output of a source in a timestep; None before the first one."""
+        return self._rows[source][t] if t >= 0 else self._late.get(_late(source, -t))
+
+    def _under_way(self, timesteps: int) -> States:
         """Rows that arrive in the next control step."""
-        return {
-            _late(source, late): (self._row(source, timesteps - late), self._plan.sizes[source])
-            for source, slots in self._plan.slots.items()
-            for late in range(1, slots)
-        }
+        found: States = {}
+        for source, slots in self._plan.slots.items():
+            for late in range(1, slots):
+                if (row := self._row(source, timesteps - late)) is not None:
+                    found[_late(source, late)] = (row, self._plan.sizes[source])
+        return found
 
-    def _add_layer(self, layer: Layer, lags: tuple[int, ...], t: int) -> str:
+    def _add_layer(self, layer: Layer, lags: tuple[int, ...], t: int) -> Value:
         """Add a timestep of a layer; return its spikes, or its membranes where it has none."""
-        node, at = self._graph.node, f"{layer.name}.{t}"
-        drive = self._add_synapses(layer, lags, t)
+        drive = self._shared(layer.bias)
+        for synapses, lag in zip(layer.synapses, lags, strict=True):
+            if (row := self._row(synapses.source, t - lag)) is not None:
+                drive = drive + row @ self._shared(synapses.weight)
         if f"{layer.name}.current" in self._states:
             # I = a I + W s
-            kept = self._add_decay(layer.name, "current", at)
-            drive = node("Add", [kept, drive], f"{at}.current")
+            drive = self._left(layer, "current", layer.current_decay) + drive
             self._states[f"{layer.name}.current"] = (drive, layer.size)
         # V = b V + I + leak
-        kept = self._add_decay(layer.name, "membrane", at)
-        driven = node("Add", [kept, drive], f"{at}.driven")
-        membrane = node("Add", [driven, f"{layer.name}.leak"], f"{at}.membrane")
-        if not layer.spiking:
-            self._states[f"{layer.name}.membrane"] = (membrane, layer.size)
-            return membrane
-        return self._add_spikes(layer, membrane, at)
+        kept = self._left(layer, "membrane", layer.membrane_decay)
+        membrane = kept + drive + self._shared(layer.voltage_bias)
+        sent = membrane
+        if layer.spiking:
+            threshold = self._shared(layer.threshold)
+            above = membrane > threshold
+            subtracts = self._program.convention.reset == "subtract"
+            after = membrane - threshold if subtracts else self._graph.constant(0.0)
+            membrane = self._graph.node("Where", above, after, membrane)
+            sent = self._graph.floats(above)
+        self._states[f"{layer.name}.membrane"] = (membrane, layer.size)
+        return sent
 
-    def _add_spikes(self, layer: Layer, membrane: str, at: str) -> str:
-        """Add the spikes of a timestep and the resets."""
-        node, threshold = self._graph.node, f"{layer.name}.threshold"
-        above = node("Greater", [membrane, threshold], f"{at}.above")
-        after = "zero"
-        if self._plan.program.convention.reset == "subtract":
-            after = node("Sub", [membrane, threshold], f"{at}.less")
-        left = node("Where", [above, after, membrane], f"{at}.left")
-        self._states[f"{layer.name}.membrane"] = (left, layer.size)
-        return self._graph.floats(above, f"{at}.spikes")
+    def _left(self, layer: Layer, state: str, decay: NDArray[np.generic]) -> Value:
+        return self._shared(decay) * self._states[f"{layer.name}.{state}"][0]
 
-    def _add_decay(self, name: str, state: str, at: str) -> str:
-        before, _ = self._states[f"{name}.{state}"]
-        return self._graph.node("Mul", [f"{name}.{state}_decay", before], f"{at}.{state}_left")
-
-    def _add_synapses(self, layer: Layer, lags: tuple[int, ...], t: int) -> str:
-        total = f"{layer.name}.bias"
-        for k, (synapses, lag) in enumerate(zip(layer.synapses, lags, strict=True)):
-            if row := self._row(synapses.source, t - lag):
-                at = f"{layer.name}.{t}.{k}"
-                sums = self._graph.node("MatMul", [row, f"{layer.name}.weight{k}"], f"{at}.sums")
-                total = self._graph.node("Add", [total, sums], f"{at}.arriving")
-        return total
-
-    def _add_output(self, t: int) -> str:
+    def _add_output(self, t: int) -> Value:
         """Add what the host receives in a timestep (B, act)."""
         total = self._bias
-        for k, term in enumerate(self._plan.terms):
-            if row := self._row(term.layer, t - term.lag):
-                at = f"host:{t}.{k}"
-                if term.weight is not None:
-                    row = self._graph.node("MatMul", [row, f"host:weight{k}"], f"{at}.sums")
-                total = self._graph.node("Add", [total, row], f"{at}.output")
+        for term in self._plan.terms:
+            if (row := self._row(term.layer, t - term.lag)) is not None:
+                total = total + (row if term.weight is None else row @ self._shared(term.weight))
         return total
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from spikedeploy.exporters.check import MismatchCounter, ParityCheck, random_spikes
+from spikedeploy.exporters.check import ParityCheck, compare_integers, random_spikes
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.interpreter import trace
@@ -128,13 +128,14 @@ def compare_spikes(program: Program, found: Specification, timesteps: int) -> Pa
     read = xylo_trace(Fields({"params": record}, "the specification"), program.chip.name)
     ran, wanted = trace(read.program, read.raster), trace(program, raster)
     first = {**places(program.layers[:-1]), program.output: 0}
-    counter = MismatchCounter()
+    seen = {}
     for layer in program.layers:
         rows = ran["output" if layer.name == program.output else "hidden"].spikes[0]
-        seen = rows[layer.start : layer.start + timesteps, first[layer.name] :][:, : layer.size]
-        counter.add({"": wanted[layer.name].spikes[0]}, {"": seen})
+        own = slice(first[layer.name], first[layer.name] + layer.size)
+        seen[layer.name] = rows[layer.start : layer.start + timesteps, own]
+    spikes = {layer.name: wanted[layer.name].spikes[0] for layer in program.layers}
     name = f"the specification, as {program.chip.name} reads it"
-    return ParityCheck(name, not counter.differing, f"spikes: {counter}")
+    return compare_integers(name, spikes, seen)
 
 
 def _wait(program: Program) -> int:

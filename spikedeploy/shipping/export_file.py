@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spikedeploy.exporters.check import Exported, MismatchCounter, ParityCheck, random_spikes
+from spikedeploy.exporters.check import Exported, ParityCheck, compare_integers, random_spikes
 from spikedeploy.exporters.to_xylo import MARK, check_chip, compare_spikes, document, specification
 from spikedeploy.outputs import check_output, has_text
 from spikedeploy.runtime.artifact.artifact import Artifact, for_importer, load, save
@@ -168,6 +168,4 @@ def _compare_float(name: str, one: Artifact, other: Artifact, timesteps: int) ->
         trace = graph.run(dict(zip(inputs, rasters, strict=True)))
         layers = [each for each in graph.timing.names if each in graph.spiking]
         spikes.append({f"{k}": trace[each] for k, each in enumerate(layers)})
-    counter = MismatchCounter()
-    counter.add(spikes[0], spikes[1])
-    return ParityCheck(name, not counter.differing and bool(counter.compared), f"spikes: {counter}")
+    return compare_integers(name, spikes[0], spikes[1])

@@ -12,13 +12,14 @@ import pytest
 from typer.testing import CliRunner
 
 from spikedeploy.cli import app
-from spikedeploy.exporters.spiking_onnx import KIND, LEVELS_STATE, NEXT, checks, spiking_to_onnx
+from spikedeploy.exporters.spiking_onnx import KIND, LEVELS_STATE, checks, spiking_to_onnx
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, RuleError
+from spikedeploy.trainers.onnx_session import NEXT
 from spikedeploy.zoo import path as shipped
 from tests import networks
 from tests.delta_policies import walk

@@ -8,7 +8,7 @@ import torch
 
 from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.exporters.spiking_onnx import OUTPUTS
+from spikedeploy.exporters.onnx_graph import OUTPUTS
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.exporters.to_onnx import to_onnx
 from spikedeploy.policies.registry import find, open_policy

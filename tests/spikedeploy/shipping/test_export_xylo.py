@@ -42,7 +42,7 @@ def test_the_file_has_the_arguments_of_rockpool_and_says_where_layers_and_timest
     words = ("export", "net.nir", "--to", "xylo", "--chip", "xylo-a2", "-o", "xylo.json")
     code, out, _ = command(*words)
     assert code == 0
-    assert "spikes: 21,000 compared, all equal" in out
+    assert "21,000 compared, all equal" in out
     with open("xylo.json") as text:
         found = json.load(text)
     spec = {name: np.array(value) for name, value in found["specification"].items()}
