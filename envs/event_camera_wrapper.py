@@ -18,13 +18,11 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from spikedeploy.envs.drawing import explain, load_renderer
 from spikedeploy.envs.event_camera import CameraParameters, EventCamera, Float32, lin_log
 from spikedeploy.runtime.camera_events import EVENT, Events, EventWriter, write_events
 from spikedeploy.runtime.errors import EnvError
 
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # of R, G, B (ITU-R BT.601, as v2e by OpenCV)
-_FINER = 4  # of MuJoCo's pictures than the camera along each axis, so that edges are smooth
 _MOST_COUNTED = 2**16 - 1
 _STREAM = 12  # keeps the draws apart from those of environments and disturbances with the seed
 
@@ -51,9 +49,7 @@ class EventCameraWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         steps of their physics. For others the logarithms of the pictures before and after
         the step are interpolated linearly, which gives events times and the photoreceptor
         its bandwidth, but shows nothing that happened in between
-    camera: name or number of a camera of a MuJoCo model; None for what render() shows
     dt: [s] of a control step; None if the environment knows it
-    keep: True to observe a dict of "events" and "observation", the environment's own
     record: HDF5 file for all events, in its place after close(); None for none
     """
 
@@ -64,9 +60,7 @@ class EventCameraWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         parameters: str | Mapping[str, float] | CameraParameters = "clean",
         frames: int = 1,
         *,
-        camera: str | int | None = None,
         dt: float | None = None,
-        keep: bool = False,
         record: str | Path | None = None,
     ) -> None:
         super().__init__(env)
@@ -77,7 +71,7 @@ class EventCameraWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         period = control_period(env) if dt is None else dt
         if period is None:
             raise EnvError("camera: the environment has no time of a control step; give dt [s]")
-        if camera is None and env.render_mode != "rgb_array":
+        if env.render_mode != "rgb_array":
             raise EnvError(
                 f"camera: the environment renders {env.render_mode}; make it with "
                 'render_mode="rgb_array"'
@@ -93,17 +87,10 @@ class EventCameraWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         self._frames, self._dt = frames, float(period)
         self._size = (int(size[0]), int(size[1]))
         self._seen = EventCamera(self._size, parameters, is_log=True)
-        self._keep = keep
-        self._view = _MujocoView(env.unwrapped, self._size, camera) if camera is not None else None
         self._rng = np.random.default_rng()
         self._steps = 0  # control steps of all episodes
         self._before = np.zeros(self._size, np.float32)  # the latest picture, as logarithms
-        counts = Box(0, _MOST_COUNTED, (2, *self._size), np.uint16)
-        self.observation_space = (
-            gymnasium.spaces.Dict({"events": counts, "observation": env.observation_space})
-            if keep
-            else counts
-        )
+        self.observation_space = Box(0, _MOST_COUNTED, (2, *self._size), np.uint16)
         self._open = ExitStack()
         self._writer: EventWriter | None = None
         if record is not None:
@@ -118,20 +105,18 @@ class EventCameraWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         """Start an episode with new pixels, without events."""
         if seed is not None:
             self._rng = np.random.default_rng([seed, _STREAM])
-        observation, info = self.env.reset(seed=seed, options=options)
+        _, info = self.env.reset(seed=seed, options=options)
         self._seen.reset(int(self._rng.integers(2**32)))
-        if self._view is not None:
-            self._view.reset()
         self._before = self._picture()
         self._seen.process(self._before, self._steps * self._dt)
         none = np.empty(0, EVENT)
-        return self._observed(observation, none), {**info, "events": none}
+        return self._count(none), {**info, "events": none}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:  # noqa: ANN401
         """Take an action; count the events until the next."""
         found: list[Events] = []
         with self._rendering(found):
-            observation, reward, terminated, truncated, info = self.env.step(action)
+            _, reward, terminated, truncated, info = self.env.step(action)
         if not found:
             after = self._picture()
             for n in range(1, self._frames + 1):
@@ -142,13 +127,11 @@ class EventCameraWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         events = np.concatenate(found)
         if self._writer is not None:
             self._writer.write(events)
-        seen = self._observed(observation, events)
-        return seen, reward, bool(terminated), bool(truncated), {**info, "events": events}
+        seen, ends = self._count(events), (bool(terminated), bool(truncated))
+        return seen, reward, *ends, {**info, "events": events}
 
     def close(self) -> None:
         """Close the environment; put the recording in its place."""
-        if self._view is not None:
-            self._view.close()
         self._open.close()
         super().close()
 
@@ -179,16 +162,16 @@ class EventCameraWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def _picture(self) -> Float32:
         """Logarithms (H, W) of what is seen now."""
-        shown: Any = self.env.render() if self._view is None else self._view.picture()
+        shown: Any = self.env.render()
         if not (isinstance(shown, np.ndarray) and shown.ndim == 3 and shown.shape[2] >= 3):
             found = getattr(shown, "shape", type(shown).__name__)
             raise EnvError(f"camera: render() gave {found}; it must give a picture (H, W, 3)")
         return lin_log(average(shown[..., :3] @ _LUMA, self._size))
 
-    def _observed(self, observation: Any, events: Events) -> Any:  # noqa: ANN401
+    def _count(self, events: Events) -> NDArray[np.uint16]:
         counts = np.zeros((2, *self._size), np.uint16)
         np.add.at(counts, (1 - events["p"].astype(np.intp), events["y"], events["x"]), 1)
-        return {"events": counts, "observation": observation} if self._keep else counts
+        return counts
 
 
 def average(picture: NDArray[Any], size: tuple[int, ...]) -> NDArray[Any]:
@@ -204,69 +187,3 @@ def _shares(fewer: int, many: int) -> Float32:
     edges = np.arange(fewer + 1)[:, None] * many / fewer
     covered = np.clip(edges - np.arange(many), 0.0, 1.0)
     return (np.diff(covered, axis=0) * fewer / many).astype(np.float32)
-
-
-class _MujocoView:
-    """What a camera of a MuJoCo model sees."""
-
-    def __init__(self, world: Any, size: tuple[int, int], camera: str | int) -> None:  # noqa: ANN401
-        holder = world if hasattr(world, "model") else getattr(world, "robot", None)
-        self._model: Any = getattr(holder, "model", None)
-        self._data: Any = getattr(holder, "data", None)
-        if self._model is None or self._data is None:
-            raise EnvError(
-                f"camera {camera!r}: {type(world).__name__} has no model and data of MuJoCo; "
-                "leave the camera out to see what render() shows"
-            )
-        names = [self._model.camera(n).name for n in range(self._model.ncam)]
-        if camera not in (*names, *range(self._model.ncam)):
-            raise EnvError(f"camera {camera!r}: the model has {', '.join(names) or 'none'}")
-        self._camera, self._size = camera, size
-        self._renderer: Any = None
-
-    def reset(self) -> None:
-        """Draw the ground anew, which an episode may have changed."""
-        if self._model.nhfield:
-            self.close()
-
-    def picture(self) -> NDArray[np.uint8]:
-        """Picture (h, w, 3) of the current state."""
-        if self._renderer is None:
-            self._renderer = self._made()
-        self._renderer.update_scene(self._data, camera=self._camera)
-        seen: NDArray[np.uint8] = self._renderer.render()
-        return seen
-
-    def _made(self) -> Any:  # noqa: ANN401
-        import mujoco  # as many environments do without
-
-        height, width = (_FINER * each for each in self._size)
-        with _quality(self._model, height, width):
-            load_renderer()
-            try:
-                return mujoco.Renderer(self._model, height, width)
-            except Exception as error:  # every GL library raises its own type
-                raise explain(error) from error
-
-    def close(self) -> None:
-        """Free the renderer."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
-
-
-@contextmanager
-def _quality(model: Any, height: int, width: int) -> Iterator[None]:  # noqa: ANN401
-    """Set what a renderer is made with, and put back what others are made with.
-
-    Pictures are averaged, so that edges need no second smoothing, and shadows no finer grid. It
-    takes a sixth of the time on a computer that draws without a GPU.
-    """
-    buffer, quality = model.vis.global_, model.vis.quality
-    before = buffer.offheight, buffer.offwidth, quality.offsamples, quality.shadowsize
-    buffer.offheight, buffer.offwidth = max(before[0], height), max(before[1], width)
-    quality.offsamples, quality.shadowsize = 0, min(before[3], 1024)
-    try:
-        yield
-    finally:
-        buffer.offheight, buffer.offwidth, quality.offsamples, quality.shadowsize = before

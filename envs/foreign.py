@@ -343,7 +343,7 @@ def make_foreign(
 
     name: registered id, module:Class, module:function or module:Registered-v0
     options: of its constructor, and of gymnasium.make, such as max_episode_steps; and event_camera,
-        to be seen by one: True, or options of EventCameraWrapper but keep and record
+        to be seen by one: True, or options of EventCameraWrapper but record
     success: key of the step infos that says success; None for the registered reward threshold
     """
     given = {key: value for key, value in options.items() if (key, value) != ("render_mode", None)}
@@ -407,7 +407,7 @@ def _check_wrappers(name: str, world: gymnasium.Env[Any, Any]) -> None:
 
 def _seen_by_events(world: gymnasium.Env[Any, Any], camera: object) -> EventCameraWrapper:
     """The environment with the event camera that an option asks for."""
-    known = ("size", "parameters", "frames", "camera", "dt")
+    known = ("size", "parameters", "frames", "dt")
     options = {} if camera is True else camera
     if not isinstance(options, Mapping) or not set(options) <= set(known):
         raise EnvError(

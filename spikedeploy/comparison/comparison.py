@@ -241,7 +241,6 @@ class Comparison:
             **self._late(found.control_steps_late),
             **found.counts(),
             "macs_effective": found.effective_macs,
-            **({"operations": dict(found.operations)} if found.operations else {}),
             "energy_per_inference_j": {name: each.value for name, each in energy.items()},
             "energy_interval_j": {name: [each.low, each.high] for name, each in energy.items()},
             "latency_per_inference_s": {name: each.value for name, each in latency.items()},

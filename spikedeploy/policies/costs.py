@@ -81,7 +81,6 @@ class Costs:
         sample of NeuroBench's activation sparsity
     effective_acs, effective_macs, dense: of every weight matrix; the readout counts, though it runs
         on the host; biases do not, nor does an identity into the output, which connects alone
-    operations: of a script, by name (policies.counting); nothing prices them
     clock: how layers advance (runtime.convention.Clock), and whether that is assumed
     control_steps_late: from an observation to the first and the last action that it reaches; None
         where states are reset, and it reaches its own
@@ -131,7 +130,6 @@ class Costs:
     saturations: int | None = _cost(
         "numbers that did not fit a register, in all episodes", "saturations", "sat."
     )
-    operations: Mapping[str, float] = field(default_factory=dict)
     clock: str | None = None
     control_steps_late: tuple[int, int] | None = None
     energy_j: Mapping[str, EnergyEstimate] = field(default_factory=dict)

@@ -88,12 +88,6 @@ def _right(row: Row) -> str:
     return f"{row['forks'] / taken:.1%}" if taken else ABSENT
 
 
-def _counted(row: Row) -> str:
-    """Operations of a script by name, the most first."""
-    found = sorted(row.get("operations", {}).items(), key=lambda each: -each[1])
-    return ", ".join(f"{count:,.0f} {name}" for name, count in found) or ABSENT
-
-
 def _score(row: Row) -> str:
     value = row["normalised_score"]
     return ABSENT if value is None else f"{100 * value:.0f}"
@@ -115,9 +109,7 @@ def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
         title: [*clocked, *_drop_empty(columns, rows), *measured_columns(rows)],
         "Does it act like its reference?": _drop_empty(_AGREEMENT, rows),
         "How large is the network?": _drop_empty(_cost_columns("size"), rows),
-        "What does an inference take?": _drop_empty(
-            [_CLOCK, _SCRIPT, *_cost_columns("operations")], rows
-        ),
+        "What does an inference take?": _drop_empty([_CLOCK, *_cost_columns("operations")], rows),
         COST: _drop_empty(_price_columns(rows), rows),
         "Where does the energy go, in nJ?": _term_columns(rows),
     }
@@ -342,7 +334,6 @@ _CLOCK = _field(
     "",
     "gated: layers advance one after the other; pipelined: all at once; free: in every timestep",
 )
-_SCRIPT = Column("script", "operations, counted while NumPy computes them", _counted)
 _TERMS = (
     Column(
         "operations", f"by {COMMON_TABLE}: synaptic operations, or dense MACs", _term("operations")
@@ -453,13 +444,11 @@ def describe_run(document: Mapping[str, Any]) -> str:
 
 
 def format_operations(row: Row) -> str:
-    """Synaptic operations, all multiply-accumulates of a float network, or a script's operations.
+    """Synaptic operations, or all multiply-accumulates of a float network.
 
     Such as `748,544 SOPs`.
     """
     if row.get("sops_per_inference") is not None:
         return f"{row['sops_per_inference']:,.0f} SOPs"
-    if counted := row.get("operations"):  # of a script
-        return f"{sum(counted.values()):,.0f} operations"
     macs = row.get("macs_dense")
     return f"{macs:,.0f} dense MACs" if macs else ABSENT

@@ -41,23 +41,26 @@ class Lamp(gymnasium.Env):
         return picture
 
 
+def hopper(**options):
+    return gymnasium.make("Hopper-v5", render_mode="rgb_array", **options)
+
+
 def watched(**options):
     return EventCameraWrapper(Lamp(), (4, 10), IDEAL, **options)
 
 
 def test_counts_are_the_changes_of_each_pixel_in_the_control_step():
-    env = watched(keep=True)
+    env = watched()
     seen, info = env.reset(seed=1)
-    assert not seen["events"].any()
+    assert not seen.any()
     assert len(info["events"]) == 0
     seen, reward, *_, info = env.step(np.array([100.0]))  # ln 2 / 0.2 is 3.47
-    assert seen["observation"] == [100.0]
     assert (reward, info["wall"]) == (1.0, 2)
-    assert (seen["events"][0] == [[3] * 5 + [0] * 5] * 4).all()
-    assert not seen["events"][1].any()
+    assert (seen[0] == [[3] * 5 + [0] * 5] * 4).all()
+    assert not seen[1].any()
     seen, *_ = env.step(np.array([45.0]))  # 0.71 below the 0.6 above 50 that is remembered
-    assert (seen["events"][1] == [[3] * 5 + [0] * 5] * 4).all()
-    assert env.observation_space.contains(seen | {"observation": np.float32([45.0])})
+    assert (seen[1] == [[3] * 5 + [0] * 5] * 4).all()
+    assert env.observation_space.contains(seen)
 
 
 @pytest.mark.parametrize(
@@ -121,23 +124,22 @@ def test_it_sees_worlds_that_draw(name):
 def test_pictures_between_the_steps_of_mujoco_leave_its_physics_as_they_are():
     plain = gymnasium.make("Hopper-v5")
     times = []
-    seen = EventCameraWrapper(plain_copy := gymnasium.make("Hopper-v5"), (24, 48), "clean", 3,
-                              camera="track", keep=True)  # fmt: skip
-    view = seen._view.picture
-    seen._view.picture = lambda: times.append(plain_copy.unwrapped.data.time) or view()
-    expected, _ = plain.reset(seed=5)
+    drawn = hopper(width=96, height=48)
+    seen = EventCameraWrapper(drawn, (24, 48), "clean", 3)
+    view = seen._picture
+    seen._picture = lambda: times.append(drawn.unwrapped.data.time) or view()
+    plain.reset(seed=5)
     try:
-        observation, _ = seen.reset(seed=5)
-    except EnvError as error:
+        seen.reset(seed=5)
+    except Exception as error:  # every GL library raises its own type
         pytest.skip(f"this machine cannot draw: {error}")
     total = 0
     plain.action_space.seed(0)
     for _ in range(10):
         action = plain.action_space.sample()
-        expected, *_ = plain.step(action)
-        observation, *_ = seen.step(action)
-        assert (observation["observation"] == expected).all()
-        total += int(observation["events"].sum())
+        plain.step(action)
+        total += int(seen.step(action)[0].sum())
+        assert (drawn.unwrapped.data.qpos == plain.unwrapped.data.qpos).all()
     assert total > 0
     # the start, then after 1, 2 and 4 of the four steps of 2 ms
     assert times[:4] == pytest.approx([0.0, 0.002, 0.004, 0.008])
@@ -168,16 +170,14 @@ def test_make_puts_one_on_an_environment_of_other_people():
     ("make", "message"),
     [
         (lambda: EventCameraWrapper(Lamp(None)), 'make it with render_mode="rgb_array"'),
-        (lambda: EventCameraWrapper(Lamp(fps=0)), "no time of a control step; give dt"),
+        (lambda: EventCameraWrapper(Lamp(fps=0)), "give dt"),
         (lambda: EventCameraWrapper(Lamp(), (4, 10, 3)), "a size of"),
         (lambda: EventCameraWrapper(Lamp(), (-4, 10)), "a shape of"),
         (lambda: EventCameraWrapper(Lamp(), frames=0), "0 frames"),
         (lambda: EventCameraWrapper(Lamp(), frames=1.5), "1.5 frames"),
-        (lambda: EventCameraWrapper(Lamp(), camera="front"), "no model and data of MuJoCo"),
         (lambda: envs.make("CartPole-v1", event_camera={"record": "a.h5"}), "size, parameters"),
         (lambda: envs.make("CartPole-v1", event_camera="noisy"), "neither true nor options"),
-        (lambda: EventCameraWrapper(gymnasium.make("Hopper-v5"), frames=9, camera=0), "at most 4"),
-        (lambda: EventCameraWrapper(gymnasium.make("Hopper-v5"), camera="eye"), "has track"),
+        (lambda: EventCameraWrapper(hopper(), frames=9), "at most 4"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_seen_is_refused_in_a_line(make, message):
