@@ -1,9 +1,7 @@
-"""Rendering of the hexapod: off-screen frames, or a window."""
+"""Off-screen frames of the hexapod."""
 
 from __future__ import annotations
 
-import time
-import warnings
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
@@ -12,7 +10,6 @@ from numpy.typing import NDArray
 
 from spikedeploy.envs.drawing import explain, load_renderer, without_renderer
 from spikedeploy.envs.hexapod.robot import Robot
-from spikedeploy.runtime.errors import EnvError
 
 with without_renderer():
     import mujoco
@@ -98,50 +95,3 @@ class Camera:
         self._gl.make_current()
         self._context.free()
         self._gl.free()
-
-
-def _check_display() -> None:
-    """Raise EnvError where no display can be reached: the viewer would end the process."""
-    from mujoco.glfw import glfw  # which the viewer calls in a thread of its own
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        if not glfw.init():
-            raise EnvError(
-                "no window: no display can be reached; render_mode='rgb_array' needs none"
-            )
-
-
-class CameraWindow:
-    """MuJoCo's viewer, slowed to real time."""
-
-    def __init__(self, subject: Robot, period: float, marks: Marks = tuple) -> None:
-        import mujoco.viewer as viewer  # needs a display, so only when a window is wanted
-
-        _check_display()
-        try:
-            self._viewer: Any = viewer.launch_passive(subject.model, subject.data)
-        except Exception as error:  # every windowing library raises its own type
-            raise EnvError(f"no window ({error}); render_mode='rgb_array' needs none") from error
-        view = self._viewer.cam  # follows the robot; the mouse turns it
-        view.type = mujoco.mjtCamera.mjCAMERA_TRACKING
-        view.trackbodyid = subject.model.body("torso").id
-        view.distance, view.azimuth, view.elevation = 1.0, 55.0, -25.0
-        self._period, self._marks = period, marks
-        self._due = time.monotonic()
-
-    def update_ground(self) -> None:
-        """Upload the height field after it has changed."""
-        self._viewer.update_hfield(0)
-
-    def picture(self) -> None:
-        """Show the current state, after waiting for its time."""
-        self._due = max(self._due + self._period, time.monotonic() - self._period)
-        time.sleep(max(0.0, self._due - time.monotonic()))
-        self._viewer.user_scn.ngeom = 0
-        _add(self._marks(), self._viewer.user_scn)
-        self._viewer.sync()
-
-    def close(self) -> None:
-        """Close the window."""
-        self._viewer.close()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.finite import all_finite
-from spikedeploy.envs.hexapod.camera import Camera, CameraWindow, Mark
+from spikedeploy.envs.hexapod.camera import Camera, Mark
 from spikedeploy.envs.hexapod.robot import (
     GRAVITY,
     STANCE,
@@ -253,12 +253,12 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
     servo_gain: [1] factor on stiffness and damping of the servos
     slope: [rad] of the ground, which rises along the x axis
     max_steps: [control steps]
-    render_mode: "rgb_array", "human" or None
+    render_mode: "rgb_array" or None
     Physical options are a number, or a pair (low, high) from which each episode draws.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - declared so by gymnasium
-        "render_modes": ["rgb_array", "human"],
+        "render_modes": ["rgb_array"],
         "render_fps": 50,
     }
 
@@ -289,7 +289,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         render_mode: str | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise EnvError(f"option render_mode: {render_mode!r} is not rgb_array, human or None")
+            raise EnvError(f"option render_mode: {render_mode!r} is neither rgb_array nor None")
         if max_steps < 1:
             raise EnvError(f"option max_steps: {max_steps} is below 1")
         self.render_mode = render_mode
@@ -311,7 +311,7 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         self._robot = Robot(self.FIELD, ground)
         self._terrain = Terrain(self.FIELD, self._robot.model, ground)
         self._gait = Gait()
-        self._camera: Camera | CameraWindow | None = None
+        self._camera: Camera | None = None
         self._centre, self._spread = scaling(self.ENTRIES)
         size = len(self._centre)
         self.observation_space = gymnasium.spaces.Box(-LIMIT, LIMIT, (size,), np.float64)
@@ -365,8 +365,6 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         self._begin()
         if self._camera is not None:
             self._camera.update_ground()
-        if self.render_mode == "human":
-            self.render()
         motion = self._robot.sense()
         return self._observe(motion, self._height(motion)), {}
 
@@ -389,24 +387,18 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         info = self._info(motion, terms, fall)
         self._update_command()
         observation = self._observe(motion, height)
-        if self.render_mode == "human":
-            self.render()
         return observation, reward, fall, truncated, info
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a frame (480, 640, 3), or show it in a window, as render_mode says."""
+    def render(self) -> NDArray[np.uint8]:
+        """Return a frame (480, 640, 3)."""
         if self.render_mode is None:
-            raise EnvError("made without render_mode; choose rgb_array or human")
+            raise EnvError('made without render_mode; choose "rgb_array"')
         if self._camera is None:
-            human = self.render_mode == "human"
-            if human:
-                self._camera = CameraWindow(self._robot, CONTROL_DT, self._marks)
-            else:
-                self._camera = Camera(self._robot, self._marks)
+            self._camera = Camera(self._robot, self._marks)
         return self._camera.picture()
 
     def close(self) -> None:
-        """Close the camera or window, if there is one."""
+        """Close the camera, if there is one."""
         if self._camera is not None:
             self._camera.close()
             self._camera = None

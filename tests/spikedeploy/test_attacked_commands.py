@@ -8,11 +8,10 @@ import sys
 
 import pytest
 
-from spikedeploy import envs
 from spikedeploy.policies import run_record
 from spikedeploy.policies.nir import read_codec
 from spikedeploy.policies.run import policy_of
-from spikedeploy.runtime.errors import ArtifactError, ConfigError, EnvError
+from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.ppo import PpoConfig
@@ -70,14 +69,6 @@ def test_names_of_any_script_no_home_and_a_folder_that_takes_nothing(tmp_path):
     environ = {name: value for name, value in os.environ.items() if name != "HOME"}
     found = checked("/proc", str(strange / "é.nir"), "--json", **environ)
     assert "[bold]" in json.dumps(json.loads(found), ensure_ascii=False)
-
-
-def test_a_window_of_the_hexapod_without_a_display_is_an_error_of_ours(monkeypatch):
-    glfw = pytest.importorskip("glfw")
-    monkeypatch.setattr(glfw, "init", lambda: False)
-    env = envs.make("hexapod", render_mode="human")
-    with pytest.raises(EnvError, match="no display can be reached"):
-        env.reset()
 
 
 @pytest.mark.parametrize("option", ["colour=3", "track=[[[["])
