@@ -59,7 +59,7 @@ def _by_torch(found: Synapses, spikes: NDArray[np.int64]) -> NDArray[np.float64]
     return puts[:, :, :y, :x].round().reshape(len(spikes), -1).numpy()
 
 
-@settings(max_examples=150)
+@settings(max_examples=80)
 @given(synapses(), st.integers(0, 99), st.sampled_from([0.02, 0.5]))
 def test_the_matrix_of_a_window_is_that_of_torchs_convolution(
     found: Synapses, seed: int, density: float

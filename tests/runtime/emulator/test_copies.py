@@ -31,7 +31,7 @@ WAYS = {
     "pickle": lambda each: pickle.loads(pickle.dumps(each)),
 }
 BACKENDS = ("interpreter", "numpy", "numba", "auto")
-OBSERVED, ACTIONS, STEPS = 8, 4, 60
+OBSERVED, ACTIONS, STEPS = 8, 4, 20
 
 
 def neurons(kind, size):

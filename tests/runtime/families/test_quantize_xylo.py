@@ -46,22 +46,59 @@ def shifted(bits):
     return Quantisation(weight_shift=bits)
 
 
-def test_one_scale_makes_the_largest_hidden_weight_127_and_outputs_have_their_own():
-    # currents on Xylo have decayed before they are used: 0.5 becomes 0.5 / (1 - 1/2) = 1
-    hidden, output = compiled(two_layers([[0.5], [-0.125]], [[2, 1]])).layers
-    assert hidden.synapses[0].weight.tolist() == [[127, -32]]  # -0.25 * 127 = -31.75
-    assert hidden.threshold.tolist() == [127, 127]
-    assert np.ndim(hidden.scale) == 0
-    assert hidden.scale == pytest.approx(1 / 127)
-    assert output.synapses[0].weight.tolist() == [[127], [64]]  # 2 * 31.75 = 63.5, to even
-    assert output.threshold.tolist() == [32]  # 127 / 4 = 31.75
+# weights onto the hidden and the output neuron, options, choice, what becomes of both layers.
+# Currents on Xylo have decayed before they are used: 0.5 becomes 0.5 / (1 - 1/2) = 1
+BY_HAND = {
+    "the largest hidden weight is 127, and outputs have a scale of their own": (
+        # -0.25 * 127 = -31.75; 2 * 31.75 = 63.5, to even; 127 / 4 = 31.75
+        [[0.5], [-0.125]], [[2, 1]], {}, PLAIN,
+        {"weight": [[127, -32]], "threshold": [127, 127], "scale": 1 / 127},
+        {"weight": [[127], [64]], "threshold": [32]},
+    ),
+    "each channel has a scale of its own": (
+        [[0.5], [-0.125]], [[2, 1]], {}, CHANNEL,
+        {"weight": [[127, -127]], "threshold": [127, 508], "scale": [1 / 127, 1 / 508]}, {},
+    ),
+    "fractions can be dropped": (
+        [[0.5], [-0.125]], [[2, 1]], {}, Quantisation(rounding="truncate"),
+        {"weight": [[127, -31]]}, {},
+    ),
+    "a weight shift makes states finer and leaves the weights": (
+        [[0.5], [0.1]], [[2, 1]], {}, Quantisation(weight_shift=3),
+        {"weight": [[127 << 3, 25 << 3]], "threshold": [127 << 3] * 2, "scale": 1 / 127 / 8}, {},
+    ),
+    "a threshold beyond 16 bits rescales everything": (
+        # 1 * 127 / 0.002 = 63500 would not fit; with 32767 the weight is 0.002 * 32767 = 65.5;
+        # outputs are as they were: 127 / 2
+        [[0.001], [0.0005]], [[1, 1]], {}, PLAIN,
+        {"weight": [[66, 33]], "threshold": [32767, 32767]}, {"threshold": [64]},
+    ),
+    "a bias is what it comes to through the current": (
+        # 0.1 / (1 - 1/2) = 0.2 in every timestep; the largest weight, 1 / (1/2) = 2, is 127
+        [[1], [1]], [[1, 1]], {"bias": [0.1, -0.3]}, PLAIN,
+        {"voltage_bias": [13, -38], "bias": [0, 0]}, {},
+    ),
+    "a spike of a neuron without current still adds up to its weight": (
+        # keeps 7/8 in both; the shortest current gives 1/2, 1/4, ... of the weight, in all 1
+        [[1], [1]], [[1, 1]], {"neurons": lambda n: lif(n, 8e-3, 8.0)}, PLAIN,
+        {"weight": [[127, 127]], "threshold": [127, 127], "current_decay": [[1, 1]]}, {},
+    ),
+}  # fmt: skip
 
 
-def test_each_channel_has_a_scale_of_its_own():
-    hidden, _ = compiled(two_layers([[0.5], [-0.125]], [[2, 1]]), quantisation=CHANNEL).layers
-    assert hidden.synapses[0].weight.tolist() == [[127, -127]]
-    assert hidden.threshold.tolist() == [127, 508]
-    np.testing.assert_allclose(hidden.scale, [1 / 127, 1 / 508])
+@pytest.mark.parametrize("case", BY_HAND)
+def test_by_hand(case):
+    first, second, options, choice, *expected = BY_HAND[case]
+    program = compiled(two_layers(first, second, **options), choice)
+    for layer, values in zip(program.layers, expected, strict=True):
+        for name, wanted in values.items():
+            found = layer.synapses[0].weight if name == "weight" else getattr(layer, name)
+            np.testing.assert_allclose(found, wanted, rtol=1e-9, err_msg=name)
+    if "bias" in options:
+        assert any(r.startswith("layer 'n2'") and "added to the membrane" in r
+                   for r in program.remarks)  # fmt: skip
+    if "neurons" in options:
+        assert any("no synaptic current" in remark for remark in program.remarks)
 
 
 @pytest.mark.parametrize(
@@ -87,50 +124,6 @@ def test_the_exponential_integrator_has_the_same_dashes_and_membranes_may_forget
     convention = replace(CONVENTION, integrator="exponential")
     hidden, _ = compiled(Artifact(chain(*nodes, width=1, act=1), None, convention)).layers
     assert (hidden.current_decay[0, 0], hidden.membrane_decay[0]) == dashes
-
-
-def test_a_bias_is_what_it_comes_to_through_the_current():
-    # 0.1 / (1 - 1/2) = 0.2 in every timestep; the largest weight, 1 / (1/2) = 2, is 127
-    artifact = two_layers([[1], [1]], [[1, 1]], bias=[0.1, -0.3])
-    hidden, _ = compiled(artifact).layers
-    assert hidden.voltage_bias.tolist() == [13, -38]  # 12.7 and -38.1
-    assert not hidden.bias.any()
-    [first] = [r for r in compiled(artifact).remarks if "bias is added to the membrane" in r]
-    assert first.startswith("layer 'n2'")
-
-
-def test_a_threshold_beyond_16_bits_rescales_everything():
-    weak = two_layers([[0.001], [0.0005]], [[1, 1]])
-    hidden, output = compiled(weak).layers
-    # 1 * 127 / 0.002 = 63500 would not fit; with 32767 the weight is 0.002 * 32767 = 65.5
-    assert hidden.threshold.tolist() == [32767, 32767]
-    assert hidden.synapses[0].weight.tolist() == [[66, 33]]
-    assert output.threshold.tolist() == [64]  # outputs are as they were: 127 / 2
-
-
-def test_a_weight_shift_makes_states_finer_and_leaves_the_weights():
-    plain, finer = (compiled(two_layers([[0.5], [0.1]], [[2, 1]]), shifted(s)) for s in (0, 3))
-    hidden = finer.layers[0]
-    assert hidden.synapses[0].weight.tolist() == [[127 << 3, 25 << 3]]
-    assert hidden.threshold.tolist() == [127 << 3] * 2
-    assert hidden.scale == pytest.approx(plain.layers[0].scale / 8)
-
-
-def test_fractions_can_be_dropped():
-    hidden, _ = compiled(
-        two_layers([[0.5], [-0.125]], [[2, 1]]), quantisation=Quantisation(rounding="truncate")
-    ).layers
-    assert hidden.synapses[0].weight.tolist() == [[127, -31]]
-
-
-def test_a_spike_of_a_neuron_without_current_still_adds_up_to_its_weight():
-    # keeps 7/8 in both; the shortest current gives 1/2, 1/4, ... of the weight, in all 1
-    program = compiled(two_layers([[1], [1]], [[1, 1]], neurons=lambda n: lif(n, 8e-3, 8.0)))
-    hidden, _ = program.layers
-    assert hidden.current_decay.tolist() == [[1, 1]]
-    assert hidden.synapses[0].weight.tolist() == [[127, 127]]
-    assert hidden.threshold.tolist() == [127, 127]
-    assert any("no synaptic current" in remark for remark in program.remarks)
 
 
 def test_spike_counts_follow_the_float_graph():

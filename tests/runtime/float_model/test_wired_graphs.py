@@ -166,7 +166,7 @@ def compiled(artifact, on, **options):
         return None
 
 
-@settings(max_examples=150)
+@settings(max_examples=80)
 @given(ended(), st.integers(0, 1000), st.sampled_from([0, 1]), st.booleans(), st.booleans())
 def test_generated_networks_equal_the_float_graph_on_chip_and_host(
     network, seed, delay, kept, on_host
