@@ -52,7 +52,6 @@ Cost = Literal["words", "bits"]
 # maps without a state: weights of the neurons behind them on every chip that has synapses
 WEIGHTS = ("Affine", "Linear")
 SPACE = ("Conv1d", "Conv2d", "Flatten", "SumPool2d", "AvgPool2d")
-ENDS = ("Input", "Output")
 # neurons without a threshold, whose membranes leave the chip
 READOUTS = ("LI", "CubaLI", "I")
 

@@ -26,7 +26,7 @@ weights, and tanh or argmax is the same for all policies: neither is counted.
 import difflib
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,6 @@ from spikedeploy.runtime.metrics.energy_tables import (
     Uncertainty,
     sram,
 )
-from spikedeploy.runtime.metrics.traffic import MessageTraffic
 
 __all__ = ["ADDITION", "STATIC", "TABLES", "EnergyTable", "StaticPower", "Uncertainty"]
 
@@ -107,21 +106,16 @@ def event_counts(ledger: Ledger) -> dict[str, float]:
     return {**counts, "one_state_update": alone / max(ledger.inferences, 1)}
 
 
-def energy(ledger: Ledger, table: EnergyTable, traffic: MessageTraffic | None = None) -> float:
-    """Energy of an inference [J].
-
-    traffic: of all inferences, between placed cores; replaces the ledger's count of messages.
-    """
-    return _cost(_counts(ledger, traffic), table.joules)
+def energy(ledger: Ledger, table: EnergyTable) -> float:
+    """Energy of an inference [J]."""
+    return cost(event_counts(ledger), table.joules)
 
 
-def energy_estimate(
-    ledger: Ledger, table: EnergyTable, traffic: MessageTraffic | None = None
-) -> EnergyEstimate:
-    """Energy of an inference [J], with its interval; arguments as for `energy`."""
-    counts = _counts(ledger, traffic)
-    upper = _cost(counts, {**table.joules, **table.upper_joules})
-    return _estimate(_cost(counts, table.joules), upper, counts, table)
+def energy_estimate(ledger: Ledger, table: EnergyTable) -> EnergyEstimate:
+    """Energy of an inference [J], with its interval."""
+    counts = event_counts(ledger)
+    upper = cost(counts, {**table.joules, **table.upper_joules})
+    return _estimate(cost(counts, table.joules), upper, counts, table)
 
 
 def mac_energy(macs: float, table: EnergyTable) -> float:
@@ -168,15 +162,8 @@ def latency_estimate(ledger: Ledger, table: EnergyTable) -> EnergyEstimate:
     return EnergyEstimate(seconds, seconds * factor.low, seconds * factor.high)
 
 
-def _counts(ledger: Ledger, traffic: MessageTraffic | None) -> dict[str, float]:
-    counts = event_counts(ledger)
-    if traffic is not None:
-        inferences = max(ledger.inferences, 1)
-        counts |= {f.name: getattr(traffic, f.name) / inferences for f in fields(traffic)}
-    return counts
-
-
-def _cost(counts: Mapping[str, float], prices: Mapping[str, float]) -> float:
+def cost(counts: Mapping[str, float], prices: Mapping[str, float]) -> float:
+    """Energy [J] of so many events at these prices [J]."""
     # E = sum over events of count * price
     marginal = _marginal_prices(prices)
     return sum(count * marginal.get(event, 0.0) for event, count in counts.items())

@@ -50,10 +50,10 @@ class EnergyTable:
     name: as in TABLES.
     source: publication.
     provenance: how the numbers were obtained, and how certain they are.
-    joules: [J] per event: of EVENTS, "mac" for networks without spikes, "hop_x" and "hop_y" of
-        MessageTraffic, "one_state_update" for a neuron without a current, where it costs less than
-        "neuron_update", and "state_write" for setting one state of a neuron to 0. A "graded_sop"
-        without a price of its own costs a "mac".
+    joules: [J] per event: of EVENTS, "mac" for networks without spikes, "hop_x" and "hop_y"
+        between tiles of a network on chip, "one_state_update" for a neuron without a current, where
+        it costs less than "neuron_update", and "state_write" for setting a neuron's state to 0. A
+        "graded_sop" without a price of its own costs a "mac".
     seconds: [s] per event, one after another.
     step: [s] per chip timestep, for the synchronisation of cores or the period of a clock.
     uncertainty: of energies.

@@ -5,9 +5,7 @@ while a network runs. It is the least that the arithmetic needs: indices, whole 
 tables, which differ between chips, are not included.
 
 Messages: a ledger counts one for each spike and each postsynaptic layer, as if every layer were on
-a core of its own. With a layout of neurons on cores, a spike is one message to each core that holds
-a postsynaptic neuron, as in SANA-FE: layers on one core share it, a layer on several cores takes
-several, and a spike without synapses takes none.
+a core of its own; `placed_messages` counts them where layers take several.
 """
 
 from collections.abc import Mapping
@@ -79,50 +77,6 @@ def packed_bytes(program: Program) -> float:
     return weights * program.chip.arithmetic.weight_bits / 8
 
 
-# messages between cores
-
-
-@dataclass(frozen=True, eq=False)
-class Layout:
-    """The core of every neuron, and the place of every core.
-
-    cores: of the input and of each layer, (N,) core of each neuron.
-    tiles: (K, 2) column and row of the tile of each core, on the mesh of the network on chip.
-    """
-
-    cores: Mapping[str, Counts]
-    tiles: Counts
-
-
-@dataclass(frozen=True)
-class MessageTraffic:
-    """Messages between cores; spikes to the host are not included.
-
-    message: packets.
-    hop_x, hop_y: hops between tiles of all packets, along rows and along columns.
-    """
-
-    message: int
-    hop_x: int
-    hop_y: int
-
-
-def traffic(program: Program, spikes: Mapping[str, Counts], layout: Layout) -> MessageTraffic:
-    """The messages of spikes, given by their number (N,) for each neuron of the input and layers.
-
-    Of several inferences, give the sums of their spikes.
-    """
-    message = hop_x = hop_y = 0
-    for source, reached in _reached_cores(program, layout).items():
-        packets = spikes[source].astype(np.int64)[:, None] * reached
-        own = layout.tiles[layout.cores[source]]
-        across, along = np.abs(own[:, None] - layout.tiles[None]).transpose(2, 0, 1)
-        message += int(packets.sum())
-        hop_x += int((packets * across).sum())
-        hop_y += int((packets * along).sum())
-    return MessageTraffic(message, hop_x, hop_y)
-
-
 def placed_messages(ledger: Ledger, program: Program, cores: Mapping[str, int]) -> float:
     """Messages of an inference where layers take several cores, at most.
 
@@ -137,19 +91,6 @@ def placed_messages(ledger: Ledger, program: Program, cores: Mapping[str, int]) 
         inside = spikes[layer.name] + ledger.timesteps * (layer.bias_fan_out > 0)
         found += sent[layer.name] + inside * (cores.get(layer.name, 1) - 1)
     return found / max(ledger.inferences, 1)
-
-
-def _reached_cores(program: Program, layout: Layout) -> dict[str, NDArray[np.bool_]]:
-    """Mask (N, K) of the cores on which each neuron of a source has synapses."""
-    reached = {
-        name: np.zeros((size, len(layout.tiles)), np.bool_) for name, size in program.sizes.items()
-    }
-    for layer in program.layers:
-        for synapses in layer.synapses:
-            cores, onto = layout.cores[layer.name], reached[synapses.source]
-            for axon in np.flatnonzero(synapses.fan_out).tolist():
-                onto[axon, cores[synapses.row(axon)[1] != 0]] = True
-    return reached
 
 
 # what the host computes for readout layers that a chip has no way out for

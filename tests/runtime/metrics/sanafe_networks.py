@@ -1,6 +1,7 @@
 """Random networks on SANA-FE's Loihi, whose chip is its own arch/loihi.yaml, and on ours."""
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -13,7 +14,7 @@ from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.metrics.traffic import Layout
+from spikedeploy.runtime.metrics.energy import cost, event_counts
 
 Weights = NDArray[Any]
 
@@ -51,6 +52,65 @@ def program(case: str, seed: int) -> Program:
             )
         )
     return feed_forward(layers)
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The core of every neuron, and the place of every core.
+
+    cores: of the input and of each layer, (N,) core of each neuron.
+    tiles: (K, 2) column and row of the tile of each core, on the mesh of the network on chip.
+    """
+
+    cores: Mapping[str, Weights]
+    tiles: Weights
+
+
+@dataclass(frozen=True)
+class MessageTraffic:
+    """Messages between cores; spikes to the host are not included.
+
+    message: packets.
+    hop_x, hop_y: hops between tiles of all packets, along rows and along columns.
+    """
+
+    message: int
+    hop_x: int
+    hop_y: int
+
+
+def traffic(program: Program, spikes: Mapping[str, Weights], layout: Layout) -> MessageTraffic:
+    """The messages of spikes, given by their number (N,) for each neuron of the input and layers.
+
+    Of several inferences, give the sums of their spikes.
+    """
+    message = hop_x = hop_y = 0
+    for source, reached in _reached_cores(program, layout).items():
+        packets = spikes[source].astype(np.int64)[:, None] * reached
+        own = layout.tiles[layout.cores[source]]
+        across, along = np.abs(own[:, None] - layout.tiles[None]).transpose(2, 0, 1)
+        message += int(packets.sum())
+        hop_x += int((packets * across).sum())
+        hop_y += int((packets * along).sum())
+    return MessageTraffic(message, hop_x, hop_y)
+
+
+def _reached_cores(program: Program, layout: Layout) -> dict[str, NDArray[np.bool_]]:
+    """Mask (N, K) of the cores on which each neuron of a source has synapses."""
+    reached = {
+        name: np.zeros((size, len(layout.tiles)), np.bool_) for name, size in program.sizes.items()
+    }
+    for each in program.layers:
+        for synapses in each.synapses:
+            cores, onto = layout.cores[each.name], reached[synapses.source]
+            for axon in np.flatnonzero(synapses.fan_out).tolist():
+                onto[axon, cores[synapses.row(axon)[1] != 0]] = True
+    return reached
+
+
+def energy(ledger: Ledger, sent: MessageTraffic) -> float:
+    """Energy of a run [J], with the messages between placed cores."""
+    return cost({**event_counts(ledger), **vars(sent)}, TABLE.joules)
 
 
 def one_core_each(program: Program) -> Layout:

@@ -39,7 +39,6 @@ from spikedeploy.runtime.metrics.energy import (
     xylo_time,
 )
 from spikedeploy.runtime.metrics.energy_tables import Uncertainty
-from spikedeploy.runtime.metrics.traffic import MessageTraffic
 
 
 def ledger(inferences=1, timesteps=5, steps=8, **events):
@@ -153,12 +152,6 @@ def test_static_power_is_a_line_of_its_own():
 )
 def test_an_uncertainty_is_said_in_a_few_words(bounds, words):
     assert Uncertainty(*bounds, "why").describe() == words
-
-
-def test_hops_cost_what_their_direction_costs():
-    # three packets; two steps along a row, one along a column, instead of the ledger's message
-    found = energy(ledger(message=9), TABLES["sanafe"], MessageTraffic(message=3, hop_x=2, hop_y=1))
-    assert found == pytest.approx((3 * 111 + 2 * 3.0 + 4.2) * 1e-12)
 
 
 def test_an_unknown_table_is_refused_with_a_suggestion():

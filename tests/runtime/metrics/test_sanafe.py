@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
-from spikedeploy.runtime.metrics.energy import TABLES, energy, latency
-from spikedeploy.runtime.metrics.traffic import traffic
+from spikedeploy.runtime.metrics.energy import TABLES, latency
 from tests.runtime.metrics.sanafe_networks import (
     NETWORKS,
+    energy,
     one_core_each,
     program,
     run,
     scatter,
     simulate,
+    traffic,
 )
 
 TABLE = TABLES["sanafe"]
@@ -48,7 +49,7 @@ def test_the_energy_of_a_random_network_is_sanafes(case, rate, mapping):
     # neurons whose inputs cancel are updated there, and those with a current left are updated here
     more = ledger.total("neuron_update") - (theirs["neurons_updated"] - inputs)
     assert abs(more) <= 0.01 * ledger.total("neuron_update")
-    ours = energy(ledger, TABLE, sent)
+    ours = energy(ledger, sent)
     assert ours - more * UPDATE == pytest.approx(theirs["energy"]["total"], rel=1e-9)
     assert ours == pytest.approx(theirs["energy"]["total"], rel=2e-3)
 

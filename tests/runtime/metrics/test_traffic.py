@@ -10,12 +10,9 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.metrics.traffic import (
-    Layout,
     MemoryTraffic,
-    MessageTraffic,
     memory_traffic,
     placed_messages,
-    traffic,
 )
 from tests.programs import layer
 
@@ -74,25 +71,6 @@ def _layer(name, size, wires):
     return layer(
         CHIP.arithmetic, name, np.zeros((size, 1)), synapses, decays=(4095, 0), threshold=1000 << 6
     )
-
-
-APART = {"input": np.array([0, 0]), "a": np.array([1, 1]), "b": np.array([2])}
-SPIKES = {"input": np.array([10, 1]), "a": np.array([4, 4]), "b": np.array([2])}
-
-
-def test_a_spike_takes_a_message_to_each_core_that_it_reaches(network):
-    found = traffic(network, SPIKES, Layout(APART, np.zeros((3, 2), np.int64)))
-    # axon 0 reaches layer a, axon 1 both layers, the second layer itself; a's spikes nothing
-    assert found == MessageTraffic(message=10 * 1 + 1 * 2 + 2 * 1, hop_x=0, hop_y=0)
-
-
-def test_a_layer_on_two_cores_takes_two_messages_and_their_hops(network):
-    spread = {"input": np.array([0, 0]), "a": np.array([1, 2]), "b": np.array([0])}
-    # the second core is two tiles along the row, the third one tile along the column
-    tiles = np.array([[0, 0], [2, 0], [0, 1]])
-    found = traffic(network, SPIKES, Layout(spread, tiles))
-    # axon 0 to cores 1 and 2; axon 1 to core 2 and its own
-    assert found == MessageTraffic(message=10 * 2 + 1 * 2 + 2, hop_x=10 * 2, hop_y=10 + 1)
 
 
 def test_a_message_goes_to_every_core_of_a_layer_and_to_the_host_once(network):
