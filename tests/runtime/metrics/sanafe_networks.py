@@ -110,7 +110,7 @@ def _reached_cores(program: Program, layout: Layout) -> dict[str, NDArray[np.boo
 
 def energy(ledger: Ledger, sent: MessageTraffic) -> float:
     """Energy of a run [J], with the messages between placed cores."""
-    return cost({**event_counts(ledger), **vars(sent)}, TABLE.joules)
+    return cost({**event_counts(ledger), **vars(sent)}, TABLES["sanafe"].joules)
 
 
 def one_core_each(program: Program) -> Layout:
