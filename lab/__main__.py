@@ -19,7 +19,6 @@ COMMANDS = {
     "students": "lab.experiments.students",
     "convolutions": "lab.bench.convolutions",
     "latency": "lab.bench.latency",
-    "realtime": "lab.bench.realtime",
     "runtime": "lab.bench.runtime",
     "sweep": "lab.bench.sweep",
     "updates": "lab.bench.updates",

@@ -121,14 +121,6 @@ def fill_page(text: str) -> str:
     return _BLOCK.sub(written, text)
 
 
-def put(text: str, place: str, made: str) -> str:
-    """Return a page with a table between the marks of its place."""
-    start, end = f"<!-- {place} -->\n", f"<!-- end of {place} -->\n"
-    head, rest = text.split(start)
-    _, tail = rest.split(end)
-    return f"{head}{start}{made}\n{end}{tail}"
-
-
 def main() -> int:
     """Write all pages anew, or with --check name those that would change."""
     parser = argparse.ArgumentParser(prog="python -m lab tables", description=__doc__)

@@ -6,6 +6,5 @@ runtime      batches of one and of many, against snnTorch, Norse, SpikingJelly a
 nets, peers  the networks that `runtime` runs, and the libraries that run them
 updates      training updates through each chip, against snnTorch's own
 versions     this tree against another one
-realtime     start-up, and closed loops against the robot's clock
 sweep        sweeps on several nodes, one of which is killed
 """

@@ -23,6 +23,7 @@ from torch import Tensor, nn
 import spikedeploy.zoo
 from lab.bench.turns import medians, parser_of, report
 from spikedeploy import envs
+from spikedeploy.envs.rollout import rollout
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import Codec, PopulationEncoder
@@ -96,7 +97,8 @@ def main() -> None:
         "ours_counting": SpikingController(artifact, emulated, ledger="total").act_batch,
         "snntorch": peer,
     }
-    observations = walk(artifact, artifact.provenance.env)
+    env = envs.make(artifact.provenance.env)
+    observations = rollout(env, SpikingController(artifact), SEED).observation[:STEPS]
     rows = observations[:, None]
     calls = {name: [partial(act, row) for row in rows] for name, act in actors.items()}
     median = medians(calls, arguments.rounds)
@@ -113,19 +115,6 @@ def main() -> None:
         "snntorch_equals_float_twin": float((np.abs(apart).max(axis=1) < 1e-4).mean()),
     }
     report(result, arguments)
-
-
-def walk(artifact: Artifact, env_id: str) -> Numbers:
-    """Return observations (STEPS, obs) of the policy in its own environment."""
-    twin, env = SpikingController(artifact), envs.make(env_id)
-    observation, _ = env.reset(seed=SEED)
-    seen = []
-    for _ in range(STEPS):
-        seen.append(observation)
-        observation, _, terminated, truncated, _ = env.step(twin.act(observation))
-        if terminated or truncated:
-            observation, _ = env.reset()
-    return np.stack(seen)
 
 
 def linear(node: nir.Affine) -> nn.Linear:

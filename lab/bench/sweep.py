@@ -74,15 +74,11 @@ def results(folder: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in (folder / "jobs").glob("[!.]*.json")}
 
 
-def journal(folder: Path) -> list[dict[str, str]]:
-    """Lines of a sweep's journal."""
-    return list(csv.DictReader((folder / "journal.csv").read_text("utf-8").splitlines()))
-
-
 def verdict(folder: Path, serial: Path, jobs: int) -> dict[str, Any]:
     """Numbers of results that are missing, twice, or unlike the serial sweep's."""
     found, expected = results(folder), results(serial)
-    keys = [line["key"] for line in journal(folder) if line["status"] == "done"]
+    lines = csv.DictReader((folder / "journal.csv").read_text("utf-8").splitlines())
+    keys = [line["key"] for line in lines if line["status"] == "done"]
     return {
         "results": len(found),
         "missing": jobs - len(found),

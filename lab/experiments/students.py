@@ -147,22 +147,11 @@ def facts(rows: Sequence[Record]) -> Record:
         "fewer": np.sum([each["fewer"] for each in tasks], axis=0),
         "spent": [(min(each), max(each)) for each in zip(*compared, strict=True)],
         "compared": len(compared),
-        "unknown": _unknown(rows),
+        "known": [row["validation"] is not None for row in rows if row["role"] in RECIPES],
         "missing": ["-".join(map(str, job)) for job in jobs(seeds) if job not in there],
         "WANTED": WANTED,
         "PRICES": PRICES,
     }
-
-
-def _unknown(rows: Sequence[Record]) -> str:
-    """Return how many trainings have no record of their validation; nothing where all have."""
-    of_trainings = [row for row in rows if row["role"] in RECIPES]
-    lacking = sum(row["validation"] is None for row in of_trainings)
-    if not lacking:
-        return ""
-    if lacking == len(of_trainings):
-        return f"No training here was chosen by validation: none of the {lacking} recorded it"
-    return f"Of {len(of_trainings)} trainings {lacking} recorded no validation"
 
 
 def facts_of_task(task: str, by: Mapping[tuple[str, str], Sequence[Record]]) -> Record:

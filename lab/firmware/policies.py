@@ -35,7 +35,6 @@ from lab.firmware.targets import (
     run,
     run_words,
 )
-from lab.tables import put
 from spikedeploy import envs, zoo
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.reports.table import ABSENT, markdown_text
@@ -75,7 +74,9 @@ def main() -> None:
     print(made := table(rows))
     if options.write:
         intro = f"Of {options.episodes} episodes each, made by `python -m lab firmware --write`:"
-        write_text(PAGE, put(PAGE.read_text("utf-8"), "firmware", f"{intro}\n\n{made}"))
+        head, _, rest = PAGE.read_text("utf-8").partition("<!-- firmware -->\n")
+        end = rest[rest.index("<!-- end of firmware -->") :]
+        write_text(PAGE, f"{head}<!-- firmware -->\n{intro}\n\n{made}\n{end}")
     sys.exit(any(row["differing"] or not row["passed"] for row in rows))
 
 
