@@ -16,7 +16,6 @@ from torch.nn import functional
 
 from spikedeploy.trainers.config import (
     Batch,
-    Count,
     EnvConfig,
     NormaliserConfig,
     Positive,
@@ -35,7 +34,6 @@ from spikedeploy.trainers.progress import Journal
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Critic, EnvRunner, Learner, adam, descend, set_rate
 
-HOLDS = 2  # validations in a row, so that greedy driving that swings is no success
 _HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 _SMALL = 0.01  # initial scale of the last layer: nearly equal actions (Andrychowicz et al. 2021)
 _EPS = 1e-8
@@ -62,11 +60,6 @@ class PpoConfig(RunConfig):
     spread: initial standard deviation of a continuous head's exploration, before tanh
     rate_penalty, rate_target: weight and threshold of the hinge on mean firing rates [spikes per
         neuron and timestep]; no effect on an MLP
-    stop_at_finishes: finished episodes after which training ends; 0 for no limit
-    stop_at_greedy: share of validation episodes that must finish, twice in a row, for training to
-        end; 0 for no limit. With both limits it ends when both are reached
-    running_total: whether every step pays the sum of its episode's rewards so far, as the
-        environments of kart-simulator do; returns in logs stay those of the environment
     """
 
     env: EnvConfig = EnvConfig(name="kart-grid", count=16)
@@ -89,23 +82,7 @@ class PpoConfig(RunConfig):
     spread: Rate = 0.6
     rate_penalty: float = Field(default=0.0, ge=0)
     rate_target: Share = 0.2
-    stop_at_finishes: Count = 0
-    stop_at_greedy: Share = 0.0
-    running_total: bool = False
     checkpoint_every: Positive = 50_000
-
-    def reached(self, finishes: int, held: int) -> bool:
-        """Return whether training may end before its last step: every limit that is set is reached.
-
-        finishes: finished episodes of training
-        held: latest validations in a row with at least `stop_at_greedy`
-        """
-        limits = []
-        if self.stop_at_finishes:
-            limits.append(finishes >= self.stop_at_finishes)
-        if self.stop_at_greedy:
-            limits.append(held >= HOLDS)
-        return bool(limits) and all(limits)
 
 
 # -- actions as distributions
@@ -378,7 +355,6 @@ class Ppo(EnvRunner[PpoConfig]):
 
     iterations: batches collected and learned from so far
     finishes: episodes that ended at the finish
-    held: latest validations in a row in which at least `stop_at_greedy` of the episodes finished
     """
 
     Config = PpoConfig
@@ -387,7 +363,7 @@ class Ppo(EnvRunner[PpoConfig]):
         "critic_loss", "entropy", "kl", "clipped", "learning_rate", "steps_per_s", "eval_return",
         "eval_finish", "eval_crash", "eval_gates", "eval_speed",
     )  # fmt: skip
-    COUNTERS = ("env_steps", "iterations", "episodes", "best", "finishes", "held")
+    COUNTERS = ("env_steps", "iterations", "episodes", "best", "finishes")
     learner: PpoLearner
 
     def __init__(self, config: PpoConfig, run: RunFolder) -> None:
@@ -397,7 +373,7 @@ class Ppo(EnvRunner[PpoConfig]):
             config.policy, *envs.sizes, config.normaliser.clip, envs.columns, envs.head
         )
         self.learner = PpoLearner(config, self.policy)
-        self.iterations = self.held = 0
+        self.iterations = 0
         self._learned: dict[str, float] = {}
         self.finishes = 0
         self._ended: int | None = None  # step at which the latest episode ended
@@ -414,17 +390,6 @@ class Ppo(EnvRunner[PpoConfig]):
         episodes = Metrics(run.path / "episodes.csv", _COLUMNS, "episode_logged")
         return [*super().tables(run, config), episodes]
 
-    @property
-    def finished(self) -> bool:
-        """True if all steps are taken, or every limit of the configuration is reached."""
-        return self._config.reached(self.finishes, self.held) or super().finished
-
-    def _validate(self) -> dict[str, float]:
-        row = super()._validate()
-        enough = row.get("eval_finish", 0.0) >= self._config.stop_at_greedy
-        self.held = self.held + 1 if enough else 0
-        return row
-
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
         before = self.env_steps
         self.learner.schedule(before)
@@ -438,7 +403,6 @@ class Ppo(EnvRunner[PpoConfig]):
         """Take `horizon` steps in every environment."""
         transitions = []
         frozen = self.env_steps >= self._config.normaliser.finish
-        running = self._config.running_total
         for _ in range(self._config.horizon):
             observation = torch.from_numpy(self._envs.observation).float()
             encoded, drawn, log_probability = self.learner.explore(observation)
@@ -450,7 +414,7 @@ class Ppo(EnvRunner[PpoConfig]):
                     torch.from_numpy(steps.following).float(),
                     drawn,
                     log_probability,
-                    torch.from_numpy(steps.total if running else steps.reward).float(),
+                    torch.from_numpy(steps.reward).float(),
                     torch.from_numpy(steps.terminated),
                     torch.from_numpy(steps.ended),
                 )

@@ -40,7 +40,7 @@ def world(request, monkeypatch):
 @pytest.mark.parametrize(
     ("recipe", "settings"),
     [
-        ("kart-grid-small", ["policy.hidden=[32]"]),
+        ("kart-grid-ann", ["policy.hidden=[32]"]),
         ("smoke-kart", SPIKING),
         ("smoke-kart", [*SPIKING, "policy.coding=bernoulli", "policy.timesteps=16"]),
         ("smoke-kart", [*SPIKING, "policy.coding=population", "rate_penalty=0.01"]),
@@ -70,47 +70,6 @@ def test_episodes_are_written_with_the_step_at_which_they_ended(tmp_path, world)
     assert not any("success" in row for row in episodes)  # which this world does not tell
     finishes = sum(row["finish"] for row in episodes)
     assert read(run / "metrics.csv")[-1]["finishes"] == finishes > 0
-
-
-@pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
-def test_training_ends_at_the_requested_number_of_finishes(tmp_path, world):
-    settings = [*QUICK, *SPIKING, "stop_at_finishes=5"]
-    run = train("smoke-kart", overrides=settings, runs=tmp_path, quiet=True)
-    last = read(run / "metrics.csv")[-1]
-    assert last["finishes"] >= 5
-    assert last["env_steps"] < 4096
-    assert "eval_return" in last  # the last policy is judged, too
-    state, _ = RunFolder(run).load("last")
-    assert state["finished"]
-
-
-@pytest.mark.parametrize(
-    ("limits", "ends"),
-    [
-        ({}, (False, False, False)),
-        ({"stop_at_finishes": 5}, (True, False, True)),
-        ({"stop_at_greedy": 0.95}, (False, True, True)),
-        ({"stop_at_finishes": 5, "stop_at_greedy": 0.95}, (False, False, True)),
-    ],
-)
-def test_training_ends_when_every_limit_that_is_set_is_reached(limits, ends):
-    config = PpoConfig(algorithm="ppo", recipe="smoke-kart", **limits)
-    assert (config.reached(5, 1), config.reached(4, 2), config.reached(5, 2)) == ends
-
-
-@pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
-def test_a_running_total_pays_the_sum_of_the_episode_so_far(tmp_path, world):
-    def rewards(*more):
-        config = resolve(PpoConfig, "smoke-kart", overrides=[*QUICK, *SPIKING, *more])
-        ppo = Ppo(config, RunFolder.create(tmp_path, config))
-        return [transition.reward for transition in ppo.collect()]
-
-    steps, sums = rewards(), rewards("running_total=true")
-    # both draw the same actions; episodes of all copies last ten steps
-    for first in (0, 10):
-        torch.testing.assert_close(
-            torch.stack(sums[first : first + 10]), torch.stack(steps[first : first + 10]).cumsum(0)
-        )
 
 
 def test_a_random_code_is_learned_from_the_spikes_that_were_acted_on():

@@ -27,7 +27,7 @@ SAC = [
 ]  # fmt: skip
 PPO = [
     "steps=600", "horizon=7", "checkpoint_every=60", "validation.every=90", "env.count=3",
-    "policy.hidden=[8]", "running_total=true",
+    "policy.hidden=[8]",
 ]  # fmt: skip
 CASES = {"smoke": (SAC, PointingEnv), "smoke-kart": (PPO, QuadrantEnv)}
 KART = ["steps=384", "checkpoint_every=128", "horizon=32"]

@@ -224,7 +224,6 @@ def test_a_budget_replaces_that_of_the_recipe_and_moves_its_levels():
     assert found.model_copy(update=same) == before
     derived = with_budget(before.model_copy(update={"levels": ()}), "sops=20")
     assert derived.rounds == (60, 40, 30, 24, 20)
-    assert with_budget(sparse("hexapod-sparse-linear"), "sops=80").budget == 80
     assert with_budget(sparse("hexapod-small-mlp"), "macs=500").budget == 500
 
 
@@ -232,7 +231,7 @@ def test_a_budget_replaces_that_of_the_recipe_and_moves_its_levels():
     ("recipe", "text", "message"),
     [
         ("hexapod-sparse", "macs=480", r"delta-snn policy are sops, .* --budget sops="),
-        ("hexapod-small-linear", "sops=480", r"pruned-mlp policy are macs, .* --budget macs="),
+        ("hexapod-small-mlp", "sops=480", r"pruned-mlp policy are macs, .* --budget macs="),
         ("hexapod-sparse", "480", "--budget sops="),
         ("hexapod-sparse", "sops=", "--budget sops="),
         ("hexapod-sparse", "sops=many", "budget: .* number, .* got 'many'"),
