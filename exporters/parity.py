@@ -51,7 +51,6 @@ from spikedeploy.trainers.policies import (
     NetworkPolicy,
     Policy,
     PopsanPolicy,
-    PrunedGruPolicy,
 )
 from spikedeploy.trainers.policies.delta import event_channels, live_layers
 from spikedeploy.trainers.policies.spiking import CodedPolicy, TorchRateEncoder
@@ -231,24 +230,17 @@ def _onnx_checks(policy: Policy, path: Path, observations: Numbers) -> list[Pari
     output, name = OUTPUTS[policy.head], "logits" if policy.head == "discrete" else "actions"
     network, rows = session(path), observations.astype(np.float32)
 
-    def compare(what: str, found: NDArray[Any], wanted: list[Tensor]) -> ParityCheck:
-        expected = torch.cat(wanted).numpy()
+    def compare(what: str, found: NDArray[Any], expected: NDArray[Any]) -> ParityCheck:
         unit = np.maximum(1, np.abs(expected).max(axis=1, keepdims=True))
         named = f"{name}: {what}"
         return compare_floats(named, found / unit, expected / unit, _FLOAT32_TOLERANCE)
 
     states = rest(network)
-    if isinstance(policy, PrunedGruPolicy):
-        state = policy.rest(1)
-        means = [policy.advance(row, state)[0] for row in torch.from_numpy(rows)[:, None]]
-        wanted = [torch.tanh(m) if policy.head == "continuous" else m for m in means]
-        found = [infer(network, [output], row, states)[0] for row in rows[:, None]]
-        return [compare("torch = ONNX Runtime, states kept", np.concatenate(found), wanted)]
     forward = policy.scores if policy.head == "discrete" else policy
-    wanted = [forward(torch.from_numpy(rows))]
+    wanted = forward(torch.from_numpy(rows)).numpy()
     together = network.run([output], {OBSERVATION: rows})[0]
     alone = [infer(network, [output], row, states)[0] for row in rows[:_ALONE, None]]
     return [
         compare("torch = ONNX Runtime", together, wanted),
-        compare("one at a time", np.concatenate(alone), [wanted[0][:_ALONE]]),
+        compare("one at a time", np.concatenate(alone), wanted[:_ALONE]),
     ]

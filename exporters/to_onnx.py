@@ -5,15 +5,9 @@ What spikes is written by spiking_onnx, with its states.
     observation (B, obs) -> normalise, clip -> Gemm, Relu ... -> Gemm, Tanh -> action
                                                              -> Gemm -> logits
 
-A pruned policy may have a memory, whose state goes in and out as spiking_onnx names it, and a path
-past its layers.
-
-    observation (B, obs) -> normalise, clip -> Gemm, Relu ... -> GRU -> Gemm -> logits
-
 The first output is the action, or for discrete actions the logits: the largest is taken, while
 training sampled from their softmax. The other outputs are the inputs of the weight matrices, in
 order, from which effective operations are counted; ONNX Runtime computes them only on request.
-States go out last.
 """
 
 import json
@@ -22,17 +16,17 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor, cat
+from torch import Tensor
 
 from spikedeploy.exporters.onnx_graph import OUTPUTS, OnnxGraph, Value
 from spikedeploy.exporters.spiking_onnx import spiking_to_onnx
 from spikedeploy.exporters.to_nir import artifact
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.policies import MlpPolicy, Policy, PrunedGruPolicy, PrunedMlpPolicy
+from spikedeploy.trainers.policies import MlpPolicy, Policy, PrunedMlpPolicy
 
 _KINDS = ("ann", "control")
-_Float = MlpPolicy | PrunedMlpPolicy | PrunedGruPolicy
+_Float = MlpPolicy | PrunedMlpPolicy
 
 
 def to_onnx(policy: Policy, origin: Provenance, path: str | Path, kind: str = "ann") -> Path:
@@ -45,8 +39,6 @@ def to_onnx(policy: Policy, origin: Provenance, path: str | Path, kind: str = "a
     graph, counts = OnnxGraph(), _fan_outs(policy)
     _add_policy(graph, policy)
     more: dict[str, str] = {}
-    if isinstance(policy, PrunedGruPolicy):
-        more["biases"] = str(sum(policy.hidden) + 6 * policy.gru + policy.actions)
     if not isinstance(policy, MlpPolicy):
         listed = [[int(n) for n in each] for each in counts]
         more["fan_out"] = json.dumps(listed, separators=(",", ":"))
@@ -73,21 +65,14 @@ def _fan_outs(policy: _Float) -> list[Tensor]:
     if isinstance(policy, MlpPolicy):
         weights = [layer.get_parameter("weight") for layer in policy.layers]
         return [weight.new_full(weight.shape[1:], len(weight)) for weight in weights]
-    if isinstance(policy, PrunedGruPolicy):
-        first, *others = (matrix.fan_out for matrix in policy.groups[: len(policy.hidden) + 3])
-    else:
-        first, *others = (matrix.fan_out for matrix in policy.layers)
+    first, *others = (matrix.fan_out for matrix in policy.layers)
     return [first + policy.past.fan_out if policy.skip else first, *others]
 
 
 def _layers(policy: _Float) -> list[tuple[Tensor, Tensor]]:
-    """Weights (out, in) and biases of the layers, without those of a GRU before the last."""
+    """Weights (out, in) and biases of the layers."""
     if isinstance(policy, MlpPolicy):
         return [(a.get_parameter("weight"), a.get_parameter("bias")) for a in policy.layers]
-    if isinstance(policy, PrunedGruPolicy):  # whose groups go on behind the layers
-        hidden = zip(policy.groups, policy.biases, strict=False)
-        last = (policy.out.whole(), policy.action_bias)
-        return [*((matrix.whole(), bias) for matrix, bias in hidden), last]
     both = zip(policy.layers, policy.biases, strict=True)
     return [(matrix.whole(), bias) for matrix, bias in both]
 
@@ -98,24 +83,14 @@ def _add_policy(graph: OnnxGraph, policy: _Float) -> None:
     seen = graph.normalised(_array(normaliser.mean), _array(normaliser.std), normaliser.clip)
     layers = _layers(policy)
     *others, last = layers
-    hidden = _add_rectified(graph, others, seen)
-    if isinstance(policy, PrunedGruPolicy):
-        hidden = _add_gru(graph, policy, hidden)
+    hidden = seen
+    for number, layer in enumerate(others, start=1):
+        hidden = graph.node("Relu", _add_affine(graph, hidden, *layer, number), name=f"hidden{number}")
     sums = _add_affine(graph, hidden, *last, len(layers))
     if not isinstance(policy, MlpPolicy) and policy.skip:
         sums = sums + seen @ _array(policy.past.whole().T)
     squash = "Identity" if policy.head == "discrete" else "Tanh"
     graph.node(squash, sums, name=OUTPUTS[policy.head])
-
-
-def _add_rectified(
-    graph: OnnxGraph, layers: Iterable[tuple[Tensor, Tensor]], hidden: Value
-) -> Value:
-    """Add ReLU layers, weights and biases of each."""
-    for number, layer in enumerate(layers, start=1):
-        sums = _add_affine(graph, hidden, *layer, number)
-        hidden = graph.node("Relu", sums, name=f"hidden{number}")
-    return hidden
 
 
 def _add_affine(
@@ -125,34 +100,6 @@ def _add_affine(
     graph.presynaptic(hidden, weight.shape[1])
     matrix = graph.constant(_array(weight), f"weight{number}")
     return graph.node("Gemm", hidden, matrix, _array(bias), transB=1)
-
-
-def _add_gru(graph: OnnxGraph, policy: PrunedGruPolicy, hidden: Value) -> Value:
-    """Add a control step of the GRU, whose memory is a state; of each copy a row of its own."""
-    copies = policy.copies.count if policy.copies else 1
-    past = graph.node("Identity", graph.state("memory", policy.gru), name="back.inputs")
-    values, widths = (hidden, past), (policy.hidden[-1], policy.gru)
-    for value, width in zip(values, widths, strict=True):
-        graph.presynaptic(value, width)
-    rows = [
-        value.reshape(1, -1, width // copies) for value, width in zip(values, widths, strict=True)
-    ]
-    weights = [_gates(each)[None] for each in (policy.gates(), policy.back())]
-    biases = np.concatenate([_gates(each) for each in (policy.gate_bias, policy.back_bias)])[None]
-    # torch's n = tanh(Wn x + b + r (Un h + c)) is ONNX's with linear_before_reset
-    units = policy.gru // copies
-    done = graph.node(
-        "GRU", rows[0], *weights, biases, "", rows[1], hidden_size=units, linear_before_reset=1
-    )
-    memory = done.reshape(-1, policy.gru)
-    graph.next_state("memory", memory, policy.gru)
-    return memory
-
-
-def _gates(tensor: Tensor) -> NDArray[np.float32]:
-    """Weights (3 H, M) or biases (3 H,) of reset, update and new, as ONNX orders gates."""
-    reset, update, new = tensor.chunk(3)
-    return _array(cat([update, reset, new]))
 
 
 def _array(tensor: Tensor) -> NDArray[np.float32]:

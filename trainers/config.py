@@ -210,21 +210,6 @@ class PrunedMlpConfig(_Section):
     copies: str = ""
 
 
-class PrunedGruConfig(_Section):
-    """Layers as those of PrunedMlpConfig, and a memory behind them.
-
-    hidden: widths of the layers, of each copy
-    gru: units of the memory, of each copy
-    copies: as in DeltaSnnConfig
-    """
-
-    kind: Literal["pruned-gru"] = "pruned-gru"
-    hidden: tuple[Width, ...] = Field(default=(64,), min_length=1)
-    gru: Positive = 64
-    skip: bool = True
-    copies: str = ""
-
-
 PolicyConfig = Annotated[
     MlpConfig
     | PopsanConfig
@@ -232,8 +217,7 @@ PolicyConfig = Annotated[
     | NetworkConfig
     | DeltaSnnConfig
     | DeltaMlpConfig
-    | PrunedMlpConfig
-    | PrunedGruConfig,
+    | PrunedMlpConfig,
     Field(discriminator="kind"),
 ]
 

@@ -63,10 +63,10 @@ class TorchController(Player):
 
     def reset(self, seed: int) -> None:
         """Seed the encoder's generator, and put states to rest; both run on between inferences."""
-        from spikedeploy.trainers.policies import StatefulPolicy
+        from spikedeploy.trainers.policies import DeltaSnnPolicy
 
         self._rng = Xorshift(seed, self.policy.observations)
-        self._state = self.policy.rest(1) if isinstance(self.policy, StatefulPolicy) else None
+        self._state = self.policy.rest(1) if isinstance(self.policy, DeltaSnnPolicy) else None
         if self._sampler is not None:
             self._sampler.reset(seed)
 
@@ -82,13 +82,12 @@ class TorchController(Player):
 
     def _scores(self, batch: "Tensor") -> "Tensor":
         from spikedeploy.exporters.parity import input_spikes_of
-        from spikedeploy.trainers.policies import StatefulPolicy
+        from spikedeploy.trainers.policies import DeltaSnnPolicy
         from spikedeploy.trainers.policies.spiking import CodedPolicy
 
         policy = self.policy
-        if isinstance(policy, StatefulPolicy):
-            advance: Any = policy.advance  # each takes the state that its own `rest` returned
-            return self._torch.cat([advance(row[None], self._state)[0] for row in batch])
+        if isinstance(policy, DeltaSnnPolicy):
+            return self._torch.cat([policy.advance(row[None], self._state)[0] for row in batch])
         if isinstance(policy, CodedPolicy):
             spikes = input_spikes_of(policy, batch, self._rng.draw_sequence)
             return policy.forward_spikes(spikes).mean

@@ -11,7 +11,6 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies import (
     MlpPolicy,
     PopsanPolicy,
-    PrunedGruPolicy,
     SpikingMlpPolicy,
 )
 from spikedeploy.trainers.policies.copies import Copies
@@ -136,26 +135,6 @@ def test_effective_operations_of_a_pruned_policy_are_those_of_a_hand_count(skip,
 
 
 ARMS = Copies(inputs=[[0, 1, 4], [2, 3, 4]], signs=[[1, 1, 1], [1, 1, -1]], outputs=[[0], [1]])
-
-
-@pytest.mark.parametrize("copies", [None, ARMS])
-def test_a_pruned_policy_with_a_memory_acts_alike_and_counts_its_operations(copies, tmp_path):
-    torch.manual_seed(0)
-    policy = PrunedGruPolicy(5, 2, (8, 6), gru=4, copies=copies)
-    with torch.no_grad():
-        for matrix in policy.groups:
-            matrix.weight.normal_(0, 0.6)
-            matrix.mask.bernoulli_(0.6)
-    seen = np.random.default_rng(1).normal(0, 1, (40, 5))
-    path = to_onnx(policy, ORIGIN, tmp_path / "p.onnx", "control")
-    (check,) = check_parity(policy, path, seen)
-    assert check.passed, check.detail
-    inputs = policy.unrolled(torch.from_numpy(seen).float()[None], *policy.rest(1)).inputs
-    macs = [
-        float(((x != 0).float() @ matrix.fan_out).sum()) / len(seen)
-        for x, matrix in zip(inputs, policy.groups, strict=True)
-    ]
-    assert OnnxController(path).effective_macs(seen) == pytest.approx(sum(macs))
 
 
 def test_files_without_fan_outs_count_all_weights(tmp_path):

@@ -8,12 +8,11 @@ mlp.py         float multilayer perceptron or linear map; a pruned one, with a s
 spiking.py     several timesteps an inference: encoders, PopSAN, spiking MLP
 network.py     a network on a chip between code and readout: the user's, or a chip's own neurons
 copies.py      networks that serve several parts of a body with the same weights
-gru.py         a pruned float policy with a memory
 delta.py       one timestep a control step: delta code, LIF or sigma-delta neurons, NIR graphs
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +27,6 @@ from spikedeploy.trainers.config import (
 )
 from spikedeploy.trainers.policies.copies import Copies
 from spikedeploy.trainers.policies.delta import DeltaMlpPolicy, DeltaSnnPolicy
-from spikedeploy.trainers.policies.gru import PrunedGruPolicy
 from spikedeploy.trainers.policies.mlp import MlpPolicy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.network import NetworkPolicy, network_policy
 from spikedeploy.trainers.policies.policy import Head, Latent, Policy
@@ -43,10 +41,8 @@ __all__ = [
     "NetworkPolicy",
     "Policy",
     "PopsanPolicy",
-    "PrunedGruPolicy",
     "PrunedMlpPolicy",
     "SpikingMlpPolicy",
-    "StatefulPolicy",
     "build",
     "from_config",
 ]
@@ -55,17 +51,13 @@ _POLICIES: dict[str, Callable[..., Policy]] = {
     "delta-snn": DeltaSnnPolicy,
     "delta-mlp": DeltaMlpPolicy,
     "pruned-mlp": PrunedMlpPolicy,
-    "pruned-gru": PrunedGruPolicy,
     "mlp": MlpPolicy,
     "popsan": PopsanPolicy,
     "spiking-mlp": SpikingMlpPolicy,
     "network": NetworkPolicy,
 }
 
-_WIDTHS = ("hidden", "gru")  # settings that are of each copy
 _SETTINGS: dict[str, Any] = {"delta-snn": DeltaSnnConfig, "delta-mlp": DeltaMlpConfig}
-# those whose states live on through an episode: `rest` and `advance`
-StatefulPolicy: TypeAlias = DeltaSnnPolicy | PrunedGruPolicy
 
 
 def build(spec: Mapping[str, Any]) -> Policy:
@@ -98,8 +90,8 @@ def from_config(
     spec = {**config.model_dump(), "observations": observations, "actions": actions, "clip": clip}
     if target := spec.pop("copies", ""):
         copies = _shared(target, columns or {})
-        whole = {n: np.multiply(spec[n], copies.count).tolist() for n in _WIDTHS if n in spec}
-        spec |= {"copies": copies.spec(), **whole}
+        spec["hidden"] = [copies.count * width for width in spec["hidden"]]
+        spec["copies"] = copies.spec()
     if head == "discrete":
         if config.kind == "popsan":
             raise ConfigError(

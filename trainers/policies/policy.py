@@ -189,12 +189,9 @@ class PrunedWeight(nn.Module):
 
     weight: (N, M) trained
     mask: (N, M) 1 where a synapse is left, 0 where it was taken out
-    bits: of the integers to which weights are rounded in each forward pass, as `in_bits` does;
-        None leaves them. The gradient is that of the weights themselves (Bengio et al. 2013)
     """
 
     mask: Tensor
-    bits: int | None = None
 
     def __init__(self, weight: Tensor) -> None:
         super().__init__()
@@ -203,11 +200,7 @@ class PrunedWeight(nn.Module):
 
     def forward(self) -> Tensor:
         """Return the weights (N, M), zero where a synapse was taken out."""
-        weight = self.weight * self.mask
-        if self.bits is None:
-            return weight
-        steps, scale = _in_steps(weight.detach(), self.bits)
-        return weight + (steps * scale - weight).detach()
+        return self.weight * self.mask
 
     def read(self, inputs: Tensor) -> Tensor:
         """Return what each of K copies of the weights reads (..., K, m) of inputs (..., M)."""
@@ -241,30 +234,22 @@ class PrunedWeight(nn.Module):
         return rate.expand_as(self.mask)
 
 
-def _in_steps(weight: Tensor, bits: int, by_row: bool = False) -> tuple[Tensor, Tensor]:
-    """Return the nearest integers of so many bits, and what one counts: the largest fills them."""
-    largest = 2 ** (bits - 1) - 1
-    if not weight.numel():
-        return weight, weight
-    rows = tuple(range(1, weight.ndim))
-    most = weight.abs().amax(rows, keepdim=True) if by_row else weight.abs().max()
-    scale = most.clamp(min=torch.finfo(weight.dtype).tiny) / largest
-    return torch.round(weight / scale), scale
-
-
 P = TypeVar("P", bound=Policy)
 
 
 @torch.no_grad()
-def in_bits(policy: P, bits: int, by_row: bool = False) -> P:
+def in_bits(policy: P, bits: int) -> P:
     """Round a policy's weights to integers of so many bits, and return it.
 
-    The largest weight of a matrix fills the range (per tensor), or that of each unit (per channel).
-    Weights that are rounded to 0 cost no operations. Inputs, units and biases stay as they are.
+    The largest weight of a matrix fills the range. Weights that are rounded to 0 cost no
+    operations. Inputs, units and biases stay as they are.
     """
     for matrix in policy.modules():
-        if isinstance(matrix, PrunedWeight):
-            steps, scale = _in_steps(matrix.weight * matrix.mask, bits, by_row)
+        if isinstance(matrix, PrunedWeight) and matrix.weight.numel():
+            weight = matrix.weight * matrix.mask
+            most = weight.abs().max().clamp(min=torch.finfo(weight.dtype).tiny)
+            scale = most / (2 ** (bits - 1) - 1)
+            steps = torch.round(weight / scale)
             matrix.weight.copy_(steps * scale)
             matrix.mask.copy_(steps != 0)
     return policy

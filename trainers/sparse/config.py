@@ -58,11 +58,8 @@ class SparseConfig(RunConfig):
     retune: after which rounds steps are set anew, by how much each observation matters: "always",
         "never", or "before-polish", which leaves the encoder as it is in the rounds of polish
     prune_every, prune_until: updates between two prunings, and the share of a level with prunings
-    neuron_cost: operations that an update of a neuron counts for when neurons are removed
     chip: on which policies are validated, and for whose weights they are rounded in training
     rounding: whether the forward pass computes with the chip's rounded weights after pruning began
-    bits: of float networks: to integers of how many bits it rounds their weights from then on; None
-        leaves them in float32
     sharpness: factor of the teacher's logits in the targets of discrete actions
     schedule: of the learning rate before pruning: it falls in each of the dense "rounds", whose
         optimisers are new, or "once" over all of them
@@ -104,10 +101,8 @@ class SparseConfig(RunConfig):
     retune: Literal["always", "before-polish", "never"] = "always"
     prune_every: Positive = 20
     prune_until: Share = 0.5
-    neuron_cost: float = Field(default=0.0, ge=0)
     chip: str = "loihi1"
     rounding: bool = True
-    bits: int | None = Field(default=None, ge=2, le=16)
     sharpness: Rate = 2.0
     schedule: Literal["rounds", "once"] = "rounds"
     log_every: Positive = 200
@@ -143,15 +138,6 @@ class SparseConfig(RunConfig):
             raise ValueError(
                 "teacher_walks and noisy_walks: both are 0, so that there is nothing to learn "
                 "from. Set one of them, or pool=RUN"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _bits_are_of_float_networks(self) -> "SparseConfig":
-        if self.bits is not None and self.policy.kind not in ("pruned-mlp", "pruned-gru"):
-            raise ValueError(
-                f"bits: for policies of kind pruned-mlp and pruned-gru; weights of a "
-                f"{self.policy.kind} policy are rounded as those of `chip`, or not. Leave it out"
             )
         return self
 

@@ -15,9 +15,7 @@ from spikedeploy.runtime.emulator.ledger import EVENTS
 from spikedeploy.trainers.policies import (
     DeltaSnnPolicy,
     Policy,
-    PrunedGruPolicy,
     PrunedMlpPolicy,
-    StatefulPolicy,
 )
 from spikedeploy.trainers.policies.delta import delta_artifact
 from spikedeploy.trainers.sparse.pool import BatchController
@@ -33,14 +31,14 @@ class FloatController:
 
     def reset(self, robots: int) -> None:
         """Start an episode of each."""
-        if isinstance(self.policy, StatefulPolicy):
+        if isinstance(self.policy, DeltaSnnPolicy):
             self._state: Any = self.policy.rest(robots)
 
     @torch.no_grad()
     def mean(self, observation: FloatArray) -> Tensor:
         """Take one control step: return the mean (B, act) of each robot's action."""
         seen = torch.from_numpy(observation).float()
-        if isinstance(self.policy, StatefulPolicy):
+        if isinstance(self.policy, DeltaSnnPolicy):
             return self.policy.advance(seen, self._state)[0]
         return self.policy.scores(seen)
 
@@ -81,13 +79,10 @@ class ChipController:
 class MultiplyingController(FloatController):
     """A float policy as a BatchController, with its multiplications with inputs that are not 0."""
 
-    def __init__(self, policy: PrunedMlpPolicy | PrunedGruPolicy) -> None:
+    def __init__(self, policy: PrunedMlpPolicy) -> None:
         super().__init__(policy)
-        self.policy: PrunedMlpPolicy | PrunedGruPolicy = policy
-        if isinstance(policy, PrunedGruPolicy):
-            groups = policy.groups
-        else:
-            groups = [*policy.layers, *([policy.past] if policy.skip else [])]
+        self.policy: PrunedMlpPolicy = policy
+        groups = [*policy.layers, *([policy.past] if policy.skip else [])]
         self._fan_outs = [each.fan_out.double() for each in groups]
         self._robots: list[int] = []
         self._steps: list[FloatArray] = []
@@ -101,11 +96,8 @@ class MultiplyingController(FloatController):
     def mean(self, observation: FloatArray) -> Tensor:
         """Take one control step: return the mean (B, act) of each robot's action."""
         seen, policy = torch.from_numpy(observation).float(), self.policy
-        if isinstance(policy, PrunedMlpPolicy):
-            mean, inputs = policy.scores(seen), policy.activations(seen)[1]
-            inputs = [*inputs, inputs[0]]  # past the hidden layers
-        else:
-            mean, inputs = policy.advance(seen, self._state)
+        mean, inputs = policy.scores(seen), policy.activations(seen)[1]
+        inputs = [*inputs, inputs[0]]  # past the hidden layers
         pairs = zip(inputs, self._fan_outs, strict=False)
         macs = torch.stack([(x != 0).double() @ fan_out for x, fan_out in pairs])
         self._steps.append(macs.sum(0).numpy())
@@ -134,6 +126,6 @@ def controller_of(policy: Policy, chip: Chip) -> Counted:
     """Return the policy as the chip runs it; a float policy as it is."""
     if isinstance(policy, DeltaSnnPolicy):
         return ChipController(delta_artifact(policy), chip)
-    if isinstance(policy, PrunedMlpPolicy | PrunedGruPolicy):
+    if isinstance(policy, PrunedMlpPolicy):
         return MultiplyingController(policy)
     raise TypeError(f"{type(policy).__name__} is no policy that is pruned")

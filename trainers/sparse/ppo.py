@@ -44,14 +44,8 @@ from spikedeploy.trainers.runner import Critic, Learner, Runner, adam, descend, 
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.controllers import FloatController, controller_of
 from spikedeploy.trainers.sparse.pool import Earned, Episodes, WalkPool, Windows, mean_outcome
-from spikedeploy.trainers.sparse.student import (
-    DeltaStudent,
-    GruStudent,
-    imitation,
-    operations,
-    round_for_chip,
-    student,
-)
+from spikedeploy.trainers.sparse.pruning import operations
+from spikedeploy.trainers.sparse.student import DeltaStudent, imitation, student
 
 Ends = tuple[Rate, Rate]
 _EPS = 1e-8
@@ -230,7 +224,7 @@ class SparsePpo(Runner[SparsePpoConfig]):
         self.start_return = self.best = self._first["eval_return"]
         of_start = max(self._source.budget, self._first["eval_operations"])
         self.allowed = self._config.budget or of_start
-        self._save_best(self._deployed(), self._first)
+        self._save_best(self.learner.student.deployed(self._chip), self._first)
 
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
         config, learner = self._config, self.learner
@@ -247,12 +241,8 @@ class SparsePpo(Runner[SparsePpoConfig]):
         self.iterations += 1
         return True
 
-    def _deployed(self) -> Policy:
-        source = self._source
-        return round_for_chip(self.policy, self._chip, source.rounding, source.bits)
-
     def _evaluate(self) -> dict[str, float]:
-        controller = controller_of(self._deployed(), self._chip)
+        controller = controller_of(self.learner.student.deployed(self._chip), self._chip)
         _, returns, infos = self._episodes.play(self._config.validation.seeds, controller)
         row = mean_outcome(returns, infos)
         return row | {
@@ -264,7 +254,7 @@ class SparsePpo(Runner[SparsePpoConfig]):
         """Validate the policy, and save it as "best" if it is, within the operations allowed."""
         row = self._evaluate()
         if row["eval_return"] > self.best and row["eval_operations"] <= self.allowed:
-            self._save_best(self._deployed(), row)
+            self._save_best(self.learner.student.deployed(self._chip), row)
         return row
 
     def _report(self, journal: Journal, before: int) -> None:
@@ -422,8 +412,6 @@ class SparsePpoLearner(Learner):
     def __init__(self, config: SparsePpoConfig, source: SparseConfig, policy: Policy) -> None:
         self._config, self._source, self.policy = config, source, policy
         found = student(policy, source)
-        if isinstance(found, GruStudent):
-            raise ConfigError(f"a policy of kind {policy.kind!r} learns by imitation alone")
         if isinstance(found, DeltaStudent):
             found.each_pass = False  # ratios and divergences follow small changes of weights
         self.student = found

@@ -21,13 +21,14 @@ from spikedeploy.runtime.schema import validate
 from spikedeploy.trainers.config import C, amend
 from spikedeploy.trainers.distill.teachers import same_teacher, teacher
 from spikedeploy.trainers.env_batch import TRAINING_SEEDS, EnvBatch
-from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, from_config
+from spikedeploy.trainers.policies import Policy, from_config
 from spikedeploy.trainers.policies.policy import Moments, PrunedWeight
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder, with_prefix
 from spikedeploy.trainers.runner import Learner, Runner, adam, descend, set_rate
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.controllers import FloatController, controller_of
+from spikedeploy.trainers.sparse.encoder import binary_columns
 from spikedeploy.trainers.sparse.phases import (
     Ended,
     Phase,
@@ -49,26 +50,16 @@ from spikedeploy.trainers.sparse.pool import (
     random_actions,
     save_walks,
 )
-from spikedeploy.trainers.sparse.student import (
-    MlpStudent,
-    Student,
-    binary_columns,
-    check_rounding,
-    choose_steps,
-    choose_thresholds,
-    operations,
-    prune,
-    remove_neuron,
-    round_for_chip,
-    student,
-)
+from spikedeploy.trainers.sparse.pruning import clear_idle, operations, prune
+from spikedeploy.trainers.sparse.rounding import check_rounding
+from spikedeploy.trainers.sparse.student import Student, student
 
 _ENV_COPIES = 50  # copies of the environment
 _DENSE_BUDGET = 4_000.0  # operations for which the penalty is scaled while nothing is pruned
 
 
 # what the operations of each kind of policy are called
-_UNITS = {"delta-snn": "sops", "pruned-mlp": "macs", "pruned-gru": "macs"}
+_UNITS = {"delta-snn": "sops", "pruned-mlp": "macs"}
 
 
 def with_budget(config: C, text: str) -> C:
@@ -171,7 +162,7 @@ class Sparse(Runner[SparseConfig]):
             self._collect(Stateless(self._noisy), config.noisy_walks)
         self._fit()
         self._prepare()
-        self._set_thresholds()
+        self._student.set_thresholds(self.pool)
 
     def _references(self, seeds: list[int]) -> tuple[float, float]:
         """Return the mean returns of the teacher, and of random actions, on these seeds."""
@@ -199,15 +190,14 @@ class Sparse(Runner[SparseConfig]):
     def _next_phase(self) -> None:
         """Walk, set the encoder's steps again, and start the next phase with a new optimiser."""
         # what is validated is what walks: with the chip's numbers, once training computes with them
-        rounded = not isinstance(self._student, MlpStudent) and self._student.offsets
-        walking = self._deployed() if rounded else self.policy
+        student = self._student
+        walking = student.deployed(self._chip) if student.rounds else self.policy
         self._collect(FloatController(walking), self._config.walks)
         polished = self._phases[self.phase + 1].polish
         when = ("always",) if polished else ("always", "before-polish")
-        if self._config.retune in when and isinstance(self.policy, DeltaSnnPolicy):
-            step = choose_steps(self.policy, self.pool, self._binary, self._config)
-            self.policy.step.copy_(self._alike(torch.from_numpy(step)))
-        self._set_thresholds()
+        if self._config.retune in when:
+            student.retune(self.pool, self._binary)
+        student.set_thresholds(self.pool)
         self._prepare()
         self.phase += 1
         self.start = operations(self._student.synapses())
@@ -215,21 +205,9 @@ class Sparse(Runner[SparseConfig]):
             self.learner.restart()
 
     def _prepare(self) -> None:
-        """Let the student know the pool, and which of its observations keep to two values."""
-        if isinstance(self.policy, DeltaSnnPolicy):
-            seen = np.concatenate([w.observation[:, self._binary] for w in self.pool.walks])
-            found = self._binary.copy()
-            found[found] = binary_columns(seen)
-            if copies := self.policy.copies:  # where copies read the same, all of them do
-                found[copies.columns.numpy()] = found[copies.columns.numpy()].all(0)
-            self.policy.two_valued = tuple(np.flatnonzero(found).tolist())
+        """Encode the walks of the pool."""
+        self._student.observe(self.pool, self._binary)
         self._student.prepare(self.pool)
-
-    def _set_thresholds(self) -> None:
-        """Set the thresholds of a delta network by the walks that are encoded."""
-        if isinstance(self.policy, DeltaMlpPolicy):
-            found = choose_thresholds(self.policy, self.pool, self._config)
-            self.policy.threshold.copy_(found)
 
     # walks
 
@@ -269,9 +247,7 @@ class Sparse(Runner[SparseConfig]):
         low, high = seen[:, self._binary].min(0), seen[:, self._binary].max(0)
         normaliser.mean[self._binary] = torch.from_numpy(low).float()
         normaliser.std[self._binary] = torch.from_numpy(high - low).float()
-        if isinstance(self.policy, DeltaSnnPolicy):
-            self.policy.step.fill_(self._config.step)
-            self.policy.step[self._binary] = 1.0
+        self._student.start(self._binary)
         normaliser.mean.copy_(self._alike(normaliser.mean, signed=True))
         normaliser.std.copy_(self._alike(normaliser.std))
 
@@ -281,10 +257,6 @@ class Sparse(Runner[SparseConfig]):
         return copies.means(values, signed) if copies else values
 
     # validation and checkpoints
-
-    def _deployed(self) -> Policy:
-        config = self._config
-        return round_for_chip(self.policy, self._chip, config.rounding, config.bits)
 
     def _measure(
         self, policy: Policy, seeds: list[int], references: tuple[float, float]
@@ -308,7 +280,10 @@ class Sparse(Runner[SparseConfig]):
         phase, config = self._phases[self.phase], self._config
         if phase.prunes(self.updates) or (phase.last is None and not config.search):
             return {}
-        policy, references = self._deployed(), (self.teacher_return, self.random_return)
+        policy, references = (
+            self._student.deployed(self._chip),
+            (self.teacher_return, self.random_return),
+        )
         row = self._measure(policy, config.validation.seeds, references)
         self._shares.append(row["eval_share"])
         if phase.last is not None:
@@ -424,14 +399,14 @@ class SparseLearner(Learner):
         return float(error.detach())
 
     def prune(self, goal: float) -> None:
-        """Take out synapses, and neurons that are not worth their updates, down to the goal."""
+        """Take out synapses down to the goal, and those onto neurons from which none leads."""
         matrices = [m for m in self.policy.modules() if isinstance(m, PrunedWeight)]
         state = self.optimizers["adam"].state
         squares = {m: state[m.weight]["exp_avg_sq"] for m in matrices if m.weight in state}
         if not squares:  # before its first step
             return
         for into, out in self.student.hidden_layers():
-            remove_neuron(into, out, squares, self._config.neuron_cost)
+            clear_idle(into, out)
         prune(self.student.synapses(), squares, goal)
 
     def tensors(self) -> dict[str, Tensor]:

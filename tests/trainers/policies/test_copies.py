@@ -13,7 +13,6 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.trainers.config import DeltaSnnConfig
 from spikedeploy.trainers.policies import (
     DeltaSnnPolicy,
-    PrunedGruPolicy,
     PrunedMlpPolicy,
     build,
 )
@@ -22,7 +21,9 @@ from spikedeploy.trainers.policies.delta import delta_artifact
 from spikedeploy.trainers.policies.policy import SynapseGroup
 from spikedeploy.trainers.sparse.config import SparseConfig
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool
-from spikedeploy.trainers.sparse.student import DeltaStudent, prune, round_for_chip
+from spikedeploy.trainers.sparse.pruning import prune
+from spikedeploy.trainers.sparse.rounding import round_for_chip
+from spikedeploy.trainers.sparse.student import DeltaStudent
 
 # two arms with two observations and an action each, and one that both read, mirrored
 ARMS = Copies(inputs=[[0, 1, 4], [2, 3, 4]], signs=[[1, 1, 1], [1, 1, -1]], outputs=[[0], [1]])
@@ -70,12 +71,11 @@ def test_pruning_takes_a_synapse_out_of_every_copy() -> None:
     assert int((matrix.whole() != 0).sum()) == 4
 
 
-@pytest.mark.parametrize("kind", [DeltaSnnPolicy, PrunedMlpPolicy, PrunedGruPolicy])
+@pytest.mark.parametrize("kind", [DeltaSnnPolicy, PrunedMlpPolicy])
 def test_a_policy_is_built_again_from_its_spec(kind: type) -> None:
     torch.manual_seed(0)
     hidden = {} if kind is DeltaSnnPolicy else {"hidden": (8,)}
-    more = {"gru": 6} if kind is PrunedGruPolicy else {}
-    policy = kind(5, 2, copies=ARMS, **hidden, **more)
+    policy = kind(5, 2, copies=ARMS, **hidden)
     again = build(policy.spec())
     again.load_state_dict(policy.state_dict())
     seen = torch.randn(3, 5)
@@ -173,7 +173,7 @@ def test_deep_neurons_read_the_others_of_their_copy_alone(
 def test_a_file_computes_what_training_does_with_the_numbers_of_the_chip(
     options: dict[str, Any],
 ) -> None:
-    deployed = round_for_chip(spiking(**options), chip("loihi1"), rounding=True)
+    deployed = round_for_chip(spiking(**options), chip("loihi1"))
     assert isinstance(deployed, DeltaSnnPolicy)
     assert deployed.copies == ARMS
     twin, precise = SpikingController(delta_artifact(deployed)), deepcopy(deployed).double()
@@ -196,7 +196,7 @@ def test_deep_neurons_that_lost_their_synapses_go_on_by_their_bias(
         if lost != "back":
             policy.into.mask.zero_()
             policy.bias[~policy.deep_neurons] = -1.0
-    precise = deepcopy(round_for_chip(policy, chip("loihi1"), rounding=True)).double()
+    precise = deepcopy(round_for_chip(policy, chip("loihi1"))).double()
     assert isinstance(precise, DeltaSnnPolicy)
     twin, state = SpikingController(delta_artifact(precise)), precise.rest(1)
     with torch.no_grad():
@@ -204,17 +204,6 @@ def test_deep_neurons_that_lost_their_synapses_go_on_by_their_bias(
             mean, _, sent = precise.advance(torch.from_numpy(seen[None]), state)
             assert np.allclose(torch.tanh(mean).numpy()[0], twin.act(seen), atol=1e-9)
     assert bool(sent[..., precise.deep_neurons].any())
-
-
-def test_a_memory_is_the_same_step_by_step_as_in_a_window() -> None:
-    torch.manual_seed(0)
-    policy = PrunedGruPolicy(5, 2, (8,), gru=6, copies=ARMS)
-    seen = torch.randn(3, 9, 5)
-    whole = policy.unrolled(seen, *policy.rest(3))
-    state = policy.rest(3)
-    steps = [policy.advance(row, state)[0] for row in seen.unbind(1)]
-    assert torch.allclose(torch.stack(steps, 1), whole.mean, atol=1e-6)
-    assert torch.allclose(state[0], whole.memory, atol=1e-6)
 
 
 @pytest.mark.parametrize("reads", [True, False])

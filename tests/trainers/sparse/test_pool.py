@@ -7,7 +7,6 @@ import torch
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.trainers.config import EnvConfig
-from spikedeploy.trainers.policies import PrunedGruPolicy
 from spikedeploy.trainers.runner import _metrics as runner_metrics
 from spikedeploy.trainers.sparse.controllers import FloatController, controller_of
 from spikedeploy.trainers.sparse.pool import (
@@ -223,11 +222,7 @@ def test_a_policy_walks_on_the_chip_as_in_float_or_nearly(target):
 
 @pytest.mark.parametrize(
     "policy",
-    [
-        delta_policy(obs=3),
-        pruned_mlp(obs=3),
-        PrunedGruPolicy(3, 2, [5], 3),
-    ],
+    [delta_policy(obs=3), pruned_mlp(obs=3)],
     ids=lambda policy: policy.kind,
 )
 def test_operations_are_those_of_each_robot_until_its_episode_ends(policy):

@@ -23,7 +23,7 @@ from spikedeploy.trainers.sparse.ppo import (
     stored_start,
     tiles,
 )
-from spikedeploy.trainers.sparse.student import rounding_offsets
+from spikedeploy.trainers.sparse.rounding import rounding_offsets
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import PointingEnv
 from tests.toy_quadrant_env import QuadrantEnv

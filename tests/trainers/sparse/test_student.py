@@ -8,7 +8,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import DeltaSnnConfig
-from spikedeploy.trainers.policies import DeltaSnnPolicy, PrunedGruPolicy, build
+from spikedeploy.trainers.policies import DeltaSnnPolicy, build
 from spikedeploy.trainers.policies.delta import (
     channel_weights,
     delta_artifact,
@@ -16,21 +16,11 @@ from spikedeploy.trainers.policies.delta import (
     live_neurons,
 )
 from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup
+from spikedeploy.trainers.sparse.encoder import binary_columns, choose_steps, choose_thresholds
 from spikedeploy.trainers.sparse.pool import Walk, WalkPool
-from spikedeploy.trainers.sparse.student import (
-    DeltaStudent,
-    binary_columns,
-    check_rounding,
-    choose_steps,
-    choose_thresholds,
-    imitation,
-    operations,
-    prune,
-    remove_neuron,
-    round_for_chip,
-    rounding_offsets,
-    student,
-)
+from spikedeploy.trainers.sparse.pruning import clear_idle, operations, prune
+from spikedeploy.trainers.sparse.rounding import check_rounding, round_for_chip, rounding_offsets
+from spikedeploy.trainers.sparse.student import DeltaStudent, imitation, student
 from tests.delta_policies import (
     delta_mlp,
     delta_policy,
@@ -101,28 +91,6 @@ def test_each_forward_pass_rounds_weights_as_the_chip_will(make, on):
     again = student(make(left=1.0), settings())
     again.load(found.tensors())
     assert again.quanta.keys() == quanta.keys()
-
-
-def test_float_students_learn_with_weights_of_so_many_bits_and_deploy_them():
-    policy = pruned_mlp()
-    policy.requires_grad_(True)
-    found = student(policy, settings(policy={"kind": "pruned-mlp"}, bits=3))
-    assert "rounds" not in found.tensors()
-    found.round(chip("loihi1"))
-    deployed = round_for_chip(policy, chip("loihi1"), rounding=True, bits=3)
-    seen = torch.randn(9, 5)
-    torch.testing.assert_close(deployed(seen), policy(seen))
-    first = policy.layers[0]
-    steps = deployed.layers[0]() / first.weight[first.mask == 1].abs().max() * 3
-    torch.testing.assert_close(steps, steps.round(), atol=1e-5, rtol=0)
-    assert steps.abs().max() <= 3
-    assert deployed.layers[0].mask.sum() < first.mask.sum()
-    policy(seen).sum().backward()
-    lost = (steps.round() == 0) & (first.mask == 1)
-    assert first.weight.grad[lost].abs().sum() > 0  # what is rounded to 0 can come back
-    again = student(pruned_mlp(), settings(policy={"kind": "pruned-mlp"}, bits=3))
-    again.load(found.tensors())
-    assert torch.equal(again.policy(seen), policy(seen))
 
 
 def test_discrete_actions_are_imitated_by_their_logits():
@@ -210,20 +178,6 @@ def test_pruning_reaches_its_goal_and_takes_out_no_more():
     assert prune(groups, squares(*groups), -1.0) == 0
 
 
-def test_a_neuron_goes_when_its_update_costs_more_than_it_brings():
-    # neuron 1 hardly matters, neuron 2 has no outgoing synapses
-    weights = [[1.0, 1.0], [0.2, 0.1], [1.0, 1.0]], [[1.0, 0.1, 0.0]]
-    into, out = group(weights[0], [1.0, 1.0]), group(weights[1], [0.5, 0.5, 0.5])
-    out.matrix.mask[0, 2] = 0.0
-    worths = squares(into, out)
-    assert remove_neuron(into, out, worths, 0.0) == 0  # updates are free
-    assert into.matrix.mask.tolist() == [[1, 1], [1, 1], [0, 0]]
-    assert remove_neuron(into, out, worths, 10.0) == 1
-    assert into.matrix.mask.tolist() == [[1, 1], [0, 0], [0, 0]]
-    assert out.matrix.mask.tolist() == [[1, 0, 0]]
-    assert remove_neuron(into, out, worths, 10.0) == 0  # the last one stays
-
-
 @pytest.mark.parametrize("code", ["one-hot", "unary"])
 @pytest.mark.parametrize("shape", [{}, {"hidden": 0}, {"skip": False}])
 def test_operations_are_those_that_a_chip_counts(code, shape, tmp_path):
@@ -281,7 +235,7 @@ def test_offsets_make_the_weights_those_of_the_chip(target, shape):
 @pytest.mark.parametrize("shape", [{}, {"hidden": 0}, {"integrated": True}])
 def test_channels_of_a_deployed_policy_weigh_exact_multiples_of_one_event(shape):
     # so that three events up and one event down three times cancel
-    policy = round_for_chip(delta_policy(code="one-hot", left=1.0, **shape), chip("loihi1"), True)
+    policy = round_for_chip(delta_policy(code="one-hot", left=1.0, **shape), chip("loihi1"))
     for (_, source), mantissa in mantissas(policy, "loihi1").items():
         if source == "input":
             channels = mantissa.reshape(5, 2, 3, -1)
@@ -329,7 +283,7 @@ def test_quanta_are_the_chips_however_few_weights_are_left(left):
 
 
 def test_a_deployed_policy_is_what_the_chip_holds():
-    once = round_for_chip(delta_policy(code="one-hot", left=1.0), chip("loihi1"), True)
+    once = round_for_chip(delta_policy(code="one-hot", left=1.0), chip("loihi1"))
     for name, added in rounding_offsets(once, chip("loihi1"))[0].items():
         held = getattr(once.weights(), name)
         np.testing.assert_allclose(added, 0.0, atol=1e-6 * held.abs().max())
@@ -337,7 +291,7 @@ def test_a_deployed_policy_is_what_the_chip_holds():
 
 def test_decays_of_a_deployed_policy_are_numbers_of_the_chips_registers():
     policy = delta_policy(left=1.0)
-    once = round_for_chip(policy, chip("loihi1"), True).weights()
+    once = round_for_chip(policy, chip("loihi1")).weights()
     for exact, held in ((policy.beta, once.beta), (policy.gamma, once.gamma)):
         registers = held.double() * 4096
         np.testing.assert_allclose(registers, registers.round(), atol=1e-2)
@@ -350,8 +304,9 @@ def test_weights_that_round_to_zero_are_taken_out():
     with torch.no_grad():
         policy.past.weight[0, 0] = 1e-6
     assert policy.past.mask[0, 0] == 1
-    assert round_for_chip(policy, chip("loihi1"), True).past.mask[0, 0] == 0
-    assert round_for_chip(policy, chip("loihi1"), False) is policy
+    assert round_for_chip(policy, chip("loihi1")).past.mask[0, 0] == 0
+    unrounded = student(policy, settings(rounding=False))
+    assert unrounded.deployed(chip("loihi1")) is policy
 
 
 @pytest.mark.parametrize("target", ["ideal", "xylo-a3"])
@@ -426,7 +381,7 @@ def test_a_force_that_is_nearly_always_zero_is_not_binary():
 
 
 def test_values_that_the_sample_lacks_count(monkeypatch):
-    monkeypatch.setattr("spikedeploy.trainers.sparse.student._SAMPLE", 10)
+    monkeypatch.setattr("spikedeploy.trainers.sparse.encoder._SAMPLE", 10)
     seen = (np.arange(40.0) % 3 == 0)[:, None].astype(float)  # every fourth is looked at
     assert binary_columns(seen).tolist() == [True]
     seen[1] = 0.5
@@ -493,13 +448,8 @@ def test_offsets_bring_torch_to_the_weights_of_the_chip():
     assert not offsets["out"][policy.out.mask == 0].any()
 
 
-def test_a_memory_counts_each_unit_that_is_left_once():
-    policy = PrunedGruPolicy(5, 2, (4, 3), gru=6)
-    config = settings(policy={"kind": "pruned-gru"})
-    found = student(policy, config)
-    assert found.neurons == 4 + 3 + 6
-    policy.gates.mask[:, 0] = 0.0  # nothing reads the first unit of the second layer
-    policy.out.mask[:, 1] = 0.0  # the memory itself still reads its second unit
-    assert found.neurons == 4 + 2 + 6
-    policy.back.mask[:, 1] = 0.0
-    assert found.neurons == 4 + 2 + 5
+def test_synapses_onto_a_neuron_that_nobody_reads_go():
+    into, out = group([[1.0, 1.0], [0.2, 0.1]], [1.0, 1.0]), group([[1.0, 0.1]], [0.5, 0.5])
+    out.matrix.mask[0, 1] = 0.0
+    clear_idle(into, out)
+    assert into.matrix.mask.tolist() == [[1, 1], [0, 0]]
