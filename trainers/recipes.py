@@ -46,41 +46,24 @@ def budget(recipe: Recipe) -> str:
 
 
 def _recipes(data: Mapping[str, Any]) -> Iterator[tuple[str, Recipe]]:
-    """Yield names and recipes of the tables of recipes.toml."""
+    """Yield names and recipes of recipes.toml."""
     for entry in data["recipe"]:
-        rows, columns = (
-            data["tables"].get(entry.get(key), {"": {}}) for key in ("rows", "columns")
-        )
-        for (row, above), (column, beside) in (
-            (each, other) for each in _split(rows) for other in columns.items()
-        ):
-            words, both = {"row": row, "column": column}, {**above, **beside}
-            words |= {k: v.format(**words) for k, v in both.items() if k != "settings"}
-            cells = dict(_split(entry.get("cells", {})))
-            settings = merge(
-                {},
-                *(data["parts"][name] for name in entry.get("parts", ())),
-                above.get("settings", {}),
-                beside.get("settings", {}),
-                entry.get("settings", {}),
-                cells.get(row, {}).get(column, {}),
+        parts = (data["parts"][name] for name in entry.get("parts", ()))
+        whole = {**entry, "settings": merge({}, *parts, entry.get("settings", {}))}
+        for env in entry.get("envs", [""]):
+            named = _named(whole, env)
+            more = named.get("any_env", False)
+            yield (
+                named["name"],
+                Recipe(named["algorithm"], named["summary"], named["settings"], more),
             )
-            name, summary = (entry[key].format(**words) for key in ("name", "summary"))
-            filled: Settings = _filled(settings, row)
-            yield name, Recipe(entry["algorithm"], summary, filled, entry.get("any_env", False))
 
 
-def _split(rows: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield each row under each of its names."""
-    for names, row in rows.items():
-        yield from ((name, row) for name in names.split(","))
-
-
-def _filled(value: Any, row: str) -> Any:  # noqa: ANN401
-    """Return settings with the name of the row in place of {row}."""
+def _named(value: Any, env: str) -> Any:  # noqa: ANN401
+    """Return a recipe with the name of an environment in place of {env}."""
     if isinstance(value, dict):
-        return {key: _filled(each, row) for key, each in value.items()}
-    return value.replace("{row}", row) if isinstance(value, str) else value
+        return {key: _named(each, env) for key, each in value.items()}
+    return value.replace("{env}", env) if isinstance(value, str) else value
 
 
 RECIPES: dict[str, Recipe] = dict(_recipes(read_toml(Path(__file__).with_suffix(".toml"))))
