@@ -310,7 +310,7 @@ class _Training(Learner):
                 self.save(checkpoint, origin)
                 return False
             losses.append(self._step(in_epoch))
-            bar.at(self.update, total)
+            bar.move_to(self.update, total)
             if self.update % every and self.update < total:
                 continue
             try:

@@ -48,7 +48,7 @@ class Ramp(_Section):
     begin: Count = 0
     finish: Count
 
-    def at(self, step: int) -> float:
+    def value(self, step: int) -> float:
         """Return the value at an environment step."""
         span = max(self.finish - self.begin, 1)
         share = min(max((step - self.begin) / span, 0.0), 1.0)

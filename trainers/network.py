@@ -289,9 +289,9 @@ class Delay(nn.Module):
 
     def forward(self, rows: Tensor) -> Tensor:
         """Return (T, B, *takes) of all timesteps, late."""
-        return torch.stack([self.at(rows[: t + 1].unbind()) for t in range(len(rows))])
+        return torch.stack([self.arriving(rows[: t + 1].unbind()) for t in range(len(rows))])
 
-    def at(self, rows: Sequence[Tensor]) -> Tensor:
+    def arriving(self, rows: Sequence[Tensor]) -> Tensor:
         """Return what arrives (B, *takes) in the last timestep of the rows so far."""
         found = torch.zeros_like(rows[-1])
         for step in np.unique(self.steps).tolist():
@@ -404,7 +404,7 @@ class FreeNeurons(Neurons):
                 self.register_buffer(name, own)
 
     @classmethod
-    def of(cls, made: DiscreteNeuron) -> "FreeNeurons":
+    def from_file(cls, made: DiscreteNeuron) -> "FreeNeurons":
         """Return neurons of a file, all of whose numbers are trained."""
         leak = made.leak if made.leak.any() else None
         found = {name: getattr(made, name) for name in _NUMBERS} | {"leak": leak}
@@ -492,7 +492,7 @@ class TorchNetwork(nn.Module):
         made = {name: _from_spec(spec) for name, spec in nodes.items()}
         pairs = [(source, target) for source, target in edges]
         network = cls(made, pairs, tuple(takes), tuple(puts))
-        for first, *others in network.arriving_together():
+        for first, *others in network.sharing_targets():
             for each in others:
                 if each.fitting is not None and first.fitting is not None:
                     each.fitting.values = first.fitting.values  # one crossbar
@@ -502,11 +502,11 @@ class TorchNetwork(nn.Module):
         """Make weights fit the axons of a chip; return what that changes, empty where nothing.
 
         Sources get the sign of most of their weights; axons are of types by turns. Where layers of
-        several shapes hear a source, or a convolution would need types, nothing is done, and the
+        several shapes read a source, or a convolution would need types, nothing is done, and the
         design rule of the chip says so.
         """
         limits, arithmetic, fitted = target.limits, target.arithmetic, list[Weights]()
-        for heard in self.heard_together() if limits and limits.axon_signs else ():
+        for heard in self.sharing_sources() if limits and limits.axon_signs else ():
             weights = [each.layer.weight.detach() for each in heard]
             shapes = {(w.ndim, w.shape[1]) for w in weights}
             # of groups, a weight does not say its source
@@ -516,7 +516,7 @@ class TorchNetwork(nn.Module):
                     each.fitting = Fitting(signs=signs.clone())
                 fitted += heard
         types = 0 if arithmetic.own_weights else int(getattr(arithmetic, "axon_types", 0))
-        for together in self.arriving_together() if types else ():
+        for together in self.sharing_targets() if types else ():
             if all(each.layer.weight.ndim == 2 for each in together):
                 weights = [each.layer.weight.detach() for each in together]
                 values = nn.Parameter(typed_values(weights, types))
@@ -525,8 +525,8 @@ class TorchNetwork(nn.Module):
                 fitted += together
         return _changed_by(fitted, target.name, types)
 
-    def heard_together(self) -> list[list[Weights]]:
-        """Return the weights in groups that hear the same neurons, or the input."""
+    def sharing_sources(self) -> list[list[Weights]]:
+        """Return the weights in groups that read the same neurons, or the input."""
         groups: list[tuple[set[str], list[Weights]]] = []
         for name, node in self.nodes.items():
             if isinstance(node, Weights):
@@ -537,7 +537,7 @@ class TorchNetwork(nn.Module):
                 groups.append((heard, together))
         return [together for _, together in groups]
 
-    def arriving_together(self) -> list[list[Weights]]:
+    def sharing_targets(self) -> list[list[Weights]]:
         """Return the weights in groups that lead to the same neurons."""
         nodes, groups = self.nodes, dict[str, list[Weights]]()
         for source, target in self.edges:
@@ -642,7 +642,7 @@ def _module_of(name: str, node: nir.NIRNode, artifact: Artifact) -> Map | Neuron
                 f"node {name!r}: v_reset goes to {made.v_reset.max():g}; on a chip a spike resets "
                 "the membrane to 0. Shift it."
             )
-        return FreeNeurons.of(made)
+        return FreeNeurons.from_file(made)
     if isinstance(node, nir.Linear | nir.Affine) and node.weight.ndim == 2:
         outputs, inputs = node.weight.shape
         linear = nn.Linear(inputs, outputs, bias=isinstance(node, nir.Affine))

@@ -294,9 +294,9 @@ class PpoLearner(Learner):
 
     def schedule(self, step: int) -> None:
         """Set everything that is scheduled along environment steps."""
-        self._entropy = self._config.entropy.at(step)
-        self.head.temperature = self._config.temperature.at(step)
-        set_rate(self._actor_adam, self._config.actor_rate.at(step))
+        self._entropy = self._config.entropy.value(step)
+        self.head.temperature = self._config.temperature.value(step)
+        set_rate(self._actor_adam, self._config.actor_rate.value(step))
 
     def learn(self, transitions: list[Transition]) -> dict[str, float]:
         """Learn from K steps of all copies, until the divergence limit; return the metrics."""
@@ -394,7 +394,7 @@ class Ppo(EnvRunner[PpoConfig]):
         before = self.env_steps
         self.learner.schedule(before)
         self._learned = self.learner.learn(self.collect())
-        self._learned["learning_rate"] = self._config.actor_rate.at(before)
+        self._learned["learning_rate"] = self._config.actor_rate.value(before)
         self.iterations += 1
         self._count_episodes()
         return True

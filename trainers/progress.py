@@ -90,7 +90,7 @@ class ProgressBar:
         """Show the returns and speed of a row of metrics."""
         self._latest.update({key: row[key] for key in _SHOWN if key in row})
 
-    def at(self, step: int, total: int) -> None:
+    def move_to(self, step: int, total: int) -> None:
         """Set the bar to a step; the last of several at once may go beyond the total."""
         step = min(step, total)
         count = f"{step:,} / {total:,}"
@@ -132,10 +132,10 @@ class Journal:
         self.board = _TensorBoardLog(run.path)
         self.bar = bar
 
-    def at(self, step: int, total: int) -> None:
+    def move_to(self, step: int, total: int) -> None:
         """Report progress."""
         self._progress = step, total
-        self.bar.at(step, total)
+        self.bar.move_to(step, total)
 
     def add(self, row: Mapping[str, float]) -> None:
         """Report one row of metrics; values without a column are dropped."""

@@ -175,7 +175,7 @@ class Runner(ABC, Generic[C]):
             before = self.step
             if not self._iterate(stopped):
                 break
-            journal.at(self.step, self._total)
+            journal.move_to(self.step, self._total)
             self._report(journal, before)
         self._checkpoint()
 

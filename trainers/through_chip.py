@@ -319,7 +319,7 @@ class ChipModule(nn.Module):
         steps = {
             name: _Step(
                 equation,
-                records.of(name, spikes, equation),
+                records.layer(name, spikes, equation),
                 self._derivative(node),
                 self.detach_reset,
             )
@@ -344,7 +344,7 @@ class ChipModule(nn.Module):
                 arriving = _sum(found) if found else arrived.new_zeros(len(arrived), *takes)
                 if isinstance(node, Delay):
                     waiting[name].append(arriving)
-                    rows[name].append(node.at(waiting[name]))
+                    rows[name].append(node.arriving(waiting[name]))
                 elif isinstance(node, Neurons):
                     arriving = steps[name].advance(arriving.flatten(1), t)
                     rows[name].append(arriving.reshape(-1, *node.takes))
@@ -356,7 +356,7 @@ class ChipModule(nn.Module):
     def _layer(self, name: str, node: Neurons, arriving: Tensor, records: "_Records") -> Tensor:
         """Return spikes or membranes (T, B, N) of a layer for what arrives (T, B, N)."""
         equation = node.equation(arriving.dtype)
-        seen = records.of(name, arriving, equation)
+        seen = records.layer(name, arriving, equation)
         drive = arriving * equation.gain
         if seen is None or equation.threshold is None:
             membranes = _integrate(drive, equation)
@@ -367,7 +367,7 @@ class ChipModule(nn.Module):
             equation.membrane_decay,
             equation.threshold,
             equation.leak,
-            seen.told(drive.detach(), equation),
+            seen.with_membranes(drive.detach(), equation),
             self._derivative(node),
             self.detach_reset,
         )
@@ -398,7 +398,7 @@ class _Seen:
     several: bool
     tells: bool
 
-    def told(self, drive: Tensor, equation: Equation) -> "_Seen":
+    def with_membranes(self, drive: Tensor, equation: Equation) -> "_Seen":
         """Return it with membranes before a reset; where unknown, by the equation."""
         if self.tells:
             return self
@@ -406,7 +406,7 @@ class _Seen:
         arriving = drive if equation.current_decay is None else self.current
         leak = torch.zeros_like(equation.membrane_decay) if equation.leak is None else equation.leak
         constants = torch.stack([equation.membrane_decay, leak]).detach()
-        _tell(before, self.behind.numpy(), arriving.contiguous().numpy(), constants.numpy())
+        _fill_unknown(before, self.behind.numpy(), arriving.contiguous().numpy(), constants.numpy())
         return replace(self, before=torch.from_numpy(before), tells=True)
 
 
@@ -416,7 +416,7 @@ class _Records:
     def __init__(self, program: Program, recordings: Mapping[str, Recording]) -> None:
         self._program, self._recordings = program, recordings
 
-    def of(self, name: str, like: Tensor, equation: Equation) -> _Seen | None:
+    def layer(self, name: str, like: Tensor, equation: Equation) -> _Seen | None:
         """Return what a layer did, in the type of `like`; None where the host integrates it."""
         if (recorded := self._recordings.get(name)) is None:
             return None
@@ -673,7 +673,7 @@ def _scale(values: Array, scale: Array, found: Array) -> None:
 
 
 @kept_on_disk
-def _tell(before: Array, behind: Array, arriving: Array, constants: Array) -> None:
+def _fill_unknown(before: Array, behind: Array, arriving: Array, constants: Array) -> None:
     """Write V = b V' + I + leak where a membrane (T, B, N) before its reset is NaN.
 
     constants: (2, N) b and leak

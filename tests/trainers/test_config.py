@@ -75,7 +75,7 @@ def test_override_values_are_toml_and_else_text():
 
 def test_a_ramp_is_flat_outside_and_linear_inside():
     ramp = Ramp(start=1.0, end=0.0, begin=100, finish=200)
-    assert [ramp.at(step) for step in (0, 100, 150, 200, 900)] == [1.0, 1.0, 0.5, 0.0, 0.0]
+    assert [ramp.value(step) for step in (0, 100, 150, 200, 900)] == [1.0, 1.0, 0.5, 0.0, 0.0]
 
 
 def test_differences_from_a_recipe_rebuild_the_configuration():

@@ -143,7 +143,7 @@ def bar_of(width, **row):
     screen = Console(file=io.StringIO(), force_terminal=True, width=width, color_system=None)
     with ProgressBar("hexapod-sparse-s0-20260101-000000", console=screen) as bar:
         bar.show(row)
-        bar.at(120_000, 1_000_000)
+        bar.move_to(120_000, 1_000_000)
     return [
         re.sub(r"\x1b\[[^a-zA-Z]*[a-zA-Z]|\r", "", line)
         for line in screen.file.getvalue().split("\n")
@@ -167,9 +167,9 @@ def test_without_a_terminal_progress_comes_in_lines(capsys, monkeypatch):
     monkeypatch.setattr("spikedeploy.trainers.progress.PAUSE", 0.0)
     with ProgressBar("run") as bar:
         bar.show({"episode_return": 12.0})
-        bar.at(5, 20)
-        bar.at(10, 20)
-        bar.at(24, 20)  # environments that step together end beyond it
+        bar.move_to(5, 20)
+        bar.move_to(10, 20)
+        bar.move_to(24, 20)  # environments that step together end beyond it
     lines = [re.sub(r"  \S+ left", "", line) for line in capsys.readouterr().err.splitlines()]
     assert lines == [
         "run", "5 / 20  25 %  return 12", "10 / 20  50 %  return 12", "20 / 20  100 %  return 12"
@@ -184,7 +184,7 @@ def test_the_speed_is_of_the_last_half_minute_not_of_the_last_row(capsys, monkey
         bar.show({"steps_per_s": 500.0})
         for second in range(0, 101, 10):
             clock[0] = float(second)
-            bar.at(second * 7, 10_000)
+            bar.move_to(second * 7, 10_000)
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].endswith("500 steps/s")  # nothing else is known yet
     assert lines[-1].endswith("  7 steps/s")
@@ -222,7 +222,7 @@ def test_people_and_tensorboard_see_success_and_spike_rate(
         points = []
         monkeypatch.setattr(journal.board, "add", lambda step, row: points.append((step, row)))
         journal.add({"step": 5, **row})
-        bar.at(5, 10)
+        bar.move_to(5, 10)
         journal.close()
     assert capsys.readouterr().err.strip().endswith(seen)
     ((step, scalars),) = points

@@ -26,7 +26,7 @@ from spikedeploy.trainers.config import (
     ValidationConfig,
 )
 from spikedeploy.trainers.distill.teacher import FloatArray, Teacher, compute_cross_entropy
-from spikedeploy.trainers.distill.teachers import of_policy, score, teacher
+from spikedeploy.trainers.distill.teachers import policy_teacher, score, teacher
 from spikedeploy.trainers.env_batch import EnvBatch
 from spikedeploy.trainers.neurons import excess_rate, firing_rates, mean_rate
 from spikedeploy.trainers.policies import Policy, PopsanPolicy, from_config
@@ -208,7 +208,7 @@ class Distill(Runner[DistillConfig]):
 
     def _collect(self, stopped: Callable[[], bool]) -> bool:
         """Collect the labelled states of an iteration; return whether it was not stopped."""
-        student = of_policy(self.policy)
+        student = policy_teacher(self.policy)
         found = collect(self._config, self.iterations, self._teacher, student, stopped)
         if found is None:
             return False
@@ -217,7 +217,7 @@ class Distill(Runner[DistillConfig]):
         self.iterations += 1
         if self.iterations == 1 or self.env_steps <= self._config.normaliser.finish:
             seen = self.dataset.observation.double().numpy()
-            self.policy.normalizer.adopt(Moments.of(seen))
+            self.policy.normalizer.adopt(Moments.from_batch(seen))
         return True
 
     def _evaluate(self) -> dict[str, float]:

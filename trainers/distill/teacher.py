@@ -104,7 +104,7 @@ class OwnSpaces:
     action: Space[Any]
 
     @classmethod
-    def of(cls, name: str, options: Mapping[str, Any]) -> "OwnSpaces":
+    def from_env(cls, name: str, options: Mapping[str, Any]) -> "OwnSpaces":
         """Return the spaces of an environment, which is made for it."""
         env = envs.make(name, **options)
         found = cls.within(name, env)

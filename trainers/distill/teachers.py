@@ -193,7 +193,7 @@ def teacher(
             ".onnx, .nir or Stable-Baselines3 .zip file, my_module:function, or a shipped policy "
             "such as hexapod/sac"
         )
-    return open_teacher(path, env, lambda: OwnSpaces.of(env, options or {}), units)
+    return open_teacher(path, env, lambda: OwnSpaces.from_env(env, options or {}), units)
 
 
 def open_teacher(
@@ -247,7 +247,7 @@ def same_teacher(one: str, other: str) -> bool:
     return both and first.read_bytes() == second.read_bytes()
 
 
-def of_policy(policy: Policy, env: str = "") -> Teacher:
+def policy_teacher(policy: Policy, env: str = "") -> Teacher:
     """Return a policy as a teacher."""
 
     @torch.no_grad()
@@ -283,7 +283,7 @@ def _from_run(path: str) -> Teacher:
     policy = load_policy(path)
     if isinstance(policy, DeltaSnnPolicy):
         raise _remembers(path)
-    return of_policy(policy, str(settings["env"]["name"]))
+    return policy_teacher(policy, str(settings["env"]["name"]))
 
 
 def _from_nir(path: str) -> Teacher:

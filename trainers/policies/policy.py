@@ -148,7 +148,7 @@ class Moments:
         return cls(np.zeros(size), np.zeros(size))
 
     @classmethod
-    def of(cls, batch: NDArray[np.float64]) -> "Moments":
+    def from_batch(cls, batch: NDArray[np.float64]) -> "Moments":
         """Return the moments of observations (B, obs)."""
         moments = cls.empty(batch.shape[1])
         moments.add(batch)

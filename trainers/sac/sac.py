@@ -61,7 +61,7 @@ class Sac(EnvRunner[SacConfig]):
 
     @property
     def _support_force(self) -> float:
-        return self._config.support_force.at(self.env_steps)
+        return self._config.support_force.value(self.env_steps)
 
     def _collect(self) -> None:
         """Take one step in every environment, and store it."""
@@ -80,7 +80,7 @@ class Sac(EnvRunner[SacConfig]):
     def _update(self) -> None:
         """Make the updates that are due after the steps so far."""
         wanted = (self.env_steps - self._config.warm_up) // self._config.update_every
-        scheduled = self._config.temperature.at(self.env_steps)
+        scheduled = self._config.temperature.value(self.env_steps)
         while self.updates < wanted:
             batch = self._buffer.sample(self._config.batch, self._rng)
             self._losses = self.learner.update(batch, scheduled)
@@ -97,7 +97,7 @@ class Sac(EnvRunner[SacConfig]):
 
     def _metrics(self) -> dict[str, float]:
         learned = self.learner.temperature
-        scheduled = self._config.temperature.at(self.env_steps)
+        scheduled = self._config.temperature.value(self.env_steps)
         return {
             "support_force": self._support_force,
             "temperature": scheduled if learned is None else learned.value,

@@ -353,7 +353,7 @@ class Tiles:
     row: Tensor
     counts: Tensor
 
-    def of(self, steps: Tensor) -> Tensor:
+    def gather(self, steps: Tensor) -> Tensor:
         """Return an array (S, W, ...) of all walks as (n, L, ...)."""
         return steps[self.at, self.row]
 
@@ -462,12 +462,12 @@ class SparsePpoLearner(Learner):
     @torch.no_grad()
     def trials(self, found: Tiles, drawn: Tensor, advantage: Tensor) -> Trials:
         """Return windows with drawn actions and advantages (S, W), these normalised."""
-        counted = found.of(advantage)[found.counts]
+        counted = found.gather(advantage)[found.counts]
         normal = (advantage - counted.mean()) / (counted.std() + _EPS)
-        chosen = found.of(drawn)
+        chosen = found.gather(drawn)
         mean, _ = self._replayed(found.windows)
         before = self.log_probability(mean, chosen)
-        return Trials(**vars(found.windows), drawn=chosen, advantage=found.of(normal),
+        return Trials(**vars(found.windows), drawn=chosen, advantage=found.gather(normal),
                       counts=found.counts, before=before)  # fmt: skip
 
     def log_probability(self, mean: Tensor, drawn: Tensor) -> Tensor:

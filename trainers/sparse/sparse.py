@@ -242,7 +242,7 @@ class Sparse(Runner[SparseConfig]):
         seen = np.concatenate([w.observation for w in self.pool.walks]).astype(np.float64)
         self._binary = binary_columns(seen)
         normaliser = self.policy.normalizer
-        normaliser.adopt(Moments.of(seen))
+        normaliser.adopt(Moments.from_batch(seen))
         # 0 and 1, since an input that is 0 takes no operation, in a float network either
         low, high = seen[:, self._binary].min(0), seen[:, self._binary].max(0)
         normaliser.mean[self._binary] = torch.from_numpy(low).float()

@@ -19,7 +19,13 @@ from spikedeploy.trainers.distill.distill import (
     DistillLearner,
     collect,
 )
-from spikedeploy.trainers.distill.teachers import Teacher, of_policy, same_teacher, score, teacher
+from spikedeploy.trainers.distill.teachers import (
+    Teacher,
+    policy_teacher,
+    same_teacher,
+    score,
+    teacher,
+)
 from spikedeploy.trainers.metrics import read
 from spikedeploy.trainers.policies import (
     MlpPolicy,
@@ -138,7 +144,7 @@ def test_a_run_leaves_its_files_and_reports_its_share_of_the_teachers_return(onn
 def test_a_policy_may_learn_from_a_run_an_onnx_file_or_a_nir_file(onnx, tmp_path):
     observation = np.random.default_rng(0).normal(size=(5, 77))
     torch.manual_seed(1)
-    expected = of_policy(MlpPolicy(77, 18, hidden=(8,))).act_all(observation)
+    expected = policy_teacher(MlpPolicy(77, 18, hidden=(8,))).act_all(observation)
     np.testing.assert_allclose(
         teacher(str(onnx), "hexapod").act_all(observation), expected, atol=1e-5
     )
@@ -147,7 +153,7 @@ def test_a_policy_may_learn_from_a_run_an_onnx_file_or_a_nir_file(onnx, tmp_path
     found = teacher(str(written), "hexapod")
     assert (found.observations, found.actions) == (77, 18)
     np.testing.assert_allclose(
-        found.act_all(observation), of_policy(policy.double()).act_all(observation), atol=1e-5
+        found.act_all(observation), policy_teacher(policy.double()).act_all(observation), atol=1e-5
     )
     run = RunFolder.create(tmp_path, config())
     run.save("last", policy.float(), {})
@@ -215,7 +221,7 @@ def test_a_run_with_discrete_actions_teaches_by_its_logits_as_its_file_does(tmp_
     observation = np.random.default_rng(0).normal(size=(6, 4))
     file = to_onnx(policy, Provenance("kart-grid"), tmp_path / "t.onnx")
     expected = teacher(str(file), "kart-grid").act_all(observation)
-    np.testing.assert_allclose(of_policy(policy).act_all(observation), expected, atol=1e-5)
+    np.testing.assert_allclose(policy_teacher(policy).act_all(observation), expected, atol=1e-5)
     assert expected.shape == (6, 3)
 
 

@@ -42,7 +42,7 @@ class Rows:
     def __init__(self):
         self.rows, self.count = [], 0
 
-    def at(self, step, total):
+    def move_to(self, step, total):
         self.count = step
 
     def add(self, row):
