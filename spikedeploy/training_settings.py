@@ -55,90 +55,38 @@ def student(
     encoder: "population", "rate" or "delta"
     budget, dense: of a sparse student, and that it is none
     """
-    if network is not None:
-        return _own_student(teacher, network, chip, encoder, timesteps, size, budget, dense)
-    sparse = _is_sparse(dense, chip, encoder, budget)
-    return _student_settings(teacher, size, encoder, timesteps, sparse, chip)
-
-
-def _student_settings(
-    teacher: str | None,
-    size: str | None,
-    encoder: str | None,
-    timesteps: int | None,
-    sparse: bool,
-    chip: str | None = None,
-) -> tuple[str, list[str]]:
-    """Return the recipe and the overrides of a student; what is None stays the recipe's.
-
-    size: neurons of the hidden layers, "64,64"
-    encoder: "population", "rate" or "delta"
-    sparse: whether the student sends events and is pruned
-    chip: in whose integers it is trained; None in float
-    """
-    settings = [] if teacher is None else [f"teacher={json.dumps(teacher)}"]
-    steps = [] if timesteps is None else [f"policy.timesteps={timesteps}"]
-    if size is not None:
-        settings.append(f"policy.hidden={_hidden(size, sparse)}")
-    if sparse:
-        if encoder not in (None, "delta"):
-            raise ConfigError(
-                f"--encoder {encoder}: a student with --budget sends events by the delta code; "
-                "leave one of the two out"
-            )
-        return SPARSE, [*settings, *steps]
-    if encoder == "delta":
-        raise ConfigError("--encoder delta is of sparse students: leave --dense and --for out")
-    if encoder is not None:
-        settings.append(f"policy.coding={_CODINGS[encoder]}")
-    settings += steps
-    if chip is not None:
-        return "for-chip", [*settings, f"policy.chip={json.dumps(chip)}"]
-    return "distill-snn", settings
-
-
-def _own_student(
-    teacher: str | None,
-    network: str,
-    chip: str | None,
-    encoder: str | None,
-    timesteps: int | None,
-    size: str | None,
-    budget: str | None,
-    dense: bool,
-) -> tuple[str, list[str]]:
-    """Return the recipe and the overrides of a student that is a network of the user.
-
-    network: module:Class, or a .nir file
-    size, budget, dense: refused, as its own network has a size and is not pruned
-    """
-    for name, given in (("--size", size), ("--budget", budget), ("--dense", dense or None)):
-        if given is not None:
+    own = {"--size": size, "--budget": budget, "--dense": dense or None}
+    for name in own if network is not None else ():
+        if own[name] is not None:
             raise ConfigError(f"{name} and --network: a network of yours is trained as it is")
-    if encoder == "delta":
-        raise ConfigError("--encoder delta is of sparse students: leave --network out")
+    if budget is not None and (dense or chip is not None):
+        other = "--dense" if dense else "--for"
+        raise ConfigError(f"{other} and --budget: such students are not pruned")
+    unpruned = dense or chip is not None or network is not None
+    sparse = budget is not None or (not unpruned and encoder in (None, "delta"))
+    if sparse and encoder not in (None, "delta"):
+        raise ConfigError(
+            f"--encoder {encoder}: a student with --budget sends events by the delta code; leave "
+            "one of the two out"
+        )
+    if not sparse and encoder == "delta":
+        raise ConfigError(
+            "--encoder delta is of sparse students: leave --dense, --for and --network out"
+        )
     settings = {
         "teacher": teacher,
         "policy.network": network,
         "policy.chip": chip,
-        "policy.coding": encoder and _CODINGS[encoder],
+        "policy.hidden": None if size is None else _hidden(size, sparse),
+        "policy.coding": None if sparse or encoder is None else _CODINGS[encoder],
         "policy.timesteps": timesteps,
     }
-    found = [f"{k}={json.dumps(value)}" for k, value in settings.items() if value is not None]
-    return "distill-network", found
+    recipe = SPARSE if sparse else "distill-snn" if chip is None else "for-chip"
+    overrides = [f"{k}={json.dumps(value)}" for k, value in settings.items() if value is not None]
+    return recipe if network is None else "distill-network", overrides
 
 
-def _is_sparse(dense: bool, chip: str | None, encoder: str | None, budget: str | None) -> bool:
-    """Return whether a student sends events and is pruned: unless options say otherwise."""
-    if budget is not None:
-        if dense or chip is not None:
-            other = "--dense" if dense else "--for"
-            raise ConfigError(f"{other} and --budget: such students are not pruned")
-        return True
-    return not dense and chip is None and encoder in (None, "delta")
-
-
-def _hidden(size: str, sparse: bool) -> str:
+def _hidden(size: str, sparse: bool) -> int | list[int]:
     """Return the neurons of hidden layers as a setting."""
     parts = size.split(",")
     if not all(part.strip().isascii() and part.strip().isdigit() for part in parts):
@@ -149,4 +97,4 @@ def _hidden(size: str, sparse: bool) -> str:
             "several"
         )
     numbers = [int(part) for part in parts]
-    return str(numbers[0] if sparse else numbers)
+    return numbers[0] if sparse else numbers

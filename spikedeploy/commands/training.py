@@ -313,7 +313,7 @@ def distill(
     named = [name for name, value in {**own, "--dense": dense or None}.items() if value is not None]
     if resume is not None and named:
         raise typer.BadParameter(f"a resumed run keeps its network: leave {', '.join(named)} out")
-    from spikedeploy.commands import distillation as made
+    from spikedeploy.commands import distillation
     from spikedeploy.trainers.run_folder import RunFolder
     from spikedeploy.training_settings import student
 
@@ -323,19 +323,26 @@ def distill(
         budget=budget, seed=seed, resume=resume, runs=runs, verb="distill",
     )  # fmt: skip
     beside, levels, page = None, {}, f"page: {run / 'report.html'}"
-    if made.is_searched(run):
+    if distillation.is_searched(run):
         if rival:
             say("beside it: a small float MLP, pruned by the same rule (--no-rival leaves it out)")
-            beside = _learn(json=json, again=run, verb="distill", **made.rival_arguments(run))
-        levels, page = made.fronts(run, beside), f"{page}, front: {run / made.FRONT}"
-        made.draw_fronts(levels, RunFolder(run).settings()["keep"], run / made.FRONT)
+            beside = _learn(
+                json=json, again=run, verb="distill", **distillation.rival_arguments(run)
+            )
+        levels, page = (
+            distillation.fronts(run, beside),
+            f"{page}, front: {run / distillation.FRONT}",
+        )
+        distillation.draw_fronts(
+            levels, RunFolder(run).settings()["keep"], run / distillation.FRONT
+        )
     if json:
         front = {name: [vars(each) for each in of] for name, of in levels.items()}
         print_json({"run": str(run), "rival": beside and str(beside), "front": front})
         return
-    made.print_fronts(levels)
-    next_ = _comparison(run, [beside] if beside else [], made.teacher_options(run))
-    typer.echo(f"trained: {run}\n{made.describe(run, levels)}{page}\nnext: {next_}")
+    distillation.print_fronts(levels)
+    next_ = _comparison(run, [beside] if beside else [], distillation.teacher_options(run))
+    typer.echo(f"trained: {run}\n{distillation.describe(run, levels)}{page}\nnext: {next_}")
 
 
 _Objective = Literal["return", "return-at-sops", "return,sops"]

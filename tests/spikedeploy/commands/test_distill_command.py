@@ -159,13 +159,13 @@ def test_a_budget_asks_for_the_event_driven_student():
     assert found == ['teacher="a.zip"', "policy.hidden=16", "policy.timesteps=1"]
     recipe, found = student("a", chip="odin", size="16", timesteps=4)
     assert recipe == "for-chip"
-    assert found[1:] == ["policy.hidden=[16]", "policy.timesteps=4", 'policy.chip="odin"']
+    assert found[1:] == ['policy.chip="odin"', "policy.hidden=[16]", "policy.timesteps=4"]
     assert student("a", budget="sops=20")[0] == "distill-sparse"
     for dense, chip in ((True, None), (False, "odin")):
         with pytest.raises(ConfigError, match="such students are not pruned"):
             student("a", chip=chip, dense=dense, budget="sops=20")
     _, found = student("a", encoder="population", timesteps=2)
-    assert found[1:] == ["policy.coding=population", "policy.timesteps=2"]
+    assert found[1:] == ['policy.coding="population"', "policy.timesteps=2"]
 
 
 def test_a_network_of_the_user_is_a_student_as_it_is():
@@ -198,7 +198,7 @@ def test_a_budget_that_does_not_bind_is_said(before, said, tmp_path, monkeypatch
     [
         ({"size": "64x64", "dense": True}, r"--size 64x64: .* as in --size 64,64"),
         ({"size": "64,", "dense": True}, r"--size 64,:"),
-        ({"encoder": "delta", "dense": True}, "leave --dense and --for out"),
+        ({"encoder": "delta", "dense": True}, "leave --dense, --for and --network out"),
         ({"size": "64,64"}, "a sparse student has one hidden layer"),
         ({"encoder": "rate", "budget": "sops=20"}, "leave one of the two out"),
     ],
