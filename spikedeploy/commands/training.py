@@ -313,7 +313,16 @@ def distill(
     named = [name for name, value in {**own, "--dense": dense or None}.items() if value is not None]
     if resume is not None and named:
         raise typer.BadParameter(f"a resumed run keeps its network: leave {', '.join(named)} out")
-    from spikedeploy.commands import distillation
+    from spikedeploy.commands.distillation import (
+        FRONT,
+        describe,
+        draw_fronts,
+        fronts,
+        is_searched,
+        print_fronts,
+        rival_arguments,
+        teacher_options,
+    )
     from spikedeploy.trainers.run_folder import RunFolder
     from spikedeploy.training_settings import student
 
@@ -323,26 +332,22 @@ def distill(
         budget=budget, seed=seed, resume=resume, runs=runs, verb="distill",
     )  # fmt: skip
     beside, levels, page = None, {}, f"page: {run / 'report.html'}"
-    if distillation.is_searched(run):
+    if is_searched(run):
         if rival:
             say("beside it: a small float MLP, pruned by the same rule (--no-rival leaves it out)")
-            beside = _learn(
-                json=json, again=run, verb="distill", **distillation.rival_arguments(run)
-            )
+            beside = _learn(json=json, again=run, verb="distill", **rival_arguments(run))
         levels, page = (
-            distillation.fronts(run, beside),
-            f"{page}, front: {run / distillation.FRONT}",
+            fronts(run, beside),
+            f"{page}, front: {run / FRONT}",
         )
-        distillation.draw_fronts(
-            levels, RunFolder(run).settings()["keep"], run / distillation.FRONT
-        )
+        draw_fronts(levels, RunFolder(run).settings()["keep"], run / FRONT)
     if json:
         front = {name: [vars(each) for each in of] for name, of in levels.items()}
         print_json({"run": str(run), "rival": beside and str(beside), "front": front})
         return
-    distillation.print_fronts(levels)
-    next_ = _comparison(run, [beside] if beside else [], distillation.teacher_options(run))
-    typer.echo(f"trained: {run}\n{distillation.describe(run, levels)}{page}\nnext: {next_}")
+    print_fronts(levels)
+    next_ = _comparison(run, [beside] if beside else [], teacher_options(run))
+    typer.echo(f"trained: {run}\n{describe(run, levels)}{page}\nnext: {next_}")
 
 
 _Objective = Literal["return", "return-at-sops", "return,sops"]
