@@ -13,7 +13,6 @@ import torch
 from torch import Tensor, nn
 
 from spikedeploy import envs
-from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import (
     C,
     EnvConfig,
@@ -294,11 +293,6 @@ class Runner(ABC, Generic[C]):
     def _resume(self) -> None:
         """Restore the checkpoint "last"."""
         state, tensors = self._run.load("last")
-        if missing := [name for name in self.COUNTERS if name not in state]:
-            raise ConfigError(
-                f"{self._run.path} was begun by an earlier version, whose checkpoints have no "
-                f"{', '.join(missing)}: train it anew"
-            )
         self.learner.load(tensors)
         for name in self.COUNTERS:
             if not isinstance(getattr(type(self), name, None), property):
