@@ -155,16 +155,10 @@ def _removed_if_refused(run: RunFolder) -> Iterator[None]:
 
 def _check_network(path: Path, former: RunConfig, config: RunConfig) -> None:
     """Refuse a run to be resumed with another network than it was begun with."""
-    before, now = map(_network, (former, config))
+    before, now = former.policy.model_dump(), config.policy.model_dump()
     if changed := [name for name in now if before.get(name) != now[name]]:
-        some = ", ".join(f"{name} is {before.get(name)}" for name in changed)
+        some = ", ".join(f"policy.{name} is {before.get(name)}" for name in changed)
         raise ConfigError(f"a resumed run keeps its network, and in {path} {some}")
-
-
-def _network(config: RunConfig) -> dict[str, Any]:
-    """Return settings of the network by name; `bits`, of float weights, are the algorithm's."""
-    policy = {f"policy.{name}": each for name, each in config.model_dump()["policy"].items()}
-    return {**policy, "bits": getattr(config, "bits", None)}
 
 
 def _check_sizes(path: Path, state: Mapping[str, Any], policy: Policy) -> None:
