@@ -3,7 +3,7 @@
 `train.train` trains a recipe with an algorithm of the table ALGORITHMS; nothing heavy is imported
 before. Configurations are pydantic models, checkpoints safetensors and JSON.
 
-recipes.py       recipes, of the tables in recipes.toml: what to train, as differences from defaults
+recipes.py       recipes of recipes.toml: what to train, as differences from defaults
 config.py        models of the configuration; recipe, TOML file and overrides combined
 train.py         from the name of a recipe to a run folder
 runner.py        what all algorithms share: loop, validation, resuming; networks and optimisers

@@ -69,6 +69,7 @@ Array = NDArray[np.float64]
 # Loihi's slowest decay: what lava and nengo-loihi make of a decay register of 0
 CURRENT_DECAY = 4095 / 4096
 _THRESHOLD = 1.0
+_EVENTS_ABOVE = 154  # [1/256 steps], as runtime.codec.delta.DeltaEncoder has it
 _STEP = 0.5  # [standard deviations] until steps are chosen
 _BETA, _GAMMA = 0.6, 0.5  # initial decay factors of membranes and readouts
 _DEEP_BETA, _DEEP_GAMMA = 0.7, 0.9  # of deep neurons, and of readouts where there are some
@@ -107,7 +108,6 @@ class DeltaSnnPolicy(Policy):
     two_valued: observations with two values that are a step apart: their channels of several events
         are never used; of a one-hot code they weigh as much as that of one, so that they do not
         make a chip's weights coarser, of a unary code nothing
-    events_above: as in runtime.codec.delta.DeltaEncoder
     current_decay: factor by which currents, and the integrals of a skip, keep what events brought
     hidden: neurons H of all copies together, the deep ones included; 0 leaves the readout alone: a
         delta-coded linear policy, whose readout decays as slowly as the currents do
@@ -119,6 +119,7 @@ class DeltaSnnPolicy(Policy):
     """
 
     kind = "delta-snn"
+    current_decay = CURRENT_DECAY
     step: Tensor
     threshold: Tensor
     _beta: Tensor
@@ -133,8 +134,6 @@ class DeltaSnnPolicy(Policy):
         head: Head = "continuous",
         copies: Copies | None = None,
         two_valued: Sequence[int] = (),
-        events_above: int = 154,
-        current_decay: float = CURRENT_DECAY,
     ) -> None:
         super().__init__()
         c = settings or DeltaSnnConfig()
@@ -148,8 +147,7 @@ class DeltaSnnPolicy(Policy):
         self.observations, self.actions, self.hidden = observations, actions, hidden
         self.skip = c.skip or not hidden
         self.integrated = (c.integrated or c.memoryless) and c.skip and hidden > 0
-        self.events_above, self.head, self.current_decay = events_above, head, current_decay
-        self.latent_size = hidden
+        self.head, self.latent_size = head, hidden
         self.normalizer = TorchNormaliser(observations, clip)
         self.register_buffer("step", torch.full((observations,), _STEP))
         self.register_buffer("threshold", torch.full((hidden,), _THRESHOLD))
@@ -215,7 +213,7 @@ class DeltaSnnPolicy(Policy):
         apart = parts.clamp(-(2**30), 2**30) - 256 * level
         far = apart.abs()
         events: Tensor = torch.floor((far + 128) / 256).clamp(max=self.most) * apart.sign()
-        return torch.where(far > self.events_above, events, torch.zeros_like(events))
+        return torch.where(far > _EVENTS_ABOVE, events, torch.zeros_like(events))
 
     @property
     def delay(self) -> int:
@@ -428,6 +426,7 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
     """
 
     kind = "delta-mlp"
+    current_decay = 1.0
 
     def __init__(
         self,
@@ -437,13 +436,10 @@ class DeltaMlpPolicy(DeltaSnnPolicy):
         clip: float = 4.0,
         head: Head = "continuous",
         two_valued: Sequence[int] = (),
-        events_above: int = 154,
     ) -> None:
         own = settings or DeltaMlpConfig()
         network = DeltaSnnConfig(**own.model_dump(exclude={"kind", "threshold"}))
-        super().__init__(
-            observations, actions, network, clip, head, None, two_valued, events_above, 1.0
-        )
+        super().__init__(observations, actions, network, clip, head, None, two_valued)
         del self._beta, self._gamma
         self.settings = own  # type: ignore[assignment]
         self.share = own.threshold
@@ -568,7 +564,7 @@ def delta_codec(policy: DeltaSnnPolicy) -> Codec:
 def delta_encoder(policy: DeltaSnnPolicy) -> DeltaEncoder:
     """Return the encoder; observations that no synapse reads send nothing."""
     step = np.where(_used_observations(policy).numpy(), to_array(policy.step), np.inf)
-    return DeltaEncoder(step, policy.most, policy.code, policy.events_above)
+    return DeltaEncoder(step, policy.most, policy.code, _EVENTS_ABOVE)
 
 
 def live_neurons(policy: DeltaSnnPolicy) -> Tensor:

@@ -24,7 +24,7 @@ SHAPES = [
     {"hidden": 0},
     {"skip": False},
     {"head": "discrete"},
-    {"most": 1, "events_above": 128},
+    {"most": 1},
     {"integrated": True},
     {"clock": "gated"},
     {"clock": "gated", "integrated": True},
@@ -86,10 +86,17 @@ def test_events_are_those_of_the_runtimes_encoder(code, most):
     np.testing.assert_array_equal(spikes[:, 0], event_channels(policy, events))
 
 
+def undecayed(config):
+    """A policy of one neuron whose current does not decay."""
+    policy = DeltaSnnPolicy(1, 1, config).double()
+    policy.current_decay = 1.0
+    return policy
+
+
 def test_pipelined_events_act_one_control_step_late_and_hidden_spikes_two():
     """One event in control step 0; the numbers are worked out by hand."""
     config = DeltaSnnConfig(hidden=1)
-    policy = DeltaSnnPolicy(1, 1, config, current_decay=1.0).double()
+    policy = undecayed(config)
     policy.step.fill_(1.0)
     policy.set_decays(torch.tensor([0.5]).double(), torch.tensor([0.5]).double())
     with torch.no_grad():
@@ -105,13 +112,13 @@ def test_pipelined_events_act_one_control_step_late_and_hidden_spikes_two():
     np.testing.assert_allclose(mean[:, 0], [0, 8, 8, 8])
     # three timesteps: the action of control step 0 has 4 of the spike and 8 / 2 of the skip
     config = config.model_copy(update={"timesteps": 3})
-    whole = DeltaSnnPolicy(1, 1, config, current_decay=1.0).double()
+    whole = undecayed(config)
     whole.load_state_dict(policy.state_dict())
     mean, events, spikes = followed(whole, np.array([[1.0]]))
     assert (events[:, 0].tolist(), spikes[:, 0].tolist()) == ([1, 0, 0], [0, 1, 1])
     np.testing.assert_allclose(mean[:, 0], [8])
     config = DeltaSnnConfig(hidden=1, clock="gated")
-    gated = DeltaSnnPolicy(1, 1, config, current_decay=1.0).double()
+    gated = undecayed(config)
     gated.load_state_dict(policy.state_dict())
     mean, _, spikes = followed(gated, np.array([[1.0], [1.0]]))
     assert spikes[:, 0].tolist() == [1, 1]
