@@ -86,7 +86,7 @@ class TorchController(Player):
         from spikedeploy.trainers.policies.spiking import CodedPolicy
 
         policy = self.policy
-        if isinstance(policy, DeltaSnnPolicy):
+        if isinstance(policy, DeltaSnnPolicy) and self._state is not None:
             return self._torch.cat([policy.advance(row[None], self._state)[0] for row in batch])
         if isinstance(policy, CodedPolicy):
             spikes = input_spikes_of(policy, batch, self._rng.draw_sequence)

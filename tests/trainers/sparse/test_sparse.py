@@ -87,7 +87,7 @@ def test_operations_fall_to_the_budget(policy, stroll, tmp_path):
     assert best["eval_share"] == pytest.approx(earned / (best["teacher_return"] - none))
 
 
-@pytest.mark.parametrize(("policy", "stop"), zip(POLICIES, (12, 31, 31, 12, 31), strict=True))
+@pytest.mark.parametrize(("policy", "stop"), list(zip(POLICIES, (12, 31, 31, 12, 31), strict=True)))
 def test_a_stopped_run_resumes_to_the_same_bits(policy, stop, stroll, tmp_path):
     validation = {"every": 6, "episodes": 1}
     config = settings(teacher=stroll, policy=policy, validation=validation)
