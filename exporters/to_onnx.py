@@ -11,7 +11,6 @@ order, from which effective operations are counted; ONNX Runtime computes them o
 """
 
 import json
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -85,7 +84,9 @@ def _add_policy(graph: OnnxGraph, policy: _Float) -> None:
     *others, last = layers
     hidden = seen
     for number, layer in enumerate(others, start=1):
-        hidden = graph.node("Relu", _add_affine(graph, hidden, *layer, number), name=f"hidden{number}")
+        hidden = graph.node(
+            "Relu", _add_affine(graph, hidden, *layer, number), name=f"hidden{number}"
+        )
     sums = _add_affine(graph, hidden, *last, len(layers))
     if not isinstance(policy, MlpPolicy) and policy.skip:
         sums = sums + seen @ _array(policy.past.whole().T)
