@@ -319,12 +319,6 @@ def test_a_search_refuses_a_teacher_that_earns_no_more_than_random_actions(
         learned(settings(teacher=stroll, **SEARCH), tmp_path, until=1)
 
 
-def test_nobody_is_privileged_where_the_simulation_tells_nothing(tmp_path):
-    config = settings(teacher="privileged")
-    with pytest.raises(ConfigError, match="privileged"):
-        Sparse(config, RunFolder.create(tmp_path, config))
-
-
 @pytest.mark.parametrize(
     ("timesteps", "deep", "least"), [(1, 2, 2), (1, 0, 1), (2, 2, 1), (2, 0, 0), (4, 2, 0)]
 )
