@@ -155,35 +155,21 @@ def test_a_timestep_longer_than_a_time_constant_is_refused(artifact, path):
 # files that are not what they should be
 
 
-@pytest.mark.parametrize("content", [b"", b"{}", b"x" * 10_000])
-def test_a_file_that_is_no_hdf5_is_refused(path, content):
-    path.write_bytes(content)
-    with pytest.raises(ArtifactError, match="not an HDF5 file"):
-        load(path)
-
-
-def test_a_file_of_torch_is_refused_with_the_export(tmp_path):
+def test_a_file_that_is_no_graph_is_refused(artifact, path, tmp_path):
+    save(artifact, path)
+    half = path.read_bytes()[: path.stat().st_size // 2]
+    for content in (b"", b"x" * 10_000, half):
+        path.write_bytes(content)
+        with pytest.raises(ArtifactError):
+            load(path)
+    nir.write(path, cuba(3))  # a node alone
     (tmp_path / "net.pt").write_bytes(b"PK")
-    with pytest.raises(ArtifactError, match=r"a file of torch, not NIR.*spikedeploy\.export"):
-        load(tmp_path / "net.pt")
-
-
-def test_hdf5_that_is_no_graph_is_refused(path, tmp_path):
-    nir.write(path, cuba(3))
     with h5py.File(tmp_path / "other.nir", "w") as file:
         file["weights"] = np.zeros(3)
-    for each in (path, tmp_path / "other.nir"):
-        with pytest.raises(ArtifactError, match="cannot be read as a NIR graph"):
-            load(each)
-
-
-@pytest.mark.parametrize("part", np.linspace(0, 0.999, 25))
-def test_a_truncated_file_is_refused_wherever_it_ends(artifact, path, part):
-    save(artifact, path)
-    whole = path.read_bytes()
-    path.write_bytes(whole[: int(part * len(whole))])
-    with pytest.raises(ArtifactError):
-        load(path)
+    told = {"net.pt": r"spikedeploy\.export", "other.nir": "NIR graph", path.name: "NIR graph"}
+    for name, message in told.items():
+        with pytest.raises(ArtifactError, match=message):
+            load(tmp_path / name)
 
 
 def test_a_damaged_file_never_passes_for_the_policy(artifact, path):
@@ -198,41 +184,11 @@ def test_a_damaged_file_never_passes_for_the_policy(artifact, path):
             assert digest(load(path)) == sha
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, -0.01])
-@pytest.mark.parametrize("field", ["tau_syn", "tau_mem"])
-def test_a_time_constant_that_is_none_is_refused(path, field, value):
-    node = cuba(3)
-    getattr(node, field)[1] = value
-    with pytest.raises(ArtifactError, match=f"node 'n1': {field} holds {value:g}"):
-        load(foreign(path, chain(node, width=3, act=3)), dt=1e-3)
-
-
 @pytest.mark.parametrize("shape", [[0], [-2], [2.0], [np.nan], "wide"])
 def test_an_input_without_a_shape_is_refused(path, shape):
     foreign(path, chain(nir.Linear(np.eye(2)), width=2, act=2))
     with pytest.raises(ArtifactError, match=r"'input': shape is .* whole numbers above 0"):
         load(edited(path, "node/nodes/input/shape", shape), dt=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("edges", "message"),
-    [
-        ("input->fc, fc->output, fc->lif1", r"'fc' -> 'lif1': there is no node 'lif1'"),
-        ("input->fc, fc->output, fc->output", "is there twice"),
-        ("input->fc, fc->output, fc->input", "goes into an Input node"),
-        ("input->output", "the shapes of the graph disagree"),
-    ],
-)
-def test_edges_that_make_no_graph_are_refused(path, edges, message):
-    nodes = {
-        "input": nir.Input(np.array([3])),
-        "fc": nir.Linear(np.ones((2, 3))),
-        "output": nir.Output(np.array([2])),
-    }
-    pairs = [tuple(edge.split("->")) for edge in edges.split(", ")]
-    foreign(path, nir.NIRGraph(nodes, pairs, type_check=False))
-    with pytest.raises(ArtifactError, match=message):
-        load(path, dt=1e-3)
 
 
 # metadata that cannot be true
@@ -245,20 +201,13 @@ def test_edges_that_make_no_graph_are_refused(path, edges, message):
         ("convention/reset", "soft", "reset 'soft' is unknown"),
         ("schema", 99, "schema is 99; this version reads 1"),
         ("codec/encoder/threshold", 0.9, "not the one that was exported"),
+        ("origin/sha256", "0" * 64, "not the one that was exported"),
     ],
 )
 def test_metadata_that_cannot_be_true_are_refused(field, value, message, artifact, path):
     save(artifact, path)
     with pytest.raises(ArtifactError, match=message):
         load(edited(path, f"node/metadata/spikedeploy/{field}", value))
-
-
-def test_weights_that_were_changed_after_the_export_are_noticed(artifact, path):
-    save(artifact, path)
-    with h5py.File(path, "r+") as file:
-        file["node/nodes/n1/weight"][0, 0] += 1e-9
-    with pytest.raises(ArtifactError, match="not the one that was exported"):
-        load(path)
 
 
 def test_a_codec_for_another_input_is_refused(artifact):

@@ -293,8 +293,7 @@ def test_what_breaks_a_rule_is_refused_by_its_name_with_the_limit_and_the_way_ou
     assert compile_program(popsan(), LOIHI).layers
     artifact = feed(BIASED, cuba(2), width=4096, act=2)
     message = (
-        "rule axons-in: node 'n2' has 4,097 sources of a core; loihi1 has at most 4,096. .*"
-        "Or compute with its arithmetic alone: --limits off"
+        "rule axons-in: node 'n2' has 4,097 sources of a core; loihi1 has at most 4,096. .*--limits"
     )
     with pytest.raises(RuleError, match=message):
         compile_program(artifact, LOIHI)
@@ -334,8 +333,11 @@ def test_every_limit_has_a_source(name):
 NETWORKS = [f"{path.parent.name}/{path.stem}" for path in zoo.policies() if path.suffix == ".nir"]
 
 
-@pytest.mark.parametrize("policy", NETWORKS)
-@pytest.mark.parametrize("name", CHIPS)
+@pytest.mark.parametrize(
+    ("policy", "name"),
+    [(policy, name) for policy in NETWORKS for name in ("loihi1", "speck2f")]
+    + [("hexapod/sparse", name) for name in CHIPS if name not in ("loihi1", "speck2f")],
+)
 def test_every_node_of_a_shipped_policy_is_judged_by_every_rule(policy, name):
     artifact, on = load(zoo.path(policy)), chip(name)
     found = check(artifact, on)
@@ -367,7 +369,6 @@ def test_a_leak_that_a_chip_has_not_is_answered_with_beta_1(name):
 def test_sources_of_both_signs_are_counted_in_words():
     (found,) = (e for e in check(signed([[1, -1], [2, 1]]), chip("odin")).rulings if e.failed)
     assert found.found == "1 of 2 sources with both positive and negative weights"
-    assert "double each source: one neuron with the positive weights" in found.remedy
 
 
 @settings(max_examples=60)

@@ -27,6 +27,13 @@ def artifact(network):
     return Artifact(network, None, Convention(1e-3))
 
 
+class Oscillator(nir.NIRNode):
+    """A node that some other tool invented."""
+
+    def __init__(self):
+        self.input_type = self.output_type = {}
+
+
 def conv2d(**change):
     """A valid convolution of (2, 6, 6) but for the change."""
     valid = {
@@ -74,20 +81,8 @@ def test_a_convolution_that_is_none_is_refused_by_name(change, message):
         artifact(alone(node, (2, 6, 6), (4, 4, 4)))
 
 
-@pytest.mark.parametrize(
-    ("kernel", "stride", "padding", "message"),
-    [
-        ([3, 0], [1, 1], [0, 0], "kernel_size holds 0"),
-        ([3, 3], [0, 1], [0, 0], "stride holds 0"),
-        ([3, 3], [1, 1], [0, -1], "padding holds -1"),
-        ([3.5, 3], [1, 1], [0, 0], "kernel_size is"),
-        ([7, 3], [1, 1], [0, 0], "does not fit"),
-    ],
-)
-def test_a_pool_that_is_none_is_refused_by_name(kernel, stride, padding, message):
-    node = nir.SumPool2d(*map(np.array, (kernel, stride, padding)))
-    with pytest.raises(ArtifactError, match=f"'n': .*{message}"):
-        artifact(alone(node, (2, 6, 6), (2, 4, 4)))
+def pool(kernel, stride=(1, 1), padding=(0, 0)):
+    return nir.SumPool2d(*map(np.array, (kernel, stride, padding)))
 
 
 @pytest.mark.parametrize(
@@ -100,11 +95,19 @@ def test_a_pool_that_is_none_is_refused_by_name(kernel, stride, padding, message
         (nir.Flatten({"input": None}, 2, 1), (2, 3, 4), "axes 2 to 1 cannot be flattened"),
         (nir.Flatten({"input": None}, 0, 3), (2, 3, 4), "axes 0 to 3 cannot be flattened"),
         (nir.Flatten({"input": None}, -4, -1), (2, 3, 4), "start_dim holds -4"),
-        (nir.SumPool2d(*np.array([[2, 2], [1, 1], [0, 0]])), (6,), r"takes \(C, H, W\)"),
+        (pool([2, 2]), (6,), r"takes \(C, H, W\)"),
+        (pool([3, 0]), (2, 6, 6), "kernel_size holds 0"),
+        (pool([3.5, 3]), (2, 6, 6), "kernel_size is"),
+        (pool([7, 3]), (2, 6, 6), "does not fit"),
+        (pool([3, 3], stride=[0, 1]), (2, 6, 6), "stride holds 0"),
+        (pool([3, 3], padding=[0, -1]), (2, 6, 6), "padding holds -1"),
+        (lif(2, tau=0.0), (2,), "tau holds 0"),
+        (nir.Scale(np.ones((3, 1))), (3, 3), "shapes of the graph disagree"),
+        (Oscillator(), (2,), "Oscillator is no primitive of NIR"),
     ],
 )
 def test_a_node_that_cannot_be_computed_is_refused_by_name(node, shape, message):
-    with pytest.raises(ArtifactError, match=f"node 'n': .*{message}"):
+    with pytest.raises(ArtifactError, match=f"'n': .*{message}|{message}.*'n'"):
         artifact(alone(node, shape, (2,)))
 
 
@@ -120,32 +123,12 @@ def test_every_field_of_a_neuron_has_its_shape_and_is_finite(kind):
                 artifact(alone(node, (2,), (2,)))
 
 
-class Oscillator(nir.NIRNode):
-    """A node that some other tool invented."""
-
-    def __init__(self):
-        self.input_type = self.output_type = {}
-
-
-def test_a_kind_that_nir_does_not_have_is_refused_by_name():
-    with pytest.raises(ArtifactError, match="'n': Oscillator is no primitive of NIR"):
-        artifact(alone(Oscillator(), (2,), (2,)))
-
-
 @pytest.mark.parametrize("name", ["a/b", "", ".", "a\0b", 3])
 def test_a_name_that_no_file_can_hold_is_refused(name):
     network = alone(lif(2), (2,), (2,))
     network.nodes[name] = network.nodes.pop("n")
     network.edges = [("input", name), (name, "output")]
     with pytest.raises(ArtifactError, match="HDF5 cannot hold this name"):
-        artifact(network)
-
-
-@pytest.mark.parametrize("edge", [("input", "a", "output"), ["input", "output"], "ab", None])
-def test_an_edge_that_is_no_pair_is_refused(edge):
-    network = nir.NIRGraph(ends(2, 2), [("input", "output")], type_check=False)
-    network.edges = [("input", "output"), edge]
-    with pytest.raises(ArtifactError, match="is not a pair"):
         artifact(network)
 
 
@@ -157,21 +140,18 @@ def test_an_edge_that_is_no_pair_is_refused(edge):
         ([("input", "output"), ("a", "b"), ("b", "a")], "'a': no edges lead to it"),
         ([("input", "a"), ("a", "b"), ("b", "a"), ("input", "output")], "'a': no .* to an Output"),
         ([("a", "output"), ("b", "a"), ("a", "b")], "'a': no edges lead to it"),
+        ([("input", "output"), ("input", "output")], "is there twice"),
+        ([("input", "output"), ("output", "input")], "goes into an Input node"),
+        ([("input", "a", "output")], "is not a pair"),
     ],
 )
-def test_a_node_beside_the_way_is_refused_by_name(edges, message):
+def test_edges_that_make_no_graph_are_refused(edges, message):
     nodes = ends(2, 2)
     named = {name for edge in edges for name in edge} - {"input", "output"}
-    nodes |= {name: lif(2) for name in named}
+    network = nir.NIRGraph({**nodes, **{name: lif(2) for name in named}}, [], type_check=False)
+    network.edges = edges
     with pytest.raises(ArtifactError, match=message):
-        artifact(nir.NIRGraph(nodes, edges, type_check=False))
-
-
-@pytest.mark.parametrize("shape", [(3, 1), (1, 3), (3,)])
-def test_shapes_that_only_numpy_would_join_are_refused(shape):
-    node = nir.Scale(np.ones(shape))
-    with pytest.raises(ArtifactError, match=r"'input' -> 'n': the shapes of the graph disagree"):
-        artifact(alone(node, (3, 3), (3, 3)))
+        artifact(network)
 
 
 # files
