@@ -130,11 +130,12 @@ class Artifact:
     def with_numbers(self, graph: nir.NIRGraph) -> "Artifact":
         """The artifact with other numbers at the same nodes, of which only neurons are checked."""
         other = copy.copy(self)
-        other.__dict__.pop("timing", None)
         object.__setattr__(other, "graph", graph)
         for name, node in graph.nodes.items():
             if isinstance(node, NEURONS):
                 check_neurons(name, node)
+            elif isinstance(node, nir.Delay):
+                other.__dict__.pop("timing", None)
         other._discretise()
         return other
 

@@ -8,7 +8,6 @@ thousand zeros from a byte.
 
 import math
 import mmap
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -35,7 +34,6 @@ _FREE_BYTES, _EXPANSION = 96 << 20, 8
 _SMALLEST_NUMBER = 4
 # arrays and groups; a neuron has up to nine
 _MAX_MEMBERS = 32_768
-_PART = 1 << 22  # bytes of a file that are searched at once
 
 
 def write_graph(path: Path, graph: nir.NIRGraph, older: str | None = None) -> None:
@@ -254,8 +252,10 @@ def _check_heaps(path: Path) -> None:
     of 8. The object of index 0 is the free space after the others, its header of 16 bytes included
     (HDF5 File Format Specification 3.0, section III.E).
     """
+    heap = b"GCOL\x01\x00\x00\x00"
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        for at in _places(path, b"GCOL\x01\x00\x00\x00"):
+        at = content.find(heap)
+        while at >= 0:
             here = at + 16
             end = min(at + int.from_bytes(content[at + 8 : here], "little"), len(content))
             while end - here >= 16:
@@ -267,15 +267,4 @@ def _check_heaps(path: Path) -> None:
                         f"its texts, at byte {at}, are damaged. Copy the file or export it again."
                     )
                 here += step
-
-
-def _places(path: Path, text: bytes) -> Iterator[int]:
-    """Bytes at which a text begins, in a file of any size, which is read in parts."""
-    with path.open("rb") as file:
-        seen, part = b"", file.read(_PART)
-        first = 0  # byte at which `seen` begins
-        while part:
-            seen += part
-            yield from (first + each.start() for each in re.finditer(re.escape(text), seen))
-            kept = min(len(text) - 1, len(seen))
-            first, seen, part = first + len(seen) - kept, seen[-kept:], file.read(_PART)
+            at = content.find(heap, at + 1)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import nir
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.window import Window
-from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.errors import ArtifactError, RuleError
 from spikedeploy.runtime.graph.neurons import NEURONS, SPIKING
 from spikedeploy.runtime.graph.order import Edge, in_waves, neighbours, order, reach, sources
 from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, POOLS, Shape, shape_of, window_of
@@ -28,6 +28,7 @@ Floats: TypeAlias = NDArray[np.float64]
 BIASED = (nir.Affine, *CONVOLUTIONS)
 _POPULATIONS = (*NEURONS, nir.Threshold)
 _MAPS = (*DENSE, *CONVOLUTIONS, *POOLS)
+LINEAR = (*_MAPS, nir.Scale, nir.Flatten, nir.Delay)
 
 # ways to nodes without spikes, and the nodes on them: following more takes seconds
 _MAX_WAYS = 1 << 16
@@ -209,6 +210,20 @@ class Population:
         return any(projection.late for projection in self.presynaptic)
 
 
+class Block(NamedTuple):
+    """The nodes without spikes that lead to one target.
+
+    target: name of a population or an Output.
+    names: of the nodes, each after its sources.
+    ways: name of each input and population that they, or the target, receive from -> its
+        projections.
+    """
+
+    target: str
+    names: tuple[str, ...]
+    ways: dict[str, list[Projection]]
+
+
 @dataclass(frozen=True, eq=False)
 class Lowering:
     """A graph as populations and projections.
@@ -247,6 +262,34 @@ class Lowering:
             if p.name not in host
         )
         return replace(self, populations=populations, host=tuple(sorted(host)))
+
+    @cached_property
+    def sources(self) -> dict[str, list[str]]:
+        """Names of the nodes with an edge to each."""
+        return sources(self.graph)
+
+    @cached_property
+    def blocks(self) -> dict[str, Block]:
+        """The block before each population and Output; RuleError at a loop without a neuron."""
+        linear = {
+            name: [s for s in found if isinstance(self.graph.nodes[s], LINEAR)]
+            for name, found in self.sources.items()
+        }
+        return {target: self._block(target, linear) for target in self.arriving}
+
+    def _block(self, target: str, linear: dict[str, list[str]]) -> Block:
+        inside = reach(linear[target], linear)
+        names = in_waves(inside, [(s, name) for name in inside for s in linear[name]])
+        if left := sorted(inside - set(names)):
+            raise RuleError(
+                f"rule recurrence: nodes {', '.join(left)}: a loop without a spiking node, whose "
+                "values would never settle; a chip has none. Put a neuron into it, or run the "
+                "graph in float."
+            )
+        ways: dict[str, list[Projection]] = {}
+        for each in sorted(self.arriving[target], key=lambda each: each.source):
+            ways.setdefault(each.source, []).append(each)
+        return Block(target, tuple(names), ways)
 
     def leaving(self, name: str) -> list[Projection]:
         """The projections that start in an input or population."""

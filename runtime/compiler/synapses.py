@@ -29,8 +29,9 @@ from spikedeploy.runtime.chips.layer import MAX_BYTES, Synapses, check_matrix
 from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.compiler.lowering import (
     BIASED,
+    LINEAR,
+    Block,
     Lowering,
-    Projection,
     in_three_axes,
     window_of_map,
 )
@@ -38,7 +39,6 @@ from spikedeploy.runtime.compiler.program import Output, OutputTerm
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.float_model import Node, build_node
 from spikedeploy.runtime.graph.neurons import NEURONS, SPIKING
-from spikedeploy.runtime.graph.order import in_waves, reach, sources
 from spikedeploy.runtime.graph.ports import Port, ports
 from spikedeploy.runtime.graph.shapes import (
     CONVOLUTIONS,
@@ -56,8 +56,7 @@ Chain: TypeAlias = Sequence[tuple[str, nir.NIRNode]]
 # what arrives how many timesteps late, (R, *shape)
 Parts: TypeAlias = dict[int, Floats]
 
-_LINEAR = (nir.Linear, *BIASED, *POOLS, nir.Scale, nir.Flatten, nir.Delay)
-_KNOWN = (nir.Input, nir.Output, *_LINEAR, *NEURONS)
+_KNOWN = (nir.Input, nir.Output, *LINEAR, *NEURONS)
 
 # multiplications that finding a matrix may take
 _MAX_WORK = 1 << 34
@@ -109,7 +108,7 @@ def layer_graph(lowered: Lowering, artifact: Artifact) -> LayerGraph:
             )
     weights, inputs = _Weights(lowered, artifact), ports(graph.inputs)
     layers = tuple(n for n in artifact.timing.names if isinstance(graph.nodes[n], NEURONS))
-    blocks = {name: weights.block(name) for name in (*layers, *sorted(graph.outputs))}
+    blocks = lowered.blocks
     for layer in layers:
         _check_sources(artifact, blocks[layer])
     name = ", ".join(port.name for port in inputs)
@@ -125,20 +124,7 @@ def layer_graph(lowered: Lowering, artifact: Artifact) -> LayerGraph:
     )
 
 
-class _Block(NamedTuple):
-    """The nodes without spikes that lead to one target.
-
-    target: name of a spiking node or an Output.
-    names: of the nodes, each after its sources.
-    ways: name of each Input and layer that they, or the target, receive from -> its projections.
-    """
-
-    target: str
-    names: tuple[str, ...]
-    ways: dict[str, list[Projection]]
-
-
-def _check_sources(artifact: Artifact, block: _Block) -> None:
+def _check_sources(artifact: Artifact, block: Block) -> None:
     for source in block.ways:
         node = artifact.graph.nodes[source]
         spikes = source in artifact.sigma_delta or isinstance(node, SPIKING)
@@ -151,7 +137,7 @@ def _check_sources(artifact: Artifact, block: _Block) -> None:
 
 
 def _synapses(
-    weights: "_Weights", block: _Block, name: str, inputs: Sequence[Port]
+    weights: "_Weights", block: Block, name: str, inputs: Sequence[Port]
 ) -> tuple[Synapses, ...]:
     """The synapses onto a layer by source and lag; those of several Inputs as one matrix."""
     ends = np.cumsum([port.size for port in inputs]).tolist()
@@ -172,7 +158,7 @@ def _synapses(
     return *found, *(Synapses(name, matrix, lag) for lag, matrix in joined.items())
 
 
-def _output(weights: "_Weights", block: _Block, port: Port) -> Output:
+def _output(weights: "_Weights", block: Block, port: Port) -> Output:
     """The output of an Output node from the layers, which the host computes."""
     for source in block.ways:
         if not isinstance(weights.graph.nodes[source], NEURONS):
@@ -181,12 +167,14 @@ def _output(weights: "_Weights", block: _Block, port: Port) -> Output:
                 f"is connected to the input {source!r} without neurons between. Put "
                 "some there, or run the graph in float."
             )
-    end = f"an Output behind maps, {port.name!r},"
-    terms = [
-        OutputTerm(source, None if _is_identity(each) else each.dense(end).weight, each.delay)
-        for source in block.ways
-        for each in weights.between(source, block)
-    ]
+    end, terms = f"an Output behind maps, {port.name!r},", list[OutputTerm]()
+    for source, ways in block.ways.items():
+        if [each.way for each in ways] == [()]:
+            terms.append(OutputTerm(source, None, weights.lag([source, port.name])))
+            continue
+        for each in weights.between(source, block):
+            weight = None if _is_identity(each) else each.dense(end).weight
+            terms.append(OutputTerm(source, weight, each.delay))
     return Output(port, tuple(terms), weights.bias(block))
 
 
@@ -204,31 +192,11 @@ class _Weights:
 
     def __init__(self, lowered: Lowering, artifact: Artifact) -> None:
         self.graph, self._timing = artifact.graph, artifact.timing
-        self._convention, self._arriving = artifact.convention, lowered.arriving
-        self._sources = sources(artifact.graph)
-        self._linear = {
-            name: [s for s in found if isinstance(self.graph.nodes[s], _LINEAR)]
-            for name, found in self._sources.items()
-        }
+        self._convention, self._sources = artifact.convention, lowered.sources
         self._functions: dict[str, Node] = {}
         self._bytes = self._visited = 0
 
-    def block(self, target: str) -> _Block:
-        """The block before a target."""
-        inside = reach(self._linear[target], self._linear)
-        names = in_waves(inside, [(s, name) for name in inside for s in self._linear[name]])
-        if left := sorted(inside - set(names)):
-            raise RuleError(
-                f"rule recurrence: nodes {', '.join(left)}: a loop without a spiking node, whose "
-                "values would never settle; a chip has none. Put a neuron into it, or run the "
-                "graph in float."
-            )
-        ways: dict[str, list[Projection]] = {}
-        for each in sorted(self._arriving[target], key=lambda each: each.source):
-            ways.setdefault(each.source, []).append(each)
-        return _Block(target, tuple(names), ways)
-
-    def between(self, source: str, block: _Block) -> list[Synapses]:
+    def between(self, source: str, block: Block) -> list[Synapses]:
         """The synapses from a source to the target of a block; delays are what they take."""
         first, *others = block.ways[source]
         delays = self._timing.delays
@@ -241,18 +209,18 @@ class _Weights:
             if found := weights_of([(n, self.graph.nodes[n]) for n in first.way], shape):
                 self._check_size(block.target, found[0].nbytes)
                 self._bytes += found[0].nbytes
-                lag = self._lag([source, *first.way, block.target])
+                lag = self.lag([source, *first.way, block.target])
                 synapses = Synapses(source, found[0], lag, window=found[1])
                 # one to one: vectors as a diagonal
                 return [synapses.dense() if len(shape) == 1 else synapses]
         return [Synapses(source, m, lag) for lag, m in self._matrices(source, block).items()]
 
-    def _lag(self, way: Sequence[str]) -> int:
+    def lag(self, way: Sequence[str]) -> int:
         """[timesteps] that a way takes, its ends included, on which Delays are uniform."""
         steps = (int(np.max(self._timing.delays.get(name, 0))) for name in way)
         return sum(edge in self._timing.late for edge in pairwise(way)) + sum(steps)
 
-    def _matrices(self, source: str, block: _Block) -> dict[int, Floats]:
+    def _matrices(self, source: str, block: Block) -> dict[int, Floats]:
         """(M, N) from a source to the target of a block, by the timesteps that it takes."""
         size, targets = self._size(source), self._size(block.target)
         self._check_size(block.target, 8 * size * targets)
@@ -268,7 +236,7 @@ class _Weights:
         # a Delay of different steps may leave nothing in one of them
         return {lag: m for lag, m in sorted(found.items()) if m.any()} or dict([min(found.items())])
 
-    def bias(self, block: _Block) -> Floats:
+    def bias(self, block: Block) -> Floats:
         """(N,) that arrives at the target in every timestep."""
         parts = self._respond(block, {}, biased=True)
         for lag, rows in parts.items():
@@ -290,7 +258,7 @@ class _Weights:
                 "neurons there, or run the network in float."
             )
 
-    def _check_work(self, block: _Block, source: str) -> None:
+    def _check_work(self, block: Block, source: str) -> None:
         """Refuse windows so large that sending all impulses through them takes minutes."""
         nodes = {name: self.graph.nodes[name] for name in block.names}
         # impulses are cheap through matrices: most rows of their input are zero
@@ -306,7 +274,7 @@ class _Weights:
                 "network in float."
             )
 
-    def _impulses(self, block: _Block, source: str) -> Iterator[tuple[int, Floats]]:
+    def _impulses(self, block: Block, source: str) -> Iterator[tuple[int, Floats]]:
         """Rows of the identity as (R, *shape), a few at a time, and the number of the first."""
         widest = max(map(self._size, (source, *block.names, block.target)))
         some = min(max(1, _MAX_IMPULSE_VALUES // widest), _MAX_IMPULSES)
@@ -316,7 +284,7 @@ class _Weights:
             np.fill_diagonal(rows[:, first:], 1.0)
             yield first, rows.reshape(len(rows), *shape_of(self.graph.nodes[source]))
 
-    def _respond(self, block: _Block, start: Mapping[str, Parts], biased: bool = False) -> Parts:
+    def _respond(self, block: Block, start: Mapping[str, Parts], biased: bool = False) -> Parts:
         """The input of the target when the sources put out `start`."""
         self._visited += sum(len(self._sources[name]) for name in (*block.names, block.target))
         if self._visited > _MAX_VISITS:
