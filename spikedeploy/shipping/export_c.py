@@ -76,7 +76,9 @@ def export_c(
     clock = on.clock or own_clock(source.artifact.convention)
     software = replace(on, clocks=CLOCKS)
     program = compile_program(source.artifact, software, source.quantisation, clock)
-    seen, recorded = source.episode(on, observations, env)
+    # the episode is the chip's, which may advance its layers by another clock than software
+    played = program if clock in on.clocks else compile_program(source.artifact, on)
+    seen, recorded = source.episode(played, observations, env)
     origin = f"{source.origin}, on {source.chip}{source.scales}"
     files = policy_in_c(program, codec, seen, origin, prefix)
     write(files.text, folder, prefix)

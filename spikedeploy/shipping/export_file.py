@@ -18,11 +18,10 @@ from spikedeploy.runtime.files import suffix, write_json
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.shipping.sources import (
-    episode_of,
+    SpikingSource,
     is_nir_file,
     nir_file,
     require_output,
-    world_of,
 )
 
 if TYPE_CHECKING:
@@ -102,13 +101,12 @@ def export_onnx(
         )
     from spikedeploy.exporters.spiking_onnx import KIND, checks, spiking_to_onnx
 
-    path, file = require_output(path, "a file", "step.onnx"), nir_file(policy, "onnx")
-    check_output("-o", path, (file,), force, lambda found: has_text(found, KIND))
-    artifact = load(file)
-    seen, _ = episode_of(artifact, None, observations, world_of(policy, artifact), env)
+    path, source = require_output(path, "a file", "step.onnx"), SpikingSource.read(policy, "onnx")
+    check_output("-o", path, (source.file,), force, lambda found: has_text(found, KIND))
+    seen, _ = source.episode(None, observations, env)
     path.parent.mkdir(parents=True, exist_ok=True)
-    spiking_to_onnx(artifact, path)
-    return _checked(path, checks(artifact, path, seen))
+    spiking_to_onnx(source.artifact, path)
+    return _checked(path, checks(source.artifact, path, seen))
 
 
 def export_xylo(

@@ -144,7 +144,7 @@ def export_verilog(
     check_output_folder("-o", folder, (RECORD, MAKEFILE), inputs, force, is_export)
     check_unchanged("-o", folder, force)
     origin = f"{source.origin}, on {made.chip}{source.scales}"
-    seen, recorded = source.episode(made.program.chip, observations, env)
+    seen, recorded = source.episode(made.program, observations, env)
     texts = {
         **core_files(made.image, origin),
         **board_files(made.image, made.codec, on, origin, seen),

@@ -15,10 +15,11 @@ from spikedeploy.make_env import make_env
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.registry import DEFAULT_CHIP
 from spikedeploy.runtime.artifact.artifact import Artifact, load
-from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
 from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec
-from spikedeploy.runtime.emulator.controllers import SpikingController
+from spikedeploy.runtime.compiler.program import Program
+from spikedeploy.runtime.emulator.machine import Machine
+from spikedeploy.runtime.emulator.network import FloatMachine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
 from spikedeploy.seeds import VALIDATION
@@ -84,7 +85,7 @@ def is_ours(env: str) -> bool:
 
 
 def observations_of(
-    controller: Callable[[], SpikingController | OnnxController],
+    controller: Callable[[], "_Player | OnnxController"],
     where: str,
     size: int,
     count: int,
@@ -116,35 +117,21 @@ def observations_of(
     return seen, f"{len(seen)} control steps in {where}, seed {VALIDATION[0]}"
 
 
-def episode_of(
-    artifact: Artifact, on: Chip | None, count: int, where: str, named: str | None = None
-) -> tuple[Observations, str]:
-    """Observations (S, obs) of a spiking policy on a chip, None for its float twin.
+class _Player:
+    """A codec acting through a network that has `reset` and `infer`."""
 
-    count, where, named: as of observations_of.
-    """
-    codec = artifact.codec
-    if codec is None:
-        raise TypeError("an artifact without a codec has no observations")
+    def __init__(self, codec: Codec, network: Machine | FloatMachine) -> None:
+        self._codec, self._network = codec, network
 
-    def walk() -> Observations:
-        world = named_env(artifact) or "no environment"
-        say(
-            f"{world} cannot be played here: a random walk stands for it; name the run, or the "
-            "environment with --env, to play it"
-        )
-        steps = np.random.default_rng(0).normal(0, 0.2, (count, len(codec.normaliser.mean)))
-        drift = np.clip(np.cumsum(steps, axis=0), -3, 3)
-        return np.asarray(drift * codec.normaliser.std + codec.normaliser.mean)
+    def reset(self, seed: int) -> None:
+        """Start an episode."""
+        self._network.reset()
+        self._levels = self._codec.encoder.start(seed)
 
-    return observations_of(
-        lambda: SpikingController(artifact, on, "none"),
-        where,
-        codec.encoder.observed,
-        count,
-        walk,
-        named,
-    )
+    def act(self, observation: NDArray[Any]) -> NDArray[Any]:
+        """The action for an observation."""
+        spikes = self._codec.encode(np.asarray(observation)[None], self._levels)
+        return np.asarray(self._codec.decode(self._network.infer(spikes))[0])
 
 
 @dataclass(frozen=True)
@@ -168,7 +155,7 @@ class SpikingSource:
         cls,
         policy: str,
         to: str,
-        chip: str | None,
+        chip: str | None = None,
         quantise: Granularity = PLAIN.granularity,
         **reading: Any,  # noqa: ANN401
     ) -> "SpikingSource":
@@ -198,9 +185,32 @@ class SpikingSource:
         granularity = self.quantisation.granularity
         return "" if granularity == PLAIN.granularity else f", a scale for each {granularity}"
 
-    def episode(self, on: Chip, count: int, env: str | None) -> tuple[Observations, str]:
-        """Observations (S, obs) of the policy on a chip, and where they come from in words."""
-        return episode_of(self.artifact, on, count, world_of(self.name, self.artifact), env)
+    def episode(
+        self, program: Program | None, count: int, env: str | None
+    ) -> tuple[Observations, str]:
+        """Observations (S, obs) of a program, None for the float twin, and their source in words.
+
+        count, env: as of observations_of.
+        """
+        codec = self.require_codec()
+
+        def walk() -> Observations:
+            world = named_env(self.artifact) or "no environment"
+            say(
+                f"{world} cannot be played here: a random walk stands for it; name the run, or the "
+                "environment with --env, to play it"
+            )
+            steps = np.random.default_rng(0).normal(0, 0.2, (count, codec.encoder.observed))
+            drift = np.clip(np.cumsum(steps, axis=0), -3, 3)
+            return np.asarray(drift * codec.normaliser.std + codec.normaliser.mean)
+
+        def player() -> _Player:
+            if program is None:
+                return _Player(codec, FloatMachine(self.artifact, "none"))
+            return _Player(codec, Machine(program, 1, "none"))
+
+        where = world_of(self.name, self.artifact)
+        return observations_of(player, where, codec.encoder.observed, count, walk, env)
 
 
 def origin_of(file: Path) -> str:
