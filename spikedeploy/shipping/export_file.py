@@ -1,6 +1,7 @@
 """A policy as one file, compared with what was given: NIR, ONNX, the specification of a Xylo."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -166,4 +167,5 @@ def _compare_float(name: str, one: Artifact, other: Artifact, timesteps: int) ->
         trace = graph.run(dict(zip(inputs, rasters, strict=True)))
         layers = [each for each in graph.timing.names if each in graph.spiking]
         spikes.append({f"{k}": trace[each] for k, each in enumerate(layers)})
-    return compare_integers(name, spikes[0], spikes[1])
+    check = compare_integers(name, spikes[0], spikes[1])
+    return replace(check, detail=f"spikes: {check.detail}")
