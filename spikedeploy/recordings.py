@@ -350,23 +350,24 @@ def network_json(trace: NetworkTrace, most_neurons: float = math.inf) -> dict[st
 # curves of the step infos
 
 
-_OWN = {"speed": "m/s", "heading": "rad", "lateral": "m", "slip": "m/s"}
-_KART = {"speed": "px/s", "progress": "of the track"}
-_EYE = {"forks": "passed", "arm": "+1 right", "readable": "", "speed": "m/s"}
+# what an info of ours has -> the numbers that are drawn, and their units
+_CURVES = {
+    "slip": {"speed": "m/s", "heading": "rad", "lateral": "m", "slip": "m/s"},
+    "gates": {"speed": "px/s", "progress": "of the track"},
+}
 _MOST_CURVES = 4  # of other people's environments
 
 
 def info_curves(info: Mapping[str, Floats]) -> list[dict[str, Any]]:
-    """Curves of step infos: `title`, `unit`, `values` (S,) and `wanted` (S,) or None."""
+    """Return curves of step infos: `title`, `unit`, `values` (S,) and `wanted` (S,) or None."""
     if "command_turn" in info:
         turn = info["command_turn"] - info["turn_error"]
         return [
             curve("speed", "m/s", info["speed"], info["command_speed"]),
             curve("turn rate", "rad/s", turn, info["command_turn"]),
         ]
-    if not {"slip", "gates", "forks"}.isdisjoint(info):
-        units = _OWN if "slip" in info else _KART if "gates" in info else _EYE
-    else:  # the first numbers of somebody else's infos that change
+    units = next((units for name, units in _CURVES.items() if name in info), None)
+    if units is None:  # the first numbers of somebody else's infos that change
         changing = [name for name, values in info.items() if np.ptp(np.nan_to_num(values)) > 0]
         units = dict.fromkeys(changing[:_MOST_CURVES], "")
     return [curve(name, unit, info[name]) for name, unit in units.items() if name in info]
