@@ -20,7 +20,3 @@ def test_the_version_is_the_same_wherever_it_is_stated():
     assert stated("CITATION.cff", r"^version: ([\d.]+)$") == version
     assert stated("CHANGELOG.md", r"^## ([\d.]+) ") == version
     assert own() == version
-
-
-def test_the_workflow_runs_what_continuous_integration_runs():
-    assert "bash .ci/run" in (ROOT / ".github/workflows/ci.yml").read_text("utf-8")
