@@ -40,6 +40,9 @@ class Reach(gymnasium.Env):
     def render(self):
         return np.full((24, 32, 3), 20 * self._left, np.uint8)
 
+    def expert(self):
+        return self._wanted.astype(np.float32)
+
     def _seen(self):
         share = self.np_random.uniform(0.0, 1.0, 2)
         self._wanted = np.array([-0.3 + 0.4 * share[0], 5.0 + 4.0 * share[1]])

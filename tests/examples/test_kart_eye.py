@@ -9,10 +9,15 @@ from spikedeploy import envs
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.envs.rollout import rollout
+from spikedeploy.exporters.parity import check as parity
+from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.policies.costs import NOTHING
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.setup import Setup
+from spikedeploy.trainers.run_folder import load_policy
+from spikedeploy.trainers.train import train
 from tests.paths import ROOT
 
 ENV = "examples.kart_eye:KartEye"
@@ -183,6 +188,19 @@ def test_a_float_policy_with_a_memory_is_compared_beside_the_expert():
         "cnn": None, "random": "cnn", "expert": None,
     }  # fmt: skip
     assert 0 < rows["cnn"]["effective_macs"] < rows["cnn"]["macs_dense"]
+
+
+def test_a_convolutional_network_imitates_the_expert_in_the_integers_of_loihi(tmp_path):
+    settings = ["states=20", "updates=4", "iterations=2", "batch=8", "env.count=2", "log_every=2"]
+    validation = ["validation.every=4", "validation.episodes=1", "validation.limit=5"]
+    config = str(POLICIES.parent / "snn.toml")
+    changes = {"config_file": config, "overrides": settings + validation}
+    run = train("distill-network", env=ENV, runs=tmp_path, quiet=True, **changes)
+    policy = load_policy(run)
+    path = to_nir(policy, Provenance(ENV, "distill-network"), tmp_path / "snn.nir")
+    seen = np.random.default_rng(0).poisson(0.4, (6, 1024)).astype(float)
+    assert all(check.passed for check in parity(policy, path, seen))
+    assert policy.network.takes == (2, 16, 32)
 
 
 def test_a_picture_shows_the_view_its_events_and_the_map():

@@ -262,11 +262,11 @@ def policy_teacher(policy: Policy, env: str = "") -> Teacher:
 
 def score(teacher: Teacher, env: EnvConfig, config: ValidationConfig) -> float:
     """Return the teacher's mean return on the validation seeds."""
-    logits = teacher.act_all
     name = "max_episode_steps" if envs.spec(env.name).foreign else "max_steps"
     limit: Mapping[str, Any] = {} if config.limit is None else {name: config.limit}
     made = envs.make(env.name, **{**env.options, **limit})
     teacher = teacher.among([made])
+    logits = teacher.act_all
     if isinstance(made.action_space, Discrete):
         teacher = replace(teacher, act_all=lambda seen: logits(seen).argmax(-1))
     seeds = range(config.first_seed, config.first_seed + config.episodes)

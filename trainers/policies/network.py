@@ -332,13 +332,14 @@ def _of_module(
             made = _made(name, found, sizes)
     inputs = _inputs_of(made)
     settings = _settings(config, observations, inputs)
-    takes = (observations * settings["populations"],)
-    if inputs is not None and inputs != takes[0]:
+    width = observations * settings["populations"]
+    if inputs is not None and inputs != width:
         raise ConfigError(
             f"{name} takes {inputs} inputs, and the code of {observations} observations has "
-            f"{takes[0]}: set policy.populations, policy.coding, or give its constructor the "
-            "argument inputs"
+            f"{width}: set policy.populations, policy.coding, or give its constructor the argument "
+            "inputs"
         )
+    takes = tuple(getattr(made, "input_shape", (width,)))
     network, neurons = network_from_torch(made, takes)
     if shared := shared_weights(network):
         _say(f"{name}: layers {' and '.join(shared)} share weights; from here on each has its own")
@@ -415,7 +416,10 @@ def shared_weights(network: TorchNetwork) -> list[str]:
 
 
 def _inputs_of(module: nn.Module) -> int | None:
-    """Return the inputs of the first matrix of a module; None where it has none."""
+    """Return the inputs of a module, by its input_shape or its first matrix; None without both."""
+    shape: Any = getattr(module, "input_shape", None)
+    if shape is not None:
+        return int(math.prod(shape))
     first = next((m for m in module.modules() if isinstance(m, nn.Linear)), None)
     return None if first is None else first.in_features
 

@@ -56,6 +56,14 @@ def test_a_function_sees_and_acts_in_the_units_of_its_environment(name):
     assert earned == pytest.approx(0.0, abs=1e-4)
 
 
+def test_the_expert_of_an_environment_acts_in_its_units_where_it_runs():
+    found = teacher("expert", REACH)
+    earned = score(found, EnvConfig(name=REACH), ValidationConfig(episodes=2))
+    assert earned == pytest.approx(0.0, abs=1e-4)
+    with pytest.raises(ConfigError, match="not on observations"):
+        found.act_all(np.zeros((1, 4)))
+
+
 @pytest.mark.parametrize("name", ["level", "level_logits"])
 def test_a_function_chooses_as_its_environment_counts_or_gives_logits(name):
     found = teacher(f"tests.own_teachers:{name}", LEVELS)
