@@ -9,10 +9,8 @@ import pytest
 from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.to_nir import to_nir
-from spikedeploy.play.spikes import trace_of
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.policies.run import TorchController
-from spikedeploy.recordings import open_with_traces
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
@@ -70,21 +68,6 @@ def test_a_run_folder_that_chooses_acts_like_its_file(monkeypatch, tmp_path):
     )
     np.testing.assert_array_equal(one, other)
     assert find(str(run)).kind == find(str(file)).kind == "snn"
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("target", ["float", "loihi1", "loihi2"])
-def test_spikes_beside_a_replay_are_those_of_the_episode(shape, target, world, tmp_path):
-    candidate = find(str(shipped(tmp_path, **shape)[1]))
-    player = open_policy(candidate, target, world)
-    played = rollout(world, player, 10_000)
-    traced = open_with_traces(candidate, target, world, "total")
-    traced = trace_of(traced, played.observation[:-1], 10_000)
-    np.testing.assert_allclose(np.tanh(traced.scores), played.action)
-    spiking = {"lif1"} if shape.get("hidden", 8) else set()
-    assert traced.rasters.keys() == {"input"} | spiking
-    raster = load(candidate.path).codec.encode_episode(played.observation[:-1])
-    np.testing.assert_array_equal(traced.rasters["input"], raster)
 
 
 def test_a_readout_on_the_host_is_counted_there(world, tmp_path):
