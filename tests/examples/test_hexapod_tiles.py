@@ -57,15 +57,15 @@ def test_policies_act_as_they_did_when_they_were_shipped(key, file, chip, name):
         np.testing.assert_allclose(actions, known[f"{key}_actions"], atol=1e-5)
 
 
-def test_a_policy_of_the_project_runs_without_naming_its_environment(monkeypatch):
+def test_a_policy_of_the_project_runs_in_the_environment_that_the_user_names(monkeypatch):
     monkeypatch.chdir(ROOT)
     policy = "examples/hexapod_tiles/policies/legs-snn.nir"
-    found = run_policy(policy, None, None, [10_000], Setup(set_=("max_steps=20",)))
+    found = run_policy(policy, AROUND, None, [10_000], Setup(set_=("max_steps=20",)))
     assert found.env == AROUND
 
 
-def test_elsewhere_its_code_is_not_run(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
+def test_code_is_not_run_because_a_file_names_it(monkeypatch):
+    monkeypatch.chdir(ROOT)
     with pytest.raises(ConfigError, match="--env"):
         run_policy(str(FOLDER / "policies/legs-snn.nir"), None, None, [10_000])
 
