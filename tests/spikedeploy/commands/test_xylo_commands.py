@@ -30,7 +30,7 @@ def test_emulate_refuses_a_reset_to_zero(files, command, tmp_path):
     assert "Train with reset 'subtract'" in err
     code, out, _ = command("check", net, "--chip", "xylo-a2")
     assert code == 1
-    assert "Given as an option (--reset subtract)" in " ".join(out.split())
+    assert "With --reset subtract: fits, as another network" in out
 
 
 def test_emulate_shifts_the_weights_of_a_xylo(files, command, tmp_path):
