@@ -22,4 +22,3 @@ def confirm(found: str, named: str | None, source: str) -> None:
             f"{source} was made for {found}, whose code is not run because a file names it: name "
             f"it yourself, with --env {found} (in Python env=, the class too)"
         )
-
