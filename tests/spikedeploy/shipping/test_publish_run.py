@@ -197,17 +197,13 @@ def test_a_page_names_the_runs_that_walks_and_the_start_came_from(tmp_path):
     ]  # fmt: skip
 
 
-def test_a_card_names_each_run_that_walks_and_the_guide_came_from_once(tmp_path):
+def test_a_card_names_the_run_that_walks_came_from(tmp_path):
     policy = PrunedMlpConfig(hidden=(4,))
     walks = sparse_run(tmp_path, "smoke-sparse", DeltaSnnConfig(hidden=4))
-    guide = sparse_run(tmp_path, "smoke-sparse-mlp", policy, pool=walks.name)
-    both = {"pool": walks.name, "guide": guide.name}
-    run = sparse_run(tmp_path, "smoke-sparse-mlp", policy, seed=1, **both)
-    file = publish_run(str(run), "guided", 1, tmp_path / "zoo", processes=1)[0]
+    run = sparse_run(tmp_path, "smoke-sparse-mlp", policy, seed=1, pool=walks.name)
+    file = publish_run(str(run), "walked", 1, tmp_path / "zoo", processes=1)[0]
     card = json.loads(file.with_suffix(".json").read_text())
-    assert [(each["run"], each["gives"]) for each in card["before"]] == [
-        (walks.name, "pool"), (guide.name, "guide"),
-    ]  # fmt: skip
+    assert [(each["run"], each["gives"]) for each in card["before"]] == [(walks.name, "pool")]
 
 
 def test_a_pruned_float_policy_is_not_measured_against_itself(tmp_path, command):
