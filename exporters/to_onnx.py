@@ -78,8 +78,7 @@ def _layers(policy: _Float) -> list[tuple[Tensor, Tensor]]:
 
 def _add_policy(graph: OnnxGraph, policy: _Float) -> None:
     """Add the normaliser, the layers, the path past them, and the output."""
-    normaliser = policy.normalizer
-    seen = graph.normalised(_array(normaliser.mean), _array(normaliser.std), normaliser.clip)
+    seen = _add_normaliser(graph, policy)
     layers = _layers(policy)
     *others, last = layers
     hidden = seen
@@ -89,9 +88,22 @@ def _add_policy(graph: OnnxGraph, policy: _Float) -> None:
         )
     sums = _add_affine(graph, hidden, *last, len(layers))
     if not isinstance(policy, MlpPolicy) and policy.skip:
-        sums = sums + seen @ _array(policy.past.whole().T)
+        sums = sums + seen @ graph.constant(_array(policy.past.whole().T), "skip_weight")
     squash = "Identity" if policy.head == "discrete" else "Tanh"
     graph.node(squash, sums, name=OUTPUTS[policy.head])
+
+
+def _add_normaliser(graph: OnnxGraph, policy: Policy) -> Value:
+    """Add the normaliser; a reader of the file finds its numbers by name."""
+    normaliser = policy.normalizer
+    mean = graph.constant(_array(normaliser.mean), "mean")
+    std = graph.constant(_array(normaliser.std), "std")
+    limits = [
+        graph.constant(-normaliser.clip, "lowest"),
+        graph.constant(normaliser.clip, "highest"),
+    ]
+    # x = clip((obs - mean) / std)
+    return graph.node("Clip", (graph.observation - mean) / std, *limits)
 
 
 def _add_affine(
@@ -100,7 +112,9 @@ def _add_affine(
     """Add weights (out, in) and biases of a layer."""
     graph.presynaptic(hidden, weight.shape[1])
     matrix = graph.constant(_array(weight), f"weight{number}")
-    return graph.node("Gemm", hidden, matrix, _array(bias), transB=1)
+    return graph.node(
+        "Gemm", hidden, matrix, graph.constant(_array(bias), f"bias{number}"), transB=1
+    )
 
 
 def _array(tensor: Tensor) -> NDArray[np.float32]:
