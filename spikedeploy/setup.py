@@ -52,7 +52,7 @@ class Reading:
     How FILE is read:
         dt: timestep [s] (default: from the file)
         reset: membrane after a spike: v_reset, or less that distance, at once or in the next
-            timestep; docs/own-network.md has the equations (default: from the file)
+            timestep; docs/other-tools.md has the equations (default: from the file)
         integrator: decays: 1 - dt/tau, or exp(-dt/tau) (default: from the file)
         delay: timesteps between layers (default: from the file)
         spikes: one above the threshold, one when it is reached, or as many as fit (default: from
