@@ -52,7 +52,7 @@ from spikedeploy.trainers.policies import (
     Policy,
     PopsanPolicy,
 )
-from spikedeploy.trainers.policies.delta import event_channels, live_layers
+from spikedeploy.trainers.policies.delta_policy import event_channels, live_layers
 from spikedeploy.trainers.policies.spiking import CodedPolicy, TorchRateEncoder
 
 # (B, T) -> random bytes (B, T, M), as the methods of Xorshift

@@ -29,8 +29,8 @@ from spikedeploy.trainers.policies import (
     PopsanPolicy,
     SpikingMlpPolicy,
 )
-from spikedeploy.trainers.policies.delta import delta_artifact
-from spikedeploy.trainers.policies.network import codec_of
+from spikedeploy.trainers.policies.chip_network import codec_of
+from spikedeploy.trainers.policies.delta_policy import delta_artifact
 from spikedeploy.trainers.policies.spiking import CodedPolicy
 
 SpikingPolicy: TypeAlias = PopsanPolicy | CodedPolicy

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, overload
 import numpy as np
 
 from spikedeploy.emulation.design_report import DesignReport, network_path, report_of
-from spikedeploy.emulation.open_loop import Emulation, emulate_artifact
+from spikedeploy.emulation.raster_emulation import Emulation, emulate_artifact
 from spikedeploy.emulation.rasters import Raster, as_raster, read_rasters
 from spikedeploy.policies.registry import FLOAT
 from spikedeploy.runtime.artifact import artifact as files
@@ -213,7 +213,7 @@ class ComparedPolicies:
 
     def write(self, folder: str | Path) -> list[Path]:
         """Write report.json, report.html, report.md and plots; return the files."""
-        from spikedeploy.reports import comparison as report
+        from spikedeploy.reports import comparison_page as report
 
         return report.write(self.document, Path(folder))
 
@@ -302,7 +302,7 @@ def compare(
     from spikedeploy.comparison.lineup import line_up
     from spikedeploy.objects import env_target, teacher_target
     from spikedeploy.policies.scripts import teacher_candidate
-    from spikedeploy.reports import comparison as report
+    from spikedeploy.reports import comparison_page as report
     from spikedeploy.shipping.exported_run import runnable
 
     policies = [policies] if isinstance(policies, str | Path | LoadedNetwork) else policies

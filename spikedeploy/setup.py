@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 Switch = Literal["on", "off"]
 Count = Annotated[int, typer.Option(min=1)]
 Natural = Annotated[int, typer.Option(min=0)]
-_REDUCTIONS = ("mean", "last", "max")  # of comparison.metrics
+_REDUCTIONS = ("mean", "last", "max")  # of comparison.episode_metrics
 _OWN_OPTIONS = ("success", "disturb")  # of environments, which --set does not take
 
 

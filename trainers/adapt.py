@@ -36,11 +36,11 @@ from spikedeploy.runtime.errors import (
 from spikedeploy.runtime.graph.shapes import Shape
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.from_torch import artifact_from_torch
-from spikedeploy.trainers.network import Weights
 from spikedeploy.trainers.progress import Interrupt, ProgressBar
 from spikedeploy.trainers.run_folder import read_checkpoint, write_checkpoint
 from spikedeploy.trainers.runner import Learner, adam, descend, set_rate
 from spikedeploy.trainers.through_chip import ChipModule, on_chip
+from spikedeploy.trainers.torch_network import Weights
 
 _TUNED = "adapted to "  # Artifact.tuned of what is written here begins so
 _FEWEST = 10  # samples: with fewer, none or one would be held out

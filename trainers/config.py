@@ -105,7 +105,7 @@ class SpikingMlpConfig(_Section):
 
 
 class NetworkConfig(_Section):
-    """A network on a chip, between a code and a linear readout; see policies.network.
+    """A network on a chip, between a code and a linear readout; see policies.chip_network.
 
     network: module:Class of a torch module, or a .nir file, whose numbers training begins with; one
         with a codec brings its own code, timesteps and readout. Without one, layers of the chip's

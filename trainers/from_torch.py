@@ -24,7 +24,8 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.network import (
+from spikedeploy.trainers.torch_layers import leaves, node_of
+from spikedeploy.trainers.torch_network import (
     Delay,
     Edge,
     Map,
@@ -33,9 +34,8 @@ from spikedeploy.trainers.network import (
     Weights,
     flatten,
 )
-from spikedeploy.trainers.torch_layers import leaves, node_of
 from spikedeploy.trainers.torch_neurons import KNOWN
-from spikedeploy.trainers.torch_neurons.neurons import Meaning, TorchNeurons
+from spikedeploy.trainers.torch_neurons.adapter import Meaning, TorchNeurons
 
 _NORMS = (nn.BatchNorm1d, nn.BatchNorm2d)
 _NOTHING = (nn.Dropout, nn.Dropout1d, nn.Dropout2d, nn.Identity)  # in deployment

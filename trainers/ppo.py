@@ -27,7 +27,7 @@ from spikedeploy.trainers.config import (
     Width,
 )
 from spikedeploy.trainers.env_batch import Steps
-from spikedeploy.trainers.metrics import Metrics
+from spikedeploy.trainers.metrics_file import Metrics
 from spikedeploy.trainers.neurons import excess_rate
 from spikedeploy.trainers.policies import Policy, from_config
 from spikedeploy.trainers.progress import Journal

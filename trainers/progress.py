@@ -16,7 +16,7 @@ from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from spikedeploy.trainers.metrics import Metrics, spike_rate
+from spikedeploy.trainers.metrics_file import Metrics, spike_rate
 from spikedeploy.trainers.run_folder import RunFolder
 
 # metrics below the bar, and their formats, the most wanted first

@@ -21,7 +21,7 @@ from spikedeploy.trainers.config import (
     spiking_layers,
 )
 from spikedeploy.trainers.env_batch import EnvBatch
-from spikedeploy.trainers.metrics import Metrics
+from spikedeploy.trainers.metrics_file import Metrics
 from spikedeploy.trainers.policies import Policy
 from spikedeploy.trainers.policies.policy import Moments, full_precision
 from spikedeploy.trainers.progress import Journal

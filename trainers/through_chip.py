@@ -43,7 +43,8 @@ from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationEr
 from spikedeploy.runtime.families.numba_frame import kept_on_disk
 from spikedeploy.runtime.graph.order import Timing, timing
 from spikedeploy.trainers.from_torch import common_meaning, given_shape, network_from_torch
-from spikedeploy.trainers.network import (
+from spikedeploy.trainers.neurons import Surrogate, surrogate
+from spikedeploy.trainers.torch_network import (
     Delay,
     Equation,
     Neurons,
@@ -51,8 +52,7 @@ from spikedeploy.trainers.network import (
     Weights,
     network_of,
 )
-from spikedeploy.trainers.neurons import Surrogate, surrogate
-from spikedeploy.trainers.torch_neurons.neurons import Meaning
+from spikedeploy.trainers.torch_neurons.adapter import Meaning
 
 Array = NDArray[np.floating[Any]]
 

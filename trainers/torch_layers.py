@@ -6,9 +6,9 @@ from torch import nn
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.network import Fixed, Map, Neurons, Weights, flatten
+from spikedeploy.trainers.torch_network import Fixed, Map, Neurons, Weights, flatten
 from spikedeploy.trainers.torch_neurons import is_neurons, neurons_of
-from spikedeploy.trainers.torch_neurons.neurons import TorchNeurons
+from spikedeploy.trainers.torch_neurons.adapter import TorchNeurons
 
 _WEIGHTS = (nn.Linear, nn.Conv1d, nn.Conv2d)
 

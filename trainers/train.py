@@ -20,7 +20,7 @@ from spikedeploy.envs.foreign import is_target
 from spikedeploy.envs.repeats import check_repeats
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import write_json
-from spikedeploy.trainers import ALGORITHMS, metrics
+from spikedeploy.trainers import ALGORITHMS, metrics_file
 from spikedeploy.trainers.config import C, RunConfig, amend, require_known, resolve
 from spikedeploy.trainers.policies import NetworkPolicy, Policy
 from spikedeploy.trainers.progress import Interrupt, Journal, ProgressBar
@@ -148,7 +148,7 @@ def _removed_if_refused(run: RunFolder) -> Iterator[None]:
         yield
     except BaseException:  # Ctrl-C too
         learned = any((run.path / "checkpoints").iterdir())
-        if not learned and not (run.metrics.is_file() and metrics.read(run.metrics)):
+        if not learned and not (run.metrics.is_file() and metrics_file.read(run.metrics)):
             shutil.rmtree(run.path)
         raise
 
@@ -227,4 +227,4 @@ def _learn(
             journal.close()
     stopped.share = None if runner.finished else runner.share
     with write_errors(run.path / "curve.png") as picture:
-        metrics.draw_curve(run.metrics, picture, run.path.name)
+        metrics_file.draw_curve(run.metrics, picture, run.path.name)

@@ -27,8 +27,8 @@ from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.policies import PrunedMlpPolicy
 from spikedeploy.trainers.policies.policy import in_bits
 from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.sparse import pool
-from spikedeploy.trainers.sparse.pool import BatchController, Episodes, Stateless
+from spikedeploy.trainers.sparse import walks
+from spikedeploy.trainers.sparse.walks import BatchController, Episodes, Stateless
 
 EPISODES = 100
 Counts = dict[str, float]
@@ -128,7 +128,7 @@ def at_random(env: str) -> Stateless:
     space: Any = _actions(env)
     chooses = isinstance(space, gymnasium.spaces.Discrete)
     count = int(space.n) if chooses else space.shape[0]
-    return pool.random_actions(count, chooses, np.random.default_rng(0))
+    return walks.random_actions(count, chooses, np.random.default_rng(0))
 
 
 def idle(env: str) -> Stateless:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from spikedeploy.campaign.sweep_grid import JobSpecification, SweepGrid
-from spikedeploy.comparison.metrics import drives
+from spikedeploy.comparison.episode_metrics import drives
 from spikedeploy.comparison.statistics import FEWEST, bootstrap, paired_difference, share
 from spikedeploy.comparison.summary import has_few_episodes
 from spikedeploy.console import print_text

@@ -34,7 +34,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import locked
 from spikedeploy.setup import Setup
 from spikedeploy.shipping.exported_run import runnable
-from spikedeploy.trainers import metrics
+from spikedeploy.trainers import metrics_file
 from spikedeploy.trainers.progress import Interrupt
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.train import train
@@ -341,7 +341,7 @@ class Validations(Interrupt):
         if file is None or (size := file.stat().st_size) == self._size:
             return False
         self._size = size
-        for row in metrics.read(file):
+        for row in metrics_file.read(file):
             step = next(iter(row.values()))
             if "eval_return" in row and step > self._reported:
                 self._reported = step

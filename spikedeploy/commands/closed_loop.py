@@ -222,7 +222,7 @@ def _adopt(
 
 def _check_output_folder(output: Path, inputs: Sequence[str], force: bool, setup: Setup) -> None:
     from spikedeploy.outputs import check_output_folder
-    from spikedeploy.reports import comparison as report
+    from spikedeploy.reports import comparison_page as report
 
     if setup.sampled:
         raise typer.BadParameter("-o replays greedy episodes: leave --sampled out")
@@ -237,7 +237,7 @@ def _report(
     drove: "HardwareRun | None" = None,
 ) -> dict[str, Any]:
     """Return the comparison as a document, which is written where there is a folder for it."""
-    from spikedeploy.reports import comparison as report
+    from spikedeploy.reports import comparison_page as report
 
     document = report.document(comparison)
     if loop:

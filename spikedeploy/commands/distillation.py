@@ -8,7 +8,7 @@ from typing import Any
 
 from spikedeploy.trainers.config import differences
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder, runs_in
-from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.settings import SparseConfig
 from spikedeploy.training_settings import SPARSE
 
 RIVAL = "distill-small-mlp"  # recipe

@@ -131,7 +131,7 @@ def emulate(
     """
     from dataclasses import replace
 
-    from spikedeploy.emulation.open_loop import emulate_artifact
+    from spikedeploy.emulation.raster_emulation import emulate_artifact
     from spikedeploy.emulation.rasters import read_inputs
     from spikedeploy.outputs import check_output, has_text, mark
     from spikedeploy.reports.terminal import print_emulation
@@ -191,7 +191,7 @@ def _emulate_events(
     from spikedeploy.emulation.event_replay import Replay
     from spikedeploy.emulation.event_stream import emulate_events
     from spikedeploy.outputs import check_output_folder
-    from spikedeploy.reports.events import event_page, print_event_run
+    from spikedeploy.reports.event_page import event_page, print_event_run
     from spikedeploy.reports.page import FILES, is_page_of, write_page
 
     file, events, output = paths

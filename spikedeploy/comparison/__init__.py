@@ -2,11 +2,11 @@
 
 A comparison becomes rows of plain data (`Comparison.as_json`), which `reports` shows.
 
-lineup       which policies play, on which chip, and what each is measured against
-evaluation   every entry on every seed, in parallel; or one policy alone
-episodes     one episode as a job: played, measured, compared with those of its references
-comparison   the rows: returns, agreement, costs, energies, metrics
-metrics      numbers of an episode from its step infos: speed, falls, lap time ...
-statistics   bootstrap and Wilson intervals, interquartile mean, paired differences
-summary      the result in two or three sentences
+lineup           which policies play, on which chip, and what each is measured against
+evaluation       every entry on every seed, in parallel; or one policy alone
+episodes         one episode as a job: played, measured, compared with those of its references
+comparison       the rows: returns, agreement, costs, energies, metrics
+episode_metrics  numbers of an episode from its step infos: speed, falls, lap time ...
+statistics       bootstrap and Wilson intervals, interquartile mean, paired differences
+summary          the result in two or three sentences
 """

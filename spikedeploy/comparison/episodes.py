@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy import envs
+from spikedeploy.comparison.episode_metrics import measure, measure_named
 from spikedeploy.comparison.lineup import Entry
-from spikedeploy.comparison.metrics import measure, measure_named
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.costs import Costs

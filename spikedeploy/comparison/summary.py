@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spikedeploy.comparison.metrics import drives
+from spikedeploy.comparison.episode_metrics import drives
 from spikedeploy.comparison.statistics import FEWEST, paired_difference
 
 Row = Mapping[str, Any]  # of Comparison.as_json

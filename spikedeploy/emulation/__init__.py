@@ -2,12 +2,12 @@
 
 Any NIR file will do; a policy and its environment are needed only to record inputs for drift.
 
-open_loop      a raster through a network, on a chip or in float, and all that it cost
-rasters        rasters in .npy and .npz files
-drift_report   where a chip leaves the float twin, with or without calibration
-design_report  a network against the design rules of chips
-rtl_backend    hardware in simulation in the place of the emulated chip, compared with it
-verification   recorded traces and spikes, of emulators or silicon, against ours
+raster_emulation      a raster through a network, on a chip or in float, and all that it cost
+rasters               rasters in .npy and .npz files
+drift_report          where a chip leaves the float twin, with or without calibration
+design_report         a network against the design rules of chips
+rtl_backend           hardware in simulation in the place of the emulated chip, compared with it
+verification          recorded traces and spikes, of emulators or silicon, against ours
 framework_recordings  what a framework recorded of a network, against the float twin of its file
-other_readings  options with which a file's float twin is what was recorded
+other_readings        options with which a file's float twin is what was recorded
 """

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.emulation.event_input import Survey, TimeSteps
 from spikedeploy.emulation.event_stream import Listener, node_shape
-from spikedeploy.emulation.open_loop import LARGEST, NIR_DATA
+from spikedeploy.emulation.raster_emulation import LARGEST, NIR_DATA
 from spikedeploy.outputs import mark
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.artifact.nir_data import EventDataWriter

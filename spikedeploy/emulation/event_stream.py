@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.emulation.event_files import Recording
 from spikedeploy.emulation.event_input import EventView, Survey, TimeSteps, count_rows
-from spikedeploy.emulation.open_loop import SILENT, several_remark
+from spikedeploy.emulation.raster_emulation import SILENT, several_remark
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.emulation.open_loop import emulate_artifact
+from spikedeploy.emulation.raster_emulation import emulate_artifact
 from spikedeploy.emulation.rasters import Raster, read_inputs, read_rasters
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation

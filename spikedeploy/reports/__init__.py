@@ -8,11 +8,12 @@ headline    the row that a page is about, and three numbers of it
 plots       figures by matplotlib: returns, energies, learning curves, spikes; as PNG and SVG
 page        pages by jinja2, from `templates` and `assets`; Markdown as a page; HTML in notebooks
 
-comparison  report.json, report.html and report.md of a comparison
-design      a network against the design rules: by chip, by layer, by rule, core by core
-energy_verdict  whether spiking saves energy, beside published borders and static power
-drift_page  drift by layer and by rounding
-runs        training runs: scores, list, page
-datasheets  chips, energy tables, break-even lines, shipped policies
-terminal    what commands print of comparisons, emulations, files and traces
+comparison_page  report.json, report.html and report.md of a comparison
+design           a network against the design rules: by chip, by layer, by rule, core by core
+energy_verdict   whether spiking saves energy, beside published borders and static power
+drift_page       drift by layer and by rounding
+event_page       a run over the recording of an event camera
+runs             training runs: scores, list, page
+datasheets       chips, energy tables, break-even lines, shipped policies
+terminal         what commands print of comparisons, emulations, files and traces
 """

@@ -1,13 +1,14 @@
 """The columns of a comparison: its tables, its table of 80 columns, one row in one line.
 
-Columns of costs are fields of `policies.costs.Costs`; those of episodes `comparison.metrics`.
+Columns of costs are fields of `policies.costs.Costs`; `comparison.episode_metrics` has those of
+episodes.
 """
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from spikedeploy.comparison.metrics import drives, metrics_of
+from spikedeploy.comparison.episode_metrics import drives, metrics_of
 from spikedeploy.comparison.summary import describe_episodes, has_few_episodes
 from spikedeploy.policies.costs import COLUMNS as COST_COLUMNS
 from spikedeploy.reports.table import (

@@ -7,7 +7,7 @@ from itertools import cycle
 from markupsafe import Markup
 
 from spikedeploy.emulation.drift_report import DriftReport
-from spikedeploy.emulation.open_loop import SILENT
+from spikedeploy.emulation.raster_emulation import SILENT
 from spikedeploy.reports.page import provenance, render
 from spikedeploy.reports.plots import (
     BLUE,

@@ -20,7 +20,7 @@ from spikedeploy.reports.columns import format_return, label
 from spikedeploy.reports.table import Row
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import replacing
-from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.metrics_file import read
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,7 +18,7 @@ from spikedeploy.reports.plots import curves_figure, step_unit, svg
 from spikedeploy.reports.table import ABSENT, HeadlineNumber, Table
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.files import is_locked, write_text
-from spikedeploy.trainers.metrics import read, spike_rate
+from spikedeploy.trainers.metrics_file import read, spike_rate
 from spikedeploy.trainers.run_folder import is_run, runs_in
 
 PAGE = "report.html"

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from spikedeploy.console import print_list, print_text
-from spikedeploy.emulation.open_loop import Emulation, describe
+from spikedeploy.emulation.raster_emulation import Emulation, describe
 from spikedeploy.emulation.verification import Verification
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.reports.columns import (

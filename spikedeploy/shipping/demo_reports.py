@@ -11,7 +11,7 @@ from spikedeploy.comparison.summary import smallest_baseline
 from spikedeploy.console import say
 from spikedeploy.outputs import check_output, check_output_folder, has_text
 from spikedeploy.policies.registry import DEFAULT_CHIP
-from spikedeploy.reports import comparison as report
+from spikedeploy.reports import comparison_page as report
 from spikedeploy.reports.columns import energy_hint
 from spikedeploy.reports.headline import ann_row, headline, main_row, verdict
 from spikedeploy.reports.page import render

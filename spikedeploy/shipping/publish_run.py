@@ -24,7 +24,7 @@ from spikedeploy.setup import Setup
 from spikedeploy.shipping.cards import evaluation_fields, markdown, training_of
 from spikedeploy.shipping.export_run import export_run
 from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.sparse.ppo import find_start
+from spikedeploy.trainers.sparse.sparse_ppo import find_start
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 # the settings of an algorithm that name other runs

@@ -22,7 +22,7 @@ from spikedeploy.runtime.errors import ConfigError, EnvError
 from spikedeploy.setup import Setup
 from spikedeploy.trainers.config import DeltaSnnConfig, resolve
 from spikedeploy.trainers.policies import DeltaSnnPolicy, from_config
-from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.settings import SparseConfig
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "examples" / "hexapod_tiles"

@@ -8,7 +8,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.policies.delta import live_neurons
+from spikedeploy.trainers.policies.delta_policy import live_neurons
 from tests.delta_policies import delta_mlp, delta_policy, walk
 
 ORIGIN = Provenance("spikedeploy/Hexapod-v0", "hexapod-sparse")

@@ -13,7 +13,7 @@ from spikedeploy.trainers.policies import (
     PopsanPolicy,
     SpikingMlpPolicy,
 )
-from spikedeploy.trainers.policies.copies import Copies
+from spikedeploy.trainers.policies.shared_weights import Copies
 from tests.delta_policies import pruned_mlp, walk
 
 ORIGIN = Provenance("spikedeploy/Hexapod-v0", "hexapod-sac", 3, 7, "2026-01-01T00:00:00Z", "0.1.0")

@@ -14,7 +14,7 @@ from spikedeploy.policies.costs import spiking_costs
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import EVENTS
-from spikedeploy.trainers.policies.delta import delta_artifact
+from spikedeploy.trainers.policies.delta_policy import delta_artifact
 from tests.delta_policies import delta_mlp
 from tests.networks import chain, cuba, event_driven
 from tests.paths import ROOT

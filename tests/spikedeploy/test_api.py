@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import spikedeploy as sd
-from spikedeploy.emulation.open_loop import emulate_artifact
+from spikedeploy.emulation.raster_emulation import emulate_artifact
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.runtime.artifact.artifact import load as load_artifact
 from spikedeploy.runtime.errors import (

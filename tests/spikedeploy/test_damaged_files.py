@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from spikedeploy import zoo
-from spikedeploy.emulation.open_loop import emulate_artifact
+from spikedeploy.emulation.raster_emulation import emulate_artifact
 from spikedeploy.emulation.rasters import read_inputs
 from spikedeploy.envs.kart import track as track_file
 from spikedeploy.envs.rollout import Rollout

@@ -6,9 +6,9 @@ from spikedeploy.trainers.config import Ramp, differences, parse_override, resol
 from spikedeploy.trainers.ppo import PpoConfig
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.sac.learner import SacConfig
-from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.ppo import SparsePpoConfig
+from spikedeploy.trainers.sparse.settings import SparseConfig
 from spikedeploy.trainers.sparse.sparse import with_budget
+from spikedeploy.trainers.sparse.sparse_ppo import SparsePpoConfig
 from spikedeploy.trainers.train import algorithm
 
 

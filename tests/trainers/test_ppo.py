@@ -6,7 +6,7 @@ from torch.distributions import Categorical, Normal, kl_divergence
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import PopsanConfig, resolve
-from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.metrics_file import read
 from spikedeploy.trainers.policies import build, from_config
 from spikedeploy.trainers.ppo import (
     CategoricalHead,

@@ -20,7 +20,7 @@ from safetensors import SafetensorError
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
-from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.metrics_file import read
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.progress import Journal, ProgressBar
 from spikedeploy.trainers.run_folder import RunFolder, load_policy

@@ -6,7 +6,7 @@ from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig, differences, resolve
 from spikedeploy.trainers.env_batch import EnvBatch
-from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.metrics_file import read
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.run_folder import load_policy
 from spikedeploy.trainers.runner import Validator

@@ -22,8 +22,8 @@ from spikedeploy.runtime.compiler.compile import compile_program  # noqa: E402
 from spikedeploy.runtime.convention import Convention  # noqa: E402
 from spikedeploy.runtime.emulator.machine import Machine  # noqa: E402
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError  # noqa: E402
-from spikedeploy.trainers.network import Weights  # noqa: E402
 from spikedeploy.trainers.through_chip import on_chip  # noqa: E402
+from spikedeploy.trainers.torch_network import Weights  # noqa: E402
 
 
 def leaky(beta=0.9, reset="zero", delay=False, **more):

@@ -3,12 +3,12 @@
 POLICIES is the table of kinds; `from_config` builds a policy from a configuration, `build` from
 the spec in a checkpoint.
 
-policy.py      Policy, what it computes before an action; normalisation; weights with masks
-mlp.py         float multilayer perceptron or linear map; a pruned one, with a skip
-spiking.py     several timesteps an inference: encoders, PopSAN, spiking MLP
-network.py     a network on a chip between code and readout: the user's, or a chip's own neurons
-copies.py      networks that serve several parts of a body with the same weights
-delta.py       one timestep a control step: delta code, LIF or sigma-delta neurons, NIR graphs
+policy.py          Policy, what it computes before an action; normalisation; weights with masks
+mlp.py             float multilayer perceptron or linear map; a pruned one, with a skip
+spiking.py         several timesteps an inference: encoders, PopSAN, spiking MLP
+chip_network.py    a network on a chip between code and readout: the user's, or a chip's own neurons
+shared_weights.py  networks that serve several parts of a body with the same weights
+delta_policy.py    one timestep a control step: delta code, LIF or sigma-delta neurons, NIR graphs
 """
 
 from collections.abc import Callable, Mapping
@@ -25,11 +25,11 @@ from spikedeploy.trainers.config import (
     PolicyConfig,
     require_known,
 )
-from spikedeploy.trainers.policies.copies import Copies
-from spikedeploy.trainers.policies.delta import DeltaMlpPolicy, DeltaSnnPolicy
+from spikedeploy.trainers.policies.chip_network import NetworkPolicy, network_policy
+from spikedeploy.trainers.policies.delta_policy import DeltaMlpPolicy, DeltaSnnPolicy
 from spikedeploy.trainers.policies.mlp import MlpPolicy, PrunedMlpPolicy
-from spikedeploy.trainers.policies.network import NetworkPolicy, network_policy
 from spikedeploy.trainers.policies.policy import Head, Latent, Policy
+from spikedeploy.trainers.policies.shared_weights import Copies
 from spikedeploy.trainers.policies.spiking import PopsanPolicy, SpikingMlpPolicy
 
 __all__ = [

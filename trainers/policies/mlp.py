@@ -6,7 +6,6 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from spikedeploy.trainers.policies.copies import Copies, he_normal, weights_between
 from spikedeploy.trainers.policies.policy import (
     Head,
     Latent,
@@ -15,6 +14,7 @@ from spikedeploy.trainers.policies.policy import (
     TorchNormaliser,
     full_precision,
 )
+from spikedeploy.trainers.policies.shared_weights import Copies, he_normal, weights_between
 
 
 class MlpPolicy(Policy):

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.settings import SparseConfig
 
 _BETTER = 0.01  # share of the teacher's return by which a round is better than those before
 _MISSES = 2  # levels one after the other that keep too little: the search is over

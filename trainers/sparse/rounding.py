@@ -21,7 +21,7 @@ from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy
-from spikedeploy.trainers.policies.delta import delta_artifact, live_layers
+from spikedeploy.trainers.policies.delta_policy import delta_artifact, live_layers
 
 _STEP = "weights"  # the kind of rounding, as an arithmetic's `ablation_steps` name it
 

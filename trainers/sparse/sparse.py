@@ -26,9 +26,8 @@ from spikedeploy.trainers.policies.policy import Moments, PrunedWeight
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder, with_prefix
 from spikedeploy.trainers.runner import Learner, Runner, adam, descend, set_rate
-from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.controllers import FloatController, controller_of
-from spikedeploy.trainers.sparse.encoder import binary_columns
+from spikedeploy.trainers.sparse.batch_controllers import FloatController, controller_of
+from spikedeploy.trainers.sparse.delta_encoder import binary_columns
 from spikedeploy.trainers.sparse.phases import (
     Ended,
     Phase,
@@ -37,7 +36,11 @@ from spikedeploy.trainers.sparse.phases import (
     searched,
     target,
 )
-from spikedeploy.trainers.sparse.pool import (
+from spikedeploy.trainers.sparse.pruning import clear_idle, operations, prune
+from spikedeploy.trainers.sparse.rounding import check_rounding
+from spikedeploy.trainers.sparse.settings import SparseConfig
+from spikedeploy.trainers.sparse.student import Student, student
+from spikedeploy.trainers.sparse.walks import (
     BatchController,
     Episodes,
     Stateless,
@@ -50,9 +53,6 @@ from spikedeploy.trainers.sparse.pool import (
     random_actions,
     save_walks,
 )
-from spikedeploy.trainers.sparse.pruning import clear_idle, operations, prune
-from spikedeploy.trainers.sparse.rounding import check_rounding
-from spikedeploy.trainers.sparse.student import Student, student
 
 _ENV_COPIES = 50  # copies of the environment
 _DENSE_BUDGET = 4_000.0  # operations for which the penalty is scaled while nothing is pruned

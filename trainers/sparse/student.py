@@ -14,7 +14,7 @@ from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.distill.teacher import compute_cross_entropy
 from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, PrunedMlpPolicy
-from spikedeploy.trainers.policies.delta import (
+from spikedeploy.trainers.policies.delta_policy import (
     DeltaWeights,
     delta_codec,
     delta_encoder,
@@ -22,14 +22,18 @@ from spikedeploy.trainers.policies.delta import (
 )
 from spikedeploy.trainers.policies.policy import SynapseGroup
 from spikedeploy.trainers.run_folder import with_prefix
-from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.encoder import binary_columns, choose_steps, choose_thresholds
-from spikedeploy.trainers.sparse.pool import WalkPool, Windows
+from spikedeploy.trainers.sparse.delta_encoder import (
+    binary_columns,
+    choose_steps,
+    choose_thresholds,
+)
 from spikedeploy.trainers.sparse.rounding import (
     round_for_chip,
     rounding_offsets,
     with_offsets,
 )
+from spikedeploy.trainers.sparse.settings import SparseConfig
+from spikedeploy.trainers.sparse.walks import WalkPool, Windows
 
 _SMOOTHING = 0.02  # weight of the newest batch in mean rates of hidden neurons
 

@@ -1,6 +1,6 @@
 """Neurons of other libraries as difference equations: what each class means by its settings.
 
-neurons.py       what an adapter is
+adapter.py       what an adapter is
 snntorch.py      Leaky, Synaptic and Lapicque, with and without recurrence
 norse.py         LIF, LIFBox, IAF, LI and LIBox; cells and over time
 sinabs.py        IAF, LIF and ExpLeak
@@ -17,7 +17,7 @@ from torch import nn
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.torch_neurons.neurons import TorchNeurons
+from spikedeploy.trainers.torch_neurons.adapter import TorchNeurons
 from spikedeploy.trainers.torch_neurons.norse import NorseNeurons
 from spikedeploy.trainers.torch_neurons.sinabs import SinabsNeurons
 from spikedeploy.trainers.torch_neurons.snntorch import SnnTorchNeurons

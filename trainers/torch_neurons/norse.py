@@ -8,8 +8,8 @@ from torch import Tensor, nn
 
 from spikedeploy.runtime.convention import Reset
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.network import Map, Weights
-from spikedeploy.trainers.torch_neurons.neurons import (
+from spikedeploy.trainers.torch_network import Map, Weights
+from spikedeploy.trainers.torch_neurons.adapter import (
     Meaning,
     Numbers,
     TorchNeurons,

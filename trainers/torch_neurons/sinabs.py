@@ -7,7 +7,7 @@ from torch import Tensor
 
 from spikedeploy.runtime.convention import Floor, Reset, Spikes
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.torch_neurons.neurons import Meaning, Numbers, TorchNeurons, largest, wide
+from spikedeploy.trainers.torch_neurons.adapter import Meaning, Numbers, TorchNeurons, largest, wide
 
 
 class SinabsNeurons(TorchNeurons):

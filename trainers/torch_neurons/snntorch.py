@@ -9,9 +9,9 @@ from torch import Tensor, nn
 from spikedeploy.runtime.convention import Reset
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.network import Map, Weights
 from spikedeploy.trainers.neurons import Surrogate, surrogate
-from spikedeploy.trainers.torch_neurons.neurons import Meaning, Numbers, TorchNeurons, derivative_of
+from spikedeploy.trainers.torch_network import Map, Weights
+from spikedeploy.trainers.torch_neurons.adapter import Meaning, Numbers, TorchNeurons, derivative_of
 
 # V = (1 - r) (beta V + I): a late reset takes the input of that timestep with it; Leaky keeps it
 _LOSE_THEIR_INPUT = ("RLeaky", "Lapicque")

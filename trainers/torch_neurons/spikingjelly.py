@@ -6,7 +6,7 @@ import torch
 
 from spikedeploy.runtime.convention import Reset
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.torch_neurons.neurons import (
+from spikedeploy.trainers.torch_neurons.adapter import (
     Meaning,
     Numbers,
     TorchNeurons,

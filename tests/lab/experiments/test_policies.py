@@ -9,7 +9,7 @@ from spikedeploy import zoo
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.trainers.sparse.pool import Stateless
+from spikedeploy.trainers.sparse.walks import Stateless
 
 
 def test_episodes_side_by_side_earn_what_they_earn_alone():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spikedeploy.emulation.open_loop import measure_inference
+from spikedeploy.emulation.raster_emulation import measure_inference
 from spikedeploy.runtime.analysis.calibration import with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.chips.chip import chip

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from spikedeploy import zoo
-from spikedeploy.emulation.open_loop import emulate_artifact
+from spikedeploy.emulation.raster_emulation import emulate_artifact
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip

@@ -256,7 +256,7 @@ def test_a_backend_is_for_chips(emulate):
 
 @pytest.mark.parametrize("chip", ["float", "ideal"])
 def test_a_raster_that_would_fill_the_memory_is_refused(chip, emulate, monkeypatch):
-    monkeypatch.setattr("spikedeploy.emulation.open_loop.LARGEST", 1000)
+    monkeypatch.setattr("spikedeploy.emulation.raster_emulation.LARGEST", 1000)
     monkeypatch.setattr("spikedeploy.runtime.float_model.MAX_RUN_BYTES", 1000)
     assert emulate(single(), np.ones((5, 1)), "--chip", chip)[0] == 0
     code, _, _, err = emulate(single(), np.ones((50, 1)), "--chip", chip)

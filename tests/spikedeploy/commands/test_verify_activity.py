@@ -6,7 +6,7 @@ import nir
 import numpy as np
 import pytest
 
-from spikedeploy.emulation.open_loop import emulate_artifact
+from spikedeploy.emulation.raster_emulation import emulate_artifact
 from spikedeploy.runtime.artifact.artifact import load as load_artifact
 from tests.networks import cuba, graph, lif
 from tests.paths import GOLDEN

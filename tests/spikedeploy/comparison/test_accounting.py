@@ -8,7 +8,7 @@ from spikedeploy.comparison.comparison import control_period, static
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.envs import ENVS
-from spikedeploy.reports import comparison as report
+from spikedeploy.reports import comparison_page as report
 from spikedeploy.reports.columns import markdown_tables, tables
 from spikedeploy.reports.table import ABSENT
 from spikedeploy.runtime.metrics.energy import ON_CHIP, TABLES

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs
+from spikedeploy.comparison.episode_metrics import measure
 from spikedeploy.comparison.episodes import (
     Agreement,
     agreement,
@@ -14,12 +15,11 @@ from spikedeploy.comparison.episodes import (
 )
 from spikedeploy.comparison.evaluation import compare_policies, run_policy
 from spikedeploy.comparison.lineup import Entry, line_up
-from spikedeploy.comparison.metrics import measure
 from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.make_env import make_env
 from spikedeploy.policies.registry import find, open_policy
-from spikedeploy.reports import comparison as report
+from spikedeploy.reports import comparison_page as report
 from spikedeploy.reports.columns import format_success, tables
 from spikedeploy.reports.headline import verdict
 from spikedeploy.runtime.errors import ConfigError, EnvError

@@ -16,7 +16,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.settings import SparseConfig
 from tests import toy_race_env, toy_stroll_env
 from tests.delta_policies import delta_policy
 

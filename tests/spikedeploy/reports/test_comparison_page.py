@@ -7,7 +7,7 @@ from matplotlib.colors import to_hex
 
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
-from spikedeploy.reports import comparison as report
+from spikedeploy.reports import comparison_page as report
 from spikedeploy.reports.headline import headline, main_row
 from spikedeploy.reports.page import asset
 from spikedeploy.reports.plots import energy_figure, returns_figure

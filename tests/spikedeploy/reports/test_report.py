@@ -8,7 +8,7 @@ import pytest
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.summary import describe_macs, summary
-from spikedeploy.reports import comparison as report
+from spikedeploy.reports import comparison_page as report
 from spikedeploy.reports.columns import describe_run, format_operations, short_columns, tables
 from spikedeploy.reports.table import Table, price_cell
 from tests import toy_stroll_env

@@ -23,8 +23,8 @@ from spikedeploy.trainers.config import (
 from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, from_config
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sac.learner import SacConfig
-from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.ppo import SparsePpoConfig
+from spikedeploy.trainers.sparse.settings import SparseConfig
+from spikedeploy.trainers.sparse.sparse_ppo import SparsePpoConfig
 from tests import toy_stroll_env
 
 SPIKING = PopsanConfig(hidden=(6,), populations=3)

@@ -26,7 +26,7 @@ from spikedeploy.trainers.distill.teachers import (
     score,
     teacher,
 )
-from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.metrics_file import read
 from spikedeploy.trainers.policies import (
     MlpPolicy,
     PopsanPolicy,

@@ -13,11 +13,11 @@ from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sac.learner import SacConfig
-from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.controllers import controller_of
+from spikedeploy.trainers.sparse.batch_controllers import controller_of
 from spikedeploy.trainers.sparse.phases import Ended, target
-from spikedeploy.trainers.sparse.pool import Episodes, Stateless, Walk, load_walks, save_walks
+from spikedeploy.trainers.sparse.settings import SparseConfig
 from spikedeploy.trainers.sparse.sparse import Sparse, with_budget
+from spikedeploy.trainers.sparse.walks import Episodes, Stateless, Walk, load_walks, save_walks
 from spikedeploy.trainers.train import train
 from tests import toy_race_env, toy_stroll_env
 from tests.trainers.sparse.toy import settings

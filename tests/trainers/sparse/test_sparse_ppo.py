@@ -9,12 +9,12 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.distill.teachers import Teacher
-from spikedeploy.trainers.metrics import read
+from spikedeploy.trainers.metrics_file import read
 from spikedeploy.trainers.ppo import minibatches
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
-from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.pool import Episodes, WalkPool
-from spikedeploy.trainers.sparse.ppo import (
+from spikedeploy.trainers.sparse.rounding import rounding_offsets
+from spikedeploy.trainers.sparse.settings import SparseConfig
+from spikedeploy.trainers.sparse.sparse_ppo import (
     Exploring,
     SparsePpoConfig,
     SparsePpoLearner,
@@ -23,7 +23,7 @@ from spikedeploy.trainers.sparse.ppo import (
     stored_start,
     tiles,
 )
-from spikedeploy.trainers.sparse.rounding import rounding_offsets
+from spikedeploy.trainers.sparse.walks import Episodes, WalkPool
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import PointingEnv
 from tests.toy_quadrant_env import QuadrantEnv
@@ -114,7 +114,7 @@ def test_hidden_neurons_can_be_left_as_they_are(start, tmp_path):
 
 
 def test_a_run_is_resumed_where_it_was_moved_with_its_start(start, tmp_path, monkeypatch):
-    from spikedeploy.trainers.sparse.ppo import SparsePpo
+    from spikedeploy.trainers.sparse.sparse_ppo import SparsePpo
 
     inside = shutil.copytree(start, tmp_path / "runs" / start.name)
     with monkeypatch.context() as patch:

@@ -9,18 +9,22 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import DeltaSnnConfig
 from spikedeploy.trainers.policies import DeltaSnnPolicy, build
-from spikedeploy.trainers.policies.delta import (
+from spikedeploy.trainers.policies.delta_policy import (
     channel_weights,
     delta_artifact,
     delta_codec,
     live_neurons,
 )
 from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup
-from spikedeploy.trainers.sparse.encoder import binary_columns, choose_steps, choose_thresholds
-from spikedeploy.trainers.sparse.pool import Walk, WalkPool
+from spikedeploy.trainers.sparse.delta_encoder import (
+    binary_columns,
+    choose_steps,
+    choose_thresholds,
+)
 from spikedeploy.trainers.sparse.pruning import clear_idle, operations, prune
 from spikedeploy.trainers.sparse.rounding import check_rounding, round_for_chip, rounding_offsets
 from spikedeploy.trainers.sparse.student import DeltaStudent, imitation, student
+from spikedeploy.trainers.sparse.walks import Walk, WalkPool
 from tests.delta_policies import (
     delta_mlp,
     delta_policy,
@@ -381,7 +385,7 @@ def test_a_force_that_is_nearly_always_zero_is_not_binary():
 
 
 def test_values_that_the_sample_lacks_count(monkeypatch):
-    monkeypatch.setattr("spikedeploy.trainers.sparse.encoder._SAMPLE", 10)
+    monkeypatch.setattr("spikedeploy.trainers.sparse.delta_encoder._SAMPLE", 10)
     seen = (np.arange(40.0) % 3 == 0)[:, None].astype(float)  # every fourth is looked at
     assert binary_columns(seen).tolist() == [True]
     seen[1] = 0.5

@@ -1,6 +1,6 @@
 """Small settings of sparse trainings, in the environment `stroll`."""
 
-from spikedeploy.trainers.sparse.config import SparseConfig
+from spikedeploy.trainers.sparse.settings import SparseConfig
 
 _SMALL = {
     "env": {"name": "stroll"},

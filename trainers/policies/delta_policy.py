@@ -53,9 +53,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.graph.neurons import SigmaDelta
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import DeltaMlpConfig, DeltaSnnConfig
-from spikedeploy.trainers.network import to_array
 from spikedeploy.trainers.neurons import spike, surrogate
-from spikedeploy.trainers.policies.copies import Copies, weights_between
 from spikedeploy.trainers.policies.policy import (
     Head,
     Latent,
@@ -63,6 +61,8 @@ from spikedeploy.trainers.policies.policy import (
     PrunedWeight,
     TorchNormaliser,
 )
+from spikedeploy.trainers.policies.shared_weights import Copies, weights_between
+from spikedeploy.trainers.torch_network import to_array
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy
-from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.pool import WalkPool
+from spikedeploy.trainers.sparse.settings import SparseConfig
+from spikedeploy.trainers.sparse.walks import WalkPool
 
 FloatArray = NDArray[np.float64]
 _WINDOWS = 256  # on which sensitivities are measured

@@ -41,11 +41,11 @@ from spikedeploy.trainers.ppo import CategoricalHead, advantages, clipped_gain, 
 from spikedeploy.trainers.progress import Journal
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder
 from spikedeploy.trainers.runner import Critic, Learner, Runner, adam, descend, set_rate
-from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.controllers import FloatController, controller_of
-from spikedeploy.trainers.sparse.pool import Earned, Episodes, WalkPool, Windows, mean_outcome
+from spikedeploy.trainers.sparse.batch_controllers import FloatController, controller_of
 from spikedeploy.trainers.sparse.pruning import operations
+from spikedeploy.trainers.sparse.settings import SparseConfig
 from spikedeploy.trainers.sparse.student import DeltaStudent, imitation, student
+from spikedeploy.trainers.sparse.walks import Earned, Episodes, WalkPool, Windows, mean_outcome
 
 Ends = tuple[Rate, Rate]
 _EPS = 1e-8

@@ -37,9 +37,8 @@ from spikedeploy.runtime.families.xylo import XyloArithmetic
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.fitting import Fitting, signs_by_turns, typed_values
 from spikedeploy.trainers.from_torch import common_meaning, network_from_torch
-from spikedeploy.trainers.network import FreeNeurons, TorchNetwork, Weights, network_of, to_array
 from spikedeploy.trainers.neurons import mean_rate
-from spikedeploy.trainers.policies.delta import DT
+from spikedeploy.trainers.policies.delta_policy import DT
 from spikedeploy.trainers.policies.policy import Head, Latent
 from spikedeploy.trainers.policies.spiking import (
     CodedPolicy,
@@ -49,7 +48,14 @@ from spikedeploy.trainers.policies.spiking import (
     TorchRateEncoder,
 )
 from spikedeploy.trainers.through_chip import ChipModule, convention_on, nearest_remark
-from spikedeploy.trainers.torch_neurons.neurons import Meaning
+from spikedeploy.trainers.torch_network import (
+    FreeNeurons,
+    TorchNetwork,
+    Weights,
+    network_of,
+    to_array,
+)
+from spikedeploy.trainers.torch_neurons.adapter import Meaning
 
 if TYPE_CHECKING:
     from spikedeploy.trainers.config import NetworkConfig

@@ -10,8 +10,8 @@ from torch import Tensor, nn
 from spikedeploy.runtime.convention import Floor, Reset, Spikes
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.network import Map, Neurons
 from spikedeploy.trainers.neurons import Surrogate
+from spikedeploy.trainers.torch_network import Map, Neurons
 
 # of Neurons.numbers: current decay, membrane decay, threshold, leak, gain
 Numbers: TypeAlias = tuple[Tensor | None, Tensor, Tensor | None, Tensor | None, Tensor]

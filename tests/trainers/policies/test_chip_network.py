@@ -16,9 +16,9 @@ from spikedeploy.runtime.errors import ConfigError, RuleError, SpikedeployError
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import axon_types
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import NetworkConfig
-from spikedeploy.trainers.network import Weights
 from spikedeploy.trainers.policies import build, from_config
 from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.torch_network import Weights
 from spikedeploy.trainers.train import _check_sizes as check_sizes
 from spikedeploy.trainers.train import train
 from tests.trainers.test_resume import After

@@ -17,8 +17,8 @@ from spikedeploy.trainers.policies import (
     Policy,
     PrunedMlpPolicy,
 )
-from spikedeploy.trainers.policies.delta import delta_artifact
-from spikedeploy.trainers.sparse.pool import BatchController
+from spikedeploy.trainers.policies.delta_policy import delta_artifact
+from spikedeploy.trainers.sparse.walks import BatchController
 
 FloatArray = NDArray[np.float64]
 

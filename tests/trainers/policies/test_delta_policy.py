@@ -10,7 +10,7 @@ from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import DeltaSnnConfig
 from spikedeploy.trainers.policies import DeltaSnnPolicy
-from spikedeploy.trainers.policies.delta import (
+from spikedeploy.trainers.policies.delta_policy import (
     delta_artifact,
     delta_codec,
     event_channels,

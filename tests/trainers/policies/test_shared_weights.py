@@ -16,14 +16,14 @@ from spikedeploy.trainers.policies import (
     PrunedMlpPolicy,
     build,
 )
-from spikedeploy.trainers.policies.copies import Copies, weights_between
-from spikedeploy.trainers.policies.delta import delta_artifact
+from spikedeploy.trainers.policies.delta_policy import delta_artifact
 from spikedeploy.trainers.policies.policy import SynapseGroup
-from spikedeploy.trainers.sparse.config import SparseConfig
-from spikedeploy.trainers.sparse.pool import Walk, WalkPool
+from spikedeploy.trainers.policies.shared_weights import Copies, weights_between
 from spikedeploy.trainers.sparse.pruning import prune
 from spikedeploy.trainers.sparse.rounding import round_for_chip
+from spikedeploy.trainers.sparse.settings import SparseConfig
 from spikedeploy.trainers.sparse.student import DeltaStudent
+from spikedeploy.trainers.sparse.walks import Walk, WalkPool
 
 # two arms with two observations and an action each, and one that both read, mirrored
 ARMS = Copies(inputs=[[0, 1, 4], [2, 3, 4]], signs=[[1, 1, 1], [1, 1, -1]], outputs=[[0], [1]])
