@@ -52,11 +52,11 @@ if TYPE_CHECKING:
 class LoadedNetwork:
     """A network or policy from a `.nir` file, on a chip or in float.
 
-    path      of the file
-    artifact  the network, its codec if it drives a robot, its convention
-    chip      as the command line takes it, or "float"
-    on_chip   how it is put on that chip
-    reading   options by which the file was read, beside what it states
+    path: of the file
+    artifact: the network, its codec if it drives a robot, its convention
+    chip: as the command line takes it, or "float"
+    on_chip: how it is put on that chip
+    reading: options by which the file was read, beside what it states
     """
 
     path: Path
@@ -78,7 +78,7 @@ class LoadedNetwork:
 
         All arrays of the run have the axis B then, and its counts are of all inferences.
 
-        raster  an array, one for each Input node by name, or a file of them
+        raster: an array, one for each Input node by name, or a file of them
         """
         if isinstance(raster, str | Path):
             rows: Raster | Mapping[str, Raster] = read_rasters(Path(raster))
@@ -141,7 +141,7 @@ class LoadedNetwork:
 class Uncounted:
     """The ledger of a run whose events could not be counted: false, and an error where it is used.
 
-    why  the reason
+    why: the reason
     """
 
     why: str
@@ -167,7 +167,7 @@ class NetworkRun(Emulation):
     def plot(self, path: str | Path | None = None) -> "Figure":
         """The spikes of every layer as a figure of matplotlib; needs no display.
 
-        path  of a PNG to write
+        path: of a PNG to write
         """
         from spikedeploy.reports.plots import raster_figure, save
 
@@ -196,7 +196,7 @@ class NetworkRun(Emulation):
 class ComparedPolicies:
     """A comparison on the same seeds: what `spikedeploy compare --json` prints.
 
-    document  the report as data
+    document: the report as data
     """
 
     document: Mapping[str, Any]
@@ -287,16 +287,16 @@ def compare(
 ) -> ComparedPolicies:
     """Policies on the same seeds; the float ANN, built-in players and controls are added.
 
-    env       a name, a class, a function that makes one, or an instance
-    policies  one or several: names of shipped ones, files, run folders or "last"; all that are
-              shipped by default
-    teacher   beside them, as of `distill`
-    chips     for those that spike; by default those of loaded networks, else what each was trained
-              for, else loihi1
-    seed      the first; from 10,000 on, which no training uses
-    workers   processes; with several, a script needs `if __name__ == "__main__"`
-    options   of the environment
-    setup     fields of spikedeploy.setup.Setup, as in fault=("dead-neurons:2",)
+    env: a name, a class, a function that makes one, or an instance
+    policies: one or several: names of shipped ones, files, run folders or "last"; all that are
+        shipped by default
+    teacher: beside them, as of `distill`
+    chips: for those that spike; by default those of loaded networks, else what each was trained
+        for, else loihi1
+    seed: the first; from 10,000 on, which no training uses
+    workers: processes; with several, a script needs `if __name__ == "__main__"`
+    options: of the environment
+    setup: fields of spikedeploy.setup.Setup, as in fault=("dead-neurons:2",)
     """
     from spikedeploy.comparison.evaluation import compare_policies
     from spikedeploy.comparison.lineup import line_up
@@ -345,10 +345,10 @@ def on_chip(
 ) -> "ChipModule":
     """A network as a torch module whose forward pass is the chip; its parameters are the network's.
 
-    network      a torch module with neurons of snnTorch, Norse, sinabs or SpikingJelly, or a `.nir`
-                 file
-    input_shape  of a torch module: of one timestep of one sample, as in (64,) or (2, 34, 34)
-    options      of trainers.through_chip.on_chip: dt, limits, surrogate_name, surrogate_width
+    network: a torch module with neurons of snnTorch, Norse, sinabs or SpikingJelly, or a `.nir`
+        file
+    input_shape: of a torch module: of one timestep of one sample, as in (64,) or (2, 34, 34)
+    options: of trainers.through_chip.on_chip: dt, limits, surrogate_name, surrogate_width
     """
     from spikedeploy.trainers import through_chip
 
@@ -371,14 +371,14 @@ def adapt(
 ) -> "Adaptation":
     """A network trained on through a chip's integers, and its scores before and after.
 
-    network      a `.nir` file, or a torch module, which has the best numbers afterwards
-    raster       (B, T, *shape) spikes
-    labels       (B,) whole numbers; without them it is trained towards its float twin's outputs
-    input_shape  of a torch module, of one timestep of one sample
-    limits       refuse what breaks a design rule of the chip
-    checkpoint   file that is written while it is trained; `resume` goes on from it
-    interrupt    that requests a stop, for a caller who catches signals itself
-    settings     of trainers.adapt.AdaptationSettings: epochs, batch, rate, patience, held_out, seed
+    network: a `.nir` file, or a torch module, which has the best numbers afterwards
+    raster: (B, T, *shape) spikes
+    labels: (B,) whole numbers; without them it is trained towards its float twin's outputs
+    input_shape: of a torch module, of one timestep of one sample
+    limits: refuse what breaks a design rule of the chip
+    checkpoint: file that is written while it is trained; `resume` goes on from it
+    interrupt: that requests a stop, for a caller who catches signals itself
+    settings: of trainers.adapt.AdaptationSettings: epochs, batch, rate, patience, held_out, seed
     """
     from spikedeploy.trainers import adapt as adapting
 
@@ -435,13 +435,13 @@ def export(
 ) -> LoadedNetwork | Path:
     """A torch module as a NIR file, loaded again; or a run folder or file in another format.
 
-    network      with neurons as `on_chip` takes them, or what `on_chip` made of one; or a run
-                 folder, "last", a `.nir` file
-    path         of the file, or of the folder of c, verilog and program
-    input_shape  of one timestep of one sample, where `on_chip` did not have it
-    dt           [s] of a timestep
-    to           of a run or file: "nir", "onnx", "c", "verilog", "program" or "xylo"
-    options      of the export: chip, env, force, and those of docs/export.md
+    network: with neurons as `on_chip` takes them, or what `on_chip` made of one; or a run folder,
+        "last", a `.nir` file
+    path: of the file, or of the folder of c, verilog and program
+    input_shape: of one timestep of one sample, where `on_chip` did not have it
+    dt: [s] of a timestep
+    to: of a run or file: "nir", "onnx", "c", "verilog", "program" or "xylo"
+    options: of the export: chip, env, force, and those of docs/export.md
 
     Raises ConfigError where the written file does not do what the policy does.
     """
@@ -486,13 +486,13 @@ def train(
 ) -> Path:
     """Train a policy, as the command `train` does; return the run folder.
 
-    what       a recipe; with `recipe`, `network` or `chip` the environment: a name, a class, a
-               function that makes one, or an instance
-    recipe     for any environment; with a network "ppo-network" by default
-    network    of yours: a torch module, its class, or a `.nir` file; docs/own-policy.md
-    chip       in whose integers it is trained; without a network a policy that fits it
-    overrides  settings: {"steps": 50_000, "policy": {"timesteps": 4}}, or text as `--set` takes it
-    options    of trainers.train.train: seed, budget, resume, runs, quiet
+    what: a recipe; with `recipe`, `network` or `chip` the environment: a name, a class, a function
+        that makes one, or an instance
+    recipe: for any environment; with a network "ppo-network" by default
+    network: of yours: a torch module, its class, or a `.nir` file; docs/own-policy.md
+    chip: in whose integers it is trained; without a network a policy that fits it
+    overrides: settings: {"steps": 50_000, "policy": {"timesteps": 4}}, or text as `--set` takes it
+    options: of trainers.train.train: seed, budget, resume, runs, quiet
     """
     from spikedeploy.objects import env_target, overrides_of, target
     from spikedeploy.trainers import train as training
@@ -528,13 +528,13 @@ def distill(
 ) -> Path:
     """Train a spiking student that imitates a teacher, as the command does; return the run folder.
 
-    env        a name, a class, a function that makes one, or an instance
-    teacher    a file, a run folder, a shipped policy, a function of an observation, or a model of
-               Stable-Baselines3
-    network    of yours, the student: a torch module, its class, or a `.nir` file
-    chip       in whose integers it is trained
-    size, encoder, timesteps, budget, dense  as on the command line
-    overrides, options  as of `train`
+    env: a name, a class, a function that makes one, or an instance
+    teacher: a file, a run folder, a shipped policy, a function of an observation, or a model of
+        Stable-Baselines3
+    network: of yours, the student: a torch module, its class, or a `.nir` file
+    chip: in whose integers it is trained
+    size, encoder, timesteps, budget, dense: as on the command line
+    overrides, options: as of `train`
     """
     from spikedeploy.objects import env_target, overrides_of, target, teacher_target
     from spikedeploy.trainers import train as training

@@ -61,10 +61,10 @@ def check_output(
 ) -> None:
     """Refuse to write to `path` where that would destroy something.
 
-    option  of the command, for messages
-    inputs  files and folders that the command reads; names of anything else are passed over
-    force   whether a file that exists may be replaced
-    ours    whether an existing file is an earlier output of the command
+    option: of the command, for messages
+    inputs: files and folders that the command reads; names of anything else are passed over
+    force: whether a file that exists may be replaced
+    ours: whether an existing file is an earlier output of the command
     """
     _check_kind(option, path)
     for each in inputs:
@@ -97,7 +97,7 @@ def check_output_folder(
 ) -> None:
     """Refuse to write files of these names into `folder` where something would be destroyed.
 
-    ours  whether the folder has an earlier output of the command
+    ours: whether the folder has an earlier output of the command
     """
     check_folder(option, folder)
     if _is_run(folder):

@@ -194,9 +194,9 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 class DoctorFinding:
     """One line of the report.
 
-    name    what was examined
-    ok      whether it works; None for information
-    detail  what was found, and what to do about it
+    name: what was examined
+    ok: whether it works; None for information
+    detail: what was found, and what to do about it
     """
 
     name: str

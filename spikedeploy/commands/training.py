@@ -149,9 +149,9 @@ def _learn(
 ) -> Path:
     """Train, write page and card, and return the run; stopped by a signal, exit with its code.
 
-    films     of a whole training
-    verb      the command that goes on, of the run `again`, by default the last one
-    settings  more arguments of trainers.train.train
+    films: of a whole training
+    verb: the command that goes on, of the run `again`, by default the last one
+    settings: more arguments of trainers.train.train
     """
     if resume is not None and seed is not None:
         raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")

@@ -55,8 +55,8 @@ _AGREEMENT = (
 class Row:
     """One policy on one chip.
 
-    entry     policy and chip
-    episodes  in the order of the seeds (n,)
+    entry: policy and chip
+    episodes: in the order of the seeds (n,)
     """
 
     entry: Entry
@@ -127,11 +127,11 @@ class Row:
 class Comparison:
     """Rows that played the same seeds.
 
-    env    id of the environment
-    seeds  (n,)
-    rows   in the order of the line-up
-    foreign  whether the environment is not ours
-    period   time of a control step [s], where it is not as the environment's class says
+    env: id of the environment
+    seeds: (n,)
+    rows: in the order of the line-up
+    foreign: whether the environment is not ours
+    period: time of a control step [s], where it is not as the environment's class says
     """
 
     env: str
@@ -266,7 +266,7 @@ class Comparison:
 def static(chip: str | None, env: str, period: float | None = None) -> dict[str, float]:
     """Measurement -> energy [J] of the chip's static power in a control step; never added.
 
-    period  of a control step [s] where it is known, else as the environment's class says
+    period: of a control step [s] where it is known, else as the environment's class says
     """
     called = chip_or_float(chip) if chip else None
     powers = STATIC.get(called.name, ()) if called else ()

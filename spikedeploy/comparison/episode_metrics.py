@@ -21,14 +21,14 @@ Signal = NDArray[np.float64]
 class _Metric:
     """One number of an episode.
 
-    name      field of a report's rows
-    signal    key of the step infos that it is made from
-    reduce    key of _OF_OURS
-    title     head of its column, with its unit
-    meaning   what it is, for a report
-    form      format specification of a cell
-    unless    a signal in whose presence the metric does not apply
-    after     a signal that must be raised at the last control step for the metric to apply
+    name: field of a report's rows
+    signal: key of the step infos that it is made from
+    reduce: key of _OF_OURS
+    title: head of its column, with its unit
+    meaning: what it is, for a report
+    form: format specification of a cell
+    unless: a signal in whose presence the metric does not apply
+    after: a signal that must be raised at the last control step for the metric to apply
     """
 
     name: str

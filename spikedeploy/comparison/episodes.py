@@ -28,14 +28,14 @@ _TOLERANCE = 0.01  # of an action in [-1, 1]: far below the resolution of a serv
 class Agreement:
     """Agreement of two episodes of the same seed.
 
-    squared_error     sum over control steps and actions of the squared difference, both policies
-                      on the observations that the *other* recorded, so that trajectories which
-                      drift apart do not count
-    actions           terms in that sum
-    first_divergence  first control step at which the two closed loops act differently by more than
-                      TOLERANCE, or at which only one of them still acts; None if that never happens
-    equal             equal choices of one action of several, where a squared error has no meaning;
-                      None where actions are numbers
+    squared_error: sum over control steps and actions of the squared difference, both policies on
+        the observations that the *other* recorded, so that trajectories which drift apart do not
+        count
+    actions: terms in that sum
+    first_divergence: first control step at which the two closed loops act differently by more than
+        TOLERANCE, or at which only one of them still acts; None if that never happens
+    equal: equal choices of one action of several, where a squared error has no meaning; None where
+        actions are numbers
     """
 
     squared_error: float
@@ -112,16 +112,16 @@ class EpisodeJob:
 class Episode:
     """The numbers that are kept of an episode.
 
-    total      return
-    steps      control steps, S
-    success    as the environment defines it; None where it does not
-    failed     whether it ended without success before its time limit, by Rollout.failed
-    metrics    of metrics.measure
-    costs      per inference
-    agreement  name -> agreement with each of the job's `others`
-    remarks    of the compiler, on where a chip departs from the file
-    damage     what faults of the chip hit
-    measured   text of a metric that was asked for -> its value
+    total: return
+    steps: control steps, S
+    success: as the environment defines it; None where it does not
+    failed: whether it ended without success before its time limit, by Rollout.failed
+    metrics: as episode_metrics.measure returns them
+    costs: per inference
+    agreement: name -> agreement with each of the job's `others`
+    remarks: of the compiler, on where a chip departs from the file
+    damage: what faults of the chip hit
+    measured: text of a metric that was asked for -> its value
     """
 
     total: float
@@ -156,8 +156,8 @@ def summarise(
 ) -> Episode:
     """The summary of a rollout that the player has just played.
 
-    metrics  that are asked for, of any environment
-    foreign  whether the environment is not ours, so that its infos mean nothing to us
+    metrics: that are asked for, of any environment
+    foreign: whether the environment is not ours, so that its infos mean nothing to us
     """
     damage, costs = player.damage, player.costs(played)  # first: agreement runs the player again
     return Episode(

@@ -59,10 +59,10 @@ def compare_policies(
 ) -> Comparison:
     """Play every entry on every seed, in parallel, references before those that refer to them.
 
-    env        short name or id of the environment
-    entries    of lineup.line_up; the reference of an entry is an entry too, all share a setup
-    seeds      (n,) from EVALUATION up, which no training uses
-    processes  one for each core by default
+    env: short name or id of the environment
+    entries: of lineup.line_up; the reference of an entry is an entry too, all share a setup
+    seeds: (n,) from EVALUATION up, which no training uses
+    processes: one for each core by default
     """
     setup, references = entries[0].setup, [id(entry.reference) for entry in entries]
     _check(env, setup.options(), entries, seeds)
@@ -121,14 +121,13 @@ def run_policy(
 ) -> Comparison:
     """One row: the policy on every seed.
 
-    reference  as registry.find takes it
-    env        short name or id; None is the one that the policy was made for
-    chip       a chip or "float"; None is that of the training, or DEFAULT_CHIP, for a file
-               that spikes
-    seeds      (n,)
-    video      MP4 of the first episode
-    loop       paces it by the clock, and says which seeds are played; None plays as fast as it can
-    hardware   that computes instead of the emulated chip
+    reference: as registry.find takes it
+    env: short name or id; None is the one that the policy was made for
+    chip: a chip or "float"; None is that of the training, or DEFAULT_CHIP, for a file that spikes
+    seeds: (n,)
+    video: MP4 of the first episode
+    loop: paces it by the clock, and says which seeds are played; None plays as fast as it can
+    hardware: that computes instead of the emulated chip
     """
     candidate = find(reference)
     played_with = setup

@@ -18,10 +18,10 @@ _CONTROLS = ("phase", "bilinear", "fourier", "linear", "mlp-8", "mlp-16", "mlp-3
 class Entry:
     """One row of a comparison, before it is played.
 
-    candidate   the policy
-    chip        a chip, "float" for the float twin of a spiking policy, None for what does not spike
-    reference   the entry it is measured against: the float ANN; on a chip its float twin
-    setup       of the evaluation, which all entries of a comparison share
+    candidate: the policy
+    chip: a chip, "float" for the float twin of a spiking policy, None for what does not spike
+    reference: the entry it is measured against: the float ANN; on a chip its float twin
+    setup: of the evaluation, which all entries of a comparison share
     """
 
     candidate: Candidate
@@ -68,11 +68,11 @@ def line_up(
 ) -> list[Entry]:
     """Float ANNs, float SNNs, each SNN on each chip, built-in players and the shipped controls.
 
-    env     short name or id of the environment
-    files   policies to compare; none stands for the shipped ones of the environment
-    chips   for those that spike; None stands for that which each was trained for, or the default
-    teacher  a row beside the files; one that is a network is the float ANN
-    setup   of all entries
+    env: short name or id of the environment
+    files: policies to compare; none stands for the shipped ones of the environment
+    chips: for those that spike; None stands for that which each was trained for, or the default
+    teacher: a row beside the files; one that is a network is the float ANN
+    setup: of all entries
     """
     spec = envs.spec(env)
     short = spec.short

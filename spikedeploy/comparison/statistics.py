@@ -28,8 +28,8 @@ Z = 1.959964  # standard deviations that hold LEVEL of a normal distribution
 class Estimate:
     """A mean with its interval.
 
-    mean    [unit of the values]
-    ci95    (low, high), 95 % by the percentile bootstrap where nothing else is said [same unit]
+    mean: [unit of the values]
+    ci95: (low, high), 95 % by the percentile bootstrap where nothing else is said [same unit]
     """
 
     mean: float
@@ -54,9 +54,9 @@ class Estimate:
 class ReturnEstimates:
     """Returns of episodes: mean, median and worst, each with its interval.
 
-    mean  of all returns
-    iqm   interquartile mean
-    risk  mean of the worst 5 %
+    mean: of all returns
+    iqm: interquartile mean
+    risk: mean of the worst 5 %
     """
 
     mean: Estimate
@@ -161,8 +161,8 @@ def paired_difference(
 def nested_ratio(values: ArrayLike, reference: ArrayLike, together: bool = False) -> Estimate:
     """Mean of values (S, n) of S trainings in n episodes / mean of a reference in the same.
 
-    reference  (n,), or (R, n) of R trainings
-    together   whether these are the same trainings, which are drawn together
+    reference: (n,), or (R, n) of R trainings
+    together: whether these are the same trainings, which are drawn together
 
     A resample draws trainings of both, then episodes, the same for all of them; the `mean` of the
     estimate is the ratio of the sample itself. NaN where the reference is 0.

@@ -37,9 +37,9 @@ Raster = NDArray[np.uint8]
 class DriftInputs:
     """Input spikes of B inferences.
 
-    raster    (B, T, M)
-    source    where they come from, in words
-    episodes  inferences of each episode where states are kept from one to the next, else empty
+    raster: (B, T, M)
+    source: where they come from, in words
+    episodes: inferences of each episode where states are kept from one to the next, else empty
     """
 
     raster: Raster
@@ -110,11 +110,11 @@ def observed_inputs(
 ) -> DriftInputs:
     """Encoded observations of episodes that the float twin of a policy plays.
 
-    env      short name or id; None takes the one that the policy was made for
-    seeds    of the episodes that it plays
-    steps    control steps that are used: the first ones of each episode where states are kept from
-             one to the next, else spread evenly over the episodes
-    options  of the environment
+    env: short name or id; None takes the one that the policy was made for
+    seeds: of the episodes that it plays
+    steps: control steps that are used: the first ones of each episode where states are kept from
+        one to the next, else spread evenly over the episodes
+    options: of the environment
     """
     where = env or candidate.env
     if artifact.codec is None or where is None:
@@ -148,12 +148,12 @@ def observed_inputs(
 class DriftReport:
     """A drift, and what it was measured on.
 
-    policy      as the user named it
-    convention  of the file
-    inputs      where they come from
-    calibrated  inputs of the calibration, in words; empty without one
-    drift       the measurement
-    tuned       the policy as tuning changed it; None where it was not asked for, or nothing helped
+    policy: as the user named it
+    convention: of the file
+    inputs: where they come from
+    calibrated: inputs of the calibration, in words; empty without one
+    drift: the measurement
+    tuned: the policy as tuning changed it; None where it was not asked for, or nothing helped
     """
 
     policy: str
@@ -189,12 +189,12 @@ def drift_report(
 ) -> DriftReport:
     """Calibrate on half of the inputs and measure on the rest; without calibration on all.
 
-    headroom  choose scales at which nothing overflows on the calibration inputs
-    tune      choose clipping and thresholds that bring each layer nearest to the float twin
-    for_file  the chip with its options, as the tuned policy is to name it: tune by nothing but what
-              a policy of its own can say, and make that; empty tunes without
-    tau       [timesteps] time constant of the van Rossum distance
-    limits    refuse what breaks a design rule of the chip
+    headroom: choose scales at which nothing overflows on the calibration inputs
+    tune: choose clipping and thresholds that bring each layer nearest to the float twin
+    for_file: the chip with its options, as the tuned policy is to name it: tune by nothing but what
+        a policy of its own can say, and make that; empty tunes without
+    tau: [timesteps] time constant of the van Rossum distance
+    limits: refuse what breaks a design rule of the chip
     """
     calibrated, tuned = "", None
     if headroom and for_file:

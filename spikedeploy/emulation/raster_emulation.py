@@ -49,7 +49,7 @@ SILENT = (
 def several_remark(several: Mapping[str, int], artifact: Artifact, chip: str) -> list[str]:
     """A remark on neurons that sent several spikes in a timestep, where the file's send one.
 
-    several  node -> how often
+    several: node -> how often
     """
     found = [f"{count:,} times in {name!r}" for name, count in several.items() if count]
     if not found or artifact.convention.spikes == "many":
@@ -65,12 +65,12 @@ def several_remark(several: Mapping[str, int], artifact: Artifact, chip: str) ->
 class Measures:
     """Measurements of one inference.
 
-    neurobench  NeuroBench's metrics
-    events      layer -> event -> count
-    memory      layer -> weights and states read and written
-    latencies   energy table -> [s]; for a Xylo from its clock cycles
-    static      energy table -> [J] of static power in that time, where it is known
-    host        operations of the host for readouts that the chip has no way out for, or None
+    neurobench: NeuroBench's metrics
+    events: layer -> event -> count
+    memory: layer -> weights and states read and written
+    latencies: energy table -> [s]; for a Xylo from its clock cycles
+    static: energy table -> [J] of static power in that time, where it is known
+    host: operations of the host for readouts that the chip has no way out for, or None
     """
 
     neurobench: NeuroBench
@@ -123,17 +123,17 @@ def measure_inference(
 class Emulation:
     """One inference over a raster of T timesteps.
 
-    artifact  the network and its convention
-    chip      it ran on, or "float"
-    spikes    node -> (T, *N) spikes, or how many where a neuron may send several in a timestep
-    outputs   Output node -> (T, *act); a single one is called "output"
-    ledger    of this inference; None where `uncounted` says why
-    uncounted why the events could not be counted
-    remarks   of the compiler, on where the chip departs from the file; and SILENT
-    measures  NeuroBench's numbers, memory and time; None likewise
-    tables    energy tables to price by; empty for those of the chip
-    clock     how the layers advanced, in words; empty in float
-    batch     inferences, B, which all arrays have as their first axis then; None for a single one
+    artifact: the network and its convention
+    chip: it ran on, or "float"
+    spikes: node -> (T, *N) spikes, or how many where a neuron may send several in a timestep
+    outputs: Output node -> (T, *act); a single one is called "output"
+    ledger: of this inference; None where `uncounted` says why
+    uncounted: why the events could not be counted
+    remarks: of the compiler, on where the chip departs from the file; and SILENT
+    measures: NeuroBench's numbers, memory and time; None likewise
+    tables: energy tables to price by; empty for those of the chip
+    clock: how the layers advanced, in words; empty in float
+    batch: inferences, B, which all arrays have as their first axis then; None for a single one
     """
 
     artifact: Artifact
@@ -257,11 +257,11 @@ def emulate_artifact(
 
     A chip takes spikes only; in float any numbers will do.
 
-    batched     rasters are (B, T, *shape), an inference each
+    batched: rasters are (B, T, *shape), an inference each
 
-    backend     as Machine takes it; None for its default
-    limits      refuse what breaks a design rule of the chip
-    quantisation  on a chip
+    backend: as Machine takes it; None for its default
+    limits: refuse what breaks a design rule of the chip
+    quantisation: on a chip
     """
     rows = by_port(ports(artifact.graph.inputs), rasters if batched else in_batch(rasters))
     on = chip_or_float(chip)

@@ -37,11 +37,11 @@ _TURNED = "read as (neurons, timesteps)"
 class Verification:
     """A recording beside ours.
 
-    path    of the recording
-    equal   whether every number is the recorded one
-    lines   the result; then the first difference, what was not compared, how it was read
-    record  all of it as plain data
-    failed  whether it could not be compared
+    path: of the recording
+    equal: whether every number is the recorded one
+    lines: the result; then the first difference, what was not compared, how it was read
+    record: all of it as plain data
+    failed: whether it could not be compared
     """
 
     path: Path
@@ -96,10 +96,10 @@ def against_activity(
 ) -> list[Verification]:
     """Every recorded layer beside the emulated one.
 
-    recording  .npy of one layer, or .npz of arrays by the names of their nodes
-    inputs     .npy, (T, *shape) or, of several samples, (B, T, *shape)
-    layer      of a .npy, without it the only one of that shape; or the only one of a .npz
-    convention  options of artifact.load
+    recording: .npy of one layer, or .npz of arrays by the names of their nodes
+    inputs: .npy, (T, *shape) or, of several samples, (B, T, *shape)
+    layer: of a .npy, without it the only one of that shape; or the only one of a .npz
+    convention: options of artifact.load
     """
     wanted = _read_layers(recording, layer)
     artifact = load(network, **convention)

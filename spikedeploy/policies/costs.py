@@ -200,7 +200,7 @@ def policy_costs(
 ) -> Costs:
     """Costs of a spiking policy: of its network, of the host beside it, and of its file.
 
-    placed  messages on the cores of the chip; None where they are not known
+    placed: messages on the cores of the chip; None where they are not known
     """
     graph, codec, found = artifact.graph, artifact.codec, spiking_costs(ledger, program, chip)
     assert codec is not None
@@ -236,11 +236,11 @@ def float_costs(
 ) -> Costs:
     """Costs of a float network; None is unknown.
 
-    dense      multiply-accumulates of an inference
-    effective  those with non-zero inputs
-    biases     units with one
-    reads      observations that are read
-    hidden     whether there are activations, which nothing prices
+    dense: multiply-accumulates of an inference
+    effective: those with non-zero inputs
+    biases: units with one
+    reads: observations that are read
+    hidden: whether there are activations, which nothing prices
     """
     prices = {
         "bias": None if biases is None else addition_energy(biases),

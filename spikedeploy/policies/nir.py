@@ -78,12 +78,12 @@ def _read_policy(path: str, *identity: int) -> Artifact:
 class NirController(Copied, Player):
     """A spiking policy with a ledger for each episode; options are those of SpikingController.
 
-    artifact  the file
-    chip      datasheet; None for the float twin
-    codec     of the file
-    program   whose operations are counted; for the float twin the one of chip `ideal`
-    remarks   of the compiler, on where the chip departs from the file
-    controller  what acts; with `trace` its network keeps spikes and membranes of the last step
+    artifact: the file
+    chip: datasheet; None for the float twin
+    codec: of the file
+    program: whose operations are counted; for the float twin the one of chip `ideal`
+    remarks: of the compiler, on where the chip departs from the file
+    controller: what acts; with `trace` its network keeps spikes and membranes of the last step
     """
 
     def __init__(
@@ -196,10 +196,10 @@ def adopt(
 ) -> Path:
     """Write FILE.policy.nir beside a file of another tool, and return it.
 
-    codec       JSON file
-    force       whether a file that this function did not write is replaced
-    check       is called with the policy before anything is written, and raises where it is no use
-    convention  written_by and options of artifact.load
+    codec: JSON file
+    force: whether a file that this function did not write is replaced
+    check: is called with the policy before anything is written, and raises where it is no use
+    convention: written_by and options of artifact.load
     """
     path = Path(file)
     artifact = load(path, **convention)
@@ -250,7 +250,7 @@ def with_actions(policy: Artifact, low: Floats, high: Floats, where: str) -> Art
 
     It is a readout of its own, behind neurons that spike at most once in a timestep.
 
-    low, high  (N,) of actions, of which -1 and 1 stand for the bounds of the environment's
+    low, high: (N,) of actions, of which -1 and 1 stand for the bounds of the environment's
     """
     graph = policy.graph
     (output,) = graph.outputs

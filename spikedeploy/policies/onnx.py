@@ -28,11 +28,11 @@ _STEP = "snn-step"  # what exporters.spiking_onnx writes
 class OnnxController(Player):
     """A float network: observation (obs,) in, action (act,) out, or () where it chooses one.
 
-    path        of the file
-    metadata    of the exporter: env, recipe, seed, kind, head, name, macs ...
-    observed    size of the observation
-    actions     size of the action, or number of actions to choose from
-    chooses     whether the output is logits, of which the largest is taken
+    path: of the file
+    metadata: of the exporter: env, recipe, seed, kind, head, name, macs ...
+    observed: size of the observation
+    actions: size of the action, or number of actions to choose from
+    chooses: whether the output is logits, of which the largest is taken
 
     A file with states, such as the memory of a GRU, keeps them from one control step to the next.
 

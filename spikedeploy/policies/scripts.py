@@ -123,7 +123,7 @@ class TeacherController(Player):
 
     It acts in the environment's own units, which is why ONNX files of other tools are here too.
 
-    chooses  whether its output is logits, of which the largest is taken
+    chooses: whether its output is logits, of which the largest is taken
     """
 
     def __init__(self, teacher: "Teacher", chooses: bool) -> None:

@@ -373,7 +373,7 @@ _MISSTEPS = Column(
 def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
     """Policy, return, share of the float ANN, success, operations, and energy by one table.
 
-    env  id of the environment, which names of runs need not repeat
+    env: id of the environment, which names of runs need not repeat
     """
     table = quoted_table(rows)
     earned = Column("return", "mean return, with its 95% interval", format_return)

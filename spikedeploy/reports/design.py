@@ -112,7 +112,7 @@ def _notes(check: DesignCheck) -> list[str]:
 def _rules_by_chip(checks: Sequence[DesignCheck], dash: str = "-") -> Table:
     """Every rule, and its status on each chip.
 
-    dash  in the names of chips; with a line break names are narrow
+    dash: in the names of chips; with a line break names are narrow
     """
     columns = [each.worst for each in checks]
     rows = [(rule, *(_MARKS[column[rule].status] for column in columns)) for rule in columns[0]]
@@ -258,10 +258,10 @@ def _check(check: DesignCheck) -> dict[str, Any]:
 class CoreFill:
     """Contents of a core.
 
-    number   of the core
-    layer    whose neurons it has
-    neurons  of that layer in this core
-    shares   name -> part of them that is taken, of those that have a limit
+    number: of the core
+    layer: whose neurons it has
+    neurons: of that layer in this core
+    shares: name -> part of them that is taken, of those that have a limit
     """
 
     number: int

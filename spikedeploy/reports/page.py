@@ -108,7 +108,7 @@ def is_page_of(command: str) -> Callable[[Path], bool]:
 def write_beside(path: Path, text: str, figures: "Mapping[str, Figure]") -> list[Path]:
     """Write the text, and the same as HTML with the ending .html; return both.
 
-    figures  address of a picture in the text -> what is drawn in its place
+    figures: address of a picture in the text -> what is drawn in its place
     """
     page = render_markdown(text, figures)
     return [write_text(path, text), write_text(path.with_suffix(".html"), page)]

@@ -134,11 +134,11 @@ def energy_figure(rows: Sequence[Row]) -> "Figure":
 class Curve:
     """The returns of one run over its training.
 
-    name     of the run
-    unit     of its steps: "environment steps" or "updates"
-    signal   "validation" or "training"
-    steps    (n,) [unit]
-    returns  (n,)
+    name: of the run
+    unit: of its steps: "environment steps" or "updates"
+    signal: "validation" or "training"
+    steps: (n,) [unit]
+    returns: (n,)
     """
 
     name: str

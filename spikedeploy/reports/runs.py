@@ -33,19 +33,19 @@ _SHARE = 0.02  # of the time that pages may take
 class RunScores:
     """Scores of a run, known without playing it.
 
-    path        of its folder
-    recipe      its name
-    env         id of its environment
-    seed        of the training
-    kind        of its policy, such as "popsan"
-    earned      mean return of the best validation
-    success     part of the validation's episodes that finish, where the environment says so
-    operations  of a control step in the validation, where training counts them
-    rate        spikes for each neuron and timestep, mean of the layers, of a network that has them
-    steps       of the training so far, and their unit
-    share       of the training that is done, from 0 to 1
-    running     whether a process trains in it
-    changed     [s] since 1970, when it was last written
+    path: of its folder
+    recipe: its name
+    env: id of its environment
+    seed: of the training
+    kind: of its policy, such as "popsan"
+    earned: mean return of the best validation
+    success: part of the validation's episodes that finish, where the environment says so
+    operations: of a control step in the validation, where training counts them
+    rate: spikes for each neuron and timestep, mean of the layers, of a network that has them
+    steps: of the training so far, and their unit
+    share: of the training that is done, from 0 to 1
+    running: whether a process trains in it
+    changed: [s] since 1970, when it was last written
     """
 
     path: Path
@@ -152,8 +152,8 @@ def find_runs(
 ) -> tuple[list[RunScores], list[str]]:
     """The runs in a folder and below, and why others cannot be read.
 
-    env   of the runs; None for all
-    sort  key of SORTS; returns are sorted within each environment, as they compare nowhere else
+    env: of the runs; None for all
+    sort: key of SORTS; returns are sorted within each environment, as they compare nowhere else
     """
     found, damaged = [], []
     wanted = None if env is None else spec(env).id
@@ -224,7 +224,7 @@ class LivePage:
 def write_run_page(run: Path, live: bool = False) -> Path:
     """Write report.html into a run folder.
 
-    live  whether this process trains in it
+    live: whether this process trains in it
     """
     return write_text(no_link(run / PAGE), run_page(scores(run), live))
 

@@ -55,12 +55,12 @@ class HeadlineNumber(NamedTuple):
 class Table:
     """Rows of cells.
 
-    columns   (n,) their heads
-    rows      of n cells each
-    title     for the terminal
-    numbers   whether the terminal shows every column after the first at the right
-    meanings  head -> definition, which pages show under the pointer
-    kinds     CSS class of each row, for pages
+    columns: (n,) their heads
+    rows: of n cells each
+    title: for the terminal
+    numbers: whether the terminal shows every column after the first at the right
+    meanings: head -> definition, which pages show under the pointer
+    kinds: CSS class of each row, for pages
     """
 
     columns: Sequence[str]
@@ -94,7 +94,7 @@ class Table:
     ) -> "Table":
         """The table of some records, whose cells are formats filled with the record's fields.
 
-        forms  head -> format
+        forms: head -> format
         """
         rows = [[form.format_map(record) for form in forms.values()] for record in records]
         return cls(tuple(forms), rows, title, numbers)
@@ -102,7 +102,7 @@ class Table:
     def print(self, width: int | None = None) -> None:
         """Write the table on stdout; one too wide for it in blocks of columns, none of them cut.
 
-        width  most columns of the terminal that it takes; None for all
+        width: most columns of the terminal that it takes; None for all
         """
         screen = console()
         wide = min(width or screen.width, screen.width)
@@ -262,7 +262,7 @@ def field_cell(name: str, form: str) -> Cell:
 def price_cell(name: str, table: str, unit: str, interval: str) -> Cell:
     """A cell with an estimate by an energy table, with an SI prefix.
 
-    interval  field with the bounds
+    interval: field with the bounds
     """
 
     def cell(row: Row) -> str:

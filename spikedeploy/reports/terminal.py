@@ -37,7 +37,7 @@ def print_verifications(found: Iterable[Verification]) -> None:
 def print_comparison(document: Mapping[str, Any], everything: bool = True) -> None:
     """Print the tables of a comparison and its summary.
 
-    everything  else one table of at most 80 columns and the summary
+    everything: else one table of at most 80 columns and the summary
     """
     rows = document["rows"]
     _print_head(document)

@@ -40,10 +40,10 @@ def write_demo(
 ) -> list[dict[str, Any]]:
     """Compare the shipped policies of every task; return the reports as data.
 
-    folder  for index.html, and a folder for each task
-    quiet   write nothing to stdout
-    everything  print all tables, else the numbers that a page leads with
-    force   replace files that no demo wrote
+    folder: for index.html, and a folder for each task
+    quiet: write nothing to stdout
+    everything: print all tables, else the numbers that a page leads with
+    force: replace files that no demo wrote
     """
     _check(folder, force)
     documents: list[dict[str, Any]] = []

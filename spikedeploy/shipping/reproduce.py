@@ -35,11 +35,11 @@ Number = float | int | None
 class NumberThatDiffers:
     """A number that was found otherwise than recorded.
 
-    row       policy and chip: `sparse · loihi1`
-    field     of the row: `returns`, `energy_per_inference_j.davies2018`
-    seed      of the episode, None for what is of all episodes
-    expected  as recorded
-    found     now; "nothing" where the row has no such field any more
+    row: policy and chip: `sparse · loihi1`
+    field: of the row: `returns`, `energy_per_inference_j.davies2018`
+    seed: of the episode, None for what is of all episodes
+    expected: as recorded
+    found: now; "nothing" where the row has no such field any more
     """
 
     row: str
@@ -59,17 +59,17 @@ class NumberThatDiffers:
 class Reproduction:
     """The result of making an evaluation again.
 
-    name          of the evaluation
-    episodes      that were played of each row; `of` were recorded
-    rows          policies on chips
-    numbers       that were compared
-    verdict       EQUAL, CLOSE or DIFFERS
-    difference    the first number of those that decide the verdict; None where all are equal
-    differing     how many numbers are not equal
-    not_compared  fields that are means over all recorded episodes, when fewer were played
-    not_recorded  what the record lacks, in words
-    versions      package -> [version then, version now]
-    seconds       that it took
+    name: of the evaluation
+    episodes: that were played of each row; `of` were recorded
+    rows: policies on chips
+    numbers: that were compared
+    verdict: EQUAL, CLOSE or DIFFERS
+    difference: the first number of those that decide the verdict; None where all are equal
+    differing: how many numbers are not equal
+    not_compared: fields that are means over all recorded episodes, when fewer were played
+    not_recorded: what the record lacks, in words
+    versions: package -> [version then, version now]
+    seconds: that it took
     """
 
     name: str
@@ -104,10 +104,10 @@ def reproduce(
 ) -> Reproduction:
     """Play an evaluation again and compare it with the record.
 
-    episodes   the first of its seeds; by default all
-    processes  one for each core by default
-    update     write what was found into the card, where every return is as recorded
-    force      where that would replace a page that is not the card's
+    episodes: the first of its seeds; by default all
+    processes: one for each core by default
+    update: write what was found into the card, where every return is as recorded
+    force: where that would replace a page that is not the card's
     """
     count = len(recorded.seeds) if episodes is None else episodes
     check_episodes(recorded, count)

@@ -32,7 +32,7 @@ _LARGEST = 2_000_000  # [bytes] of a film
 class TrainingFilms:
     """Films a run while it is trained, which learns the same, bit for bit.
 
-    count  films of a whole training, the last at its end; 0 for none
+    count: films of a whole training, the last at its end; 0 for none
     """
 
     def __init__(self, count: int) -> None:
