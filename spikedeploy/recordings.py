@@ -411,20 +411,17 @@ def scene_of(env: Any) -> Scene | None:  # noqa: ANN401
     inner = getattr(inner, "inner", inner).unwrapped
     body = getattr(inner, "robot", inner)  # of our hexapods; gymnasium's hold both themselves
     if hasattr(body, "model") and hasattr(getattr(body, "data", None), "xquat"):
-        return _Bodies(body.model, body.data, inner if hasattr(inner, "tiles") else None)
+        return _Bodies(body.model, body.data)
     if hasattr(inner, "track") and hasattr(inner, "pose"):
         return _Kart(inner)
     return None
 
 
 class _Bodies:
-    """The bodies of a MuJoCo model and the geoms fixed to them.
+    """The bodies of a MuJoCo model and the geoms fixed to them."""
 
-    tiled: an environment with tiles
-    """
-
-    def __init__(self, model: Any, data: Any, tiled: Any = None) -> None:  # noqa: ANN401
-        self._model, self._data, self._tiled = model, data, tiled
+    def __init__(self, model: Any, data: Any) -> None:  # noqa: ANN401
+        self._model, self._data = model, data
 
     def shapes(self) -> dict[str, Any]:
         """Geoms in the frames of their bodies, and the heights of the ground."""
@@ -447,14 +444,7 @@ class _Bodies:
                 if kinds[g] not in _GROUND and model.geom_bodyid[g] > 0
             ],
             "ground": self._ground(next((g for g in shown if kinds[g] in _GROUND), None)),
-            **({"tiles": self._tiles()} if self._tiled else {}),
         }
-
-    def _tiles(self) -> dict[str, Any]:
-        """Forbidden tiles, and the missteps so far: control step, x, y."""
-        tiles = self._tiled.tiles
-        missed = [[step, *_round(np.array(where))] for step, *where in self._tiled.missed]
-        return {"size": tiles.size, "centres": _round(tiles.centres), "missed": missed}
 
     def pose(self) -> Floats:
         """(N, 7) of the bodies besides the world."""

@@ -133,7 +133,7 @@ def _with_paths(config: C) -> C:
     from spikedeploy.trainers.distill.teachers import find_shipped
 
     found = {}
-    for key in ("teacher", "start", "pool", "guide"):
+    for key in ("teacher", "start", "pool"):
         name = str(getattr(config, key, ""))
         short = find_shipped(name) is None and not is_target(name) and is_beginning(name)
         if name == "last" or short:

@@ -172,11 +172,6 @@ class HexapodTiles(HexapodEnv):
         """The tiles of this episode."""
         return self._tiles
 
-    @property
-    def missed(self) -> list[tuple[int, float, float]]:
-        """The missteps so far: control step, and where [m] (x, y)."""
-        return self._missed
-
     def _begin(self) -> None:
         self._tiles = Tiles.draw(self.FIELD, self._tile, self._share, self.np_random)
         self._airtime = np.zeros(6, np.int64)

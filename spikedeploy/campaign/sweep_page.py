@@ -254,7 +254,7 @@ def _pooled(jobs: Sequence[JobRow]) -> Record:
         "success_ci95": rate.ci95 if rate else None,
         "foreign": first.get("foreign", False),
         # so that tables speak of karts
-        **{name: first[name] for name in ("gates", "forks") if name in first},
+        **({"gates": first["gates"]} if "gates" in first else {}),
     }
     rows = [each.row for each in jobs]
     # means over inferences, of which each control step has one; of metrics over episodes

@@ -1,6 +1,6 @@
 """Metrics of an episode from its step infos.
 
-Adding a metric is one line in `WALKING`, `DRIVING` or `READING`; one whose signal an environment
+Adding a metric is one line in `WALKING` or `DRIVING`; one whose signal an environment
 does not report is left out of its rows. `measure_named` reduces numbers that the user names.
 """
 
@@ -67,8 +67,6 @@ WALKING = (
             "RMSE of the forward speed to the command [m/s]", ".3f"),
     _Metric("turn_rmse", "turn_error", "root mean square", "turn err.",
             "RMSE of the turn rate to the command [rad/s]", ".3f"),
-    _Metric("missteps", "misstep_share", "last", "missteps",
-            "share of touchdowns on forbidden tiles", ".1%"),
     _Metric("falls", "fall", "ever", "falls", "episodes with a fall", ".0%"),
 )  # fmt: skip
 DRIVING = (
@@ -80,25 +78,15 @@ DRIVING = (
     _Metric("speed", "speed", "mean", "px/s", "mean speed [px/s]; 100 px are 1 m", ".0f"),
 )  # fmt: skip
 
-READING = (
-    _Metric("forks", "forks", "last", "forks", "forks passed by the right arm", ".2f"),
-    _Metric("wrong", "wrong", "ever", "wrong", "episodes that end in a wrong arm", ".0%"),
-    _Metric("crashes", "crash", "ever", "crashes", "episodes that end at a wall", ".0%"),
-    _Metric("waiting", "waiting", "mean", "waits", "share of the time at closed gates", ".0%"),
-    _Metric("lap_time", "lap_time", "last", "time [s]", "time of the finished episodes [s]", ".2f",
-            after="finish"),
-)  # fmt: skip
-
 
 def drives(signals: Iterable[str]) -> bool:
     """Return True if infos or rows with these names are a kart's, whose success is a finish."""
-    return not {"gates", "forks"}.isdisjoint(signals)
+    return "gates" in signals
 
 
 def metrics_of(signals: Iterable[str]) -> tuple[_Metric, ...]:
     """The metrics of the world whose infos or rows have these names."""
-    names = set(signals)
-    return READING if "forks" in names else DRIVING if "gates" in names else WALKING
+    return DRIVING if drives(signals) else WALKING
 
 
 def measure(infos: Mapping[str, Signal]) -> dict[str, float]:

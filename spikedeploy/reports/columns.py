@@ -83,12 +83,6 @@ def _success_difference(row: Row) -> str:
     return _around(row, *(f"{100 * each:+.1f}" for each in found))
 
 
-def _right(row: Row) -> str:
-    """The share of the arms taken that were open: of recognition, where crashes do not count."""
-    taken = row["forks"] + row["wrong"] if "wrong" in row else 0
-    return f"{row['forks'] / taken:.1%}" if taken else ABSENT
-
-
 def _score(row: Row) -> str:
     value = row["normalised_score"]
     return ABSENT if value is None else f"{100 * value:.0f}"
@@ -151,10 +145,6 @@ def _earnings(rows: Sequence[Row]) -> tuple[str, Sequence[Column]]:
         )
         earned = [_succeeded(meaning), _ENDED_EARLY, _OF_ANN, _scored("random actions are")]
         return "What does it earn?", [*_RETURNS, *earned]
-    if any("forks" in row for row in rows):
-        driven = [_finished("all forks are passed"), _ENDED_EARLY, _RIGHT, *of_world, *_RETURNS]
-        title = "Does the kart read the signs, and does it drive?"
-        return title, [*driven, _scored("random actions are")]
     if any(map(drives, rows)):
         driven = [_finished("the last gate is reached"), _ENDED_EARLY, *of_world, *_RETURNS]
         return "Does the kart still finish?", [*driven, _scored("random actions are")]
@@ -302,7 +292,6 @@ _ENDED_EARLY = _field(
     "episodes that a terminal state other than success ended: a fall, a crash, a stall",
 )
 _OF_ANN = _field("of ANN", "ratio_to_float_ann", ".1%", "mean return / that of the float ANN")
-_RIGHT = Column("right", "arms taken that were open, of all taken; crashes do not count", _right)
 _AGREEMENT = (
     _field(
         "reference",
@@ -365,11 +354,6 @@ def _term_columns(rows: Sequence[Row]) -> list[Column]:
 # one table of 80 columns, and one line
 
 
-_MISSTEPS = Column(
-    "missteps", "share of touchdowns on forbidden tiles", field_cell("missteps", ".1%")
-)
-
-
 def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
     """Policy, return, share of the float ANN, success, operations, and energy by one table.
 
@@ -386,7 +370,6 @@ def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
         earned,
         _OF_ANN,
         success,
-        _MISSTEPS,
         Column(
             "operations",
             "a control step, of synapses; dense MACs: zeros are not skipped",
@@ -433,7 +416,6 @@ def describe_run(document: Mapping[str, Any]) -> str:
     facts = [
         f"return {format_return(row)} in {describe_episodes(row)}",
         *([f"{sum(row['successes'])} {done}"] if row["successes"] else []),
-        *(f"{each} missteps" for each in [_MISSTEPS.cell(row)] if each != ABSENT),
         *(f"{name} {value:.4g}" for name, value in row.get("measured", {}).items()),
         *(f"{each} a control step" for each in [format_operations(row)] if each != ABSENT),
     ]

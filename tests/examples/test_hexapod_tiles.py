@@ -17,7 +17,6 @@ from spikedeploy.envs.hexapod.robot import LEGS, STANCE, Field
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.policies.scripts import teacher_candidate
-from spikedeploy.recordings import record
 from spikedeploy.runtime.errors import ConfigError, EnvError
 from spikedeploy.setup import Setup
 from spikedeploy.trainers.config import DeltaSnnConfig, resolve
@@ -200,15 +199,6 @@ def test_an_action_moves_the_servos_targets_and_they_keep_to_their_reach(env):
 def test_wrong_options_are_refused(options, message):
     with pytest.raises(EnvError, match=message):
         HexapodTiles(**options)
-
-
-def test_pages_show_tiles_and_missteps():
-    world = envs.make(AROUND, share=0.6, max_steps=200)
-    found = record(world, find("random"), None, "random", 10_000, "horowitz45")
-    tiles = found.shapes["tiles"]
-    assert tiles["size"] == 0.1
-    assert len(tiles["centres"]) == len(world.unwrapped.tiles.centres)
-    assert [mark[0] for mark in tiles["missed"]] == [s for s, *_ in world.unwrapped.missed]
 
 
 # scripts

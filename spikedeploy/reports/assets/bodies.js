@@ -59,7 +59,6 @@ class BodiesView {
     context.fillStyle = paint.sky;
     context.fillRect(0, 0, width, height);
     if (episode.scene.ground) this._ground(context, paint);
-    if (episode.scene.tiles) this._tiles(context, step, paint);
     episode.players.forEach((player, place) => this._trail(context, player, step, paint.players[place]));
     const things = [];
     episode.players.forEach((player, place) => {
@@ -123,33 +122,6 @@ class BodiesView {
         }
       }
     context.globalAlpha = 1;
-  }
-
-  // forbidden tiles, and missteps until now
-  _tiles(context, step, paint) {
-    const { size, centres, missed } = this.episode.scene.tiles, half = 0.47 * size;
-    context.fillStyle = paint.forbidden;
-    for (const [x, y] of centres) {
-      if (Math.hypot(x - this.target[0], y - this.target[1]) > 16 * size) continue;
-      const corners = [[1, 1], [1, -1], [-1, -1], [-1, 1]].map(([p, q]) =>
-        this._see([x + p * half, y + q * half, this._height(x, y)]));
-      if (corners.some((corner) => corner.depth < 0.1)) continue;
-      context.beginPath();
-      for (const corner of corners) context.lineTo(corner.x, corner.y);
-      context.fill();
-    }
-    context.strokeStyle = paint.ink;
-    context.lineWidth = 2.5;
-    for (const [at, x, y] of missed) {
-      const seen = this._see([x, y, this._height(x, y)]), arm = 0.022 * seen.scale;
-      if (at > step || seen.depth < 0.1) continue;
-      context.beginPath();
-      for (const sign of [1, -1]) {
-        context.moveTo(seen.x - arm, seen.y - 0.6 * sign * arm);
-        context.lineTo(seen.x + arm, seen.y + 0.6 * sign * arm);
-      }
-      context.stroke();
-    }
   }
 
   _trail(context, player, step, colour) {

@@ -43,7 +43,7 @@ class Instrument {
     const last = this.episode.players.at(-1);
     const colour = (player) => (player === last && player.network ? of("--chip") : kinds[player.kind] || of("--control"));
     this.colours = {
-      sky: of("--stage"), forbidden: of("--forbidden"), grid: of("--grid"), ink: of("--ink"), line: of("--line"), spike: of("--ink"), soft: of("--soft"), card: of("--card"), shadow: of("--shadow"),
+      sky: of("--stage"), grid: of("--grid"), ink: of("--ink"), line: of("--line"), spike: of("--ink"), soft: of("--soft"), card: of("--card"), shadow: of("--shadow"),
       players: this.episode.players.map(colour), of: colour,
       series: SERIES.map(of),
       positive: [213, 94, 0], negative: [0, 114, 178],

@@ -9,7 +9,7 @@ from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.comparison.summary import describe_macs, summary
 from spikedeploy.reports import comparison_page as report
-from spikedeploy.reports.columns import describe_run, format_operations, short_columns, tables
+from spikedeploy.reports.columns import format_operations, short_columns, tables
 from spikedeploy.reports.table import Table, price_cell
 from tests import toy_stroll_env
 
@@ -170,18 +170,6 @@ def test_the_short_table_names_runs_without_date_and_environment(env, runs, labe
     rows = [{**row(run, "spiking", "loihi1"), **known} for run in runs]
     name, *_ = short_columns(rows, env)
     assert [name.cell(row) for row in rows] == [f"{label} · loihi1" for label in labels]
-
-
-def test_missteps_stand_in_the_short_table_and_in_the_line_of_a_run():
-    known = {"energy_per_inference_j": {}, "return_ci95": None, "successes": [1, 0]}
-    there, elsewhere = (
-        {**row("footholds", "gait"), **known, **of} for of in ({"missteps": 0.021}, {})
-    )
-    heads = [column.title for column in short_columns([there])]
-    assert heads.index("missteps") == heads.index("success") + 1
-    assert "missteps" not in [column.title for column in short_columns([elsewhere])]
-    assert "2.1% missteps" in describe_run({"rows": [there]})
-    assert "missteps" not in describe_run({"rows": [elsewhere]})
 
 
 def test_names_of_a_table_of_80_columns_are_not_broken(capsys):
