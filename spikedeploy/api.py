@@ -237,7 +237,7 @@ class ComparedPolicies:
         from spikedeploy.reports.columns import short_columns
         from spikedeploy.reports.table import Table
 
-        return Table.of(short_columns(self.rows), self.rows)
+        return Table.from_records(short_columns(self.rows), self.rows)
 
 
 def load(

@@ -45,7 +45,7 @@ _WIDTH = 320  # [px] of its pictures
 # the episodes of a comparison
 
 
-def of_comparison(
+def record_comparison(
     comparison: Comparison, main: int, options: Mapping[str, Any], table: str
 ) -> list[dict[str, Any]]:
     """The first episode of a row and its worst one, beside those of its references.

@@ -129,7 +129,7 @@ def _page(sweep: Sweep) -> list[str]:
     columns = [*_axes(rows), *_measured_columns(rows)]
     lines = [f"# Sweep {sweep.grid.name}", "", f"<!-- {mark('sweep')} -->", f"{sweep.summary}.", ""]
     if rows:
-        lines += [Table.of(columns, rows).markdown(), ""]
+        lines += [Table.from_records(columns, rows).markdown(), ""]
         meanings = [f"{c.title}: {c.meaning}" for c in columns if c.meaning]
         remarks = filter(None, [*meanings, _on_few_episodes(rows)])
         lines += [*(f"* {remark}" for remark in remarks), ""]

@@ -82,7 +82,7 @@ def adapt(
     }  # fmt: skip
     interrupt = Interrupt()
     busy = f"{written} is being made by another process: wait for its end, or stop it"
-    with interrupt, locked(checkpoint.with_suffix(".lock"), busy), _sayings():
+    with interrupt, locked(checkpoint.with_suffix(".lock"), busy), _warnings_as_lines():
         from spikedeploy.api import adapt as train
 
         try:
@@ -111,7 +111,7 @@ def adapt(
 
 
 @contextmanager
-def _sayings() -> Iterator[None]:
+def _warnings_as_lines() -> Iterator[None]:
     """Let warnings, such as of a neuron that the chip lacks, be lines for the user."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)

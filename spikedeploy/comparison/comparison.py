@@ -234,8 +234,11 @@ class Comparison:
         tables = self.setup.energy or (
             FLOAT_TABLES if chip is None else priced_by(chip_or_float(chip))
         )
-        energy, latency = _by(tables, found.energy_j), _by(tables, found.latency_s)
-        terms = _by(tables, found.energy_terms_j)
+        energy, latency = (
+            _select_tables(tables, found.energy_j),
+            _select_tables(tables, found.latency_s),
+        )
+        terms = _select_tables(tables, found.energy_terms_j)
         return {
             "clock": found.clock,
             **self._late(found.control_steps_late),
@@ -245,11 +248,13 @@ class Comparison:
             "energy_interval_j": {name: [each.low, each.high] for name, each in energy.items()},
             "latency_per_inference_s": {name: each.value for name, each in latency.items()},
             "latency_interval_s": {name: [each.low, each.high] for name, each in latency.items()},
-            "energy_zero_skipping_j": _by(tables, found.energy_zero_skipping_j),
+            "energy_zero_skipping_j": _select_tables(tables, found.energy_zero_skipping_j),
             "energy_terms_j": terms,
-            "energy_unknown": {n: [*each] for n, each in _by(tables, found.energy_unknown).items()},
+            "energy_unknown": {
+                n: [*each] for n, each in _select_tables(tables, found.energy_unknown).items()
+            },
             "energy_total_j": {name: found.total_j(name) for name in terms},
-            "messages_placed_j": _by(tables, found.messages_placed_j),
+            "messages_placed_j": _select_tables(tables, found.messages_placed_j),
             "static_energy_j": static(chip, self.env, self.period),
             **_break_even(found, ann.costs if ann else None, tables),
         }
@@ -284,7 +289,7 @@ def control_period(env: str) -> float | None:
     return getattr(world, "CONTROL_DT", 1.0 / rate if rate else None)
 
 
-def _by(tables: Sequence[str], found: Mapping[str, Any]) -> dict[str, Any]:
+def _select_tables(tables: Sequence[str], found: Mapping[str, Any]) -> dict[str, Any]:
     """The entries of the tables."""
     return {name: found[name] for name in tables if name in found}
 

@@ -128,7 +128,7 @@ class TimeSteps:
     first: int
     count: int
 
-    def of(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
+    def index(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
         """(E,) the timestep of times [us]."""
         return np.floor(times / self.us_each).astype(np.int64) - self.first
 
@@ -209,7 +209,7 @@ def count_rows(
     for events in recording.events():
         neuron = view.neurons(events)
         is_seen = neuron >= 0
-        step, neuron = steps.of(events["t"][is_seen]), neuron[is_seen]
+        step, neuron = steps.index(events["t"][is_seen]), neuron[is_seen]
         if not len(step):
             continue
         starts = [0, *(np.flatnonzero(np.diff(step)) + 1).tolist()]

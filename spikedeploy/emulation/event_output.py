@@ -61,7 +61,7 @@ class _Events:
     def __init__(self, writer: EventDataWriter, artifact: Artifact) -> None:
         self._writer, self._artifact = writer, artifact
 
-    def hear(
+    def add_spikes(
         self, name: str, at: NDArray[Any], neurons: NDArray[Any], counts: NDArray[Any]
     ) -> None:
         """Write spikes of layers, each as often as it was sent."""
@@ -70,7 +70,7 @@ class _Events:
             times = np.abs(counts).astype(np.int64)
             self._writer.add(name, size, np.repeat(neurons, times), np.repeat(at / 1e6, times))
 
-    def hear_output(self, at: float, values: NDArray[np.float64]) -> None:
+    def add_output(self, at: float, values: NDArray[np.float64]) -> None:
         """Write a row of the output."""
         self._writer.add_output("output", values)
 
@@ -83,7 +83,7 @@ class _Rasters:
         self._step, self._timesteps = steps.us_each, steps.count
         self._rasters: dict[str, NDArray[Any]] = {}
 
-    def hear(
+    def add_spikes(
         self, name: str, at: NDArray[Any], neurons: NDArray[Any], counts: NDArray[Any]
     ) -> None:
         """Write spikes of layers into the row of their timestep."""
@@ -92,7 +92,7 @@ class _Rasters:
             rows = self._raster(name, node_shape(self._artifact, name), kind)
             rows[np.rint(at / self._step).astype(np.int64), neurons] = counts
 
-    def hear_output(self, at: float, values: NDArray[np.float64]) -> None:
+    def add_output(self, at: float, values: NDArray[np.float64]) -> None:
         """Write a row of the output."""
         rows = self._raster("output", values.shape, np.float64)
         rows[round(at / self._step)] = values

@@ -43,7 +43,7 @@ class Replay:
         self._heard = np.zeros(self.spans, np.int64)
         self._cells = 0
 
-    def hear(
+    def add_spikes(
         self, name: str, at: NDArray[Any], neurons: NDArray[Any], counts: NDArray[Any]
     ) -> None:
         """Count spikes, and put their neurons into the picture of their span."""
@@ -61,7 +61,7 @@ class Replay:
         while self._cells > _MOST_CELLS and self.every < self.spans:
             self._thin()
 
-    def hear_output(self, at: float, values: NDArray[np.float64]) -> None:
+    def add_output(self, at: float, values: NDArray[np.float64]) -> None:
         """Add an output to those of its span."""
         if values.size > _MOST_OUTPUTS:
             return

@@ -49,7 +49,7 @@ _FLOAT_ROWS = 64  # timesteps that the float twin computes at once
 class Listener(Protocol):
     """Hears all spikes and outputs of a run; those of each layer in the order of time."""
 
-    def hear(
+    def add_spikes(
         self, name: str, at: NDArray[Any], neurons: NDArray[Any], counts: NDArray[Any]
     ) -> None:
         """Spikes of the input or a layer: times [us], neurons, and how many, (k,) each.
@@ -57,7 +57,7 @@ class Listener(Protocol):
         Times count from the first timestep, or from the first event where there are none.
         """
 
-    def hear_output(self, at: float, values: NDArray[np.float64]) -> None:
+    def add_output(self, at: float, values: NDArray[np.float64]) -> None:
         """Output (act,) at a time [us]."""
 
 
@@ -281,7 +281,7 @@ class _Tally:
             self.clipped += int(row.sum() - taken.sum())
             yield taken
 
-    def hear(
+    def add_spikes(
         self, name: str, at: NDArray[Any], neurons: NDArray[Any], counts: NDArray[Any]
     ) -> None:
         """Add spikes up; graded ones of any size are one each."""
@@ -294,7 +294,7 @@ class _Tally:
             size = int(np.prod(node_shape(self._artifact, name)))
             self._add(np.bincount(neurons, counts, size).astype(np.float64))
 
-    def hear_output(self, at: float, values: NDArray[np.float64]) -> None:
+    def add_output(self, at: float, values: NDArray[np.float64]) -> None:
         """Add an output up."""
         self._add(values)
 
@@ -349,7 +349,7 @@ def _play_chip(
                 _tell(listeners, name, (step - start) * us, machine.sent(name)[0])
         if 0 <= step - late < steps.count:
             for each in listeners:
-                each.hear_output((step - late) * us, output)
+                each.add_output((step - late) * us, output)
 
 
 def _output_start(program: Program) -> int:
@@ -376,7 +376,7 @@ def _play_float(
             for name, spikes in network.spikes.items():
                 _tell(listeners, name, at, spikes[0, k].ravel())
             for each in listeners:
-                each.hear_output(at, outputs[k])
+                each.add_output(at, outputs[k])
         first += len(part)
 
 
@@ -384,7 +384,7 @@ def _tell(listeners: Sequence[Listener], name: str, at: float, row: NDArray[Any]
     neurons = np.flatnonzero(row)
     counts, times = row[neurons], np.full(len(neurons), at)
     for each in listeners:
-        each.hear(name, times, neurons, counts)
+        each.add_spikes(name, times, neurons, counts)
 
 
 def _play_events(
@@ -407,4 +407,4 @@ def _play_events(
         each_once += [(name, times[rows.cause], rows.neuron) for name, rows in sent.items()]
         for name, at, who in each_once:
             for listener in listeners:
-                listener.hear(name, at, who, np.ones(len(who), np.int64))
+                listener.add_spikes(name, at, who, np.ones(len(who), np.int64))

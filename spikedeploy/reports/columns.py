@@ -114,7 +114,7 @@ def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
 def markdown_tables(rows: Sequence[Row]) -> str:
     """The tables in Markdown, each under its title."""
     return "\n".join(
-        f"### {title}\n\n{_escaped(Table.of(columns, rows)).markdown()}\n"
+        f"### {title}\n\n{_escaped(Table.from_records(columns, rows)).markdown()}\n"
         for title, columns in tables(rows).items()
     )
 

@@ -13,7 +13,7 @@ from spikedeploy.comparison.comparison import Comparison
 from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.outputs import has_text
-from spikedeploy.recordings import of_comparison
+from spikedeploy.recordings import record_comparison
 from spikedeploy.reports.columns import (
     COST,
     energy_hint,
@@ -124,7 +124,7 @@ def recordings(
     """
     main = main_row(rows)
     table = quoted_table([main]) or COMMON_TABLE
-    return of_comparison(comparison, list(rows).index(main), options, table)
+    return record_comparison(comparison, list(rows).index(main), options, table)
 
 
 def is_report(folder: Path) -> bool:
@@ -211,7 +211,7 @@ def _table(columns: Sequence[Column], rows: Sequence[Row]) -> Table:
     kinds = [
         "chip" if row["kind"] == "snn" and row["chip"] != "float" else row["kind"] for row in rows
     ]
-    return Table.of(columns, rows, kinds=kinds)
+    return Table.from_records(columns, rows, kinds=kinds)
 
 
 def _drawings(rows: Sequence[Row], shown: Mapping[str, Any]) -> dict[str, Markup]:

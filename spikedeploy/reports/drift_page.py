@@ -106,7 +106,7 @@ def drift_tables(report: DriftReport) -> Iterator[Table]:
         {**vars(each), "place": place.format(*each.first) if each.first else ABSENT}
         for each in drift.layers
     ]
-    yield Table.filled(_LAYERS, layers, "Layers")
+    yield Table.from_formats(_LAYERS, layers, "Layers")
     if drift.readouts:
         readouts = [
             {
@@ -115,7 +115,7 @@ def drift_tables(report: DriftReport) -> Iterator[Table]:
             }
             for each in drift.readouts
         ]
-        yield Table.filled(_READOUTS, readouts, "Readouts")
+        yield Table.from_formats(_READOUTS, readouts, "Readouts")
     if drift.ablation:
         names = [layer.name for layer in drift.layers]
         rows = [

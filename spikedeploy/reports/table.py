@@ -71,7 +71,7 @@ class Table:
     kinds: Sequence[str] = ()
 
     @classmethod
-    def of(
+    def from_records(
         cls,
         columns: Sequence[Column],
         records: Sequence[Row],
@@ -85,7 +85,7 @@ class Table:
         return cls(heads, cells, title, True, meanings, kinds)
 
     @classmethod
-    def filled(
+    def from_formats(
         cls,
         forms: Mapping[str, str],
         records: Iterable[Row],

@@ -47,7 +47,7 @@ def print_comparison(document: Mapping[str, Any], everything: bool = True) -> No
         print_text("Agreement, sizes, operations, other energies: --tables all")
         return
     for title, columns in tables(rows).items():
-        Table.of(columns, rows, title).print()
+        Table.from_records(columns, rows, title).print()
     for name, convention in document["conventions"].items():
         print_text(f"{name} is stepped with {convention}")
     for policy, remarks in document["remarks"].items():
@@ -80,7 +80,7 @@ def print_headline(document: Mapping[str, Any]) -> None:
 
 def print_rows(title: str, rows: Sequence[Row], env: str = "") -> None:
     """Print one table of rows of a comparison, and which of their energies to quote."""
-    Table.of(short_columns(rows, env), rows, title).print(WIDTH)
+    Table.from_records(short_columns(rows, env), rows, title).print(WIDTH)
     _print_clocks(rows)
     if hint := energy_hint(rows):
         print_text(hint)

@@ -215,7 +215,7 @@ def read_evaluation(reference: str) -> RecordedEvaluation:
     place = Path(reference)
     if place.is_dir() or place.name == REPORT:
         path = place / REPORT if place.is_dir() else place
-        return _of_report(reference, path)
+        return _evaluation_of_report(reference, path)
     if reference in BUILT_IN:
         raise ConfigError(
             f"{reference} is built in: it has no file, and so no card. Rows of it stand in reports "
@@ -225,10 +225,10 @@ def read_evaluation(reference: str) -> RecordedEvaluation:
     card = file.with_suffix(".json")
     if not card.is_file():
         raise ConfigError(f"{reference}: no card {card.name} beside it, so nothing is recorded")
-    return _of_card(reference, card)
+    return _evaluation_of_card(reference, card)
 
 
-def _of_card(name: str, path: Path) -> RecordedEvaluation:
+def _evaluation_of_card(name: str, path: Path) -> RecordedEvaluation:
     """The evaluation on the card of one policy."""
     content = _read(path, "evaluation")
     card = validate(_Card, content, path, _REMEDY)
@@ -251,7 +251,7 @@ def _of_card(name: str, path: Path) -> RecordedEvaluation:
     )
 
 
-def _of_report(name: str, path: Path) -> RecordedEvaluation:
+def _evaluation_of_report(name: str, path: Path) -> RecordedEvaluation:
     """The rows of a report."""
     content, report = read_report(path)
     envs.spec(report.env)  # refuses an unknown one

@@ -18,10 +18,10 @@ from spikedeploy.recordings import (
     RecordedEpisode,
     first_difference,
     info_curves,
-    of_comparison,
     pack,
     pack_bits,
     record,
+    record_comparison,
     scene_of,
 )
 from tests import toy_stroll_env
@@ -57,7 +57,7 @@ def test_what_is_recorded_is_what_was_compared(entries):
 def test_a_page_has_the_first_and_the_worst_episode_while_it_is_small(entries, monkeypatch):
     compared = compare_policies("stroll", entries, range(10_000, 10_006), processes=1)
     main = [row.entry for row in compared.rows].index(on_chip(entries))
-    first, worst = of_comparison(compared, main, {}, TABLE)
+    first, worst = record_comparison(compared, main, {}, TABLE)
     returns = compared.rows[main].returns
     assert (first["seed"], worst["seed"]) == (10_000, 10_000 + int(np.argmin(returns)))
     labels = [player["label"] for player in worst["players"]]
@@ -68,7 +68,7 @@ def test_a_page_has_the_first_and_the_worst_episode_while_it_is_small(entries, m
     json.dumps([first, worst], allow_nan=False)
     monkeypatch.setattr(recordings, "_MOST_BYTES", 100)
     monkeypatch.setattr(recordings, "_MOST_BITS", 10)
-    (only,) = of_comparison(compared, main, {}, TABLE)
+    (only,) = record_comparison(compared, main, {}, TABLE)
     network = only["players"][-1]["network"]
     assert network["layers"] == []
     assert network["left_out"][0].startswith("input: ")
@@ -80,7 +80,7 @@ def film_of(monkeypatch, tmp_path, **changes):
     for name, value in changes.items():
         monkeypatch.setattr(toy_stroll_env.StrollEnv, name, value)
     compared = compare_policies("stroll", line_up("stroll", ("gait",), ()), [10_000], processes=1)
-    (episode,) = of_comparison(compared, 0, {}, TABLE)
+    (episode,) = record_comparison(compared, 0, {}, TABLE)
     found = [Image.open(BytesIO(b64decode(each))) for each in episode["scene"]["pictures"]]
     return episode["scene"], [np.asarray(each.convert("RGB")) for each in found]
 
@@ -118,7 +118,7 @@ def test_an_environment_that_cannot_draw_itself_is_shown_without_a_film(
     monkeypatch.setattr(toy_stroll_env.StrollEnv, "render", render)
     compared = compare_policies("stroll", entries, [10_000], processes=1)
     capsys.readouterr()
-    (episode,) = of_comparison(compared, 0, {}, TABLE)
+    (episode,) = record_comparison(compared, 0, {}, TABLE)
     assert episode["scene"] is None
     assert episode["players"][-1]["steps"] == 20
     err = capsys.readouterr().err

@@ -225,7 +225,7 @@ def _populations(target: Chip, observations: int, wanted: int | None) -> int:
 # -- a chain of a chip's own neurons
 
 
-def _of_chip(
+def _policy_for_chip(
     config: "NetworkConfig", observations: int, actions: int, clip: float, head: Head
 ) -> NetworkPolicy:
     """Return layers of a chip's neurons, without biases, that keep its design rules."""
@@ -295,10 +295,10 @@ def network_policy(
 ) -> NetworkPolicy:
     """Return the policy of a module:Class, of a NIR file, or of a chip's own neurons."""
     if not config.network:
-        return _of_chip(config, observations, actions, clip, head)
+        return _policy_for_chip(config, observations, actions, clip, head)
     if is_target(config.network) and not Path(config.network).exists():
-        return _of_module(config, observations, actions, clip, head)
-    return _of_file(config, observations, actions, clip, head)
+        return _policy_of_module(config, observations, actions, clip, head)
+    return _policy_of_file(config, observations, actions, clip, head)
 
 
 def _settings(config: "NetworkConfig", observations: int, inputs: int | None) -> dict[str, Any]:
@@ -322,7 +322,7 @@ def _settings(config: "NetworkConfig", observations: int, inputs: int | None) ->
     }
 
 
-def _of_module(
+def _policy_of_module(
     config: "NetworkConfig", observations: int, actions: int, clip: float, head: Head
 ) -> NetworkPolicy:
     name = config.network
@@ -348,14 +348,14 @@ def _of_module(
     takes = tuple(getattr(made, "input_shape", (width,)))
     network, neurons = network_from_torch(made, takes)
     if shared := shared_weights(network):
-        _say(f"{name}: layers {' and '.join(shared)} share weights; from here on each has its own")
+        _warn(f"{name}: layers {' and '.join(shared)} share weights; from here on each has its own")
     meaning = common_meaning(neurons)
     policy = _policy(network.detached(), meaning, observations, actions, clip, head, settings)
-    _say(nearest_remark(policy.target, policy.module.convention, meaning))
+    _warn(nearest_remark(policy.target, policy.module.convention, meaning))
     return policy
 
 
-def _say(remark: str) -> None:
+def _warn(remark: str) -> None:
     """Print what the user should know of the network, on stderr."""
     if remark:
         print(remark, file=sys.stderr)
@@ -382,9 +382,9 @@ def _policy(
         **settings,
     )
     policy.module.program()  # what does not fit is refused here
-    _say(fitted)
+    _warn(fitted)
     if settings["chip"] == "ideal":
-        _say("the network is trained on 'ideal', which rounds nothing: --for CHIP names a chip")
+        _warn("the network is trained on 'ideal', which rounds nothing: --for CHIP names a chip")
     return policy
 
 
@@ -430,7 +430,7 @@ def _inputs_of(module: nn.Module) -> int | None:
     return None if first is None else first.in_features
 
 
-def _of_file(
+def _policy_of_file(
     config: "NetworkConfig", observations: int, actions: int, clip: float, head: Head
 ) -> NetworkPolicy:
     path = Path(config.network)

@@ -358,7 +358,7 @@ class Tiles:
         return steps[self.at, self.row]
 
 
-def tiles(pool: WalkPool, window: int, burn_in: int) -> Tiles:
+def cut_tiles(pool: WalkPool, window: int, burn_in: int) -> Tiles:
     """Return the windows of a pool whose walks are encoded."""
     stride = window - burn_in
     lengths = np.array([len(walk.label) for walk in pool.walks])
@@ -437,7 +437,7 @@ class SparsePpoLearner(Learner):
     def operations(self, pool: WalkPool) -> float:
         """Return the mean operations of a control step on new walks, and prepare their windows."""
         self.student.prepare(pool)
-        found = tiles(pool, self._config.window, self._config.burn_in)
+        found = cut_tiles(pool, self._config.window, self._config.burn_in)
         with torch.no_grad():
             _, activities = self._replayed(found.windows)
         self.student.adopt_rates([each[found.counts] for each in activities])
@@ -455,7 +455,7 @@ class SparsePpoLearner(Learner):
         row = {"operations": self.operations(pool)}
         advantage = self._assess(pool, earned, row)
         if actor:
-            found = tiles(pool, self._config.window, self._config.burn_in)
+            found = cut_tiles(pool, self._config.window, self._config.burn_in)
             row |= self._improve(self.trials(found, drawn, advantage))
         return row
 

@@ -18,10 +18,10 @@ from spikedeploy.trainers.sparse.sparse_ppo import (
     Exploring,
     SparsePpoConfig,
     SparsePpoLearner,
+    cut_tiles,
     find_start,
     starting_point,
     stored_start,
-    tiles,
 )
 from spikedeploy.trainers.sparse.walks import Episodes, WalkPool
 from spikedeploy.trainers.train import train
@@ -140,7 +140,7 @@ def test_a_start_in_another_folder_is_stored_as_a_path_that_holds_anywhere(start
 
 def test_the_ratio_is_one_before_the_first_update(played):
     learner, pool, drawn, _ = played
-    found = tiles(pool, 16, 4)
+    found = cut_tiles(pool, 16, 4)
     trials = learner.trials(found, drawn, torch.randn(drawn.shape[:2]))
     for part in minibatches(trials, 3):
         mean, _ = learner._replayed(part)
@@ -161,7 +161,7 @@ def test_replayed_windows_have_the_log_probabilities_of_what_was_executed(played
         [learner.head.log_probability(policy.advance(seen, state)[0], each)
          for seen, each in zip(observation, drawn, strict=True)]
     )  # fmt: skip
-    whole = tiles(pool, 44, 4)  # a window of each walk, from its beginning
+    whole = cut_tiles(pool, 44, 4)  # a window of each walk, from its beginning
     trials = learner.trials(whole, drawn, torch.randn(drawn.shape[:2]))
     assert len(trials.drawn) == 2
     torch.testing.assert_close(trials.before, executed.T.contiguous(), rtol=1e-3, atol=1e-3)
@@ -171,7 +171,7 @@ def test_windows_cover_every_step_of_every_walk_once(played):
     _, pool, _, _ = played
     walks = list(pool.walks)
     pool.walks[1] = type(walks[1])(walks[1].observation[:30], walks[1].label[:30])
-    found = tiles(pool, 16, 4)
+    found = cut_tiles(pool, 16, 4)
     counted = zip(found.row, found.at, found.counts, strict=True)
     steps = [(int(row), int(t)) for row, at, counts in counted for t in at[counts]]
     assert sorted(steps) == [(0, t) for t in range(40)] + [(1, t) for t in range(30)]
@@ -191,7 +191,7 @@ def test_exploration_and_replay_compute_with_the_weights_of_the_chip(played):
 
 def test_the_learning_rate_follows_the_divergence(played):
     learner, pool, drawn, _ = played
-    found = tiles(pool, 16, 4)
+    found = cut_tiles(pool, 16, 4)
     trials = learner.trials(found, drawn, torch.randn(drawn.shape[:2]))
     learner.rate = 1e-6
     row = learner._improve(trials)
