@@ -28,7 +28,6 @@ Float32 = NDArray[np.float32]
 Places = NDArray[np.intp]
 
 LINEAR_UP_TO = 20.0  # luminance below which pixels are linear (v2e, lin_log)
-WHITE = 255.0  # luminance of white
 _LEAST_THRESHOLD = 0.01  # of a pixel (v2e, _init)
 _DARK, _RANGE = 20.0, 275.0  # a relative intensity is (luminance + 20) / 275 (v2e)
 _NOISE_IN_LIGHT = 0.25  # rate of shot noise at full intensity, of that in darkness (v2e)

@@ -7,7 +7,7 @@ import json
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -34,7 +34,6 @@ class Track:
     spread: start positions are drawn uniformly within this distance on both axes [px]
     heading: (lowest, highest) at the start [rad], 0 to the right, clockwise
     sway: largest shift of the finish along y at a reset, either way [px]
-    polylines: whose segments are the walls, each (points, 2) [px]
     """
 
     name: str
@@ -44,7 +43,6 @@ class Track:
     spread: float
     heading: tuple[float, float]
     sway: float = 0.0
-    polylines: tuple[FloatArray, ...] = field(default=(), repr=False)
 
     @cached_property
     def midpoints(self) -> tuple[tuple[float, float], ...]:
@@ -132,7 +130,6 @@ def corridor(count: int, rng: np.random.Generator) -> Track:
         start=np.array(_CENTRE),
         spread=_SPREAD,
         heading=(heading, heading),
-        polylines=polylines,
     )
 
 
@@ -359,7 +356,6 @@ def parse(tree: object, where: str) -> Track:
         spread=float(_numbers(start["spread"], (), f"{where}: start spread")),
         heading=(float(low), float(high)),
         sway=float(_numbers(fields.get("sway", 0.0), (), f"{where}: sway")),
-        polylines=polylines,
     )
     if max(len(track.walls), len(track.gates)) > _MOST_WALLS:
         raise EnvError(

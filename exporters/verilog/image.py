@@ -70,7 +70,6 @@ class Rows:
     gap_bits, weight_bits: of a word.
     starts: of each axon: the first synapse of its row, and whether weights are subtracted.
     first: target from which the gaps of a row count, of the input's channels and of neurons.
-    fillers: synapses of weight 0 in gaps that are too wide.
     """
 
     words: tuple[int, ...]
@@ -78,7 +77,6 @@ class Rows:
     weight_bits: int
     starts: tuple[tuple[int, bool], ...]
     first: tuple[int, int]
-    fillers: int
 
     @property
     def bits(self) -> int:
@@ -490,7 +488,6 @@ def _store_rows(inputs: Sequence[Row], neurons: Sequence[Row], target_bits: int)
     words: list[int] = []
     known: dict[Row, int] = {}
     starts: list[tuple[int, bool]] = []
-    fillers = 0
     for axon, row in enumerate(every):
         start = first[axon >= len(inputs)]
         # from its start, with which rows of both kinds can be the same
@@ -502,12 +499,11 @@ def _store_rows(inputs: Sequence[Row], neurons: Sequence[Row], target_bits: int)
         known[key] = len(words)
         starts.append((len(words), False))
         synapses = _with_gaps(key, (1 << gap_bits) - 1)
-        fillers += len(synapses) - len(row)
         for k, (gap, weight) in enumerate(synapses):
             last = k == len(synapses) - 1
             word = (last << gap_bits | gap) << weight_bits
             words.append(word | weight & ((1 << weight_bits) - 1))
-    return Rows(tuple(words), gap_bits, weight_bits, tuple(starts), first, fillers)
+    return Rows(tuple(words), gap_bits, weight_bits, tuple(starts), first)
 
 
 def _first(rows: Iterable[Row]) -> int:

@@ -68,11 +68,6 @@ def require_tool(name: str) -> str:
     raise ConfigError(f"{name} is not installed: {tool.remedy}.{more}")
 
 
-def missing_tools(*names: str) -> tuple[str, ...]:
-    """Those of the tools that are not there."""
-    return tuple(name for name in names if find_tool(name) is None)
-
-
 def make_variables() -> list[str]:
     """Arguments for make that name each tool that was found, also beside Python."""
     found = ((tool.variable, find_tool(name)) for name, tool in TOOLS.items() if name != "make")

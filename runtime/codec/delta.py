@@ -31,7 +31,7 @@ class Levels(Copied):
     def __init__(self) -> None:
         self.sent: NDArray[np.int64] | None = None
 
-    def of(self, robots: int, observed: int) -> NDArray[np.int64]:
+    def read(self, robots: int, observed: int) -> NDArray[np.int64]:
         """The levels (B, obs) of B robots, 0 at the beginning."""
         if self.sent is None:
             return np.zeros((robots, observed), np.int64)
@@ -112,7 +112,7 @@ class DeltaEncoder(Encoder):
     ) -> NDArray[np.int64]:
         """Signed numbers n (B, T, obs) of events, and the levels moved; as `encode`."""
         levels = state or self.start(0)
-        sent = levels.of(*x.shape)
+        sent = levels.read(*x.shape)
         table = _events(self.most, self.threshold)
         parts = self._parts(x)
         parts += len(table) // 2

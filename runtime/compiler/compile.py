@@ -113,20 +113,18 @@ class Recompiler:
     arithmetic cannot compute is refused each time.
 
     artifact: the network with its first numbers.
-    chip, quantisation, clock, limits: as in `compile_program`.
+    chip, limits: as in `compile_program`.
     """
 
     def __init__(
         self,
         artifact: Artifact,
         chip: Chip,
-        quantisation: Quantisation = PLAIN,
-        clock: Clock | None = None,
         limits: bool = True,
     ) -> None:
-        self.first = compile_program(artifact, chip, quantisation, clock, limits)
-        self._quantisation, self._limits = quantisation, limits
-        self._artifact, self._chip, self._clock = _prepared(artifact, chip, clock, limits)
+        self.first = compile_program(artifact, chip, limits=limits)
+        self._limits = limits
+        self._artifact, self._chip, self._clock = _prepared(artifact, chip, None, limits)
         self._lowered = lower(self._artifact)
 
     def program(self, numbers: nir.NIRGraph) -> Program:
@@ -134,9 +132,7 @@ class Recompiler:
         artifact, chip = self._artifact.with_numbers(numbers), self._chip
         program = float_program(artifact, chip, layer_graph(self._lowered, artifact), self._clock)
         rows = _rows(artifact, program)
-        layers = chip.arithmetic.quantise(
-            program, self._quantisation, chip.name, rows, limits=self._limits
-        )
+        layers = chip.arithmetic.quantise(program, PLAIN, chip.name, rows, limits=self._limits)
         return replace(program, layers=tuple(layers))
 
 
@@ -346,7 +342,7 @@ class DesignCheck:
         """True if no rule is broken; what is unknown breaks none."""
         return not any(ruling.failed for ruling in self.rulings)
 
-    def of(self, rule: str) -> list[RuleResult]:
+    def rulings_on(self, rule: str) -> list[RuleResult]:
         """The rulings of one rule."""
         return [ruling for ruling in self.rulings if ruling.rule == rule]
 
@@ -362,7 +358,9 @@ class DesignCheck:
             return _STATUSES.index(ruling.status), 0.0 if ruling.failed else -found
 
         absent = RuleResult("", None, "not applicable")
-        return {rule: min(self.of(rule), key=rank, default=absent) for rule in (*RULES, COMPILE)}
+        return {
+            rule: min(self.rulings_on(rule), key=rank, default=absent) for rule in (*RULES, COMPILE)
+        }
 
 
 def check(artifact: Artifact, on: Chip, lowered: Lowering | None = None) -> DesignCheck:

@@ -109,7 +109,7 @@ def map_to_cores(network: Lowering, chip: Chip) -> CoreMapping:
             _unplaced(network, p),
             cores=cores[p.name],
             block=block,
-            **loads[p.name].at(block)._asdict(),
+            **loads[p.name].find_fullest(block)._asdict(),
             axons_out=block * _target_cores(network, p.name, cores),
             estimated=any(projection.weight is None for projection in p.presynaptic),
         )
@@ -236,7 +236,7 @@ class Loads:
         self._biased = limits.input_cores and population.biased
         self._found: dict[int, Load] = {}
 
-    def at(self, block: int) -> Load:
+    def find_fullest(self, block: int) -> Load:
         """Load of the fullest core when a core takes `block` neurons."""
         if block not in self._found:
             self._found[block] = self._load(block)
@@ -244,7 +244,7 @@ class Loads:
 
     def fit(self, block: int) -> bool:
         """True if a core has room for so many neurons."""
-        (memory, axons), limits = self.at(block), self._limits
+        (memory, axons), limits = self.find_fullest(block), self._limits
         roomy = limits.memory is None or memory is None or memory <= limits.memory.size
         return roomy and (limits.axons_in is None or axons <= limits.axons_in)
 

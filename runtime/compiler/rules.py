@@ -703,7 +703,6 @@ RULES = {
     "chips": Rule(_chips, network=True),
     "convention": Rule(_convention, numbers=True, network=True),
 }
-NODE_RULES = tuple(name for name, rule in RULES.items() if not rule.network)
 ARITHMETIC = tuple(name for name, rule in RULES.items() if rule.numbers)
 CAPACITY = tuple(name for name, rule in RULES.items() if not rule.numbers)
 

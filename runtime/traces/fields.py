@@ -24,6 +24,7 @@ _KINDS = {int, float, bool}  # of numbers in JSON
 # what a trace needs at most; a file of more would take hours or all memory
 _MOST_FIELDS = 1000
 _MOST_LAYERS = 256
+_SHOWN = 5  # names in a message
 _MOST_READ = 1 << 24  # numbers; those that layers share are read for each layer
 
 
@@ -272,10 +273,10 @@ def escape(text: str, most: int = 80) -> str:
     return line if len(line) <= most else f"{line[:most]}…"
 
 
-def shown_names(names: Sequence[str], most: int = 5) -> str:
+def shown_names(names: Sequence[str]) -> str:
     """Return the first names, and how many more there are."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(escape(name) for name in names[:most]) + more
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(escape(name) for name in names[:_SHOWN]) + more
 
 
 def _short(value: object) -> str:

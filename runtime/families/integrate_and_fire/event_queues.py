@@ -169,7 +169,7 @@ class EventNetwork:
     def __init__(
         self, rules: IntegrateAndFireRules, network: Network, process: ProcessQueue = process_queue
     ) -> None:
-        self.layers = wire(rules, network.convention, network.layers, network.input)
+        self.layers = wire(rules, network.convention, network.layers)
         self._input, self._process = network.input, process
         self.states = {
             e.layer.name: EventState.from_membrane(np.zeros(e.layer.size, np.int64))
@@ -199,7 +199,7 @@ def _join(sources: Sequence[Spikes]) -> Queue:
 
 @lru_cache(maxsize=8)
 def wire(
-    rules: IntegrateAndFireRules, convention: Convention, layers: tuple[Layer, ...], source: str
+    rules: IntegrateAndFireRules, convention: Convention, layers: tuple[Layer, ...]
 ) -> tuple[EventLayer, ...]:
     """The layers as events see them."""
     found = []

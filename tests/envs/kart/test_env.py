@@ -30,7 +30,6 @@ def hall(gates=((9000.0, -400.0, 9000.0, 400.0),), size=10_000.0, heading=(0.0, 
         start=np.zeros(2),
         spread=0.0,
         heading=heading,
-        polylines=(corners,),
     )
 
 
@@ -577,7 +576,7 @@ def test_classic_karts_that_move_away_from_the_gate_are_stopped_after_30_steps(n
     corners = 2000.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
     gate = np.array([[[900.0, -50.0], [900.0, 50.0]]])
     away = (math.pi, math.pi)
-    course = Track("hall", segments([corners]), gate, np.zeros(2), 0.0, away, 0.0, (corners,))
+    course = Track("hall", segments([corners]), gate, np.zeros(2), 0.0, away, 0.0)
     env = envs.make(name, preset="classic", track=course).unwrapped
     _, steps = episode(env, 0, lambda _: env.ACTIONS.index(action))
     assert len(steps) == 30

@@ -14,7 +14,7 @@ from spikedeploy import zoo
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import CHIPS, Limits, chip
 from spikedeploy.runtime.compiler.compile import check, compile_program
-from spikedeploy.runtime.compiler.rules import NODE_RULES, RULES, evaluate, place
+from spikedeploy.runtime.compiler.rules import RULES, evaluate, place
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError, SpikedeployError
 from tests.graded import one_neuron
@@ -308,14 +308,14 @@ def test_all_rules_that_a_network_breaks_are_named():
 
 def test_a_network_of_several_chips_passes_with_a_remark_where_chips_can_be_joined():
     few = {"neurons_per_core": 1, "cores": 2, "input_cores": False}
-    (found,) = check(one(size=5), limited(**few)).of("chips")
+    (found,) = check(one(size=5), limited(**few)).rulings_on("chips")
     assert (found.status, found.found) == ("pass", 3)
     assert "more than one chip" in found.note
     assert not check(one(size=5), limited(**few, alone=True)).passed
 
 
 def test_the_other_way_to_store_signs_is_told():
-    (found,) = check(load(zoo.path("hexapod/popsan")), LOIHI).of("cores")
+    (found,) = check(load(zoo.path("hexapod/popsan")), LOIHI).rulings_on("cores")
     assert found.note == "10 where both signs share a list (sign_mode 'mixed')"
 
 
@@ -344,8 +344,9 @@ def test_every_node_of_a_shipped_policy_is_judged_by_every_rule(policy, name):
     json.dumps([ruling.as_json() for ruling in found.rulings], allow_nan=False)
     if on.limits is None:
         return
+    node_rules = [name for name, rule in RULES.items() if not rule.network]
     judged_ = {(ruling.rule, ruling.node) for ruling in found.rulings}
-    assert {(rule, node) for rule in NODE_RULES for node in artifact.graph.nodes} <= judged_
+    assert {(rule, node) for rule in node_rules for node in artifact.graph.nodes} <= judged_
     assert {ruling.rule for ruling in found.rulings} == {*RULES, "compile"}
     if found.passed:
         compile_program(artifact, on)
@@ -398,7 +399,7 @@ def test_rules_on_arithmetic_refuse_all_that_the_compiler_refuses(power, slow, i
     rules = ("weight-bits", "threshold-range", "decay-range")
     found = check(artifact, chip(name))
     refused = [ruling for ruling in found.rulings if ruling.rule in rules and ruling.failed]
-    if found.of("compile")[0].failed:
+    if found.rulings_on("compile")[0].failed:
         assert refused
 
 

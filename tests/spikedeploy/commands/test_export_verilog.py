@@ -11,7 +11,7 @@ import pytest
 from spikedeploy.commands.exporting import FormatOptions
 from spikedeploy.commands.open_loop import check
 from spikedeploy.exporters.verilog.boards import board_names
-from spikedeploy.exporters.verilog.tools import missing_tools
+from spikedeploy.exporters.verilog.tools import find_tool
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.shipping.verilog_folder import RECORD, read_folder
 from tests.networks import event_driven
@@ -19,7 +19,7 @@ from tests.networks import event_driven
 POLICY = "kart-steer/sparse-gated"
 TO = ("--to", "verilog", "-o", "core", "--observations", "20")
 needs_verilator = pytest.mark.skipif(
-    bool(missing_tools("verilator", "g++", "make")), reason="needs Verilator, g++ and make"
+    not all(map(find_tool, ("verilator", "g++", "make"))), reason="needs Verilator, g++ and make"
 )
 
 
