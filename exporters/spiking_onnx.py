@@ -28,7 +28,7 @@ from spikedeploy.runtime.codec.delta import LARGEST, PARTS, DeltaEncoder
 from spikedeploy.runtime.codec.population import PopulationEncoder
 from spikedeploy.runtime.codec.rate import LEVELS, RateEncoder
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.emulator.network import FloatMachine
+from spikedeploy.runtime.emulator.running_network import FloatMachine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.onnx_session import infer, rest, session

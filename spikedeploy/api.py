@@ -28,7 +28,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.choices import Floor, Integrator, Reset, Spikes, State
 from spikedeploy.runtime.codec.codec import GIVE_CODEC
 from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.runtime.emulator.network import chip_or_float
+from spikedeploy.runtime.emulator.running_network import chip_or_float
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, RuleError
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.seeds import EVALUATION

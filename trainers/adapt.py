@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from spikedeploy.runtime.artifact.artifact import Artifact, digest, load, save
-from spikedeploy.runtime.emulator.network import run_network
+from spikedeploy.runtime.emulator.running_network import run_network
 from spikedeploy.runtime.errors import (
     ArtifactError,
     ConfigError,

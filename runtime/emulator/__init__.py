@@ -1,9 +1,9 @@
 """The emulator: a program running, its ledger, and the controllers that drive a robot with it.
 
-backend      the interface of what computes a program, and the choice
-interpreter  the arithmetic of the chips as its specification, in chip time; upsets
-ledger       counted events of a chip, so that any table of energies can price them
-machine      a chip with a program on it, running, and its host
-network      a network on a chip or in float: the one place that decides
-controllers  a policy file acting on a robot, on a chip or in float
+backend          the interface of what computes a program, and the choice
+interpreter      the arithmetic of the chips as its specification, in chip time; upsets
+ledger           counted events of a chip, so that any table of energies can price them
+machine          a chip with a program on it, running, and its host
+running_network  a network on a chip or in float: the one place that decides
+controllers      a policy file acting on a robot, on a chip or in float
 """

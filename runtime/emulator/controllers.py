@@ -15,7 +15,7 @@ from spikedeploy.runtime.copies import Copied
 from spikedeploy.runtime.emulator.backend import BackendMaker, BackendName
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.network import run_network
+from spikedeploy.runtime.emulator.running_network import run_network
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.faults import NONE, Faults
 

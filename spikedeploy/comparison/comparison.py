@@ -26,7 +26,7 @@ from spikedeploy.policies import costs
 from spikedeploy.policies.costs import FLOAT_TABLES, Costs, priced_by
 from spikedeploy.policies.registry import BASELINES, UNTRAINED
 from spikedeploy.runtime.chips.damage import sum_damage
-from spikedeploy.runtime.emulator.network import chip_or_float
+from spikedeploy.runtime.emulator.running_network import chip_or_float
 from spikedeploy.runtime.metrics.energy import (
     BREAK_EVEN_TABLES,
     STATIC,

@@ -26,7 +26,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.network import (
+from spikedeploy.runtime.emulator.running_network import (
     FloatMachine,
     RunningNetwork,
     chip_or_float,

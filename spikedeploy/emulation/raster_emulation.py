@@ -17,7 +17,7 @@ from spikedeploy.runtime.artifact.nir_data import write_nir_data
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
-from spikedeploy.runtime.emulator.network import RunningNetwork, chip_or_float, run_network
+from spikedeploy.runtime.emulator.running_network import RunningNetwork, chip_or_float, run_network
 from spikedeploy.runtime.errors import ArtifactError, ObservationError, RuleError
 from spikedeploy.runtime.files import replacing, suffix
 from spikedeploy.runtime.graph.ports import by_port, ports, split

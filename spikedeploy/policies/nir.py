@@ -42,7 +42,7 @@ from spikedeploy.runtime.compiler.rules import place
 from spikedeploy.runtime.copies import Copied
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
-from spikedeploy.runtime.emulator.network import chip_or_float
+from spikedeploy.runtime.emulator.running_network import chip_or_float
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, SpikedeployError
 from spikedeploy.runtime.files import read_text
 from spikedeploy.runtime.graph.neurons import SPIKING

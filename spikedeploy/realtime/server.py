@@ -21,7 +21,7 @@ from spikedeploy.policies.nir import read_policy
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.runtime.emulator.network import chip_or_float
+from spikedeploy.runtime.emulator.running_network import chip_or_float
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.metrics.energy import TABLES, energy_estimate
 

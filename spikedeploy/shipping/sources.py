@@ -19,7 +19,7 @@ from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisat
 from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.network import FloatMachine
+from spikedeploy.runtime.emulator.running_network import FloatMachine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
 from spikedeploy.seeds import VALIDATION

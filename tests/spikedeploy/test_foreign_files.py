@@ -18,7 +18,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.network import FloatMachine
+from spikedeploy.runtime.emulator.running_network import FloatMachine
 from spikedeploy.runtime.errors import ConfigError, EnvError, ObservationError, SpikedeployError
 from spikedeploy.runtime.files import read_json
 from spikedeploy.runtime.float_model import FloatGraph

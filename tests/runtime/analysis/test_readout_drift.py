@@ -8,7 +8,7 @@ from spikedeploy.runtime.analysis.calibration import with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
-from spikedeploy.runtime.emulator.network import run_network
+from spikedeploy.runtime.emulator.running_network import run_network
 from tests.readouts import ACTIONS, HIDDEN, KINDS, events, network
 
 

@@ -10,7 +10,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.emulator.controllers import Sampler, SpikingController
-from spikedeploy.runtime.emulator.network import FloatMachine
+from spikedeploy.runtime.emulator.running_network import FloatMachine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
 from tests.networks import chain, cuba, event_driven, popsan, spiking_mlp
 

@@ -18,7 +18,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.backend import backend_class
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.network import FloatMachine
+from spikedeploy.runtime.emulator.running_network import FloatMachine
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.families.integrate_and_fire.event_machine import EventMachine
 from spikedeploy.runtime.faults import faults, inject

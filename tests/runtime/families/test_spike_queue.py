@@ -13,7 +13,7 @@ from spikedeploy.runtime.compiler.compile import check, compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.emulator.network import run_network
+from spikedeploy.runtime.emulator.running_network import run_network
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.faults import faults
 from tests.networks import chain, graph
